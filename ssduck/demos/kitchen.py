@@ -8,6 +8,7 @@ from __future__ import annotations
 import inspect
 import re
 import time
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from ssduck.adapters.display import display_table, fitted_table, plain_console, readable
 from ssduck.demos.drawing import save
 from ssduck.demos.results import keep_picture
-from ssduck.errors import UnsupportedError
+from ssduck.errors import ProgramWarning, UnsupportedError
 from ssduck.simulators.scenes import Scene, find_scene, shipped_scenes
 
 if TYPE_CHECKING:
@@ -182,7 +183,8 @@ def ask(
 
     console = plain_console()
     scene_questions = questions(scene)
-    with load(scene.path) as ss:
+    with load(scene.path) as ss, warnings.catch_warnings():
+        warnings.simplefilter("ignore", ProgramWarning)  # the tutorial's programs are as published
         seconds = 0.0
         for number, question in enumerate(scene_questions, 1):
             with console.capture() as captured:

@@ -130,7 +130,7 @@ def drive(ss: Interpreter, path: Sequence[Cell]) -> tuple[int, list[dict[str, ob
         for stride in range(1, strides + 1):
             share = stride / strides
             x, y = (b + share * (a - b) for b, a in zip(before, after, strict=True))
-            rover.move([x, y, height], [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)])
+            rover.move([x, y, height], wxyz=[math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)])
             hall.step(12, every=12)
     return hall.snapshot.number - first, ss.eval(COLLISIONS)
 

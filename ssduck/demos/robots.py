@@ -208,7 +208,7 @@ def drive(robot: Entity, path: Sequence[Place]) -> None:
         for number in range(1, strides + 1):
             share = number / strides
             place = [before[0] + share * dx, before[1] + share * dy, height]
-            robot.move(place, [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)])
+            robot.move(place, wxyz=[math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)])
             world.step()
 
 

@@ -15,11 +15,20 @@ from weakref import WeakKeyDictionary
 
 from ssduck.errors import (
     ArgumentError,
+    ProgramWarning,
     SelectScriptError,
     SourceSpan,
+    warn,
 )
 from ssduck.formatting import short_repr
 from ssduck.interpreter.known_names import KnownNames
+from ssduck.interpreter.misread_relations import (
+    VOLUME_NOTE,
+    bare_numbers,
+    has_volume,
+    has_volume_in_sql,
+    number_as_condition,
+)
 from ssduck.interpreter.suspect_values import Suspects, handle_of, mistakes_in, suspects_of
 from ssduck.language.analysis import states
 from ssduck.language.tree import (
@@ -83,6 +92,8 @@ class StatementFacts:
         bare: names that are selected, keys or conditions.
         columns: bare names in GROUP BY, HAVING and ORDER BY that are also names of columns.
         suspects: comparisons, columns and ages to look at.
+        numbers: the conditions that are numbers.
+        has_volume: whether it names `volume`.
     """
 
     names: list[NameSite] = field(default_factory=list)
@@ -93,6 +104,8 @@ class StatementFacts:
     bare: list[tuple[str, SourceSpan]] = field(default_factory=list)
     columns: list[tuple[str, SourceSpan]] = field(default_factory=list)
     suspects: Suspects = field(default_factory=Suspects)
+    numbers: tuple[Call, ...] = ()
+    has_volume: bool = False
 
     @property
     def is_empty(self) -> bool:
@@ -105,7 +118,11 @@ _OuterSources = Mapping[str, Source]
 
 def facts_of(statement: Node) -> StatementFacts:
     """Returns the parts of a statement to look up."""
-    facts = StatementFacts(suspects=suspects_of(statement))
+    facts = StatementFacts(
+        suspects=suspects_of(statement),
+        numbers=tuple(bare_numbers(statement)),
+        has_volume=has_volume(statement),
+    )
     _collect(statement, {}, None, facts)
     return facts
 
@@ -277,6 +294,7 @@ class Linter:
         # The parts to look up in each statement; None if there are none.
         self._facts: WeakKeyDictionary[Node, StatementFacts | None] = WeakKeyDictionary()
         self._reported: set[tuple[str | None, str]] = set()
+        self._is_volume_told = False
 
     def check(
         self, text: str, statement: Node, local: Mapping[str, Any]
@@ -300,7 +318,10 @@ class Linter:
             *self._quoted_names(facts, text),
             *self._unknown_entities(facts, local),
             *mistakes_in(facts.suspects, self._variable, self._type_of_relation),
+            *(number_as_condition(c) for c in facts.numbers if self._is_relation(c.name)),
         ]
+        if facts.has_volume and self._variable("volume") is None and self._is_relation("volume"):
+            self._tell_of_volume()
         for error in mistakes:
             error.locate(text)
         return mistakes
@@ -309,6 +330,8 @@ class Linter:
         self, sql: str, parameters: Sequence[Any] | Mapping[str, Any] | None = None
     ) -> list[SelectScriptError]:
         """Returns the names and kinds in a statement of raw SQL that nothing has, as errors."""
+        if has_volume_in_sql(sql):
+            self._tell_of_volume()
         comparisons = name_comparisons(sql)
         if not comparisons:
             return []
@@ -322,6 +345,15 @@ class Linter:
         for error in mistakes:
             error.locate(sql)
         return mistakes[:MAX_UNKNOWN]
+
+    def _is_relation(self, name: str) -> bool:
+        return self._type_of_relation(name) is not None
+
+    def _tell_of_volume(self) -> None:
+        """Warns, once, of what `volume` is: published programs use it, so it is no mistake."""
+        if not self._is_volume_told:
+            self._is_volume_told = True
+            warn(VOLUME_NOTE, ProgramWarning)
 
     def is_new(self, error: SelectScriptError) -> bool:
         """Checks whether an error was not reported before."""

@@ -21,13 +21,14 @@ from ssduck.formatting import joined_names, short_repr
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.simulators.interface import Body, Kind
 from ssduck.simulators.joints import openness
-from ssduck.simulators.kinematics import JointValues, unit
+from ssduck.simulators.kinematics import JointValues
 from ssduck.simulators.scenes import SensorSpec
 from ssduck.simulators.sensor_types import SENSOR_TYPES
 from ssduck.world.handles import Handle, RecordedTick
 from ssduck.world.layout import EntityInfo
 from ssduck.world.links import Link, Site, links_and_sites_of, links_of, sites_of
 from ssduck.world.openrave_names import OpenRaveEntity, OpenRaveSensor
+from ssduck.world.orientations import Orientation, orientation_of
 from ssduck.world.sensor_readings import Reading
 
 if TYPE_CHECKING:
@@ -169,8 +170,11 @@ class Entity(Handle, OpenRaveEntity):
     def move(
         self,
         position: Sequence[float] | None = None,
-        orientation: Sequence[float] | None = None,
+        orientation: Orientation | None = None,
         joints: JointValues | None = None,
+        *,
+        wxyz: Sequence[float] | None = None,
+        xyzw: Sequence[float] | None = None,
     ) -> None:
         """Moves the body to another pose, at rest, and takes a tick, so that queries see it.
 
@@ -181,29 +185,31 @@ class Entity(Handle, OpenRaveEntity):
 
         Args:
             position: the position of the link frame, [x, y, z], m, world frame; None keeps it.
-            orientation: the orientation of the link frame, [w, x, y, z], of any length but 0;
-                None keeps it.
+            orientation: the orientation of the link frame, world frame: a quaternion [w, x, y, z]
+                of any length but 0, or a `Rotation` of SciPy; None keeps it. PyBullet's quaternions
+                are [x, y, z, w]: a warning tells of a list that is probably one of these.
             joints: positions, rad or m: by the joint's name, or one for each revolute and
                 prismatic joint in order. With joints alone, the body keeps its pose and its
                 velocity.
+            wxyz: in place of `orientation`: a quaternion [w, x, y, z], without the warning.
+            xyzw: in place of `orientation`: a quaternion [x, y, z, w], as PyBullet has them.
 
         Raises:
             StateError: a number is not finite, the orientation is all 0, or a joint is beyond
                 its limits.
             UnknownNameError: no joint has a name; the error suggests the nearest names.
-            ArgumentError: the entity is a sensor, a joint's position is not one number, or there
-                are too many or too few values.
+            ArgumentError: the entity is a sensor, a joint's position is not one number, there
+                are too many or too few values, or the orientation is given twice.
             RemovedEntityError: the entity is no longer in its world.
             UnsupportedError: the entity is in a what-if world.
         """
         pose = None
-        if joints is None or position is not None or orientation is not None:
+        given = (position, orientation, wxyz, xyzw)
+        if joints is None or any(value is not None for value in given):
             position = self.position if position is None else position
-            orientation = self.orientation if orientation is None else orientation
-            quaternion = validation.finite_array(orientation, 4, f"{self.name}: orientation")
             pose = (
                 validation.finite_array(position, 3, f"{self.name}: position"),
-                unit(quaternion, self.name),
+                orientation_of(orientation, wxyz, xyzw, self.orientation, self.name),
             )
         self.state.place(self, pose, joints)
 

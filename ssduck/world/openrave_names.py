@@ -82,10 +82,10 @@ class OpenRaveEntity:
         except (TypeError, ValueError, OverflowError):
             matrix = np.zeros(0)
         if matrix.shape == (4, 4):
-            self.move(matrix[:3, 3], _quaternion(matrix[:3, :3], self.name))
+            self.move(matrix[:3, 3], wxyz=_quaternion(matrix[:3, :3], self.name))
         else:
             position, orientation = parse_pose(cast("Sequence[float]", transform), self.name)
-            self.move(position, orientation)
+            self.move(position, wxyz=orientation)
 
     def GetDOFValues(self: Any) -> Array:  # noqa: N802  # OpenRAVE's name
         """Returns the positions of the revolute and prismatic joints, rad or m."""

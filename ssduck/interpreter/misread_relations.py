@@ -1,0 +1,66 @@
+"""Finds relations that are valid where they stand, but read as something else."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from ssduck.errors import ArgumentError
+from ssduck.language.tree import Binary, Branch, Call, If, Name, Node, OperatorChain, Query, Unary
+
+# What to write in place of a number that holds of nearly everything as a condition.
+_AS_CONDITION = {
+    "inside": "it is the share of b inside of a, a number from 0 to 1: write contains(a, b) for "
+    "nearly all of b, or inside(a, b) > 0.5; a is the container, b is what is in it",
+    "distance": "it is a number: write distance(a, b) < 0.1, say",
+    "clearance": "it is a number: write near(a, b, 0.1), or clearance(a, b) < 0.1",
+}
+_CONDITIONS_OVER_TIME = frozenset(("since", "heldFor", "holds"))
+VOLUME_NOTE = (
+    "volume is an eighth of the volume of the box, as published; solidVolume is that of the "
+    "shapes, aabbVolume that of the box (told once)"
+)
+_VOLUME_IN_SQL = re.compile(r"\bvolume\s*\(", re.IGNORECASE)
+
+
+def bare_numbers(statement: Node) -> Iterator[Call]:
+    """Yields the conditions of a statement that are such a number, and are not compared."""
+    for node in statement.walk():
+        for part in _conditions(node):
+            if isinstance(part, Call) and part.name in _AS_CONDITION:
+                yield part
+
+
+def number_as_condition(call: Call) -> ArgumentError:
+    """Returns the error of such a condition."""
+    message = f"{call.name} as a condition holds of any number but 0; {_AS_CONDITION[call.name]}"
+    return ArgumentError(message, span=call.span)
+
+
+def has_volume(statement: Node) -> bool:
+    """Checks whether a statement names the relation `volume`."""
+    return any(isinstance(part, Call | Name) and part.name == "volume" for part in statement.walk())
+
+
+def has_volume_in_sql(sql: str) -> bool:
+    """Checks whether a statement of raw SQL calls `volume`."""
+    return _VOLUME_IN_SQL.search(sql) is not None
+
+
+def _conditions(node: Node) -> tuple[Node, ...]:
+    """Returns the parts of a node that are conditions."""
+    match node:
+        case Query(where=where, having=having, recursion=recursion):
+            stop = None if recursion is None else recursion.stop
+            return tuple(part for part in (where, having, stop) if part is not None)
+        case Unary(operator="NOT", operand=operand):
+            return (operand,)
+        case Binary(operator="AND" | "OR" | "XOR", left=left, right=right):
+            return left, right
+        case OperatorChain(operators=("AND" | "OR" | "XOR", *_), operands=operands):
+            return tuple(operands)
+        case If(condition=condition) | Branch(condition=condition):
+            return (condition,)
+        case Call(name=name, arguments=(condition, *_)) if name in _CONDITIONS_OVER_TIME:
+            return (condition,)
+    return ()

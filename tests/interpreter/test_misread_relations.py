@@ -1,0 +1,89 @@
+"""Relations that read as something else: a share as a condition, and `volume`."""
+
+from __future__ import annotations
+
+import warnings
+
+import pybullet
+import pytest
+
+import ssduck
+from ssduck.errors import ArgumentError, ProgramWarning
+
+
+@pytest.fixture(scope="module")
+def world():
+    """A ball in a box."""
+    client = pybullet.connect(pybullet.DIRECT)
+    here = {"physicsClientId": client}
+    box = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.5] * 3, **here)
+    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, **here)
+    names = {pybullet.createMultiBody(0, box, **here): "bin"}
+    names[pybullet.createMultiBody(1, ball, basePosition=[0.5, 0, 0], **here)] = "ball"
+    yield ssduck.World.attach(client, names=names)
+    pybullet.disconnect(client)
+
+
+@pytest.fixture
+def ss(world):
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("sim", world)
+        yield ss
+
+
+def told(ask, *arguments):
+    """The warnings of a call."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        ask(*arguments)
+    assert all(one.category is ProgramWarning for one in caught)
+    return [str(one.message) for one in caught]
+
+
+@pytest.mark.parametrize(
+    ("program", "name"),
+    [
+        ("SELECT id FROM sim WHERE inside(sim.bin, this);", "inside"),
+        ("SELECT id FROM sim WHERE z(this) > 0 AND NOT inside(this, sim.bin);", "inside"),
+        ("IF(inside(sim.bin, sim.ball); 1; 0);", "inside"),
+        ("inside(sim.bin, sim.ball) OR False;", "inside"),
+        ("heldFor(inside(sim.bin, sim.ball));", "inside"),
+        ("SELECT id FROM sim WHERE distance(this, sim.ball);", "distance"),
+        ("SELECT id FROM sim WHERE NOT clearance(this, sim.ball);", "clearance"),
+    ],
+)
+def test_a_number_as_a_condition_is_told_of(ss, program, name):
+    (message,) = told(ss.eval, program)
+    assert message.startswith(f"{name} as a condition holds of any number but 0")
+    assert ("write contains(a, b)" in message) is (name == "inside")
+    ss.strict = True
+    with pytest.raises(ArgumentError, match=f"{name} as a condition"):
+        ss.eval(program)
+
+
+@pytest.mark.parametrize(
+    "program",
+    [
+        "SELECT id FROM sim WHERE inside(sim.bin, this) > 0.4;",
+        "SELECT inside(sim.bin, this) FROM sim;",
+        "inside(sim.bin, sim.ball);",
+        "contains(sim.bin, sim.ball) AND contactForce(sim.bin, sim.ball);",
+    ],
+)
+def test_a_number_that_is_compared_is_not(ss, program):
+    ss.strict = True
+    assert told(ss.eval, program) == []
+
+
+@pytest.mark.parametrize("program", ["volume(sim.ball);", "SELECT id, volume FROM sim;"])
+def test_volume_is_told_of_once_and_stays_as_published(ss, program):
+    ss.strict = True
+    (message,) = told(ss.eval, program)
+    assert "solidVolume" in message
+    assert "aabbVolume" in message
+    assert ss.eval("volume(sim.bin);") == pytest.approx(1 / 8)
+    assert told(ss.eval, program) == told(ss.sql, "SELECT volume(e) FROM entities e") == []
+
+
+def test_raw_sql_tells_of_volume_too(ss):
+    assert len(told(ss.sql, "SELECT volume(e) FROM entities e")) == 1
