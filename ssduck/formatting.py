@@ -77,6 +77,16 @@ def error_text(error: BaseException) -> str:
         return "it gives no reason"
 
 
+def first_sentence(text: str) -> str:
+    """Returns the first sentence of a text.
+
+    >>> first_sentence("Returns the mass. Unit: kg.")
+    'Returns the mass.'
+    """
+    end = text.find(". ")
+    return text if end < 0 else text[: end + 1]
+
+
 def first_line(text: str) -> str:
     """Returns the first line of a text, shortened if it is long."""
     line = text.strip().partition("\n")[0]

@@ -121,8 +121,13 @@ def _parquet(value: Any, stream: BinaryIO) -> None:
     pq.write_table(table, stream)
 
 
+def png_of(value: Any) -> bytes | None:
+    """Returns the picture that a value has, by IPython's protocol, as PNG; None if it has none."""
+    return value._repr_png_() if hasattr(type(value), "_repr_png_") else None
+
+
 def _png(value: Any, stream: BinaryIO) -> None:
-    picture = value._repr_png_() if hasattr(type(value), "_repr_png_") else None
+    picture = png_of(value)
     if picture is None:
         raise ArgumentError(
             "this is no picture; AS image, mesh, points, graph and the grids are pictures"

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.world.entities import Sensor
-from ssduck.world.handles import Handle
+from ssduck.adapters.marks import Mark
+from ssduck.schema import LINK_FACTOR, link_id
+from ssduck.world.layout import EntityInfo
 from ssduck.world.pictures import renderable
 from ssduck.world.world import World
 
@@ -22,42 +23,45 @@ _FADE = 0.5
 _WIDTH = 2
 
 
-def highlighted(world: World, entities: Iterable[Handle], width: int, height: int) -> Image.Image:
-    """Returns a picture by the world's camera with entities outlined and all else faded.
+def highlighted(world: World, marks: Iterable[Mark], width: int, height: int) -> Image.Image:
+    """Returns a picture by the world's camera with entities and links outlined, the rest faded.
 
     Args:
         world: the world; of a recorded tick or a what-if world, a copy is built and rendered.
-        entities: entities of the world; a sensor is shown by the body that it is mounted on.
+        marks: entities and links of the world; a sensor is shown by the body that it is mounted
+            on, a site by its link.
         width: pixels.
         height: pixels.
-
-    Raises:
-        RemovedEntityError: an entity has been removed.
     """
     from PIL import Image
 
-    body_ids = {_visible_body(entity) for entity in entities}
-    names = {world.entity(id).name for id in body_ids}
+    infos = {info.id: info for info in world.snapshot.entities}
+    seen = {_seen(infos[id], link) for id, link in marks}
     with renderable(world) as rendered:
-        ids = body_ids
         if rendered is not world:
-            ids = {entity.id for entity in rendered if entity.name in names}
-        return Image.fromarray(_render_highlighted(rendered, ids, width, height))
+            copies = {entity.name: entity.id for entity in rendered}
+            seen = {(copies[infos[id].name], link) for id, link in seen if infos[id].name in copies}
+        return Image.fromarray(_render_highlighted(rendered, seen, width, height))
 
 
-def _visible_body(entity: Handle) -> int:
-    """Returns the id of the body that represents an entity in the picture."""
-    if not entity.is_there:
-        raise entity.removed()
-    return entity.host if isinstance(entity, Sensor) else entity.entity.id
+def _seen(info: EntityInfo, link: int) -> Mark:
+    """Returns what represents an entity or a link in the picture."""
+    if info.body is None:
+        return info.mount[0], -1
+    if link >= 0 and info.body.links[link].region is not None:
+        return info.id, info.body.links[link].parent
+    return info.id, link
 
 
 def _render_highlighted(
-    world: World, body_ids: set[int], width: int, height: int
+    world: World, marks: set[Mark], width: int, height: int
 ) -> npt.NDArray[np.uint8]:
+    whole = [id for id, link in marks if link < 0]
+    parts = [link_id(id, link) for id, link in marks if link >= 0]
     with world.lock:
         picture = world.render(width, height).astype(np.float64)
-        is_highlighted = np.isin(world.segmentation(width, height), sorted(body_ids))
+        segments = world.segmentation(width, height, links=True)
+    is_highlighted = np.isin(segments % LINK_FACTOR, whole) | np.isin(segments, parts)
     grey = picture @ (0.299, 0.587, 0.114)
     faded = (1.0 - _FADE) * grey[:, :, None] + _FADE * 255.0
     pixels = np.where(is_highlighted[:, :, None], picture, faded)

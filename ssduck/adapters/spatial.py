@@ -12,6 +12,7 @@ from ssduck import validation
 from ssduck.adapters.base import Adapter, Selection
 from ssduck.adapters.files import check_file, replace_file
 from ssduck.adapters.highlight import highlighted
+from ssduck.adapters.marks import Marks
 from ssduck.adapters.point_cloud import PointCloud, sample_points
 from ssduck.adapters.shapes import SHAPES, shapes_of
 from ssduck.errors import ArgumentError
@@ -122,7 +123,18 @@ def _image(selection: Selection, width: Any = 960, height: Any = 720) -> Image.I
         per_second=PIXELS_PER_SECOND,
         bytes_each=BYTES_PER_PIXEL,
     )
-    return highlighted(selection.world, selection.entities, *size)
+    world = selection.world
+    for handle in selection.entities:
+        if not handle.is_there:
+            raise handle.removed()
+    marks = Marks(world)
+    found = dict.fromkeys(mark for row in selection.rows for mark in marks.of(row))
+    if selection.rows and not found:
+        raise ArgumentError(
+            "no column holds an entity, a link, or the name of one; select them as obj(this), "
+            "or as obj where there is one source"
+        )
+    return highlighted(world, found, *size)
 
 
 SPATIAL = (
@@ -152,9 +164,8 @@ SPATIAL = (
     ),
     Adapter(
         ("image",),
-        "A picture of the scene in which all entities but the selected ones are faded; sensors "
-        "appear as their bodies. Sizes in pixels.",
+        "A picture of the scene in which all but the selected entities and links, or those whose "
+        "names are selected, are faded; sensors appear as their bodies. Sizes in pixels.",
         _image,
-        needs="entities",
     ),
 )

@@ -108,14 +108,14 @@ class WorkerAnswers:
         """
         return str(self._ask("query", program, language, max_rows))
 
-    def picture(self, query: str, width: int, height: int) -> bytes:
-        """Returns a PNG picture with the entities that a query selects highlighted.
+    def picture(self, program: str, language: Language, width: int, height: int) -> bytes:
+        """Returns the PNG picture of a program's result, or one where what it selects stands out.
 
         Raises:
-            WorkerError: the query failed.
+            WorkerError: the program failed.
             LimitError: the worker was ended, or ended by itself.
         """
-        return base64.b64decode(self._ask("picture", query, width, height))
+        return base64.b64decode(self._ask("picture", program, language, width, height))
 
     def _ask(self, *question: Any) -> Any:
         with self._lock:

@@ -439,10 +439,10 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
             self._execution.forget_plans()
 
     def help(self, name: str | None = None) -> Any:
-        """Returns the names of all functions, or the help of one; `AS` lists the result forms.
+        """Returns the names of all functions, or the help of one or of a result form (`AS`: all).
 
         Raises:
-            UnknownNameError: no function has that name; the error suggests the nearest names.
+            UnknownNameError: nothing has that name; the error suggests the nearest names.
         """
         return self._execution.help(name)
 

@@ -11,13 +11,13 @@ from types import MappingProxyType
 from typing import Any
 
 from ssduck import validation
-from ssduck.adapters.registry import tables_read_by
+from ssduck.adapters.registry import all_adapters, tables_read_by
 from ssduck.adapters.sizes import made_bytes
 from ssduck.database.database import Database
 from ssduck.errors import ArgumentError, LimitError, UnknownNameError, nearest, warn
 from ssduck.formatting import short_repr
 from ssduck.interpreter.link_functions import LINK_FUNCTIONS, mentions_links
-from ssduck.interpreter.output import help_of_result_forms
+from ssduck.interpreter.output import help_of_result_form, help_of_result_forms
 from ssduck.interpreter.sources import worlds_in
 from ssduck.interpreter.temporal_functions import TEMPORAL_FUNCTIONS
 from ssduck.language.analysis import calls_of, forms_of, variables_of
@@ -362,21 +362,28 @@ class Namespace:
             )
 
     def help(self, name: str | None = None) -> Any:
-        """Returns the names of all functions, or the help of one; `AS` lists the result forms.
+        """Returns the names of all functions, or the help of one or of a result form.
+
+        `AS` lists the result forms.
 
         Raises:
-            UnknownNameError: no function has that name; the error suggests the nearest names.
+            UnknownNameError: nothing has that name; the error suggests the nearest names.
         """
         if name is None:
             return sorted(self._known_functions(), key=str.casefold)
         if isinstance(name, str) and name.upper() == "AS":
             return help_of_result_forms()
         described: dict[str, Function | Relation] = {**RELATIONS, **self.functions}
-        if not isinstance(name, str) or name not in described:
+        if isinstance(name, str) and name in described:
+            return f"{name}\n{described[name].help}"
+        form = help_of_result_form(name) if isinstance(name, str) else None
+        if form is None:
+            forms = [other for each in all_adapters() for other in each.names]
             raise UnknownNameError(
-                f"there is no function {short_repr(name)}", suggestions=nearest(name, described)
+                f"there is no function {short_repr(name)}",
+                suggestions=nearest(name, [*described, *forms]),
             )
-        return f"{name}\n{described[name].help}"
+        return form
 
     def _known_functions(self) -> list[str]:
         return list(dict.fromkeys((*RELATIONS, *self.functions)))
@@ -400,7 +407,12 @@ class Namespace:
             return values[-1]
 
         return [
-            _command("help", self.help, "Lists all functions, or describes one.", "[name]"),
+            _command(
+                "help",
+                self.help,
+                "Lists all functions, or describes one or a result form.",
+                "[name]",
+            ),
             _command("to", lambda value, name: value, "Names a selected column.", "value, name"),  # noqa: ARG005
             _command("var", self.variable, "Returns the value of the variable of a name.", "name"),
             _command(

@@ -28,8 +28,9 @@ from ssduck.language.clauses import (
     formed,
 )
 from ssduck.language.evaluator import Frame
-from ssduck.language.tree import Literal, Name, Query, TimeIndex
+from ssduck.language.tree import Call, Literal, Name, Node, Query, TimeIndex
 from ssduck.recording.replay.past import Past
+from ssduck.world.links import Links
 from ssduck.world.world import World
 
 # The name of the form that is a flat list.
@@ -203,6 +204,13 @@ def help_of_result_forms() -> str:
     return "\n".join(["AS", "The results that are made from a query's rows.", *entries])
 
 
+def help_of_result_form(name: str) -> str | None:
+    """Returns the text of `help('image')` or `help('AS image')`; None if there is no such form."""
+    forms = {other: form for form in all_adapters() for other in form.names}
+    form = forms.get(name.removeprefix("AS ").strip())
+    return None if form is None else f"{form.usage}\n{form.help}"
+
+
 def _with_limit(query: Query, count: int, frame: Frame) -> Query:
     """Returns the query with a limit on its rows."""
     if query.limit is not None:
@@ -216,13 +224,19 @@ def _source_worlds(query: Query, frame: Frame) -> list[World]:
     for source in query.sources:
         if isinstance(source.value, Query):
             worlds.update(dict.fromkeys(_source_worlds(source.value, frame)))
-        elif isinstance(source.value, Name | TimeIndex):
+        elif isinstance(source.value, Name | TimeIndex) or _is_of_links(source.value):
             value = frame.value(source.value)
             if isinstance(value, World):
                 worlds.setdefault(value)
+            elif isinstance(value, Links):
+                worlds.setdefault(value.world)
             elif isinstance(value, Past) and value.ticks:
                 worlds.setdefault(value.at(value.ticks[-1]))
     return list(worlds)
+
+
+def _is_of_links(source: Node) -> bool:
+    return isinstance(source, Call) and source.name in ("links", "sites")
 
 
 def _accept_columns(_: object) -> None:

@@ -29,10 +29,22 @@ def rows_to_show(compiled: CompiledProgram, evaluate: Callable[[CompiledProgram]
     value = evaluate(compiled)
     if not (isinstance(value, list) and not value):
         return value
-    query = compiled.tree.statements[-1]
-    if not isinstance(query, Query) or query.adapter is not None:
+    query = last_query(compiled)
+    if query is None or query.adapter is not None:
         return value
     form, none = AdapterClause(query.span, "table"), Literal(query.span, 0)
-    only_columns = replace(query, adapter=form, limit=none, offset=None)
-    tree = replace(compiled.tree, statements=(only_columns,))
-    return evaluate(replace(compiled, tree=tree))
+    return evaluate(with_last(compiled, query, form, limit=none, offset=None))
+
+
+def last_query(compiled: CompiledProgram) -> Query | None:
+    """Returns the query that ends a program; None if something else does."""
+    statements = compiled.tree.statements
+    return statements[-1] if statements and isinstance(statements[-1], Query) else None
+
+
+def with_last(
+    compiled: CompiledProgram, query: Query, form: AdapterClause, **changes: Any
+) -> CompiledProgram:
+    """Returns the program of a query alone, with another result form; the text stays the same."""
+    changed = replace(query, adapter=form, **changes)
+    return replace(compiled, tree=replace(compiled.tree, statements=(changed,)))

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import io
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol, TypeAlias
+from typing import Literal as OneOf
 
-from ssduck.adapters.display import RowsOfColumns, numbered_duplicates
-from ssduck.errors import SelectScriptError
+from ssduck.adapters.display import RowsOfColumns, display_table, numbered_duplicates
+from ssduck.adapters.formats import png_of
+from ssduck.adapters.highlight import highlighted
+from ssduck.adapters.marks import Marks
+from ssduck.errors import ArgumentError, SelectScriptError
+from ssduck.formatting import short_repr
 from ssduck.interpreter.interpreter import Interpreter
-from ssduck.interpreter.shown_rows import rows_to_show
+from ssduck.interpreter.shown_rows import last_query, rows_to_show, with_last
 from ssduck.interpreter.stopping import StopRequest
+from ssduck.language.tree import AdapterClause, Literal
 from ssduck.mcp.guide import description
 from ssduck.mcp.texts import as_text
 
 # The largest size of a result, letters, and of a picture, pixels along a side.
 MAX_LETTERS, MAX_PIXELS = 50_000, 2_000
 
-Language = Literal["selectscript", "sql"]
+Language: TypeAlias = OneOf["selectscript", "sql"]
 
 
 class WorkerError(SelectScriptError):
@@ -41,8 +47,8 @@ class Answers(Protocol):
     def query(self, program: str, language: Language, max_rows: int) -> str:
         """Returns the result of a program as JSON."""
 
-    def picture(self, query: str, width: int, height: int) -> bytes:
-        """Returns a PNG picture with the entities that a query selects highlighted."""
+    def picture(self, program: str, language: Language, width: int, height: int) -> bytes:
+        """Returns the PNG picture of a result, or one where what a program selects stands out."""
 
 
 class InterpreterAnswers:
@@ -89,23 +95,55 @@ class InterpreterAnswers:
                 value = rows_to_show(self._ss.compile(program), self._ss.eval)
             return _text(value, max_rows)
 
-    def picture(self, query: str, width: int, height: int) -> bytes:
-        """Returns a PNG picture with the entities that a query selects highlighted.
+    def picture(self, program: str, language: Language, width: int, height: int) -> bytes:
+        """Returns the PNG picture of a program's result, or one where what it selects stands out.
 
         Raises:
-            SelectScriptError: the query failed.
+            SelectScriptError: the program failed, or selects nothing that is seen.
         """
         size = min(width, MAX_PIXELS), min(height, MAX_PIXELS)
-        # In a line of its own: a comment that ends the query would hide it.
-        text = f"{query.strip().removesuffix(';')}\nAS image({size[0]:d}, {size[1]:d});"
-        stream = io.BytesIO()
         with self._stop_request.applies_to(self._ss):
-            self._ss.eval(text).save(stream, "PNG")
-        return stream.getvalue()
+            if language == "sql":
+                return self._with_marks(self._ss.sql(program), size)
+            compiled = self._ss.compile(program)
+            value, query = self._ss.eval(compiled), last_query(compiled)
+            if picture := png_of(value):
+                return picture
+            if query is None:
+                return self._with_marks(value, size)
+            arguments = tuple(Literal(query.span, number) for number in size)
+            form = AdapterClause(query.span, "image", arguments)
+            return _png(self._ss.eval(with_last(compiled, query, form)))
+
+    def _with_marks(self, value: Any, size: tuple[int, int]) -> bytes:
+        """Returns a picture of the first world where the entities and links of a value stand out.
+
+        Raises:
+            ArgumentError: there are none.
+        """
+        world, rows = self._ss.worlds[0], display_table(value).rows
+        marks = Marks(world)
+        found = dict.fromkeys(mark for row in rows for mark in marks.of(row))
+        if not found:
+            raise ArgumentError(
+                "the program selects no entity and no link of the world "
+                f"{short_repr(world.name)}, by itself or by name: let it end with a query for obj"
+            )
+        return _png(highlighted(world, found, *size))
+
+
+def _png(picture: Any) -> bytes:
+    stream = io.BytesIO()
+    picture.save(stream, "PNG")
+    return stream.getvalue()
 
 
 def _text(value: Any, max_rows: int) -> str:
-    """Returns a result as JSON, cut to a number of rows and a largest size."""
+    """Returns a result as JSON; a large one as an object with a part of it, and what is left out.
+
+    Such an object has `rows`, their `count` and a `note`; or the `beginning` of the value's JSON,
+    the number of its `letters` and a `note`.
+    """
     if isinstance(value, RowsOfColumns):
         names = numbered_duplicates(value.columns)
         value = [dict(zip(names, row, strict=True)) for row in value]
@@ -119,13 +157,15 @@ def _text(value: Any, max_rows: int) -> str:
         if size > MAX_LETTERS:
             break
         lines.append(line)
-    text = "[" + ",\n".join(lines) + "]"
-    if len(lines) < len(value):
-        text += f"\n{len(lines)} of {len(value)} rows; LIMIT and OFFSET give others"
-    return text
+    rows = "[" + ",\n".join(lines) + "]"
+    if len(lines) == len(value):
+        return rows
+    note = f"{len(lines)} of {len(value)} rows; LIMIT and OFFSET give others"
+    return f'{{"rows": {rows},\n"count": {len(value)}, "note": {as_text(note)}}}'
 
 
 def _sized(text: str) -> str:
     if len(text) <= MAX_LETTERS:
         return text
-    return f"{text[:MAX_LETTERS]}\n{MAX_LETTERS} of {len(text)} letters; select a part"
+    note = f"{MAX_LETTERS} of {len(text)} letters; select a part"
+    return as_text({"beginning": text[:MAX_LETTERS], "letters": len(text), "note": note})

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from ssduck.adapters.registry import all_adapters
+from ssduck.formatting import first_sentence
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.mcp.texts import name_text
 from ssduck.schema import HISTORIES, TABLES
@@ -46,7 +48,7 @@ SQL is one SELECT in DuckDB's dialect on the tables below. Relations are functio
 
 def description(ss: Interpreter) -> str:
     """Returns the guide, followed by the worlds, tables and functions of an interpreter."""
-    parts = [GUIDE, *_worlds(ss), *_tables(), *_functions(ss)]
+    parts = [GUIDE, *_worlds(ss), *_tables(), *_functions(ss), *_forms()]
     return "\n".join(parts)
 
 
@@ -75,7 +77,14 @@ def _tables() -> Iterator[str]:
 def _functions(ss: Interpreter) -> Iterator[str]:
     yield "# Functions and relations (`help` has all about one)\n"
     for name in ss.help():
-        usage = next(
-            (line for line in ss.help(name).splitlines() if line.startswith("Usage: ")), ""
-        )
-        yield f"- `{usage.removeprefix('Usage: ') or name}`"
+        _, *lines = ss.help(name).splitlines()
+        usage = next((line for line in lines if line.startswith("Usage: ")), "")
+        meaning = first_sentence(" ".join(line for line in lines if line != usage))
+        yield f"- `{usage.removeprefix('Usage: ') or name}`: {meaning}"
+    yield ""
+
+
+def _forms() -> Iterator[str]:
+    yield "# Result forms (`help` has all about one, by its name)\n"
+    for form in all_adapters():
+        yield f"- `{form.usage}`: {first_sentence(form.help)}"

@@ -82,23 +82,34 @@ class _Asking:
     ) -> str:
         """Runs a program, and returns its result as JSON; infinities and NaN are texts.
 
+        A large result is an object with the first rows, `rows`, their whole `count` and a `note`.
+
         Args:
             program: the program.
             language: SelectScript, or SQL: one SELECT.
-            max_rows: the largest number of rows to return; the result says how many there are.
+            max_rows: the largest number of rows to return.
         """
         return await self._answer(self._answers.query, program, language, max_rows)
 
-    async def picture(self, query: str, width: int = 960, height: int = 720) -> Image:
-        """Renders the world with the entities that a query selects highlighted, as PNG.
+    async def picture(
+        self,
+        program: str,
+        language: Language = "selectscript",
+        width: int = 960,
+        height: int = 720,
+    ) -> Image:
+        """Renders the world as PNG; the entities and links that a program selects stand out.
+
+        A result that is a picture, such as that of `AS occupancygrid`, is returned as it is.
 
         Args:
-            query: a SelectScript query that selects entities and has no AS, such as
-                `SELECT obj FROM kitchen WHERE isRobot(this)`.
+            program: as of `query`, such as `SELECT obj FROM kitchen WHERE isRobot(this);`: its
+                result has entities, links or their names.
+            language: SelectScript, or SQL: one SELECT.
             width: pixels; more than 2,000 are 2,000.
             height: likewise.
         """
-        data = await self._answer(self._answers.picture, query, width, height)
+        data = await self._answer(self._answers.picture, program, language, width, height)
         return Image(data=data, format="png")
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from ssduck import validation
 from ssduck.adapters.display import display_table
+from ssduck.adapters.marks import Mark, Marks
 from ssduck.errors import ArgumentError, UnknownNameError
 from ssduck.geometry.arrays import Array
 from ssduck.interpreter.interpreter import Interpreter
@@ -26,7 +27,6 @@ from ssduck.render.film import check_format, write_film
 from ssduck.render.stage import Stage
 from ssduck.simulators.scenes import Camera, find_scene
 from ssduck.view.frames import Frame
-from ssduck.view.marks import Mark, Marks
 from ssduck.world.world import World
 
 Language: TypeAlias = Literal["selectscript", "sql"]

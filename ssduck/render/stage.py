@@ -8,12 +8,12 @@ from functools import cached_property
 
 import numpy as np
 
+from ssduck.adapters.marks import Mark
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.poses import rotation_matrices
 from ssduck.geometry.shapes import Geometry
 from ssduck.simulators.backends import drawn_shapes
 from ssduck.view.frames import Frame
-from ssduck.view.marks import Mark
 from ssduck.world.world import World
 
 HIGHLIGHT = np.array([1.0, 0.416, 0.075])

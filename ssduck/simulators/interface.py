@@ -471,8 +471,11 @@ class Simulator(Protocol):
     ) -> npt.NDArray[np.uint8]:
         """Returns the colour image of a camera, (height, width, 3), with or without shadows."""
 
-    def segment(self, camera: Camera, width: int, height: int) -> Indices:
-        """Returns the handle of the body in each pixel, (height, width); -1 for none."""
+    def segment(self, camera: Camera, width: int, height: int) -> tuple[Indices, Indices]:
+        """Returns the handle of the body in each pixel, (height, width), and its link's number.
+
+        Both are -1 where there is no body.
+        """
 
     def close(self) -> None:
         """Releases the simulation; one that the user made goes on running."""

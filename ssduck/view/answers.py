@@ -13,8 +13,9 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from ssduck import validation
-from ssduck.adapters.display import DisplayTable, RowsOfColumns, as_json, display_table
-from ssduck.adapters.formats import FORMATS
+from ssduck.adapters.display import DisplayTable, as_json, display_table
+from ssduck.adapters.formats import FORMATS, png_of
+from ssduck.adapters.marks import Mark, Marks
 from ssduck.errors import (
     ArgumentError,
     LimitError,
@@ -28,11 +29,9 @@ from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.view.asking import has_intervals, heads_of, lanes_of, value_of
 from ssduck.view.drawings import drawing_of
 from ssduck.view.facts import facts_of, plot_of
-from ssduck.view.marks import Mark, Marks
 from ssduck.view.scans import Scan
 from ssduck.view.shown_values import shown_rows
 from ssduck.view.sources import Asked, Source
-from ssduck.world.handles import Handle
 from ssduck.world.world import World
 
 # The rows that a page gets at most; downloads have all.
@@ -236,16 +235,8 @@ def _boxes(world: World, rows: Sequence[list[Mark]]) -> Iterator[list[float]]:
 
 def _picture(value: Any) -> str | None:
     """Returns a picture that a value has, base64 of PNG; None if it is shown as a table."""
-    if isinstance(value, RowsOfColumns | list | Handle | World):
-        return None
-    stream = io.BytesIO()
-    if hasattr(value, "_repr_png_"):
-        content = value._repr_png_()  # IPython's protocol
-        return None if content is None else base64.b64encode(content).decode()
-    if hasattr(value, "save") and hasattr(value, "getpixel"):  # an image of Pillow
-        value.save(stream, "PNG")
-        return base64.b64encode(stream.getvalue()).decode()
-    return None
+    content = None if isinstance(value, World) else png_of(value)
+    return None if content is None else base64.b64encode(content).decode()
 
 
 def error_message(error: SelectScriptError) -> dict[str, Any]:

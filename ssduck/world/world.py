@@ -171,17 +171,30 @@ class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicName
             return self._simulator.render(camera or self.camera, width, height, shadow=shadow)
 
     def segmentation(
-        self, width: int = 960, height: int = 720, camera: Camera | None = None
+        self,
+        width: int = 960,
+        height: int = 720,
+        camera: Camera | None = None,
+        *,
+        links: bool = False,
     ) -> Indices:
-        """Returns the entity's id for each pixel of that picture, (height, width); 0 for none."""
+        """Returns the entity's id for each pixel of that picture, (height, width); 0 for none.
+
+        Args:
+            width: pixels.
+            height: pixels.
+            camera: the camera; None for that of the world.
+            links: whether the ids are those of links, as in the table `links`.
+        """
         width, height = validation.picture_size(width, height, "segmentation")
         with self.lock:
-            handles = self._simulator.segment(camera or self.camera, width, height)
+            handles, numbers = self._simulator.segment(camera or self.camera, width, height)
             ids = np.zeros(int(handles.max(initial=-1)) + 2, dtype=np.intp)
             for info in self._registry.entities:
                 if info.body is not None and info.body.handle < len(ids) - 1:
                     ids[info.body.handle] = info.id
-        return ids[handles]  # -1 stands for no body, and takes the last element
+        entities = ids[handles]  # -1 stands for no body, and takes the last element
+        return np.where(entities, (numbers + 1) * LINK_FACTOR + entities, 0) if links else entities
 
     # -- what if --------------------------------------------------------------------------
 

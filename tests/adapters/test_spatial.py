@@ -12,7 +12,10 @@ import trimesh
 import ssduck
 from ssduck.adapters import spatial
 from ssduck.adapters.highlight import OUTLINE
+from ssduck.adapters.marks import Marks
 from ssduck.errors import ArgumentError, LimitError, UnknownNameError
+from ssduck.schema import LINK_FACTOR
+from ssduck.simulators.scenes import Camera
 
 TURN = pybullet.getQuaternionFromEuler([0.3, -0.7, 1.1])
 PLACE = [0.5, -0.25, 1.0]
@@ -282,6 +285,82 @@ def test_segmentation_is_by_ids(kitchen):
     names = {world.entity(id).name for id in set(shown.ravel().tolist()) - {0}}
     assert {"table", "kitchen"} <= names
     assert 0 in shown
+
+
+@pytest.fixture(scope="module")
+def row():
+    """A base and two links side by side, with y to the right of the picture, and a ball above."""
+    client = pybullet.connect(pybullet.DIRECT)
+    box, ball = (
+        pybullet.createCollisionShape(kind, **size, physicsClientId=client)
+        for kind, size in (
+            (pybullet.GEOM_BOX, {"halfExtents": [0.2] * 3}),
+            (pybullet.GEOM_SPHERE, {"radius": 0.2}),
+        )
+    )
+    three = pybullet.createMultiBody(
+        0, box, -1, [0, -1, 0],
+        linkMasses=[1, 1], linkCollisionShapeIndices=[box, box], linkVisualShapeIndices=[-1, -1],
+        linkPositions=[[0, 1, 0], [0, 1, 0]], linkOrientations=[[0, 0, 0, 1]] * 2,
+        linkInertialFramePositions=[[0] * 3] * 2,
+        linkInertialFrameOrientations=[[0, 0, 0, 1]] * 2,
+        linkParentIndices=[0, 1], linkJointTypes=[pybullet.JOINT_FIXED] * 2,
+        linkJointAxis=[[0, 0, 1]] * 2, physicsClientId=client,
+    )  # fmt: skip
+    above = pybullet.createMultiBody(0, ball, -1, [0, 0, 1], physicsClientId=client)
+    with ssduck.Interpreter(recording=None) as ss:
+        world = ssduck.World.attach(client, names={three: "three", above: "ball"})
+        world.camera = Camera(eye=(4.0, 0.0, 0.0), target=(0.0, 0.0, 0.0), fov=50.0)
+        ss.add_variable("row", world)
+        yield ss
+    pybullet.disconnect(client)
+
+
+def test_segmentation_by_links(row):
+    """Each link is where it is: from left to right."""
+    world = row.call_variable("row")
+    segments = world.segmentation(80, 60, links=True)
+    ids = [id for (id,) in row.sql("SELECT id FROM links ORDER BY entity, link")]
+    middles = [np.argwhere(segments == id)[:, 1].mean() for id in ids]
+    focal = 30 / math.tan(math.radians(25))
+    near = [39.5 + focal * y / 4 for y in (-1, 0, 1, 0)]
+    assert middles == pytest.approx(near, abs=2.0)
+    assert set(np.unique(segments).tolist()) == {0, *ids}
+    assert np.array_equal(segments % LINK_FACTOR, world.segmentation(80, 60))
+
+
+# Rows in which links stand, and the columns of the picture that stand out.
+NAMED_LINKS = {
+    "SELECT obj FROM links(row) WHERE name = 'link1' AS image(80, 60);": [0.0],
+    "SELECT name FROM links(row) WHERE y > 0.5 AS image(80, 60);": [1.0],
+    "SELECT id(this) FROM links(row) WHERE y > -0.5 AND z < 0.5 AS image(80, 60);": [0.0, 1.0],
+    "SELECT id(this) FROM row WHERE id(this) == 'three' AS image(80, 60);": [-1.0, 0.0, 1.0],
+    "SELECT ['three.link2', 3] FROM [1], row LIMIT 1 AS image(80, 60);": [1.0],
+}
+
+
+@pytest.mark.parametrize("program", NAMED_LINKS)
+def test_links_and_names_stand_out_in_pictures(row, program):
+    picture = np.asarray(row.eval(program))
+    focal = 30 / math.tan(math.radians(25))
+    at = [round(39.5 + focal * y / 4) for y in (-1.0, 0.0, 1.0)]
+    is_marked = [bool((picture[:, x - 7 : x + 8] == OUTLINE).all(axis=2).any()) for x in at]
+    assert is_marked == [y in NAMED_LINKS[program] for y in (-1.0, 0.0, 1.0)]
+
+
+def test_names_are_those_of_entities_then_full_ones_then_of_links(row):
+    world = row.call_variable("row")
+    three, ball = world["three"].id, world["ball"].id
+    marks = Marks(world)
+    assert marks.of(["three", 1.5, None]) == [(three, -1)]
+    assert marks.of(["three.link1"]) == [(three, 1)]
+    assert marks.of([["link2", {"a": "ball"}]]) == [(three, 2), (ball, -1)]
+    assert marks.of(["nothing"]) == []
+
+
+def test_a_picture_of_no_entity_says_what_to_select(row):
+    with pytest.raises(ArgumentError, match="no column holds an entity, a link, or the name of"):
+        row.eval("SELECT z FROM row AS image(80, 60);")
 
 
 @pytest.mark.slow

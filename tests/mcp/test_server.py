@@ -157,10 +157,8 @@ def test_errors_have_no_control_characters(hostile):
 
 @pytest.mark.filterwarnings("ignore:(?s).*(only shapes|gravity and time step)")
 def test_a_name_that_xml_cannot_have_is_drawn(hostile):
-    query = "SELECT obj FROM lab WHERE z(this) < 1"
-    is_error, content = asked(create_server(hostile), "picture", query=query, width=64, height=64)
-    assert not is_error, content.text
-    assert Image.open(io.BytesIO(base64.b64decode(content.data))).width == 64
+    program = "SELECT obj FROM lab WHERE z(this) < 1"
+    assert picture_of(create_server(hostile), program, width=64, height=64).width == 64
 
 
 def test_infinities_nan_and_null_differ(kitchen):
@@ -185,9 +183,12 @@ MISTAKES = [
     ("query", {"program": "SELECT this FROM kitchen AS parquet('x.parquet');"}, "switched off"),
     ("query", {"program": "eval('1');"}, "switched off"),
     ("query", {"program": "1 +"}, "line 1, column"),
-    ("picture", {"query": "SELECT obj FROM kitchn"}, "did you mean 'kitchen'"),
-    ("picture", {"query": "kitchen; --"}, "expected an expression, found 'AS'"),
-    ("picture", {"query": "SELECT obj FROM kitchen AS environment; --"}, "found 'AS'"),
+    ("help", {"name": "imge"}, "did you mean 'image'"),
+    ("picture", {"program": "SELECT obj FROM kitchn"}, "did you mean 'kitchen'"),
+    ("picture", {"program": "SELECT z(this) FROM kitchen"}, "no column holds an entity, a link"),
+    ("picture", {"program": "1 + 1;"}, "selects no entity and no link of the world 'kitchen'"),
+    ("picture", {"program": "SELECT 1", "language": "sql"}, "selects no entity and no link"),
+    ("picture", {"program": "SELECT obj FROM kitchen WERE z > 1;"}, "WERE z > 1;"),
 ]
 
 
@@ -198,17 +199,22 @@ def test_a_mistake_says_what_to_write_instead(kitchen, tool, arguments, words):
 
 @pytest.mark.slow
 def test_results_have_a_largest_size(kitchen):
+    """A part of one is JSON, too."""
     server = create_server(kitchen)
     program = "SELECT id(this) FROM kitchen AS list;"
-    text = text_of(server, "query", program=program, max_rows=3)
-    assert text.endswith("3 of 37 rows; LIMIT and OFFSET give others")
-    assert json.loads(text.rpartition("\n")[0]) == kitchen.eval(program)[:3]
+    part = json.loads(text_of(server, "query", program=program, max_rows=3))
+    assert part["note"] == "3 of 37 rows; LIMIT and OFFSET give others"
+    assert (part["rows"], part["count"]) == (kitchen.eval(program)[:3], 37)
     many = "SELECT range AS i, 'some text' AS t FROM range(100000)"
     text = text_of(server, "query", program=many, language="sql", max_rows=10**6)
-    assert len(text) < MAX_LETTERS + 100
-    assert " of 100000 rows" in text
-    long = text_of(server, "query", program=f"'{'a' * 2 * MAX_LETTERS}';")
-    assert len(long) < MAX_LETTERS + 100
+    assert len(text) < MAX_LETTERS + 200
+    part = json.loads(text)
+    assert (part["count"], part["rows"][7]) == (100000, {"i": 7, "t": "some text"})
+    text = text_of(server, "query", program=f"'{'a' * 2 * MAX_LETTERS}';")
+    assert len(text) < MAX_LETTERS + 200
+    part = json.loads(text)
+    assert part["beginning"] == '"' + "a" * (MAX_LETTERS - 1)
+    assert part["letters"] == 2 * MAX_LETTERS + 2
 
 
 NAMES = "abcdefghijklmnop"
@@ -291,14 +297,58 @@ def test_what_has_no_id_that_can_be_written_is_not_answered():
     assert set(requests(*others, '{"method": "x\\ud800"}', "{no JSON", "[" * 5000)) == {1}
 
 
+# Ways to select the robots, in the programs that `query` takes.
+ROBOTS = [
+    ("SELECT obj FROM kitchen WHERE isRobot(this)", "selectscript"),
+    ("robots = SELECT obj FROM kitchen WHERE isRobot(this) AS list; robots;", "selectscript"),
+    ("SELECT id(this) FROM kitchen WHERE isRobot(this) AS list; -- all", "selectscript"),
+    ("SELECT name, z FROM entities WHERE kind = 'robot'", "sql"),
+    ("SELECT obj FROM kitchen{0.0} WHERE isRobot(this) AS image(240, 180);", "selectscript"),
+]
+
+
+def picture_of(server, program, language="selectscript", width=240, height=180):
+    size = {"width": width, "height": height}
+    is_error, content = asked(server, "picture", program=program, language=language, **size)
+    assert not is_error, content.text
+    return Image.open(io.BytesIO(base64.b64decode(content.data))).convert("RGB")
+
+
+@pytest.fixture(scope="module")
+def robots(kitchen):
+    return np.asarray(kitchen.eval(f"{ROBOTS[0][0]} AS image(240, 180);"))
+
+
 @pytest.mark.slow
-def test_a_picture_highlights_what_is_selected(kitchen):
-    query = "SELECT obj FROM kitchen WHERE isRobot(this)"
-    is_error, content = asked(create_server(kitchen), "picture", query=query, width=240, height=180)
-    assert not is_error
-    picture = Image.open(io.BytesIO(base64.b64decode(content.data))).convert("RGB")
-    assert picture.size == (240, 180)
-    assert (np.asarray(picture) == OUTLINE).all(axis=2).any()
+@pytest.mark.parametrize(("program", "language"), ROBOTS)
+def test_a_picture_highlights_what_is_selected(kitchen, robots, program, language):
+    picture = np.asarray(picture_of(create_server(kitchen), program, language))
+    assert (picture == OUTLINE).all(axis=2).any()
+    assert np.array_equal(picture, robots)
+
+
+def test_a_result_that_is_a_picture_is_returned(kitchen):
+    program = "SELECT obj FROM kitchen AS occupancygrid(0.24, 0.1);"
+    expected = kitchen.eval(program)._repr_png_()
+    is_error, content = asked(create_server(kitchen), "picture", program=program)
+    assert (is_error, base64.b64decode(content.data)) == (False, expected)
+
+
+@pytest.mark.parametrize("name", ["image", "AS occupancygrid", "pandas", "list"])
+def test_help_knows_the_result_forms(kitchen, name):
+    text = text_of(create_server(kitchen), "help", name=name)
+    assert text.startswith("AS ")
+    assert text in kitchen.help("AS").replace("\n    ", "\n")
+
+
+def test_each_function_and_form_has_a_line_of_meaning(kitchen):
+    text = text_of(create_server(kitchen), "schema")
+    _, functions, forms = re.split(r"^# (?:Functions|Result forms).*$", text, flags=re.MULTILINE)
+    lines = [*functions.strip().splitlines(), *forms.strip().splitlines()]
+    assert len(lines) > len(kitchen.help()) + 20
+    for line in lines:
+        assert re.fullmatch(r"- `[^`]+`: .{10,}\.", line)
+    assert "- `near(a, b, d) -> bool`: Checks if the clearance of a and b is at most d." in text
 
 
 @pytest.mark.slow

@@ -84,14 +84,17 @@ def draw(
         return picture
 
 
-def segment(model: Any, data: Any, viewpoint: Viewpoint, size: tuple[int, int]) -> Indices:
-    """Returns the root body in each pixel, (height, width); -1 for none."""
+def segment(
+    model: Any, data: Any, viewpoint: Viewpoint, size: tuple[int, int]
+) -> tuple[Indices, Indices]:
+    """Returns the root body and the number of the link in each pixel, (height, width); or -1."""
     with _renderer(model, data, viewpoint, size) as renderer:
         renderer.enable_segmentation_rendering()
         numbers, types = np.moveaxis(renderer.render(), -1, 0)
         roots = np.append(model.body_rootid[model.geom_bodyid], -1).astype(np.intp)
-        is_shape = types == int(mujoco.mjtObj.mjOBJ_GEOM)
-        return roots[np.where(is_shape, numbers, -1)]
+        links = np.append(model.geom_bodyid, -2).astype(np.intp) - roots
+        shapes = np.where(types == int(mujoco.mjtObj.mjOBJ_GEOM), numbers, -1)
+        return roots[shapes], links[shapes]
 
 
 @contextmanager

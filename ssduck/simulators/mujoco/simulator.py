@@ -331,8 +331,8 @@ class MuJoCoSimulator(PartialSimulator):
         viewpoint = Viewpoint.of_camera(camera)
         return draw(self.model, self._state, viewpoint, (width, height), shadow=shadow)
 
-    def segment(self, camera: Camera, width: int, height: int) -> Indices:
-        """Returns the root body in each pixel, (height, width); -1 for none."""
+    def segment(self, camera: Camera, width: int, height: int) -> tuple[Indices, Indices]:
+        """Returns the root body and the number of the link in each pixel, (height, width)."""
         return segment(self.model, self._state, Viewpoint.of_camera(camera), (width, height))
 
     def photograph(self, view: CameraView) -> npt.NDArray[np.uint8]:

@@ -485,20 +485,23 @@ class PyBulletSimulator:
         """Returns a camera's colour image by PyBullet's software renderer, (height, width, 3)."""
         return self._draw(width, height, *_camera_matrices(camera, width, height), shadow=shadow)
 
-    def segment(self, camera: Camera, width: int, height: int) -> Indices:
-        """Returns the number of the body in each pixel, (height, width); -1 for none."""
+    def segment(self, camera: Camera, width: int, height: int) -> tuple[Indices, Indices]:
+        """Returns the numbers of the body and of its link in each pixel, (height, width)."""
         view, projection = _camera_matrices(camera, width, height)
-        bodies = self._call(
+        pixels = self._call(
             lambda: pybullet.getCameraImage(
                 width,
                 height,
                 view,
                 projection,
                 renderer=pybullet.ER_TINY_RENDERER,
+                flags=pybullet.ER_SEGMENTATION_MASK_OBJECT_AND_LINKINDEX,
                 physicsClientId=self.client,
             )
         )[4]
-        return np.asarray(bodies, dtype=np.intp).reshape(height, width)
+        # The number of the body in the lower 24 bits, and above them that of the link, the base 0.
+        numbers = np.asarray(pixels, dtype=np.intp).reshape(height, width)
+        return np.where(numbers < 0, -1, numbers & 0xFFFFFF), numbers >> 24
 
     def photograph(self, view: CameraView) -> npt.NDArray[np.uint8]:
         """Returns the colour image of a camera on a body, by PyBullet's software renderer."""

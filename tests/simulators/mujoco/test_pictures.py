@@ -19,6 +19,7 @@ SCENE = """<mujoco><visual><global offwidth="10" offheight="10"/></visual><world
 </worldbody></mujoco>"""
 CODE = f"""
 import mujoco, numpy as np, ssduck, sys
+from ssduck.schema import link_id
 from ssduck.simulators.scenes import Camera
 model = mujoco.MjModel.from_xml_string({SCENE!r})
 data = mujoco.MjData(model)
@@ -45,6 +46,9 @@ assert abs(np.argwhere(green)[:, 1].mean() - (39.5 + focal * 1.0 / 2.85)) < 2.0
 for name, channel in (("red", 0), ("green", 1), ("world", 2)):
     pixels = picture[ids == ids_of[name]]
     assert len(pixels) and (pixels.argmax(axis=1) == channel).mean() > 0.9, name
+links = world.segmentation(80, 60, camera, links=True)
+for name in ("red", "green"):
+    assert set(links[ids == ids_of[name]].tolist()) == {{link_id(ids_of[name], 0)}}
 assert (ids == 0).any()  # above the horizon; the site is no entity
 assert (model.vis.global_.offwidth, model.vis.global_.offheight) == (10, 10)
 copy = world.excerpt(["world", "green"])

@@ -22,10 +22,21 @@ class Marks:
     """
 
     def __init__(self, world: World) -> None:
-        self._ids = {info.name: info.id for info in world.snapshot.entities}
+        entities = world.snapshot.entities
+        self._named: dict[str, list[Mark]] = {info.name: [(info.id, -1)] for info in entities}
+        names = dict[str, list[Mark]]()
+        for info in entities:
+            for number, link in enumerate(info.body.links if info.body else ()):
+                self._named.setdefault(f"{info.name}.{link.name}", [(info.id, number)])
+                names.setdefault(link.name, []).append((info.id, number))
+        self._named = names | self._named
 
     def of(self, row: Sequence[Any]) -> list[Mark]:
-        """Returns what a row has: handles, and texts that are names of entities."""
+        """Returns what a row has: handles, and texts that are names of entities or links.
+
+        A name of a link is that of an entity first, then the full name of a link, and then the
+        name of all links that are called so.
+        """
         return list(dict.fromkeys(mark for cell in row for mark in self._in(cell)))
 
     def _in(self, value: Any) -> Iterator[Mark]:
@@ -33,8 +44,7 @@ class Marks:
             is_link = value.id >= LINK_FACTOR
             yield (entity_of(value.id), link_of(value.id)) if is_link else (value.id, -1)
         elif isinstance(value, str):
-            if value in self._ids:
-                yield self._ids[value], -1
+            yield from self._named.get(value, ())
         elif isinstance(value, dict):
             for part in value.values():
                 yield from self._in(part)
