@@ -1,12 +1,12 @@
 """Checks that success by query is the flag that environments of others report.
 
 `python -m tools.environments SUITE [--tasks N] [--episodes N] [--steps N]` runs the tasks of a
-suite in `environments.toml`, in a Python that has the packages named there. Each task is wrapped by
-`ssduck.gym.QueryWrapper`, and runs episodes of random actions and, where the suite has one, of its
-scripted policy. Then its object or its joint is put at both sides of the threshold by hand. The
-flag and the query must agree at each step and in each state. The exit status is 1 if they differ.
-The last columns are the median processor time of a step of the environment, and what the wrapper
-adds to it.
+suite in `environments.toml`, in a Python that has the packages named there (`tools/suites.py` says
+how to install them). Each task is wrapped by `ssduck.gym.QueryWrapper`, and runs episodes of random
+actions and, where the suite has one, of its scripted policy. Then its object or its joint is put at
+both sides of the threshold by hand. The flag and the query must agree at each step and in each
+state. The exit status is 1 if they differ. The last columns are the median processor time of a step
+of the environment, and what the wrapper adds to it.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ from tools.environments import Comparison
 PAGE = Path(__file__).parents[1] / "docs/reference/success-words.md"
 # The numbers of poses of what has a region, of random places in each, and of those from which the
 # line to a place of the other value is halved, so often.
-POSES, SAMPLES, EDGES, HALVINGS = 4, 40, 4, 30
+POSES, SAMPLES, EDGES, HALVINGS = 3, 30, 3, 24
 # The numbers of steps after which things are dropped, and of those during which a force acts, N.
 DROP, PUSH, FORCE = 15, 5, 3.0
 # Each word of a fixture and its counterpart.

