@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ssduck.errors import RecordError
-from ssduck.gym.terms import Judge, Judgement, Reward, Terms
+from ssduck.gym.terms import Judge, Judgement, Reward, Terms, WhereNaN
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.opening import open_record
 from ssduck.limits import Limits
@@ -61,6 +61,7 @@ def score(
     stop_when: str | None = None,
     *,
     world: str = "sim",
+    nan: WhereNaN = "error",
     limits: Limits | None = None,
 ) -> Iterator[EpisodeScore]:
     """Yields the scores of recorded episodes, the same to the last digit as live.
@@ -74,13 +75,14 @@ def score(
         reward: a number, or numbers by name, which are added.
         stop_when: a condition that would end an episode.
         world: the name of the world in the record.
+        nan: what a term is that cannot be computed, since numbers are NaN; as in `QueryWrapper`.
         limits: the limits of terms and of the record.
 
     Raises:
         RecordError: there is no such record, it is damaged, or it has no steps of environments.
         SelectScriptError: a term is wrong.
     """
-    terms = Terms.of(success, failure, reward, stop_when)
+    terms = Terms.of(success, failure, reward, stop_when, nan=nan)
     folder = expand_path(record).absolute()
     numbers = [number for name, number in recorded_steps(folder) if name == world]
     if not numbers:
@@ -122,8 +124,12 @@ def score_with(
     judge = Judge(terms, interpreter, world, recorded, if_unknown=if_unknown)
     judgements = list(_judgements(interpreter, world, judge, steps))
 
+    # Without such a term, a step at which nothing is NaN is no failure.
+    is_failed = any(one.failure is True for one in judgements)
+
     def series(name: str) -> tuple[Any, ...]:
-        return tuple(getattr(one, name) for one in judgements)
+        values = (getattr(one, name) for one in judgements)
+        return tuple(False if value is None else value for value in values)
 
     return EpisodeScore(
         number,
@@ -131,8 +137,8 @@ def score_with(
         steps.options,
         series("reward") if terms.parts else tuple(steps.rewards),
         series("success") if terms.success else None,
-        series("failure") if terms.failure else None,
-        series("stop") if terms.stop_when else None,
+        series("failure") if terms.failure or is_failed else None,
+        series("stop") if terms.stop_when or is_failed else None,
         {name: tuple(one.parts[name] for one in judgements) for name in terms.parts},
     )
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
+from typing import Literal as OneOf
 
 from ssduck import validation
 from ssduck.errors import ArgumentError, SelectScriptError, UnknownNameError
-from ssduck.formatting import short_repr
+from ssduck.formatting import joined_names, short_repr
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.program import CompiledProgram
 from ssduck.interpreter.temporal_functions import TEMPORAL_FUNCTIONS
@@ -28,6 +30,9 @@ from ssduck.world.world import World
 
 # A reward: one term, or several by name, which are added.
 Reward: TypeAlias = str | Mapping[str, str]
+# What terms are where they cannot be computed, since a number of the state is NaN: an error, a
+# failed episode, or this value (and False for a condition).
+WhereNaN: TypeAlias = OneOf["error", "failure"] | float
 # The terms that others can use by their names.
 CONDITIONS = ("success", "failure")
 # The name of a reward that is one term.
@@ -69,6 +74,13 @@ class Term:
         expected = "True or False" if self.is_condition else "a number"
         raise ArgumentError(
             f"{self.key}: {self.text!r} is {short_repr(value)}, not {expected}: {hint}"
+        )
+
+    def nan_error(self, sources: str) -> ArgumentError:
+        """Returns the error of a term that cannot be computed, since numbers are NaN."""
+        return ArgumentError(
+            f"{self.key}: {self.text!r} is NaN (not a number): {sources}. nan='failure' makes this "
+            "a failure of the episode, and nan=-1.0 gives the term that value"
         )
 
     def _number(self, value: Any) -> float:
@@ -114,12 +126,14 @@ class Terms:
         failure: whether it has failed.
         stop_when: whether the episode ends.
         parts: the parts of the reward by name.
+        nan: what terms are that depend on NaN.
     """
 
     success: Term | None
     failure: Term | None
     stop_when: Term | None
     parts: Mapping[str, Term]
+    nan: WhereNaN = "error"
 
     @classmethod
     def of(
@@ -130,6 +144,7 @@ class Terms:
         stop_when: str | None,
         *,
         table: str = WHOLE,
+        nan: WhereNaN = "error",
     ) -> Terms:
         """Returns the terms that texts describe.
 
@@ -139,10 +154,15 @@ class Terms:
             reward: the reward, or its parts by name.
             stop_when: whether the episode ends.
             table: the argument that has the parts, for messages.
+            nan: what terms are that depend on NaN.
 
         Raises:
-            ArgumentError: a term is no text, or there is none.
+            ArgumentError: a term is no text, or there is none, or `nan` is something else.
         """
+        if nan not in ("error", "failure") and not (
+            validation.is_number(nan) and math.isfinite(nan)
+        ):
+            raise ArgumentError(f"nan: give 'error', 'failure' or a number, not {short_repr(nan)}")
         rewards: Mapping[Any, Any] = (
             {} if reward is None else (reward if isinstance(reward, Mapping) else {WHOLE: reward})
         )
@@ -165,6 +185,7 @@ class Terms:
                 str(name): Term(keys[name], _stripped(text), is_condition=False)
                 for name, text in rewards.items()
             },
+            nan if isinstance(nan, str) else float(nan),
         )
 
     def __iter__(self) -> Iterator[Term]:
@@ -184,7 +205,34 @@ class Terms:
                 ("stop_when", self.stop_when),
             )
         }
-        return conditions | {"reward": {name: term.text for name, term in self.parts.items()}}
+        rewards = {name: term.text for name, term in self.parts.items()}
+        where_nan = {} if self.nan == "error" else {"nan": self.nan}
+        return conditions | {"reward": rewards} | where_nan
+
+    def judgement_of_nan(self, values: Sequence[Any], sources: str) -> Judgement:
+        """Returns what values mean of which some could not be computed, since numbers are NaN.
+
+        Args:
+            values: the values of all terms, in their order.
+            sources: what is NaN.
+
+        Raises:
+            ArgumentError: this is an error, or a value is of the wrong type.
+        """
+        number = self.nan if isinstance(self.nan, float) else 0.0
+        replaced = []
+        for term, value in zip(self, values, strict=True):
+            if not _is_nan(value):
+                replaced.append(value)
+            elif self.nan == "error":
+                raise term.nan_error(sources)
+            else:
+                replaced.append(False if term.is_condition else number)
+        judgement = self.judgement(replaced)
+        if self.nan != "failure":
+            return judgement
+        success = None if self.success is None else False
+        return replace(judgement, success=success, failure=True, stop=True)
 
     def judgement(self, values: Sequence[Any]) -> Judgement:
         """Returns what the values of all terms, in their order, mean.
@@ -285,7 +333,38 @@ class Judge:
         Raises:
             SelectScriptError: a term failed, or its value is of the wrong type.
         """
-        return self.terms.judgement(self._interpreter.eval(self._program))
+        try:
+            values = self._interpreter.eval(self._program)
+        except ArgumentError:
+            if not self._nan_sources():
+                raise
+            values = [self._value_or_nan(text) for text in self._texts]
+        if any(map(_is_nan, values)) and (sources := self._nan_sources(values)):
+            return self.terms.judgement_of_nan(values, sources)
+        return self.terms.judgement(values)
+
+    def _value_or_nan(self, text: str) -> Any:
+        """Returns the value of a term; None if it fails, as it does where a number is NaN."""
+        try:
+            return self._interpreter.eval(_selected([text]))[0]
+        except ArgumentError:
+            return None
+
+    def _nan_sources(self, values: Sequence[Any] = ()) -> str:
+        """Returns what is NaN at the present tick, of which terms may depend; '' if nothing is.
+
+        Args:
+            values: the values of the terms.
+        """
+        world = self._interpreter[self._world]
+        assert isinstance(world, World)
+        names = [f"{self._world}.{entity.name}" for entity in world.snapshot.entities_with_nan()]
+        sources = [f"the pose or the velocity of {joined_names(names)} is"] if names else []
+        variables = [name for name, value in self._bound.items() if _has_nan(value)]
+        sources += [f"the variable {name} has" for name in variables]
+        if not sources and any(map(_has_nan, values)):
+            return "what it computes is no number"
+        return " NaN, and ".join(sources) + " NaN at this step" if sources else ""
 
     def check(self, *, may_be_constant: bool = False, with_variables: bool = True) -> None:
         """Checks each term by itself at the present tick.
@@ -302,10 +381,16 @@ class Judge:
             program = self._compiled(term.key, text)
             if not with_variables and self._uses_variables(program):
                 continue
-            value = self._value(term, program)
-            # Python skips what an AND or OR does not need; a plan knows all names.
-            self._value(term, _selected([text]))
-            term.check(value)
+            try:
+                value = self._value(term, program)
+                # Python skips what an AND or OR does not need; a plan knows all names.
+                self._value(term, _selected([text]))
+                term.check(value)
+            except ArgumentError:
+                if not (sources := self._nan_sources()):
+                    raise
+                if self.terms.nan == "error":
+                    raise term.nan_error(sources) from None
             if not may_be_constant:
                 self._check_changes(term, program)
 
@@ -468,6 +553,18 @@ def is_same(a: Any, b: Any) -> bool:
         return len(a) == len(b) and all(map(is_same, a, b))
     is_equal = isinstance(a, bool | int | float | str) and a == b
     return is_equal and (a != 0 or repr(a) == repr(b))  # a zero has a sign
+
+
+def _is_nan(value: Any) -> bool:
+    """Checks whether the value of a term is NaN; a column that depends on NaN is NULL."""
+    return value is None or (isinstance(value, float) and math.isnan(value))
+
+
+def _has_nan(value: Any) -> bool:
+    """Checks whether the value of a variable is NaN, or a list that has it."""
+    if isinstance(value, list):
+        return any(map(_has_nan, value))
+    return isinstance(value, float) and math.isnan(value)
 
 
 def _stripped(text: str) -> str:

@@ -11,7 +11,7 @@ import gymnasium
 from ssduck import validation
 from ssduck.errors import ArgumentError, ProgramWarning, SimulatorError, warn
 from ssduck.formatting import short_repr
-from ssduck.gym.terms import Judge, Judgement, Reward, Terms
+from ssduck.gym.terms import Judge, Judgement, Reward, Terms, WhereNaN
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.namespace import check_name
 from ssduck.limits import Limits
@@ -70,6 +70,10 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             environment's own code does.
         step_time: for PyBullet, the simulated time of a step of the environment, s; None for one
             step of the client.
+        nan: what a term is that cannot be computed, since a pose, a velocity or a variable is NaN:
+            `"error"`; `"failure"`, where the episode has failed and ends, and the reward's part is
+            0; or a number for the reward's part, where a condition is False and the episode goes
+            on.
         limits: the limits of terms; `Limits.strict()` for terms from elsewhere.
 
     Raises:
@@ -93,6 +97,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         recording: Recording | None = None,
         forward: bool = False,
         step_time: float | None = None,
+        nan: WhereNaN = "error",
         limits: Limits | None = None,
     ) -> None:
         gymnasium.utils.RecordConstructorArgs.__init__(
@@ -107,11 +112,12 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             recording=recording,
             forward=forward,
             step_time=step_time,
+            nan=nan,
             limits=limits,
         )
         gymnasium.Wrapper.__init__(self, env)
         check_name(world, "a world")
-        self._terms = Terms.of(success, failure, reward, stop_when)
+        self._terms = Terms.of(success, failure, reward, stop_when, nan=nan)
         self._variables = _checked_variables(variables, world)
         self._step_time = None if step_time is None else validation.seconds(step_time, "step_time")
         self._folder = None if record_to is None else expand_path(record_to).absolute()

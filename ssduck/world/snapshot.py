@@ -505,8 +505,8 @@ class Snapshot(TickGeometry):
         for name in ("entities", "ticks", *self._read.difference(("contacts",))):
             self._publish(name, are_known=name in known)
         # The warning for a past tick was given when it was taken.
-        if not self._tables["entities"].is_complete and not self._is_past:
-            self._warn_of_unknown(self._tables["entities"].doubles("x", "zmax"))
+        if not self._is_past:
+            self._warn_of_unknown()
 
     def _publish(self, name: str, *, are_known: bool = False) -> None:
         """Writes tick and time into a table, and publishes it, unless all numbers are known."""
@@ -516,10 +516,17 @@ class Snapshot(TickGeometry):
         if not are_known:
             table.publish_unknown()
 
-    def _warn_of_unknown(self, numbers: Array) -> None:
+    def entities_with_nan(self) -> list[EntityInfo]:
+        """Returns the entities with a pose, a box or a velocity that is not a number."""
+        table = self._tables["entities"]
+        if table.is_complete:
+            return []
+        unknown = np.isnan(table.doubles("x", "zmax")).any(axis=0)
+        return [self.entities[row] for row in np.flatnonzero(unknown).tolist()]
+
+    def _warn_of_unknown(self) -> None:
         """Warns, once for each entity, of poses and velocities that are not numbers."""
-        for row in np.flatnonzero(np.isnan(numbers).any(axis=0)).tolist():
-            info = self.entities[row]
+        for info in self.entities_with_nan():
             if info.id not in self._warned:
                 self._warned.add(info.id)
                 warn(

@@ -1,0 +1,151 @@
+"""A state that is not a number: what the terms are, and what their errors say."""
+
+import gymnasium
+import mujoco
+import numpy as np
+import pybullet
+import pytest
+
+from ssduck.errors import ArgumentError
+from ssduck.gym import QueryWrapper, score
+from tests.support.gym_environments import Drop
+
+TEXT = """
+<mujoco><option gravity="0 0 0"><flag autoreset="disable"/></option><worldbody>
+<body name="a" pos="0 0 1"><freejoint/><geom size=".1" mass="1"/></body>
+<body name="b" pos="1 0 1"><freejoint/><geom size=".1" mass="1"/></body></worldbody></mujoco>
+"""
+STATE = r"the pose or the velocity of sim\.a is NaN at this step"
+pytestmark = pytest.mark.filterwarnings("ignore:a. the simulator gives a pose")
+
+
+class Broken(gymnasium.Env):
+    """The pose of a body is NaN from a step on; the goal from another one."""
+
+    observation_space = gymnasium.spaces.Box(-10, 10, (14,), np.float64)
+    action_space = gymnasium.spaces.Box(-1, 1, (1,), np.float64)
+
+    def __init__(self, at=2, goal_at=99):
+        self.model = mujoco.MjModel.from_xml_string(TEXT)
+        self.data = mujoco.MjData(self.model)
+        self.at, self.goal_at = at, goal_at
+
+    @property
+    def goal(self):
+        return [float("nan") if self.steps >= self.goal_at else 1.0]
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        mujoco.mj_resetData(self.model, self.data)
+        self.steps = -1
+        return self.step(None)[0], {}
+
+    def step(self, action):
+        self.steps += 1
+        if self.steps >= self.at:
+            self.data.qpos[:3] = np.nan
+            mujoco.mj_kinematics(self.model, self.data)
+            self.data.time += 0.004
+        else:
+            mujoco.mj_step(self.model, self.data, 2)
+        return self.data.qpos.copy(), 0.0, False, False, {}
+
+
+def run(steps=2, env=None, **terms):
+    """Returns what the last of some steps gives, but for the observation."""
+    env = QueryWrapper(env or Broken(), **terms)
+    try:
+        env.reset()
+        for _ in range(steps):
+            result = env.step(np.zeros(1))
+        return result[1], result[2], result[4]["ssduck"]
+    finally:
+        env.close()
+
+
+@pytest.mark.parametrize(
+    ("terms", "message"),
+    [
+        ({"reward": "x(sim.a)"}, r"reward: 'x\(sim.a\)' is NaN \(not a number\): " + STATE),
+        ({"success": "z(sim.a) > 1"}, "success: .* is NaN .*" + STATE),
+        ({"failure": "near(sim.a, sim.b, 0.1)"}, "failure: .* is NaN .*" + STATE),
+        (
+            {"reward": {"b": "x(sim.b)", "both": "-distance(sim.a, sim.b)"}},
+            r"reward\['both'\]: .*NaN",
+        ),
+    ],
+)
+def test_the_error_says_what_is_nan(terms, message):
+    with pytest.raises(ArgumentError, match=message) as caught:
+        run(**terms)
+    assert "not there" not in str(caught.value)
+    assert "nan='failure'" in str(caught.value)
+
+
+def test_a_variable_that_is_nan_is_named():
+    variables = {"goal": lambda env: env.goal}
+    with pytest.raises(ArgumentError, match=r"reward: .* the variable goal.* has NaN at this step"):
+        run(env=Broken(99, 2), reward="x(sim.b) - goal[0]", variables=variables)
+
+
+def test_at_the_first_reset():
+    with pytest.raises(ArgumentError, match="reward: .* is NaN .*" + STATE):
+        run(env=Broken(0), reward="x(sim.a) * 2")
+    reward, _, info = run(env=Broken(0), reward="x(sim.a) * 2", nan=-1)
+    assert (reward, info["reward"]) == (-1.0, -1.0)
+
+
+def test_other_bodies_have_their_values():
+    reward, terminated, info = run(success="z(sim.b) > 2", reward="x(sim.b)")
+    assert (reward, terminated, info["success"]) == (1.0, False, False)
+
+
+TERMS = {
+    "success": "z(sim.a) > 0.5",
+    "reward": {"a": "z(sim.a) + 1", "b": "x(sim.b)"},
+    "stop_when": "z(sim.b) > 5",
+}
+
+
+def test_a_failure_of_the_episode():
+    assert run(1, **TERMS, nan="failure")[1:] == (
+        False,
+        {"success": True, "reward": 3.0, "parts": {"a": 2.0, "b": 1.0}},
+    )
+    reward, terminated, info = run(2, **TERMS, nan="failure")
+    assert (reward, terminated) == (1.0, True)
+    expected = {"success": False, "failure": True, "reward": 1.0, "parts": {"a": 0.0, "b": 1.0}}
+    assert info == expected
+
+
+def test_a_value_in_its_place(tmp_path):
+    reward, terminated, info = run(3, **TERMS, nan=-4.5, record_to=tmp_path)
+    assert (reward, terminated, info["success"]) == (-3.5, False, False)
+    (scored,) = score(tmp_path, **TERMS, nan=-4.5)
+    assert scored.rewards == (3.0, -3.5, -3.5)
+    assert scored.success == (True, False, False)
+    with pytest.raises(ArgumentError, match="success: .* is NaN .*" + STATE):
+        list(score(tmp_path, **TERMS))
+    (failed,) = score(tmp_path, **TERMS, nan="failure")
+    assert (failed.failure, failed.stop) == ((False, True, True), (False, True, True))
+
+
+def test_pybullet():
+    class Broken(Drop):
+        def step(self, action):
+            pybullet.resetBasePositionAndOrientation(
+                self.cube, [0, 0, np.nan], [0, 0, 0, 1], self.physics_client
+            )
+            return self._observation(), 0.0, False, False, {}
+
+    with (
+        pytest.warns(UserWarning, match="no number"),
+        pytest.raises(ArgumentError, match=r"sim\.body_1 is NaN"),
+    ):
+        run(1, env=Broken(), reward="z(sim.body_1)")
+
+
+@pytest.mark.parametrize("nan", ["fail", None, True, float("inf")])
+def test_other_arguments_are_errors(nan):
+    with pytest.raises(ArgumentError, match="nan"):
+        QueryWrapper(Broken(), reward="x(sim.a)", nan=nan)
