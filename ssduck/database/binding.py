@@ -81,6 +81,7 @@ class BoundWorld:
     planned_margins: float = 0.0
     _poses: OrderedDict[tuple[int, EntityTable], Poses] = field(default_factory=OrderedDict)
     _changed_margins: set[str] = field(default_factory=set)
+    _has_told_of_pairs: bool = False
 
     @property
     def world(self) -> World:
@@ -228,6 +229,13 @@ class BoundWorld:
         snapshot = self.world.snapshot
         if tick is None or tick == snapshot.number:
             return
+        if snapshot.margins_of_pairs is not None and not self._has_told_of_pairs:
+            self._has_told_of_pairs = True
+            warn(
+                f"{self.world.name!r}: some pairs of shapes have margins of their own (a <pair> of "
+                "MuJoCo has one); recorded ticks have a margin for each shape, so that on, "
+                "touching and similar relations may hold there at a larger distance",
+            )
         new = [
             name
             for name in _names_with_changed_margins(snapshot)

@@ -101,7 +101,7 @@ class NarrowPhase:
         """Returns the narrow phase of the tick with other entities: runs of shapes at `starts`."""
         tick = self._tick
         parts = tick.positions[shapes], tick.orientations[shapes], tick.boxes[shapes]
-        chosen = ShapeSolids(tick.solids, shapes, np.array(tick.margins)[shapes])
+        chosen = ShapeSolids(tick.solids, shapes, tick.margins.take(shapes))
         return NarrowPhase(chosen, ShapePlaces(*parts), starts, self.calls)
 
     def extended(self, table: ShapeTable, poses: Sequence[Array]) -> NarrowPhase:
@@ -342,7 +342,7 @@ class NarrowPhase:
 
     def margin(self, e: int) -> float:
         """Returns the largest collision margin of the shapes of an entity, m; 0 without shapes."""
-        return max((self._tick.margins[shape] for shape in self._shapes[e]), default=0.0)
+        return max((self._tick.margins.listed[shape] for shape in self._shapes[e]), default=0.0)
 
     def is_known(self, e: int) -> bool:
         """Checks whether all poses and shapes of an entity are known."""

@@ -19,6 +19,7 @@ from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.batch import comparable_pairs, matching_pairs, proven_verdicts
 from ssduck.geometry.broad_phase import Pairs
 from ssduck.geometry.contact_support import MIN_RISING, MIN_UP
+from ssduck.geometry.margins import MarginKey
 from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.on_pairs import decide_contacts
 from ssduck.geometry.poses import rotate
@@ -148,7 +149,7 @@ class PairBatch:
         self._all_shapes = shapes
         self._first, self._second = comparable_pairs(scene, shapes)
         self._rows = scene.table.entities[self._first]
-        self._placed: dict[tuple[bool, int, float, bytes, bytes], int] = {}
+        self._placed: dict[tuple[bool, int, MarginKey, bytes, bytes], int] = {}
 
     def answers(self, question: PairQuestion, groups: Indices | None = None) -> Answers:
         """Returns the answers to a question.
@@ -225,7 +226,7 @@ class PairBatch:
         places = self._narrow.places
         pose = places.positions[shape].tobytes(), places.orientations[shape].tobytes()
         table, is_second = self._scene.table, shape >= int(self._starts[self._count])
-        key = is_second, int(table.solid_indices[shape]), float(table.margins[shape]), *pose
+        key = is_second, int(table.solid_indices[shape]), table.margins.key(shape), *pose
         return self._placed.setdefault(key, shape)
 
     def _compared(self, pair: int) -> tuple[int, int]:

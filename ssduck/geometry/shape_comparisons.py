@@ -60,8 +60,8 @@ class ShapeComparisons:
         return (0.0 if result is None else max(0.0, result.distance)) <= max_distance
 
     def margin(self, s: int, t: int) -> float:
-        """Returns the sum of the collision margins of two shapes, m."""
-        return self._tick.margins[s] + self._tick.margins[t]
+        """Returns the collision margin of two shapes, m."""
+        return self._tick.margins.of_two(s, t)
 
     def contact_height(self, s: int, t: int) -> float | None:
         """Returns the z of the unit contact normal from a shape to another one.

@@ -78,7 +78,8 @@ class PlacedGeometry:
         orientation: (4,), in the frame, w, x, y, z.
         margin: the collision margin of the simulator, metres.
         exact: whether the simulator uses this shape. If False, the shape is a bounding box that
-            stands in for an unknown one. None if that is not known.
+            stands in for an unknown one, or a sphere about a vertex of a form that bends. None if
+            that is not known.
     """
 
     frame: int

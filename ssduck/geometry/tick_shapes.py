@@ -11,6 +11,7 @@ import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.broad_phase import Pairs, overlapping_pairs
+from ssduck.geometry.margins import Margins
 from ssduck.geometry.poses import stacked_matrices
 from ssduck.geometry.proofs.cores import ConvexCores, PlacedCores
 from ssduck.geometry.proofs.kept_parts import KeptParts
@@ -60,7 +61,7 @@ class PairPredicate:
         """Returns the bounds for pairs of shapes, (n,)."""
         bounds = np.full(len(first), self.bound(0.0))
         if self.kind == "touching":
-            bounds += table.margins[first] + table.margins[second]
+            bounds += table.margins.of_pairs(first, second)
         return bounds
 
     def candidates(self, tick: TickShapes) -> Pairs:
@@ -69,7 +70,7 @@ class PairPredicate:
             return _candidates(tick, tick.boxes, 0.0)
         if self.kind == "within":
             return _candidates(tick, tick.boxes, self.distance + _BOUND_MARGIN)
-        margins = tick.table.margins
+        margins = tick.table.margins.numbers
         grown = np.concatenate((tick.boxes[:3] - margins, tick.boxes[3:] + margins))
         return _candidates(tick, grown, max(self.distance, 0.0) + _BOUND_MARGIN)
 
@@ -96,11 +97,11 @@ class ShapeTable:
         solids: Sequence[Solid],
         solid_indices: Indices,
         entities: Indices,
-        margins: Array | None = None,
+        margins: Margins | Array | None = None,
     ) -> None:
         self.solids, self.solid_indices = solids, solid_indices
         self.entities = entities
-        self.margins = np.zeros(len(solid_indices)) if margins is None else margins
+        self.margins = Margins.of(margins, len(solid_indices))
         self.count = int(entities.max(initial=-1)) + 1
         self.has_single_shapes = bool(np.bincount(entities).max(initial=0) <= 1)
         self.is_known = np.array([solid.is_known for solid in solids], dtype=bool)[solid_indices]
@@ -166,7 +167,7 @@ class ShapeTable:
             [*self.solids, *map(solid_of, distinct.values())],
             np.concatenate((self.solid_indices, np.array(indices, np.intp))),
             np.concatenate((self.entities, entities)),
-            np.concatenate((self.margins, np.zeros(len(indices)))),
+            self.margins.padded(len(indices)),
         )
         self._extended = key, table
         return table
@@ -185,7 +186,7 @@ class ShapeTable:
         if table is None:
             if len(self._regrouped) >= _MAX_REGROUPED:
                 self._regrouped.clear()
-            indices, margins = self.solid_indices[shapes], self.margins[shapes]
+            indices, margins = self.solid_indices[shapes], self.margins.take(shapes)
             table = self._regrouped[key] = ShapeTable(self.solids, indices, entities, margins)
         return table
 

@@ -11,6 +11,7 @@ from typing import TypeVar
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.margins import Margins
 from ssduck.geometry.placed_solid import PlacedSolid, Point, Quaternion
 from ssduck.geometry.poses import (
     flat_rotation_matrices,
@@ -63,26 +64,19 @@ class ShapeSolids:
         margins: (n,), the collision margins, metres; None for none.
 
     Attributes:
-        distinct, indices: see above.
+        distinct, indices, margins: see above.
     """
 
     def __init__(
-        self, distinct: Sequence[Solid], indices: Indices, margins: Array | None = None
+        self, distinct: Sequence[Solid], indices: Indices, margins: Margins | Array | None = None
     ) -> None:
         self.distinct, self.indices = distinct, np.asarray(indices, dtype=np.intp)
-        self._margins = margins
+        self.margins = Margins.of(margins, len(self.indices))
 
     @cached_property
     def solids(self) -> list[Solid]:
         """The solid of each shape."""
         return [self.distinct[index] for index in self.indices.tolist()]
-
-    @cached_property
-    def margins(self) -> list[float]:
-        """The collision margin of each shape, metres."""
-        count = len(self.indices)
-        margins: list[float] = [0.0] * count if self._margins is None else self._margins.tolist()
-        return margins
 
     @cached_property
     def bounding_radii(self) -> list[float]:
@@ -185,8 +179,8 @@ class TickSolids:
         return self._shapes.solids
 
     @property
-    def margins(self) -> list[float]:
-        """The collision margin of each shape, metres."""
+    def margins(self) -> Margins:
+        """The collision margins of the shapes."""
         return self._shapes.margins
 
     @property

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.margins import Margins
 from ssduck.geometry.poses import cross
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.clock import Clock
@@ -148,6 +149,11 @@ class Body:
     def has_stand_ins(self) -> bool:
         """Whether a bounding box is known to stand in for one of its shapes."""
         return any(shape.exact is False for shape in self.shapes)
+
+    @property
+    def bends(self) -> bool:
+        """Whether spheres about vertices stand in for a form that bends."""
+        return any(s.exact is False and s.geometry.type == "sphere" for s in self.shapes)
 
 
 class LinkPoses:
@@ -408,8 +414,12 @@ class Simulator(Protocol):
     def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
         """Returns the masses of bodies' links, kg; the last known ones if a body is gone."""
 
-    def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
-        """Returns the margins of bodies' shapes, m; the last known ones if a body is gone."""
+    def read_margins(self, bodies: Sequence[Body]) -> list[list[float]] | Margins:
+        """Returns the margins of bodies' shapes, m; the last known ones if a body is gone.
+
+        The same object if nothing has changed; `Margins` of the shapes of all of them where the
+        margin of two shapes is not the sum of theirs.
+        """
 
     def has_moved_on(self, sample: Sequence[Body]) -> bool:
         """Checks whether the user changed an external simulation since the last tick.

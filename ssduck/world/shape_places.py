@@ -12,6 +12,7 @@ import numpy as np
 
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.id_pairs import Ids, places_by_number
+from ssduck.geometry.margins import Margins
 from ssduck.geometry.solids import solid_of
 from ssduck.geometry.tick_shapes import ShapeTable
 from ssduck.geometry.tick_solids import ShapePlaces, ShapeSolids
@@ -40,8 +41,8 @@ class ComparableShapes:
     solids: ShapeSolids
 
     @classmethod
-    def of(cls, layout: TableLayout, margins: Array) -> Self:
-        """Returns that of the bodies of a layout; margins (shapes,), m."""
+    def of(cls, layout: TableLayout, margins: Margins) -> Self:
+        """Returns that of the bodies of a layout, whose shapes have some margins."""
         bodies = layout.bodies
         shapes = [shape for _, body in bodies for shape in body.shapes]
         distinct = {shape.geometry.key: shape.geometry for shape in shapes}

@@ -21,8 +21,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ssduck.errors import UnsupportedError, warn
+from ssduck.formatting import joined_names
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.distance import CallCounter
+from ssduck.geometry.margins import Margins
 from ssduck.geometry.shapes import Geometry
 from ssduck.schema import FORGOTTEN_AFTER, OFTEN_UNKNOWN, ON_DEMAND, STORED_TABLES
 from ssduck.simulators.contact_pairs import ContactPairs
@@ -116,10 +118,13 @@ class Snapshot(TickGeometry):
         self._requested_sensors: dict[int, int] = {}
         self._read_sensors: frozenset[int] = frozenset()
         self._warned: set[int] = set()
+        # The layout that was looked through for forms that bend, and their names.
+        self._checked: TableLayout | None = None
+        self._bending: set[str] = set()
         # The ticks at which masses and margins were last read.
         self._masses_tick = self._margins_tick = 0
-        # The margins that were read last; the same list while the simulator has the same.
-        self._margins: list[list[float]] | None = None
+        # The margins that were read last; the same object while the simulator has the same.
+        self._margins: list[list[float]] | Margins | None = None
         self.masses: dict[int, list[float]] = {}
 
     @property
@@ -235,7 +240,8 @@ class Snapshot(TickGeometry):
 
     def _lay_out(self, layout: TableLayout) -> None:
         """Resets the tables for the entities of a layout."""
-        self._layout, self._written, self._margins = layout, {}, None
+        self._layout, self._written = layout, {}
+        self._margins = self.margins_of_pairs = None
         entities = layout.entities
         self._tables["entities"].fill(
             len(entities),
@@ -290,6 +296,8 @@ class Snapshot(TickGeometry):
     def request_tables(self, tables: Iterable[str]) -> bool:
         """Notes a request for tables; returns whether this tick lacks any of them."""
         requested = ON_DEMAND.intersection(tables).difference(self.unavailable)
+        if "shapes" in requested:
+            self._warn_of_bending()
         self._requested |= dict.fromkeys(requested, self.number)
         missing = (requested | self.recorded) - self._read
         if missing == {"shapes"} and self._link_poses:  # they follow from these
@@ -298,6 +306,21 @@ class Snapshot(TickGeometry):
             self._publish("shapes")
             missing = frozenset()
         return bool(missing)
+
+    def _warn_of_bending(self) -> None:
+        """Warns, once for each entity, of forms that bend, whose shapes are not the simulator's."""
+        if self._layout is self._checked:
+            return
+        self._checked = self._layout
+        names = [info.name for info in self.entities if info.body is not None and info.body.bends]
+        new = [name for name in names if name not in self._bending]
+        if new:
+            self._bending.update(new)
+            warn(
+                f"{joined_names(new)}: spheres about the vertices stand in for what bends, as "
+                "exact = false in the table of shapes says; distance, on and what else asks shapes "
+                "is as exact as these are; contacts are the simulator's"
+            )
 
     def has(self, table: str) -> bool:
         """Checks whether this tick includes a table that is read on request."""
@@ -359,10 +382,14 @@ class Snapshot(TickGeometry):
         if margins is self._margins:
             return
         self._margins = margins
-        current = np.array([*chain(*margins)], np.float64)
-        shapes = self._tables["shapes"]
-        if not np.array_equal(current, shapes["margin"]):
-            shapes["margin"][:] = current
+        if isinstance(margins, Margins):
+            pairs, numbers = margins, margins.numbers
+        else:
+            pairs, numbers = None, np.array([*chain(*margins)], np.float64)
+        shapes, before = self._tables["shapes"], self.margins_of_pairs
+        self.margins_of_pairs = pairs
+        if pairs is not before or not np.array_equal(numbers, shapes["margin"]):
+            shapes["margin"][:] = numbers
             shapes.publish()
             self._shapes = self._shapes_and_sites = self._solids = None
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from ssduck.geometry.box_relations import BoxQueries
 from ssduck.geometry.distance import CallCounter
+from ssduck.geometry.margins import Margins
 from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.simulators.interface import LinkPoses
@@ -33,6 +34,8 @@ class TickGeometry:
         self._shapes_and_sites: ShapeQueries | None = None
         self._boxes: BoxQueries | None = None
         self._solids: tuple[TableLayout, ComparableShapes] | None = None
+        # The margins of the shapes if those of two are not the sums of theirs.
+        self.margins_of_pairs: Margins | None = None
 
     @property
     def body_groups(self) -> Iterator[tuple[BodyGroup, LinkPoses]]:
@@ -81,7 +84,7 @@ class TickGeometry:
     def _comparable(self) -> ComparableShapes:
         """What comparisons of the shapes need to know, the same while nothing changes."""
         if self._solids is None or self._solids[0] is not self._layout:
-            margins = self._tables["shapes"]["margin"].copy()
+            margins = self.margins_of_pairs or Margins(self._tables["shapes"]["margin"].copy())
             self._solids = self._layout, ComparableShapes.of(self._layout, margins)
         return self._solids[1]
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections import defaultdict
 
+import mujoco
+import numpy as np
 import pybullet
 import pybullet_data
 import pytest
@@ -79,3 +81,149 @@ def test_contacts_of_pybullet(client, scene, steps):
         assert next(time for time, holds in changes if holds) == pytest.approx(first / 240)
         time, force = ss.eval(f"greatest(contactForce({one}));")
         assert (time, force) == pytest.approx(((pushes.index(hardest) + 1) / 240, hardest))
+
+
+# -- MuJoCo ------------------------------------------------------------------------------------
+
+PUSHED = """
+<mujoco><option cone="{cone}"/><default><geom margin="{margin}"/></default>
+<worldbody>
+  <geom type="plane" size="2 2 .1"/>
+  <body name="crate" pos="0 0 .06"><freejoint/><geom type="box" size=".1 .1 .05" mass="2"/></body>
+  <body name="lid" pos=".02 .01 .16" quat=".98 .1 .1 0"><freejoint/>
+    <geom type="box" size=".08 .08 .02" mass=".5"/><geom type="sphere" size=".03" pos="0 0 .04"/></body>
+  <body name="arm" pos="-.32 0 .1"><joint name="slide" type="slide" axis="1 0 0" damping="5"/>
+    <geom type="capsule" size=".03" fromto="-.2 0 0 .2 0 0" mass="1"/></body>
+</worldbody>
+<actuator><motor joint="slide" gear="8"/></actuator></mujoco>
+"""
+CLOTH = """
+<mujoco><option solver="CG"/><worldbody>
+  <geom name="floor" type="plane" size="2 2 .1"/>
+  <body name="box" pos="0 0 .05"><freejoint/><geom type="box" size=".07 .07 .05" mass="5"/></body>
+  <flexcomp name="cloth" type="grid" count="4 4 1" spacing=".05 .05 .05" pos="0 0 .13" radius=".01"
+    mass=".5" dim="2"><contact condim="3" solref="0.01 1" selfcollide="none"/>
+    <edge equality="true"/></flexcomp>
+</worldbody></mujoco>
+"""
+MODELS = {
+    "elliptic": PUSHED.format(cone="elliptic", margin=0.0),
+    "margin": PUSHED.format(cone="pyramidal", margin=0.004),
+    "cloth": CLOTH,
+}
+
+
+def points_of_mujoco(model, data, handles):
+    """The rows of contacts by MuJoCo's getter: where shapes meet, or the solver presses."""
+    force = np.zeros(6)
+    for number, contact in enumerate(data.contact):
+        mujoco.mj_contactForce(model, data, number, force)
+        if contact.dist > 0 and force[0] <= 0:
+            continue
+        half = 0.5 * contact.dist * contact.frame[:3]
+        sides = []
+        for side, sign in ((0, -1), (1, 1)):
+            body = model.geom_bodyid[contact.geom[side]]
+            root = model.body_rootid[body]
+            if contact.geom[side] < 0:  # the vertices of the only flex are a body each
+                corners = model.flex_elem.reshape(-1, 3)[contact.elem[side]]
+                gaps = np.linalg.norm(data.flexvert_xpos[corners] - contact.pos, axis=1)
+                body = model.flex_vertbodyid[corners[gaps.argmin()]]
+                root = model.flex_vertbodyid[0]
+            sides.append((handles[root], int(body - root), *(contact.pos + sign * half)))
+        (a, link_a, *at_a), (b, link_b, *at_b) = sorted(sides)
+        yield (a, link_a, b, link_b, *at_a, *at_b, force[0], contact.dist)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("steps", STEPS)
+@pytest.mark.parametrize("text", MODELS.values(), ids=MODELS)
+def test_contacts_of_mujoco(text, steps):
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    with ssduck.Interpreter(recording=None) as ss:
+        world = ss.add_variable("sim", ssduck.World.attach(model, data))
+        handles = {body.handle: id for id, body in world.snapshot.layout.bodies}
+        count = 0
+        for _ in range(steps):
+            data.ctrl[:] = 1.0
+            mujoco.mj_step(model, data)
+            world.tick()
+            expected = np.array(sorted(points_of_mujoco(model, data, handles))).reshape(-1, 12)
+            found = np.array(sorted(ss.sql(f"SELECT {COLUMNS} FROM sim.contacts").fetchall()))
+            assert found.reshape(-1, 12) == pytest.approx(expected, abs=1e-12, rel=1e-12)
+            count += len(expected)
+        assert count > steps / 2
+
+
+# -- bodies asleep -----------------------------------------------------------------------------
+
+SLEEPY = """
+<mujoco><option><flag sleep="enable"/></option><worldbody>
+  <geom name="floor" type="plane" size="2 2 .1"/>
+  <body name="box" pos="0 0 .1" {sleep}><freejoint/><geom name="g" type="box" size=".1 .1 .1" mass="1"/>
+    <site name="s" type="box" size=".11 .11 .11"/></body>
+  <body name="book" pos="0 0 .22" {sleep}><freejoint/><geom type="box" size=".1 .1 .02" mass="2"/></body>
+  <body name="ball" pos="1 0 2"><freejoint/><geom type="sphere" size=".1" mass="1"/></body>
+</worldbody>
+<sensor><contact geom1="g" data="found"/><touch site="s"/></sensor></mujoco>
+"""
+HAS_SLEEP = pytest.mark.skipif(
+    not hasattr(mujoco.mjtEnableBit, "mjENBL_SLEEP"), reason="nothing sleeps before MuJoCo 3.4"
+)
+
+
+def sleepy(ss, text):
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    return model, data, ss.add_variable("sim", ssduck.World.attach(model, data))
+
+
+@pytest.mark.slow
+@HAS_SLEEP
+@pytest.mark.parametrize("forward", [False, True])
+def test_what_sleeps_keeps_its_contacts(forward):
+    """MuJoCo's own sensors tell: they keep what they had when the bodies fell asleep."""
+    with ssduck.Interpreter(recording=ALL) as ss:
+        model = mujoco.MjModel.from_xml_string(SLEEPY.format(sleep=""))
+        data = mujoco.MjData(model)
+        world = ss.add_variable("sim", ssduck.World.attach(model, data, forward=forward))
+        flags, slept = model.opt.enableflags, 0
+        mujoco.mj_step(model, data, 3)
+        while data.time < 1.0:
+            mujoco.mj_step(model, data)
+            world.tick()
+            found, touch = data.sensordata
+            rows = ss.sql(
+                "SELECT force FROM sim.contacts, entities e WHERE e.name = 'box' AND e.id IN (a, b)"
+            ).fetchall()
+            slept += data.tree_asleep[0] >= 0
+            if data.tree_asleep[0] >= 0 or not forward:
+                assert len(rows) == found == 8
+                assert sum(force for (force,) in rows) == pytest.approx(touch, rel=1e-3)
+        assert slept > 10
+        assert data.ncon < 8  # those of the ball alone
+        assert model.opt.enableflags == flags
+        answers = (
+            "[inContact(sim.world, sim.box), hasContact(sim.book, sim.box), on(sim.box, sim.book)];"
+        )
+        assert ss.eval(answers) == [True] * 3
+        assert ss.eval("contactForce(sim.box, sim.book);") == pytest.approx(2 * 9.81, rel=0.01)
+        assert ss.eval("force(sim.box);")[2] == pytest.approx(9.81, rel=0.01)
+        held = ss.eval("holds(inContact(sim.box, sim.book));")
+        assert held[-1][0] <= 0.01
+        assert held[-1][1] == world.time
+
+
+@HAS_SLEEP
+def test_what_begins_asleep_has_contacts_and_what_wakes_has_its_own():
+    with ssduck.Interpreter(recording=None) as ss:
+        model, data, world = sleepy(ss, SLEEPY.format(sleep='sleep="init"'))
+        mujoco.mj_step(model, data, 5)
+        world.tick()
+        assert data.tree_asleep[0] >= 0
+        assert ss.eval("hasContact(sim.box, sim.book);") is True
+        data.xfrc_applied[model.body("book").id, 2] = 100.0
+        mujoco.mj_step(model, data, 40)
+        world.tick()
+        assert ss.eval("hasContact(sim.box, sim.book);") is False

@@ -22,6 +22,7 @@ from ssduck.simulators.interface import Body, Kind, Simulator, VisualShape
 from ssduck.simulators.mjcf import MODEL_FILE, STATE_KEY, mjcf_scene
 from ssduck.simulators.mujoco.bodies import body_names, kind_by_joints, kinds_in, roots_of
 from ssduck.simulators.mujoco.declared_sizes import check_declared_sizes, check_iterations
+from ssduck.simulators.mujoco.flexes import entity_roots
 from ssduck.simulators.mujoco.interventions import add_spare_welds
 from ssduck.simulators.mujoco.library import mujoco
 from ssduck.simulators.mujoco.simulator import MuJoCoSimulator
@@ -160,7 +161,7 @@ def _check_root(model: Any, key: Any, argument: str) -> None:
             f"{model.nbody - 1}, or given by name"
         )
     if number not in roots:
-        root = int(model.body_rootid[number])
+        root = int(entity_roots(model)[number])
         raise ArgumentError(
             f"attach: {argument}: the body {names[number]!r} is a link of the entity "
             f"{names[root]!r}; name that"

@@ -1,14 +1,18 @@
 """Describes the bodies of a MuJoCo model: the trees of bodies below the world body.
 
 A tree is an entity, its bodies are the links, its root the base. MuJoCo numbers bodies depth first,
-so that the bodies of a tree have consecutive numbers. The world body is an entity of its own if it
-has geoms that collide, or sites. Sites are links without mass after the others, each fixed to the
-body that it is on. Names are MuJoCo's.
+so that the bodies of a tree have consecutive numbers. The trees of a flex are one entity: the first
+of its bodies is the base, which the other roots are linked to. The world body is an entity of its
+own if it has geoms that collide, or sites. Sites are links without mass after the others, each
+fixed to the body that it is on. Names are MuJoCo's.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -17,8 +21,10 @@ from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.interface import SCALAR_JOINTS, Body, Joint, Kind, Link
 from ssduck.simulators.mjcf import KIND_PREFIX
+from ssduck.simulators.mujoco.flexes import entity_roots, flex_names, flex_shapes
 from ssduck.simulators.mujoco.height_fields import height_field
 from ssduck.simulators.mujoco.library import mujoco
+from ssduck.simulators.mujoco.margins import margins_of
 
 _GEOM, _JOINT, _OBJECT = mujoco.mjtGeom, mujoco.mjtJoint, mujoco.mjtObj
 # The types of joints by MuJoCo's numbers.
@@ -76,7 +82,7 @@ def body_names(model: Any) -> list[str]:
 def roots_of(model: Any) -> list[int]:
     """Returns the numbers of the roots of all trees, the world body first."""
     numbers = np.arange(model.nbody)
-    return [int(number) for number in np.flatnonzero(model.body_rootid == numbers)]
+    return [int(number) for number in np.flatnonzero(entity_roots(model) == numbers)]
 
 
 class ModelReader:
@@ -105,9 +111,14 @@ class ModelReader:
         self._names = names or {}
         self._kinds = kinds or {}
         self._part_names = part_names or {}
-        self._root_names = body_names(model)
+        self._root_names, self._flex_names = body_names(model), flex_names(model)
         self._link_names = [self._part_names.get(name, name) for name in self._root_names]
         self._geoms = _by_owner(model.geom_bodyid, colliding_geoms(model, disabled), model.nbody)
+        self._margins = margins_of(model).listed
+        self._flex_shapes: dict[int, list[PlacedGeometry]] = defaultdict(list)
+        for body, flex, shape in flex_shapes(model):
+            margin = self._margins[model.ngeom + flex]
+            self._flex_shapes[body].append(replace(shape, margin=margin))
         self._joints = _by_owner(model.jnt_bodyid, np.arange(model.njnt), model.nbody)
         self._geometries: dict[int, Geometry] = {}
 
@@ -123,26 +134,37 @@ class ModelReader:
 
     def _is_chosen(self, root: int) -> bool:
         """Checks whether a tree is an entity; the world body is one if it has geoms or sites."""
-        is_empty = not (root or self._geoms[0] or sites_on(self._model, range(1)))
+        has_parts = self._geoms[0] or self._flex_shapes[0] or sites_on(self._model, range(1))
+        is_empty = not (root or has_parts)
         return not is_empty and (self._only is None or root in self._only)
 
     def _body(self, root: int, links: range) -> Body:
         model = self._model
         joints = tuple(self._joint(n, link - root) for link in links for n in self._joints[link])
         name, kind = self._root_names[root], kind_by_joints(joints)
+        own_name = self._flex_names.get(root, name)
+        if root in self._flex_names:
+            kind = "kinbody"
         return Body(
             handle=root,
-            name=self._names.get(name, self._names.get(root, name)),
-            kind=self._kinds.get(name, self._kinds.get(root, kind)),
+            name=self._names.get(name, self._names.get(root, own_name)),
+            kind=self._kinds.get(own_name, self._kinds.get(name, self._kinds.get(root, kind))),
             movable=bool(joints) or bool((model.body_mocapid[links.start : links.stop] >= 0).any()),
             links=(*(self._link(number, root) for number in links), *self._site_links(links)),
             joints=joints,
-            shapes=tuple(self._shape(n, link - root) for link in links for n in self._geoms[link]),
+            shapes=tuple(self._shapes(links)),
         )
+
+    def _shapes(self, links: range) -> Iterator[PlacedGeometry]:
+        """Yields the shapes of the geoms on some bodies, then those of flexes."""
+        root = links.start
+        yield from (self._shape(n, link - root) for link in links for n in self._geoms[link])
+        for link in links:
+            yield from (replace(one, frame=link - root) for one in self._flex_shapes[link])
 
     def _link(self, number: int, root: int) -> Link:
         model = self._model
-        parent = -1 if number == root else int(model.body_parentid[number]) - root
+        parent = -1 if number == root else max(int(model.body_parentid[number]) - root, 0)
         return Link(self._link_names[number], parent, float(link_masses(model)[number]))
 
     def _site_links(self, links: range) -> Iterator[Link]:
@@ -189,7 +211,7 @@ class ModelReader:
             mujoco.mju_quat2Mat(matrix, orientation)
             position += matrix.reshape(3, 3) @ centre
         return PlacedGeometry(
-            link, geometry, position, orientation, float(model.geom_margin[number]), is_exact
+            link, geometry, position, orientation, self._margins[number], is_exact
         )
 
 
@@ -231,14 +253,19 @@ def numbers_of(body: Body) -> range:
     return range(body.handle, body.handle + body.rigid_count)
 
 
-def geoms_of(model: Any, body: Body, disabled: Indices | None = None) -> Indices:
-    """Returns the geoms that are the shapes of a body, in their order; see `colliding_geoms`."""
+def parts_of(model: Any, body: Body, disabled: Indices | None = None) -> Indices:
+    """Returns the geoms and flexes that the shapes of a body are of, in their order.
+
+    Flexes are numbered after all geoms. See `colliding_geoms`.
+    """
     links = np.array(numbers_of(body))
     numbers = colliding_geoms(model, disabled)
     owners = model.geom_bodyid[numbers]
     chosen = numbers[np.isin(owners, links)]
     order: Indices = chosen[np.argsort(model.geom_bodyid[chosen], kind="stable")]
-    return order
+    flexes = [(owner, flex) for owner, flex, _ in flex_shapes(model) if owner in links]
+    after = [model.ngeom + flex for _, flex in sorted(flexes, key=itemgetter(0))]
+    return np.concatenate((order, np.array(after, np.intp)))
 
 
 def colliding_geoms(model: Any, disabled: Indices | None = None) -> Indices:
@@ -339,4 +366,4 @@ def _is_same_shape(one: PlacedGeometry, other: PlacedGeometry) -> bool:
 
 def inexact(bodies: Sequence[Body]) -> Iterator[str]:
     """Yields the names of bodies with a shape that a box stands in for."""
-    return (body.name for body in bodies if body.has_stand_ins)
+    return (body.name for body in bodies if body.has_stand_ins and not body.bends)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
 
@@ -11,62 +11,172 @@ import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.simulators.interface import ContactPoints
-from ssduck.simulators.mujoco.library import mujoco
+from ssduck.simulators.mujoco.flexes import Flex, entity_roots, flexes_of
+from ssduck.simulators.mujoco.library import copied_data, mujoco
 
 # The largest number of contacts whose forces are compared one by one, which is faster then.
 _FEW = 16
+# The flag that lets bodies sleep; 0 before MuJoCo 3.4.
+_SLEEP = int(getattr(mujoco.mjtEnableBit, "mjENBL_SLEEP", 0))
 
 
 @dataclass(frozen=True, eq=False)
-class GeomOwners:
-    """The bodies of geoms by their numbers; that of -1, which is no geom, is -1.
+class Owners:
+    """The bodies that contacts of a model are of.
 
     Attributes:
-        bodies: (geoms + 1,), the body of each geom.
-        roots: (geoms + 1,), the root of its tree.
+        bodies: (geoms + 1,), the body of each geom; that of -1, which is no geom, is -1.
+        roots: (bodies + 1,), the first body of the entity of each body; that of -1 is -1.
+        flexes: the flexes.
     """
 
     bodies: Indices
     roots: Indices
+    flexes: Sequence[Flex]
 
     @classmethod
     def of(cls, model: Any) -> Self:
-        """Returns those of the geoms of a model."""
+        """Returns those of a model."""
         bodies = model.geom_bodyid.astype(np.intp)
-        roots = model.body_rootid[bodies].astype(np.intp)
-        return cls(np.append(bodies, -1), np.append(roots, -1))
+        return cls(np.append(bodies, -1), np.append(entity_roots(model), -1), flexes_of(model))
+
+    def of_contacts(self, data: Any) -> Indices:
+        """Returns the bodies of the contacts of a step, (n, 2); -1 for none."""
+        contact = data.contact
+        bodies: Indices = self.bodies.take(contact.geom)
+        if not self.flexes or bodies.min(initial=0) >= 0:
+            return bodies
+        sides = contact.flex, contact.elem, contact.vert
+        for side, (flexes, elements, vertices) in enumerate(
+            zip(*(s.T for s in sides), strict=True)
+        ):
+            for flex in self.flexes:
+                rows = (flexes == flex.number).nonzero()[0]
+                parts = contact.pos[rows], elements[rows], vertices[rows]
+                bodies[rows, side] = flex.nearest(data, *parts)
+        return bodies
+
+
+@dataclass(frozen=True, eq=False)
+class StepContacts:
+    """The arrays of the contacts of a step, copied from MuJoCo's.
+
+    Attributes:
+        bodies: (n, 2), their bodies.
+        distances, addresses, dims, frames, middles, frictions: (n, …), as MuJoCo has them.
+        efc_forces: the forces of all constraints, which the addresses are places in.
+    """
+
+    bodies: Indices
+    distances: Array
+    addresses: Indices
+    dims: Indices
+    frames: Array
+    middles: Array
+    frictions: Array
+    efc_forces: Array
+
+    @classmethod
+    def of(cls, data: Any, owners: Owners) -> Self:
+        """Returns those of the last step of data."""
+        contact = data.contact
+        return cls(
+            owners.of_contacts(data),
+            contact.dist.copy(),
+            contact.efc_address.copy(),
+            contact.dim.copy(),
+            contact.frame.copy(),
+            contact.pos.copy(),
+            contact.friction.copy(),
+            data.efc_force.copy(),
+        )
+
+    def only(self, are_chosen: Flags) -> Self:
+        """Returns some of them."""
+        chosen = {name: values[are_chosen] for name, values in self._of_contacts().items()}
+        return replace(self, **chosen)
+
+    def _of_contacts(self) -> dict[str, Any]:
+        """Returns the arrays of contacts by their names."""
+        return {name: values for name, values in vars(self).items() if name != "efc_forces"}
+
+    def joined(self, other: Self) -> Self:
+        """Returns these and others."""
+        addresses = np.where(other.addresses < 0, -1, other.addresses + len(self.efc_forces))
+        shifted = vars(other) | {"addresses": addresses}
+        return replace(
+            self,
+            **{name: np.concatenate((mine, shifted[name])) for name, mine in vars(self).items()},
+        )
+
+
+class SleepingContacts:
+    """The contacts of sleeping bodies, which MuJoCo neither lists nor computes.
+
+    A copy of the data is computed with all bodies awake, once for as long as the same ones sleep
+    where they are: so the contacts are those of the step in which they fell asleep.
+    """
+
+    def __init__(self) -> None:
+        self._known: tuple[tuple[bytes, ...], StepContacts] | None = None
+
+    def complete(self, model: Any, data: Any, owners: Owners) -> StepContacts:
+        """Returns the contacts of the last step, with those of sleeping bodies."""
+        listed = StepContacts.of(data, owners)
+        if not (model.opt.enableflags & _SLEEP):
+            return listed
+        is_asleep = np.append(data.tree_asleep >= 0, False)
+        if not is_asleep.any():
+            return listed
+        # The tree of what does not move is -1: it does not sleep either.
+        trees = np.append(model.body_treeid, -1)
+        sleepers = is_asleep[trees[:-1]]
+        key = sleepers.tobytes(), data.xpos[sleepers].tobytes(), data.xquat[sleepers].tobytes()
+        is_awake = ~is_asleep[trees] & (trees >= 0)
+        if self._known is None or self._known[0] != key:
+            known = _awakened(model, data, owners)
+            self._known = key, known.only(~is_awake[known.bodies].any(axis=1))
+        return listed.only(is_awake[listed.bodies].any(axis=1)).joined(self._known[1])
+
+
+def _awakened(model: Any, data: Any, owners: Owners) -> StepContacts:
+    """Returns the contacts of the present state if no body slept."""
+    copied = copied_data(model, data, mujoco.MjData(model))
+    flags = model.opt.enableflags
+    try:
+        model.opt.enableflags = flags & ~_SLEEP
+        mujoco.mj_forward(model, copied)
+    finally:
+        model.opt.enableflags = flags
+    return StepContacts.of(copied, owners)
 
 
 class MuJoCoContacts:
-    """The contact points of the last step between geoms.
+    """The contact points of the last step.
 
-    MuJoCo's arrays are copied at once, and read when something is asked: most programs ask for the
-    contacts of two bodies. MuJoCo's normal points from the first geom to the second. Points at a
-    distance, which margins allow, count if they press.
+    They are computed when something is asked: most programs ask for the contacts of two bodies.
+    MuJoCo's normal points from the first side to the second. Points at a distance, which margins
+    allow, count if they press.
 
     Args:
         model: the model.
-        data: its data.
-        owners: the bodies of its geoms.
+        contacts: the arrays of the contacts.
+        roots: the first body of the entity of each body; see `Owners`.
         only: the root bodies whose contacts count; None for all. There may be contacts of others
             from the step before they were left out.
     """
 
     def __init__(
-        self, model: Any, data: Any, owners: GeomOwners, only: Collection[int] | None
+        self, model: Any, contacts: StepContacts, roots: Indices, only: Collection[int] | None
     ) -> None:
-        contact = data.contact
-        self._owners, self._only = owners, only
+        self._contacts, self._only = contacts, only
         self._is_pyramidal = model.opt.cone == int(mujoco.mjtCone.mjCONE_PYRAMIDAL)
-        self._geoms, self._distances = contact.geom.copy(), contact.dist.copy()
-        self._addresses, self._dims = contact.efc_address.copy(), contact.dim.copy()
-        self._frames, self._middles = contact.frame.copy(), contact.pos.copy()
-        self._frictions, self._efc_forces = contact.friction.copy(), data.efc_force.copy()
+        self._root_of = roots
 
     @cached_property
     def _roots(self) -> Indices:
         """The root bodies of each contact, (n, 2)."""
-        roots: Indices = self._owners.roots.take(self._geoms)
+        roots: Indices = self._root_of.take(self._contacts.bodies)
         return roots
 
     def between(self, a: int, b: int, *, pressing: bool) -> tuple[Indices, Indices]:
@@ -75,10 +185,10 @@ class MuJoCoContacts:
         rows = (is_a & is_b[:, ::-1]).nonzero()[0]
         is_kept = self._are_pressing(rows)
         if not pressing:
-            is_kept |= self._distances.take(rows) <= 0.0
+            is_kept |= self._contacts.distances.take(rows) <= 0.0
         rows = rows[is_kept]
         roots = self._roots.take(rows, axis=0)
-        return roots, self._owners.bodies.take(self._geoms.take(rows, axis=0)) - roots
+        return roots, self._contacts.bodies.take(rows, axis=0) - roots
 
     def _are_pressing(self, rows: Indices) -> Flags:
         """Checks which contacts have a positive normal force."""
@@ -89,11 +199,11 @@ class MuJoCoContacts:
 
     def _is_pressing(self, row: int) -> bool:
         """Checks whether the normal force of a contact is positive; see `_forces`."""
-        first, dim = int(self._addresses[row]), int(self._dims[row])
+        first, dim = int(self._contacts.addresses[row]), int(self._contacts.dims[row])
         if first < 0:
             return False
         count = 2 * (dim - 1) if self._is_pyramidal and dim > 1 else 1
-        edges: list[float] = self._efc_forces[first : first + count].tolist()
+        edges: list[float] = self._contacts.efc_forces[first : first + count].tolist()
         return sum(edges) > 0.0
 
     def all(self) -> ContactPoints:
@@ -105,13 +215,15 @@ class MuJoCoContacts:
         roots = self._roots
         rows: Indices = np.arange(len(roots))
         forces = self._forces(rows)
-        is_kept = (roots >= 0).all(axis=1) & ((self._distances <= 0.0) | (forces[:, 0] > 0.0))
+        is_kept = (roots >= 0).all(axis=1) & (
+            (self._contacts.distances <= 0.0) | (forces[:, 0] > 0.0)
+        )
         if self._only is not None:
             is_kept &= np.isin(roots, list(self._only)).all(axis=1)
         if not is_kept.any():
             return ContactPoints.none()
-        frames, depths = self._frames.reshape(-1, 3, 3), -self._distances
-        middles, bodies = self._middles, self._owners.bodies.take(self._geoms)
+        frames, depths = self._contacts.frames.reshape(-1, 3, 3), -self._contacts.distances
+        middles, bodies = self._contacts.middles, self._contacts.bodies
         if not is_kept.all():
             forces, roots, bodies = forces[is_kept], roots[is_kept], bodies[is_kept]
             frames, depths, middles = frames[is_kept], depths[is_kept], middles[is_kept]
@@ -134,8 +246,8 @@ class MuJoCoContacts:
 
         They are the normal force and the two friction forces, as `mj_contactForce` returns them.
         """
-        addresses = self._addresses.take(rows).astype(np.intp)
-        dims = self._dims.take(rows)
+        addresses = self._contacts.addresses.take(rows).astype(np.intp)
+        dims = self._contacts.dims.take(rows)
         forces = np.zeros((len(rows), 3))
         is_active = addresses >= 0
         if not is_active.any():
@@ -148,15 +260,15 @@ class MuJoCoContacts:
             first = addresses[chosen]
             if not self._is_pyramidal or dim == 1:
                 axes = min(dim, 3)
-                forces[chosen, :axes] = self._efc_forces[first[:, None] + np.arange(axes)]
+                forces[chosen, :axes] = self._contacts.efc_forces[first[:, None] + np.arange(axes)]
                 continue
             # A pyramid has two edges for each axis of friction; their forces add up to the normal
             # one.
-            edges = self._efc_forces[first[:, None] + np.arange(2 * (dim - 1))]
+            edges = self._contacts.efc_forces[first[:, None] + np.arange(2 * (dim - 1))]
             edges = edges.reshape(len(chosen), dim - 1, 2)
             forces[chosen, 0] = edges.sum(axis=(1, 2))
             axes = min(dim - 1, 2)
             differences = edges[:, :axes, 0] - edges[:, :axes, 1]
-            frictions = self._frictions[rows[chosen], :axes]
+            frictions = self._contacts.frictions[rows[chosen], :axes]
             forces[chosen, 1 : 1 + axes] = differences * frictions
         return forces

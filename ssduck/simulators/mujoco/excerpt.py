@@ -17,6 +17,7 @@ from ssduck.formatting import joined_names
 from ssduck.geometry.poses import compose, invert
 from ssduck.simulators.backends import BodyToCopy, TickToCopy
 from ssduck.simulators.interface import SCALAR_JOINTS, Simulator
+from ssduck.simulators.mujoco.flexes import entity_roots
 from ssduck.simulators.mujoco.interventions import take_out
 from ssduck.simulators.mujoco.library import copied_data, mujoco
 from ssduck.simulators.mujoco.simulator import MuJoCoSimulator
@@ -44,7 +45,7 @@ def excerpt(
     chosen = {one.body.handle for one in originals}
     # Where everything is copied, so is what the world body shows.
     kept = {0, *chosen} if source.has_only(chosen) else chosen
-    take_out(model, data, ~np.isin(model.body_rootid, list(kept)))
+    take_out(model, data, ~np.isin(entity_roots(model), list(kept)))
     if not _is_present(source, originals, tick):
         _restore(model, data, originals, tick)
     return MuJoCoSimulator(

@@ -50,8 +50,7 @@ class LinkReader:
             for number, link in enumerate(body.links)
         ]
         self._links = np.array(links, dtype=np.intp)
-        counts = [len(body.links) for body in bodies]
-        self._roots = np.repeat([body.handle for body in bodies], counts).astype(np.intp)
+        self._roots = model.body_rootid[self._links].astype(np.intp)
         # Which of the links are sites, and the numbers of these.
         is_site = np.array([link.region is not None for b in bodies for link in b.links], bool)
         self._site_rows: Indices = np.flatnonzero(is_site)

@@ -19,6 +19,7 @@ from ssduck.geometry.ray_casting import is_triangle_surface, ray_chords
 from ssduck.geometry.solids import Solid, solid_of
 from ssduck.simulators.interface import RayHits
 from ssduck.simulators.mujoco.bodies import colliding_geoms, geometry_of
+from ssduck.simulators.mujoco.flexes import entity_roots
 from ssduck.simulators.mujoco.library import mujoco
 
 # The groups of the geoms that rays hit, and of those that they do not hit.
@@ -42,7 +43,7 @@ class RayCaster:
         self._model = copy.copy(model)
         # MuJoCo's rays pass through what is invisible.
         self._model.geom_rgba[:, 3] = 1.0
-        self._roots = model.body_rootid[model.geom_bodyid].astype(np.intp)
+        self._roots = entity_roots(model)[model.geom_bodyid]
         self._geoms = colliding_geoms(model)
         if only is not None:
             self._geoms = self._geoms[np.isin(self._roots[self._geoms], list(only))]

@@ -19,6 +19,7 @@ import numpy.typing as npt
 from ssduck.errors import UnsupportedError
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.simulators.interface import CameraView
+from ssduck.simulators.mujoco.flexes import entity_roots
 from ssduck.simulators.mujoco.library import mujoco
 from ssduck.simulators.scenes import Camera
 
@@ -91,7 +92,7 @@ def segment(
     with _renderer(model, data, viewpoint, size) as renderer:
         renderer.enable_segmentation_rendering()
         numbers, types = np.moveaxis(renderer.render(), -1, 0)
-        roots = np.append(model.body_rootid[model.geom_bodyid], -1).astype(np.intp)
+        roots = np.append(entity_roots(model)[model.geom_bodyid], -1)
         links = np.append(model.geom_bodyid, -2).astype(np.intp) - roots
         shapes = np.where(types == int(mujoco.mjtObj.mjOBJ_GEOM), numbers, -1)
         return roots[shapes], links[shapes]

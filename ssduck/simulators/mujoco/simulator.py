@@ -15,6 +15,7 @@ import numpy.typing as npt
 from ssduck.errors import SimulatorError, UnsupportedError, warn
 from ssduck.formatting import joined_names
 from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.margins import Margins
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import (
     SCALAR_JOINTS,
@@ -31,17 +32,19 @@ from ssduck.simulators.mujoco.actuators import drive, hold_positions
 from ssduck.simulators.mujoco.bodies import (
     ModelContent,
     ModelReader,
-    geoms_of,
     inexact,
     is_same,
     link_masses,
     numbers_of,
+    parts_of,
 )
-from ssduck.simulators.mujoco.contacts import GeomOwners, MuJoCoContacts
+from ssduck.simulators.mujoco.contacts import MuJoCoContacts, Owners, SleepingContacts
 from ssduck.simulators.mujoco.episodes import EpisodeClock
+from ssduck.simulators.mujoco.flexes import entity_roots
 from ssduck.simulators.mujoco.interventions import Switches, hold, holds, take_out
 from ssduck.simulators.mujoco.library import copied_data, mujoco
 from ssduck.simulators.mujoco.link_poses import LinkReader
+from ssduck.simulators.mujoco.margins import margin_content, margins_of
 from ssduck.simulators.mujoco.rays import RayCaster
 from ssduck.simulators.mujoco.rendering import Viewpoint, draw, segment
 from ssduck.simulators.mujoco.sources import Source
@@ -113,12 +116,13 @@ class MuJoCoSimulator(PartialSimulator):
         self._link_readers: list[LinkReader] = []
         self._ray_caster: RayCaster | None = None
         self._joint_rows: tuple[tuple[Body, ...], Array, Indices, Indices] | None = None
-        # The geoms of the present bodies whose margins were read.
-        self._geoms: dict[Body, Indices] = {}
-        # The margins of all geoms as they were, and those of some bodies that were read then.
-        self._margins: tuple[bytes, list[Body], list[list[float]]] | None = None
+        # The geoms and flexes of the shapes of bodies whose margins were read.
+        self._parts: dict[Body, Indices] = {}
+        # What the margins followed from, and those of some bodies that were read then.
+        self._margins: tuple[bytes, list[Body], list[list[float]] | Margins] | None = None
         # The bodies of the geoms of a model.
-        self._owners: tuple[Any, GeomOwners] | None = None
+        self._owners: tuple[Any, Owners] | None = None
+        self._sleeping = SleepingContacts()
         self._warned: set[str] = set()
         self._is_closed = False
         self.episode = 0
@@ -149,7 +153,7 @@ class MuJoCoSimulator(PartialSimulator):
         gone = [body for body in self._bodies if body not in kept]
         self._described, self._bodies = (model, ModelContent(model)), bodies
         self._ray_caster = None
-        self._link_readers, self._joint_rows, self._geoms, self._margins = [], None, {}, None
+        self._link_readers, self._joint_rows, self._parts, self._margins = [], None, {}, None
         self._warn_of_boxes(added)
         self._switch_off(added)
         return (added, gone) if added or gone else None
@@ -287,29 +291,37 @@ class MuJoCoSimulator(PartialSimulator):
             for body in bodies
         ]
 
-    def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
+    def read_margins(self, bodies: Sequence[Body]) -> list[list[float]] | Margins:
         """Returns the margins of bodies' shapes; the last known ones if a body is gone."""
-        margins, known = self.model.geom_margin, self._margins
-        content = margins.tobytes()
+        content, known = margin_content(self.model), self._margins
         if known is not None and known[0] == content and known[1] == bodies:
             return known[2]
         present = set(self._bodies)
-        for body in present.difference(self._geoms):
-            self._geoms[body] = geoms_of(self.model, body, self._switches.disabled_geoms)
-        of_bodies = [
-            margins[self._geoms[body]].tolist() if body in present else body.margins
-            for body in bodies
-        ]
+        for body in present.difference(self._parts):
+            self._parts[body] = parts_of(self.model, body, self._switches.disabled_geoms)
+        margins = margins_of(self.model)
+        of_bodies: list[list[float]] | Margins
+        if margins.classes is not None and present.issuperset(bodies):
+            parts = [self._parts[body] for body in bodies]
+            of_bodies = margins.take(np.concatenate([np.zeros(0, np.intp), *parts]))
+        else:
+            of_bodies = [
+                margins.numbers[self._parts[body]].tolist() if body in present else body.margins
+                for body in bodies
+            ]
         self._margins = content, list(bodies), of_bodies
         return of_bodies
 
     def read_contacts(self) -> Contacts:
-        """Returns the contact points of the last step between geoms."""
-        if not self._state.ncon:
+        """Returns the contact points of the last step, and those of sleeping bodies."""
+        model, state = self.model, self._state
+        if self._owners is None or self._owners[0] is not model:
+            self._owners, self._sleeping = (model, Owners.of(model)), SleepingContacts()
+        owners = self._owners[1]
+        contacts = self._sleeping.complete(model, state, owners)
+        if not len(contacts.bodies):
             return ContactPoints.none()
-        if self._owners is None or self._owners[0] is not self.model:
-            self._owners = self.model, GeomOwners.of(self.model)
-        return MuJoCoContacts(self.model, self._state, self._owners[1], self._only)
+        return MuJoCoContacts(model, contacts, owners.roots, self._only)
 
     def step(self, count: int) -> None:
         """Advances by a number of steps."""
@@ -432,7 +444,7 @@ class MuJoCoSimulator(PartialSimulator):
 
     def remove(self, body: Body) -> None:
         """Takes a body out of all interactions and descriptions; the model still has it."""
-        take_out(self.model, self.data, self.model.body_rootid == body.handle)
+        take_out(self.model, self.data, entity_roots(self.model) == body.handle)
         self._only = {one.handle for one in self._bodies if one is not body}
         self._described = self._ray_caster = None
 
