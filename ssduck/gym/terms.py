@@ -159,9 +159,8 @@ class Terms:
         Raises:
             ArgumentError: a term is no text, or there is none, or `nan` is something else.
         """
-        if nan not in ("error", "failure") and not (
-            validation.is_number(nan) and math.isfinite(nan)
-        ):
+        is_finite = not isinstance(nan, str) and validation.is_number(nan) and math.isfinite(nan)
+        if not (is_finite or nan in ("error", "failure")):
             raise ArgumentError(f"nan: give 'error', 'failure' or a number, not {short_repr(nan)}")
         rewards: Mapping[Any, Any] = (
             {} if reward is None else (reward if isinstance(reward, Mapping) else {WHOLE: reward})

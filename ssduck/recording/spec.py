@@ -171,7 +171,12 @@ def not_recorded_message(
     recording = recording or Recording()
     tables = tuple(name for name in RECORDABLE if name in (*recording.tables, table))
     call = recording_call(world, replace(recording, tables=tables))
-    what_to_do = f"{call} records it from then on" if is_live else f"record a run with {call}"
+    what_to_do = f"record a run with {call}"
+    if is_live:
+        what_to_do = (
+            f"{call} records it from then on; nothing brings back what is past: call it before the "
+            "loop"
+        )
     return f"the table of {table} of {world!r} is not recorded; {what_to_do}"
 
 
