@@ -159,7 +159,7 @@ def _ssduck(
     """Query a robot simulation in SelectScript or in SQL.
 
     SCENE is the name of a scene that comes with ssduck (see: ssduck scenes),
-    or the path of a scene file (.toml) or of a model (.urdf, .sdf, .mjcf, .xml).
+    or the path of a scene file (.toml) or of a model (.urdf, .sdf, .world, .mjcf, .xml).
     RECORD is a folder or a DuckDB file with recorded ticks.
     """
     if context.invoked_subcommand is None:
@@ -250,10 +250,11 @@ def _demonstrate_scene(
     """
     from ssduck.demos import NAMES
     from ssduck.demos.kitchen import ask
+    from ssduck.interpreter.opening import with_usable_name
     from ssduck.simulators.scenes import find_scene
 
     try:
-        scene = find_scene(name)
+        scene = with_usable_name(find_scene(name))
     except UnknownNameError as error:
         message = f"there is no demonstration {name!r}: {', '.join(NAMES)}; and {error.message}"
         names = dict.fromkeys((*nearest(name, NAMES), *error.suggestions))

@@ -70,7 +70,7 @@ def _opened_view(location: str, episode: int | None, host: str, port: int) -> It
     Raises:
         BadParameter: an episode of a scene is requested.
     """
-    from ssduck.interpreter.opening import load_tried
+    from ssduck.interpreter.opening import load_tried, with_usable_name
     from ssduck.limits import Limits
     from ssduck.simulators.scenes import find_scene
     from ssduck.simulators.trial import Trial
@@ -83,7 +83,7 @@ def _opened_view(location: str, episode: int | None, host: str, port: int) -> It
         return
     if episode is not None:
         raise typer.BadParameter(f"--episode: {location} is no record")
-    scene = find_scene(location)
+    scene = with_usable_name(find_scene(location))
     trial = Trial(scene, Limits(trial=True))
 
     def load() -> World:

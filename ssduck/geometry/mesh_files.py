@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -105,11 +106,35 @@ def _read_obj(text: str) -> tuple[Array, list[Triangles]]:
     )
 
 
+@dataclass(frozen=True)
+class _FilesBeside:
+    """Reads the files that a mesh file names, as glTF does, in its folder only."""
+
+    folder: Path
+
+    def get(self, name: str) -> bytes:
+        """Returns the content of a file.
+
+        Raises:
+            ValueError: it is elsewhere.
+        """
+        file = (self.folder / name).resolve()
+        if not file.is_relative_to(self.folder.resolve()):
+            raise ValueError(f"{file} is not beside it")
+        return file.read_bytes()
+
+    __getitem__ = get
+
+    def keys(self) -> list[str]:
+        """Returns no names: what is in the folder is nothing that the mesh tells."""
+        return []
+
+
 def _read_other(path: Path) -> tuple[Array, list[Triangles]]:
     """Reads a file with trimesh, as one object."""
     import_whole("trimesh")
     import trimesh
 
-    loaded: Any = trimesh.load_mesh(path, process=False)
+    loaded: Any = trimesh.load_mesh(path, process=False, resolver=_FilesBeside(path.parent))
     faces = np.asarray(loaded.faces, dtype=np.int32).reshape(-1, 3)
     return np.asarray(loaded.vertices, dtype=np.float64), [faces] if len(faces) else []

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Literal
 
 from ssduck import validation
-from ssduck.errors import ArgumentError, RecordError, record_errors
+from ssduck.errors import ArgumentError, RecordError, record_errors, warn
 from ssduck.interpreter.archives import recorded_runs, replayed_world, select_runs
 from ssduck.interpreter.interpreter import Interpreter
+from ssduck.interpreter.namespace import check_name
 from ssduck.limits import Limits, time_of_opening
 from ssduck.recording.folder_check import partial_run
 from ssduck.recording.paths import expand_path
@@ -30,6 +31,7 @@ def load(
     recording: Recording | Literal["default"] | None = "default",
     limits: Limits | None = None,
     simulator: str | None = None,
+    name: str | None = None,
 ) -> Interpreter:
     """Returns an interpreter with the world of a scene, bound to the name of the scene.
 
@@ -43,8 +45,11 @@ def load(
             `trial=True`, as then, a process of its own loads the scene first, unless it is shipped.
         simulator: `"mujoco"` or `"pybullet"`; by default MuJoCo, if it is installed, for an MJCF
             file, and PyBullet for everything else.
+        name: the name of the world; by default that of the scene or the file. Where this is a word
+            of the language or of SQL, as that of `main.xml`, it is `world_main`, with a warning.
 
     Raises:
+        ArgumentError: no world can have the name.
         UnknownNameError: no scene has that name; the error suggests the nearest names.
         SceneError: the scene cannot be loaded; the error names file, key and reason.
         LimitError: the process that loads it first takes too long, or too much memory.
@@ -58,7 +63,7 @@ def load(
     is_foreign = limits is not None and not limits.files and str(scene) not in shipped_scenes()
     if is_foreign:
         check_scene_inside(scene)
-    description = find_scene(scene)
+    description = with_usable_name(find_scene(scene), name)
     trial = Trial(description, limits, simulator)  # which checks the files, too
     if is_foreign and not trial.is_needed and description.path not in shipped_scenes().values():
         check_files_inside(description)
@@ -71,6 +76,36 @@ def load(
         interpreter.close()
         raise
     return interpreter
+
+
+def with_usable_name(scene: Scene, name: str | None = None) -> Scene:
+    """Returns a scene whose name can be that of a variable and of a schema.
+
+    Args:
+        scene: the scene.
+        name: another name; None for that of the scene, or, with a warning, one like it.
+
+    Raises:
+        ArgumentError: no world can have the other name.
+    """
+    if name is not None:
+        _check_world_name(name)
+        return replace(scene, name=name)
+    try:
+        _check_world_name(scene.name)
+    except ArgumentError as error:
+        name = f"world_{scene.name}"
+        reason = error.message.partition("; choose")[0]
+        warn(
+            f"{scene.path}: {reason}; the world is {name!r}; load(…, name=…) gives it another name"
+        )
+        return replace(scene, name=name)
+    return scene
+
+
+def _check_world_name(name: str) -> None:
+    check_name(name, "a world")
+    validation.world_name(name)
 
 
 def load_tried(scene: Scene, trial: Trial, simulator: str | None = None) -> World:

@@ -13,7 +13,7 @@ from ssduck.simulators.toml_reader import Quaternion, TomlTable, Vector
 
 # The suffixes of model files by the key of a body.
 MODEL_FILES: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {"urdf": (".urdf",), "sdf": (".sdf",), "mjcf": (".mjcf", ".xml")}
+    {"urdf": (".urdf",), "sdf": (".sdf", ".world"), "mjcf": (".mjcf", ".xml")}
 )
 MODEL_SUFFIXES = tuple(suffix for suffixes in MODEL_FILES.values() for suffix in suffixes)
 # The number of values of a primitive by the key of a body, with the values in words.

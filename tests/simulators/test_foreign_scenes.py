@@ -423,7 +423,7 @@ COLLADA = (
     '<triangles count="1"><input semantic="VERTEX" source="#v" offset="0"/><p>0 1 2</p></triangles>'
     '</mesh></geometry></library_geometries><library_visual_scenes><visual_scene id="s">'
     '<node id="n"><instance_geometry url="#g"/></node></visual_scene></library_visual_scenes>'
-    "</COLLADA>"
+    '<scene><instance_visual_scene url="#s"/></scene></COLLADA>'
 )
 # (old, new, words of the error): each crashes PyBullet 3.2.7, or makes it take all memory
 DAMAGES = [

@@ -327,7 +327,17 @@ PARTS = [
     ("sdf", "in_world", "<gravity>0 0 1</gravity>", "<gravity>"),
     ("sdf", "in_world", "<wind><linear_velocity>9 0 0</linear_velocity></wind>", "<wind>"),
     ("sdf", "in_world", '<state world_name="w"/>', "<state>"),
-    ("sdf", "pose", ' relative_to="base"', "<pose relative_to> of arm"),
+    *(
+        ("sdf", "pose", f' {name}="nowhere"', f"<pose {name}> of arm")
+        for name in ("relative_to", "frame")
+    ),
+    (
+        "sdf",
+        "in_link",
+        "<visual name='v'><geometry><mesh><uri>a.obj</uri><submesh><name>x</name></submesh></mesh>"
+        "</geometry></visual>",
+        "<submesh> of v",
+    ),
     ("urdf", "in_joint", '<mimic joint="k"/>', "<mimic> of j"),
     ("urdf", "end", '<transmission name="t"/>', "<transmission> of t"),
     ("urdf", "end", '<gazebo reference="a"><selfCollide>1</selfCollide></gazebo>', "<gazebo>"),
@@ -369,6 +379,8 @@ def motion(path, format):
 @pytest.mark.parametrize(("format", "slot", "part", "words"), PARTS)
 def test_an_ignored_part_is_warned_of(load, write, format, slot, part, words):
     """PyBullet moves the bodies as if the part were not there."""
+    for folder in ("plain", "part"):
+        write(f"{folder}/a.obj", urdf.box_obj((0, 0, 0), (1, 1, 1)))
     plain = motion(write("plain/" + FILES[format], filled(format)), format)
     text = filled(format, slot, part)
     assert part in text

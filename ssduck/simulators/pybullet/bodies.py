@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ssduck.errors import ArgumentError
+from ssduck.errors import ArgumentError, SimulatorError
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.mesh_files import load_hulls, load_mesh
 from ssduck.geometry.poses import IDENTITY, compose, invert, rotation_matrices
@@ -52,6 +52,8 @@ _SOFT_BODY = 3
 _FLOAT32_TOLERANCE = 1e-6
 # PyBullet's box of a link without shapes is smaller: its diagonal is 2 mm times sqrt(3).
 _MAX_EMPTY_BOX = 3.5e-3
+# The greatest number of joints of a body whose links PyBullet tells of.
+MAX_JOINTS = 127
 # Directions in which, in general, a single corner of a mesh is the farthest.
 _GENERIC_DIRECTIONS = np.array([[0.62, 0.53, 0.58], [-0.71, 0.44, -0.55], [0.37, -0.82, 0.43]])
 
@@ -179,6 +181,11 @@ class _BodyReader:
         )
         self.name = body_name(model_name) or f"body_{handle}"
         count = pybullet.getNumJoints(handle, client)
+        if count > MAX_JOINTS:
+            raise SimulatorError(
+                f"the body {self.name!r} has {count} joints, and PyBullet tells the poses of "
+                f"bodies of at most {MAX_JOINTS}, fixed ones included"
+            )
         self._joint_infos = [pybullet.getJointInfo(handle, index, client) for index in range(count)]
         self._dynamics = [pybullet.getDynamicsInfo(handle, i, client) for i in range(-1, count)]
         self.type = self._dynamics[0][10]

@@ -5,7 +5,7 @@ Each entry was measured with PyBullet 3.2.7: a body moves as if its file did not
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from xml.etree import ElementTree as ET
 
@@ -43,7 +43,9 @@ IGNORED: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "./world/wind",
             "./world/state",
             "./world[2]",
+            ".//submesh",
             ".//pose[@relative_to]",
+            ".//pose[@frame]",
         ),
         "mjcf": (
             *("./include", "./actuator", "./sensor", "./tendon", "./equality", "./contact"),
@@ -81,8 +83,8 @@ def ignored_parts(format: str, root: ET.Element) -> list[str]:
         if parts:
             what = f"<{parts[0].tag} {key}>" if bracket else f"<{parts[0].tag}>"
             found.append(what + _of_owners(parts, parents))
-    macros = {part.tag.partition("}")[2] for part in root.iter() if "xacro" in str(part.tag)}
-    found += [f"<xacro:{macro}>" for macro in sorted(macros)]
+    macros = {part.tag for part in root.iter() if part.tag.startswith("xacro:")}
+    found += [f"<{macro}>" for macro in sorted(macros)]
     if format == "urdf":
         floating = [joint for joint in root.iterfind("joint") if joint.get("type") == "floating"]
         found += ["the motion of floating joints" + _of_owners(floating, {})] if floating else []
@@ -93,24 +95,22 @@ def _has_effect(part: ET.Element, key: str) -> bool:
     """Checks whether a part, or an attribute of it, says more than the default."""
     text = part.get(key, "") if key else part.text or ""
     words = text.split()
-    return not words or not _NO_EFFECT.issuperset(words)
+    return not _NO_EFFECT.issuperset(words) if words else not key
 
 
 def _of_owners(parts: Iterable[ET.Element], parents: Mapping[ET.Element, ET.Element]) -> str:
     """Returns the names of what has some parts, in words."""
-    names = dict.fromkeys(name for part in parts for name in _name(part, parents))
+    names = dict.fromkeys(name for part in parts if (name := named_owner(part, parents)))
     return f" of {joined_names(list(names), _MAX_OWNERS)}" if names else ""
 
 
-def _name(part: ET.Element, parents: Mapping[ET.Element, ET.Element]) -> Iterator[str]:
-    """Yields the name of the nearest named element that has a part, if there is one."""
-    while part is not None:
-        if part.get("name") and part.tag not in ("robot", "world"):
-            yield str(part.get("name"))
-            return
+def named_owner(part: ET.Element, parents: Mapping[ET.Element, ET.Element]) -> str:
+    """Returns the name of the nearest named element that has a part, or is it; else nothing."""
+    while part.tag in ("robot", "world") or not part.get("name"):
         if part not in parents:
-            return
+            return ""
         part = parents[part]
+    return str(part.get("name"))
 
 
 def free_bodies(root: ET.Element) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator
 from functools import lru_cache
@@ -31,12 +32,14 @@ _WORD = re.compile(
 _LONG_LINE = re.compile(rb"[^\n]{%d,}" % PIECE)
 # The beginning of a line that is no comment.
 _TOLD = re.compile(rb"[ \t]*[a-z]")
+# The beginning of a file that Git LFS has in place of a large one.
+_POINTER = b"version https://git-lfs"
 # PyBullet reads numbers of 32 bits.
 _MAX_NUMBER = 2**31 - 1
 
 
 def check_meshes(model: Path, root: ET.Element) -> None:
-    """Checks the OBJ, STL and COLLADA files that a model file names, as far as they are beside it.
+    """Checks the OBJ, STL and COLLADA files that a model file names, where PyBullet finds them.
 
     Args:
         model: the model file.
@@ -46,24 +49,79 @@ def check_meshes(model: Path, root: ET.Element) -> None:
         SceneError: a part of one is missing, or a face has a vertex that is not there.
     """
     for name in _names_in(root):
-        file = model.parent / name
-        if file.suffix.lower() not in _CHECKS or "\0" in name:
-            continue
-        try:
-            status = file.stat()
-        except OSError:  # PyBullet says so, or finds it elsewhere
-            continue
-        fault = _fault_of(file, status.st_mtime_ns, status.st_size)
-        if fault:
+        file = find_mesh(model, name)
+        if file is not None and (fault := mesh_fault(file)):
             raise SceneError(f"{file}: {fault}")
 
 
+def mesh_fault(file: Path) -> str:
+    """Returns what would crash PyBullet in a mesh file, in words; nothing if it can be read."""
+    if file.suffix.lower() not in _CHECKS or not file.exists():
+        return ""
+    status = file.stat()
+    return _fault_of(file, status.st_mtime_ns, status.st_size)
+
+
 def _names_in(root: ET.Element) -> Iterator[str]:
-    """Yields the names of mesh files in a model file, without schemes."""
+    """Yields the names of mesh files in a model file."""
     for part in root.iter("mesh"):
         for name in (part.get("filename"), part.get("file"), part.findtext("uri")):
             if name:
-                yield _SCHEME.sub("", name.strip(), count=1)
+                yield name.strip()
+
+
+def find_mesh(model: Path, name: str) -> Path | None:
+    """Returns where PyBullet finds a mesh of a model: beside it, or in a folder above.
+
+    Args:
+        model: the model file.
+        name: the name of the mesh in it, perhaps with a scheme.
+
+    Returns:
+        The file; None if there is none.
+    """
+    name = _SCHEME.sub("", name, count=1)
+    if not name or "\0" in name:
+        return None
+    folders = [*model.absolute().parents, *map(Path, (".", "..", "../.."))]
+    places = (folder / name.lstrip("/") for folder in folders)
+    return next((place for place in places if os.path.exists(place)), None)  # noqa: PTH110  # any name
+
+
+def is_readable(file: Path) -> bool:
+    """Checks whether PyBullet reads triangles from a mesh file, if it is not damaged."""
+    try:
+        status = file.stat()
+    except OSError:
+        return False
+    return file.is_file() and _has_triangles(file, status.st_mtime_ns, status.st_size)
+
+
+@lru_cache(maxsize=256)
+def _has_triangles(file: Path, _time: int, size: int) -> bool:
+    match file.suffix.lower():
+        case ".obj":
+            faces = _FACE.finditer(file.read_bytes())
+            return any(len(_words(face[1])) > 2 for face in faces)
+        case ".stl":
+            return size == 84 + 50 * _triangle_count(file)
+        case ".dae":
+            return not is_pointer(file)
+    return False
+
+
+def is_pointer(file: Path) -> bool:
+    """Checks whether a file is a pointer that Git LFS has in place of a large one."""
+    if not file.is_file():
+        return False
+    with file.open("rb") as stream:
+        return stream.read(len(_POINTER)) == _POINTER
+
+
+def _triangle_count(file: Path) -> int:
+    """Returns the number of triangles that the header of a binary STL file tells."""
+    with file.open("rb") as stream:
+        return int.from_bytes(stream.read(84)[80:], "little")
 
 
 @lru_cache(maxsize=64)
@@ -133,8 +191,7 @@ def _vertex(word: bytes) -> int:
 def _stl_fault(file: Path) -> str:
     """Returns what is wrong with an STL file, in words; nothing if it can be read."""
     size = file.stat().st_size
-    with file.open("rb") as stream:
-        count = int.from_bytes(stream.read(84)[80:], "little")
+    count = _triangle_count(file)
     expected = 84 + 50 * count
     if size >= 84 and expected != size and expected % (1 << 32) == size:
         return f"it counts {count:,} triangles in {size:,} bytes"

@@ -10,8 +10,17 @@ from xml.etree import ElementTree as ET
 
 from ssduck.errors import SceneError
 from ssduck.formatting import joined_names, short_repr
+from ssduck.simulators.model_xml import parse_tolerantly
+from ssduck.simulators.pybullet.bodies import MAX_JOINTS
 from ssduck.simulators.pybullet.ignored_parts import free_bodies, has_unknown_angles, ignored_parts
 from ssduck.simulators.pybullet.model_numbers import check_numbers
+from ssduck.simulators.pybullet.model_repairs import (
+    join_numbers,
+    reads_otherwise,
+    replace_meshes,
+    write_for_pybullet,
+)
+from ssduck.simulators.pybullet.sdf_frames import place_frames
 from ssduck.simulators.scene_bodies import BodySpec
 from ssduck.simulators.scene_files import cut_lines
 
@@ -38,28 +47,52 @@ class ModelFile:
     """A model file as XML.
 
     Attributes:
+        file: the path.
         format: one of `MODEL_FILES`.
-        root: the root element; an empty element for a file that is not XML.
+        root: the root element, as PyBullet is to read it.
+        is_other: whether PyBullet would read something else in the file, so that it gets another.
         is_cut: whether PyBullet reads another model in the file, since it cuts long lines.
+        left_out: what is left out, in words.
     """
 
+    file: Path
     format: str
     root: ET.Element
-    is_cut: bool = False
+    is_other: bool
+    is_cut: bool
+    left_out: list[str]
 
     @classmethod
     def read(cls, spec: BodySpec) -> ModelFile:
-        """Reads the file of a scene entry."""
+        """Reads the file of a scene entry.
+
+        Raises:
+            SceneError: it is no XML.
+        """
         assert isinstance(spec.model, Path)
         try:
             content = spec.model.read_bytes()
-            root = ET.fromstring(content)  # noqa: S314  # PyBullet reads it, too
-        except (ET.ParseError, OSError, ValueError):
-            return cls(spec.source, ET.Element("none"))  # PyBullet may read it all the same
-        return cls(spec.source, root, _is_cut(content, root))
+            root, is_other = parse_tolerantly(content)
+        except (ET.ParseError, OSError, ValueError) as error:
+            raise SceneError(f"it cannot be read as XML: {error}") from error
+        is_cut = not is_other and _is_cut(content, root)
+        is_other |= reads_otherwise(content) | join_numbers(root)
+        if spec.source == "sdf":
+            is_other |= place_frames(root)
+        has_changed, left_out = replace_meshes(spec.model, spec.source, root)
+        return cls(spec.model, spec.source, root, is_other or has_changed, is_cut, left_out)
 
-    def check(self) -> None:
+    def for_pybullet(self, folder: Path) -> Path:
+        """Returns a file in which PyBullet reads what the file means: it, or one in a folder."""
+        if not self.is_other:
+            return self.file
+        return write_for_pybullet(self.file, self.format, self.root, folder)
+
+    def check(self) -> list[str]:
         """Checks that the file does not crash PyBullet 3.2.7, and that its numbers are right.
+
+        Returns:
+            What PyBullet leaves out, or takes for 0, in words.
 
         Raises:
             SceneError: the file would crash it, or a number is out of bounds.
@@ -76,12 +109,14 @@ class ModelFile:
             if self.format == "sdf":
                 _check_texts(model)
             _check_roots(model)
-        check_numbers(self.format, self.root)
+            _check_count(model, self.format)
+        doubts = check_numbers(self.format, self.root)
         if self.is_cut:
             raise SceneError(
                 f"PyBullet reads lines in pieces of {MAX_LINE:,} bytes, and would read another "
                 "model: write it on several lines"
             )
+        return [*self.left_out, *doubts]
 
     def _check_world(self, world: ET.Element) -> None:
         """Checks the `<worldbody>` of an MJCF file."""
@@ -156,7 +191,7 @@ def _is_cut(content: bytes, root: ET.Element) -> bool:
     if cut == content:
         return False
     try:
-        return _told(ET.fromstring(cut)) != _told(root)  # noqa: S314
+        return _told(parse_tolerantly(cut)[0]) != _told(root)
     except (ET.ParseError, ValueError):
         return True
 
@@ -205,6 +240,25 @@ def _check_texts(part: ET.Element) -> None:
         if part.tag in _TEXTS and not (part.text or "").strip():
             raise SceneError(f"a <{part.tag}> is empty")
         waiting += reversed(part)
+
+
+def _check_count(model: ET.Element, format: str) -> None:
+    """Checks that PyBullet has room for the joints of a model.
+
+    Raises:
+        SceneError: there are too many.
+    """
+    count = len(model.findall("joint"))
+    if count > MAX_JOINTS:
+        other = (
+            '; load(…, simulator="mujoco") reads URDF, without what is only drawn'
+            if format == "urdf"
+            else ""
+        )
+        raise SceneError(
+            f"the model {model.get('name')!r} has {count} joints, and PyBullet has room for "
+            f"{MAX_JOINTS} in a body, fixed ones included{other}"
+        )
 
 
 def _check_roots(model: ET.Element) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -22,8 +23,11 @@ from ssduck.simulators.scene_bodies import BodySpec, Material, Primitive
 # The beginning of each of Bullet's messages, which do not end in a new line.
 _MESSAGE_START = re.compile(r"b3(?:Error|Warning)\[[^]]*\]:")
 # Messages about parts of files that are not loaded, and the beginning of some of them.
-_SKIPPED = re.compile(r"cannot find|unhandled geom type|geom requires|multiple root links")
-_FILE_AND_LINE = re.compile(r"^.*:\d+: ")
+_SKIPPED = re.compile(
+    r"cannot find|cannot extract|parse vector3 '|unhandled geom type|geom requires"
+    r"|multiple root links"
+)
+_FILE_AND_LINE = re.compile(r"^(?:.*:\d+|\S*/): ")
 _SHAPES = {
     "box": pybullet.GEOM_BOX,
     "sphere": pybullet.GEOM_SPHERE,
@@ -38,7 +42,7 @@ class LoadedModel(NamedTuple):
 
     Attributes:
         handles: PyBullet's numbers of the bodies.
-        messages: what PyBullet says of parts of the file that it skips.
+        messages: what PyBullet leaves out or takes for 0, in words.
     """
 
     handles: Sequence[int]
@@ -62,28 +66,32 @@ def load_model(spec: BodySpec, place: str, client: int) -> LoadedModel:
     where = f"{place}{spec.source}: " if place else ""
     failure: Exception | None = None
     handles: Sequence[int] = ()
+    doubts: list[str] = []
     with captured() as lines:
         try:
-            handles = _load_file(spec, client)
+            handles = _load_file(spec, client, doubts)
         except (pybullet.error, UnicodeEncodeError, SceneError) as error:
             failure = error
     messages = [part.strip() for part in _MESSAGE_START.split(" ".join(lines)) if part.strip()]
     if failure is None:
         skipped = (message for message in messages if _SKIPPED.search(message))
-        return LoadedModel(handles, tuple(_FILE_AND_LINE.sub("", message) for message in skipped))
+        said = dict.fromkeys(_FILE_AND_LINE.sub("", message) for message in skipped)
+        return LoadedModel(handles, (*doubts, *said))
     reason = "; ".join(messages) or str(failure)
     raise SceneError(f"{where}{spec.model} cannot be loaded: {reason}") from failure
 
 
-def _load_file(spec: BodySpec, client: int) -> Sequence[int]:
-    file = str(spec.model)
+def _load_file(spec: BodySpec, client: int, doubts: list[str]) -> Sequence[int]:
+    """Loads a model file; adds what PyBullet leaves out or takes for 0 to a list."""
     model_file = ModelFile.read(spec)
-    model_file.check()
-    check_meshes(Path(file), model_file.root)
-    if spec.source == "urdf":
-        return (_load_urdf(spec, file, client),)
-    load = pybullet.loadSDF if spec.source == "sdf" else pybullet.loadMJCF
-    handles: Sequence[int] = load(file, physicsClientId=client)
+    doubts += model_file.check()
+    check_meshes(model_file.file, model_file.root)
+    with tempfile.TemporaryDirectory(prefix="ssduck") as folder:
+        file = str(model_file.for_pybullet(Path(folder)))
+        if spec.source == "urdf":
+            return (_load_urdf(spec, file, client),)
+        load = pybullet.loadSDF if spec.source == "sdf" else pybullet.loadMJCF
+        handles: Sequence[int] = load(file, physicsClientId=client)
     if not handles:
         ignored = "".join(f"; PyBullet {part}" for part in model_file.ignored(spec.fixed))
         raise SceneError(f"no body is in it{ignored}")

@@ -271,7 +271,7 @@ class _Meshes:
         """Writes a hull or a mesh; returns the name of the file."""
         if geometry.key not in self._names:
             name = self._next(".obj")
-            (self._folder / name).write_text(_obj(geometry), encoding="utf-8")
+            (self._folder / name).write_text(obj_text(geometry), encoding="utf-8")
             self._names[geometry.key] = name
         return self._names[geometry.key]
 
@@ -288,7 +288,8 @@ class _Meshes:
         return f"{self._stem}_{len(self._names) + 1}{suffix}"
 
 
-def _obj(geometry: Geometry) -> str:
+def obj_text(geometry: Geometry) -> str:
+    """Returns a hull or a mesh as an OBJ file."""
     corners = geometry.vertices
     faces: Iterable[Iterable[int]] = geometry.faces
     if not len(geometry.faces):
