@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 import warnings
 from pathlib import Path
 
@@ -17,6 +15,7 @@ import ssduck
 from ssduck.errors import ArgumentError, SceneError, SimulatorError
 from ssduck.world.world import World
 from tests.support.bodies import client_of
+from tests.support.command_line import ssduck_
 from tests.support.models import mjcf_body, mjcf_of, sdf_link, sdf_model, sdf_of
 from tests.support.urdf import box_obj, collision, joint, link, robot
 
@@ -305,6 +304,26 @@ def test_more_joints_are_an_error_that_names_mujoco(load, write, client):
         World.attach(client)
 
 
+def test_continuous_joints_have_no_range(load):
+    """PyBullet keeps their ranges, URDF does not."""
+    wheel = joint("j", "continuous", "a", "b", limit='<limit lower="0" upper="0" effort="3"/>')
+    entity, told = load("a.urdf", robot(link("a"), link("b"), wheel))
+    assert not told
+    (turned,) = entity.joints
+    assert (turned.lower, turned.upper) == (None, None)
+    entity.move(joints={"j": 7.0})
+    load.world.tick()
+    (turned,) = entity.joints
+    assert turned.position == pytest.approx(7.0)
+
+
+def test_an_attribute_where_sdf_has_a_text(load):
+    """As in a gripper of PyBullet's own; it would crash PyBullet."""
+    model = sdf_model("m", sdf_link(extra='<contact><lateral_friction value="0.25"/></contact>'))
+    load("a.sdf", sdf_of(model))
+    assert pybullet.getDynamicsInfo(0, -1, client_of(load.world))[1] == 0.25
+
+
 def test_mujoco_keeps_the_names_of_links_at_fixed_joints(write):
     pytest.importorskip("mujoco")
     with ssduck.load(write("a.urdf", chain(140)), simulator="mujoco") as ss:
@@ -342,16 +361,9 @@ def test_the_name_of_a_world(write):
 
 def test_commands_find_such_names_too(write):
     path = write("main.urdf", ROOT)
-    command = [
-        sys.executable,
-        "-m",
-        "ssduck",
-        "query",
-        str(path),
-        "SELECT id FROM world_main AS list;",
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert "model" in done.stdout
+    result = ssduck_("query", str(path), "SELECT id FROM world_main AS list;")
+    assert "model" in result.stdout
+    assert "the world is 'world_main'" in result.stderr
 
 
 def test_world_files_are_sdf(load):

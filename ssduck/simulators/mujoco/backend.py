@@ -51,8 +51,6 @@ def load(scene: Scene) -> MuJoCoSimulator:
     try:
         # The specification is the source of the model, which is kept to save it.
         spec = mujoco.MjSpec.from_file(str(file))
-        if file.suffix.lower() in MODEL_FILES["urdf"]:
-            spec.compiler.fusestatic = False  # links at fixed joints keep their names
         add_spare_welds(spec)
         compiled = spec.compile()
         data = mujoco.MjData(compiled)

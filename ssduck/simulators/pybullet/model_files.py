@@ -15,6 +15,7 @@ from ssduck.simulators.pybullet.bodies import MAX_JOINTS
 from ssduck.simulators.pybullet.ignored_parts import free_bodies, has_unknown_angles, ignored_parts
 from ssduck.simulators.pybullet.model_numbers import check_numbers
 from ssduck.simulators.pybullet.model_repairs import (
+    free_continuous_joints,
     join_numbers,
     reads_otherwise,
     replace_meshes,
@@ -78,7 +79,9 @@ class ModelFile:
         is_cut = not is_other and _is_cut(content, root)
         is_other |= reads_otherwise(content) | join_numbers(root)
         if spec.source == "sdf":
-            is_other |= place_frames(root)
+            is_other |= _fill_texts(root) | place_frames(root)
+        if spec.source == "urdf":
+            is_other |= free_continuous_joints(root)
         has_changed, left_out = replace_meshes(spec.model, spec.source, root)
         return cls(spec.model, spec.source, root, is_other or has_changed, is_cut, left_out)
 
@@ -228,6 +231,15 @@ def _check_names(parts: Iterable[ET.Element]) -> None:
             )
 
 
+def _fill_texts(root: ET.Element) -> bool:
+    """Takes attributes `value`, as in URDF, for texts that are empty; returns whether there are."""
+    empty = [part for part in root.iter() if part.tag in _TEXTS and not len(part)]
+    filled = [part for part in empty if not (part.text or "").strip() and part.get("value")]
+    for part in filled:
+        part.text = part.get("value")
+    return bool(filled)
+
+
 def _check_texts(part: ET.Element) -> None:
     """Checks the texts that PyBullet reads in a model of an SDF file."""
     waiting = [part]
@@ -250,11 +262,7 @@ def _check_count(model: ET.Element, format: str) -> None:
     """
     count = len(model.findall("joint"))
     if count > MAX_JOINTS:
-        other = (
-            '; load(…, simulator="mujoco") reads URDF, without what is only drawn'
-            if format == "urdf"
-            else ""
-        )
+        other = '; load(…, simulator="mujoco") reads it' if format == "urdf" else ""
         raise SceneError(
             f"the model {model.get('name')!r} has {count} joints, and PyBullet has room for "
             f"{MAX_JOINTS} in a body, fixed ones included{other}"

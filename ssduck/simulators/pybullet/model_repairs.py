@@ -50,6 +50,24 @@ def _has_breaks(text: str) -> bool:
     return bool(_BREAK.search(text)) and _NUMBERS.fullmatch(text) is not None
 
 
+def free_continuous_joints(root: ET.Element) -> bool:
+    """Removes the ranges of the continuous joints of a URDF file; returns whether there are any.
+
+    PyBullet keeps them, and URDF does not: a joint from 0 to 0 turns as far as it likes.
+    """
+    ranges = [
+        limit
+        for joint in root.iterfind("joint")
+        if joint.get("type") == "continuous"
+        for limit in joint.iterfind("limit")
+        if limit.get("lower") or limit.get("upper")
+    ]
+    for limit in ranges:
+        limit.attrib.pop("lower", None)
+        limit.attrib.pop("upper", None)
+    return bool(ranges)
+
+
 def replace_meshes(model: Path, format: str, root: ET.Element) -> tuple[bool, list[str]]:
     """Gives PyBullet meshes that it can read: converts others, and leaves out what cannot be read.
 
