@@ -30,7 +30,7 @@ class Selection:
     """The rows that a query selects, as an adapter sees them.
 
     All rows are of one tick, unless the query reads a range of ticks. With GROUP BY or CONNECT
-    BY, an adapter gets one selection for each group or path.
+    BY, an adapter gets one selection for each group or path, unless it joins groups.
 
     Args:
         read: returns at most the given number of rows, all of them for None.
@@ -232,6 +232,7 @@ class Adapter:
         select: replaces the query by another one before it runs; None runs the query itself.
         writes: whether the form writes a file, which `Limits` may forbid.
         tables: the tables of a tick, beside `entities`, that the form reads.
+        joins_groups: whether GROUP BY gives one value of the rows of all groups, instead of a dict.
     """
 
     names: tuple[str, ...]
@@ -241,6 +242,7 @@ class Adapter:
     select: Callable[[Query], Query] | None = None
     writes: bool = False
     tables: frozenset[str] = frozenset()
+    joins_groups: bool = False
 
     @cached_property
     def signature(self) -> inspect.Signature:

@@ -166,10 +166,23 @@ TABULAR = (
         "display it.",
         _result,
         needs="columns",
+        joins_groups=True,
     ),
-    Adapter(("arrow",), "A pyarrow table.", table_of, needs="columns"),
-    Adapter(("df", "pandas"), "A pandas data frame. Extra: pandas.", _df, needs="columns"),
-    Adapter(("polars", "pl"), "A polars data frame. Extra: polars.", _polars, needs="columns"),
+    Adapter(("arrow",), "A pyarrow table.", table_of, needs="columns", joins_groups=True),
+    Adapter(
+        ("df", "pandas"),
+        "A pandas data frame. Extra: pandas.",
+        _df,
+        needs="columns",
+        joins_groups=True,
+    ),
+    Adapter(
+        ("polars", "pl"),
+        "A polars data frame. Extra: polars.",
+        _polars,
+        needs="columns",
+        joins_groups=True,
+    ),
     Adapter(
         ("numpy",),
         "A 2-D NumPy array if all columns are numbers, or lists of equally many numbers, side "

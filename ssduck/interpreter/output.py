@@ -96,6 +96,8 @@ class AsClause:
             finally:
                 selection.close()
         selected = run(query, frame, check)
+        if self.adapter.joins_groups and query.recursion is None:
+            selected = _together(selected)
         if query.adapter is not None and query.adapter.of_sql:
             selected = _together(selected)
             if self.name == "value":
@@ -134,7 +136,7 @@ def _together(selected: Selected) -> Rows:
         assert isinstance(selected, Rows)
         return selected
     groups = [_together(group) for group in selected.groups.values()]
-    names = groups[0].names if groups else ()
+    names = (groups or [selected.empty])[0].names
     if any(group.names != names for group in groups):
         names = [name for group in groups for name in group.names]
     return Rows([row for group in groups for row in group.values], names)

@@ -48,9 +48,15 @@ class Paths:
 
 @dataclass(frozen=True)
 class Groups:
-    """The result of a query with GROUP BY: the rows, or the paths, of each group."""
+    """The result of a query with GROUP BY: the rows, or the paths, of each group.
+
+    Attributes:
+        groups: the result of each group, by its printed key.
+        empty: no rows, with the names of the columns.
+    """
 
     groups: dict[str, Selected]
+    empty: Rows
 
 
 Selected: TypeAlias = Rows | Paths | Groups
@@ -198,12 +204,12 @@ class Clauses:
                 order,
                 outer.scope.meter.step,
             )
-        aggregated = self._aggregated
-        if aggregated is not None:
-            return Groups(
-                {key: aggregated.row(frames[key], outer) for key in selected_keys[window]}
-            )
-        return Groups({key: select(groups[key]) for key in selected_keys[window]})
+        aggregated, keys = self._aggregated, selected_keys[window]
+        selected = {
+            key: select(groups[key]) if aggregated is None else aggregated.row(frames[key], outer)
+            for key in keys
+        }
+        return Groups(selected, self.items.rows([]))
 
     def _select_all(
         self,

@@ -465,3 +465,41 @@ def test_results_stay_plain(kitchen):
     """A list that shows itself would be no list to those who look at its type."""
     assert type(kitchen.eval("SELECT id FROM kitchen;")) is list
     assert find("parquet").writes
+
+
+@pytest.mark.parametrize("form", TABLES)
+@pytest.mark.parametrize("row_by_row", [False, True])
+def test_groups_are_one_frame(form, row_by_row):
+    """As GROUP BY of SQL and of pandas gives it; a plain list has a part for each group."""
+    numbers = "FROM [1, 2, 3, 4, 5] GROUP BY this % 2"
+    with ssduck.Interpreter(row_by_row=row_by_row) as ss:
+        for select, expected in [
+            ("this % 2 AS odd, count(*) AS n, max(this) AS most", [(1, 3, 5), (0, 2, 4)]),
+            ("this % 2 AS odd, this AS number", [(1, 1), (1, 3), (1, 5), (0, 2), (0, 4)]),
+        ]:
+            frame = ss.eval(f"SELECT {select} {numbers} AS {form};")
+            names = [part.rpartition(" ")[2] for part in select.split(", ")]
+            assert contents(frame) == (names, expected)
+            empty = ss.eval(f"SELECT {select} {numbers} HAVING count(*) > 9 AS {form};")
+            assert contents(empty) == (names, [])
+        assert ss.eval(f"SELECT this {numbers} AS list;") == {"1": [1, 3, 5], "0": [2, 4]}
+
+
+def contents(frame):
+    """Returns the names of the columns of a table of any kind, and its rows."""
+    if isinstance(frame, pd.DataFrame):
+        return list(frame.columns), list(frame.itertuples(index=False, name=None))
+    if isinstance(frame, pl.DataFrame):
+        return frame.columns, frame.rows()
+    result = Result(frame) if isinstance(frame, pa.Table) else frame
+    return result.columns, result.fetchall()
+
+
+def test_two_columns_as_a_list_and_as_tables():
+    """The list is flat, as published; each row of a frame is a row."""
+    with ssduck.Interpreter() as ss:
+        text = "SELECT this, -this FROM [1, 2] AS"
+        assert ss.eval(f"{text} list;") == [1, -1, 2, -2]
+        assert contents(ss.eval(f"{text} df;"))[1] == [(1, -1), (2, -2)]
+        assert ss.eval(f"{text} table;").fetchall() == [(1, -1), (2, -2)]
+        assert ss.eval(f"{text} records;") == [(1, -1), (2, -2)]

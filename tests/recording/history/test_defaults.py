@@ -24,6 +24,7 @@ def test_the_call_that_records_a_table_is_named(falling: ssduck.Interpreter, tab
         falling.sql(f"SELECT * FROM {table}_history")
     call = re.search(r"ss\.record\(.*\)\)", str(raised.value))
     assert call is not None
+    assert "nothing brings back what is past: call it before the loop" in str(raised.value)
     eval(call.group(), {"ss": falling, "ssduck": ssduck})  # noqa: S307  # the advice as it stands
     _step(falling, 100)
     assert falling.sql(f"SELECT count(*) FROM {table}_history").fetchone() != (0,) or (
