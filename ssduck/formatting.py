@@ -35,11 +35,19 @@ def path_text(world: str, entity: str, part: str) -> str:
     >>> path_text("lab", "arm", "tip"), path_text("lab", "select", "tip")
     ('lab.arm.tip', "lab['select']['tip']")
     """
-    names = (world, entity, part)
+    return name_path(world, entity, part)
+
+
+def name_path(world: str, *names: str) -> str:
+    """Returns how a program names an entity, or a part of one.
+
+    >>> name_path("lab", "cup"), name_path("lab", "duplo2x4/")
+    ('lab.cup', "lab['duplo2x4/']")
+    """
     words = (*RESERVED_WORDS, "THIS")  # `lab.this.tip` asks for the tips of a column
-    if all(name.isidentifier() and name.upper() not in words for name in names):
-        return ".".join(names)
-    return f"{world}[{entity!r}][{part!r}]"
+    if all(name.isidentifier() and name.upper() not in words for name in (world, *names)):
+        return ".".join((world, *names))
+    return world + "".join(f"[{name!r}]" for name in names)
 
 
 def short_repr(value: Any) -> str:

@@ -30,7 +30,7 @@ FORGOTTEN_AFTER = 240
 ID_FACTOR = 1 << 32
 # The id of a link is (its number + 1) times this plus the id of its entity; so ids of entities are
 # fewer, and ids of links are fewer than `MAX_IDS`.
-LINK_FACTOR = 1 << 22
+LINK_FACTOR = 1 << 19
 MAX_IDS = 1 << 31
 MAX_LINKS = MAX_IDS // LINK_FACTOR - 1
 # The numbers of an entity that may be infinite; the others are finite or unknown.
@@ -330,7 +330,7 @@ _LINKS = Table(
     is_on_demand=True,
     view_columns=(
         Column(
-            "id", "integer", "id of the link, among those of entities: (link + 1) * 2^22 + entity"
+            "id", "integer", "id of the link, among those of entities: (link + 1) * 2^19 + entity"
         ),
         Column("full_name", "string", "names of entity and link, unique in the world"),
         Column("kind", "string", "link or site"),

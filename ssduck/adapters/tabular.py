@@ -170,7 +170,7 @@ TABULAR = (
     ),
     Adapter(("arrow",), "A pyarrow table.", table_of, needs="columns", joins_groups=True),
     Adapter(
-        ("df", "pandas"),
+        ("df", "pandas", "dataframe"),
         "A pandas data frame. Extra: pandas.",
         _df,
         needs="columns",

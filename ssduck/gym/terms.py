@@ -515,7 +515,8 @@ class Judge:
         if all(body is not None and not body.movable for body in known):
             raise ArgumentError(
                 f"{term.key}: {term.text!r} can never change: no joint moves "
-                f"{' or '.join(sorted(entities))}"
+                f"{' or '.join(sorted(entities))}; if a reset moves it, give its place as a "
+                "variable: variables={'place': lambda env: …}"
             )
 
 

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, Protocol, Self
+from typing import Any, ClassVar, Literal, Protocol, Self
 from weakref import WeakKeyDictionary
 
 from ssduck import validation
@@ -86,6 +86,9 @@ class ServedPage(Protocol):
     def __exit__(self, *_: object) -> None: ...
 
 
+_EXPORT = "export(folder) writes a world's ticks, record_to(folder, world) those from now on"
+
+
 class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
     """Runs SelectScript programs and raw SQL on worlds.
 
@@ -111,6 +114,12 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
     ...     ss.eval("SELECT this * this FROM [1, 2, 3] AS list;")
     [1, 4, 9]
     """
+
+    INSTEAD_OF: ClassVar = {
+        "save": _EXPORT,
+        "export_to": _EXPORT,
+        "query": "eval(program) and sql(statement)",
+    }
 
     def __init__(
         self,
@@ -554,7 +563,7 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
             try:
                 return Result(self._database.user_rows(text, parameters))
             except SqlError as error:
-                add_hint(error, self._database.worlds)
+                add_hint(error, text, self._database.worlds)
                 raise
 
     def view(

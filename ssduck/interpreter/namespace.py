@@ -352,7 +352,13 @@ class Namespace:
             if name in AGGREGATES and count > 1:
                 usage = f"of several values, it is {name}([a, b])"
         else:
-            raise unknown_function(node, self._known_functions())
+            error = unknown_function(node, self._known_functions())
+            worlds = [key for key, value in self.variables.items() if isinstance(value, World)]
+            is_bare = node.span == node.name_span and ";" not in error.message
+            if is_bare and worlds:
+                error.message += f", and no variable; the worlds are {', '.join(worlds)}"
+                error.suggestions = nearest(name, [*self._known_functions(), *self.variables])
+            raise error
         if not fits:
             expected = f"{minimum}" if minimum == maximum else f"{minimum} to {maximum}"
             plural = "" if expected == "1" else "s"

@@ -186,8 +186,11 @@ class Planner:
             types_text = ", ".join(
                 short_repr(v) if isinstance(v, float) else type_in_words(v) for v in values
             )
+            lacking = "; room.robot is the row's entity if it is a robot, else nothing: "
+            lacking += "name an entity, as in room['panda']"
             raise ArgumentError(
-                f"{call.name} does not take ({types_text}): {RELATIONS[call.name].usage}",
+                f"{call.name} does not take ({types_text}): {RELATIONS[call.name].usage}"
+                + lacking * (None in values),
                 span=query.span,
             )
         (row,) = planned.run(types.frame(), ()).values  # type: ignore[union-attr]

@@ -5,7 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Collection
 
-from ssduck.errors import SqlError, nearest
+from ssduck.errors import SelectScriptError, SqlError, nearest
+from ssduck.language.parser import parse
+from ssduck.schema import TABLES
+from ssduck.sql.relations.registry import RELATIONS
 
 # DuckDB's errors of unknown tables, schemas and columns, and of a field of a number.
 _TABLE = re.compile(r"Catalog Error: Table with name (\w+) does not exist!")
@@ -13,22 +16,43 @@ _SCHEMA = re.compile(
     r'Catalog Error: Table with name "[^"]*" does not exist because schema "(\w+)"'
 )
 _COLUMN = re.compile(r'column "(\w+)" not found|does not have a column named "(\w+)"')
-_FIELD = re.compile(r"Cannot extract field '\w+' from expression \"(\w+)\"")
+_FIELD = re.compile(r"Cannot extract field '\w+' from expression \"('[^']*'|\w+)\"")
+_FUNCTION = re.compile(r"Function with name \"?(\w+)\"? does not exist")
+_NUMBER = re.compile(r"Could not convert string '(.*)' to INT64")
+_NO_SOURCE = re.compile(r'Referenced table "(\w+)" not found')
+# The relations whose names are words of SQL, where they are called.
+_RESERVED = {
+    name.lower(): relation.aliases[0] for name, relation in RELATIONS.items() if relation.aliases
+}
+_CALLED = re.compile(rf"\b({'|'.join(_RESERVED)})\s*\(", re.IGNORECASE)
+_OWN_TABLES = re.compile(rf"\b({'|'.join(TABLES)})\b", re.IGNORECASE)
+_NAMES = {name.lower(): name for name in RELATIONS}
+_IS_SELECTSCRIPT = (
+    "This is SelectScript: ss.eval runs it, and ssduck query without --sql. In SQL, entities are "
+    "rows: SELECT b.name FROM entities a, entities b WHERE above(a, b) AND a.name = 'table'"
+)
 # The columns of what SelectScript has as a list.
 _LISTS = {
     "position": "the columns x, y and z; positionOf(e) is a list of them",
     "orientation": "the columns qw, qx, qy and qz; orientation(e) is a list of them",
     "velocity": "the columns vx, vy and vz",
 }
+# The names that relations and tables have, and what is meant by those of tables.
+_TABLE_CALLS = {
+    "joints": "joints is a table: FROM joints j JOIN entities e ON e.id = j.entity; the position "
+    "of one joint is joint(e, 'its name')",
+    "links": "links is a table: FROM links l JOIN entities e ON e.id = l.entity",
+}
 # The columns that are ids of entities.
 _IDS = ("entity", "sensor", "a", "b")
 
 
-def add_hint(error: SqlError, worlds: Collection[str]) -> None:
+def add_hint(error: SqlError, sql: str, worlds: Collection[str]) -> None:
     """Adds a hint to the error of a user's statement, if there is one.
 
     Args:
         error: the error.
+        sql: the statement.
         worlds: the names of the worlds.
     """
     message = error.message
@@ -37,16 +61,77 @@ def add_hint(error: SqlError, worlds: Collection[str]) -> None:
             f"there is no table {match.group(1)!r}; of the world, there are {world}.entities, "
             f"{world}.links, {world}.contacts and so on"
         )
+        if _is_selectscript(sql):
+            error.message += f"\n{_IS_SELECTSCRIPT}"
     elif match := _SCHEMA.match(message):
         error.message = f"there is no world or schema {match.group(1)!r}"
         error.suggestions = tuple(nearest(match.group(1), worlds))
-    elif match := _COLUMN.search(message):
-        name = (match.group(1) or match.group(2)).lower()
-        if name in _LISTS:
-            error.message += f"\nThe {name} of an entity is in {_LISTS[name]}"
-    elif (match := _FIELD.search(message)) and (name := match.group(1).lower()) in _IDS:
+    elif hint := _hint(message, sql, worlds):
+        error.message += f"\n{hint}"
+
+
+def _hint(message: str, sql: str, worlds: Collection[str]) -> str:
+    """Returns the hint for a message of DuckDB's; empty if there is none."""
+    if message.startswith("Parser Error"):
+        return _hint_of_syntax(sql)
+    if match := _COLUMN.search(message):
+        return _hint_of_column((match.group(1) or match.group(2)).lower())
+    if match := _FIELD.search(message):
+        return _hint_of_row(match.group(1))
+    if match := _FUNCTION.search(message):
+        return _TABLE_CALLS.get(match.group(1).lower(), "")
+    if match := _NUMBER.search(message):
+        return (
+            "The ids of entities are numbers in SQL; their names are in the column name: "
+            f"WHERE name = {match.group(1)!r}"
+        )
+    if (match := _NO_SOURCE.search(message)) and _world(match.group(1), worlds):
+        return _IS_SELECTSCRIPT
+    return ""
+
+
+def _hint_of_syntax(sql: str) -> str:
+    called = _CALLED.search(sql)
+    if called is not None and (_OWN_TABLES.search(sql) or not _is_selectscript(sql)):
+        name = called.group(1)
+        return f"{name} is a word of SQL: write {_RESERVED[name.lower()]}(…)"
+    return _IS_SELECTSCRIPT if _is_selectscript(sql) else ""
+
+
+def _hint_of_column(name: str) -> str:
+    if name == "this":
+        return _IS_SELECTSCRIPT
+    if name in _LISTS:
+        return f"The {name} of an entity is in {_LISTS[name]}"
+    relation = RELATIONS.get(_NAMES.get(name, ""))
+    if relation is None or relation.parameters[0].type != "entity":
+        return ""
+    rest = "" if relation.required_count == 1 else ", …"
+    alias = relation.aliases[0] if relation.aliases else relation.name
+    return f"{alias} is a function of a row: write {alias}(e{rest}), with FROM entities e"
+
+
+def _hint_of_row(expression: str) -> str:
+    name = expression.lower()
+    if name in _IDS:
         join = f"JOIN entities e ON e.id = {name}"
-        error.message += f"\n{name} is the id of an entity; a join has its columns: {join}"
+        return f"{name} is the id of an entity; a join has its columns: {join}"
+    if expression.startswith("'") or name in ("name", "id"):
+        which = expression if expression.startswith("'") else "'table'"
+        return (
+            f"Relations take rows, not {'names' if name != 'id' else 'ids'}: "
+            f"FROM entities a, entities b WHERE near(a, b, 0.1) AND b.name = {which}"
+        )
+    return ""
+
+
+def _is_selectscript(sql: str) -> bool:
+    """Checks whether a text that is no SQL is a program of SelectScript."""
+    try:
+        parse(sql)
+    except SelectScriptError:
+        return False
+    return True
 
 
 def _world(name: str, worlds: Collection[str]) -> str | None:

@@ -388,6 +388,13 @@ class TemporalEvaluator:
         values = [frame.value(place) for place in places]
         handles = [isinstance(value, Handle) and value.moment is None for value in values]
         worlds = {v.world for v, is_entity in zip(values, handles, strict=True) if is_entity}
+        if not worlds and any(isinstance(value, Handle) for value in values):
+            raise UnsupportedError(
+                f"{call.name} is of the present, and its entities are past ones here: set a "
+                "variable first, as in start = initially(z(room.cup)); "
+                "holds(z(room.cup) - start >= 0.1)",
+                span=expression.span,
+            )
         if not worlds:
             raise ArgumentError(
                 f"{call.name} takes an expression of entities, such as near(gripper, cup, 0.02)",

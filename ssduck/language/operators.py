@@ -264,7 +264,7 @@ def indexed(value: Any, index: Any, span: SourceSpan) -> Any:
     except TypeError as error:
         message = f"{type_in_words(value)} has no element {short_repr(index)}"
         if isinstance(index, str) and hasattr(type(value), "key_hint"):
-            message += f"; {value.key_hint}"
+            message += f"; {value.key_hint(index)}"
         raise ArgumentError(message, span=span) from error
     except Exception as error:
         raise as_evaluation_error(error, span) from error

@@ -89,7 +89,9 @@ _TABLE = "the tables are those of ss.sql; in a program the source is the world: 
 # The suggestions for names of SQL that a program may use as its own.
 _OWN_NAMES = {
     **dict.fromkeys(("RANDOM", "RAND"), _RANDOM),
-    **dict.fromkeys(("ENTITIES", "JOINTS", "SHAPES", "CONTACTS", "SENSINGS"), _TABLE),
+    **dict.fromkeys(("ENTITIES", "SHAPES", "CONTACTS", "SENSINGS"), _TABLE),
+    "JOINTS": "the position of one joint is joint(entity, 'name'); all are a table of ss.sql: "
+    "SELECT name, position FROM joints",
     "TICKS": _TABLE,
     **dict.fromkeys(("NOW", "CURRENT_DATE", "CURRENT_TIME", "CURRENT_TIMESTAMP", "TODAY"), _TIMES),
     **dict.fromkeys(("DATE_PART", "DATEDIFF", "DATE_DIFF", "DATE_TRUNC", "STRFTIME"), _TIMES),

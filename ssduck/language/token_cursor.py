@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from typing import NoReturn, TypeVar
 
@@ -17,6 +18,10 @@ T = TypeVar("T")
 # Parsing and evaluation recurse; a deeper program is an error instead of a crash.
 MAXIMUM_DEPTH = 60
 
+
+# What follows a dot and is no name as it stands, `room.a:b`, and how far before an error it begins.
+_SIGNED_NAME = re.compile(r"\b([A-Za-z_]\w*)\.(\w+[/:][\w/:]*)")
+_MAX_SIGNED = 80
 
 CLAUSES = frozenset(
     (
@@ -170,6 +175,14 @@ class Cursor:
                 f"nested deeper than {MAXIMUM_DEPTH} levels", text=self.text, span=self.here()
             )
 
+    def _name_with_signs(self) -> str | None:
+        """Returns how to write a name such as `room.a/` or `room.a:b` before the current token."""
+        place = self.here().start
+        for found in _SIGNED_NAME.finditer(self.text, max(0, place - _MAX_SIGNED)):
+            if found.start() < place <= found.end():
+                return f"{found.group(1)}[{found.group(2)!r}]"
+        return None
+
     def fail(self, message: str) -> NoReturn:
         """Raises the error for the current token.
 
@@ -177,6 +190,8 @@ class Cursor:
             ParseError: always; with a suggestion for a word of SQL.
         """
         token = self.token
+        if (signed := self._name_with_signs()) is not None:
+            message += f" (a name with other signs is written {signed})"
         names: tuple[str, ...] = ()
         if token is None:
             result, instead = "the end of the text", ""

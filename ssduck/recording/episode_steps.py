@@ -144,8 +144,10 @@ class EpisodeSteps:
 
     @property
     def tags(self) -> dict[str, Tag]:
-        """The tags of the episode: `return`, as far as it is finite, and `success`."""
+        """The tags of the episode: `return`, as far as it is finite, `seed` and `success`."""
         tags: dict[str, Tag] = {"return": self.total} if math.isfinite(self.total) else {}
+        if self.seed is not None:
+            tags["seed"] = self.seed
         return tags if self.success is None else tags | {"success": self.success}
 
     def write(self, folder: Path, world: str, number: int) -> None:

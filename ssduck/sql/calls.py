@@ -154,6 +154,8 @@ def _argument_error(
     if sql.rows or sql.outer is not None:
         return NotSqlError()
     message = f"{relation.name}: {parameter.name} must be {parameter.meaning}, not {actual}"
+    if actual == "a text" and parameter.type in ("entity", "place"):
+        message += "; the entity of a name is room['cup'] in a world room, that of a row this"
     return ArgumentError(message, span=node.span)
 
 

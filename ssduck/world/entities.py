@@ -59,9 +59,6 @@ class JointState:
         return openness(self, self.position)
 
 
-_TOLD = "functions tell of an entity: z(this), or k.z where k is a source"
-
-
 class Entity(Handle, OpenRaveEntity):
     """A handle of a robot, kinbody or sensor; its properties are those at its world's last tick.
 
@@ -153,13 +150,14 @@ class Entity(Handle, OpenRaveEntity):
                 raise
             raise TypeError(error.message) from error
 
-    @property
-    def key_hint(self) -> str:
-        """The hint of the error for a program that indexes the entity by another name."""
+    def key_hint(self, key: str) -> str:
+        """The hint of the error for a program that asks for a part or a value by a key."""
         parts = links_and_sites_of(self)
         kinds = " and ".join(dict.fromkeys(f"{part.kind}s" for part in parts))
-        names = joined_names([part.name for part in parts])
-        return f"its {kinds}: {names}; {_TOLD}" if parts else _TOLD
+        names = [part.name for part in parts]
+        near = nearest(key, names, 1)
+        told = f"did you mean {near[0]!r}?" if near else super().key_hint(key)
+        return f"its {kinds}: {joined_names(names)}; {told}" if parts else told
 
     @property
     def joints(self) -> list[JointState]:

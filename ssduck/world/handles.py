@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
 
 from ssduck.errors import RemovedEntityError
+from ssduck.formatting import name_path
 from ssduck.schema import MASSES, TABLES, EntityTable
 from ssduck.world.public_names import HANDLE_INTERNALS, PublicNames
 
@@ -40,6 +41,10 @@ class RecordedTick:
 
     record: WorldArchive
     tick: int
+
+
+# What `aabb(entity)` lists.
+_SIDES = ("xmin", "xmax", "ymin", "ymax", "zmin", "zmax")
 
 
 class Handle(PublicNames):
@@ -128,6 +133,16 @@ class Handle(PublicNames):
         with self.state.lock:
             self.state.request_tables([MASSES])
             return self._numbers("mass", "mass")[0]
+
+    def key_hint(self, key: str) -> str:
+        """The hint of the error for a program that asks for a value by a key, as in `cup.z`."""
+        owner = getattr(self, "owner", None)
+        path = name_path(self.world.name, *([] if owner is None else [owner]), self.name)
+        key = "z" if key.startswith("_") else key
+        told = "functions tell of an entity, a link or a site: "
+        if key in _SIDES:
+            return f"{told}aabb({path})[{_SIDES.index(key)}]"
+        return f"{told}{key}({path}), {key}(this) of a row, or k.{key} of a source k"
 
     def column(self, name: str) -> Any:
         """Returns the value of a column of the row; None if it is unknown."""

@@ -31,7 +31,7 @@ class Link(Handle):
 
     Attributes:
         world: the world of the entity.
-        id: the number of the link in the world: (link number + 1) * 2**22 + id of the entity.
+        id: the number of the link in the world: (link number + 1) * 2**19 + id of the entity.
         name: the name as in the model.
         owner: the name of the entity.
         moment: the recorded tick to which the handle is fixed; None for the world's last tick.
@@ -41,8 +41,6 @@ class Link(Handle):
 
     TABLE: ClassVar[EntityTable] = "links"
     kind = "link"
-    # The hint of the error for a program that indexes a link.
-    key_hint = "functions tell of a link: z(this)"
 
     def __init__(
         self, world: World, id: int, name: str, owner: str, moment: RecordedTick | None = None
@@ -123,7 +121,6 @@ class Site(Link):
 
     TABLE = "sites"
     kind = "site"
-    key_hint = "functions tell of a site: z(this)"
 
     @property
     def parent(self) -> Link:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABCMeta
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
 
@@ -25,7 +25,9 @@ class PublicNames(metaclass=_PublicNamesType):
 
     __slots__ = ()
 
-    INTERNAL_NAMES: ClassVar[frozenset[str]] = frozenset(("INTERNAL_NAMES",))
+    INTERNAL_NAMES: ClassVar[frozenset[str]] = frozenset(("INTERNAL_NAMES", "INSTEAD_OF"))
+    # What there is in place of a name that users of other libraries look for.
+    INSTEAD_OF: ClassVar[Mapping[str, str]] = {}
 
     def __dir__(self) -> Iterable[str]:
         return [name for name in super().__dir__() if name not in self.INTERNAL_NAMES]
@@ -39,6 +41,8 @@ class PublicNames(metaclass=_PublicNamesType):
             is_unknown = not name.startswith("_") and not hasattr(kind, name)
             if is_unknown and hasattr(kind, "__contains__") and name in self:
                 message += f"; write [{name!r}] instead of .{name}"
+            elif is_unknown and name in self.INSTEAD_OF:
+                message += f"; {self.INSTEAD_OF[name]}"
             raise AttributeError(message, name=name, obj=self)
 
 

@@ -22,7 +22,7 @@ from ssduck.errors import (
     UnsupportedError,
     nearest,
 )
-from ssduck.formatting import contents_of, path_text, short_repr
+from ssduck.formatting import contents_of, name_path, path_text, short_repr
 from ssduck.geometry.arrays import Indices
 from ssduck.schema import (
     LINK_FACTOR,
@@ -56,6 +56,16 @@ from ssduck.world.what_if import what_if_tick
 
 T = TypeVar("T")
 
+# What to write for what is a table in SQL.
+_SOURCES = {
+    "entities": "its entities are FROM {0}",
+    "links": "its links are FROM links({0})",
+    "sites": "its sites are FROM sites({0})",
+    "joints": "joint({0}.arm, 'name') is the position of a joint; the table is for ss.sql: "
+    "SELECT * FROM {0}.joints",
+    "contacts": "inContact(a, b) asks for contacts; the table is for ss.sql: "
+    "SELECT * FROM {0}.contacts",
+}
 # At most so many parts that have the name that no entity has are told of.
 _MAX_OWNERS = 3
 
@@ -387,11 +397,15 @@ class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicName
         infos = self.snapshot.entities
         links = [(i.name, link.name) for i in infos if i.body is not None for link in i.body.links]
         owners = [owner for owner, link in links if link == name]
+        if name in _SOURCES and not owners:
+            return UnknownNameError(f"{message}; {_SOURCES[name].format(self.name)}")
         if not owners:
             near = nearest(name, [info.name for info in infos])
             if not near:
                 paths_of = {link: f"{owner}.{link}" for owner, link in links}
                 near = tuple(paths_of[link] for link in nearest(name, paths_of))
+            if near and not near[0].isidentifier():
+                message += f"; names with other signs are written {name_path(self.name, near[0])}"
             return UnknownNameError(message, suggestions=near)
         choices = " or ".join(path_text(self.name, owner, name) for owner in owners[:_MAX_OWNERS])
         return UnknownNameError(f"{message}; a part of another one has that name: write {choices}")

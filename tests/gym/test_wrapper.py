@@ -189,6 +189,7 @@ def test_pybullet(wrap, reconnects):
         ({"reward": {"a": "z(sim.ball) > 1"}}, ArgumentError, r"reward\['a'\]: .* not a number"),
         ({"success": "1 > 2"}, ArgumentError, "can never change: it has no entity"),
         ({"success": "z(sim.table) > 2"}, ArgumentError, "can never change: no joint moves table"),
+        ({"success": "z(sim.table) > 2"}, ArgumentError, "if a reset moves it.*variables={"),
         ({"success": "z(sim.ball) >"}, SelectScriptError, "success: "),
         ({"success": "z(sim.ball) > 1; 2"}, ArgumentError, "one expression"),
         (

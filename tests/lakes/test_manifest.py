@@ -47,6 +47,12 @@ def test_columns(recorded):
     assert row["size"] == sum(file.stat().st_size for file in own)
 
 
+def test_the_seed_of_an_episode_is_a_column(recorded):
+    seeds = ssduck.lake(recorded).episodes["seed"].to_pylist()
+    assert len(set(seeds)) == EPISODES
+    assert list(ask(recorded, where=f"seed = {seeds[3]}")) == [3]
+
+
 def test_duckdb_polars_and_pandas_read_it(recorded):
     import duckdb
     import polars as pl

@@ -627,3 +627,13 @@ def test_mistakes(load, tmp_path, text, files, key, words, nearest):
         assert caught.value.suggestions or "velocity" in text
     else:
         assert caught.value.suggestions == nearest
+
+
+def test_what_pybullet_goes_on_without_is_no_part_of_an_error(load):
+    """A model file with a mistake behind two things that PyBullet only mentions."""
+    link = "<link name='l'><collision name='c'><geometry><mesh><uri>no.obj</uri></mesh></geometry>"
+    text = f"<sdf version='1.6'><model name='a'>{link}</collision></link></model></sdf>"
+    with pytest.raises(SceneError, match=r"cannot be loaded: .*no\.obj") as caught:
+        load('[[body]]\nsdf = "a.sdf"\n', a_sdf=text)
+    assert "continuing without" not in str(caught.value)
+    assert "using mass=" not in str(caught.value)

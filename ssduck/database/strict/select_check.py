@@ -217,7 +217,8 @@ class _Walk:
         if kind == "BASE_TABLE":
             self._check_table(node, queries)
         elif kind == "SHOW_REF" and node["query"] is None:
-            self._refuse(node, "SHOW: use DESCRIBE and the name of a table")
+            names = ", ".join(sorted(_TABLES))
+            self._refuse(node, f"SHOW: use DESCRIBE and the name of a table, one of {names}")
         elif kind == "TABLE_FUNCTION":
             self._check_table_function(node, queries)
             yield node["function"]["arguments"], queries

@@ -22,6 +22,8 @@ from ssduck.simulators.scene_bodies import BodySpec, Material, Primitive
 
 # The beginning of each of Bullet's messages, which do not end in a new line.
 _MESSAGE_START = re.compile(r"b3(?:Error|Warning)\[[^]]*\]:")
+# What PyBullet prints of what it goes on without: no part of a failure.
+_CHATTER = re.compile(r"continuing without|using mass=", re.IGNORECASE)
 # Messages about parts of files that are not loaded, and the beginning of some of them.
 _SKIPPED = re.compile(
     r"cannot find|cannot extract|parse vector3 '|unhandled geom type|geom requires"
@@ -77,7 +79,7 @@ def load_model(spec: BodySpec, place: str, client: int) -> LoadedModel:
         skipped = (message for message in messages if _SKIPPED.search(message))
         said = dict.fromkeys(_FILE_AND_LINE.sub("", message) for message in skipped)
         return LoadedModel(handles, (*doubts, *said))
-    reason = "; ".join(messages) or str(failure)
+    reason = "; ".join(m for m in messages if not _CHATTER.search(m)) or str(failure)
     raise SceneError(f"{where}{spec.model} cannot be loaded: {reason}") from failure
 
 
