@@ -92,7 +92,7 @@ def compared(suite: Suite, task: dict[str, Any], episodes: int, steps: int) -> C
     """Compares the flag of a task with its query, in episodes and in states made by hand."""
     variables = {name: _reader(path) for name, path in task.get("variables", {}).items()}
     timed = _Timed(suite.make(task["name"], steps))
-    env = QueryWrapper(timed, task["success"], variables=variables)
+    env = QueryWrapper(timed, task["success"], variables=variables, forward=False)
     result = Comparison(task["name"])
     try:
         for number in range(episodes):

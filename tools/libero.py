@@ -200,6 +200,7 @@ class Task:
             " AND ".join(conditions[: len(libero.parsed_problem["goal_state"])]),
             reward={str(number): f"int({text})" for number, text in enumerate(conditions)},
             variables={name: partial(_given, half) for name, half in halves.items()},
+            forward=False,  # LIBERO reads xpos
         )
         for name, half in halves.items():
             self._env.interpreter[name] = half

@@ -11,6 +11,7 @@ import gymnasium
 from ssduck import validation
 from ssduck.errors import ArgumentError, ProgramWarning, SimulatorError, warn
 from ssduck.formatting import short_repr
+from ssduck.gym.forward_check import ForwardCheck
 from ssduck.gym.terms import Judge, Judgement, Reward, Terms, WhereNaN
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.namespace import check_name
@@ -66,8 +67,9 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         record_to: a folder for the record of all episodes; it may have others.
         recording: the tables and entities that are recorded; all by default.
         forward: for MuJoCo, whether terms see the poses that belong to the joint positions of the
-            step, in place of those at the beginning of the simulator's last step, as the
-            environment's own code does.
+            step, `qpos`, in place of those before the simulator's last step, which `xpos` has:
+            True if the environment's own code reads `qpos`, False if it reads `xpos`. None is
+            False, with a warning at the first of 1,000 steps at which a flag depends on it.
         step_time: for PyBullet, the simulated time of a step of the environment, s; None for one
             step of the client.
         nan: what a term is that cannot be computed, since a pose, a velocity or a variable is NaN:
@@ -95,7 +97,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         variables: Mapping[str, VariableReader] | None = None,
         record_to: str | Path | None = None,
         recording: Recording | None = None,
-        forward: bool = False,
+        forward: bool | None = None,
         step_time: float | None = None,
         nan: WhereNaN = "error",
         limits: Limits | None = None,
@@ -121,7 +123,8 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         self._variables = _checked_variables(variables, world)
         self._step_time = None if step_time is None else validation.seconds(step_time, "step_time")
         self._folder = None if record_to is None else expand_path(record_to).absolute()
-        self._recording, self._forward, self._world = recording, forward, world
+        self._recording, self._forward, self._world = recording, bool(forward), world
+        self._forward_check: ForwardCheck | None = None
         self._steps: EpisodeSteps | None = None
         self._record: ParquetRecording | None = None
         self._is_saved, self._is_closed = True, False
@@ -137,6 +140,10 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
                 tuple(self._variables),
                 if_unknown=_IF_UNKNOWN,
             )
+            has_flags = self._terms.success or self._terms.failure or self._terms.stop_when
+            if forward is None and self._client is None and has_flags:
+                parts = self.env.unwrapped, self._terms, world, tuple(self._variables)
+                self._forward_check = ForwardCheck(*parts, limits)
             # The first reset may build the simulation, or give variables their values.
             self._is_checked = False
             if len(self._simulation):
@@ -198,6 +205,8 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         judgement = self._judge.judgement()
         if judgement.reward is not None:
             reward = judgement.reward
+        if self._forward_check is not None:
+            self._forward_check.check(len(self._steps.times), values, judgement)
         terminated = bool(terminated or judgement.stop)
         self._steps.add_tick(simulation.tick_number, simulation.time, values)
         self._steps.rewards.append(float(reward))
@@ -216,6 +225,8 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             if self._record is not None:
                 self._record.close()
         finally:
+            if self._forward_check is not None:
+                self._forward_check.close()
             self._interpreter.close()
             super().close()
 
@@ -261,6 +272,8 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             self._simulation.begin_episode()
         self._steps = EpisodeSteps(self._terms.texts, seed, options)
         values = self._set_variables()
+        if self._forward_check is not None:
+            self._forward_check.begin_episode(values)
         if not self._is_checked:
             self._record_past()
             self._judge.check()

@@ -117,9 +117,9 @@ class ConstructibleWorld:
                 `trimesh.Trimesh`, (vertices (n, 3), faces (m, 3)), or the path of a mesh file;
                 faces of None make the convex hull. See `ssduck.height_field`.
             simulator: the name of the simulator, see `BACKENDS`; None to recognise it.
-            forward: for MuJoCo, whether a tick has the poses and contacts at its time. Those of
-                the data are of the beginning of the last step, as success criteria of
-                environments see them.
+            forward: for MuJoCo, whether a tick has the poses and contacts at its time, which
+                `qpos` tells, also of free joints. Those of the data, as code that reads `xpos`
+                sees them, are of the beginning of the last step.
 
         Raises:
             SimulatorError: the client is not connected, or the object has no simulation that is

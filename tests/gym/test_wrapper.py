@@ -411,7 +411,7 @@ def test_a_closed_environment_takes_no_step():
 
 
 def test_a_variable_is_bound_when_its_value_is_another_one(wrap, monkeypatch):
-    env = wrap(Push(), success="x(sim.ball) > goal[0]", variables=GOAL)
+    env = wrap(Push(), success="x(sim.ball) > goal[0]", variables=GOAL, forward=False)
     env.reset(seed=0)
     bound, bind = [], ssduck.Interpreter.add_variable
     monkeypatch.setattr(

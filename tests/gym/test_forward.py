@@ -1,0 +1,85 @@
+"""MuJoCo's poses lag its joint positions by a step: a warning where a flag depends on which it sees."""
+
+from __future__ import annotations
+
+import warnings
+
+import gymnasium
+import mujoco
+import numpy as np
+import pytest
+
+from ssduck.errors import ProgramWarning
+from ssduck.gym import QueryWrapper
+
+MODEL = """
+<mujoco><option gravity="0 0 0"/><worldbody>
+  <body name="table"><geom type="box" size=".1 .1 .1"/></body>
+  <body name="ball" pos="0 0 1"><freejoint/><geom size=".05"/></body>
+</worldbody></mujoco>
+"""
+
+
+class Drift(gymnasium.Env):
+    """A ball that drifts by 2 mm a step; its flag goes by `qpos` or by `xpos`."""
+
+    action_space = observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (1,))
+
+    def __init__(self, reads="qpos"):
+        self.model = mujoco.MjModel.from_xml_string(MODEL)
+        self.data = mujoco.MjData(self.model)
+        self.reads, self.goal = reads, 0.0205
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qvel[0] = 1.0
+        mujoco.mj_forward(self.model, self.data)
+        return np.zeros(1), {}
+
+    def step(self, action):
+        mujoco.mj_step(self.model, self.data)
+        x = self.data.qpos[0] if self.reads == "qpos" else self.data.body("ball").xpos[0]
+        return np.zeros(1), 0.0, False, False, {"done": bool(x > self.goal)}
+
+
+TERMS = {"variables": {"goal": lambda env: env.goal}}
+
+
+def flags(env, steps=15):
+    """The flags of ssduck and of the environment at each step."""
+    env.reset(seed=0)
+    infos = [env.step(np.zeros(1))[-1] for _ in range(steps)]
+    env.close()
+    return [info["ssduck"]["success"] for info in infos], [info["done"] for info in infos]
+
+
+@pytest.mark.parametrize(
+    "success", ["x(sim.ball) > goal", "heldFor(x(sim.ball) > goal) >= 0 AND x(sim.ball) > goal"]
+)
+def test_the_step_at_which_they_differ_is_told_of_once(success):
+    env = QueryWrapper(Drift(), success=success, **TERMS)
+    text = r"step 11: success is False by MuJoCo's poses.* and True by .*forward=True"
+    with pytest.warns(ProgramWarning, match=text) as caught:
+        mine, theirs = flags(env)
+    assert len(caught) == 1
+    assert [caught[0].filename] == [__file__]
+    assert [n for n in range(15) if mine[n] != theirs[n]] == [10]
+
+
+@pytest.mark.parametrize(("reads", "forward"), [("qpos", True), ("xpos", False)])
+def test_who_says_what_the_environment_reads_is_not_told(reads, forward):
+    env = QueryWrapper(Drift(reads), success="x(sim.ball) > goal", forward=forward, **TERMS)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mine, theirs = flags(env)
+    assert mine == theirs
+    assert set(mine) == {True, False}
+
+
+def test_where_no_flag_differs_nothing_is_told():
+    env = QueryWrapper(Drift(), success="z(sim.ball) > goal", reward="x(sim.ball)", **TERMS)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mine, _ = flags(env)
+    assert mine == [True] * 15
