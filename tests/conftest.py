@@ -20,6 +20,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from tests.support.archive import Archive
 from tests.support.cases import factor, generated, mark_all_but_pairs
 from tests.support.times import Times
 
@@ -105,6 +106,44 @@ def client():
     yield number
     if pybullet.isConnected(number):
         pybullet.disconnect(number)
+
+
+@pytest.fixture(scope="session")
+def archive(request):
+    """Records that are written once, and copied."""
+    return Archive(request.config.cache.mkdir("records"))
+
+
+@pytest.fixture(scope="session")
+def loaded_kitchen():
+    """The simulation of the kitchen that modules share, which nothing may change."""
+    import ssduck  # where it is used: `--help` needs it not
+
+    with ssduck.load("kitchen") as ss:
+        yield ss.call_variable("kitchen")
+
+
+@pytest.fixture(scope="module")
+def shared_kitchen(loaded_kitchen):
+    """The world of a kitchen that other modules see, too; a module that changes it is told."""
+    before = whole_state(loaded_kitchen)
+    yield loaded_kitchen
+    assert whole_state(loaded_kitchen) == before, "this module changes the kitchen of all"
+
+
+def whole_state(world):
+    """What the simulator says of each body, and the world's tick."""
+    import pybullet
+
+    client, numbers = world.simulator.client, range(pybullet.getNumBodies(world.simulator.client))
+    poses = [pybullet.getBasePositionAndOrientation(number, client) for number in numbers]
+    joints = [
+        pybullet.getJointState(number, joint, client)[:2]
+        for number in numbers
+        for joint in range(pybullet.getNumJoints(number, client))
+    ]
+    handles = [(entity.name, entity.enabled) for entity in world]
+    return world.snapshot.number, world.time, poses, joints, handles
 
 
 @pytest.fixture(scope="session")

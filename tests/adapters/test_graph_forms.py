@@ -24,8 +24,9 @@ PAIRS = "FROM a=kitchen, b=kitchen WHERE NOT (isSensor(a.this) OR isSensor(b.thi
 
 
 @pytest.fixture(scope="module")
-def kitchen():
-    with ssduck.load("kitchen") as ss:
+def kitchen(shared_kitchen):
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("kitchen", shared_kitchen)
         ss.eval("table = SELECT obj FROM kitchen WHERE id(this) == 'table' AS value;")
         yield ss
 

@@ -40,8 +40,9 @@ QUERY = "SELECT  above(a.this, b.this),                    \
 
 
 @pytest.fixture(scope="module")
-def kitchen():
-    with ssduck.load("kitchen") as ss:
+def kitchen(shared_kitchen):
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("kitchen", shared_kitchen)
         yield ss
 
 

@@ -226,8 +226,9 @@ def test_pictures_beyond_the_limits_are_refused_before_they_are_rendered(limits,
 
 
 @pytest.fixture(scope="module")
-def kitchen():
-    with ssduck.load("kitchen") as ss:
+def kitchen(shared_kitchen):
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("kitchen", shared_kitchen)
         yield ss
 
 

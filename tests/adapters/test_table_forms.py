@@ -35,8 +35,9 @@ TABLES = ["table", "arrow", "df", "polars"]
 
 
 @pytest.fixture(scope="module")
-def kitchen():
-    with ssduck.load("kitchen") as ss:
+def kitchen(shared_kitchen):
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("kitchen", shared_kitchen)
         yield ss
 
 

@@ -36,8 +36,9 @@ def strict():
 
 
 @pytest.fixture(scope="module")
-def free():
-    with ssduck.load("kitchen") as ss:
+def free(shared_kitchen):
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("kitchen", shared_kitchen)
         yield ss
 
 

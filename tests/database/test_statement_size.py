@@ -13,9 +13,10 @@ from ssduck.errors import LimitError, SqlError
 
 
 @pytest.fixture(scope="module")
-def strict():
+def strict(shared_kitchen):
     limits = ssduck.Limits.strict(seconds=20, memory=100_000_000)
-    with ssduck.load("kitchen", limits=limits) as ss:
+    with ssduck.Interpreter(limits=limits) as ss:
+        ss.add_variable("kitchen", shared_kitchen)
         yield ss
 
 

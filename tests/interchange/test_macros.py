@@ -18,6 +18,7 @@ from ssduck.interchange.pairs import pairs_of
 from ssduck.interpreter.archives import folder_run
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS
 from ssduck.sql.relations.registry import RELATIONS
+from tests.support.archive import Archive
 from tests.support.command_line import answer, ssduck_
 from tests.support.recorded import ALL, live_lab
 
@@ -44,15 +45,17 @@ FORMS = {
 
 
 @pytest.fixture(scope="module")
-def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def record(tmp_path_factory: pytest.TempPathFactory, archive: Archive) -> Path:
     """A record of a world that changes on its way, with a sensor, contacts and pairs."""
-    place = tmp_path_factory.mktemp("macros") / "it's [1]"
+    return archive.copy(write_lab, tmp_path_factory.mktemp("macros") / "it's [1]")
+
+
+def write_lab(place: Path) -> None:
     client = pybullet.connect(pybullet.DIRECT)
     with ssduck.Interpreter(recording=ALL) as ss:
         live_lab(ss, client)
         ss.export(place, pairs=WITHIN)
     pybullet.disconnect(client)
-    return place
 
 
 @pytest.fixture(scope="module")

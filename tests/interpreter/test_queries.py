@@ -15,8 +15,9 @@ from tests.support.cases import generated
 
 
 @pytest.fixture(scope="module")
-def ss():
-    with ssduck.load("kitchen") as interpreter:
+def ss(shared_kitchen):
+    with ssduck.Interpreter() as interpreter:
+        interpreter.add_variable("kitchen", shared_kitchen)
         interpreter.add_function("double", lambda value: value * 2, "Doubles.")
         interpreter.add_function("tall", lambda e: e.aabb[1][2] - e.aabb[0][2] > 1.0, "Is tall.")
         interpreter.eval("table = SELECT obj FROM kitchen WHERE id(this) == 'table' AS value;")

@@ -12,10 +12,9 @@ STEPS = 8
 
 
 @pytest.fixture(scope="session")
-def recorded(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("lake") / "record"
-    record_episodes(folder, EPISODES, steps=STEPS)
-    return folder
+def recorded(tmp_path_factory, archive):
+    place = tmp_path_factory.mktemp("lake") / "record"
+    return archive.copy(record_episodes, place, EPISODES, 0, STEPS)
 
 
 @pytest.fixture

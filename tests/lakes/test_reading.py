@@ -18,6 +18,7 @@ from ssduck.recording.stores.batched_parts import BatchedFile, ReadParts
 from ssduck.recording.stores.checksums import write_parquet
 from ssduck.recording.stores.parquet import _options as options
 from ssduck.schema import MODELS
+from tests.support.archive import Archive
 from tests.support.forged import with_column
 from tests.support.lake_questions import whole_answer_of
 from tests.support.rising_cups import write_rising_cups
@@ -35,8 +36,8 @@ PROGRAMS = (
 
 
 @pytest.fixture
-def record(tmp_path: Path) -> Path:
-    place = write_rising_cups(tmp_path / "r", EPISODES, TICKS)
+def record(tmp_path: Path, archive: Archive) -> Path:
+    place = archive.copy(write_rising_cups, tmp_path / "r", EPISODES, TICKS)
     workers.forget_readers()
     return place
 

@@ -29,8 +29,9 @@ def broken(value):
 
 
 @pytest.fixture(scope="module")
-def ss():
-    with ssduck.load("kitchen") as interpreter:
+def ss(shared_kitchen):
+    with ssduck.Interpreter() as interpreter:
+        interpreter.add_variable("kitchen", shared_kitchen)
         interpreter.add_function("broken", broken, "Raises.")
         interpreter.add_variable("array", np.zeros(3))
         interpreter.add_variable("nothing", None)

@@ -18,14 +18,16 @@ HEADER = 12_288
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
+def recorded(tmp_path_factory, archive):
     """A DuckDB file with two episodes."""
-    file = tmp_path_factory.mktemp("recorded") / "run.duckdb"
-    with ssduck.load("kitchen", file) as ss:
+    return archive.copy(write_two_episodes, tmp_path_factory.mktemp("recorded")) / "run.duckdb"
+
+
+def write_two_episodes(folder):
+    with ssduck.load("kitchen", folder / "run.duckdb") as ss:
         ss["kitchen"].step()
         ss.record("kitchen", ssduck.Recording())
         ss["kitchen"].step()
-    return file
 
 
 @pytest.fixture

@@ -16,6 +16,7 @@ import pytest
 import ssduck
 from ssduck.errors import RecordError
 from ssduck.recording.stores import record_file
+from tests.support.archive import Archive
 from tests.support.cases import sampled
 from tests.support.forged import make_records, use
 
@@ -23,9 +24,9 @@ SCHEMA = "lab_record_0"
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(tmp_path_factory: pytest.TempPathFactory, archive: Archive) -> Path:
     place = tmp_path_factory.mktemp("forged")
-    make_records(place)
+    archive.copy(make_records, place)
     (place / "secret.txt").write_text("the secret")
     return place
 

@@ -18,6 +18,7 @@ import pytest
 import ssduck
 from ssduck.errors import RecordError
 from ssduck.recording.stores import checksums, stored_columns
+from tests.support.archive import Archive
 from tests.support.cases import sampled
 from tests.support.forged import (
     EPISODE,
@@ -38,9 +39,9 @@ ABOUT = "episodes/lab-0.json"
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(tmp_path_factory: pytest.TempPathFactory, archive: Archive) -> Path:
     place = tmp_path_factory.mktemp("forged")
-    make_records(place)
+    archive.copy(make_records, place)
     for name in ("folder", "unfinished"):
         without_checksums(place / name)
     return place

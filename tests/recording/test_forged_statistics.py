@@ -21,6 +21,7 @@ import ssduck
 from ssduck.errors import RecordError
 from ssduck.recording.stores import part_statistics
 from ssduck.schema import MODELS
+from tests.support.archive import Archive
 from tests.support.forged import make_records, part, rewrite, with_column, without_checksums
 
 # A connection that reads footers.
@@ -28,10 +29,10 @@ PLAIN = SimpleNamespace(fetchall=lambda sql: duckdb.sql(sql).fetchall())
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(tmp_path_factory: pytest.TempPathFactory, archive: Archive) -> Path:
     """Records as other programs write them: with statistics of all columns."""
     place = tmp_path_factory.mktemp("forged")
-    make_records(place)
+    archive.copy(make_records, place)
     shutil.copytree(place / "folder", place / "own")
     without_checksums(place / "folder")
     return place

@@ -15,6 +15,7 @@ from ssduck import Recording
 from ssduck.errors import RecordError
 from ssduck.recording.stores.descriptions import read_description
 from ssduck.recording.stores.parquet import ParquetStore
+from tests.support.archive import Archive
 from tests.support.command_line import answer, ssduck_
 from tests.support.recorded import POSIX, python
 from tools import flip
@@ -24,11 +25,9 @@ COUNT = "SELECT count(*) FROM entities_history"
 
 
 @pytest.fixture(scope="module")
-def records(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def records(tmp_path_factory: pytest.TempPathFactory, archive: Archive) -> Path:
     """The records of `tools.flip`."""
-    place = tmp_path_factory.mktemp("records")
-    flip.write_records(place)
-    return place
+    return archive.copy(flip.write_records, tmp_path_factory.mktemp("records"))
 
 
 @pytest.fixture

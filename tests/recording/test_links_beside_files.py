@@ -15,6 +15,7 @@ import ssduck
 from ssduck.database import writer
 from ssduck.database.file_paths import log_of
 from ssduck.errors import RecordError, SelectScriptError, SqlError
+from tests.support.archive import Archive
 from tests.support.forged import make_records
 
 LOGS = (".wal", ".wal.checkpoint", ".wal.recovery")
@@ -29,9 +30,9 @@ os._exit(0)
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(tmp_path_factory: pytest.TempPathFactory, archive: Archive) -> Path:
     place = tmp_path_factory.mktemp("beside")
-    make_records(place)
+    archive.copy(make_records, place)
     return place / "file.duckdb"
 
 
@@ -40,16 +41,18 @@ def file(made: Path, tmp_path: Path) -> Path:
     return Path(shutil.copy(made, tmp_path / "run.duckdb"))
 
 
+def crash(folder: Path) -> None:
+    subprocess.run([sys.executable, "-c", CRASH, folder / "other.duckdb"], check=True)
+
+
 @pytest.fixture(params=["a text", "a log", "nothing"])
-def victim(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+def victim(request: pytest.FixtureRequest, tmp_path: Path, archive: Archive) -> Path:
     """A file of the user; the log that a crash has left of another file, or nothing."""
     place = tmp_path / "victim"
     if request.param == "a text":
         place.write_text("my thesis")
     elif request.param == "a log":
-        other = tmp_path / "other.duckdb"
-        subprocess.run([sys.executable, "-c", CRASH, other], check=True)
-        shutil.move(f"{other}.wal", place)
+        shutil.copy(archive.copy(crash, tmp_path / "crashed") / "other.duckdb.wal", place)
     return place
 
 

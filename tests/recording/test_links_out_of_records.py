@@ -20,15 +20,16 @@ from ssduck.recording.folder_listing import runs_in
 from ssduck.recording.stores import descriptions
 from ssduck.recording.stores.atomic_files import write_atomically
 from ssduck.recording.stores.parquet_layout import FolderRun
+from tests.support.archive import Archive
 from tests.support.forged import EPISODE, describe, make_records, part
 
 EPISODES = "episodes/lab-0.json"
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(tmp_path_factory: pytest.TempPathFactory, archive: Archive) -> Path:
     place = tmp_path_factory.mktemp("linked")
-    make_records(place)
+    archive.copy(make_records, place)
     return place
 
 

@@ -19,6 +19,7 @@ from ssduck.errors import RecordError
 from ssduck.recording.stores import parquet, parquet_archive, parquet_layout, tick_index
 from ssduck.recording.stores.checksums import write_json, write_parquet
 from ssduck.recording.stores.descriptions import read_description
+from tests.support.archive import Archive
 from tests.support.forged import rewrite, without_checksums
 
 PARTS = 10
@@ -26,16 +27,24 @@ PLACE = "world=lab/episode={}"
 
 
 @pytest.fixture
-def run(tmp_path: Path, client: int, monkeypatch: pytest.MonkeyPatch) -> Path:
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, archive: Archive) -> Path:
     """A record of two episodes of ten parts of two ticks."""
     for module in (parquet, recorders):
         monkeypatch.setattr(module, "PART_TICKS", 2)
     monkeypatch.setattr(tick_index, "INDEXED_PARTS", 4)
     monkeypatch.setattr(tick_index, "MIN_PARTS", 1)
+    return archive.copy(write_parts, tmp_path / "run")
+
+
+def add_ball(client: int) -> None:
     shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
     pybullet.createMultiBody(1, shape, physicsClientId=client)
     pybullet.setGravity(0, 0, -9.81, physicsClientId=client)
-    place = tmp_path / "run"
+
+
+def write_parts(place: Path) -> None:
+    client = pybullet.connect(pybullet.DIRECT)
+    add_ball(client)
     recording = Recording(tables=("entities",), flush_every=None)
     for _ in range(2):
         world = ssduck.World.attach(client, name="lab")
@@ -44,7 +53,7 @@ def run(tmp_path: Path, client: int, monkeypatch: pytest.MonkeyPatch) -> Path:
             with ss.record_to(place, recording=recording):
                 for _ in range(2 * PARTS - 1):
                     world.step()
-    return place
+    pybullet.disconnect(client)
 
 
 class Reads:
@@ -265,6 +274,7 @@ def test_the_log_of_a_record_of_many_parts_is_read(
     run: Path, checks: list[str], client: int
 ) -> None:
     place, copy = run / "running", run / "copy"
+    add_ball(client)
     world = ssduck.World.attach(client, name="lab")
     recording = Recording(tables=("entities",), flush_every=None)
     with ssduck.Interpreter(recording=None) as ss:

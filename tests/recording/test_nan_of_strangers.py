@@ -15,6 +15,7 @@ from ssduck.errors import RecordError
 from ssduck.interchange.macros import macro_script
 from ssduck.interpreter.archives import folder_run
 from ssduck.recording.stores.checksums import write_parquet
+from tests.support.archive import Archive
 from tests.support.cases import sampled
 from tests.support.forged import make_records, part, rewrite_log, with_column, without_checksums
 from tests.support.rising_cups import write_rising_cups
@@ -30,9 +31,9 @@ NUMBERS = {
 
 
 @pytest.fixture(scope="module")
-def records(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def records(tmp_path_factory: pytest.TempPathFactory, archive: Archive) -> Path:
     place = tmp_path_factory.mktemp("records")
-    make_records(place)
+    archive.copy(make_records, place)
     return place
 
 

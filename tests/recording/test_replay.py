@@ -12,6 +12,7 @@ import pytest
 import ssduck
 from ssduck.errors import EvaluationError, UnsupportedError
 from ssduck.schema import RECORDABLE
+from tests.support.archive import Archive
 from tools import replay
 
 
@@ -30,14 +31,18 @@ def test_what_differs_is_found() -> None:
     assert len(replay.differences(live, again)) == 3
 
 
-@pytest.fixture
-def opened(tmp_path: Path) -> Any:
-    """A second of the kitchen, a tick each 24 steps, and the record of it, opened."""
+def write_a_second(place: Path) -> None:
     with ssduck.load("kitchen") as ss:
         kitchen = ss.call_variable("kitchen")
-        with ss.record_to(tmp_path / "run"):
+        with ss.record_to(place):
             for _ in range(10):
                 kitchen.step(24, every=24)
+
+
+@pytest.fixture
+def opened(tmp_path: Path, archive: Archive) -> Any:
+    """A second of the kitchen, a tick each 24 steps, and the record of it, opened."""
+    archive.copy(write_a_second, tmp_path / "run")
     with ssduck.open(tmp_path / "run") as record:
         yield record, record.call_variable("kitchen")
 

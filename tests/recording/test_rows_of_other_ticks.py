@@ -12,6 +12,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import RecordError
+from tests.support.archive import Archive
 from tests.support.forged import make_records, part, rewrite, without_checksums
 
 # What a stranger replaces in a row: the SQL of the new tick and of the new time.
@@ -25,9 +26,9 @@ TABLES = ("entities", "links", "joints", "contacts")
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(tmp_path_factory: pytest.TempPathFactory, archive: Archive) -> Path:
     place = tmp_path_factory.mktemp("forged")
-    make_records(place)
+    archive.copy(make_records, place)
     return place
 
 

@@ -15,6 +15,7 @@ import ssduck
 from ssduck.errors import RecordError
 from ssduck.recording.replay import checked_rows
 from ssduck.recording.stores import parquet_archive
+from tests.support.archive import Archive
 from tests.support.cases import sampled
 from tests.support.forged import make_records, part, rewrite, without_checksums
 
@@ -61,9 +62,9 @@ FORGERIES = {
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(tmp_path_factory: pytest.TempPathFactory, archive: Archive) -> Path:
     place = tmp_path_factory.mktemp("forged")
-    make_records(place)
+    archive.copy(make_records, place)
     return place
 
 

@@ -12,8 +12,9 @@ from ssduck.errors import ArgumentError, UnknownNameError, UnsupportedError
 
 
 @pytest.fixture(scope="module")
-def ss():
-    with ssduck.load("kitchen") as interpreter:
+def ss(shared_kitchen):
+    with ssduck.Interpreter() as interpreter:
+        interpreter.add_variable("kitchen", shared_kitchen)
         interpreter.eval("table = SELECT obj FROM kitchen WHERE id(this) == 'table' AS value;")
         interpreter.eval('low = 0.5; name = "it\'s a \\"can\\"";')
         interpreter.add_function("odd", lambda entity: entity.id % 2 == 1)

@@ -28,9 +28,12 @@ CUP = "cup_905a"
 
 
 @pytest.fixture(scope="module")
-def record(tmp_path_factory):
+def record(tmp_path_factory, archive):
     """A cup that is lifted from the table, and put back."""
-    path = tmp_path_factory.mktemp("record") / "run"
+    return archive.copy(write_lifted_cup, tmp_path_factory.mktemp("record") / "run")
+
+
+def write_lifted_cup(path):
     with ssduck.load("kitchen") as ss:
         cup = ss["kitchen"][CUP]
         ss.run(0.1)
@@ -42,7 +45,6 @@ def record(tmp_path_factory):
                     cup.move([x, y, z + 0.5])
                 elif step == 25:
                     cup.move([x, y, z])
-    return path
 
 
 @pytest.fixture(scope="module")

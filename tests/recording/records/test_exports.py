@@ -198,16 +198,20 @@ def test_what_is_unknown_stays_unknown(tmp_path, client):
 
 
 @pytest.fixture
-def record(tmp_path, client):
+def record(tmp_path, archive):
     """A folder with a record of two parts."""
-    numbers = lively(client)
+    return archive.copy(write_two_parts, tmp_path / "run")
+
+
+def write_two_parts(place):
+    client = pybullet.connect(pybullet.DIRECT)
     with ssduck.Interpreter() as ss:
-        world = ss.add_variable("lab", ssduck.World.attach(client, names=numbers))
-        with ss.record_to(tmp_path / "run") as writing:
+        world = ss.add_variable("lab", ssduck.World.attach(client, names=lively(client)))
+        with ss.record_to(place) as writing:
             world.step()
             assert end_part(writing) == world.snapshot.number
             world.step()
-    return tmp_path / "run"
+    pybullet.disconnect(client)
 
 
 PART = "world=lab/episode=0/part-000001.parquet"

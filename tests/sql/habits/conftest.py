@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-import ssduck
 from ssduck.interpreter import query_runner as queries
 from tests.support.habits import _interpreter
 
 
 @pytest.fixture(scope="module")
-def world():
-    loaded = ssduck.load("kitchen")
-    yield loaded.call_variable("kitchen")
-    loaded.close()
+def world(shared_kitchen):
+    return shared_kitchen
 
 
 @pytest.fixture(scope="module")
