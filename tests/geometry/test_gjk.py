@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from ssduck.geometry.narrow_phase import MIN_DEPTH
@@ -64,7 +64,6 @@ def test_verdicts_are_what_gaps_say(kinds):
     seed=st.integers(0, 2**32),
     bound=st.one_of(st.sampled_from(BOUNDS), st.floats(-0.5, 2.0)),
 )
-@settings(max_examples=150)
 def test_neither_order_nor_place_turns_a_verdict(kinds, seed, bound):
     two = pairs.pair(kinds, seed)
     random = np.random.default_rng(seed)

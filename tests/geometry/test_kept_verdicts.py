@@ -8,7 +8,7 @@ import weakref
 import numpy as np
 import pybullet
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import ssduck
@@ -74,7 +74,6 @@ def test_a_half_space_that_stands_still_does_not_move_and_one_that_turns_moves_w
 
 
 @given(seed=st.integers(0, 2**32), far=st.sampled_from([1e-6, 1e-3, 0.1, 3.0]))
-@settings(max_examples=40, deadline=None)
 def test_no_point_moves_farther(seed, far):
     random = np.random.default_rng(seed)
     radii = random.uniform(0.1, 2.0, 2)

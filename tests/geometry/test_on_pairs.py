@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pybullet
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import ssduck
@@ -71,7 +71,6 @@ def test_at_once_is_one_by_one(client, kinds, seed):
         st.sampled_from([0.0, 0.5, 0.5 + 1e-9, 0.5 - 1e-9, 0.51, 0.49]), st.floats(0, 1)
     ),
 )
-@settings(max_examples=80, deadline=None)
 def test_boxes_at_the_boundaries(tilt, spin, depth, along):
     """A box on a tilted one, just in or above it, about 30 degrees, about the edge."""
     client = pybullet.connect(pybullet.DIRECT)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pybullet
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import ssduck
@@ -64,7 +64,6 @@ def moved(shape, random, far):
     far=st.sampled_from([0.0, 1e-9, 1e-4, 0.01, 0.3]),
     kinds=st.lists(st.tuples(st.sampled_from(KINDS), st.sampled_from(KINDS)), min_size=1),
 )
-@settings(max_examples=80, deadline=None)
 def test_verdicts_of_shapes_that_move_are_what_gaps_say(seed, bound, far, kinds):
     random = np.random.default_rng(seed)
     two = [pairs.pair(both, int(random.integers(1 << 31))) for both in kinds]

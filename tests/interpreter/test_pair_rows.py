@@ -8,13 +8,13 @@ from itertools import product
 
 import pybullet
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import ssduck
 from ssduck.errors import LimitError, SelectScriptError
 from ssduck.sql import translator
-from tests.support.cases import generated, sampled
+from tests.support.cases import sampled
 from tests.support.stage import Stage
 
 # Boxes of half a metre at the distances from each other that the conditions name, a stack, a
@@ -113,7 +113,6 @@ programs = st.builds(
 
 
 @pytest.mark.slow
-@settings(max_examples=generated(30), deadline=None)
 @given(programs)
 def test_ways_agree(ways, program):
     check(ways, program)

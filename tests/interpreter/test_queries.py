@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 import ssduck
 from ssduck.language.parser import parse
-from tests.support.cases import generated
 
 
 @pytest.fixture(scope="module")
@@ -467,11 +466,7 @@ def conditions(children):
 
 
 @pytest.mark.slow
-@settings(
-    max_examples=generated(30),
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(condition=st.recursive(COMPARED, conditions, max_leaves=6))
 def test_sql_and_python_agree(ss, condition):
     """A condition holds for the same rows in SQL and, with what it reads kept from SQL, in Python."""

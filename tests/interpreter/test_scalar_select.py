@@ -7,7 +7,7 @@ import struct
 from itertools import cycle
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 import ssduck
@@ -15,7 +15,6 @@ from ssduck.database import functions
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.scalar_select import ScalarSelect
 from ssduck.sql.relations.registry import RELATIONS
-from tests.support.cases import generated
 
 EXPRESSIONS = [
     "a + b * c",
@@ -102,7 +101,6 @@ def set_variables(ss, a, b, c, n, text):
 
 
 @pytest.mark.slow
-@settings(max_examples=generated(20))
 @given(NUMBERS, NUMBERS, NUMBERS, st.integers(-5, 5), st.sampled_from(["cup", "Cup", ""]))
 @example(0.1, 0.2, 0.3, 3, "cup")
 @example(1e308, -1e308, 1e308, 3, "cup")

@@ -471,7 +471,6 @@ OPERATIONS = st.lists(
 
 
 @pytest.mark.slow
-@settings(max_examples=500)
 @given(operations=OPERATIONS)
 def test_histories_are_like_the_model(operations):
     model, held, now = Model(), None, 0.0
@@ -515,7 +514,7 @@ def check(model, held, now):
 
 
 @pytest.mark.slow
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(operations=OPERATIONS)
 def test_programs_are_like_the_model(ss, operations):
     world = ss.call_variable("w")

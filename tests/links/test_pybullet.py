@@ -144,7 +144,7 @@ NUMBERS = st.floats(-1, 1)
 
 
 @pytest.mark.slow
-@settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(suppress_health_check=list(HealthCheck))
 @given(
     position=st.tuples(NUMBERS, NUMBERS, NUMBERS),
     angles=st.tuples(NUMBERS, NUMBERS, NUMBERS),

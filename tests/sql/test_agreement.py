@@ -46,12 +46,7 @@ def test_they_agree(both, first):
             pytest.fail(f"seed {seed}: {both.disagreement(small)}")
 
 
-@settings(
-    max_examples=generated(50),
-    deadline=None,
-    derandomize=True,
-    suppress_health_check=list(HealthCheck),
-)
+@settings(suppress_health_check=list(HealthCheck))
 @given(text=programs())
 def test_they_agree_on_what_hypothesis_finds(both, text):
     assert both.disagreement(text) is None

@@ -134,9 +134,7 @@ def test_values_of_an_entity(pair):
 POINTS = st.lists(st.floats(-1e3, 1e3), min_size=3, max_size=3)
 
 
-@settings(
-    max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
-)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(POINTS, POINTS)
 def test_distance_is_symmetric_and_that_of_math(pair, p, q):
     ss, _ = pair

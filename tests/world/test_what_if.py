@@ -110,7 +110,6 @@ def move(world, poses, joints):
 
 
 @pytest.mark.slow
-@settings(max_examples=40)
 @given(st.data())
 def test_what_if_is_moving_the_body_and_asking_again_in_the_kitchen(kitchen, data):
     bodies = [entity.name for entity in kitchen if entity.kind != "sensor"]
@@ -183,7 +182,7 @@ def set_spherical(client, handle, rng):
 
 
 @pytest.mark.slow
-@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     seed=st.integers(0, 1000), fixed=st.booleans(), scale=st.sampled_from([1, 2.5]), data=st.data()
 )

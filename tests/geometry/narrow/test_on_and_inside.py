@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull, QhullError
 
@@ -308,7 +308,6 @@ SEEDS = st.integers(0, 2**32)
     shift=st.tuples(*[st.floats(-1e3, 1e3)] * 3),
     turn=st.tuples(st.floats(0.1, 1), *[st.floats(-1, 1)] * 3),
 )
-@settings(max_examples=100)
 def test_a_share_stays_if_the_world_moves(a, b, seed, shift, turn):
     both = pairs.pair((a, b), seed)
     turn = np.array(turn) / np.linalg.norm(turn)
@@ -321,7 +320,6 @@ def test_a_share_stays_if_the_world_moves(a, b, seed, shift, turn):
 
 @pytest.mark.slow
 @given(a=st.sampled_from(pairs.KINDS), seed=SEEDS, at=st.floats(0.01, 0.99))
-@settings(max_examples=100)
 def test_shares_of_the_parts_of_a_box_add_up(a, seed, at):
     hull, b = pairs.pair((a, "box"), seed)
     (x, y, z), along = b.geometry.size, b.matrix[:, 0]
@@ -338,7 +336,6 @@ def test_shares_of_the_parts_of_a_box_add_up(a, seed, at):
 
 @pytest.mark.slow
 @given(a=st.sampled_from(["box", "hull"]), b=st.sampled_from(["box", "hull"]), seed=SEEDS)
-@settings(max_examples=100)
 def test_what_two_share_is_in_either(a, b, seed):
     a, b = pairs.pair((a, b), seed)
     volumes = [solid_of(one.geometry).volume for one in (a, b)]
@@ -349,7 +346,6 @@ def test_what_two_share_is_in_either(a, b, seed):
 
 @pytest.mark.slow
 @given(b=st.sampled_from(SOLID_KINDS), seed=SEEDS)
-@settings(max_examples=100)
 def test_half_spaces_share_all(b, seed):
     ground, b = pairs.pair(("plane", b), seed)
     sky = Shape("plane", plane(-np.array(ground.geometry.size)), ground.position, ground.quaternion)

@@ -9,7 +9,7 @@ import fcl
 import numpy as np
 import pybullet
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from ssduck.geometry.shapes import Geometry
@@ -34,7 +34,6 @@ def test_a_gap_is_what_the_oracle_says(kinds):
 
 @pytest.mark.slow
 @given(kinds=st.sampled_from(pairs.COMBINATIONS), seed=st.integers(0, 2**32))
-@settings(max_examples=150)
 def test_a_gap_is_symmetric(kinds, seed):
     a, b = pairs.pair(kinds, seed)
     one, other = pairs.gap(a, b), pairs.gap(b, a)
@@ -48,7 +47,6 @@ def test_a_gap_is_symmetric(kinds, seed):
     shift=st.tuples(*[st.floats(-5, 5)] * 3),
     turn=st.tuples(st.floats(0.1, 1), *[st.floats(-1, 1)] * 3),
 )
-@settings(max_examples=150)
 def test_a_gap_stays_if_the_world_moves(kinds, seed, shift, turn):
     a, b = pairs.pair(kinds, seed)
     turn = np.array(turn) / np.linalg.norm(turn)
@@ -62,7 +60,6 @@ def test_a_gap_stays_if_the_world_moves(kinds, seed, shift, turn):
     seed=st.integers(0, 2**32),
     bounds=st.lists(st.floats(0, 3), min_size=2),
 )
-@settings(max_examples=80)
 def test_what_is_near_is_near_for_more(kinds, seed, bounds):
     a, b = pairs.pair(kinds, seed)
     places = [[(one.geometry, one.position, one.quaternion)] for one in (a, b)]

@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 import pybullet
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import ssduck
@@ -72,7 +72,6 @@ def test_how_often(ss, sim, steps, interval, evaluations, ticks):
 
 
 @pytest.mark.slow
-@settings(max_examples=30)
 @given(
     timestep=st.sampled_from(["0.001", "0.002", "0.004", "0.01", "0.03", "1/240", "1/60", "1/7"]),
     interval=st.fractions(Fraction(1, 1000), 1, max_denominator=1000),

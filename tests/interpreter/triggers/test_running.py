@@ -9,7 +9,7 @@ from fractions import Fraction
 
 import pybullet
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import ssduck
@@ -83,7 +83,6 @@ def test_several_worlds_run_in_lockstep(ss, sim, other):
 
 
 @pytest.mark.slow
-@settings(max_examples=30)
 @given(
     steps=st.lists(
         st.sampled_from(["0.001", "0.003", "0.01", "1/240", "1/7"]), min_size=1, max_size=3

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pybullet
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import ssduck
@@ -366,7 +366,6 @@ _POSES = st.tuples(_PLACES, _PLACES, _PLACES, *[st.floats(-1, 1, width=16)] * 4)
 
 @pytest.mark.slow
 @given(poses=st.lists(st.tuples(_POSES, _POSES), min_size=1, max_size=8), data=st.data())
-@settings(max_examples=60, deadline=None)
 def test_answers_at_any_poses_are_those_of_each_pair(
     heap: ssduck.Interpreter, poses: list[Any], data: st.DataObject
 ) -> None:

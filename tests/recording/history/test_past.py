@@ -8,7 +8,7 @@ from typing import Any
 
 import pybullet
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import ssduck
@@ -80,7 +80,6 @@ def test_both_evaluators_see_one_past(fallen: ssduck.Interpreter, program: str) 
 
 
 @pytest.mark.slow
-@settings(max_examples=20, deadline=None)
 @given(
     heights=st.lists(st.floats(0.2, 3.0), min_size=2, max_size=12),
     age=st.floats(-0.1, 0.1),
