@@ -27,7 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Protocol, Self
+from typing import Any, Literal, Protocol, Self
 from weakref import WeakKeyDictionary
 
 from ssduck import validation
@@ -86,9 +86,6 @@ class ServedPage(Protocol):
     def __exit__(self, *_: object) -> None: ...
 
 
-_EXPORT = "export(folder) writes a world's ticks, record_to(folder, world) those from now on"
-
-
 class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
     """Runs SelectScript programs and raw SQL on worlds.
 
@@ -114,12 +111,6 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
     ...     ss.eval("SELECT this * this FROM [1, 2, 3] AS list;")
     [1, 4, 9]
     """
-
-    INSTEAD_OF: ClassVar = {
-        "save": _EXPORT,
-        "export_to": _EXPORT,
-        "query": "eval(program) and sql(statement)",
-    }
 
     def __init__(
         self,

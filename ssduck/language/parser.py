@@ -457,13 +457,7 @@ class _Parser(SqlForms):
                 self.expect(TokenType.R_BRACKET, "']'")
             else:
                 self.expect(TokenType.DOT, "'.'")
-                if self.at(TokenType.IDENTIFIER) or self.at(TokenType.STRING):
-                    assert self.token is not None
-                    key_text = unquoted(self.text[slice_of(self.token)])
-                    self.fail(f"a name in quotes stands in brackets: write [{key_text!r}]")
-                word = "" if self.token is None else self.token.text
-                as_text = f" (write [{word!r}] for a word of the language)"
-                key = self.expect_name("a key" + (as_text if word.isidentifier() else ""))
+                key = self.expect_name(self.key_wanted())
                 indices.append(Literal(span_of(key), key.text))
         return Index(self.since(start), node, tuple(indices)) if indices else node
 
@@ -529,13 +523,7 @@ class _Parser(SqlForms):
             return Call(self.since(start), called, arguments, start)
         if self.take(TokenType.L_BRACE):
             age = None if self.at(TokenType.R_BRACE) else self.expression()
-            if self.at(TokenType.COMMA):
-                self.fail(
-                    f"a past is of one time, {name.text}{{1.5}}, of the last seconds, "
-                    f"{name.text}{{-2}}, or whole, {name.text}{{}}; of a span of time write FROM "
-                    f"{name.text}{{}} WHERE time >= 1 AND time <= 2"
-                )
-            self.expect(TokenType.R_BRACE, "'}'")
+            self.expect(TokenType.R_BRACE, self.past_end(name.text))
             return TimeIndex(self.since(start), name.text, age)
         return Name(start, name.text)
 

@@ -10,6 +10,7 @@ from sqlglot.tokenizer_core import Token, TokenType
 
 from ssduck.errors import ParseError, SourceSpan, nearest
 from ssduck.formatting import RESERVED_WORDS
+from ssduck.language.quoting import unquoted
 from ssduck.language.sql_suggestions import STATEMENTS, suggestion_for
 from ssduck.language.tree import Suspicion
 
@@ -174,6 +175,25 @@ class Cursor:
             raise ParseError(
                 f"nested deeper than {MAXIMUM_DEPTH} levels", text=self.text, span=self.here()
             )
+
+    def key_wanted(self) -> str:
+        """Returns what to say where there is no name behind a dot: a word or a text in brackets."""
+        if self.token is None:
+            return "a key"
+        word = self.text[slice_of(self.token)]
+        if word[:1] in ("'", '"'):
+            return f"a key (write [{unquoted(word)!r}] for a name in quotes)"
+        is_word = word.isidentifier()
+        return "a key" + f" (write [{word!r}] for a word of the language)" * is_word
+
+    def past_end(self, world: str) -> str:
+        """Returns what to say where the braces of a past do not end: two times are no past."""
+        if not self.at(TokenType.COMMA):
+            return "'}'"
+        return (
+            f"'}}' (a past is of one time, {world}{{1.5}}, of the last seconds, {world}{{-2}}, or "
+            f"whole, {world}{{}}; of a span write FROM {world}{{}} WHERE time >= 1 AND time <= 2)"
+        )
 
     def _name_with_signs(self) -> str | None:
         """Returns how to write a name such as `room.a/` or `room.a:b` before the current token."""
