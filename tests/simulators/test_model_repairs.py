@@ -359,6 +359,7 @@ def test_the_name_of_a_world(write):
             ssduck.load(path, name=name)
 
 
+@pytest.mark.filterwarnings("default")
 def test_commands_find_such_names_too(write):
     path = write("main.urdf", ROOT)
     result = ssduck_("query", str(path), "SELECT id FROM world_main AS list;")
