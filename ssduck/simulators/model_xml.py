@@ -38,7 +38,7 @@ def parse_tolerantly(content: bytes) -> tuple[ET.Element, bool]:
     """Returns the root of a model file's content as PyBullet reads it; prefixes stay in names.
 
     It takes prefixes without a namespace, comments with `--`, declarations anywhere, a single `&`,
-    and other encodings than UTF-8, as PyBullet does.
+    other encodings than UTF-8, and anything behind a null character, as PyBullet does.
 
     Args:
         content: the bytes of the model file.
@@ -53,6 +53,7 @@ def parse_tolerantly(content: bytes) -> tuple[ET.Element, bool]:
         return _parsed(content), False
     except expat.ExpatError:
         pass
+    content = content.partition(b"\0")[0]  # texts of C end there
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:

@@ -55,6 +55,7 @@ TOLERATED = {
     "a declaration after a blank": " <?xml version='1.0'?>" + ROOT,
     "a single ampersand": ROOT.replace("<link", "<note text='a & b'/><link", 1),
     "Latin-1": ("<!-- M\xfcller -->" + ROOT).encode("latin-1"),
+    "a null character at the end": ROOT + "\0",
     "entities": '<!DOCTYPE r [<!ENTITY one "1">]>' + ROOT.replace('"1 1 1"', '"&one; 1 1"'),
     "a default namespace": ROOT.replace("<robot", '<robot xmlns="http://a.b"'),
 }
@@ -154,6 +155,9 @@ def test_many_doubts_are_few_words(load):
     links = [link("a"), *(link(f"b{n}") for n in range(9))]
     _, (told,) = load("a.urdf", robot(*links, *joints))
     assert told.endswith("4 more such numbers")
+    drawn = "".join(shape("visual", f"{number}.obj") for number in range(9))
+    _, (told,) = load("b.urdf", robot(link("a", shapes=drawn + collision(BOX))))
+    assert told.endswith("4 more such meshes")
 
 
 # -- meshes --------------------------------------------------------------------------------------
@@ -322,6 +326,10 @@ def test_an_attribute_where_sdf_has_a_text(load):
     model = sdf_model("m", sdf_link(extra='<contact><lateral_friction value="0.25"/></contact>'))
     load("a.sdf", sdf_of(model))
     assert pybullet.getDynamicsInfo(0, -1, client_of(load.world))[1] == 0.25
+    for tag in ("rolling_friction", "spinning_friction", "restitution", "stiffness"):
+        model = sdf_model("m", sdf_link(extra=f"<contact><{tag}/></contact>"))
+        with pytest.raises(SceneError, match=f"a <{tag}> is empty"):
+            load("a.sdf", sdf_of(model))
 
 
 def test_mujoco_keeps_the_names_of_links_at_fixed_joints(write):

@@ -13,7 +13,7 @@ from ssduck.formatting import joined_names, short_repr
 from ssduck.simulators.model_xml import parse_tolerantly
 from ssduck.simulators.pybullet.bodies import MAX_JOINTS
 from ssduck.simulators.pybullet.ignored_parts import free_bodies, has_unknown_angles, ignored_parts
-from ssduck.simulators.pybullet.model_numbers import check_numbers
+from ssduck.simulators.pybullet.model_numbers import check_numbers, first_of
 from ssduck.simulators.pybullet.model_repairs import (
     free_continuous_joints,
     join_numbers,
@@ -29,7 +29,9 @@ from ssduck.simulators.scene_files import cut_lines
 _TEXTS = frozenset(
     (
         *("parent", "child", "pose", "static", "mass", "ixx", "ixy", "ixz", "iyy", "iyz", "izz"),
-        *("uri", "scale", "size", "radius", "length", "normal", "diffuse", "lateral_friction"),
+        *("uri", "scale", "size", "radius", "length", "normal", "diffuse"),
+        *("lateral_friction", "rolling_friction", "spinning_friction", "restitution"),
+        *("inertia_scaling", "stiffness"),
         *("xyz", "lower", "upper", "effort", "damping", "friction"),
     )
 )
@@ -119,7 +121,7 @@ class ModelFile:
                 f"PyBullet reads lines in pieces of {MAX_LINE:,} bytes, and would read another "
                 "model: write it on several lines"
             )
-        return [*self.left_out, *doubts]
+        return [*first_of(self.left_out, "meshes"), *doubts]
 
     def _check_world(self, world: ET.Element) -> None:
         """Checks the `<worldbody>` of an MJCF file."""

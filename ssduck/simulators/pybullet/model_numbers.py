@@ -88,8 +88,8 @@ _RULES: Mapping[str, Mapping[tuple[str, str], _Rule]] = MappingProxyType(
 
 # The beginning of a word that C takes for a number.
 _BEGINNING = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)")
-# The greatest number of doubtful numbers in a warning.
-_MAX_DOUBTS = 5
+# The greatest number of doubtful numbers, or of meshes, in a warning.
+_MAX_TOLD = 5
 
 
 def check_numbers(format: str, root: ET.Element) -> list[str]:
@@ -131,8 +131,13 @@ def check_numbers(format: str, root: ET.Element) -> list[str]:
                 doubt = f"{what}{owner and f' of {owner}'} {doubt}"
                 doubts[doubt] = doubts.get(doubt, 0) + 1
     told = [text if count == 1 else f"{text} ({count} times)" for text, count in doubts.items()]
-    omitted = len(told) - _MAX_DOUBTS
-    return told[:_MAX_DOUBTS] + ([f"{omitted} more such numbers"] if omitted > 0 else [])
+    return first_of(told, "numbers")
+
+
+def first_of(told: list[str], what: str) -> list[str]:
+    """Returns the first of many texts, and how many more things there are."""
+    omitted = len(told) - _MAX_TOLD
+    return told[:_MAX_TOLD] + ([f"{omitted} more such {what}"] if omitted > 0 else [])
 
 
 def _doubt(rule: _Rule, words: list[str], numbers: list[float | None]) -> str:
