@@ -15,11 +15,13 @@ import shutil
 import signal
 import tempfile
 import tomllib
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
+from ssduck.errors import UnsupportedError
 from tests.support.archive import Archive
 from tests.support.cases import factor, generated, mark_all_but_pairs
 from tests.support.times import Times
@@ -28,6 +30,7 @@ DATA = Path(__file__).parent / "data"
 # A file system in memory, and the free bytes that tests may need in it.
 MEMORY = Path("/dev/shm")  # noqa: S108
 NEEDED = 4 << 30
+PYBULLET = ("pybullet", "pybullet_data")
 
 # The machines that run the tests are slow and shared; a failing example is found again.
 settings.register_profile("few", deadline=None, derandomize=True, max_examples=generated(25))
@@ -56,6 +59,49 @@ def _keep_temporary_files_in_memory():
     if shutil.disk_usage(MEMORY).free >= NEEDED:
         os.environ["TMPDIR"] = str(MEMORY)  # the tests' processes have it, too
         tempfile.tempdir = None  # it is read anew
+
+
+NO_PYBULLET = "PyBullet is not installed"  # there are wheels for few platforms; MuJoCo has the rest
+
+
+def _skip_without_pybullet(error):
+    """Skip what needs PyBullet where that is not installed."""
+    while error is not None and find_spec("pybullet") is None:
+        is_told = isinstance(error, UnsupportedError) and "PyBullet" in str(error)
+        if is_told or (isinstance(error, ImportError) and error.name in PYBULLET):
+            pytest.skip(NO_PYBULLET)
+        error = error.__cause__ or error.__context__
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup():
+    """Skip tests whose fixtures need PyBullet."""
+    try:
+        return (yield)
+    except Exception as error:
+        _skip_without_pybullet(error)
+        raise
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call():
+    """Skip tests that need it themselves."""
+    try:
+        return (yield)
+    except Exception as error:
+        _skip_without_pybullet(error)
+        raise
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(collector):
+    """Skip modules of tests that import it."""
+    report = yield
+    told = (NO_PYBULLET, *(f"No module named '{name}'" for name in PYBULLET))
+    is_told = report.failed and any(text in str(report.longrepr) for text in told)
+    if is_told and find_spec("pybullet") is None:
+        report.outcome, report.longrepr = "skipped", (str(collector.path), 0, NO_PYBULLET)
+    return report
 
 
 @pytest.hookimpl(wrapper=True)

@@ -18,7 +18,7 @@ from ssduck.interpreter import query_runner as queries
 CASES = Path(__file__).resolve().parent.parent / "tests" / "data" / "language.toml"
 PREPARATION = """
     table = SELECT obj FROM kitchen WHERE id(this) == 'table' AS value;
-    low = 1.5; wanted = 'sink'; one = 1; apart = [[a.this, b.this]];
+    low = 1.5; wanted = 'microwave'; one = 1; apart = [[a.this, b.this]];
     things = SELECT obj FROM kitchen WHERE isRobot(this) AS list;
 """
 

@@ -95,6 +95,7 @@ def test_demo_in_an_empty_folder(tmp_path):
 
 @pytest.mark.slow
 def test_demo_of_another_scene(here):
+    pytest.importorskip("pybullet")  # MuJoCo draws where there is OpenGL
     written = answer("demo", "two.toml", "--output", "picture.jpg")
     assert "big     small" in written
     with Image.open("picture.jpg") as picture:

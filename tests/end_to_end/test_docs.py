@@ -58,33 +58,34 @@ def test_python_examples_run(page, texts, tmp_path, monkeypatch, capsys):
         assert shown.strip() in printed
 
 
-# What README's first command does not install; `python` runs a text without it.
+# What README's first command does not install, beside one simulator or the other.
 EXTRAS = (
     "clingo",
     "coal",
     "gymnasium",
     "hypothesis",
     "matplotlib",
-    "mujoco",
     "networkx",
     "pandas",
     "polars",
     "pydot",
 )
-BARE = f"""
+
+
+BARE = """
 import sys
-class Missing:
-    def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in {EXTRAS}:
-            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
-sys.meta_path.insert(0, Missing())
+from importlib.machinery import PathFinder
+find = PathFinder.find_spec
+def find_spec(name, path=None, target=None):
+    return None if name.partition(".")[0] in {} else find(name, path, target)
+PathFinder.find_spec = find_spec
 """
 
 
-def run_bare(text, folder):
+def run_bare(text, folder, without="mujoco"):
     """Run Python without the extras, in a process of its own: its output, or its last words."""
     done = subprocess.run(
-        [sys.executable, "-c", BARE + text],
+        [sys.executable, "-c", BARE.format((*EXTRAS, without)) + text],
         cwd=folder,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         capture_output=True,
@@ -97,12 +98,34 @@ def run_bare(text, folder):
 
 
 @pytest.mark.slow
-def test_readme_runs_as_its_first_command_leaves_it(tmp_path):
-    """Without pandas and other extras; and once more in the same folder."""
-    shown = [text for text in blocks("python")["README.md"] if "import gymnasium" not in text]
-    text = "\n".join(shown)
+@pytest.mark.parametrize("simulator", ["pybullet", "mujoco"])
+def test_readme_runs_as_its_first_command_leaves_it(tmp_path, simulator):
+    """With either simulator, without pandas and other extras; and once more in the same folder."""
+    pytest.importorskip(simulator)
+    other = "mujoco" if simulator == "pybullet" else "pybullet"
+    needed = ("import gymnasium", f"import {other}")
+    shown = [
+        text
+        for text in blocks("python")["README.md"]
+        if not any(line.startswith(needed) for line in text.splitlines())
+    ]
     for _ in range(2):
-        run_bare(text, tmp_path)
+        run_bare("\n".join(shown), tmp_path, without=other)
+
+
+@pytest.mark.slow
+def test_the_demonstration_runs_without_pybullet(tmp_path):
+    pytest.importorskip("mujoco")
+    answers = {
+        simulator: run_bare(
+            "from ssduck.cli import main; sys.argv[1:] = ['demo', '--no-picture']; main()",
+            tmp_path,
+            without=simulator,
+        ).rpartition("8 questions")[0]
+        for simulator in ("pybullet", "mujoco")
+    }
+    assert answers["pybullet"] == answers["mujoco"]
+    assert answers["mujoco"].count("answer") == 8
 
 
 MISSING = [

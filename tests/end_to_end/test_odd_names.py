@@ -143,7 +143,7 @@ def test_a_model_that_pybullet_cannot_be_told(tmp_path):
     path = tmp_path / "surrogate\udcff.urdf"
     path.write_text(robot(link("base"), name="cube"))
     with pytest.raises(SceneError, match="cannot be loaded"):
-        ssduck.load(path)
+        ssduck.load(path, simulator="pybullet")
 
 
 @pytest.mark.slow

@@ -187,6 +187,7 @@ def mujoco_kitchen(tmp_path_factory):
 
 def loaded(request, simulator):
     """The path or the name of the kitchen in a simulator."""
+    pytest.importorskip(simulator)
     return request.getfixturevalue("mujoco_kitchen") if simulator == "mujoco" else "kitchen"
 
 

@@ -21,7 +21,7 @@ STATEMENTS = [
     "SELECT tick, time FROM ticks_history ORDER BY tick",
     "SELECT a.name FROM entities a, entities b WHERE b.name = 'table' AND touching(a, b) ORDER BY ALL",
     "SELECT tick, id, x, z, vz FROM entities_history ORDER BY ALL",
-    "SELECT count(*), sum(force) FROM contacts_history",
+    "SELECT count(*), fsum(force) FROM contacts_history",
     "SELECT name, position, effort FROM joints ORDER BY ALL",
     "SELECT name, kind FROM entities_model ORDER BY ALL",
 ]

@@ -7,6 +7,7 @@ import os
 import shutil
 import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import duckdb
@@ -325,7 +326,7 @@ def test_macros_and_tables_of_other_schemas_do_not_change_answers(file: Path) ->
 
 def test_another_type_of_file_loads_no_extension(tmp_path: Path) -> None:
     """DuckDB would download an extension to read it."""
-    with sqlite3.connect(tmp_path / "run.duckdb") as other:
+    with closing(sqlite3.connect(tmp_path / "run.duckdb")) as other, other:
         other.execute("CREATE TABLE t (x)")
     with pytest.raises(RecordError, match=r"run.duckdb.* is not a valid DuckDB database file"):
         ssduck.open(tmp_path / "run.duckdb")

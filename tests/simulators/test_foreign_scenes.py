@@ -228,7 +228,7 @@ def test_a_mesh_whose_faces_are_nowhere(tmp_path: Path, corners: str) -> None:
     for text in (mesh("m.obj"), urdf(more="<visual><geometry>M</geometry></visual>")):
         (tmp_path / "s.urdf").write_text(text.replace("M", '<mesh filename="m.obj"/>'))
         with pytest.raises(SceneError, match=r"m.obj: a face refers to a missing vertex"):
-            ssduck.load(tmp_path / "s.urdf")
+            ssduck.load(tmp_path / "s.urdf", simulator="pybullet")
 
 
 FAR = "".join(f"v {number} 0 0\n" for number in range(9))
@@ -466,12 +466,12 @@ DAMAGES = [
 def test_a_damaged_collada_file(tmp_path: Path, old: str, new: str, words: str) -> None:
     (tmp_path / "s.urdf").write_text(mesh("m.dae"))
     (tmp_path / "m.dae").write_text(COLLADA)
-    with ssduck.load(tmp_path / "s.urdf"):
+    with ssduck.load(tmp_path / "s.urdf", simulator="pybullet"):
         pass
     assert old in COLLADA
     (tmp_path / "m.dae").write_text(COLLADA.replace(old, new))
     with pytest.raises(SceneError, match=rf"m.dae: .*{words}"):
-        ssduck.load(tmp_path / "s.urdf")
+        ssduck.load(tmp_path / "s.urdf", simulator="pybullet")
 
 
 @pytest.mark.slow

@@ -188,7 +188,7 @@ def test_files_that_change_meanwhile(
 
     monkeypatch.setattr(target, name, change)
     with pytest.raises(SceneError, match=r"c\.dae has changed while .*c\.urdf was loaded"):
-        ssduck.load(folder / "c.urdf", limits=Limits.strict())
+        ssduck.load(folder / "c.urdf", limits=Limits.strict(), simulator="pybullet")
 
 
 # -- what the process may do -----------------------------------------------------------------
@@ -232,8 +232,9 @@ def test_nothing_that_a_taken_process_tells_is_believed(
 ) -> None:
     told(monkeypatch, *lines, then=then)
     monkeypatch.setattr(trial, "LEAST_LOADING", 0.0)
+    limits = Limits.strict(seconds=0.2)
     with pytest.raises(error, match=message):
-        ssduck.load(folder / "b.urdf", limits=Limits.strict(seconds=0.2))
+        ssduck.load(folder / "b.urdf", limits=limits, simulator="pybullet")
 
 
 @pytest.mark.slow

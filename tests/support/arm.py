@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import pybullet
+import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.support.urdf import collision, joint, link, robot
+
+pybullet = pytest.importorskip("pybullet")
 
 POSE = ["x", "y", "z", "qw", "qx", "qy", "qz"]
 

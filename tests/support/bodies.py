@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-import pybullet
+import pytest
+
+pybullet = pytest.importorskip("pybullet")
 
 
 def create_linked_body(client, mass, shape, *, link_shape=None, **settings):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import pybullet
-import pybullet_data
+import pytest
 
 import ssduck
 from ssduck.schema import RECORDABLE
+
+pybullet = pytest.importorskip("pybullet")
+pybullet_data = pytest.importorskip("pybullet_data")
 
 STEPS = 120
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import pybullet
+import pytest
 
 import ssduck
 from ssduck.sql.relations.registry import RELATIONS
+
+pybullet = pytest.importorskip("pybullet")
 
 
 def state(world):

@@ -10,13 +10,15 @@ from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
-import pybullet
+import pytest
 
 import ssduck
 from ssduck import Recording
 from ssduck.recording.stores.part_log import _LABEL, _TABLE
 from ssduck.schema import HISTORIES, MODELS, RECORDABLE
 from tests.support.recorded import lively
+
+pybullet = pytest.importorskip("pybullet")
 
 EPISODE = "world=lab/episode=0"
 CORNERS = [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]

@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pybullet
-import pybullet_data
+import pytest
 from scipy.spatial.transform import Rotation
+
+pybullet = pytest.importorskip("pybullet")
+pybullet_data = pytest.importorskip("pybullet_data")
 
 LIBRARY = Path(pybullet_data.getDataPath())
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import pybullet
+import pytest
 
 import ssduck
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
+
+pybullet = pytest.importorskip("pybullet")
 
 ALL = "SELECT obj FROM kitchen AS"
 

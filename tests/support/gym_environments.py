@@ -3,7 +3,9 @@
 import gymnasium
 import mujoco
 import numpy as np
-import pybullet
+import pytest
+
+pybullet = pytest.importorskip("pybullet")
 
 PUSH = """
 <mujoco>

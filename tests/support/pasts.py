@@ -6,9 +6,11 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-import pybullet
+import pytest
 
 import ssduck
+
+pybullet = pytest.importorskip("pybullet")
 
 ALL = ("entities", "links", "joints", "shapes", "contacts", "sensings")
 

@@ -7,13 +7,14 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pybullet
 import pytest
 
 import ssduck
 from ssduck import Recording
 from ssduck.schema import RECORDABLE
 from tests.support.bodies import create_linked_body
+
+pybullet = pytest.importorskip("pybullet")
 
 ROOT = Path(__file__).resolve().parents[2]
 

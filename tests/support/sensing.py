@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import pybullet
+import pytest
 from scipy.spatial.transform import Rotation
 
 import ssduck
-from ssduck.simulators.pybullet.simulator import PyBulletSimulator
+
+pybullet = pytest.importorskip("pybullet")
+backend = pytest.importorskip("ssduck.simulators.pybullet.simulator")
 
 # What Bullet's rays are true to, metres: its convex hulls are 1 mm larger, its steps end at 0.1 mm.
 EXACT = 5e-4
@@ -42,7 +44,7 @@ class Stage:
 
     def open(self, *, owned=True):
         """The world of what is there; it counts the rays that are cast."""
-        simulator = PyBulletSimulator(self.client, owned=owned, names=self.names)
+        simulator = backend.PyBulletSimulator(self.client, owned=owned, names=self.names)
         cast = simulator.cast_rays
 
         def counted(starts, ends, through):

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import pybullet
 import pytest
 
 from ssduck.sql.relations.registry import RELATIONS
 from tests.support.stage import BOX, SPHERE
+
+pybullet = pytest.importorskip("pybullet")
 
 CYLINDER, CAPSULE = pybullet.GEOM_CYLINDER, pybullet.GEOM_CAPSULE
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-import pybullet
+import pytest
 
 import ssduck
+
+pybullet = pytest.importorskip("pybullet")
 
 BOX, SPHERE, PLANE = pybullet.GEOM_BOX, pybullet.GEOM_SPHERE, pybullet.GEOM_PLANE
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import time
 
-import pybullet
+import pytest
 
 import ssduck
 from tests.support.timing import HANGS
+
+pybullet = pytest.importorskip("pybullet")
 
 
 def falling(client, height=10.0):

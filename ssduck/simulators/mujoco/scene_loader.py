@@ -38,6 +38,8 @@ _DRAWN, _COLLIDING = 2, 3
 _MESHES = (".obj", ".stl", ".msh")
 # The sliding friction of a link that states none, and the friction against rolling.
 _FRICTION, _OTHER_FRICTION = 0.5, (0.005, 0.0001)
+# What meshes at rest keep apart, as PyBullet's do, for which scenes are laid out, m.
+_MARGIN = 0.001
 # A motor has its greatest effort at this distance from its position, rad or m, or at this
 # difference from its velocity, rad/s or m/s. It goes back in this time, s, many steps: then it is
 # stable however light the link is.
@@ -222,6 +224,8 @@ class _Builder:
             for geom in link.geoms:
                 if mesh := geom.meshname.removeprefix(prefix):
                     geom.meshname = urdf.meshes[mesh]
+                if mesh:
+                    geom.margin = _MARGIN
                 if geom.contype or geom.conaffinity:
                     geom.group, geom.friction = _COLLIDING, (friction, *_OTHER_FRICTION)
                 else:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import pybullet
 import pytest
 
 import ssduck
 from tests.support.triggering import falling
+
+pybullet = pytest.importorskip("pybullet")
 
 
 @pytest.fixture

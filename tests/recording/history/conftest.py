@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import pybullet
 import pytest
 
 import ssduck
 from tests.support.pasts import _falling
+
+pybullet = pytest.importorskip("pybullet")
 
 
 @pytest.fixture

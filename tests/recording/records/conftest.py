@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pybullet
 import pytest
 
 import ssduck
@@ -19,6 +18,8 @@ from tests.support.recorded import (
     rows,
     sphere,
 )
+
+pybullet = pytest.importorskip("pybullet")
 
 
 @pytest.fixture(scope="module")

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import pybullet
 import pytest
 
 import ssduck
 from tests.support.environments import state
+
+pybullet = pytest.importorskip("pybullet")
 
 
 @pytest.fixture

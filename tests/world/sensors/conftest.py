@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import pybullet
 import pytest
 
 from tests.support.sensing import Stage
+
+pybullet = pytest.importorskip("pybullet")
 
 
 @pytest.fixture
