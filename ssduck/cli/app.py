@@ -335,7 +335,7 @@ def query(
     write = writer_of_result(format, output, rows)
     text = program_text(program, file)
 
-    from ssduck.interpreter.shown_rows import rows_to_show
+    from ssduck.interpreter.program import rows_to_show
     from ssduck.limits import Limits
     from ssduck.validation import steps_in
 

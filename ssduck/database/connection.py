@@ -283,6 +283,12 @@ class Connection(StatementRunner):
             (None, name), lambda own: own.register_function(name, *function, **options)
         )
 
+    def withdraw_function(self, name: str) -> None:
+        """Takes a function back, whether it was offered only or is registered."""
+        self.on_demand.withdraw((None, name))
+        if name in self._functions:
+            self.remove_function(name)
+
     def add_function(
         self,
         name: str,

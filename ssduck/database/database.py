@@ -8,7 +8,7 @@ they read. Each world is a schema of views on its buffers. Nothing outside this 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -22,6 +22,7 @@ from ssduck.database.functions import (
     add_user_function,
     converter_of,
     offer_geometry_functions,
+    offer_user_function,
     shape_functions,
 )
 from ssduck.database.pinning import PinnedWorlds
@@ -40,7 +41,7 @@ from ssduck.database.strict.bounded_texts import bounding_statements, has_expres
 from ssduck.database.strict.select_check import SelectCheck
 from ssduck.database.values import Converter
 from ssduck.database.worlds import WorldRegistry
-from ssduck.errors import EvaluationError, LimitError, SqlError
+from ssduck.errors import ArgumentError, EvaluationError, LimitError, SqlError
 from ssduck.language.builtins import Function
 from ssduck.limits import Limits
 from ssduck.recording.export import export
@@ -50,12 +51,16 @@ from ssduck.recording.recorder import Recorder
 from ssduck.recording.replay.record import Record
 from ssduck.recording.spec import Recording, check_names, no_ticks_message
 from ssduck.recording.tags import Tags
+from ssduck.schema import HISTORIES, TABLES
 from ssduck.sql.types import Signature, SqlType
 from ssduck.world import ctrl_c
 from ssduck.world.observers import EpisodeObserver
 from ssduck.world.world import World
 
 __all__ = ["Database", "Statement"]
+
+# The names of a world's tables, which may be used without the name of the first world.
+WORLD_TABLES = frozenset((*TABLES, *(table.history_view for table in HISTORIES.values())))
 
 
 class Database:
@@ -98,6 +103,8 @@ class Database:
         # The folders of records, which ssduck's own views read.
         self._record_folders: list[Path] = []
         self._is_sealed = False
+        # The names of the frames that users have registered.
+        self._registered: set[str] = set()
         self._has_bounded_texts = False
         self._select_check = SelectCheck(self.connection, self._worlds.by_schema)
         offer_geometry_functions(self.connection, self._worlds.by_schema)
@@ -260,6 +267,44 @@ class Database:
         """Registers a user's function with SQL; replaces one of that signature."""
         self._raw_sql.statements.forget()
         add_user_function(self.connection, signature, function, self._worlds.by_schema)
+
+    def offer_function(
+        self, function: Function, parameters: Sequence[SqlType], result: SqlType
+    ) -> None:
+        """Lets raw SQL call a user's function by its name, unless SQL has one of that name."""
+        self.withdraw_function(function.name)
+        if all(sql_type.is_plain for sql_type in (*parameters, result)):
+            offer_user_function(self.connection, function, parameters, result)
+
+    def withdraw_function(self, name: str) -> None:
+        """Takes back what `offer_function` gave to raw SQL."""
+        self._raw_sql.statements.forget()
+        self.connection.withdraw_function(name)
+
+    def register(self, name: str, table: pa.Table) -> None:
+        """Makes a table of Arrow a table of raw SQL; replaces an earlier one of that name.
+
+        Raises:
+            ArgumentError: there is another table of that name.
+        """
+        with self._lock:
+            known = name.lower() in (table.lower() for table in self._registered)
+            if name.lower() in WORLD_TABLES or (not known and self._is_table(name)):
+                raise ArgumentError(
+                    f"register: there is a table {name!r} already; give the frame another name"
+                )
+            self._raw_sql.forget_names()
+            self.connection.register(name, table)
+            self._registered.add(name)
+
+    def _is_table(self, name: str) -> bool:
+        """Checks whether a user has made a table or a view of a name."""
+        ((count,),) = self.connection.internal_rows(
+            "SELECT count(*) FROM information_schema.tables WHERE lower(table_name) = lower(?) "
+            "AND table_schema IN ('main', 'temp')",
+            [name],
+        )
+        return bool(count)
 
     def converter(self, sql_type: SqlType) -> Converter | None:
         """Returns the function from values of SQL to Python's; None if they are the same."""

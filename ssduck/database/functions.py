@@ -72,6 +72,35 @@ def add_user_function(
     )
 
 
+def offer_user_function(
+    connection: Connection, function: Function, parameters: Sequence[SqlType], result: SqlType
+) -> None:
+    """Has a user's function registered under its own name when a statement names it.
+
+    A function of SQL's own of that name stays.
+
+    Args:
+        connection: the connection to the database.
+        function: the function.
+        parameters: the types of its arguments, without entities.
+        result: the type of its result.
+    """
+
+    def call(*arguments: Any) -> Any:
+        return function(arguments)
+
+    def make(own: Connection) -> None:
+        ((count,),) = own.internal_rows(
+            "SELECT count(*) FROM duckdb_functions() WHERE lower(function_name) = lower(?)",
+            [function.name],
+        )
+        if not count:
+            types = [sql_type.duckdb_type for sql_type in parameters]
+            own.register_function(function.name, call, types, result.duckdb_type)
+
+    connection.on_demand.offer((None, function.name), make)
+
+
 def converter_of(sql_type: SqlType, worlds: Mapping[str, BoundWorld]) -> Converter | None:
     """Returns the function from SQL's values to Python's; it keeps no world alive.
 

@@ -208,6 +208,11 @@ class RawSql:
             own = {name for (name,) in self._connection.internal_rows(_OWN_NAMES)}
         return frozenset(own | self._redefined)
 
+    def forget_names(self) -> None:
+        """Forgets what names mean, as there is a further table."""
+        self._world_names = None
+        self.statements.forget()
+
     def _update(self, sql: str) -> None:
         """Takes note of a statement that may have changed what names and settings mean."""
         self._world_names = None

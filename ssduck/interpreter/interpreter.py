@@ -27,7 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, Protocol, Self
+from typing import Any, Literal, Protocol, Self, cast
 from weakref import WeakKeyDictionary
 
 from ssduck import validation
@@ -38,6 +38,7 @@ from ssduck.database.database import Database
 from ssduck.errors import SqlError, UnknownNameError
 from ssduck.formatting import count_of, first_names
 from ssduck.geometry.queries import Statistics
+from ssduck.interpreter.additions import AdditionMethods
 from ssduck.interpreter.eval_as import (
     Condition,
     EvalAsMethods,
@@ -49,17 +50,13 @@ from ssduck.interpreter.eval_as import (
 from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.namespace import check_name
 from ssduck.interpreter.output import AsClause, as_clause_of
-from ssduck.interpreter.program import CompiledProgram, tree_of
+from ssduck.interpreter.program import CompiledProgram, rows_to_show, tree_of
 from ssduck.interpreter.recording import RecordingMethods
-from ssduck.interpreter.shown_rows import rows_to_show
-from ssduck.interpreter.signatures import type_hints_of
 from ssduck.interpreter.sql_hints import add_hint
 from ssduck.interpreter.triggers.registry import TriggerMethods, TriggerRegistry
 from ssduck.interpreter.triggers.tick_batch import TriggerBatches
 from ssduck.language.analysis import aliases_of, sees_outside
-from ssduck.language.builtins import Function
 from ssduck.language.evaluator import Frame
-from ssduck.language.overrides import OPERATOR_NAMES
 from ssduck.language.parser import parse
 from ssduck.language.tree import Query
 from ssduck.language.value_keys import python_value
@@ -86,7 +83,7 @@ class ServedPage(Protocol):
     def __exit__(self, *_: object) -> None: ...
 
 
-class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
+class Interpreter(RecordingMethods, AdditionMethods, TriggerMethods, EvalAsMethods, PublicNames):
     """Runs SelectScript programs and raw SQL on worlds.
 
     Args:
@@ -216,15 +213,19 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
     def eval(
         self,
         program: str | CompiledProgram | QueryPart | SelectedColumns,
-        elements: Sequence[Any] = (),
+        elements: Sequence[Any] | Mapping[str, Any] = (),
         names: Sequence[str] = (),
+        *,
+        parameters: Mapping[str, Any] | None = None,
     ) -> Any:
         """Runs a program.
 
         Args:
             program: the text, or a compiled program; or a part of a query that `evalAs` received.
-            elements: the row for such a part, one element for each source.
+            elements: the row for such a part, one element for each source; for a program, its
+                parameters.
             names: the names of the sources.
+            parameters: values by name, which are variables of this run only.
 
         Returns:
             The value of the last statement; None if there is none.
@@ -232,14 +233,23 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
         Raises:
             SelectScriptError: the program failed; the error has the place, and the variables are
                 as they were before.
+            ArgumentError: a parameter has no name of a variable, or is a world or of one's name.
 
         >>> import ssduck
+        >>> with ssduck.Interpreter() as ss:
+        ...     ss.eval("SELECT this FROM [1, 2, 3] WHERE this > high AS list;", {"high": 1})
+        [2, 3]
         >>> with ssduck.Interpreter() as ss:
         ...     ss.eval("heights = [0.4, 1.2]; SELECT this FROM heights WHERE this > 1;")
         [{'this': 1.2}]
         """
         if isinstance(program, QueryPart | SelectedColumns):
-            return program.value(elements, names)
+            return program.value(cast("Sequence[Any]", elements), names)
+        if parameters is None and isinstance(elements, Mapping):
+            parameters = elements
+        if parameters:
+            with self._execution.with_parameters(parameters):
+                return self.eval(program)
         compiled, execution = tree_of(program, self._limits), self._execution
         if type(self).evalAs is Interpreter.evalAs and (row := execution.row_again(compiled)):
             return row
@@ -407,37 +417,6 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
         """
         return self._execution.variable(name)
 
-    def add_function(
-        self, name: str, function: Callable[..., Any], help: str | None = None
-    ) -> None:
-        """Adds a Python function to the language.
-
-        Args:
-            name: the name of the function in programs.
-            function: the function. It receives entities as handles, and plain values as Python's.
-                It must be pure: the same arguments at the same tick give the same result.
-            help: the text of `help('name')`; by default the docstring of the function.
-
-        Raises:
-            ArgumentError: the name is no identifier, or the function cannot be replaced.
-
-        Warns:
-            UserWarning: the function replaces a relation, a function or an operator of the
-                language (`on`, `count`, `add` for `+`) in programs of this interpreter.
-
-        >>> import ssduck
-        >>> with ssduck.Interpreter() as ss:
-        ...     ss.add_function("double", lambda number: 2 * number, "Doubles a number.")
-        ...     ss.eval("SELECT double(this) FROM [1, 2] AS list;")
-        [2, 4]
-        """
-        if not isinstance(name, str) or name not in OPERATOR_NAMES:
-            check_name(name, "a function")
-        validation.function(function, name)
-        with self._lock:
-            self._execution.add_function(Function.of(name, function, help, type_hints_of(function)))
-            self._execution.forget_plans()
-
     def help(self, name: str | None = None) -> Any:
         """Returns the names of all functions, or the help of one or of a result form (`AS`: all).
 
@@ -461,21 +440,11 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
         """
         return self._execution.history(name)
 
-    def del_function(self, name: str) -> None:
-        """Removes a function that was added; the function that it replaced is back.
-
-        Raises:
-            UnknownNameError: no such function was added; the error suggests the nearest names.
-        """
-        with self._lock:
-            self._execution.remove_function(name)
-            self._execution.forget_plans()
-
     # The tutorial's spellings.
     addVariable = add_variable  # noqa: N815
     callVariable = call_variable  # noqa: N815
-    addFunction = add_function  # noqa: N815
-    delFunction = del_function  # noqa: N815
+    addFunction = AdditionMethods.add_function  # noqa: N815
+    delFunction = AdditionMethods.del_function  # noqa: N815
 
     # -- simulated time -------------------------------------------------------------------
 
@@ -554,7 +523,8 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
             try:
                 return Result(self._database.user_rows(text, parameters))
             except SqlError as error:
-                add_hint(error, text, self._database.worlds)
+                functions = self._execution.users_functions()
+                add_hint(error, text, self._database.worlds, functions)
                 raise
 
     def view(

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from inspect import unwrap
 from types import MappingProxyType
@@ -37,6 +38,7 @@ from ssduck.language.parser import is_reserved
 from ssduck.language.sql_suggestions import suggestion_for_name
 from ssduck.language.tree import Call, Node
 from ssduck.language.value_history import ValueHistory, history_of, past_value, with_assignment
+from ssduck.language.value_keys import python_value
 from ssduck.limits import Limits
 from ssduck.recording.replay.past import Past, past_of
 from ssduck.sql.name_resolution import SCALARS
@@ -189,6 +191,32 @@ class Namespace:
         """Sets a variable of the user's."""
         self.variables[name] = value
         self._assigned.discard(name)
+
+    @contextmanager
+    def with_parameters(self, parameters: Mapping[str, Any]) -> Iterator[None]:
+        """Binds values to names in a context, after which the variables are as before.
+
+        Raises:
+            ArgumentError: a name is none of a variable, or stands for a world.
+        """
+        with self.lock:
+            before = {name: self.variables[name] for name in parameters if name in self.variables}
+            for name, value in parameters.items():
+                check_name(name, "a parameter")
+                if isinstance(value, World) or isinstance(before.get(name), World):
+                    raise ArgumentError(
+                        f"eval: the parameter {name!r} would bind or hide a world: bind worlds "
+                        "with add_variable, and give parameters other names"
+                    )
+            try:
+                for name, value in parameters.items():
+                    self.bind(name, python_value(value))
+                yield
+            finally:
+                for name in parameters:
+                    self.variables.pop(name, None)
+                for name, value in before.items():
+                    self.bind(name, value)
 
     def keep(self, name: str, value: Any, horizon: float) -> None:
         """Sets a variable that keeps its values for a time in seconds."""

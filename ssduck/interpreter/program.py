@@ -1,13 +1,14 @@
-"""Parsed programs."""
+"""Parsed programs, and what is displayed of them: a query without rows still has its columns."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 from ssduck import validation
 from ssduck.language.parser import parse
-from ssduck.language.tree import Program
+from ssduck.language.tree import AdapterClause, Literal, Program, Query
 from ssduck.limits import Limits
 
 
@@ -48,3 +49,43 @@ def tree_of(program: str | CompiledProgram, limits: Limits) -> Program:
         return program.tree
     text = validation.text(program, "a program is a text or a compiled program")
     return parse(text, limits.words)
+
+
+def rows_to_show(compiled: CompiledProgram, evaluate: Callable[[CompiledProgram], Any]) -> Any:
+    """Returns the value of a program; the empty table of its columns if its query has no rows.
+
+    Args:
+        compiled: the program.
+        evaluate: `Interpreter.eval`.
+
+    Raises:
+        SelectScriptError: as `Interpreter.eval` does.
+
+    >>> import ssduck
+    >>> with ssduck.Interpreter() as ss:
+    ...     program = ss.compile("SELECT n.this FROM n=[1, 2] WHERE n.this > 2;")
+    ...     rows_to_show(program, ss.eval).columns
+    ['n']
+    """
+    value = evaluate(compiled)
+    if not (isinstance(value, list) and not value):
+        return value
+    query = last_query(compiled)
+    if query is None or query.adapter is not None:
+        return value
+    form, none = AdapterClause(query.span, "table"), Literal(query.span, 0)
+    return evaluate(with_last(compiled, query, form, limit=none, offset=None))
+
+
+def last_query(compiled: CompiledProgram) -> Query | None:
+    """Returns the query that ends a program; None if something else does."""
+    statements = compiled.tree.statements
+    return statements[-1] if statements and isinstance(statements[-1], Query) else None
+
+
+def with_last(
+    compiled: CompiledProgram, query: Query, form: AdapterClause, **changes: Any
+) -> CompiledProgram:
+    """Returns the program of a query alone, with another result form; the text stays the same."""
+    changed = replace(query, adapter=form, **changes)
+    return replace(compiled, tree=replace(compiled.tree, statements=(changed,)))

@@ -47,16 +47,19 @@ _TABLE_CALLS = {
 _IDS = ("entity", "sensor", "a", "b")
 
 
-def add_hint(error: SqlError, sql: str, worlds: Collection[str]) -> None:
+def add_hint(
+    error: SqlError, sql: str, worlds: Collection[str], functions: Collection[str]
+) -> None:
     """Adds a hint to the error of a user's statement, if there is one.
 
     Args:
         error: the error.
         sql: the statement.
         worlds: the names of the worlds.
+        functions: the names of the user's functions.
     """
     message = error.message
-    if (match := _TABLE.match(message)) and (world := _world(match.group(1), worlds)):
+    if (match := _TABLE.match(message)) and (world := _same(match.group(1), worlds)):
         error.message = (
             f"there is no table {match.group(1)!r}; of the world, there are {world}.entities, "
             f"{world}.links, {world}.contacts and so on"
@@ -66,6 +69,12 @@ def add_hint(error: SqlError, sql: str, worlds: Collection[str]) -> None:
     elif match := _SCHEMA.match(message):
         error.message = f"there is no world or schema {match.group(1)!r}"
         error.suggestions = tuple(nearest(match.group(1), worlds))
+    elif (match := _FUNCTION.search(message)) and (name := _same(match.group(1), functions)):
+        error.message = (
+            f"{name} is a function of yours, and raw SQL calls those whose parameters and result "
+            "all have type hints (bool, int, float, str or lists of these): "
+            f"def {name}(x: float) -> float, say"
+        )
     elif hint := _hint(message, sql, worlds):
         error.message += f"\n{hint}"
 
@@ -85,7 +94,7 @@ def _hint(message: str, sql: str, worlds: Collection[str]) -> str:
             "The ids of entities are numbers in SQL; their names are in the column name: "
             f"WHERE name = {match.group(1)!r}"
         )
-    if (match := _NO_SOURCE.search(message)) and _world(match.group(1), worlds):
+    if (match := _NO_SOURCE.search(message)) and _same(match.group(1), worlds):
         return _IS_SELECTSCRIPT
     return ""
 
@@ -134,6 +143,6 @@ def _is_selectscript(sql: str) -> bool:
     return True
 
 
-def _world(name: str, worlds: Collection[str]) -> str | None:
-    """Returns the world of a name, whose case does not matter."""
-    return next((world for world in worlds if world.lower() == name.lower()), None)
+def _same(name: str, names: Collection[str]) -> str | None:
+    """Returns the name among others that differs in case only, which does not matter in SQL."""
+    return next((known for known in names if known.lower() == name.lower()), None)

@@ -13,7 +13,7 @@ from ssduck.adapters.marks import Marks
 from ssduck.errors import ArgumentError, SelectScriptError
 from ssduck.formatting import short_repr
 from ssduck.interpreter.interpreter import Interpreter
-from ssduck.interpreter.shown_rows import last_query, rows_to_show, with_last
+from ssduck.interpreter.program import last_query, rows_to_show, with_last
 from ssduck.interpreter.stopping import StopRequest
 from ssduck.language.tree import AdapterClause, Literal
 from ssduck.mcp.guide import description

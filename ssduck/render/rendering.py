@@ -18,7 +18,7 @@ from ssduck.errors import ArgumentError, UnknownNameError
 from ssduck.geometry.arrays import Array
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.opening import open_record
-from ssduck.interpreter.shown_rows import rows_to_show
+from ssduck.interpreter.program import rows_to_show
 from ssduck.recording.paths import is_record
 from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.render.cameras import fitting_camera

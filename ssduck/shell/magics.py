@@ -6,7 +6,7 @@ from typing import Any
 
 from ssduck.errors import ArgumentError, UnknownNameError, nearest
 from ssduck.interpreter.interpreter import Interpreter
-from ssduck.interpreter.shown_rows import rows_to_show
+from ssduck.interpreter.program import rows_to_show
 
 
 def register_magics(shell: Any) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 from ssduck.adapters.display import print_line, terminal_width
 from ssduck.adapters.formats import print_value
 from ssduck.errors import SelectScriptError
-from ssduck.interpreter.shown_rows import rows_to_show
+from ssduck.interpreter.program import rows_to_show
 from ssduck.shell.commands import run_command
 from ssduck.shell.session import Session, is_command
 

@@ -67,6 +67,13 @@ class SqlType:
         return self.type in ("entity", "double", "integer", "number", "string", "boolean")
 
     @property
+    def is_plain(self) -> bool:
+        """Whether values are numbers, texts, booleans or lists of them, which refer to no world."""
+        if self.type == "list":
+            return self.element is None or self.element.is_plain
+        return self.is_number or self.type in ("string", "boolean")
+
+    @property
     def duckdb_type(self) -> str:
         """DuckDB's type of such values."""
         if self.type == "list":

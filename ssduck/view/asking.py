@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any, Literal, TypeAlias
 
 from ssduck.interpreter.interpreter import Interpreter
-from ssduck.interpreter.shown_rows import rows_to_show
+from ssduck.interpreter.program import rows_to_show
 from ssduck.language.analysis import calls_of
 from ssduck.language.tree import Call
 

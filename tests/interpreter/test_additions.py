@@ -1,0 +1,173 @@
+"""What users add to an interpreter: parameters of a run, functions in raw SQL, frames that they hold."""
+
+import numpy as np
+import pandas as pd
+import polars as pl
+import pyarrow as pa
+import pytest
+
+import ssduck
+from ssduck.errors import ArgumentError, SqlError, UnknownNameError
+
+PRICES = {"name": ["cup", "table", "sink"], "price": [1.5, 80.0, None]}
+
+
+@pytest.fixture(scope="module")
+def kitchen():
+    with ssduck.load("kitchen") as ss:
+        yield ss
+
+
+@pytest.fixture
+def empty():
+    with ssduck.Interpreter() as ss:
+        yield ss
+
+
+# -- parameters -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("is_compiled", [False, True])
+def test_parameters_are_variables_of_one_run(kitchen, is_compiled):
+    text = "SELECT name FROM kitchen WHERE z > high AND kind == what AS list;"
+    program = kitchen.compile(text) if is_compiled else text
+    for high in (1.0, np.float64(1.5), 1.0):
+        found = kitchen.eval(program, {"high": high, "what": "robot"})
+        expected = "SELECT name FROM entities WHERE z > ? AND kind = 'robot' ORDER BY id"
+        assert found == [name for (name,) in kitchen.sql(expected, [float(high)]).fetchall()] != []
+    assert "high" not in kitchen
+    with pytest.raises(UnknownNameError, match="high"):
+        kitchen.eval(text, parameters={"what": "robot"})
+    assert "what" not in kitchen
+
+
+def test_variables_are_as_before(empty):
+    empty["a"] = 1
+    assert empty.eval("a + b;", parameters={"a": 2, "b": 3}) == 5
+    assert empty.eval("a = a + 1; a;", {"a": 5}) == 6
+    with pytest.raises(ArgumentError):
+        empty.eval("a + 'x';", {"a": [1]})
+    assert empty["a"] == 1
+    assert "b" not in empty
+
+
+@pytest.mark.parametrize("name", ["kitchen", "two words", "select"])
+def test_names_that_no_parameter_has(kitchen, name):
+    with pytest.raises(ArgumentError, match=name):
+        kitchen.eval("1;", {name: 2})
+    assert kitchen.eval("count(SELECT this FROM kitchen AS list);") == 37
+
+
+# -- functions in raw SQL -------------------------------------------------------------------------
+
+
+def twice(x: float) -> float:
+    return 2 * x
+
+
+def test_a_function_is_callable_by_its_name(empty):
+    empty.add_function("twice", twice)
+    assert empty.sql("SELECT twice(x) FROM (VALUES (1.5), (NULL), (4)) t(x)").fetchall() == [
+        (3.0,),
+        (None,),
+        (8.0,),
+    ]
+    assert empty.sql("SELECT TWICE(2)").fetchone() == (4.0,)  # SQL ignores case
+    assert empty.eval("SELECT twice(this) FROM [1.0] AS list;") == [2.0]
+
+    def joined(texts: list[str], count: int, is_loud: bool) -> str:
+        return "-".join(texts * count) + "!" * is_loud
+
+    empty.add_function("joined", joined)
+    assert empty.sql("SELECT joined(['a', 'b'], 2, true)").fetchone() == ("a-b-a-b!",)
+
+
+def test_it_is_replaced_and_removed(empty):
+    empty.add_function("f", twice)
+    assert empty.sql("SELECT f(1)").fetchone() == (2.0,)
+
+    def half(x: float) -> float:
+        return x / 2
+
+    empty.add_function("f", half)
+    assert empty.sql("SELECT f(1)").fetchone() == (0.5,)
+    empty.del_function("f")
+    with pytest.raises(SqlError, match="f does not exist"):
+        empty.sql("SELECT f(1)")
+
+
+def test_its_errors_are_its_own(empty):
+    def fail(x: int) -> int:
+        raise KeyError(x)
+
+    empty.add_function("fail", fail)
+    with pytest.raises(SqlError, match="fail: KeyError: 7"):
+        empty.sql("SELECT fail(7)")
+
+
+def test_a_function_of_sql_stays(empty):
+    def greatest_digit(x: int) -> int:
+        return 0
+
+    empty.add_function("bit_count", greatest_digit)
+    assert empty.sql("SELECT bit_count(7)").fetchone() == (3,)
+    assert empty.eval("bit_count(7);") == 0
+
+
+@pytest.mark.parametrize("function", [lambda x: x, abs, np.sin])
+def test_without_type_hints_the_error_says_so(empty, function):
+    empty.add_function("mine", function)
+    with pytest.raises(SqlError, match=r"mine is a function of yours.*type hints.*def mine\(x: fl"):
+        empty.sql("SELECT mine(1)")
+
+
+# -- frames ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("make", [dict, pd.DataFrame, pl.DataFrame, pa.table])
+def test_a_frame_is_a_table_and_a_source(kitchen, make):
+    kitchen.register("prices", make(PRICES))
+    joined = "SELECT name, price FROM entities JOIN prices USING (name) ORDER BY price"
+    assert kitchen.sql(joined).fetchall() == [("table", 80.0), ("sink", None)]
+    ((heights, prices),) = kitchen.sql(
+        "SELECT sum(z), sum(price) FROM kitchen.entities e, prices p WHERE e.name = p.name"
+    ).fetchall()
+    assert prices == 80.0
+    assert heights == pytest.approx(-0.1)  # of the sink
+    program = (
+        "SELECT e.name, p.price FROM e=kitchen, p=prices WHERE e.name == p.name AND p.price == 80"
+    )
+    assert kitchen.eval(f"{program};") == [{"name": "table", "price": 80.0}]
+
+
+def test_a_frame_is_copied_and_replaced(empty):
+    frame = pd.DataFrame({"a": [1, 2]}, index=[7, 8])
+    empty.register("t", frame)
+    frame.loc[7, "a"] = 100
+    query = "SELECT sum(a) FROM t"
+    assert empty.sql(query).fetchone() == (3,)
+    empty.register("t", empty.sql("SELECT 5 AS a"))
+    assert empty.sql(query).fetchone() == (5,)
+    assert empty.sql("SELECT * FROM t").columns == ["a"]
+    assert "t" in [name for (name,) in empty.sql("SHOW TABLES").fetchall()]
+
+
+@pytest.mark.parametrize(
+    ("name", "frame", "message"),
+    [
+        ("kitchen", PRICES, "'kitchen' is the name of a world"),
+        ("entities", PRICES, "there is a table 'entities' already"),
+        ("Joints_History", PRICES, "there is a table 'Joints_History' already"),
+        ("own", PRICES, "there is a table 'own' already"),
+        ("two words", PRICES, "two words"),
+        ("t", [1, 2], "give a data frame of pandas"),
+        ("t", {}, "give a data frame of pandas"),
+        ("t", {"a": [1, "x"]}, "is no table"),
+        ("t", {"a": [1], "b": [1, 2]}, "is no table"),
+    ],
+)
+def test_what_is_no_frame_or_no_name(kitchen, name, frame, message):
+    kitchen.sql("CREATE TABLE IF NOT EXISTS own(a INT)")
+    with pytest.raises(ArgumentError, match=message):
+        kitchen.register(name, frame)
+    assert name == "kitchen" or name not in kitchen
