@@ -116,7 +116,7 @@ class ModelReader:
         self._geoms = _by_owner(model.geom_bodyid, colliding_geoms(model, disabled), model.nbody)
         self._margins = margins_of(model).listed
         self._flex_shapes: dict[int, list[PlacedGeometry]] = defaultdict(list)
-        for body, flex, shape in flex_shapes(model):
+        for body, flex, shape in flex_shapes(model, disabled):
             margin = self._margins[model.ngeom + flex]
             self._flex_shapes[body].append(replace(shape, margin=margin))
         self._joints = _by_owner(model.jnt_bodyid, np.arange(model.njnt), model.nbody)
@@ -263,7 +263,7 @@ def parts_of(model: Any, body: Body, disabled: Indices | None = None) -> Indices
     owners = model.geom_bodyid[numbers]
     chosen = numbers[np.isin(owners, links)]
     order: Indices = chosen[np.argsort(model.geom_bodyid[chosen], kind="stable")]
-    flexes = [(owner, flex) for owner, flex, _ in flex_shapes(model) if owner in links]
+    flexes = [(owner, flex) for owner, flex, _ in flex_shapes(model, disabled) if owner in links]
     after = [model.ngeom + flex for _, flex in sorted(flexes, key=itemgetter(0))]
     return np.concatenate((order, np.array(after, np.intp)))
 
@@ -272,7 +272,7 @@ def colliding_geoms(model: Any, disabled: Indices | None = None) -> Indices:
     """Returns the numbers of the geoms that can collide, and of those that are only disabled."""
     collides = (model.geom_contype | model.geom_conaffinity) != 0
     if disabled is not None:
-        collides[disabled] = True
+        collides[disabled[disabled < model.ngeom]] = True
     for pairs in (model.pair_geom1, model.pair_geom2):
         collides[pairs] = True
     numbers: Indices = np.flatnonzero(collides)

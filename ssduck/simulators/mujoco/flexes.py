@@ -13,7 +13,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.mujoco.library import mujoco
 
@@ -118,14 +118,36 @@ def _trees_of_flexes(model: Any) -> dict[int, Indices]:
     return found
 
 
-def flex_shapes(model: Any) -> Iterator[tuple[int, int, PlacedGeometry]]:
+def flexes_on(model: Any, bodies: Flags) -> Indices:
+    """Returns the numbers of the flexes that have vertices or nodes on some bodies.
+
+    Args:
+        model: the model.
+        bodies: (bodies,), which.
+    """
+    parts = ((flex.number, np.concatenate((flex.bodies, flex.nodes))) for flex in flexes_of(model))
+    on = [number for number, of_flex in parts if bodies[of_flex[of_flex >= 0]].any()]
+    return np.array(on, np.intp)
+
+
+def flex_shapes(
+    model: Any, disabled: Indices | None = None
+) -> Iterator[tuple[int, int, PlacedGeometry]]:
     """Yields the spheres about the vertices or nodes of flexes that collide.
 
     Each with its body and the number of its flex; the margin is 0, the link that of a base.
+
+    Args:
+        model: the model.
+        disabled: what counts as colliding, though it does not at present; flexes are numbered
+            after all geoms.
     """
+    collides = (model.flex_contype | model.flex_conaffinity) != 0
+    if disabled is not None:
+        collides[disabled[disabled >= model.ngeom] - model.ngeom] = True
     for flex in flexes_of(model):
         number = flex.number
-        if not (model.flex_contype[number] | model.flex_conaffinity[number]):
+        if not collides[number]:
             continue
         part, bodies = ("node", flex.nodes) if len(flex.nodes) else ("vert", flex.bodies)
         places = getattr(model, f"flex_{part}")[_run(model, part, number)]

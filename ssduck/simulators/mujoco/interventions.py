@@ -20,6 +20,7 @@ from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.poses import compose, invert
 from ssduck.simulators.interface import Body
 from ssduck.simulators.mujoco.bodies import colliding_geoms, name_of, numbers_of
+from ssduck.simulators.mujoco.flexes import flexes_on
 from ssduck.simulators.mujoco.library import mujoco
 
 # The beginning of the names of welds that connect what `Entity.hold` holds.
@@ -53,9 +54,14 @@ class Switches:
 
     @property
     def disabled_geoms(self) -> Indices:
-        """The geoms that would collide if their bodies were not disabled."""
-        geoms = [self._saved["enable", body]["geom_contype"][0] for body in self.disabled]
-        return np.concatenate([np.zeros(0, np.intp), *geoms])
+        """The geoms that would collide if their bodies were not disabled, and so the flexes.
+
+        Flexes are numbered after all geoms.
+        """
+        saved = [self._saved["enable", body] for body in self.disabled]
+        geoms = [parts["geom_contype"][0] for parts in saved]
+        flexes = [parts["flex_contype"][0] + self.model.ngeom for parts in saved]
+        return np.concatenate([np.zeros(0, np.intp), *geoms, *flexes])
 
     def enable(self, body: Body, on: bool) -> None:
         """Switches the collisions of a body on or off."""
@@ -70,6 +76,9 @@ class Switches:
         numbers = numbers[np.isin(model.geom_bodyid[numbers], numbers_of(body))]
         pairs = np.isin(model.pair_geom1, numbers) | np.isin(model.pair_geom2, numbers)
         self._set("enable", body, ("geom_contype", "geom_conaffinity"), numbers, 0)
+        are_of_body = np.isin(np.arange(model.nbody), numbers_of(body))
+        flexes = flexes_on(model, are_of_body)
+        self._set("enable", body, ("flex_contype", "flex_conaffinity"), flexes, 0)
         self._set("enable", body, ("pair_margin",), np.flatnonzero(pairs), NEVER)
         self.disabled |= {body}
 
@@ -127,6 +136,9 @@ def take_out(model: Any, data: Any, is_gone: Flags) -> None:
     of_geoms = is_gone[model.geom_bodyid]
     model.geom_contype[of_geoms] = model.geom_conaffinity[of_geoms] = 0
     model.geom_rgba[of_geoms, 3] = 0.0
+    of_flexes = flexes_on(model, is_gone)
+    model.flex_contype[of_flexes] = model.flex_conaffinity[of_flexes] = 0
+    model.flex_rgba[of_flexes, 3] = 0.0
     model.geom_matid[of_geoms] = -1
     model.pair_margin[of_geoms[model.pair_geom1] | of_geoms[model.pair_geom2]] = NEVER
     model.site_rgba[is_gone[model.site_bodyid], 3] = 0.0

@@ -104,3 +104,22 @@ def test_a_flex_can_be_named_and_falls_as_mujoco_says():
             kind = mujoco.mjtObj.mjOBJ_XBODY
             mujoco.mj_objectVelocity(model, data, kind, number, velocity, 0)
             assert seen == pytest.approx(velocity[5], abs=1e-9)
+
+
+def test_a_flex_that_is_disabled_meets_nothing():
+    model, data = settled(CLOTH)
+    with ssduck.Interpreter() as ss:
+        world = ss.add_variable("sim", ssduck.World.attach(model, data))
+        cloth = world["cloth"]
+        cloth.enabled = False
+        mujoco.mj_step(model, data)
+        world.tick()
+        assert not forces_of(model, data)
+        with pytest.warns(UserWarning, match="spheres about the vertices"):
+            assert ss.eval("touching(sim.box, sim.cloth);") is True
+        model.geom_size[1] *= 1.01  # so that all bodies are described anew
+        world.tick()
+        assert len(ss.sql("SELECT * FROM sim.shapes WHERE NOT exact").fetchall()) == 36
+        cloth.enabled = True
+        mujoco.mj_step(model, data)
+        assert forces_of(model, data)
