@@ -255,9 +255,15 @@ def test_files_of_a_repaired_model_are_where_they_were(load, meshes):
     assets = '<compiler meshdir="parts/"/><asset><mesh name="m" file="box.obj"/></asset>'
     text = mjcf_of(mjcf_body("b", parts=geom), before=assets)
     plain, _ = load("plain.xml", text)
-    entity, _ = load("a.xml", text.replace("<worldbody>", "<gz:a/><worldbody>"))
-    assert np.subtract(*reversed(entity.aabb)) == pytest.approx([1, 2, 3], abs=0.05)
-    assert np.allclose(entity.aabb, plain.aabb)
+    for old, new in (
+        ("<worldbody>", "<gz:a/><worldbody>"),
+        ('"parts/"', '"parts"'),  # PyBullet would look for partsbox.obj
+        ('meshdir="parts/"', 'assetdir="parts"'),
+    ):
+        entity, told = load("a.xml", text.replace(old, new))
+        assert not told
+        assert np.subtract(*reversed(entity.aabb)) == pytest.approx([1, 2, 3], abs=0.05)
+        assert np.allclose(entity.aabb, plain.aabb)
 
 
 def test_a_gltf_file_names_files_of_its_folder_only(load, meshes):

@@ -17,6 +17,7 @@ from ssduck.simulators.pybullet.model_numbers import check_numbers, first_of
 from ssduck.simulators.pybullet.model_repairs import (
     free_continuous_joints,
     join_numbers,
+    names_folders,
     reads_otherwise,
     replace_meshes,
     write_for_pybullet,
@@ -82,8 +83,10 @@ class ModelFile:
         is_other |= reads_otherwise(content) | join_numbers(root)
         if spec.source == "sdf":
             is_other |= _fill_texts(root) | place_frames(root)
-        if spec.source == "urdf":
+        elif spec.source == "urdf":
             is_other |= free_continuous_joints(root)
+        elif spec.source == "mjcf":
+            is_other |= names_folders(root)
         has_changed, left_out = replace_meshes(spec.model, spec.source, root)
         return cls(spec.model, spec.source, root, is_other or has_changed, is_cut, left_out)
 

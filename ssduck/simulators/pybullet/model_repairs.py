@@ -68,6 +68,15 @@ def free_continuous_joints(root: ET.Element) -> bool:
     return bool(ranges)
 
 
+def names_folders(root: ET.Element) -> bool:
+    """Checks whether an MJCF file names a folder that PyBullet does not find: it adds no slash."""
+    return any(
+        compiler.get(key) and (key == "assetdir" or not compiler.get(key, "").endswith("/"))
+        for compiler in root.iter("compiler")
+        for key in ("meshdir", "assetdir")
+    )
+
+
 def replace_meshes(model: Path, format: str, root: ET.Element) -> tuple[bool, list[str]]:
     """Gives PyBullet meshes that it can read: converts others, and leaves out what cannot be read.
 
