@@ -17,7 +17,7 @@ import pyarrow as pa
 
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.interpreter import Interpreter
-from ssduck.interpreter.temporal_functions import TEMPORAL_FUNCTIONS, RowsOf
+from ssduck.interpreter.temporal_functions import TEMPORAL_FUNCTIONS, RowsOf, parts_of
 from ssduck.language.builtins import BUILTINS
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS
 from ssduck.language.tree import (
@@ -69,7 +69,8 @@ def reads_present(program: Program) -> bool:
 def _reads_present(node: Node) -> bool:
     if isinstance(node, Call):
         if node.name in TEMPORAL_FUNCTIONS:
-            return any(map(_reads_present, node.arguments[1:]))
+            _, other = parts_of(node)
+            return other is not None and _reads_present(other)
         is_of_values = node.name in BUILTINS or node.name in RELATIONS_OF_INTERVALS
         if not is_of_values:
             return True

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from typing import Any, TypeAlias
 from weakref import ReferenceType, WeakKeyDictionary, ref
 
@@ -27,7 +28,11 @@ from ssduck.interpreter.linter import Linter
 from ssduck.interpreter.namespace import Namespace
 from ssduck.interpreter.output import is_list
 from ssduck.interpreter.planner import Planner
-from ssduck.interpreter.temporal_functions import TEMPORAL_FUNCTIONS, TemporalEvaluator
+from ssduck.interpreter.temporal_functions import (
+    TEMPORAL_FUNCTIONS,
+    TemporalEvaluator,
+    parts_of,
+)
 from ssduck.language.analysis import calls_of, is_impure, variables_of
 from ssduck.language.clauses import formed
 from ssduck.language.deferred import LazyList
@@ -359,7 +364,8 @@ class Execution(Namespace):
         expansion = self.temporal.expansion(node)
         if expansion is not None:
             return frame.value(expansion)
-        age = frame.value(node.arguments[1]) if len(node.arguments) > 1 else None
+        _, other = parts_of(node)
+        age = None if other is None else frame.value(other)
 
         def rows(query: Query, placeholders: dict[str, Any]) -> Sequence[Sequence[Any]]:
             selected = self.planner.run(
@@ -405,6 +411,7 @@ class Execution(Namespace):
             return None
         values_by_name = {f"argument_{index}": value for index, value in enumerate(pinned)}
         worlds = [value.world for value in values if isinstance(value, Handle)]
+        _check_tick(node, pinned)
         tables = RELATIONS[node.name].inputs
         if any(isinstance(value, Link) for value in values):
             tables |= {"links"}
@@ -534,6 +541,25 @@ class _Transaction:
 def _is_short_plain_list(value: object) -> bool:
     """Checks whether a value is a short list of plain values, such as a position."""
     return type(value) is list and len(value) <= _SHORT and _PLAIN.issuperset(map(type, value))
+
+
+def _check_tick(node: Call, values: Iterable[Any]) -> None:
+    """Checks that entities whose shapes, contacts or joints are compared are of one tick.
+
+    Raises:
+        ArgumentError: they are of several.
+    """
+    if not RELATIONS[node.name].tables:
+        return
+    handles = [value for value in values if isinstance(value, Handle) and value.moment is not None]
+    for first, second in pairwise(handles):
+        if first.world is second.world and first.moment.tick != second.moment.tick:  # type: ignore[union-attr]
+            raise ArgumentError(
+                f"{node.name} is of entities at one tick, and these are of {first.state.time:g} s "
+                f"and of {second.state.time:g} s: for all of them at a time t write "
+                f"at(t, {node.name}(…)); of two ticks there are positions: distance(a, b)",
+                span=node.span,
+            )
 
 
 def _accept_columns(_: object) -> None:

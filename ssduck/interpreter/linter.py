@@ -30,7 +30,7 @@ from ssduck.interpreter.misread_relations import (
     number_as_condition,
 )
 from ssduck.interpreter.suspect_values import Suspects, handle_of, mistakes_in, suspects_of
-from ssduck.language.analysis import states
+from ssduck.language.analysis import OVER_TIME, states
 from ssduck.language.tree import (
     Assignment,
     Binary,
@@ -366,7 +366,7 @@ class Linter:
 
     def _hiding_names(self, facts: StatementFacts) -> Iterator[SelectScriptError]:
         for name, span in facts.assigned:
-            if self._is_function(name) and name not in _COLUMNS:
+            if self._is_function(name) and name not in _COLUMNS | OVER_TIME:
                 yield ArgumentError(hiding_message(name), span=span)
         for name, span in facts.columns:
             if self._variable(name) is not None:
@@ -374,7 +374,7 @@ class Linter:
                 yield ArgumentError(message, span=span)
         for name, span in facts.bare:
             is_hidden = self._is_function(name) and self._variable(name) is not None
-            if is_hidden and name not in _COLUMNS:
+            if is_hidden and name not in _COLUMNS | OVER_TIME:
                 yield ArgumentError(hiding_message(name), span=span)
         for name, span in facts.aliases:
             if self._is_function(name) and self._variable(name) is None:

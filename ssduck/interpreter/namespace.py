@@ -309,7 +309,7 @@ class Namespace:
         """
         name = function.name
         known = self.functions.get(name)
-        if name in NOT_OVERRIDABLE or name in TEMPORAL_FUNCTIONS:
+        if name in NOT_OVERRIDABLE:
             raise ArgumentError(f"{name!r} is a part of the language; choose another name")
         is_users = known is not None and not known.builtin
         if is_users or not (name in RELATIONS or name in OPERATOR_NAMES or known is not None):

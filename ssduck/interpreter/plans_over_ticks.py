@@ -166,7 +166,8 @@ def _of_expression(execution: Execution, node: Node, frame: Frame) -> TickPlan:
             raise _unsupported("a query inside of another expression", part)
     call = Call(node.span, "the last value", (node,), node.span)
     if isinstance(node, Call) and node.name in TEMPORAL_FUNCTIONS:
-        if TEMPORAL_FUNCTIONS[node.name].expansion is not None:
+        form = TEMPORAL_FUNCTIONS[node.name]
+        if form.expansion is not None or not form.is_in_lakes:
             raise _unsupported(node.name, node)
         function, call, age = node.name, node, None
         if len(node.arguments) > 1:

@@ -235,10 +235,15 @@ def with_present_ticks(values: Sequence[Any], elements: Sequence[Any]) -> list[A
         for value in elements
         if isinstance(value, Handle) and value.moment is not None
     }
+    has_present = any(isinstance(value, World | Links) for value in values)
     for value in values:
         if isinstance(value, Past):
             value.check()
             records[value.world] = value.record
+        elif has_present and isinstance(value, list):
+            for element in value:
+                if isinstance(element, Handle) and element.moment is not None:
+                    records[element.world] = cast("Record", element.moment.record)
     return [_with_present_tick(value, records) for value in values]
 
 

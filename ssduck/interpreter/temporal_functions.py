@@ -8,20 +8,24 @@ computes the result from these.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import itemgetter
 from typing import Any, Protocol, TypeAlias
 from weakref import WeakKeyDictionary
 
 import numpy as np
+import numpy.typing as npt
 
 from ssduck.errors import ArgumentError, UnsupportedError
 from ssduck.formatting import short_repr
+from ssduck.language.analysis import free_aliases
 from ssduck.language.builtins import Function
 from ssduck.language.evaluator import Frame
 from ssduck.language.intervals import changes_of, intervals_of
-from ssduck.language.operators import truth
+from ssduck.language.operators import apply, truth
 from ssduck.language.tree import (
     Binary,
     Call,
@@ -37,12 +41,13 @@ from ssduck.language.tree import (
 )
 from ssduck.limits import UsageMeter
 from ssduck.recording.replay.pair_answers import PairQueries
-from ssduck.recording.replay.past import Past, past_of
+from ssduck.recording.replay.past import Past, common_moment, past_of
 from ssduck.recording.replay.record import Record
 from ssduck.recording.stores.base import PairRequest
 from ssduck.world.handles import Handle
 from ssduck.world.world import World
 
+_TICK = itemgetter(0)
 # The number of ticks that `since` reads first; each further read is twice as long.
 FIRST_TICKS = 240
 # Returns rows [tick, time, value] of some ticks.
@@ -63,6 +68,9 @@ class TemporalFunction:
         usage: its signature for help.
         expansion: the function that returns the expression for which a call stands, of a function
             that is no series of its own.
+        arguments: the least and the largest number of arguments.
+        expression: the place of the expression among the arguments.
+        is_in_lakes: whether it is evaluated over the episodes of a lake by one statement.
     """
 
     name: str
@@ -70,13 +78,23 @@ class TemporalFunction:
     about: str
     usage: str
     expansion: Callable[[Call], Node] | None = None
+    arguments: tuple[int, int] = (1, 2)
+    expression: int = 0
+    is_in_lakes: bool = True
 
     @property
     def function(self) -> Function:
         """The entry for help; it is never called."""
         help_text = f"{self.about}\nUsage: {self.usage}"
-        least = 1 if self.expansion is None else 2
-        return Function(self.name, lambda *_: None, help_text, least, 2, builtin=True)
+        return Function(self.name, lambda *_: None, help_text, *self.arguments, builtin=True)
+
+
+def parts_of(call: Call) -> tuple[Node, Node | None]:
+    """Returns the expression of a call that is evaluated at ticks, and the other argument."""
+    form = TEMPORAL_FUNCTIONS.get(call.name)
+    place = 0 if form is None else form.expression
+    others = [part for number, part in enumerate(call.arguments) if number != place]
+    return call.arguments[place], others[0] if others else None
 
 
 class TickSeries:
@@ -89,6 +107,8 @@ class TickSeries:
         least_clearance: returns the least value of the expression at some ticks, of which no two
             have the same time, with its first tick; None if it is not the clearance of two
             entities.
+        now: the number of the tick of a row of the past, up to which the series goes; None for the
+            current tick of the world.
     """
 
     def __init__(
@@ -97,11 +117,32 @@ class TickSeries:
         run: RowsOf,
         node: Node,
         least_clearance: LeastClearance | None = None,
+        now: int | None = None,
     ) -> None:
         self.record = record
+        self._now = now
         self.node = node
         self.least_clearance = least_clearance
         self._run = run
+
+    def ticks(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+        """Returns the numbers and the times of the ticks until now."""
+        return self.record.ticks_until_now(self._now)
+
+    @property
+    def time(self) -> float:
+        """The time of the tick that is now, s."""
+        return self.record.world.time if self._now is None else float(self.ticks()[1][-1])
+
+    def past(self, age: float | None) -> Past:
+        """Returns the tick at a time, those of the last seconds, or all, as braces do."""
+        return past_of(self.record, age, self._now)
+
+    def window(self, first: float, last: float) -> Past:
+        """Returns all ticks from one time to another."""
+        numbers, times = self.ticks()
+        start, end = np.searchsorted(times, first), np.searchsorted(times, last, side="right")
+        return Past(self.record, int(numbers[start]), int(numbers[end - 1]), is_window=True)
 
     def at(self, past: Past) -> tuple[list[float], list[Any]]:
         """Returns the times and values at some ticks; None where an entity was not there.
@@ -127,7 +168,7 @@ class TickSeries:
 
     def backwards(self) -> Iterator[Past]:
         """Yields all ticks in pieces, the last ones first, each twice as long as the one before."""
-        numbers, all_times = self.record.ticks_until_now()
+        numbers, all_times = self.ticks()
         end, size = len(numbers), FIRST_TICKS
         while end > 0:
             # Ticks of the same time are in the same piece.
@@ -152,24 +193,53 @@ def _since(series: TickSeries, age: Any) -> float | None:
 
 def _held_for(series: TickSeries, age: Any) -> float:
     start = _since(series, age)
-    return 0.0 if start is None else float(series.record.ticks_until_now()[1][-1]) - start
+    return 0.0 if start is None else float(series.ticks()[1][-1]) - start
 
 
 def _holds(series: TickSeries, age: Any) -> list[list[float]]:
-    return intervals_of(*series.holding(past_of(series.record, age)))
+    return intervals_of(*series.holding(series.past(age)))
 
 
 def _changes(series: TickSeries, age: Any) -> list[list[Any]]:
-    return changes_of(*series.at(past_of(series.record, age)))
+    return changes_of(*series.at(series.past(age)))
 
 
 def _initially(series: TickSeries, age: Any) -> Any:
     if age is not None:
         raise ArgumentError("initially takes one argument: initially(expression)")
-    numbers, times = series.record.ticks_until_now()
-    last = int(np.searchsorted(times, times[0], side="right")) - 1
-    _, values = series.at(Past(series.record, int(numbers[0]), int(numbers[last]), is_window=True))
-    return values[0]
+    start = series.ticks()[1][0]
+    return series.at(series.window(start, start))[1][0]
+
+
+def _previous(series: TickSeries, _: Any) -> Any:
+    times = series.ticks()[1]
+    before = times[: np.searchsorted(times, series.time)]
+    time = before[-1] if len(before) else times[0]
+    return series.at(series.window(time, time))[1][0]
+
+
+def _rate(series: TickSeries, _: Any) -> Any:
+    times = series.ticks()[1]
+    before = times[: np.searchsorted(times, times[-1])]
+    pair = series.at(series.window(before[-1] if len(before) else times[-1], times[-1]))
+    if None in pair[1]:
+        return None
+    is_list = type(pair[1][0]) is list
+    first, last = (value if is_list else [value] for value in (pair[1][0], pair[1][-1]))
+    if not {int, float}.issuperset(map(type, (*first, *last))):
+        raise ArgumentError(f"rate takes an expression of numbers, not {short_repr(pair[1][-1])}")
+    seconds = pair[0][-1] - pair[0][0] if len(before) else 1.0
+    rates = [change / seconds for change in apply("-", last, first)]
+    return rates if is_list else rates[0]
+
+
+def _at(series: TickSeries, time: Any) -> Any:
+    if time is None or time < 0:
+        raise ArgumentError(
+            "at takes a time from 0 s on, then an expression: at(0.5, x(cup)); for half a second "
+            "ago write at(getTime() - 0.5, x(cup))"
+        )
+    return series.at(series.past(time))[1][-1]
 
 
 def _lifted(call: Call) -> Node:
@@ -183,7 +253,7 @@ def _lifted(call: Call) -> Node:
 
 def _least(series: TickSeries, age: Any) -> list[Any] | None:
     if series.least_clearance is not None:
-        past = past_of(series.record, age)
+        past = series.past(age)
         ticks, times = past.ticks, past.times
         found = series.least_clearance(past) if len(set(times)) == len(times) else None
         if found is not None:
@@ -199,7 +269,7 @@ def _extreme(
     series: TickSeries, age: Any, name: str, choose: Callable[..., tuple[float, Any]]
 ) -> list[Any] | None:
     """Returns [time, value] of the first of the extreme values; None without numbers."""
-    times, values = series.at(past_of(series.record, age))
+    times, values = series.at(series.past(age))
     entries = [
         (time, value) for time, value in zip(times, values, strict=True) if _is_number(value)
     ]
@@ -260,6 +330,36 @@ TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
             "z(entity) - initially(z(entity)) >= height.",
             "lifted(entity, height) -> bool",
             _lifted,
+            arguments=(2, 2),
+        ),
+        TemporalFunction(
+            "previous",
+            _previous,
+            "Returns the value of an expression at the last recorded tick before the current time: "
+            "that of the tick itself at the first one, nothing if an entity was not there.",
+            "previous(expression) -> value",
+            arguments=(1, 1),
+            is_in_lakes=False,
+        ),
+        TemporalFunction(
+            "rate",
+            _rate,
+            "Returns the change of an expression from the recorded tick before to the last one, in "
+            "its unit a second; 0 at the first tick, nothing if an entity was not there at one of "
+            "them. Of a list of numbers it is a list.",
+            "rate(expression) -> number",
+            arguments=(1, 1),
+            is_in_lakes=False,
+        ),
+        TemporalFunction(
+            "at",
+            _at,
+            "Returns the value of an expression at a simulated time in seconds: at the last "
+            "recorded tick until then; nothing if an entity was not there.",
+            "at(time, expression) -> value",
+            arguments=(2, 2),
+            expression=1,
+            is_in_lakes=False,
         ),
         TemporalFunction(
             "least",
@@ -330,7 +430,7 @@ class TemporalEvaluator:
         run: Callable[[Query, dict[str, Any]], Sequence[Sequence[Any]]],
         meter: UsageMeter,
     ) -> TickSeries:
-        """Returns the values of the first argument of a call, tick by tick.
+        """Returns the values of the expression in a call, tick by tick.
 
         Args:
             call: the call, `holds(…)` say.
@@ -343,10 +443,12 @@ class TemporalEvaluator:
             ArgumentError: the expression contains no entity.
             UnsupportedError: the expression contains a query, or entities of two worlds.
         """
-        expression = call.arguments[0]
+        expression, _ = parts_of(call)
         query, world, values, handles = self._query_and_values(call, frame)
         record = record_of(world)
         record.world.warn_of_unrecorded_start()
+        moment = common_moment(world, (), frame.own_elements())
+        now = None if moment is None else moment.tick
 
         def rows(past: Past) -> Sequence[Sequence[Any]]:
             return run(query, _placeholders(values, handles, past))
@@ -355,7 +457,7 @@ class TemporalEvaluator:
         are_entities = all(handles) and all(value.TABLE == "entities" for value in values)
         if are_entities and _is_clearance(expression) and len({v.id for v in values}) == 2:
             least = partial(self._least_clearance, meter, values[0].id, values[1].id)
-        if reader is None:
+        if reader is None and now is None:
             return TickSeries(record, rows, expression, least)
         key = (
             query,
@@ -364,7 +466,21 @@ class TemporalEvaluator:
                 for value, is_entity in zip(values, handles, strict=True)
             ),
         )
-        return TickSeries(record, lambda past: reader.rows(key, past, rows), expression, least)
+        if reader is None:
+            cache: dict[Any, Any] = frame.cached
+
+            def rows_of(past: Past) -> Sequence[Sequence[Any]]:
+                if key not in cache:  # of all ticks at once, for the next rows of the query
+                    cache[key] = rows(past_of(record, None))
+                of_all: Sequence[Sequence[Any]] = cache[key]
+                return of_all[
+                    bisect_left(of_all, past.first, key=_TICK) : bisect_right(
+                        of_all, past.last, key=_TICK
+                    )
+                ]
+
+            return TickSeries(record, rows_of, expression, least, now)
+        return TickSeries(record, lambda past: reader.rows(key, past, rows), expression, least, now)
 
     def query_over_ticks(
         self, call: Call, frame: Frame, record_of: Callable[[World], Record]
@@ -383,16 +499,19 @@ class TemporalEvaluator:
         self, call: Call, frame: Frame
     ) -> tuple[Query, World, list[Any], list[bool]]:
         """Returns the query of a call, the world, its values, and which of them are entities."""
-        expression = call.arguments[0]
+        expression, _ = parts_of(call)
         places = list(_places(expression, call))
         values = [frame.value(place) for place in places]
-        handles = [isinstance(value, Handle) and value.moment is None for value in values]
+        # An entity of a row of the past follows the ticks; that of `sim{0.0}.cup` stays at its own.
+        handles = [
+            isinstance(value, Handle) and (value.moment is None or bool(free_aliases(place)))
+            for place, value in zip(places, values, strict=True)
+        ]
         worlds = {v.world for v, is_entity in zip(values, handles, strict=True) if is_entity}
         if not worlds and any(isinstance(value, Handle) for value in values):
-            raise UnsupportedError(
-                f"{call.name} is of the present, and its entities are past ones here: set a "
-                "variable first, as in start = initially(z(room.cup)); "
-                "holds(z(room.cup) - start >= 0.1)",
+            raise ArgumentError(
+                f"{call.name} takes an entity at all ticks, and this one stays at its tick: write "
+                "it without {…}",
                 span=expression.span,
             )
         if not worlds:
@@ -470,6 +589,6 @@ def _query_of(call: Call, places: Sequence[Node], handles: tuple[bool, ...]) -> 
         replacements[place] = This(place.span, alias)
         sources.append(Source(place.span, alias, placeholder))
     first = This(span, sources[0].alias)
-    value = call.arguments[0].replaced(replacements.get)
+    value = parts_of(call)[0].replaced(replacements.get)
     items = (*(Call(span, name, (first,), span) for name in ("tick", "time")), value)
     return Query(span, items, tuple(sources))

@@ -30,7 +30,10 @@ T = TypeVar("T")
 IMPURE = frozenset(("print", "eval", "clear"))
 # Calls whose argument is evaluated at each recorded tick (ssduck.interpreter.temporal_functions).
 OVER_TIME = frozenset(
-    ("since", "heldFor", "holds", "changes", "initially", "lifted", "least", "greatest")
+    (
+        *("since", "heldFor", "holds", "changes", "initially", "lifted", "least", "greatest"),
+        *("previous", "rate", "at"),
+    )
 )
 
 

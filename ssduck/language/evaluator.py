@@ -406,7 +406,7 @@ class ExpressionCompiler:
     def _call(self, node: Call) -> Thunk:
         self._scope.check_call(node)
         if node.name in OVER_TIME:
-            return lambda frame: frame.scope.over_time(node, frame)
+            return _with_span(node, lambda frame: frame.scope.over_time(node, frame))
         thunks = [self.thunk(argument) for argument in node.arguments]
 
         function = self._scope.builtin(node.name)

@@ -81,7 +81,7 @@ def _relation(sql: ExpressionScope, relation: Relation, node: Call) -> SqlValue:
         parameter.name: _argument(sql, relation, parameter, argument)
         for parameter, argument in zip(relation.parameters, node.arguments, strict=False)
     }
-    sql.ticks.join_entities(values)
+    sql.ticks.join_entities(values, at_one_tick=bool(relation.tables))
     over_ticks = sql.ticks.over_all_ticks(relation, values, count)
     if over_ticks is not None:
         return over_ticks

@@ -39,16 +39,28 @@ class QueryTicks:
         self.tick_ranges: dict[str, TickRange] = {}
         self.present: set[str] = set()
 
-    def join_entities(self, values: dict[str, SqlValue]) -> None:
+    def join_entities(self, values: dict[str, SqlValue], *, at_one_tick: bool) -> None:
         """Joins the rows of handles at the tick of the entities at recorded ticks.
 
         A handle stands for the entity at the current tick; beside rows of the past, at their tick.
+        A handle that is fixed to a tick stays there.
+
+        Args:
+            values: the arguments of a relation.
+            at_one_tick: whether the relation is of entities at one tick; else it computes with
+                their columns.
+
+        Raises:
+            NotSqlError: Python finds the ticks.
         """
         entities = {
             name: value for name, value in values.items() if value.sql_type.type == "entity"
         }
-        rows = [value for value in entities.values() if value.sql_type.past]
         handles = {name: value for name, value in entities.items() if not value.sql_type.past}
+        past = [value for value in entities.values() if value.sql_type.past]
+        rows = [value for value in past if not _is_fixed(value)]
+        if at_one_tick and len(rows) < len(past) and len(entities) > 1 and self._all_rows():
+            raise NotSqlError
         if not handles:
             return
         if not rows:
@@ -56,6 +68,8 @@ class QueryTicks:
             result = [
                 v for v in self._all_rows() if v.sql_type.past and v.sql_type.schema in schemas
             ]
+            if past and len(result) > 1:
+                raise NotSqlError  # the tick may be that of one of these rows
             rows = result[-1:]
         if not rows:
             return
@@ -194,6 +208,11 @@ class QueryTicks:
             )
             self._parameters[id.sql()] = id
         return self.joined_entities[key]
+
+
+def _is_fixed(value: SqlValue) -> bool:
+    """Checks whether an entity at a recorded tick is that of a variable, not that of a row."""
+    return value.column is not None and isinstance(value.column("tick"), exp.Parameter)
 
 
 def _id_column(value: SqlValue) -> exp.Expr:

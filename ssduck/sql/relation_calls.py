@@ -125,6 +125,12 @@ def _as_exists(part: exp.Expr) -> exp.Expr:
 _MODEL_TABLES = {name: TABLES[name].model_view for name in ("shapes", "geometries")}
 
 
+_TWO_TICKS = (
+    "the entities are of two ticks: for all of them at a time t write at(t, …); of two ticks there "
+    "are positions: distance(a, b)"
+)
+
+
 def _at_ticks(formula: exp.Expr, schema: str, ticks: list[exp.Expr]) -> exp.Expr:
     """Returns a formula with the tables of a world at the tick of its entities."""
     result = in_schema(formula, schema)
@@ -151,5 +157,5 @@ def _at_ticks(formula: exp.Expr, schema: str, ticks: list[exp.Expr]) -> exp.Expr
     is_one_tick = exp.and_(
         *(exp.EQ(this=ticks[0].copy(), expression=tick.copy()) for tick in ticks[1:])
     )
-    two_ticks = exp.func("error", exp.Literal.string("the entities are of two ticks"))
+    two_ticks = exp.func("error", exp.Literal.string(_TWO_TICKS))
     return exp.case().when(is_one_tick, exp.paren(result)).else_(two_ticks)

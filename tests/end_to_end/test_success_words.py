@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import re
 from pathlib import Path
@@ -49,27 +50,45 @@ def test_a_condition_has_a_value(lab, condition):
     assert isinstance(value, int | float) if expected is float else type(value) is bool
 
 
+def _reach(data):
+    return math.dist(data.site("tool").xpos, data.body("bowl").xpos)
+
+
+def _drawer(data):
+    return float(data.joint("slide").qpos[0])
+
+
+# By hand, from the states of MuJoCo before a step and after it.
 REWARDS = {
-    "-distance(lab.arm.tool, lab.bowl)": lambda data: (
-        -math.dist(data.site("tool").xpos, data.body("bowl").xpos)
+    "-distance(lab.arm.tool, lab.bowl)": lambda _, now: -_reach(now),
+    "previous(distance(lab.arm.tool, lab.bowl)) - distance(lab.arm.tool, lab.bowl)": (
+        lambda before, now: _reach(before) - _reach(now)
     ),
-    "joint(lab.cabinet, 'slide') / 0.16": lambda data: float(data.joint("slide").qpos[0]) / 0.16,
-    "exp(-((speed(lab.bowl) - 0.2)^2) / 0.25)": lambda data: math.exp(
-        -((math.hypot(*data.joint(1).qvel[:3]) - 0.2) ** 2) / 0.25
+    "rate(x(lab.cabinet.drawer))": lambda before, now: (
+        (now.body("drawer").xpos[0] - before.body("drawer").xpos[0]) / (now.time - before.time)
     ),
-    "int(inContact(lab.arm, lab.bowl)) + 2 * int(z(lab.bowl) > 0.5)": lambda _: 0,
+    "joint(lab.cabinet, 'slide') / 0.16": lambda _, now: _drawer(now) / 0.16,
+    "exp(-((speed(lab.bowl) - 0.2)^2) / 0.25)": lambda _, now: math.exp(
+        -((math.hypot(*now.joint(1).qvel[:3]) - 0.2) ** 2) / 0.25
+    ),
+    "int(inContact(lab.arm, lab.bowl)) + 2 * int(z(lab.bowl) > 0.5)": lambda *_: 0,
 }
 
 
 def test_rewards_are_what_they_are_by_hand(lab, scene):
-    texts = [text for word, text in ROWS if "reward" in word]
-    assert texts == [*REWARDS]
-    scene["mujoco"].mj_forward(scene["model"], scene["data"])  # velocities of the present state
+    rewards = [text for word, text in ROWS if "reward" in word]
+    assert rewards == [*REWARDS]
+    mujoco, model, data = scene["mujoco"], scene["model"], scene["data"]
+    mujoco.mj_forward(model, data)  # poses and velocities of the present state
     scene["lab"].tick()
-    for text in texts:
-        assert lab.eval(f"{text};") == pytest.approx(REWARDS[text](scene["data"]), rel=1e-12), text
+    before = copy.copy(data)
+    mujoco.mj_step(model, data)
+    mujoco.mj_forward(model, data)
+    scene["lab"].tick()
+    for text in rewards:
+        assert lab.eval(f"{text};") == pytest.approx(REWARDS[text](before, data), abs=1e-12), text
     # Standing still is 0.2 m/s too slow: exp(-0.04 / 0.25), and not more than 1.
-    assert lab.eval(f"{texts[2]};") == pytest.approx(0.852, abs=1e-3)
+    assert lab.eval(f"{rewards[4]};") == pytest.approx(0.852, abs=1e-3)
 
 
 TRUE = [

@@ -338,6 +338,8 @@ def test_of_what_came_later_nothing_is_known_initially(lab: Any) -> None:
     for each in (ss, rows):
         each.add_variable("late", late)
     assert _evaluated(lab, "initially(z(late));") is None
+    for program in ("previous(z(late));", "rate(z(late));", "at(0.0, position(late));"):
+        assert _evaluated(lab, program) is None
 
 
 def test_initially_takes_one_argument(unmoved: Any) -> None:

@@ -258,7 +258,7 @@ MISTAKES = [
     (["v{1} = 1;", 2], "SELECT v{0} FROM [1];", EvaluationError, "v{0}", "before the kept values"),
     (["v{1} = 1;", 2], "SELECT v{this} FROM [1.5, 0.5];", EvaluationError, "v{this}", "0.5 s is before"),
     (["v{} = 1;"], "SELECT v{0} FROM [1, 2] START WITH v = 1 CONNECT BY v = 2 STOP WITH v == 2;", ArgumentError, "v{0}", "v is a state variable here"),
-    ([], "SELECT this FROM [1] WHERE (s{} = 1) > 0 START WITH s = 1 CONNECT BY s = 2 STOP WITH s == 2;", ArgumentError, "s{} = 1", "s is a state variable here"),
+    ([], "SELECT this FROM [1] WHERE IF(True; s{} = 1, True) START WITH s = 1 CONNECT BY s = 2 STOP WITH s == 2;", ArgumentError, "s{} = 1", "s is a state variable here"),
     ([], "SELECT this FROM [1] START WITH v{5} = 1 CONNECT BY v = 2 STOP WITH 1;", ParseError, "{", "a state variable has no history"),
 ]  # fmt: skip
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ssduck import validation
-from ssduck.errors import EvaluationError
+from ssduck.errors import ArgumentError, EvaluationError
 from ssduck.formatting import short_repr
 from ssduck.recording.replay.past_world import PastWorld
 from ssduck.recording.replay.record import TIME_TOLERANCE, Record, index_at
@@ -27,33 +27,35 @@ from ssduck.world.world import World
 _FIRST_TICK = 1
 
 
-def past_of(record: Record, age: float | None) -> Past:
+def past_of(record: Record, age: float | None, now: int | None = None) -> Past:
     """Returns the tick at a time, the ticks of the last seconds, or all ticks.
 
     Args:
         record: the record of the world.
         age: if not negative, a simulated time, s, to select the last tick until then; if negative,
             to select the ticks of so many last seconds; None for all ticks.
+        now: the number of a recorded tick that takes the place of the current one.
 
     Raises:
         EvaluationError: no tick is recorded, or none of that time.
     """
-    numbers, times = record.ticks_until_now()
+    numbers, times = record.ticks_until_now(now)
     name = record.world.name
     if not len(numbers):
         raise EvaluationError(f"no tick of {name!r} is recorded")
+    time = record.world.time if now is None else float(times[-1])
     if age is None:
         return Past(record, int(numbers[0]), int(numbers[-1]), is_window=True)
     if age < 0:
-        first = int(np.searchsorted(times, record.world.time + age - TIME_TOLERANCE))
+        first = int(np.searchsorted(times, time + age - TIME_TOLERANCE))
         if first == len(numbers):
             raise EvaluationError(
                 f"of the last {-age:g} s of {name!r} no tick is recorded; the last one is of "
-                f"{times[-1]:g} s, and it is {record.world.time:g} s"
+                f"{times[-1]:g} s, and it is {time:g} s"
             )
         return Past(record, int(numbers[first]), int(numbers[-1]), is_window=True)
     advice = record.dropped_ticks_message or _binding_message(record, int(numbers[0]))
-    tick = int(numbers[index_at(name, age, times, record.world.time, advice)])
+    tick = int(numbers[index_at(name, age, times, time, advice)])
     return Past(record, tick, tick, is_window=False)
 
 
@@ -152,11 +154,19 @@ class Past:
         return self.record.at(tick)
 
     def __getitem__(self, name: str) -> Entity:
-        """Returns the entity of a name at the last of the ticks.
+        """Returns the entity of a name at the tick.
 
         Raises:
             UnknownNameError: there is none; suggests the nearest names.
+            ArgumentError: these may be several ticks.
         """
+        if self.is_window:
+            world = self.world.name
+            raise ArgumentError(
+                f"{name!r} of a window of ticks is of no single tick: for one of them write "
+                f"{world}{{t}} with a time t from 0 s on, or previous(…) for the tick before; "
+                f"for all of them query FROM {world}{{…}}, or write changes(…)"
+            )
         return self.record.at(self.ticks[-1])[name]
 
     def __repr__(self) -> str:
@@ -171,36 +181,43 @@ class Past:
 
 
 def pin_to_common_tick(values: Sequence[Any], elements: Iterable[Any]) -> Sequence[Any] | None:
-    """Pins entities to the tick of the first pinned one; returns None if one did not exist then.
+    """Pins entities that follow their world; returns None if one did not exist at the tick.
 
-    A handle follows its world; in a query of the past it follows the tick of the query.
+    In a query of the past an entity follows the tick of the query. Beside an entity that is fixed
+    to a tick, as `sim{0.0}.cup` is, it stays at the current tick of its world.
 
     Args:
         values: entities and other values.
         elements: the current elements of the query around them.
     """
     worlds = {v.world for v in values if isinstance(v, Handle) and v.moment is None}
-    if not worlds:
-        return values
-    first = next((v for v in values if isinstance(v, Handle) and v.moment is not None), None)
-    if first is None:
-        # The elements of the innermost query come last.
-        past = [v for v in elements if isinstance(v, Handle) and v.moment is not None]
-        first = next((v for v in reversed(past) if v.world in worlds), None)
-    if first is None:
-        return values
-    moment = first.moment
-    assert moment is not None
+    moments = {world: common_moment(world, values, elements) for world in worlds}
+    present = worlds - {v.world for v in elements if isinstance(v, Handle) and v.moment is not None}
     pinned: list[Any] = []
     for value in values:
-        if isinstance(value, Handle) and value.moment is None and value.world is first.world:
-            handle = value.pinned(moment)
-            if not handle.is_there:
-                return None
-            pinned.append(handle)
-        else:
-            pinned.append(value)
+        is_free = isinstance(value, Handle) and value.moment is None
+        moment = moments[value.world] if is_free else None
+        handle = value if moment is None else value.pinned(moment)
+        if moment is not None and not handle.is_there and value.world not in present:
+            return None
+        pinned.append(handle)
     return pinned
+
+
+def common_moment(
+    world: World, values: Iterable[Any], elements: Iterable[Any]
+) -> RecordedTick | None:
+    """Returns the tick of the entities of a world that follow it; None for its current one."""
+    fixed, rows = (
+        [v.moment for v in some if isinstance(v, Handle) and v.world is world and v.moment]
+        for some in (values, elements)
+    )
+    ticks = {moment.tick for moment in rows}
+    # The elements of the innermost query come last.
+    of_row = next((moment for moment in fixed if moment.tick in ticks), rows[-1] if rows else None)
+    if of_row is not None or not fixed:
+        return of_row
+    return RecordedTick(fixed[0].record, world.tick_number)
 
 
 @dataclass(frozen=True, eq=False)

@@ -140,12 +140,17 @@ class Record:
 
     # -- which ticks ------------------------------------------------------------------------
 
-    def ticks_until_now(self) -> tuple[npt.NDArray[np.int64], Array]:
-        """Returns the numbers and times of the recorded ticks up to the world's current one."""
+    def ticks_until_now(self, now: int | None = None) -> tuple[npt.NDArray[np.int64], Array]:
+        """Returns the numbers and times of the recorded ticks up to the world's current one.
+
+        Args:
+            now: the number of an earlier tick that takes its place.
+        """
         with self.world.lock:
             self.check_open()
             numbers = self.ticks.numbers
-            end = int(np.searchsorted(numbers, self.world.tick_number, side="right"))
+            last = self.world.tick_number if now is None else now
+            end = int(np.searchsorted(numbers, last, side="right"))
             return numbers[:end], self.ticks.times[:end]
 
     # -- a tick -----------------------------------------------------------------------------

@@ -86,7 +86,6 @@ def test_other_errors_of_sql_have_no_such_hint(ss, sql):
         ("sim.arm.hand.zmin;", "aabb(sim.arm.hand)[4]"),
         ("sim['duplo2x4/'].z;", "z(sim['duplo2x4/'])"),
         ("joints(sim.arm);", "joint(entity, 'name')"),
-        ("holds(lifted(sim.cube, 0.1));", "start = initially(z(room.cup)); holds("),
         ("SELECT id FROM sim{1, 2};", "FROM sim{} WHERE time >= 1 AND time <= 2"),
         ('z(sim."duplo2x4/");', "write ['duplo2x4/']"),
         ("z(sim.duplo2x4/);", "is written sim['duplo2x4/']"),

@@ -1,0 +1,238 @@
+"""Entities at a tick of the past in expressions, and `previous`, `rate` and `at`."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import pytest
+
+import ssduck
+from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError
+
+mujoco = pytest.importorskip("mujoco")
+
+XML = """
+<mujoco>
+  <option timestep="0.01"/>
+  <worldbody>
+    <body name="ball" pos="0 0 1"><freejoint/><geom size=".05" mass="1"/></body>
+    <body name="box" pos="1 0 .1"><geom type="box" size=".1 .1 .1"/></body>
+  </worldbody>
+</mujoco>
+"""
+STEPS = 20
+
+
+class Fall:
+    """A ball that falls, with its height at each tick from MuJoCo itself."""
+
+    def __init__(self, *, row_by_row=False, steps=STEPS):
+        self.model = mujoco.MjModel.from_xml_string(XML)
+        self.data = mujoco.MjData(self.model)
+        mujoco.mj_forward(self.model, self.data)
+        self.ss = ssduck.Interpreter(row_by_row=row_by_row)
+        self.world = self.ss.add_variable("sim", ssduck.World.attach(self.model, self.data))
+        self.heights = [float(self.data.qpos[2])]
+        self.step(steps)
+
+    def step(self, steps=1):
+        for _ in range(steps):
+            mujoco.mj_step(self.model, self.data)
+            mujoco.mj_forward(self.model, self.data)
+            self.world.tick()
+            self.heights.append(float(self.data.qpos[2]))
+
+
+@pytest.fixture(scope="module", params=["compiled", "row by row"])
+def fall(request):
+    result = Fall(row_by_row=request.param == "row by row")
+    with result.ss:
+        yield result
+
+
+def _drop(fall, tick=0):
+    """Returns how far the ball is from where it was at a tick."""
+    return pytest.approx(fall.heights[tick] - fall.heights[-1], abs=1e-15)
+
+
+DISTANCES = (
+    "distance(sim.ball, sim{0.0}.ball);",
+    "distance(sim{0.0}.ball, sim.ball);",
+    "distance(sim{0.0}['ball'], sim.ball);",
+    "distance(obj(sim{0.0}.ball), obj(sim.ball));",
+    "distance(links(sim{0.0}.ball)[0], sim.ball);",
+    "b = sim{0.0}.ball; distance(sim.ball, b);",
+    "b = [0, [sim{0.0}.ball]]; distance(sim.ball, b[1][0]);",
+    "IF(True; -(-distance(sim.ball, sim{0.0}.ball)); 0);",
+    "SELECT distance(sim.ball, sim{0.0}.ball) FROM [0] AS value;",
+    "SELECT distance(this, sim{0.0}.ball) FROM sim WHERE id = 'ball' AS value;",
+    "b = sim{0.0}.ball; SELECT distance(b, sim.ball) FROM sim AS value;",
+    "b = sim{0.0}.ball; SELECT distance(b, this) FROM sim WHERE this = b AS value;",
+    "SELECT distance(p.this, q.this) FROM p=sim{0.0}, q=sim WHERE p.id = 'ball' AND q.id = 'ball' AS value;",
+    "l = SELECT obj FROM sim{0.0} AS list; "
+    "SELECT distance(p.this, q.this) FROM p=l, q=sim WHERE p.this = q.this AND q.id = 'ball' AS value;",
+    "at(getTime(), distance(sim.ball, sim{0.0}.ball));",
+    "greatest(distance(sim.ball, sim{0.0}.ball))[1];",
+    "norm(position(sim.ball) - position(sim{0.0}.ball));",
+)
+
+
+@pytest.mark.parametrize("program", DISTANCES)
+def test_a_past_entity_stays_in_the_past(fall, program):
+    assert fall.ss.eval(program) == _drop(fall)
+
+
+def test_beside_rows_of_the_past_an_entity_follows_them(fall):
+    heights = fall.heights
+    program = (
+        "b = sim{0.0}.ball; SELECT distance(b, sim.ball) FROM sim{0.1} WHERE id = 'box' AS value;"
+    )
+    assert fall.ss.eval(program) == pytest.approx(heights[0] - heights[10], abs=1e-15)
+    program = "SELECT distance(sim.ball, this) FROM sim{0.1} WHERE id = 'ball' AS value;"
+    assert fall.ss.eval(program) == 0
+    program = "SELECT distance(sim{0.0}.ball, this) FROM sim{} WHERE id = 'ball' AS list;"
+    assert fall.ss.eval(program) == pytest.approx([heights[0] - z for z in heights], abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    "program",
+    [
+        "near(sim{0.0}.ball, sim.ball, 0.01);",
+        "near(sim{0.0}.ball, sim{0.1}.ball, 0.01);",
+        "on(sim.box, sim{0.0}.ball);",
+        "inContact(sim{0.0}.ball, sim.box);",
+        "b = sim{0.0}.ball; SELECT near(b, this, 0.5) FROM sim AS list;",
+        "SELECT touching(sim{0.0}.ball, sim.box) FROM [0] AS list;",
+        "SELECT near(sim{0.0}.ball, sim{0.1}.ball, 3) FROM [0] AS list;",
+    ],
+)
+def test_shapes_of_two_ticks_are_an_error_that_says_what_to_write(fall, program):
+    with pytest.raises(ArgumentError, match=r"of 0(\.2)? s and of 0(\.[12])? s.*write at\(t, "):
+        fall.ss.eval(program)
+
+
+def test_shapes_of_one_tick_are_compared(fall):
+    assert fall.ss.eval("near(sim{0.2}.ball, sim.box, 5);") is True
+    ball = [0, 0, fall.heights[10]]
+    clearance = math.dist(ball, [0.9, 0, 0.2]) - 0.05
+    for program in (
+        "clearance(sim{0.1}.ball, sim{0.1}.box);",
+        "at(0.1, clearance(sim.ball, sim.box));",
+    ):
+        assert fall.ss.eval(program) == pytest.approx(clearance, abs=1e-6)
+
+
+@pytest.mark.parametrize("program", ["z(sim{-0.1}.ball);", "w = sim{}; z(w['ball']);"])
+def test_an_entity_of_a_window_is_of_no_tick(fall, program):
+    with pytest.raises(ArgumentError, match=r"'ball' of a window .* sim\{t\} .*previous\(…\)"):
+        fall.ss.eval(program)
+
+
+@pytest.mark.slow
+def test_terms_and_kept_programs_keep_the_past():
+    fall = Fall(steps=1)
+    with fall.ss:
+        text = "SELECT distance(sim.ball, sim{0.0}.ball), z(sim.ball) - previous(z(sim.ball)) FROM [0] AS list;"
+        program = fall.ss.compile(text)
+        seen = []
+        fall.ss.add_trigger("moved", "distance(sim.ball, sim{0.0}.ball);", 0, seen.append)
+        for _ in range(5):
+            fall.step()
+            drop, change = fall.ss.eval(program)
+            assert drop == _drop(fall)
+            assert change == pytest.approx(fall.heights[-1] - fall.heights[-2], abs=1e-15)
+            assert seen[-1] == _drop(fall)
+
+
+@pytest.mark.slow
+def test_records_keep_the_past(tmp_path):
+    fall = Fall(steps=6)
+    with fall.ss:
+        fall.ss.export(tmp_path / "run")
+    with ssduck.open(tmp_path / "run") as record:
+        sim = record.call_variable("sim").seek(0.04)
+        assert record.eval("distance(sim.ball, sim{0.0}.ball);") == pytest.approx(
+            fall.heights[0] - fall.heights[4], abs=1e-15
+        )
+        assert record.eval("previous(z(sim.ball));") == fall.heights[3]
+        sim.step()
+        assert record.eval("previous(z(sim.ball));") == fall.heights[4]
+
+
+# -- previous, rate, at ----------------------------------------------------------------------------
+
+
+def test_previous_rate_and_at(fall):
+    z, eval = fall.heights, fall.ss.eval
+    assert eval("previous(z(sim.ball));") == z[-2]
+    speeds = [0.0, *((b - a) / 0.01 for a, b in pairwise(z))]
+    assert eval("rate(z(sim.ball));") == pytest.approx(speeds[-1], rel=1e-9)
+    assert eval("rate(position(sim.ball));") == pytest.approx([0, 0, speeds[-1]], rel=1e-9)
+    assert eval("at(0.1, z(sim.ball));") == z[10]
+    assert eval("at(0.105, z(sim.ball)) - at(0, z(sim.ball));") == z[10] - z[0]
+    assert eval("previous(above(sim.box, sim.ball));") is False
+    # They nest: of a rate the rate is the gravity, and each row of the past has its own.
+    assert eval("rate(rate(z(sim.ball)));") == pytest.approx(-9.81, abs=1e-9)
+    assert eval("at(0.1, previous(z(sim.ball)));") == z[9]
+    assert eval("least(rate(z(sim.ball)))[1];") == pytest.approx(min(speeds), rel=1e-9)
+    ((start, end),) = eval("holds(rate(z(sim.ball)) < -1);")
+    assert (start, end) == pytest.approx((0.11, 0.2))
+    rows = "SELECT rate(z(this)) FROM sim{} WHERE id = 'ball' AS list;"
+    assert eval(rows) == pytest.approx(speeds, rel=1e-9)
+    held = "SELECT heldFor(z(sim.ball) < 0.99) FROM sim{} WHERE id = 'box' AS list;"
+    start = next(i for i, height in enumerate(z) if height < 0.99)
+    assert eval(held) == pytest.approx([max(0, i - start) * 0.01 for i in range(len(z))])
+    assert eval("holds(lifted(sim.ball, -0.05));")[0][0] == 0.0
+    fast = "SELECT id FROM sim WHERE rate(z(this)) < -1 AS list;"
+    assert eval(fast) == ["ball"]
+
+
+def test_the_first_tick_has_no_past():
+    fall = Fall(steps=0)
+    with fall.ss:
+        assert fall.ss.eval("[previous(z(sim.ball)), rate(z(sim.ball))];") == [1.0, 0.0]
+        assert fall.ss.eval("rate(position(sim.ball));") == [0.0, 0.0, 0.0]
+        # Of ticks of one time the last one counts: there is still no past.
+        fall.world["ball"].move([0, 0, 2])
+        assert fall.ss.eval("[previous(z(sim.ball)), rate(z(sim.ball))];") == [2.0, 0.0]
+        fall.step()
+        assert fall.ss.eval("previous(z(sim.ball));") == 2.0
+
+
+def test_previous_at_ticks_that_are_not_recorded():
+    fall = Fall(steps=0)
+    with fall.ss:
+        fall.ss.record("sim", ssduck.Recording(every=4))
+        fall.step(7)
+        ticks = fall.ss.past("sim").times
+        before = max(time for time in ticks if time < fall.world.time)
+        assert fall.ss.eval("previous(z(sim.ball));") == fall.heights[round(before / 0.01)]
+
+
+@pytest.mark.parametrize(
+    ("program", "error", "message"),
+    [
+        ("at(-0.1, z(sim.ball));", ArgumentError, r"at\(getTime\(\) - 0.5, x\(cup\)\)"),
+        ("at(9, z(sim.ball));", EvaluationError, "recorded from 0 s to 0.2 s"),
+        ("at(z(sim.ball));", ArgumentError, "at takes 2 arguments"),
+        ("previous(1);", ArgumentError, "takes an expression of entities"),
+        ("previous(z(sim{0.0}.ball));", ArgumentError, "stays at its tick: write it without"),
+        ("rate(id(sim.ball));", ArgumentError, "rate takes an expression of numbers, not 'ball'"),
+    ],
+)
+def test_mistakes(fall, program, error, message):
+    with pytest.raises(error, match=message) as caught:
+        fall.ss.eval(program)
+    assert isinstance(caught.value, SelectScriptError)
+    assert "line 1" in str(caught.value)
+
+
+def test_the_words_may_be_names_of_ones_own(recwarn):
+    with ssduck.Interpreter(strict=True) as ss:
+        assert ss.eval("rate = 2; previous = 1; at = 3; rate + previous + at;") == 6
+    with ssduck.Interpreter() as ss:
+        with pytest.warns(UserWarning, match="replaces the language's own at"):
+            ss.add_function("at", lambda a, b: a + b)
+        assert ss.eval("at(1, 2);") == 3
+        assert ss.eval("SELECT at(this, 2) FROM [1, 2] AS list;") == [3, 4]
