@@ -104,8 +104,6 @@ _SHORT, _LONG = 2_000, 50_000
 
 # What follows a word at the beginning of a statement only if it is a keyword.
 _OPERANDS = frozenset((TokenType.VAR, TokenType.NUMBER, TokenType.STRING))
-_OPENING = frozenset((TokenType.L_PAREN, TokenType.L_BRACKET, TokenType.L_BRACE))
-_CLOSING = frozenset((TokenType.R_PAREN, TokenType.R_BRACKET, TokenType.R_BRACE))
 
 
 class _Parser(SqlForms):
@@ -255,26 +253,6 @@ class _Parser(SqlForms):
         self.check_texts(having)
         self.check_keys(query)
         return self.with_qualified_names(query)
-
-    def limits(self, *, may_be_followed: bool) -> tuple[Node | None, Node | None]:
-        """Returns the parts of LIMIT and OFFSET, in either order; None for one that is missing.
-
-        Args:
-            may_be_followed: whether a comma may follow the query.
-        """
-        limit = offset = None
-        while self.at_word("LIMIT", "OFFSET"):
-            if limit is None and self.take_words("LIMIT"):
-                limit = self.expression()
-            elif offset is None and self.take_words("OFFSET"):
-                offset = self.expression()
-                if self.at_word("ROW", "ROWS"):
-                    self.fail("expected no ROWS (write OFFSET n)")
-            else:
-                self.fail("expected LIMIT or OFFSET only once")
-        if limit is not None and not may_be_followed and self.at(TokenType.COMMA):
-            self.fail("expected OFFSET (write LIMIT n OFFSET m to skip the first m rows)")
-        return limit, offset
 
     def select_item(self) -> Node:
         """Returns an item of SELECT: a value, named or not, or an assignment to a variable."""
@@ -549,16 +527,6 @@ class _Parser(SqlForms):
         node = self.statement()
         self.equals = "in a condition"
         return node
-
-    def is_followed(self) -> bool:
-        """Checks whether a comma ends the part that comes next."""
-        depth = offset = 0
-        while (token := self.ahead(offset)) is not None and depth >= 0:
-            if depth == 0 and token.token_type in (TokenType.COMMA, TokenType.SEMICOLON):
-                return token.token_type == TokenType.COMMA
-            depth += (token.token_type in _OPENING) - (token.token_type in _CLOSING)
-            offset += 1
-        return False
 
     def if_expression(self) -> If:
         """Parses `IF(condition; …; …)`; an `IF` that is the whole else branch becomes a branch."""

@@ -376,6 +376,26 @@ class SqlForms(Cursor):
             return None
         return self.expect_own_name("a source's name").text
 
+    def limits(self, *, may_be_followed: bool) -> tuple[Node | None, Node | None]:
+        """Returns the parts of LIMIT and OFFSET, in either order; None for one that is missing.
+
+        Args:
+            may_be_followed: whether a comma may follow the query.
+        """
+        limit = offset = None
+        while self.at_word("LIMIT", "OFFSET"):
+            if limit is None and self.take_words("LIMIT"):
+                limit = self.expression()
+            elif offset is None and self.take_words("OFFSET"):
+                offset = self.expression()
+                if self.at_word("ROW", "ROWS"):
+                    self.fail("expected no ROWS (write OFFSET n)")
+            else:
+                self.fail("expected LIMIT or OFFSET only once")
+        if limit is not None and not may_be_followed and self.at(TokenType.COMMA):
+            self.fail("expected OFFSET (write LIMIT n OFFSET m to skip the first m rows)")
+        return limit, offset
+
     def form_name(self) -> str:
         """Returns the name of a result form; that of a basic one in any case."""
         name = self.expect_name("the name of a result form").text

@@ -52,6 +52,10 @@ LEVELS: tuple[tuple[str, ...], ...] = (
     ("^",),
 )
 
+# The brackets.
+_OPENING = frozenset((TokenType.L_PAREN, TokenType.L_BRACKET, TokenType.L_BRACE))
+_CLOSING = frozenset((TokenType.R_PAREN, TokenType.R_BRACKET, TokenType.R_BRACE))
+
 LEVEL_OF = {operator: level for level, operators in enumerate(LEVELS) for operator in operators}
 
 
@@ -202,6 +206,16 @@ class Cursor:
             if found.start() < place <= found.end():
                 return f"{found.group(1)}[{found.group(2)!r}]"
         return None
+
+    def is_followed(self) -> bool:
+        """Checks whether a comma ends the part that comes next."""
+        depth = offset = 0
+        while (token := self.ahead(offset)) is not None and depth >= 0:
+            if depth == 0 and token.token_type in (TokenType.COMMA, TokenType.SEMICOLON):
+                return token.token_type == TokenType.COMMA
+            depth += (token.token_type in _OPENING) - (token.token_type in _CLOSING)
+            offset += 1
+        return False
 
     def fail(self, message: str) -> NoReturn:
         """Raises the error for the current token.

@@ -160,6 +160,38 @@ def test_records_keep_the_past(tmp_path):
         assert record.eval("previous(z(sim.ball));") == fall.heights[4]
 
 
+@pytest.mark.parametrize(
+    ("program", "value"),
+    [
+        ("[5, 7.5, 9] - [1, 2, 3];", [4, 5.5, 6]),
+        ("[] - [];", []),
+        ("SELECT [this, 3] - [1, this] FROM [1, 2] AS list;", [[0, 2], [1, 1]]),
+        ("c = [1, 2]; SELECT c - [this, this] FROM [1, 2] AS list;", [[0, 1], [-1, 0]]),
+        ("sub([3, 4], [1, 1])[1];", 3),
+        ("position(sim.box) - [1, 0, 0];", pytest.approx([0, 0, 0.1])),
+        (
+            "SELECT position - [1, 0, 0] FROM sim WHERE id = 'box' AS value;",
+            pytest.approx([0, 0, 0.1]),
+        ),
+    ],
+)
+def test_lists_of_numbers_have_a_difference(fall, program, value):
+    assert fall.ss.eval(program) == value
+
+
+@pytest.mark.parametrize(
+    ("program", "message"),
+    [
+        ("[1, 2] - [1];", "lists of one length, not of 2 and 1 elements"),
+        ("[1, 'a'] - [1, 2];", "- takes lists of numbers"),
+        ("position(sim.box) - sim.box;", "- does not take a list and KinBody"),
+    ],
+)
+def test_lists_without_a_difference(fall, program, message):
+    with pytest.raises(ArgumentError, match=message):
+        fall.ss.eval(program)
+
+
 # -- previous, rate, at ----------------------------------------------------------------------------
 
 
