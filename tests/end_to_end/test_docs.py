@@ -203,10 +203,7 @@ def rounded(value):
 def test_values_that_the_readme_shows():
     """`expression  # value` lines are true."""
     with ssduck.load("kitchen") as ss:
-        rows = ss.eval(
-            "table = SELECT obj FROM kitchen WHERE id(this) == 'table' AS value;"
-            "SELECT id, z FROM kitchen WHERE above(table, this) AND volume(this) < 0.001 ORDER BY z DESC;"
-        )
+        rows = ss.eval("SELECT id, z FROM kitchen WHERE on(kitchen.table, this) ORDER BY z DESC;")
         assert rows[0]["id"] == "plate_835a"
         assert rows[0]["z"] == pytest.approx(0.922)
         assert ss.eval("SELECT id FROM kitchen WHERE z(this) > 1.6 AS list;") == [

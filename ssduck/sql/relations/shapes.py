@@ -254,9 +254,10 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
         "inside",
         "double",
         GeometryQuery(ShapeQueries.inside, otherwise=ZERO, over_ticks="inside"),
-        "Returns the share of the volume of b inside the convex hull of a, from 0 to 1; 0 if b "
-        "has no volume, as an open mesh (see solidVolume). The hull of a table includes the "
-        "space between its legs; enclosed requires walls.",
+        "Returns the share of the volume of b inside the convex hull of a, the container, from 0 "
+        "to 1; as a condition, contains is meant. It is 0 if b has no volume, as an open mesh (see "
+        "solidVolume). The hull of a table includes the space between its legs; enclosed requires "
+        "walls.",
     ),
     shape_relation(
         "contains",
