@@ -63,6 +63,7 @@ from ssduck.language.value_keys import python_value
 from ssduck.lazy import service
 from ssduck.limits import Limits
 from ssduck.recording.spec import Recording
+from ssduck.simulators.scenes import Camera
 from ssduck.world.public_names import PublicNames
 from ssduck.world.running import run
 from ssduck.world.world import World
@@ -528,30 +529,30 @@ class Interpreter(RecordingMethods, AdditionMethods, TriggerMethods, EvalAsMetho
                 raise
 
     def view(
-        self, world: str | None = None, *, host: str = "127.0.0.1", port: int = 0
+        self,
+        world: str | None = None,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        camera: Camera | None = None,
     ) -> ServedPage:
         """Serves a page that shows a world in 3-D as it is stepped, with a box for queries.
 
-        The page asks a copy of each tick under `Limits.strict()`, so that it neither changes nor
-        delays the simulation. A notebook shows the page in place.
+        It asks copies of ticks under `Limits.strict()`. A notebook shows it; `close()` stops it.
 
         Args:
             world: the variable of the world; by default the first one.
             host: the address to listen at. Another one than 127.0.0.1 lets other computers ask.
             port: the port to listen at; 0 for a free one.
-
-        Returns:
-            The page, with its `url`; `close()` stops it.
+            camera: the camera with which the page begins; by default that of the world.
 
         Raises:
             UnsupportedError: websockets is not installed.
-            NumberError: the port is no such number.
-            UnknownNameError: there is no such world; the error suggests the nearest names.
+            UnknownNameError: there is no such world; with the nearest names.
             SimulatorError: the address cannot be listened at.
         """
         port = validation.integer(port, "view: port", minimum=0, maximum=65535)
-        page: ServedPage = service("page")(self, world, host=host, port=port)
-        return page
+        return cast("ServedPage", service("page")(self, world, camera, host=host, port=port))
 
     def statistics(self) -> dict[str, Statistics]:
         """Returns the numbers of shape comparisons so far, by the name of the world."""

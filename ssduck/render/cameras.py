@@ -7,13 +7,10 @@ import math
 import numpy as np
 
 from ssduck.geometry.arrays import Array
-from ssduck.simulators.scenes import Camera
 
 # The direction to the light.
 SUN = np.array([0.35, -0.45, 0.82]) / np.linalg.norm([0.35, -0.45, 0.82])
 NEAR = 0.02
-# The camera that fits a scene looks along this direction.
-_DIRECTION = np.array([-0.62, 0.62, -0.48]) / np.linalg.norm([-0.62, 0.62, -0.48])
 
 
 def look_at(eye: Array, target: Array) -> Array:
@@ -51,13 +48,3 @@ def sun_matrix(centre: Array, radius: float) -> Array:
     matrix[0, 0] = matrix[1, 1] = 1 / radius
     matrix[2, 2], matrix[2, 3] = -1 / (1.5 * radius), -2 * radius / (1.5 * radius)
     return matrix @ view
-
-
-def fitting_camera(low: Array, high: Array, aspect: float, fov: float = 40.0) -> Camera:
-    """Returns a camera from which a box fills the picture."""
-    centre, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
-    half = math.radians(fov) / 2
-    half = min(half, math.atan(math.tan(half) * aspect))
-    eye = centre - _DIRECTION * 0.92 * max(radius, 0.05) / math.sin(half)
-    x, y, z = eye.tolist()
-    return Camera((x, y, z), tuple(centre.tolist()), fov)

@@ -21,7 +21,6 @@ from ssduck.interpreter.opening import open_record
 from ssduck.interpreter.program import rows_to_show
 from ssduck.recording.paths import is_record
 from ssduck.recording.replay.replayed_world import ReplayedWorld
-from ssduck.render.cameras import fitting_camera
 from ssduck.render.canvas import Canvas, Picture
 from ssduck.render.film import check_format, write_film
 from ssduck.render.stage import Stage
@@ -48,7 +47,7 @@ class Film:
         speed: simulated seconds a second of the film.
         fps: pictures a second of the film.
         size: width and height, pixels.
-        camera: the camera; None for one that shows all, or that of the scene.
+        camera: the camera; None for that of the world.
         highlight: a query, asked at each picture; the entities and links of its result stand out.
         language: the language of the query.
 
@@ -325,14 +324,8 @@ class _Drawing:
         matrices = stage.matrices(frame)
         low, high = stage.bounds(matrices)
         if self._camera is None:
-            fitting = fitting_camera(low, high, canvas.width / canvas.height)
-            self._camera = _own_camera(world) or fitting
+            self._camera = world.camera
         return canvas.draw(matrices, stage.highlighted(marks), self._camera, low, high)
-
-
-def _own_camera(world: World) -> Camera | None:
-    """Returns the camera of the world's scene; None if it is the one of any scene."""
-    return None if world.camera == Camera() else world.camera
 
 
 class _Query:

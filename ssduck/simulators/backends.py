@@ -26,7 +26,7 @@ from ssduck.simulators.interface import (
 from ssduck.simulators.recognition import MUJOCO
 from ssduck.simulators.scenes import Scene
 from ssduck.simulators.static import StaticSimulator
-from ssduck.simulators.visuals import stored_visuals
+from ssduck.simulators.visuals import stored_visuals, with_grounds
 
 BACKENDS = {
     DEFAULT_BACKEND: "ssduck.simulators.pybullet.backend",
@@ -160,5 +160,5 @@ def drawn_shapes(simulator: Simulator, body: Body) -> list[VisualShape]:
     """Returns what a simulator draws of a body; its collision shapes where that is not known."""
     # A static simulator has the bodies of a what-if world, or of an older record.
     if body.visuals is not None or isinstance(simulator, StaticSimulator):
-        return stored_visuals(body)
-    return backend(simulator.backend).visual_shapes(simulator, body)
+        return with_grounds(stored_visuals(body))
+    return with_grounds(backend(simulator.backend).visual_shapes(simulator, body))

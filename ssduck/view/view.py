@@ -11,6 +11,7 @@ from typing import Any, Self
 from ssduck.adapters.optional import library
 from ssduck.errors import UnknownNameError, nearest
 from ssduck.interpreter.interpreter import Interpreter
+from ssduck.simulators.scenes import Camera
 from ssduck.view.live import LiveSource
 from ssduck.view.simulation import Simulation
 from ssduck.view.sources import RecordSource, Source
@@ -84,7 +85,9 @@ class View:
         return f'<iframe src="{address}" width="100%" height="{_HEIGHT}" frameborder="0"></iframe>'
 
 
-def view(ss: Interpreter, world: str | None = None, **address: Any) -> View:
+def view(
+    ss: Interpreter, world: str | None = None, camera: Camera | None = None, **address: Any
+) -> View:
     """Serves the page of a world; see `Interpreter.view`."""
     worlds = {each.name: each for each in ss.worlds}
     if not worlds:
@@ -92,6 +95,8 @@ def view(ss: Interpreter, world: str | None = None, **address: Any) -> View:
     name = next(iter(worlds)) if world is None else world
     if name not in worlds:
         raise UnknownNameError(f"there is no world {name!r}", suggestions=nearest(name, worlds))
+    if camera is not None:
+        worlds[name].camera = camera
     return View(LiveSource(ss, worlds[name], name), **address)
 
 

@@ -86,6 +86,7 @@ class ConstructibleWorld:
         shapes: ShapesByBody | None = None,
         simulator: str | None = None,
         forward: bool = False,
+        camera: Camera | None = None,
     ) -> Self:
         """Returns a world around a simulation that you created and continue to use.
 
@@ -120,6 +121,9 @@ class ConstructibleWorld:
             forward: for MuJoCo, whether a tick has the poses and contacts at its time, which
                 `qpos` tells, also of free joints. Those of the data, as code that reads `xpos`
                 sees them, are of the beginning of the last step.
+            camera: the camera of pictures, of films and of the page, a `Camera` of
+                `ssduck.simulators.scenes`; by default one that frames what is small and moves.
+                `world.camera = …` sets another one.
 
         Raises:
             SimulatorError: the client is not connected, or the object has no simulation that is
@@ -134,7 +138,7 @@ class ConstructibleWorld:
         name_of_simulator = simulator_of(client) if simulator is None else simulator
         options: dict[str, bool] = {"forward": forward} if forward else {}
         attached = backend(name_of_simulator).attach(client, names, kinds, shapes, **options)
-        return cls(attached, name=name)
+        return cls(attached, name=name, camera=camera)
 
 
 def _simulation(

@@ -43,6 +43,7 @@ from ssduck.simulators.scenes import Camera, SensorSpec, variable_name
 from ssduck.world.construction import UNNAMED, ConstructibleWorld
 from ssduck.world.entities import HANDLES, Entity, Sensor
 from ssduck.world.excerpt import excerpt
+from ssduck.world.framing import framing_camera
 from ssduck.world.handles import Handle
 from ssduck.world.links import Link, links_and_sites_of
 from ssduck.world.manipulation import ManipulableSimulation
@@ -80,7 +81,7 @@ class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicName
         simulator: the simulator.
         name: the name until the world is bound to a variable.
         sensors: the sensors on its bodies, in load order.
-        camera: the default camera of `render`.
+        camera: its camera; None for one that frames what is small and moves.
     """
 
     INTERNAL_NAMES = WORLD_INTERNALS
@@ -106,9 +107,29 @@ class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicName
             self._read_recorded()
 
     def _begin(self, name: str, camera: Camera) -> None:
-        self.camera = camera
+        self._camera = None if camera == Camera() else camera
+        self._framed: tuple[Any, Camera] | None = None
         self._init_ticking(name)
         self._origin: World | None = None
+
+    @property
+    def camera(self) -> Camera:
+        """The camera of pictures, of films and of the page; it may be set.
+
+        By default, it is that of the scene. Without one, it frames what is small and moves at the
+        first picture, and again when there are other bodies.
+        """
+        if self._camera is not None:
+            return self._camera
+        bodies = tuple(info.id for info in self.snapshot.entities)
+        if self._framed is None or self._framed[0] != bodies:
+            self._framed = bodies, framing_camera(self.snapshot)
+        return self._framed[1]
+
+    @camera.setter
+    def camera(self, camera: Camera | None) -> None:
+        validation.instance(camera, Camera, "camera")
+        self._camera = camera
 
     # -- time -----------------------------------------------------------------------------
 
@@ -168,7 +189,7 @@ class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicName
         Args:
             width: the width in pixels, 1 to 8192.
             height: the height in pixels, 1 to 8192.
-            camera: the camera; by default that of the scene.
+            camera: the camera; by default that of the world.
             shadow: whether bodies cast shadows.
 
         Raises:
@@ -359,7 +380,7 @@ class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicName
                     )
             finally:
                 copy.close()
-            scene = replace(scene, name=variable_name(self.name), camera=self.camera)
+            scene = replace(scene, name=variable_name(self.name), camera=self._camera or Camera())
             return write_scene(scene, folder)
 
     # -- entities -------------------------------------------------------------------------

@@ -7,6 +7,7 @@ import pytest
 import ssduck
 from ssduck.simulators.backends import drawn_shapes
 from ssduck.simulators.scenes import Camera
+from ssduck.world.framing import framing_camera
 from ssduck.world.world import World
 from tests.recording.test_old_records import DATA
 
@@ -84,7 +85,7 @@ def test_an_old_record_is_drawn_by_its_shapes_without_colours(tmp_path):
         packed.extractall(tmp_path, filter="data")
     with ssduck.open(tmp_path / "run") as ss:
         world = ss.worlds[0]
-        assert world.camera == Camera()
+        assert world.camera == framing_camera(world.snapshot)
         for info in world.snapshot.entities:
             if info.body is not None:
                 shapes = drawn_shapes(world.simulator, info.body)

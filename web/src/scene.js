@@ -163,7 +163,7 @@ export class Scene {
     this.draw();
   }
 
-  // Lights and camera fit what there is, without the ground.
+  // Lights fit what there is, without the ground; the camera is that of the world.
   fit() {
     this.isFitted = true;
     const box = this.bounds();
@@ -182,15 +182,6 @@ export class Scene {
     this.orbit.target.set(...target);
     this.camera.updateProjectionMatrix();
     this.orbit.update();
-    // A camera that sees too little of the scene goes to a place that sees all.
-    const distance = this.camera.position.distanceTo(centre);
-    if (distance > 6 * radius || distance * Math.tan((fov * Math.PI) / 360) < 0.35 * radius) {
-      const way = this.camera.position.clone().sub(centre).normalize();
-      const needed = (1.2 * radius) / Math.sin((fov * Math.PI) / 360);
-      this.camera.position.copy(centre).addScaledVector(way, needed);
-      this.orbit.target.copy(centre);
-      this.orbit.update();
-    }
   }
 
   bounds() {
