@@ -19,7 +19,7 @@ from ssduck.database.referenced_tables import (
     words_of,
 )
 from ssduck.database.schemas import Schemas
-from ssduck.database.statement import PreparedPlans
+from ssduck.database.statement import NAME_PREFIX, PreparedPlans
 from ssduck.database.statement_names import WorldNames
 from ssduck.database.stored_queries import stored_queries
 from ssduck.database.user_statements import UserStatement, UserStatements
@@ -44,13 +44,20 @@ READ_ON_REQUEST = frozenset((*ON_DEMAND, MASSES, MARGINS))
 _ATTACHES = re.compile(r"\bATTACH\b", re.IGNORECASE)
 _MERGE_JOINS = re.compile(r"merge_join|\bRESET\b", re.IGNORECASE)
 # Statements that show tables, without those in which ssduck keeps ticks.
-_SHOW = re.compile(r"\s*SHOW\s+(ALL\s+)?TABLES\s*;?\s*", re.IGNORECASE)
-_IS_SHOWN = r"NOT system.main.regexp_matches(name, '^world \d+: ')"
+_SHOW = re.compile(
+    r"\s*(?:SHOW\s+TABLES|(?P<all>SHOW\s+ALL\s+TABLES|SHOW|DESCRIBE)|(?P<schemas>SHOW\s+SCHEMAS))"
+    r"\s*;?\s*",
+    re.IGNORECASE,
+)
+_NESTED_SHOW = re.compile(r"\(\s*(SHOW\s+(?:ALL\s+)?TABLES)\s*\)", re.IGNORECASE)
+_IS_SHOWN = rf"NOT system.main.regexp_matches(name, '^(world \d+: |{NAME_PREFIX})')"
 _SHOWN = f"FROM (SHOW TABLES) WHERE {_IS_SHOWN} ORDER BY name"
+_IS_NO_RUN = rf"NOT system.main.regexp_matches({{}}, '{RUN_SCHEMA}\d+$')"
 _ALL_SHOWN = (
-    rf"FROM (SHOW ALL TABLES) WHERE NOT system.main.regexp_matches(schema, '{RUN_SCHEMA}\d+$') "
+    f"FROM (SHOW ALL TABLES) WHERE {_IS_NO_RUN.format('schema')} "
     f"AND (database <> 'temp' OR {_IS_SHOWN}) ORDER BY database, schema, name"
 )
+_SCHEMAS_SHOWN = f"FROM (SHOW SCHEMAS) WHERE {_IS_NO_RUN.format('schema_name')}"
 # The names of what users have defined in the schema that comes before that of the first world.
 _OWN_NAMES = (
     "SELECT lower(table_name) FROM duckdb_tables() WHERE NOT internal AND schema_name = 'main' "
@@ -153,8 +160,7 @@ class RawSql:
             LimitError: it exceeds a limit.
             SqlError: DuckDB cannot run it.
         """
-        if (shown := _SHOW.fullmatch(sql)) is not None:
-            sql = _ALL_SHOWN if shown.group(1) else _SHOWN
+        sql = _without_ticks(sql)
         if not (words.has_semi_joins and self._has_range_joins):
             return self._rows(sql, parameters, reads, is_kept=True)
         # Of two range conditions, a SEMI or ANTI join is an IE join in DuckDB 2.0.0, which may drop
@@ -234,3 +240,16 @@ class RawSql:
             if words.has_semi_joins and self._has_range_joins:
                 self._connection.run(NO_RANGE_JOINS)
                 self._has_range_joins = False
+
+
+def _without_ticks(sql: str) -> str:
+    """Returns a statement that shows tables without those in which ssduck keeps ticks."""
+    if (shown := _SHOW.fullmatch(COMMENT.sub(" ", sql))) is not None:
+        if shown["schemas"]:
+            return _SCHEMAS_SHOWN
+        return _ALL_SHOWN if shown["all"] else _SHOWN
+    if "'" in sql or not _NESTED_SHOW.search(sql):  # it may be a part of a text
+        return sql
+    return _NESTED_SHOW.sub(
+        lambda part: f"({_ALL_SHOWN if 'all' in part[1].lower() else _SHOWN})", sql
+    )

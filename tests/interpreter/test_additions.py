@@ -171,3 +171,22 @@ def test_what_is_no_frame_or_no_name(kitchen, name, frame, message):
     with pytest.raises(ArgumentError, match=message):
         kitchen.register(name, frame)
     assert name == "kitchen" or name not in kitchen
+
+
+@pytest.mark.parametrize("text", [
+    "SHOW TABLES", "-- all\nSHOW TABLES;", "SELECT name FROM (SHOW TABLES)", "SHOW", "describe;",
+    "SHOW ALL TABLES", "SELECT name FROM (SHOW ALL TABLES)", "SHOW TABLES FROM kitchen",
+])  # fmt: skip
+def test_what_ssduck_keeps_is_not_shown(kitchen, text):
+    """There are views on a world's buffers, and the tables of its record."""
+    kitchen.register("shown", {"a": [1]})
+    found = kitchen.sql(text)
+    names = [row[found.columns.index("name")] for row in found]
+    assert ("shown" in names) == ("FROM kitchen" not in text)
+    assert {"entities", "entities_history", "links_model"} <= set(names)
+    assert [name for name in names if " " in name] == []
+    assert all("_record_" not in schema for _, schema, _ in kitchen.sql("SHOW SCHEMAS"))
+
+
+def test_a_text_is_no_statement(kitchen):
+    assert kitchen.sql("SELECT '(SHOW TABLES)'").fetchone() == ("(SHOW TABLES)",)
