@@ -89,7 +89,8 @@ class StatementFacts:
         texts: texts in the place of a name.
         sources: texts behind FROM.
         aliases: bare names in a query that are also aliases of its sources.
-        bare: names that are selected, keys or conditions.
+        bare: names that are selected, or keys.
+        conditions: names that are conditions, or are compared with a literal in one.
         columns: bare names in GROUP BY, HAVING and ORDER BY that are also names of columns.
         suspects: comparisons, columns and ages to look at.
         numbers: the conditions that are numbers.
@@ -102,6 +103,7 @@ class StatementFacts:
     sources: list[tuple[str, SourceSpan]] = field(default_factory=list)
     aliases: list[tuple[str, SourceSpan]] = field(default_factory=list)
     bare: list[tuple[str, SourceSpan]] = field(default_factory=list)
+    conditions: list[tuple[str, SourceSpan]] = field(default_factory=list)
     columns: list[tuple[str, SourceSpan]] = field(default_factory=list)
     suspects: Suspects = field(default_factory=Suspects)
     numbers: tuple[Call, ...] = ()
@@ -188,7 +190,7 @@ def _collect_from_query(query: Query, outer_sources: _OuterSources, facts: State
         if isinstance(node, Name) and node.name not in state_names
     ]
     conditions = [part for part in (query.where, query.having) if part is not None]
-    facts.bare += [
+    facts.conditions += [
         (name.name, name.span)
         for name in _condition_names(conditions)
         if name.name not in state_names
@@ -372,9 +374,10 @@ class Linter:
             if self._variable(name) is not None:
                 message = f"{name} is the variable here, and not the column of that name"
                 yield ArgumentError(message, span=span)
-        for name, span in facts.bare:
+        for name, span in (*facts.bare, *facts.conditions):
             is_hidden = self._is_function(name) and self._variable(name) is not None
-            if is_hidden and name not in _COLUMNS | OVER_TIME:
+            may_hide = OVER_TIME if (name, span) in facts.conditions else _COLUMNS | OVER_TIME
+            if is_hidden and name not in may_hide:
                 yield ArgumentError(hiding_message(name), span=span)
         for name, span in facts.aliases:
             if self._is_function(name) and self._variable(name) is None:

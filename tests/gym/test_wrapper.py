@@ -128,6 +128,36 @@ def test_history_begins_at_a_reset(wrap):
 
 
 @pytest.mark.slow
+@pytest.mark.slow
+def test_the_step_before_and_the_start_in_terms(wrap):
+    inner = Push()
+    env = wrap(
+        inner,
+        success="distance(sim.ball, sim{0.0}.ball) > 9",
+        reward={
+            "place": "x(sim.pusher)",
+            "speed": "rate(x(sim.pusher))",
+            "nearer": "previous(x(sim.pusher)) - x(sim.pusher)",
+            "moved": "x(sim.pusher) - at(0.0, x(sim.pusher))",
+            "since": "distance(sim.pusher, sim{0.0}.pusher)",
+        },
+    )
+    for _ in range(2):  # the past begins anew at a reset
+        places, starts = [], []
+        for _, _, info in episode(env, 0, 4):
+            parts = info["parts"]
+            places.append((inner.data.time, parts["place"]))
+            start = parts["place"] - parts["moved"]
+            assert parts["since"] == pytest.approx(abs(parts["moved"]), abs=1e-12)
+            if len(places) > 1:
+                (before, a), (now, b) = places[-2:]
+                assert parts["speed"] == pytest.approx((b - a) / (now - before), abs=1e-9)
+                assert parts["nearer"] == pytest.approx(a - b, abs=1e-12)
+                assert start == pytest.approx(starts[-1], abs=1e-12)
+                assert parts["moved"] != 0
+            starts.append(start)
+
+
 def test_the_past_has_the_tables_that_terms_read(wrap):
     near = "joint(sim.pusher, 'push') < 0.01"
     env = wrap(

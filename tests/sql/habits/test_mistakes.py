@@ -164,6 +164,7 @@ DOUBTS = [
     ("SELECT z FROM z=kitchen WHERE id(this) == 'can' AS list;", "z", "z.this", None),
     ("IF(foo = 5; 1; 2);", "foo = 5", "==", 1),
     ("IF(False; 1; IF(NOT (foo = 5); 2));", "foo = 5", "==", False),
+    (f"name = 'mug'; {K} WHERE name = 'can' AS list;", "name", "hides the function name", []),
     ("x = 3; -x^2;", "-x^2", "this is (-x)^2; write it so, or -(x^2)", 9),
     (
         f"c = [1, 2, 3]; {K} WHERE count(position + c) = 6 AND id = 'can' AS list;",
