@@ -246,17 +246,23 @@ FALL = mjcf_of(
     before='<compiler angle="degree"/>',
     after="{end}",
 )
-FALL_SDF = sdf_of(
-    "{in_world}",
-    sdf_model(
-        "r",
-        "{in_model}",
-        sdf_link("base", extra="{in_link}"),
-        '<link name="arm"><pose{pose}>0 0 0.8 0 0 0</pose>' + sdf_link("x")[15:],
-        HINGE.replace("</limit>", "</limit>{in_axis}").replace("</joint>", "{in_joint}</joint>"),
-        pose="0 0 1 0 0 0",
-    ),
-).replace("</collision>", "{in_collision}</collision>", 1)
+FALL_SDF = (
+    sdf_of(
+        "{in_world}",
+        sdf_model(
+            "r",
+            "{in_model}",
+            sdf_link("base", extra="{in_link}"),
+            '<link name="arm"><pose{pose}>0 0 0.8 0 0 0</pose>' + sdf_link("x")[15:],
+            HINGE.replace("<xyz", "<xyz{xyz}")
+            .replace("</limit>", "</limit>{in_axis}")
+            .replace("</joint>", "{in_joint}</joint>"),
+            pose="0 0 1 0 0 0",
+        ),
+    )
+    .replace("</collision>", "{in_collision}</collision>", 1)
+    .replace('"r">', '"r"{model}>', 1)
+)
 FALL_URDF = (
     '<robot name="r"><link name="a"><inertial><mass value="1"/><inertia ixx="0.1" ixy="0" ixz="0" '
     'iyy="0.1" iyz="0" izz="0.1"/></inertial></link><link name="b"><inertial><origin xyz="0.3 0 0"/>'
@@ -266,7 +272,7 @@ FALL_URDF = (
     "{end}</robot>"
 )
 SLOTS = ("body", "geom", "joint", "in_body", "in_world", "end", "in_model", "in_link", "in_axis")
-SLOTS += ("in_joint", "in_collision", "pose")
+SLOTS += ("in_joint", "in_collision", "pose", "xyz", "model")
 OTHER = sdf_model("other")
 # (format, slot of the text, the part, words of the warning)
 PARTS = [
@@ -331,6 +337,8 @@ PARTS = [
         ("sdf", "pose", f' {name}="nowhere"', f"<pose {name}> of arm")
         for name in ("relative_to", "frame")
     ),
+    ("sdf", "xyz", ' expressed_in="nowhere"', "<xyz expressed_in> of j"),
+    ("sdf", "model", ' placement_frame="nowhere"', "<model placement_frame> of r"),
     (
         "sdf",
         "in_link",

@@ -46,6 +46,8 @@ IGNORED: Mapping[str, tuple[str, ...]] = MappingProxyType(
             ".//submesh",
             ".//pose[@relative_to]",
             ".//pose[@frame]",
+            ".//xyz[@expressed_in]",
+            ".//model[@placement_frame]",
         ),
         "mjcf": (
             *("./include", "./actuator", "./sensor", "./tendon", "./equality", "./contact"),

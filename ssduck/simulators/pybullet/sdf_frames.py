@@ -61,13 +61,16 @@ class _Change:
         owner: the element.
         tag: the child.
         text: the text; None if the child goes.
+        drops: an attribute that the owner loses.
     """
 
     owner: ET.Element
     tag: str
     text: str | None
+    drops: str = ""
 
     def make(self) -> None:
+        self.owner.attrib.pop(self.drops, None)
         child = self.owner.find(self.tag)
         if self.text is None:
             assert child is not None
@@ -146,11 +149,11 @@ def _change_of_model(scope: ET.Element, model: ET.Element, frames: _Frames) -> I
     roots = [name for name in names if name not in children]
     base = frames[roots[0]] if len(roots) == 1 and roots[0] else _identity()
     place = frames[model.get("placement_frame", "")]
-    if _is_plain(model) and _is_identity(base) and _is_identity(place):
+    if _is_plain(model) and _is_identity(base) and not model.get("placement_frame"):
         return
     around = _Frames.of(scope)[_relative_to(model)]
     pose = compose(*compose(*compose(*around, *_pose_of(model)), *invert(*place)), *base)
-    yield _Change(model, "pose", _text_of(pose))
+    yield _Change(model, "pose", _text_of(pose), drops="placement_frame")
 
 
 def _changes_of_link(link: ET.Element, frames: _Frames) -> Iterator[_Change]:
