@@ -342,6 +342,14 @@ def test_an_attribute_where_sdf_has_a_text(load):
             load("a.sdf", sdf_of(model))
 
 
+def test_mujoco_reads_what_expat_refuses(write):
+    pytest.importorskip("mujoco")
+    path = write("a.urdf", TOLERATED["two hyphens in a comment"].replace("<link", "<gz:a/><link"))
+    with ssduck.load(path, simulator="mujoco") as ss:
+        (entity,) = ss.worlds[0]
+        assert entity.aabb[1] == pytest.approx([0.5, 0.5, 0.5])
+
+
 @pytest.mark.slow
 def test_mujoco_keeps_the_names_of_links_at_fixed_joints(write):
     pytest.importorskip("mujoco")

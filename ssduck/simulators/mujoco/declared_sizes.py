@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ssduck.errors import SceneError
-from ssduck.simulators.model_xml import parse_xml
+from ssduck.simulators.model_xml import parse_tolerantly
 
 # The largest number of elements of a model, with copies; of pixels, heights, measured values and
 # user's numbers, in all; of bytes of MuJoCo's own memory for a step.
@@ -215,7 +215,7 @@ class _Files:
 def _read(file: Path) -> ET.Element | None:
     """Returns the root of a file; None for one that cannot be read, which MuJoCo reports."""
     try:
-        return parse_xml(file.read_bytes())
+        return parse_tolerantly(file.read_bytes())[0]
     except (ET.ParseError, OSError, ValueError):
         return None
 

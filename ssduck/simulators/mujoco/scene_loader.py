@@ -22,7 +22,7 @@ from ssduck.errors import SceneError, UnsupportedError, warn
 from ssduck.formatting import joined_names
 from ssduck.geometry.poses import rotation_matrices, turn_to, unit_quaternions
 from ssduck.simulators.interface import SCALAR_JOINTS, Body, Kind
-from ssduck.simulators.model_xml import parse_xml
+from ssduck.simulators.model_xml import parse_tolerantly
 from ssduck.simulators.mujoco.actuators import hold_positions
 from ssduck.simulators.mujoco.bodies import ModelReader
 from ssduck.simulators.mujoco.interventions import add_spare_welds
@@ -320,7 +320,7 @@ def _read_urdf(file: Path, place: str, builder: _Builder) -> _Urdf:
         SceneError: MuJoCo cannot read it.
     """
     try:
-        root = parse_xml(file.read_bytes())
+        root, _ = parse_tolerantly(file.read_bytes())
         _find_meshes(root, file, builder)
         compiler = _child(_child(root, "mujoco"), "compiler")
         compiler.attrib |= {"fusestatic": "false", "discardvisual": "false", "strippath": "false"}

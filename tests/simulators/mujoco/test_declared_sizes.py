@@ -84,6 +84,17 @@ def test_millions_of_elements_are_refused(tmp_path, name):
     refused(tmp_path, text, "more than 1,000,000 elements")
 
 
+@pytest.mark.parametrize("odd", ["<!-- a -- b -->", "<gz:a/>", "<!-- a --><?xml version='1.0'?>"])
+def test_files_that_expat_refuses_are_checked(tmp_path, odd):
+    """MuJoCo reads them."""
+    body = f"<worldbody>{TOO_LARGE['replicate']}</worldbody>"
+    inside, before = (odd, "") if odd.startswith("<gz") else ("", odd)
+    file = tmp_path / "a.xml"
+    file.write_text(f"{before}<mujoco>{inside}{body}</mujoco>")
+    with pytest.raises(SceneError, match="elements"):
+        check_declared_sizes(file)
+
+
 @pytest.mark.parametrize("name", ASSETS)
 def test_large_assets_are_refused(tmp_path, name):
     refused(tmp_path, f"<mujoco><asset>{ASSETS[name]}</asset></mujoco>", "is more than 100,000,000")
