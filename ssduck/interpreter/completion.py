@@ -357,13 +357,15 @@ def _sql_sources(place: _Place) -> dict[str, str]:
 
 
 def _nearest_first(word: str, candidates: Iterable[Completion]) -> list[Completion]:
-    """Returns the completions of a word: those that begin with it first, then similar ones."""
+    """Returns the completions of a word: itself, those that begin with it, then similar ones."""
     by_name = {each.text: each for each in reversed(list(candidates))}
     folded = word.casefold()
     ranks: dict[str, int] = {}
     for name in by_name:
         other = name.casefold()
-        if other.startswith(folded):
+        if name == word:
+            ranks[name] = -1
+        elif other.startswith(folded):
             ranks[name] = 0 if name.startswith(word) else 1
         elif len(folded) > 1 and folded in other:
             ranks[name] = 2

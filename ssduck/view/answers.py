@@ -26,7 +26,7 @@ from ssduck.errors import (
 from ssduck.interpreter.completion import KEYWORDS, complete
 from ssduck.interpreter.stopping import StopRequest
 from ssduck.recording.replay.replayed_world import ReplayedWorld
-from ssduck.view.asking import has_intervals, heads_of, lanes_of, value_of
+from ssduck.view.asking import has_intervals, heads_of, lanes_of, not_shown, value_of
 from ssduck.view.drawings import drawing_of
 from ssduck.view.facts import facts_of, plot_of
 from ssduck.view.scans import Scan
@@ -112,7 +112,10 @@ class Answers:
             "picture": picture,
             "drawing": drawing,
             "lanes": bars,
-            "warnings": [str(each.message) for each in caught],
+            "warnings": [
+                *not_shown(asked.interpreter, text, language),
+                *(str(each.message) for each in caught),
+            ],
             "time": world.time,
             "ms": (time.perf_counter() - started) * 1e3,
         }

@@ -8,7 +8,7 @@ from typing import Any, Literal, TypeAlias
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.program import rows_to_show
 from ssduck.language.analysis import calls_of
-from ssduck.language.tree import Call
+from ssduck.language.tree import Assignment, Call
 
 Language: TypeAlias = Literal["selectscript", "sql"]
 # A start and an end, s.
@@ -25,6 +25,18 @@ def value_of(ss: Interpreter, text: str, language: Language) -> Any:
         SelectScriptError: the program is wrong, or reaches a limit.
     """
     return ss.sql(text) if language == "sql" else rows_to_show(ss.compile(text), ss.eval)
+
+
+def not_shown(ss: Interpreter, text: str, language: Language) -> Iterator[str]:
+    """Yields a note if a program that was run has statements whose results are not shown."""
+    if language == "sql":
+        return
+    *before, _ = ss.compile(text).tree.statements
+    if any(not isinstance(statement, Assignment) for statement in before):
+        yield (
+            f"this is the result of the last of {len(before) + 1} statements; run the others by "
+            "themselves to see theirs"
+        )
 
 
 def has_intervals(ss: Interpreter, text: str, language: Language) -> bool:

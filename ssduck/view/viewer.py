@@ -52,6 +52,7 @@ class SentTicks:
             "type": "ticks",
             "anew": not goes_on,
             "keep": start,
+            "numbers": numbers[start:],
             "times": [] if ticks is None else ticks.times[start:].tolist(),
             "firings": firings,
         }

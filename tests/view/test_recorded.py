@@ -279,6 +279,7 @@ class Ticks:
 
 def test_a_page_gets_each_tick_once():
     sent, known = SentTicks(), []
+    numbers = []
     for ticks in (
         Ticks(),
         Ticks(1, 2),
@@ -292,7 +293,10 @@ def test_a_page_gets_each_tick_once():
         if message is not None:
             kept = [] if message["anew"] else known[len(known) - message["keep"] :]
             known = kept + message["times"]
+            kept = [] if message["anew"] else numbers[len(numbers) - message["keep"] :]
+            numbers = kept + message["numbers"]
         assert known == ticks.times.tolist()
+        assert numbers == ticks.numbers.tolist()
         assert sent.message(ticks, []) is None
 
 

@@ -220,6 +220,22 @@ def test_a_query_marks_its_entities(ss, socket):
     assert len(answer["boxes"]) == len(ids)
 
 
+def test_a_query_marks_links_by_their_names(ss, socket):
+    text = "SELECT full_name FROM links WHERE full_name LIKE 'barrett_4918.arm%' ORDER BY link"
+    answer = asked(socket, type="ask", text=text, language="sql")
+    robot = ss["kitchen"]["barrett_4918"]
+    numbers = [link.number for link in robot.links if link.name.startswith("arm")]
+    assert answer["marks"] == [[[robot.id, number]] for number in numbers]
+
+
+def test_results_of_several_statements_are_told_of(socket):
+    answer = asked(socket, type="ask", text="1 + 1; 40 + 2;")
+    assert answer["rows"] == [[42]]
+    assert "this is the result of the last of 2 statements" in answer["warnings"][0]
+    for text in ("x = 1; x + 1;", "40 + 2;"):
+        assert not asked(socket, type="ask", text=text)["warnings"]
+
+
 def test_a_pair_has_the_line_between_its_nearest_points(ss, socket):
     text = "SELECT a.this, b.this FROM a=kitchen, b=kitchen WHERE id(a.this) == 'table' AND id(b.this) == 'fridge';"
     (line,) = asked(socket, type="ask", text=text)["lines"]

@@ -1,6 +1,6 @@
 // The box for queries: colours, completion from the server, history, and marks under errors.
 
-import { autocompletion, completionKeymap } from "@codemirror/autocomplete";
+import { autocompletion, closeCompletion, completionKeymap, selectedCompletion } from "@codemirror/autocomplete";
 import { defaultKeymap, history, historyKeymap } from "@codemirror/commands";
 import { sql } from "@codemirror/lang-sql";
 import { HighlightStyle, StreamLanguage, bracketMatching, syntaxHighlighting } from "@codemirror/language";
@@ -67,6 +67,8 @@ export class Editor {
           bracketMatching(),
           EditorView.lineWrapping,
           placeholder("SELECT id(this) FROM …"),
+          // Before the keys of the completions, which are of the highest precedence, too.
+          Prec.highest(keymap.of([{ key: "Enter", run: (view) => isThere(view) && (closeCompletion(view), run(), true) }])),
           autocompletion({ override: [(context) => options(context, complete)], icons: false }),
           this.language.of(selectscript),
           syntaxHighlighting(colours),
@@ -132,6 +134,15 @@ export class Editor {
     const { main } = view.state.selection;
     return main.empty && view.state.doc.lineAt(main.head).number === number;
   }
+}
+
+// Whether what is chosen of the completions stands there already: Enter would change nothing.
+function isThere(view) {
+  const label = selectedCompletion(view.state)?.label;
+  const { head } = view.state.selection.main;
+  const start = head - (label?.length ?? 0);
+  const [before, word] = [view.state.sliceDoc(Math.max(0, start - 1), Math.max(0, start)), view.state.sliceDoc(Math.max(0, start), head)];
+  return start >= 0 && word === label && !/\w/.test(before);
 }
 
 function newLine(view) {

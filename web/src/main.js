@@ -126,7 +126,7 @@ function goTo(index) {
     scene.showTrack(track, index, state.track !== track);
     state.track = track;
     window.__ss.local = (window.__ss.local ?? 0) + 1;
-    seen(time, `${time.toFixed(3)} s · tick ${index + 1} of ${timeline.times.length}`);
+    seen(time, `${time.toFixed(3)} s · tick ${timeline.numbers[index]} (${index + 1} of ${timeline.times.length})`);
     prefetch(index, track);
     return;
   }

@@ -14,6 +14,7 @@ export class Timeline {
     this.elements = elements;
     this.on = on;
     this.times = [];
+    this.numbers = [];
     this.index = 0;
     this.isLive = false;
     this.isFollowing = false;
@@ -33,10 +34,11 @@ export class Timeline {
   }
 
   // Returns whether ticks before the known ones were dropped, or all are new.
-  setTicks({ anew, keep, times, firings }) {
+  setTicks({ anew, keep, numbers, times, firings }) {
     const dropped = anew ? this.times.length : this.times.length - keep;
     const hadNone = !this.times.length;
     this.times = (anew ? [] : this.times.slice(dropped)).concat(times);
+    this.numbers = (anew ? [] : this.numbers.slice(dropped)).concat(numbers);
     this.firings = firings;
     this.index = Math.max(0, Math.min(this.index - (anew ? 0 : dropped), this.times.length - 1));
     if (this.isFollowing || (hadNone && this.isLive)) this.index = Math.max(0, this.times.length - 1);
