@@ -259,10 +259,9 @@ class _Builder:
         motor.name, motor.target = joint.name, joint.name
         motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
         # The joint limits the effort: the solver stays implicit.
-        if _has_limits(joint):
-            motor.set_to_position(kp=gain, kv=gain * _DELAY)
-        else:
-            motor.set_to_velocity(kv=gain)
+        motor.gaintype, motor.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
+        motor.gainprm[0] = gain
+        motor.biasprm[:3] = (0, -gain, -gain * _DELAY) if _has_limits(joint) else (0, 0, -gain)
 
 
 def _has_limits(joint: Any) -> bool:
@@ -331,7 +330,7 @@ def _read_urdf(file: Path, place: str, builder: _Builder) -> _Urdf:
         ) from error
     meshes = {mesh.name: builder.mesh(mesh.file, mesh.scale) for mesh in spec.meshes}
     for mesh in list(spec.meshes):
-        spec.delete(mesh)
+        spec.delete(mesh) if hasattr(spec, "delete") else mesh.delete()  # MuJoCo 3.3.0
     frictions = {
         str(link.get("name")): float(found.get("value", _FRICTION))
         for link in root.iter("link")
