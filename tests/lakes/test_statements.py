@@ -205,7 +205,7 @@ def test_a_damaged_episode_is_a_row_with_its_error(mixed):
 @pytest.mark.slow
 def test_of_ticks_of_the_same_time_the_last_counts(tmp_path, monkeypatch):
     # Other writers may write such ticks; ours does not.
-    monkeypatch.setattr("ssduck.interchange.pose_batches._check_order", lambda *_: None)
+    monkeypatch.setattr("ssduck.interchange.pose_batches._check_order", lambda *_, **__: None)
     heights = [2.0, 1.0, 2.0, 1.0, 3.0, 2.0]
     poses = {"can": [[0.0, 0.0, height] for height in heights]}
     times = [0.0, 0.0, 0.1, 0.2, 0.2, 0.2]
