@@ -15,9 +15,9 @@ from ssduck.world import ctrl_c
 @pytest.fixture(autouse=True)
 def handler():
     kept = signal.signal(signal.SIGINT, signal.default_int_handler)
+    gc.collect()
     gc.freeze()  # what other tests have left is not gone through after each signal
     yield
-    gc.unfreeze()
     signal.signal(signal.SIGINT, kept)
 
 
