@@ -526,7 +526,7 @@ def link_id(entity: int, link: int) -> int:
     """Returns the id of a link.
 
     >>> link_id(3, 0), entity_of(link_id(3, 7)), link_of(link_id(3, 7))
-    (4194307, 3, 7)
+    (524291, 3, 7)
 
     Args:
         entity: the id of its entity.

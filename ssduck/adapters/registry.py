@@ -99,7 +99,7 @@ def find(name: str) -> Adapter:
             the form cannot be imported or provides something else.
 
     >>> find("df").usage
-    'AS df | pandas'
+    'AS df | pandas | dataframe'
     """
     if name in _ADAPTERS:
         return _ADAPTERS[name]

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+import warnings
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from ssduck.demos.results import keep
-from ssduck.errors import SelectScriptError
+from ssduck.errors import ProgramWarning, SelectScriptError
 from ssduck.formatting import error_text
 
 if TYPE_CHECKING:
@@ -60,7 +61,8 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa
     """Writes the clauses and compares the answers; without an engine, only SelectScript answers."""
     from ssduck.interpreter.opening import load
 
-    with load("kitchen") as ss:
+    with load("kitchen") as ss, warnings.catch_warnings():
+        warnings.simplefilter("ignore", ProgramWarning)  # of volume, which is as published
         say(CLAUSES.format("prolog"))
         clauses: list[str] = ss.eval(CLAUSES.format("prolog"))
         text = "".join(f"{clause}.\n" for clause in clauses)

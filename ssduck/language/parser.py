@@ -496,7 +496,8 @@ class _Parser(SqlForms):
                 arguments: tuple[Node, ...] = (aggregate_argument,)
                 called = called.lower()
             else:
-                arguments = () if self.at(TokenType.R_PAREN) else self.parts()
+                parts = self.branch_parts if called == "print" else self.parts
+                arguments = () if self.at(TokenType.R_PAREN) else parts()
             self.expect(TokenType.R_PAREN, "')'")
             return Call(self.since(start), called, arguments, start)
         if self.take(TokenType.L_BRACE):
@@ -513,14 +514,17 @@ class _Parser(SqlForms):
         return result
 
     def branch_parts(self) -> tuple[Node, ...]:
-        """The parts of a branch of IF: in a condition, `=` assigns in those before the last."""
+        """The parts of a branch of IF, or of `print`, whose last one is the value.
+
+        In a condition, `=` assigns in those before the last.
+        """
         is_listed, self.is_listed = self.is_listed, True
         result = self.separated(self.branch_part)
         self.is_listed = is_listed
         return result
 
     def branch_part(self) -> Node:
-        """One of the parts of a branch of IF."""
+        """One of such parts."""
         if self.equals != "in a condition" or not (self.at_assignment() and self.is_followed()):
             return self.statement()
         self.equals = ""

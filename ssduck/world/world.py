@@ -218,6 +218,7 @@ class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicName
             links: whether the ids are those of links, as in the table `links`.
         """
         width, height = validation.picture_size(width, height, "segmentation")
+        links = validation.boolean(links, "segmentation: links")
         with self.lock:
             handles, numbers = self._simulator.segment(camera or self.camera, width, height)
             ids = np.zeros(int(handles.max(initial=-1)) + 2, dtype=np.intp)

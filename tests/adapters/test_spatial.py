@@ -226,9 +226,8 @@ def test_pictures_beyond_the_limits_are_refused_before_they_are_rendered(limits,
 
 
 @pytest.fixture(scope="module")
-def kitchen(shared_kitchen):
-    with ssduck.Interpreter() as ss:
-        ss.add_variable("kitchen", shared_kitchen)
+def kitchen():
+    with ssduck.load("kitchen") as ss:
         yield ss
 
 

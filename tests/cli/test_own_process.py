@@ -52,7 +52,9 @@ def test_a_worker_answers(worker):
 
 def test_a_picture_comes_from_the_worker(worker):
     name = rows(worker, "SELECT name FROM entities LIMIT 1", "sql")[0]["name"]
-    picture = worker.picture(f"SELECT obj FROM hall WHERE id(this) == '{name}'", 64, 48)
+    picture = worker.picture(
+        f"SELECT obj FROM hall WHERE id(this) == '{name}';", "selectscript", 64, 48
+    )
     assert picture.startswith(b"\x89PNG")
 
 

@@ -151,7 +151,7 @@ def test_rows_are_those_of_plain_duckdb(ss, plain, seed):
         expected = rows(plain.execute(sql).fetchall())
         assert rows(ss.sql(sql).fetchall()) == expected, sql
         uncorrelated += is_uncorrelated(ss, sql)
-    assert uncorrelated > generated(3)
+    assert uncorrelated >= generated(3)
 
 
 @pytest.mark.slow

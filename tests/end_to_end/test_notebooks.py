@@ -45,7 +45,8 @@ def shown(code, names):
 def test_an_error_is_its_message_and_its_place(hall):
     lines = shown("x = 1\nss.eval('SELECT idd FROM hall;')", {"ss": hall})
     assert lines[-4:] == [
-        "UnknownNameError: there is no function 'idd'; did you mean 'id' or 'add'?",
+        "UnknownNameError: there is no function 'idd', and no variable; the worlds are hall; did you "
+        "mean 'id' or 'add'?",
         "  line 1, column 8",
         "    SELECT idd FROM hall;",
         "           ^^^",

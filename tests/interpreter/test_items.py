@@ -50,7 +50,6 @@ UNKNOWN = [
     ("z(can);", "there is no variable 'can'; for the entity, write room.can"),
     ("SELECT id FROM room WHERE above(table, this);", "write room.table"),
     ("SELECT id FROM room WHERE positon == 1;", "did you mean 'position'"),
-    ("SELECT id FROM room AS dataframe;", "there is no result form 'dataframe'; there are arrow, "),
     ("SELECT id FROM room AS lst;", "there is no result form 'lst'; did you mean 'list'?"),
 ]
 

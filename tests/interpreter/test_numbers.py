@@ -124,6 +124,7 @@ CALLS = {
     "World.render(shadow)": ("flag", False, lambda t, v: t.sim.render(2, 2, shadow=v)),
     "World.segmentation(width)": ("pixels", False, lambda t, v: t.sim.segmentation(v, 2)),
     "World.segmentation(height)": ("pixels", False, lambda t, v: t.sim.segmentation(2, v)),
+    "World.segmentation(links)": ("flag", False, lambda t, v: t.sim.segmentation(2, 2, links=v)),
     "World.entity(id)": ("id", False, lambda t, v: t.sim.entity(v)),
     "World.what_if(poses)": (
         "pose", False, lambda t, v: t.sim.what_if({"ball": v})
@@ -150,6 +151,8 @@ CALLS = {
     "Entity.move(orientation)": (
         "turn", True, lambda t, v: t.ball.move(orientation=v)
     ),
+    "Entity.move(wxyz)": ("turn", True, lambda t, v: t.ball.move(wxyz=v)),
+    "Entity.move(xyzw)": ("turn", True, lambda t, v: t.ball.move(xyzw=v)),
     "Entity.move(joints)": ("joints", True, lambda t, v: t.arm.move(joints=v)),
     "Entity.drive(positions)": ("joints", True, lambda t, v: t.arm.drive(v)),
     "Entity.drive(velocities)": ("by joint", True, lambda t, v: t.arm.drive(velocities=v)),

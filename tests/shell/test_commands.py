@@ -82,7 +82,9 @@ def test_a_failed_query_leaves_everything_as_it_was(session, capsys):
     result = session.result
     succeeded, out, err = typed(session, capsys, "kept = 2; SELECT idd FROM hall;", "kept;")
     assert (succeeded, out) == (False, "1\n")
-    assert err.startswith("error: there is no function 'idd'; did you mean 'id' or 'add'?")
+    assert err.startswith(
+        "error: there is no function 'idd', and no variable; the worlds are hall; did you mean"
+    )
     assert err.endswith("           ^^^\n")
     assert result == 1
 

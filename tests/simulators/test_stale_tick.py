@@ -87,7 +87,7 @@ def test_a_reset_without_a_tick_is_told_again(
 
     pybullet.stepSimulation(client)
     assert len(warned(ask)) == 1
-    pybullet.resetSimulation(client)
+    pybullet.resetSimulation(physicsClientId=client)
     if is_loaded_again:
         for height in (0, 1):
             pybullet.createMultiBody(height, basePosition=[0, 0, height], physicsClientId=client)

@@ -95,7 +95,7 @@ def test_errors_are_those_of_loading(folder: Path) -> None:
         "joint": '[[body]]\nname="b"\nurdf="door.urdf"\njoints={dor=1}\n',
         "constraint": '[[body]]\nname="b"\nurdf="b.urdf"\n[[constraint]]\ntype="fixed"\non="b"\n'
         'link="bas"\n',
-        "simulator": 'simulator="mujoco"\n[[body]]\nname="b"\nbox=[1,1,1]\n',
+        "simulator": 'simulator="mujoco"\n[[body]]\nname="b"\nsdf="b.sdf"\n',
         "mjcf": '[[body]]\nmjcf="none.xml"\n',
     }
     for name, text in scenes.items():

@@ -91,7 +91,11 @@ class Cell:
                 sides = [(contact[1], contact[3]), (contact[2], contact[4])]
                 for (body, link), (other, other_link) in (sides, sides[::-1]):
                     is_of_links = (body, link, other) == (a, link_a, b)
-                    if is_of_links and link_b in (None, other_link) and contact[8] <= 0:
+                    if (
+                        is_of_links
+                        and link_b in (None, other_link)
+                        and (contact[8] <= 0 or contact[9] > 0)
+                    ):
                         total += contact[9]
             totals.append(total)
         return totals
