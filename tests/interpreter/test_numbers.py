@@ -252,7 +252,7 @@ OTHERS = {
     "World(simulator)": "made by load and attach", "Interpreter.keep": "a part of programs",
     "Interpreter.addTrigger": "Interpreter.add_trigger",
     "Lake.score": "Lake.ask", "Lake.stream": "Lake.ask", "RecordWriter.begin": "for its subclass",
-    "World.pin(is_settled)": "a part of pinned", "ReplayedWorld.replace_ticks": "for readers of lakes",
+    "World.pin(is_settled)": "a part of pinned", "ReplayedWorld.replace_ticks": "for readers of lakes", "ReplayedWorld.seek_tick": "for scoring",
 }  # fmt: skip
 
 
