@@ -87,11 +87,41 @@ def test_names_of_pybullets_own_models(client):
     pybullet.loadSDF("kiva_shelf/model.sdf", physicsClientId=client)
     models = [pybullet.getBodyInfo(body, client)[1] for body in range(6)]
     assert models == [b"plane", b"table.urdf", b"cube", b"cube.urdf", b"cube.urdf", b"Amazon Pod"]
-    names = ["plane", "table", "cube", "cube_2", "cube_3", "Amazon_Pod"]
+    names = ["plane", "table", "cube", "lego", "duck", "Amazon_Pod"]
     assert [entity.name for entity in ssduck.World.attach(client)] == names
     world = ssduck.World.attach(client, names={3: "cube", 4: "rubber duck"})
     names = ["plane", "table", "cube_2", "cube", "rubber duck", "Amazon_Pod"]
     assert [entity.name for entity in world] == names  # the user's names are as they are
+
+
+@pytest.mark.parametrize(
+    ("files", "names"),
+    [
+        (["duck_vhacd.urdf"], ["duck"]),  # its model is cube.urdf
+        (["soccerball.urdf", "sphere_1cm.urdf"], ["soccerball", "urdf_robot"]),  # one has no mesh
+        (["cube.urdf", "domino/domino.urdf"], ["cube", "domino"]),  # two meshes, both called cube
+        (["domino/domino.urdf"], ["cube"]),
+        (["tray/traybox.urdf"], ["tabletop"]),
+        (["cube.urdf", "cube.urdf", "cube_small.urdf"], ["cube", "cube_2", "cube_3"]),
+        (["plane.urdf", "plane_transparent.urdf"], ["plane", "plane_2"]),
+        (["random_urdfs/000/000.urdf"], ["blob000"]),
+    ],
+)
+def test_a_mesh_names_a_body_whose_models_name_is_a_leftover(client, files, names):
+    pybullet.setAdditionalSearchPath(pybullet_data.getDataPath(), physicsClientId=client)
+    for file in files:
+        pybullet.loadURDF(file, physicsClientId=client)
+    assert [entity.name for entity in ssduck.World.attach(client)] == names
+
+
+def test_a_body_that_comes_later_takes_no_name_of_another_model(client):
+    pybullet.setAdditionalSearchPath(pybullet_data.getDataPath(), physicsClientId=client)
+    pybullet.loadURDF("domino/domino.urdf", physicsClientId=client)
+    world = ssduck.World.attach(client)
+    pybullet.loadURDF("cloth_z_up.urdf", physicsClientId=client)
+    world.tick(steps=0)
+    assert [entity.name for entity in world] == ["cube", "cloth_z_up"]
+    assert repr(world) == "<World 'world': 2 entities (2 kinbodies: cube, cloth_z_up), t=0 s>"
 
 
 def test_what_has_movable_joints_is_a_robot(client, write):

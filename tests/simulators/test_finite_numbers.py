@@ -35,7 +35,7 @@ def mesh(kind: str, number: str) -> bytes:
 def test_a_mesh(tmp_path: Path, kind: str, number: str, concave: str) -> None:
     (tmp_path / f"m.{kind}").write_bytes(mesh(kind, number))
     (tmp_path / "x.urdf").write_text(COLLISION_MESH % (concave, f"m.{kind}"))
-    with pytest.raises(SceneError, match=r"x\.urdf: 'r' has a (mesh|hull) with .* not finite"):
+    with pytest.raises(SceneError, match=r"x\.urdf: 'x' has a (mesh|hull) with .* not finite"):
         ssduck.load(tmp_path / "x.urdf")
 
 

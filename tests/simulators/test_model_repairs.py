@@ -207,7 +207,7 @@ def test_a_drawing_that_cannot_be_read_is_left_out(load, tmp_path, name):
     entity, (told,) = load(
         "a.urdf", robot(link("a", shapes=shape("visual", name) + collision(BOX)))
     )
-    assert f"a.urdf (model): the mesh {name!r} of a is not drawn: " in told
+    assert f"a.urdf (a): the mesh {name!r} of a is not drawn: " in told
     assert ("git lfs pull" in told) == name.startswith("pointer")
     assert entity.aabb[1] == pytest.approx([0.5, 0.5, 0.5])
 
@@ -219,7 +219,7 @@ def test_a_shape_that_cannot_be_read_is_warned_of(load, tmp_path, name):
     (tmp_path / f"pointer{Path(name).suffix}").write_text(POINTER)
     (tmp_path / f"empty{Path(name).suffix}").write_text("")
     _, (told,) = load("a.urdf", robot(link("a", shapes=shape("collision", name))))
-    assert f"a.urdf (model): the mesh {name!r} of a does not collide: " in told
+    assert f"a.urdf (a): the mesh {name!r} of a does not collide: " in told
     model = sdf_model("m", sdf_link("a", geometry=f"<mesh><uri>{name}</uri></mesh>"))
     _, (told,) = load("a.sdf", sdf_of(model))
     assert f"the mesh {name!r} of c does not collide: " in told
@@ -231,7 +231,7 @@ def test_a_collada_file_without_a_scene_is_warned_of(load, tmp_path):
     dae = COLLADA.replace('<scene><instance_visual_scene url="#s"/></scene>', "")
     (tmp_path / "m.dae").write_text(dae)
     _, (told,) = load("a.urdf", robot(link("a", shapes=shape("collision", "m.dae"))))
-    assert "(model): cannot extract mesh from '" in told
+    assert "(a): cannot extract mesh from '" in told
 
 
 @pytest.mark.parametrize("name", ["none.obj", "none.glb"])

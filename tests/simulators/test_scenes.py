@@ -654,3 +654,30 @@ def test_an_elastic_scene_changes_no_other_simulation():
             return [entity.pose + entity.velocity for entity in world]
 
     assert moved(beside=True) == moved(beside=False)
+
+
+@pytest.mark.parametrize("simulator", ["pybullet", "mujoco"])
+@pytest.mark.parametrize(
+    ("model", "file", "name"),
+    [
+        ("tabletop", "traybox.urdf", "traybox"),
+        ("dumpUrdf", "humanoid.urdf", "humanoid"),
+        ("urdf_robot", "urdf/ball.urdf", "ball"),
+        ("cube.urdf", "duck_vhacd.urdf", "duck_vhacd"),
+        ("lbr_iiwa", "kuka_iiwa/model.urdf", "lbr_iiwa"),
+        ("Cup", "red_cup_2.urdf", "Cup"),
+        ("my-arm", "robot.urdf", "my_arm"),
+    ],
+)
+def test_a_file_names_its_body_where_the_models_name_is_of_another(
+    tmp_path, simulator, model, file, name
+):
+    path = tmp_path / file
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(
+        f'<robot name="{model}"><link name="l"><inertial><mass value="1"/><inertia ixx="1" ixy="0"'
+        ' ixz="0" iyy="1" iyz="0" izz="1"/></inertial><collision><geometry><sphere radius="1"/>'
+        "</geometry></collision></link></robot>"
+    )
+    with ssduck.load(path, name="w", simulator=simulator) as ss:
+        assert ss.eval("SELECT id FROM w AS list;") == [name]

@@ -27,7 +27,7 @@ from ssduck.simulators.mujoco.actuators import hold_positions
 from ssduck.simulators.mujoco.bodies import ModelReader
 from ssduck.simulators.mujoco.interventions import add_spare_welds
 from ssduck.simulators.mujoco.library import mujoco
-from ssduck.simulators.naming import body_name, unique_name
+from ssduck.simulators.naming import name_by_file, unique_name
 from ssduck.simulators.scene_bodies import FLOOR, MODEL_SUFFIXES, BodySpec, Primitive
 from ssduck.simulators.scene_joints import check_joints, position_nearest_zero
 from ssduck.simulators.scenes import Engine, Scene
@@ -336,7 +336,7 @@ def _read_urdf(file: Path, place: str, builder: _Builder) -> _Urdf:
         for link in root.iter("link")
         if (found := link.find("contact/lateral_friction")) is not None
     }
-    name = body_name(root.get("name", "")) or file.stem
+    name = name_by_file(root.get("name", ""), file) or file.stem
     return _Urdf(name, spec, meshes, frictions)
 
 

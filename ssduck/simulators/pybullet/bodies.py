@@ -6,7 +6,7 @@ link frame is `com`. PyBullet does not return all shapes; see `_BodyReader._read
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,7 +20,6 @@ from ssduck.geometry.mesh_files import load_hulls, load_mesh
 from ssduck.geometry.poses import IDENTITY, compose, invert, rotation_matrices
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.interface import Body, Joint, Kind, Link
-from ssduck.simulators.naming import body_name, unique_name
 from ssduck.simulators.pybullet.bullet_file import SavedShapes
 from ssduck.simulators.pybullet.collision_margins import (
     LinkMargin,
@@ -83,29 +82,26 @@ class BodyDescription:
 def describe(
     client: int,
     handle: int,
-    name: str | None,
+    name: str,
     kind: Kind | None,
     saved: SavedShapes | None = None,
     user_shapes: UserShapes | None = None,
-    reserved_names: Container[str] = (),
 ) -> BodyDescription:
     """Reads a body.
 
     Args:
         client: the client that has it.
         handle: its number.
-        name: replaces the name of its model.
+        name: its name.
         kind: replaces the kind that follows from its joints.
         saved: the shapes of this body and others in a file that PyBullet saves.
         user_shapes: the user's own shapes.
-        reserved_names: the names of other bodies, which a body is not named by its model.
 
     Raises:
         ArgumentError: the user gives a shape that the body does not have.
     """
     saved = saved or SavedShapes(client, [handle])
-    reader = _BodyReader(client, handle, saved, user_shapes or {})
-    return reader.read(name or unique_name(reader.name, reserved_names), kind)
+    return _BodyReader(client, handle, name, saved, user_shapes or {}).read(kind)
 
 
 def joint_of(info: tuple[Any, ...]) -> Joint:
@@ -170,16 +166,14 @@ class _BodyReader:
     """Reads one body of a client."""
 
     def __init__(
-        self, client: int, handle: int, saved: SavedShapes, user_shapes: UserShapes
+        self, client: int, handle: int, name: str, saved: SavedShapes, user_shapes: UserShapes
     ) -> None:
         self.client = client
         self.handle = handle
+        self.name = name
         self._saved_file = saved
         self._user_shapes = user_shapes
-        self.link_name, model_name = (
-            text.decode(errors="replace") for text in pybullet.getBodyInfo(handle, client)
-        )
-        self.name = body_name(model_name) or f"body_{handle}"
+        self.link_name = pybullet.getBodyInfo(handle, client)[0].decode(errors="replace")
         count = pybullet.getNumJoints(handle, client)
         if count > MAX_JOINTS:
             raise SimulatorError(
@@ -191,7 +185,7 @@ class _BodyReader:
         self.type = self._dynamics[0][10]
         self.com = _com_poses(self._dynamics)
 
-    def read(self, name: str, kind: Kind | None) -> BodyDescription:
+    def read(self, kind: Kind | None) -> BodyDescription:
         joints = tuple(map(self._joint, self._joint_infos))
         jointed = any(joint.type != "fixed" for joint in joints)
         parents = [-1] + [info[16] + 1 for info in self._joint_infos]
@@ -202,7 +196,7 @@ class _BodyReader:
         link_margins = tuple(map(self._read_margin, range(len(names))))
         body = Body(
             handle=self.handle,
-            name=name,
+            name=self.name,
             kind=kind or ("robot" if jointed else "kinbody"),
             movable=jointed or masses[0] > 0.0 or self.type == _SOFT_BODY,
             links=tuple(map(Link, names, parents, masses)),

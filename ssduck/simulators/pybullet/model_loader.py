@@ -13,7 +13,7 @@ import numpy as np
 from ssduck.errors import SceneError
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.poses import compose
-from ssduck.simulators.naming import body_name
+from ssduck.simulators.naming import body_name, name_by_file
 from ssduck.simulators.pybullet.bodies import wxyz, xyzw
 from ssduck.simulators.pybullet.console import captured, pybullet
 from ssduck.simulators.pybullet.mesh_checks import check_meshes
@@ -108,6 +108,7 @@ def _load_file(spec: BodySpec, client: int, doubts: list[str]) -> Sequence[int]:
 def names_in_file(spec: BodySpec, handles: Sequence[int], client: int) -> list[str]:
     """Returns the names that a model file gives to its bodies; not yet unique.
 
+    The file's own name is used where that of a URDF model disagrees with it, see `name_by_file`.
     All bodies of an MJCF file have the name of its model. If there are several, each has its own
     name where the file gives it one. PyBullet puts a base without a name before a body with joints
     to the world.
@@ -117,7 +118,10 @@ def names_in_file(spec: BodySpec, handles: Sequence[int], client: int) -> list[s
     for handle in handles:
         model = pybullet.getBodyInfo(handle, client)[1].decode(errors="replace")
         own = (link for link in link_names(handle, client) if link in own_names)
-        names.append(body_name(next(own, model)) or f"body_{handle}")
+        name = next(own, model)
+        if spec.source == "urdf" and isinstance(spec.model, Path):
+            name = name_by_file(name, spec.model)
+        names.append(body_name(name) or f"body_{handle}")
     return names
 
 

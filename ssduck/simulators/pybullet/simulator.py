@@ -40,6 +40,7 @@ from ssduck.simulators.pybullet.bodies import (
     masses_of,
     xyzw,
 )
+from ssduck.simulators.pybullet.body_names import names_of
 from ssduck.simulators.pybullet.bullet_file import SavedShapes
 from ssduck.simulators.pybullet.clients import all_handles_of, handles_of
 from ssduck.simulators.pybullet.collision_margins import LinkMargin, MarginReader
@@ -154,7 +155,8 @@ class PyBulletSimulator:
         added.sort(key=lambda handle: order.get(handle, len(order)))
         saved = SavedShapes(self.client, added)
         with captured():  # PyBullet prints warnings about shapes that it does not return
-            new = self._call(lambda: {h: self._describe_body(h, saved) for h in added})
+            names = self._call(lambda: names_of(self.client, handles, added, self._names))
+            new = self._call(lambda: {h: self._describe_body(h, names[h], saved) for h in added})
         self._check_shapes(description.body for description in new.values())
         _warn_of_stand_ins(
             [description.body for description in new.values() if not description.exact]
@@ -226,15 +228,14 @@ class PyBulletSimulator:
         none = repeat(-1)
         return list(map(get, handles, repeat(self._tag), none, none, repeat(self.client)))
 
-    def _describe_body(self, handle: int, saved: SavedShapes) -> BodyDescription:
+    def _describe_body(self, handle: int, name: str, saved: SavedShapes) -> BodyDescription:
         description = self.loaded.described.pop(handle, None) or describe(
             self.client,
             handle,
-            self._names.get(handle),
+            name,
             self._kinds.get(handle),
             saved,
             self._user_shapes.get(handle),
-            self._names.values(),
         )
         pybullet.addUserData(handle, self._tag, "1", -1, -1, self.client)
         return description

@@ -130,7 +130,7 @@ def test_meshes_of_a_link_are_hulls_or_surfaces_as_its_file_says(
     handle = pybullet.loadURDF(
         str(write("m.urdf", model)), [1, 2, 3], [0.5, 0.5, 0.5, 0.5], physicsClientId=client
     )
-    world = asked(ssduck.World.attach(client), "shapes")
+    world = asked(ssduck.World.attach(client, names={handle: "model"}), "shapes")
     found = shapes_of(world, "model")
     assert [kind for kind, _ in found] == types
     low = np.min([box[0] for _, box in found], axis=0)
