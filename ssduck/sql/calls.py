@@ -96,7 +96,10 @@ def _relation(sql: ExpressionScope, relation: Relation, node: Call) -> SqlValue:
 
         return SqlValue(None, replace(entity.sql_type, nullable=relation.name != "obj"), column)
     if relation.tables:
-        formula = in_world(relation, formula, values)
+        ticks = sql.ticks.of(values.values())
+        if len(ticks) > 1 and sql.outer is None:  # a nested query goes on being a part of the SQL
+            sql.context.note_possible_failure()
+        formula = in_world(relation, formula, values, ticks)
     result = expanded(formula, values, relation.link_name if has_links else None)
     decides_alone = relation.geometry is not None and relation.geometry.decides_alone
     if relation.of_contacts is not None or (decides_alone and not has_links):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 
 from sqlglot import exp
@@ -86,6 +86,20 @@ class QueryTicks:
             if not is_constant or not self._is_of_own_row(tick):
                 raise NotSqlError
             values[name] = self._joined_entity(handle.sql_type, tick, id).value
+
+    def of(self, values: Iterable[SqlValue]) -> list[exp.Expr]:
+        """Returns the ticks of entities, one for those that are known to be equal.
+
+        Sources of several ticks run together; without sources, Python has checked the entities.
+        """
+        ticks: dict[str, exp.Expr] = {}
+        for value in values:
+            if value.sql_type.past and value.column is not None:
+                tick = value.column("tick")
+                leader = self._leading_tick(tick)
+                span = self.tick_ranges.get(leader)
+                ticks.setdefault(leader if span is None else f"all of {span.schema}", tick)
+        return list(ticks.values())[: None if self._all_rows() else 1]
 
     def over_all_ticks(
         self, relation: Relation, values: Mapping[str, SqlValue], count: int

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from sqlglot import exp
@@ -44,8 +44,19 @@ def expanded(
     return exp.paren(result) if isinstance(result, exp.Connector | exp.In) else result
 
 
-def in_world(relation: Relation, formula: exp.Expr, values: Mapping[str, SqlValue]) -> exp.Expr:
+def in_world(
+    relation: Relation,
+    formula: exp.Expr,
+    values: Mapping[str, SqlValue],
+    ticks: Sequence[exp.Expr],
+) -> exp.Expr:
     """Returns a relation's formula with the tables of its entities' world.
+
+    Args:
+        relation: the relation.
+        formula: its formula.
+        values: its arguments.
+        ticks: the ticks of its entities that may differ; none for those of the present alone.
 
     Raises:
         NotSqlError: the world is not known yet.
@@ -58,12 +69,9 @@ def in_world(relation: Relation, formula: exp.Expr, values: Mapping[str, SqlValu
     if len(schemas) > 1:
         return relation.across_worlds_expression
     schema = str(schemas.pop())
-    past = [
-        value.column("tick") for value in values.values() if value.sql_type.past and value.column
-    ]
-    if past:
-        return _at_ticks(formula, schema, past)
-    return in_schema(formula, schema)
+    if not ticks:
+        return in_schema(formula, schema)
+    return relation.at_one_tick(_at_tick(formula, schema, ticks[0]), ticks)
 
 
 @dataclass(frozen=True)
@@ -125,17 +133,10 @@ def _as_exists(part: exp.Expr) -> exp.Expr:
 _MODEL_TABLES = {name: TABLES[name].model_view for name in ("shapes", "geometries")}
 
 
-_TWO_TICKS = (
-    "the entities are of two ticks: for all of them at a time t write at(t, …); of two ticks there "
-    "are positions: distance(a, b)"
-)
-
-
-def _at_ticks(formula: exp.Expr, schema: str, ticks: list[exp.Expr]) -> exp.Expr:
+def _at_tick(formula: exp.Expr, schema: str, tick: exp.Expr) -> exp.Expr:
     """Returns a formula with the tables of a world at the tick of its entities."""
     result = in_schema(formula, schema)
-    tables = list(result.find_all(exp.Table))
-    for table in tables:
+    for table in list(result.find_all(exp.Table)):
         alias = exp.to_identifier(table.alias_or_name)
         if table.name in _MODEL_TABLES:
             table.set("this", exp.to_identifier(_MODEL_TABLES[table.name]))
@@ -146,16 +147,7 @@ def _at_ticks(formula: exp.Expr, schema: str, ticks: list[exp.Expr]) -> exp.Expr
         )
         tick_column = exp.column("tick", table="ticks then", quoted=True)
         rows = (
-            exp.select("*")
-            .from_(history)
-            .where(exp.EQ(this=tick_column, expression=ticks[0].copy()))
+            exp.select("*").from_(history).where(exp.EQ(this=tick_column, expression=tick.copy()))
         )
         table.replace(rows.subquery(alias))
-    result = result.transform(_as_exists)
-    if not tables or len(ticks) == 1:
-        return result
-    is_one_tick = exp.and_(
-        *(exp.EQ(this=ticks[0].copy(), expression=tick.copy()) for tick in ticks[1:])
-    )
-    two_ticks = exp.func("error", exp.Literal.string(_TWO_TICKS))
-    return exp.case().when(is_one_tick, exp.paren(result)).else_(two_ticks)
+    return result.transform(_as_exists)

@@ -169,11 +169,14 @@ def test_what_is_no_row_is_unknown(live) -> None:
 
 
 def test_rows_of_two_ticks_are_an_error(live) -> None:
-    for what in ("clearance(a, b)", "inContact(a, b)", "contactForce(a, b)", "isSensing(a, b)"):
-        with pytest.raises(SelectScriptError, match=r"two ticks|at one tick"):
-            live.sql(
-                f"SELECT {what} FROM entities_history a, entities_history b WHERE a.tick < b.tick"
-            )
+    shapes = ("clearance(a, b)", "near(a, b, 0.01)", "collides(a, b)", "inside(a, b)")
+    for what in (*shapes, "inContact(a, b)", "contactForce(a, b)", "isSensing(a, b)"):
+        for same in ("a.id = b.id", "a.id < b.id"):
+            with pytest.raises(SqlError, match=r"two ticks: compare those of one, in SQL a\.tick"):
+                live.sql(
+                    f"SELECT {what} FROM entities_history a, entities_history b "
+                    f"WHERE a.tick < b.tick AND {same}"
+                ).fetchall()
 
 
 @pytest.mark.slow

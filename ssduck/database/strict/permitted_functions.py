@@ -80,6 +80,16 @@ union_extract union_tag union_value unnest upper uuid uuid_extract_version
 uuidv4 uuidv7 var_pop var_samp variance wavg week weekday weekofyear weighted_avg xor year yearweek
 """
 
+# What to write instead of functions that make a long text of a short one.
+INSTEAD = {
+    "repeat": "write the text out, or join it: name || name",
+    "lpad": "write right('000' || name, 3)",
+    "rpad": "write left(name || '   ', 3)",
+    "format": "join texts: round(z, 2) || ' m'",
+    "printf": "join texts: round(z, 2) || ' m'",
+    "replace": "join parts: split_part(name, '_', 1) || '-' || split_part(name, '_', 2)",
+}
+
 OPERATORS = frozenset(_OPERATORS.split())
 FUNCTIONS = frozenset(_FUNCTIONS.split())
 # Aggregates that join texts: DuckDB counts the memory of these for groups of rows, not of lists.

@@ -25,6 +25,7 @@ from ssduck.database.strict.permitted_functions import (
     HASHING,
     HASHING_FRAMES,
     HASHING_SHORTER,
+    INSTEAD,
     JOINING,
     LIKES,
     MAX_EXPRESSION,
@@ -303,7 +304,10 @@ class _Walk:
     def _check_function(self, node: Node) -> None:
         name = folded(node["function_name"])
         if name not in OPERATORS and name not in _SCALARS:
-            self._refuse(node, f"{name} is no function that SQL may call", name, _SCALARS)
+            message = f"{name} is no function that SQL may call"
+            if instead := INSTEAD.get(name):
+                self._refuse(node, f"{message}: {instead}")
+            self._refuse(node, message, name, _SCALARS)
         if node.get("class") == "WINDOW":
             self._check_window(node, name)
         if name in _WITH_CHECKED_ARGUMENTS:

@@ -232,7 +232,8 @@ class Relation:
         """Returns a formula for rows of users' SQL: these may be of another run, or changed."""
         rows = [p.name for p in self.parameters if p.type in ("entity", "place")]
         if tree.find(exp.Placeholder) is not None:
-            return _with_checked_ticks(in_schema(tree, schema), schema)
+            result = _with_checked_ticks(in_schema(tree, schema), schema)
+            return self.at_one_tick(result, [exp.column("tick", table=row) for row in rows])
         result = self._at_tick_of_rows(in_schema(tree, schema), schema, rows)
         run = exp.select("any_value(run)").from_(exp.table_("entities", db=schema)).subquery()
         another = [
@@ -251,14 +252,20 @@ class Relation:
         """Returns a formula that reads tables at the current tick, or at that of recorded rows."""
         if not self.recorded_formula:
             return tree
-        first, *others = (exp.column("tick", table=row) for row in rows)
+        ticks = [exp.column("tick", table=row) for row in rows]
         present = exp.select("max(tick)").from_(exp.table_("ticks", db=schema)).subquery()
         recorded = in_schema(_with_own_links(_parsed(self.recorded_formula)), schema)
-        result = exp.case()
-        for other in others:
-            message = exp.Literal.string(f"{self.name}: its rows are of two ticks of {schema}")
-            result = result.when(exp.NEQ(this=first, expression=other), exp.func("error", message))
-        return result.when(exp.EQ(this=first.copy(), expression=present), tree).else_(recorded)
+        is_present = exp.EQ(this=ticks[0].copy(), expression=present)
+        return self.at_one_tick(exp.case().when(is_present, tree).else_(recorded), ticks)
+
+    def at_one_tick(self, formula: exp.Expr, ticks: Sequence[exp.Expr]) -> exp.Expr:
+        """Returns a formula that is an error if its entities are not all at the same tick."""
+        first, *others = ticks
+        differ = [exp.NEQ(this=first.copy(), expression=other.copy()) for other in others]
+        if not differ:
+            return formula
+        message = exp.Literal.string(_TWO_TICKS_MESSAGE.format(self.name))
+        return exp.case().when(exp.or_(*differ), exp.func("error", message)).else_(formula)
 
     def macro(self, schema: str | None = None, *, inside: bool = False) -> str:
         """Returns the statement that makes the DuckDB macro of the same name.
@@ -319,6 +326,10 @@ def by_name(relations: Iterable[Relation]) -> dict[str, Relation]:
 _OTHER_RUN_MESSAGE = (
     "{}: a row is of another run than {}: its contacts and sensings are not known here; open the "
     "record of its run, or write the name of its world before the relation"
+)
+_TWO_TICKS_MESSAGE = (
+    "{}: the entities are of two ticks: compare those of one, in SQL a.tick = b.tick; of two ticks "
+    "there are positions: distance(a, b)"
 )
 # The columns of a row that identify its entity and tick, and its pose, which is checked.
 IDENTIFYING_COLUMNS = ("run", "tick", "id", "x", "y", "z", "qw", "qx", "qy", "qz")

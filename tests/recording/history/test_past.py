@@ -20,12 +20,18 @@ from tests.support.pasts import ALL, _falling, _step, _stepped
 
 def _both(ss: ssduck.Interpreter, program: str) -> list[Any]:
     """What a program gives as SQL, and row by row, on the same ticks."""
+    return [_one(ss, program, row_by_row=row_by_row) for row_by_row in (False, True)]
+
+
+def _one(ss: ssduck.Interpreter, program: str, *, row_by_row: bool) -> Any:
+    if not row_by_row:
+        return ss.eval(program)
     rows = ssduck.Interpreter(row_by_row=True, recording=None)
     try:
         rows._database = rows._execution.database = ss._database
         rows._planner._database = ss._database
         rows._execution.variables = ss._execution.variables
-        return [ss.eval(program), rows.eval(program)]
+        return rows.eval(program)
     finally:
         rows._finalized = True
 
@@ -138,11 +144,38 @@ def test_a_handle_that_was_not_there_is_unknown(falling: ssduck.Interpreter) -> 
         assert found == [world.snapshot.number]
 
 
-def test_shapes_of_two_ticks_are_not_compared(falling: ssduck.Interpreter) -> None:
-    _step(falling, 30)
-    program = "SELECT near(a.this, b.this, 5) FROM a=lab{0.02}, b=lab{0.1} AS list;"
-    with pytest.raises(UnsupportedError, match="shapes are compared at one tick"):
-        falling.eval(program)
+@pytest.mark.parametrize("is_same", [True, False])
+@pytest.mark.parametrize(
+    "relation",
+    ["near({}, 0.01)", "collides({})", "clearance({})", "touching({})", "on({})", "inContact({})"],
+)
+def test_shapes_of_two_ticks_are_not_compared(
+    fallen: ssduck.Interpreter, relation: str, is_same: bool
+) -> None:
+    other = "ball_1" if is_same else "board"
+    query = (
+        "SELECT {} FROM a=lab{{0.1}}, b=lab{{{}}} WHERE id(a.this) == 'ball_1' "
+        f"AND id(b.this) == '{other}' AS list;"
+    )
+    call = relation.format("a.this, b.this")
+    told = []
+    for row_by_row in (False, True):
+        with pytest.raises(ArgumentError, match="is of entities at one tick") as caught:
+            _one(fallen, query.format(call, 0.02), row_by_row=row_by_row)
+        told.append(str(caught.value))
+    assert told[0] == told[1]
+    as_sql, rows = _both(fallen, query.format(call, 0.1))
+    assert as_sql == rows
+    apart, rows = _both(fallen, query.format("distance(a.this, b.this)", 0.02))
+    assert apart == rows != [0.0]
+
+
+def test_neither_are_those_of_a_nested_query(fallen: ssduck.Interpreter) -> None:
+    program = "SELECT count(SELECT b.this FROM b=lab{{{}}} WHERE near(a.this, b.this, 5) AS list) "
+    program += "FROM a=lab{{0.1}} AS list;"
+    with pytest.raises(ArgumentError, match=r"of two ticks|at one tick"):
+        fallen.eval(program.format(0.02))
+    assert fallen.eval(program.format(0.1))
 
 
 @pytest.mark.parametrize(
