@@ -1,5 +1,7 @@
 """The time line of the page in a real browser: records, and the past of live worlds."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -56,6 +58,17 @@ def test_a_recorded_kitchen_is_not_grey(page):
     picture = page.picture()[:400, :800].astype(int)
     is_colourful = np.ptp(picture, axis=2) > 100  # the colours of what has none are paler
     assert is_colourful.mean() > 0.02
+
+
+def test_the_tick_has_the_number_of_the_tables(page, record):
+    """From the beginning on, when the server shows it, and when the page does."""
+    with ssduck.open(record) as ss:
+        numbers = [n for (n,) in ss.sql("SELECT tick FROM kitchen.ticks_history").fetchall()]
+    assert numbers[0] > 1
+    for index in (0, len(numbers) - 1):
+        page.value(f"__ss.seek({index}); 0")
+        label = f"tick {numbers[index]} ({index + 1} of {len(numbers)})"
+        page.wait(f"document.getElementById('time').textContent.endsWith({json.dumps(label)})")
 
 
 def test_the_slider_goes_through_a_record(page, heights):
