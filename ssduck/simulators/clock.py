@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property, lru_cache
+
+# Lengths of steps and times that a user writes are fractions with denominators below this.
+_MAX_DENOMINATOR = 1_000_000
 
 
 @dataclass(frozen=True)
 class Clock:
     """Simulated time: a number of steps of one length since a start.
 
-    The time is a product, so that the rounding errors of many steps do not add up.
+    The time is rounded once: it is the number that a user writes for it. The step 0.1 stands for
+    1/10, and 3 steps for 3/10; the product 3 * 0.1 is 0.30000000000000004.
 
-    >>> Clock(0.1).after(3, 0.1).time == 3 * 0.1
-    True
+    >>> Clock(0.1).after(3, 0.1).time
+    0.3
 
     Attributes:
         timestep: the length of a step, s.
@@ -24,10 +31,13 @@ class Clock:
     since: float = 0.0
     steps: int = 0
 
-    @property
+    @cached_property
     def time(self) -> float:
         """Simulated seconds."""
-        return self.since + self.steps * self.timestep
+        rough = self.since + self.steps * self.timestep
+        if not math.isfinite(rough):
+            return rough
+        return float(_exact(self.since) + self.steps * _exact(self.timestep))
 
     def after(self, steps: int, timestep: float) -> Clock:
         """Returns the clock after more steps of a length, s; the length may be a new one."""
@@ -38,3 +48,11 @@ class Clock:
     def at(self, time: float, timestep: float) -> Clock:
         """Returns a clock that counts steps of a length, s, from a simulated time, s."""
         return Clock(timestep, time)
+
+
+@lru_cache(maxsize=64)
+def _exact(number: float) -> Fraction:
+    """Returns the short fraction that a number stands for; where there is none, the number."""
+    exact = Fraction(number)
+    short = exact.limit_denominator(_MAX_DENOMINATOR)
+    return short if float(short) == number else exact

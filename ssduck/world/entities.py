@@ -19,7 +19,7 @@ from ssduck.errors import (
 )
 from ssduck.formatting import joined_names, short_repr
 from ssduck.geometry.arrays import Array, Indices
-from ssduck.simulators.interface import Body, Kind
+from ssduck.simulators.interface import DEFAULT_BACKEND, Body, Kind
 from ssduck.simulators.joints import openness
 from ssduck.simulators.kinematics import JointValues
 from ssduck.simulators.scenes import SensorSpec
@@ -185,7 +185,9 @@ class Entity(Handle, OpenRaveEntity):
             position: the position of the link frame, [x, y, z], m, world frame; None keeps it.
             orientation: the orientation of the link frame, world frame: a quaternion [w, x, y, z]
                 of any length but 0, or a `Rotation` of SciPy; None keeps it. PyBullet's quaternions
-                are [x, y, z, w]: a warning tells of a list that is probably one of these.
+                are [x, y, z, w]: in a world of PyBullet, a warning tells of each list that is not
+                the present `orientation` of an entity; elsewhere, of one that is probably of
+                this order.
             joints: positions, rad or m: by the joint's name, or one for each revolute and
                 prismatic joint in order. With joints alone, the body keeps its pose and its
                 velocity.
@@ -205,9 +207,11 @@ class Entity(Handle, OpenRaveEntity):
         given = (position, orientation, wxyz, xyzw)
         if joints is None or any(value is not None for value in given):
             position = self.position if position is None else position
+            is_pybullet = self.world.simulator.backend == DEFAULT_BACKEND
+            known = (entity.orientation for entity in self.world) if is_pybullet else None
             pose = (
                 validation.finite_array(position, 3, f"{self.name}: position"),
-                orientation_of(orientation, wxyz, xyzw, self.orientation, self.name),
+                orientation_of(orientation, wxyz, xyzw, self.orientation, self.name, known),
             )
         self.state.place(self, pose, joints)
 

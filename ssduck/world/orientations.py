@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
@@ -33,16 +33,19 @@ def orientation_of(
     xyzw: Sequence[float] | None,
     now: Sequence[float],
     name: str,
+    known: Iterable[Sequence[float]] | None = None,
 ) -> Array:
     """Returns the unit quaternion w, x, y, z, (4,), that a user gives.
 
     Args:
-        orientation: a quaternion w, x, y, z, of which a warning tells if it is probably one of the
-            other order; or a rotation of SciPy.
+        orientation: a quaternion w, x, y, z, of which a warning tells if it may be one of the other
+            order; or a rotation of SciPy.
         wxyz: a quaternion w, x, y, z.
         xyzw: a quaternion x, y, z, w.
         now: the present orientation w, x, y, z, which is returned if none is given.
         name: the name of the entity, for errors.
+        known: in a simulator of quaternions x, y, z, w, the only ones that are surely w, x, y, z:
+            those that ssduck tells now. Elsewhere None: a warning tells of probable ones only.
 
     Raises:
         ArgumentError: two are given, or there are not four numbers.
@@ -57,22 +60,29 @@ def orientation_of(
     quaternion = unit(validation.finite_array(numbers_given, 4, f"{name}: orientation"), name)
     if is_xyzw:
         return np.roll(quaternion, 1)
-    if orientation is not None and _is_probably_xyzw(quaternion, np.asarray(now)):
-        numbers = "[" + ", ".join(f"{number:g}" for number in np.asarray(value)) + "]"
+    if orientation is not None and _may_be_xyzw(quaternion, np.asarray(now), known):
+        # Without the numbers, Python shows it once in each place.
         warn(
-            f"{name}: {numbers} is read as w, x, y, z; quaternions of PyBullet and SciPy are "
-            f"x, y, z, w: write xyzw={numbers} for one of these, else wxyz={numbers}",
+            f"{name}: the orientation, a list of four numbers, is read as w, x, y, z; quaternions "
+            "of PyBullet and SciPy are x, y, z, w: write xyzw=[…] for one of these, else wxyz=[…]",
             ProgramWarning,
         )
     return quaternion
 
 
-def _is_probably_xyzw(quaternion: Array, now: Array) -> bool:
-    """Checks whether x, y, z, w is the likelier order: as now, or about one axis."""
+def _may_be_xyzw(quaternion: Array, now: Array, known: Iterable[Sequence[float]] | None) -> bool:
+    """Checks whether x, y, z, w may be the order, or, if none are known, is the likelier one.
+
+    The likelier order is that of the orientation now, or of a turn about one axis.
+    """
     other = np.roll(quaternion, 1)
     if _is_same(quaternion, other) or _is_same(quaternion, now):
         return False
-    return _is_same(other, now) or (_axes(other) <= 1 < _axes(quaternion))
+    if _is_same(other, now):
+        return True
+    if known is None:
+        return _axes(other) <= 1 < _axes(quaternion)
+    return not any(_is_same(quaternion, np.asarray(each)) for each in known)
 
 
 def _is_same(one: Array, other: Array) -> bool:

@@ -68,7 +68,7 @@ def test_each_tick_is_a_step_later(client, bouncing):
     for step in range(1, 481):
         stepped(client)
         world.tick()
-        times.append(step * STEP)
+        times.append(step / 240)
         heights.append(height(client))
     assert world.time == 2.0
     assert ss.eval("getTime();") == 2.0
@@ -88,7 +88,7 @@ def test_each_tick_is_a_step_later(client, bouncing):
     assert ss.eval("heldFor(z(floor) < 0.3);") == 2.0
     assert ss.eval("least(z(ball));") == [times[int(np.argmin(heights))], min(heights)]
 
-    due = [0, *(next(n for n in range(481) if n * STEP >= k / 10 - 1e-9) for k in range(1, 21))]
+    due = [0, *(next(n for n in range(481) if n / 240 >= k / 10 - 1e-9) for k in range(1, 21))]
     looked = [(times[n], heights[n]) for n in due]
     assert fired == [
         looked[0],
@@ -111,19 +111,19 @@ def test_where_something_rests_is_told_in_time(client, bouncing):
         stepped(client)
         world.tick()
     (*_, (start, end)) = ss.eval("holds(on(floor, ball));")
-    assert (start, end) == (121 * STEP, 1.0)
+    assert (start, end) == (121 / 240, 1.0)
 
 
 def test_the_clients_time_step_counts_as_it_is_set(client, bouncing):
     _, world = bouncing
     stepped(client, 4)
-    assert world.tick(steps=4).time == 4 * STEP
+    assert world.tick(steps=4).time == 4 / 240
     pybullet.setTimeStep(0.01, client)
     stepped(client)
-    assert world.tick().time == pytest.approx(4 * STEP + 0.01)
-    assert world.tick(steps=10).time == pytest.approx(4 * STEP + 0.11)
+    assert world.tick().time == pytest.approx(4 / 240 + 0.01)
+    assert world.tick(steps=10).time == pytest.approx(4 / 240 + 0.11)
     pybullet.setPhysicsEngineParameter(fixedTimeStep=0.5, physicsClientId=client)
-    assert world.tick(steps=np.int64(2)).time == pytest.approx(4 * STEP + 1.11)
+    assert world.tick(steps=np.int64(2)).time == pytest.approx(4 / 240 + 1.11)
 
 
 def test_the_time_may_be_told(client, bouncing):
@@ -194,10 +194,10 @@ def test_reading_a_table_takes_no_time(client, bouncing):
     world.tick(steps=3)
     for question in ("SELECT count(*) FROM contacts", "SELECT count(*) FROM joints"):
         ss.sql(question)
-        assert world.time == 3 * STEP
+        assert world.time == 3 / 240
     assert world["ball"].links[0].name
     world["ball"].move([0, 0, 0.5])
-    assert world.time == 3 * STEP
+    assert world.time == 3 / 240
 
 
 def test_steps_of_the_world_and_of_its_owner(client, bouncing):
@@ -207,12 +207,12 @@ def test_steps_of_the_world_and_of_its_owner(client, bouncing):
     stepped(client, 2)
     world.tick(steps=2)
     world.run(0.5)
-    assert world.time == 125 * STEP
+    assert world.time == 125 / 240
     world.step(0)
     world.run(0.0)
-    assert world.time == 125 * STEP
+    assert world.time == 125 / 240
     stepped(client)
-    assert world.tick().time == 126 * STEP
+    assert world.tick().time == 126 / 240
 
 
 def test_a_sensors_period_is_of_that_time(client, bouncing):
@@ -295,7 +295,7 @@ def test_after_a_reset_the_client_is_attached_anew(client, bouncing, tmp_path):
     world.tick(steps=240)
     pybullet.resetSimulation(physicsClientId=client)
     assert len(world.tick()) == 0
-    assert world.time == 241 * STEP
+    assert world.time == 241 / 240
     with pytest.raises(NumberError, match=r"after a reset, call begin_episode\(\)"):
         world.tick(time=0.0)
     again = ss.add_variable("sim", ssduck.World.attach(client))

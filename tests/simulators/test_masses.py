@@ -113,10 +113,47 @@ def test_masses_of_a_world_that_ssduck_made():
 def test_a_soft_body_has_none(client):
     pybullet.resetSimulation(pybullet.RESET_USE_DEFORMABLE_WORLD, client)
     pybullet.loadSoftBody(f"{pybullet_data.getDataPath()}/bunny.obj", physicsClientId=client)
-    with pytest.warns(UserWarning, match="not give back"):
+    with (
+        pytest.warns(UserWarning, match="of a soft body, .* the mass is told as 0"),
+        pytest.warns(UserWarning, match="a velocity that is no number"),
+    ):
         world = ssduck.World.attach(client)
     (name,) = [entity.name for entity in world]
     assert world[name].mass == 0.0
+
+
+@pytest.mark.slow
+def test_the_velocity_of_a_soft_body_is_unknown(client):
+    """PyBullet tells numbers for it that are no velocity."""
+    pybullet.resetSimulation(pybullet.RESET_USE_DEFORMABLE_WORLD, client)
+    pybullet.setGravity(0, 0, -9.81, client)
+    cloth = pybullet.loadSoftBody(
+        f"{pybullet_data.getDataPath()}/cloth_z_up.obj",
+        basePosition=[0, 0, 1],
+        mass=1,
+        useMassSpring=1,
+        physicsClientId=client,
+    )
+    ball = pybullet.createMultiBody(
+        1,
+        pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client),
+        basePosition=[0, 0, 9],
+        physicsClientId=client,
+    )
+    with (
+        pytest.warns(UserWarning, match="the velocity is unknown"),
+        pytest.warns(UserWarning, match="cloth: .* a velocity that is no number"),
+    ):
+        world = ssduck.World.attach(client, names={cloth: "cloth", ball: "ball"})
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("sim", world)
+        for _ in range(10):
+            pybullet.stepSimulation(client)
+            world.tick()
+        assert ss.eval("speed(sim.cloth)") is None
+        assert ss.eval("settled(sim.cloth)") is None
+        assert ss.eval("rate(z(sim.cloth))") == pytest.approx(-9.81 * 10 / 240, abs=0.05)
+        assert ss.eval("speed(sim.ball)") == pytest.approx(9.81 * 10 / 240, rel=1e-2)
 
 
 @pytest.mark.slow

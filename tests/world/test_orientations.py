@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import ssduck
 from ssduck.errors import ArgumentError, ProgramWarning, StateError
+from ssduck.world.orientations import orientation_of
 
 HALF = math.sqrt(0.5)
 TURNED = Rotation.from_euler("xyz", [0.1, -0.4, 2.0])
@@ -65,14 +66,16 @@ def test_each_form_is_the_same_rotation(cube, given):
         (TURNED, TURNED.as_quat().tolist(), True),  # read from PyBullet, and given back
         (TURNED, (-TURNED.as_quat()).tolist(), True),
         (Rotation.identity(), [0, 0, 0, 1], True),
-        (TURNED, [0, 0, 0, 1], False),  # half a turn about z
-        (TURNED, [HALF, 0, 0, HALF], False),  # a quarter turn, about x or z
-        (TURNED, [1, 0, 0, 0], False),
-        (TURNED, [0.5, 0.5, 0.5, 0.5], False),
-        (TURNED, [0.9, 0.1, 0.2, 0.3], False),
+        (TURNED, [0, 0, 0, 1], True),  # nothing, or half a turn about z
+        (TURNED, [HALF, 0, 0, HALF], True),  # a quarter turn, about x or z
+        (TURNED, [1, 0, 0, 0], True),  # half a turn about x, or nothing
+        (TURNED, [0.9, 0.1, 0.2, 0.3], True),
+        (TURNED, [0.5, 0.5, 0.5, 0.5], False),  # the same in either order
+        (TURNED, TURNED.as_quat(scalar_first=True).tolist(), False),
+        (Rotation.identity(), [1, 0, 0, 0], False),
     ],
 )
-def test_what_is_probably_the_other_order_is_told_of(cube, now, given, is_told):
+def test_what_may_be_the_other_order_is_told_of(cube, now, given, is_told):
     entity, there = cube
     entity.move(orientation=now)
     with warnings.catch_warnings(record=True) as told:
@@ -80,10 +83,35 @@ def test_what_is_probably_the_other_order_is_told_of(cube, now, given, is_told):
         entity.move(orientation=given)
     assert [one.category for one in told] == [ProgramWarning] * is_told
     for one in told:
-        assert "write xyzw=[" in str(one.message)
+        assert "write xyzw=[…] for one of these, else wxyz=[…]" in str(one.message)
         assert one.filename == __file__
     w, x, y, z = given
     assert is_turned(there(), Rotation.from_quat([x, y, z, w]))
+
+
+def test_what_a_handle_tells_needs_no_warning(client):
+    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    one, other = (pybullet.createMultiBody(1, shape, physicsClientId=client) for _ in range(2))
+    world = ssduck.World.attach(client, names={one: "one", other: "other"})
+    world["other"].move(wxyz=TURNED.as_quat(scalar_first=True))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        world["one"].move([0, 0, 1], world["other"].orientation)
+    assert is_turned(pybullet.getBasePositionAndOrientation(one, client)[1], TURNED)
+    with pytest.warns(ProgramWarning, match="^one: the orientation"):
+        world["one"].move([0, 0, 1], pybullet.getQuaternionFromEuler([0.3, -0.4, 2.0]))
+
+
+@pytest.mark.parametrize(
+    ("given", "is_told"),
+    [([0.9, 0.1, 0.2, 0.3], False), ([1, 0, 0, 0], False), ([0, 0, HALF, HALF], True)],
+)
+def test_without_known_ones_only_the_likelier_order_is_told_of(given, is_told):
+    """As for MuJoCo, whose quaternions are w, x, y, z."""
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        orientation_of(given, None, None, TURNED.as_quat(scalar_first=True), "cube")
+    assert len(told) == is_told
 
 
 def test_what_is_no_orientation_is_an_error(cube):

@@ -133,6 +133,11 @@ def xyzw(orientations: Array) -> Array:
     return orientations[:, [1, 2, 3, 0]]
 
 
+def is_soft(body: Body) -> bool:
+    """Checks whether a described body is soft: it moves without joints, and has no known mass."""
+    return body.movable and len(body.links) == 1 and body.masses == [0.0]
+
+
 def com_poses_of(client: int, handle: int) -> Pose:
     """Returns the centres of mass as poses in the link frames, (links, 3) and (links, 4)."""
     links = range(-1, pybullet.getNumJoints(handle, client))

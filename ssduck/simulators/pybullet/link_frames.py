@@ -14,7 +14,7 @@ import numpy as np
 from ssduck.geometry.arrays import Indices
 from ssduck.geometry.poses import invert, multiply, rotate, rotation_matrices
 from ssduck.simulators.interface import Body, LinkPoses
-from ssduck.simulators.pybullet.bodies import Pose
+from ssduck.simulators.pybullet.bodies import Pose, is_soft
 from ssduck.simulators.pybullet.console import pybullet
 
 _flatten = chain.from_iterable
@@ -35,11 +35,13 @@ class LinkPosesReader:
         self._handles = [body.handle for body in bodies]
         self._linked = [body.handle for body in bodies if len(body.links) > 1]
         self._links = [list(range(len(body.links) - 1)) for body in bodies if len(body.links) > 1]
+        soft = [is_soft(body) for body in bodies]
         counts = np.array([len(body.links) for body in bodies], dtype=np.intp)
         # By whether the links' velocities are read: the number of values in PyBullet's results, and
         # the places of each link's values.
         self._orders = {
-            with_velocities: _order(counts, with_velocities) for with_velocities in (False, True)
+            with_velocities: _order(counts, soft, with_velocities)
+            for with_velocities in (False, True)
         }
         positions = np.concatenate([np.zeros((0, 3)), *(pose[0] for pose in com)])
         orientations = np.concatenate([np.zeros((0, 4)), *(pose[1] for pose in com)])
@@ -81,11 +83,12 @@ class LinkPosesReader:
 _UNKNOWN = (((np.nan,),),)
 
 
-def _order(counts: Indices, with_velocities: bool) -> tuple[int, Indices]:
+def _order(counts: Indices, soft: Sequence[bool], with_velocities: bool) -> tuple[int, Indices]:
     """Returns the number of values in PyBullet's results and each link's places, (links, 13).
 
     The results are the bases' poses, the bases' velocities, the links' states with or without
-    velocities, and an unknown value. A pose is x y z and the quaternion x y z w.
+    velocities, and an unknown value. A pose is x y z and the quaternion x y z w. The velocities of
+    soft bodies are unknown: PyBullet returns other numbers for them.
     """
     bases = len(counts)
     total = int(counts.sum())
@@ -95,6 +98,7 @@ def _order(counts: Indices, with_velocities: bool) -> tuple[int, Indices]:
     order = np.full((total, 13), -1, dtype=np.intp)  # -1: the unknown value at the end
     order[is_base, :7] = 7 * np.arange(bases)[:, None] + np.arange(7)
     order[is_base, 7:] = 7 * bases + 6 * np.arange(bases)[:, None] + np.arange(6)
+    order[(np.cumsum(counts) - counts)[np.array(soft, dtype=bool)], 7:] = -1
     links = 13 * bases + width * np.arange(total - bases)[:, None]
     order[~is_base, :width] = links + np.arange(width)
     count = 13 * bases + width * (total - bases) + 1
