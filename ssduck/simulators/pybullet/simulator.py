@@ -579,8 +579,8 @@ def _warn_of_stand_ins(bodies: Sequence[Body]) -> None:
             f"{joined_names([body.name for body in bodies])}: PyBullet does not give back "
             "all shapes (a height field is such a shape); bounding boxes are used instead, which "
             "have exact = false in the table of shapes: World.attach(client, shapes={…}) takes "
-            "the shapes themselves; of a soft body, the box keeps its present form, the velocity is "
-            "unknown (NULL), and the mass is told as 0",
+            "the shapes themselves; of a soft body, the box keeps its present form, the velocity "
+            "is unknown (NULL), and the mass is told as 0",
         )
 
 
