@@ -23,6 +23,8 @@ from typing import Literal, TypeAlias
 MASSES = "masses"
 # Requested likewise: the collision margins.
 MARGINS = "margins"
+# Requested likewise: all contacts of an entity, of which a record may have some only.
+ALL_CONTACTS = "all contacts"
 # A table is read with each tick until this number of ticks has passed without a request.
 FORGOTTEN_AFTER = 240
 # A pair of entities in SQL is one number, the first id times this plus the second: DuckDB passes

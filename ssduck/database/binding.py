@@ -303,8 +303,12 @@ class BoundWorld:
 
         Raises:
             EvaluationError: a number is unknown, which is NULL in SQL.
+            UnsupportedError: they are not recorded.
         """
-        return self.world.snapshot.contacts()
+        snapshot = self.world.snapshot
+        if "contacts" in snapshot.unavailable:
+            raise UnsupportedError(snapshot.unavailable["contacts"])
+        return snapshot.contacts()
 
     def joint_owners(self) -> dict[str, set[int]]:
         """Returns the ids of the entities that have a joint of each name, at any tick."""
@@ -338,6 +342,8 @@ class BoundWorld:
         Raises:
             UnsupportedError: they are not recorded.
         """
+        if kind == "wrench" and self.history is not None:
+            self.history.record.warn_of_missing_contacts(self.history.store.recording)
         return LOOKUPS[kind](partial(self._recorded, tick=tick), a, b)
 
 

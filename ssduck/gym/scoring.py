@@ -20,7 +20,7 @@ from ssduck.recording.replay.replayed_world import ReplayedWorld
 
 @dataclass(frozen=True)
 class EpisodeScore:
-    """The score of an episode.
+    """The score of an episode, until `stop_when` ends it.
 
     Attributes:
         episode: the number of the episode.
@@ -73,7 +73,7 @@ def score(
         success: a condition: whether the task is done.
         failure: a condition: whether it has failed.
         reward: a number, or numbers by name, which are added.
-        stop_when: a condition that would end an episode.
+        stop_when: a condition that ends an episode: later steps have no score.
         world: the name of the world in the record.
         nan: what a term is that cannot be computed, since numbers are NaN; as in `QueryWrapper`.
         limits: the limits of terms and of the record.
@@ -135,7 +135,7 @@ def score_with(
         number,
         steps.seed,
         steps.options,
-        series("reward") if terms.parts else tuple(steps.rewards),
+        series("reward") if terms.parts else tuple(steps.rewards[: len(judgements)]),
         series("success") if terms.success else None,
         series("failure") if terms.failure or is_failed else None,
         series("stop") if terms.stop_when or is_failed else None,
@@ -146,7 +146,7 @@ def score_with(
 def _judgements(
     interpreter: Interpreter, world: str, judge: Judge, steps: EpisodeSteps
 ) -> Iterator[Judgement]:
-    """Yields what the terms say after each step."""
+    """Yields what the terms say after each step, until one says that the episode ends."""
     replayed = interpreter[world]
     assert isinstance(replayed, ReplayedWorld)
     # A simulation whose time stands still has several ticks of one time.
@@ -164,4 +164,7 @@ def _judgements(
         if index == 0:
             judge.check()
         else:
-            yield judge.judgement()
+            judgement = judge.judgement()
+            yield judgement
+            if judgement.stop:
+                return

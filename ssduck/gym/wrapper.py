@@ -186,7 +186,6 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         if is_reset:
             judgement = self._begin_episode(None, None)
             return observation, reward, terminated, truncated, info | {INFO: described(judgement)}
-        self._has_ended = bool(terminated or truncated)
         simulation = self._simulation
         run = simulation.snapshot.run
         if self._client is None:
@@ -208,6 +207,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         if self._forward_check is not None:
             self._forward_check.check(len(self._steps.times), values, judgement)
         terminated = bool(terminated or judgement.stop)
+        self._has_ended = bool(terminated or truncated)
         self._steps.add_tick(simulation.tick_number, simulation.time, values)
         self._steps.rewards.append(float(reward))
         self._steps.add_action(taken)

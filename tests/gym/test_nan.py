@@ -127,7 +127,7 @@ def test_a_value_in_its_place(tmp_path):
     with pytest.raises(ArgumentError, match="success: .* is NaN .*" + STATE):
         list(score(tmp_path, **TERMS))
     (failed,) = score(tmp_path, **TERMS, nan="failure")
-    assert (failed.failure, failed.stop) == ((False, True, True), (False, True, True))
+    assert (failed.failure, failed.stop) == ((False, True), (False, True))
 
 
 def test_pybullet():

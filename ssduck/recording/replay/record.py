@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from ssduck.errors import EvaluationError
+from ssduck.errors import EvaluationError, warn
+from ssduck.formatting import joined_names
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.queries import ShapeQueries
@@ -119,6 +120,7 @@ class Record:
         )
         # Whether it was replaced by another record, or discarded.
         self.is_closed = False
+        self._has_told_of_contacts = False
         # Calls of the narrow phase count for the world, at any tick.
         self.calls = CallCounter() if world is None else world.snapshot.calls
 
@@ -222,6 +224,21 @@ class Record:
         """Warns of bodies whose masses are no longer the recorded ones, of each once."""
         if self._mass_changes is not None:  # masses do not change in a replayed world
             self._mass_changes.warn(self.world)
+
+    def warn_of_missing_contacts(self, recording: Recording) -> None:
+        """Warns, once, if contacts with entities that are not recorded are missing.
+
+        Args:
+            recording: what is recorded.
+        """
+        if recording.entities is None or self._has_told_of_contacts:
+            return
+        self._has_told_of_contacts = True
+        warn(
+            f"{self.world.name!r}: only {joined_names(recording.entities)} were recorded, and "
+            "contacts with other entities were not: force and torque lack these; record without "
+            "entities=… to have all"
+        )
 
     @property
     def dropped_ticks_message(self) -> str:

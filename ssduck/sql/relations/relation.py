@@ -10,7 +10,7 @@ from typing import Literal, TypeAlias
 import sqlglot
 from sqlglot import exp
 
-from ssduck.schema import BOX, LINK_FACTOR, MARGINS, MASSES
+from ssduck.schema import ALL_CONTACTS, BOX, LINK_FACTOR, MARGINS, MASSES
 from ssduck.simulators.contact_pairs import ContactPairs
 from ssduck.sql.relations.geometry_query import CandidatePairs, GeometryQuery
 
@@ -221,12 +221,16 @@ class Relation:
 
     @cached_property
     def inputs(self) -> frozenset[str]:
-        """The data to fetch from the simulator before it is evaluated: tables, masses, margins."""
+        """The data to fetch before it is evaluated: tables, masses, margins, all contacts."""
         tree = self.expressions[self.required_count]
         reads_mass = any(column.name == "mass" for column in tree.find_all(exp.Column))
         uses_margins = self.geometry is not None and self.geometry.uses_margins
         result = self.tables | ({MASSES} if reads_mass else frozenset())
-        return result | ({MARGINS} if uses_margins else frozenset())
+        result |= {MARGINS} if uses_margins else frozenset()
+        # A relation of two entities reads their contacts, one of a single entity all of its own.
+        entities = [one for one in self.parameters if one.type == "entity"]
+        reads_all = "contacts" in self.tables and len(entities) == 1
+        return result | ({ALL_CONTACTS} if reads_all else frozenset())
 
     def _checked(self, tree: exp.Expr, schema: str) -> exp.Expr:
         """Returns a formula for rows of users' SQL: these may be of another run, or changed."""
