@@ -3,9 +3,9 @@
 A *tick* is one reading of a world's state at a simulated time, in the tables of `ssduck.schema`.
 
 `Snapshot.take` replaces all tables at once; between two takes the simulator is not read again. A
-table that nobody requested is not read from the simulator. Requesting one takes a fresh tick that
-includes it, except for shapes, which follow from the poses. A requested table is read with every
-tick until `FORGOTTEN_AFTER` ticks have passed without another request.
+table that nobody requested is not read from the simulator. Requesting one reads this tick again
+with it if the simulator has not moved on, else another one; shapes follow from the poses. It is
+read with every tick until `FORGOTTEN_AFTER` ticks have passed without another request.
 """
 
 from __future__ import annotations
@@ -117,6 +117,8 @@ class Snapshot(TickGeometry):
         # The tick of each sensor's last own request, and the sensors read at this tick.
         self._requested_sensors: dict[int, int] = {}
         self._read_sensors: frozenset[int] = frozenset()
+        # Whether a sensor was switched since the tick.
+        self._is_switched = False
         self._warned: set[int] = set()
         # The layout that was looked through for forms that bend, and their names.
         self._checked: TableLayout | None = None
@@ -347,6 +349,7 @@ class Snapshot(TickGeometry):
         self.sensing.switch(sensor, on=on)
         self._read -= {"sensings"}
         self._read_sensors -= {sensor}
+        self._is_switched = True
 
     def invalidate_static_poses(self) -> None:
         """Makes the next tick read the bodies that cannot move again: someone has moved them."""
@@ -395,16 +398,19 @@ class Snapshot(TickGeometry):
 
     # A diverging simulation has infinite numbers; `_finish` warns of them.
     @np.errstate(invalid="ignore")
-    def take(self, simulator: Simulator, load_order: list[EntityInfo]) -> None:
+    def take(
+        self, simulator: Simulator, load_order: list[EntityInfo], *, is_again: bool = False
+    ) -> None:
         """Reads a tick: the entities and the requested tables.
 
         Args:
             simulator: the simulator of the entities.
             load_order: the entities in load order; the same object while they are the same.
+            is_again: whether it is this tick with more tables; see `is_still_of`.
         """
         same = load_order is self.load_order
         layout = self._layout if same else TableLayout(load_order, simulator.is_external)
-        number = self.number + (not self._is_final)
+        number = self.number + (not self._is_final and not is_again)
         tables = {name for name, at in self._requested.items() if number - at <= FORGOTTEN_AFTER}
         tables |= self.recorded
         # The whole tick is read before anything of the last one is overwritten.
@@ -424,10 +430,36 @@ class Snapshot(TickGeometry):
             self._tables["joints"].doubles("position", "effort")[:] = state.joints.T
         self._contacts, self._are_contacts_written = state.contacts, "contacts" not in tables
         self.sensing.readings = state.readings
-        self._read_sensors = state.sensors
+        self._read_sensors, self._is_switched = state.sensors, False
         if "sensings" in tables:
             write_sensings(self._tables["sensings"], state.readings, self.rows)
+        if not self._is_past and not is_again:
+            self._tables["ticks"]["wall_time"].fill(time.time())
         self._finish(known)
+
+    def is_still_of(self, simulator: Simulator, load_order: list[EntityInfo]) -> bool:
+        """Checks whether the simulator is in the state of this tick, as far as this has it.
+
+        If so, further tables may be read into this tick. The arguments are those of `take`.
+        """
+        is_known = self._static is not None and not self._is_switched
+        now = id(load_order), simulator.time, simulator.disabled, simulator.hidden
+        before = id(self.load_order), self.time, self.disabled, self.hidden
+        if not is_known or now != before:
+            return False
+        group = self._layout.moving_bodies
+        velocities = "links" in self._read or group.sensors_on_links
+        poses = simulator.read_link_poses(group.bodies, with_velocities=velocities)
+        last = self._link_poses[1]
+        pairs = [(last.positions, poses.positions), (last.states, poses.states)]
+        if "joints" in self._read:
+            bodies = [body for _, body in self._layout.bodies if body.joints]
+            joints = self._tables["joints"].doubles("position", "effort").T
+            pairs.append((joints, simulator.read_joints(bodies)))
+        if "contacts" in self._read:
+            contacts = (self._contacts.all(), simulator.read_contacts().all())
+            pairs += zip(*(vars(points).values() for points in contacts), strict=True)
+        return all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
 
     def _read_state(
         self,
@@ -459,7 +491,8 @@ class Snapshot(TickGeometry):
         is_discontinuous = static is not self._static
         context = TickContext(number, simulator.time, layout, is_discontinuous)
         sensors = self._sensors_to_read(layout, number, all_sensors="sensings" in tables)
-        due = self.sensing.due(context, sensors, is_external=simulator.is_external)
+        may_differ = simulator.is_external and number != self.number
+        due = self.sensing.due(context, sensors, is_external=may_differ)
         poses = sensor_poses(layout, static, moving, due) if due else []
         contacts: Contacts = ContactPoints.none()
         if "contacts" in tables or not all(has_rays(pose.info) for pose in poses):
@@ -527,8 +560,6 @@ class Snapshot(TickGeometry):
         Args:
             known: the tables that surely have no unknown number.
         """
-        if not self._is_past:
-            self._tables["ticks"]["wall_time"].fill(time.time())
         for name in ("entities", "ticks", *self._read.difference(("contacts",))):
             self._publish(name, are_known=name in known)
         # The warning for a past tick was given when it was taken.

@@ -195,7 +195,9 @@ class SteppedSimulation(Observable):
 
         `tick` sees a reset by itself where the time of MuJoCo has fallen, or its model is another
         one. If you call this at one reset, call it at each: from then on, only this and another
-        model begin an episode. PyBullet has no time; it is 0 again at this tick.
+        model begin an episode. PyBullet has no time; it is 0 again at this tick. Its bodies that
+        were built again, with the same shapes and numbers, keep the names and kinds that they were
+        attached with; a warning says which do not.
 
         Returns:
             The world itself.
@@ -377,7 +379,7 @@ class SteppedSimulation(Observable):
     # -- tables and queries -----------------------------------------------------------------
 
     def request_tables(self, tables: Iterable[str]) -> None:
-        """Ensures that the current tick includes tables; takes a fresh tick if it does not."""
+        """Ensures that the current tick includes tables; see `_take_requested`."""
         with self.lock:
             if self.snapshot.request_tables(tables):
                 self._take_requested()
@@ -396,10 +398,29 @@ class SteppedSimulation(Observable):
                 recorder.check_masses(self.snapshot)
 
     def _take_requested(self) -> None:
+        """Reads requested tables into this tick, or takes another if the simulator has moved on.
+
+        A tick that is there is recorded, and counted by sums over the past: it must not be there
+        twice.
+        """
         if self._simulator.is_external:
             self._check_not_pinned()
         # During a query nothing moves in a world that only ssduck steps.
-        self._take()
+        if not self._read_again():
+            self._take()
+
+    def _read_again(self) -> bool:
+        """Reads the tick again with requested tables if the simulator is still in its state."""
+        if self.is_final or not self.is_restored:
+            return False
+        with ctrl_c.deferred():
+            self._registry.update(self._simulator)
+            self._check_episode()
+            entities = self._registry.entities
+            is_same = self.snapshot.is_still_of(self._simulator, entities)
+            if is_same:
+                self.snapshot.take(self._simulator, entities, is_again=True)
+            return is_same
 
     def pinned(self, tables: Collection[str] = (), *, is_read: bool = True) -> Pin:
         """Keeps the world at its tick, with tables included, while a query runs.
@@ -460,7 +481,7 @@ class SteppedSimulation(Observable):
             if self._first_recorded is None:
                 self._first_recorded = self.snapshot.time
             self._read_recorded()
-            if self.snapshot.request_tables(()):
+            if self.snapshot.request_tables(()) and not self._read_again():
                 self._take()
             else:
                 recorder.record(self.snapshot)

@@ -15,6 +15,7 @@ from ssduck.errors import (
     ArgumentError,
     EvaluationError,
     NumberError,
+    ProgramWarning,
     SelectScriptError,
     SimulatorError,
 )
@@ -303,6 +304,65 @@ def test_after_a_reset_the_client_is_attached_anew(client, bouncing, tmp_path):
     assert ss.eval("getTime();") == 0.0
     stepped(client)
     assert again.tick().time == STEP
+
+
+def built(client, *radii):
+    """Resets a client, and builds balls."""
+    pybullet.resetSimulation(physicsClientId=client)
+    for x, radius in enumerate(radii):
+        ball = pybullet.createCollisionShape(
+            pybullet.GEOM_SPHERE, radius=radius, physicsClientId=client
+        )
+        pybullet.createMultiBody(1, ball, basePosition=[x, 0, 1], physicsClientId=client)
+
+
+def test_bodies_that_are_built_again_keep_their_names_in_the_next_episode(client):
+    built(client, 0.1, 0.2, 0.1)
+    world = ssduck.World.attach(client, names={0: "body_1", 2: "goal"}, kinds={2: "robot"})
+    first = [(entity.name, entity.kind) for entity in world]
+    assert first == [("body_1", "kinbody"), ("body_1_2", "kinbody"), ("goal", "robot")]
+    for _ in range(2):
+        built(client, 0.1, 0.2, 0.1)
+        world.begin_episode()
+        assert [(entity.name, entity.kind) for entity in world] == first
+        world.begin_episode()  # nothing was built
+        assert [(entity.name, entity.kind) for entity in world] == first
+    # In an episode a later body with the same number has the name of its model.
+    built(client, 0.1, 0.2, 0.1)
+    assert [entity.name for entity in world.tick()] == ["body_0", "body_1", "body_2"]
+    built(client, 0.1, 0.2, 0.3)
+    with pytest.warns(ProgramWarning, match="^goal: begin_episode found other bodies.*names="):
+        world.begin_episode()
+    assert [entity.name for entity in world] == ["body_1", "body_1_2", "body_2"]
+    built(client, 0.1, 0.2, 0.1)
+    world.begin_episode()
+    assert [(entity.name, entity.kind) for entity in world] == first
+
+
+def test_a_table_that_was_not_read_does_not_count_the_tick_twice(client, bouncing):
+    """Sums over the past are the same after any query."""
+    ss, world = bouncing
+    forces = []
+    for _ in range(110):
+        stepped(client)
+        world.tick()
+        points = pybullet.getContactPoints(physicsClientId=client)
+        forces += [point[9] for point in points if point[9] > 0]
+    number = world.tick_number
+    for table in ("joints", "links", "shapes"):
+        world.request_tables([table])
+    assert world.tick_number == number
+    (row,) = ss.sql("SELECT count(*), sum(force) FROM contacts_history").fetchall()
+    assert row == (len(forces), pytest.approx(sum(forces)))
+    assert forces
+    ss.record("sim", ssduck.Recording(tables=("entities", "sensings")))
+    assert (world.tick_number, ss.past("sim").times) == (number, [world.time])
+    # What was moved since is another tick.
+    late = ssduck.World.attach(client)
+    number = late.tick_number
+    pybullet.resetBaseVelocity(1, [1, 0, 0], physicsClientId=client)
+    late.request_tables(["joints"])
+    assert late.tick_number == number + 1
 
 
 def test_a_client_that_is_gone_takes_no_time(client, bouncing):

@@ -77,20 +77,19 @@ def test_tables_that_nobody_asks_for_are_not_read(spied):
         assert spy.read["contacts"] == 1
 
 
-def test_asking_takes_one_fresh_tick_if_the_table_is_not_there(spied):
-    world, _ = spied
-    world.tick()  # the first tick has the tables that are recorded by default
-    number = world.snapshot.number
+def test_asking_reads_a_table_that_is_not_there_into_the_tick(spied):
+    world, spy = spied
+    world.tick()
+    number, wall_time = world.snapshot.number, world.snapshot.tables["ticks"]["wall_time"][0]
+    spy.read.clear()
     world.request_tables(["links"])
-    assert world.snapshot.number == number + 1
-    world.request_tables(["links"])
+    world.request_tables(["links", "joints"])
     world.request_tables(["entities", "ticks", "geometries"])
-    assert world.snapshot.number == number + 1
-    world.request_tables(["links", "joints", "contacts"])
-    assert world.snapshot.number == number + 2
+    assert (world.snapshot.number, spy.read["joints"]) == (number, 1)
+    assert world.snapshot.tables["ticks"]["wall_time"][0] == wall_time
     world.step()
-    world.request_tables(["links", "joints", "contacts"])
-    assert world.snapshot.number == number + 3
+    world.request_tables(["links", "joints"])
+    assert (world.snapshot.number, spy.read["joints"]) == (number + 1, 2)
 
 
 def test_tables_are_forgotten_after_a_while(spied):
@@ -100,9 +99,8 @@ def test_tables_are_forgotten_after_a_while(spied):
     spy.read.clear()
     for _ in range(FORGOTTEN_AFTER + 10):
         world.tick()
-    # The first of them is the tick that asking took.
-    assert spy.read["contacts"] == FORGOTTEN_AFTER - 1
-    assert set(world.snapshot.tables["contacts"]["tick"].tolist()) <= {FORGOTTEN_AFTER + 1}
+    assert spy.read["contacts"] == FORGOTTEN_AFTER
+    assert set(world.snapshot.tables["contacts"]["tick"].tolist()) <= {FORGOTTEN_AFTER + 2}
     read = spy.read["contacts"]
     world.request_tables(["contacts"])
     assert spy.read["contacts"] == read + 1
@@ -357,7 +355,7 @@ def test_a_table_that_could_not_be_read_is_still_lacking(spied):
     spy.broken = ()
     number = world.snapshot.number
     world.request_tables(["contacts"])
-    assert (world.snapshot.number, spy.read["contacts"]) == (number + 1, 1)
+    assert (world.snapshot.number, spy.read["contacts"]) == (number, 1)
 
 
 def test_a_table_that_is_asked_for_while_a_query_runs_is_still_lacking(attached):

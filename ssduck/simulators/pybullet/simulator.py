@@ -47,6 +47,7 @@ from ssduck.simulators.pybullet.collision_margins import LinkMargin, MarginReade
 from ssduck.simulators.pybullet.console import captured, pybullet
 from ssduck.simulators.pybullet.constraints import add_fixed_constraint, fixed_constraints
 from ssduck.simulators.pybullet.contacts import read_contacts
+from ssduck.simulators.pybullet.given_bodies import GivenBodies
 from ssduck.simulators.pybullet.link_frames import LinkPosesReader
 from ssduck.simulators.pybullet.rays import cast_rays
 from ssduck.simulators.pybullet.scene_loader import LoadedBodies, hold_joint, set_motor
@@ -72,9 +73,7 @@ class PyBulletSimulator:
     Args:
         client: the number of a connected client.
         owned: whether ssduck made the client and disconnects it; else the user may change it.
-        names: names of the present bodies by PyBullet body number, instead of those of the models.
-        kinds: kinds of these bodies, instead of those that follow from the joints.
-        shapes: the user's own shapes of these bodies.
+        names, kinds, shapes: what is said of the present bodies; see `GivenBodies`.
         loaded: the bodies that ssduck loaded.
 
     Attributes:
@@ -101,9 +100,7 @@ class PyBulletSimulator:
         self.is_external = not owned
         # Empty for a client that ssduck did not fill.
         self.loaded = loaded or LoadedBodies()
-        self._names = dict(names or {})
-        self._kinds = dict(kinds or {})
-        self._user_shapes = dict(shapes or {})
+        self._given = GivenBodies(names, kinds, shapes)
         self.disabled: frozenset[Body] = frozenset()
         self.hidden: frozenset[Body] = frozenset()
         # The colours of hidden bodies: link, index among its visual shapes, colour.
@@ -142,6 +139,7 @@ class PyBulletSimulator:
         handles = self.handles()
         tags = self._call(lambda: self._tags_of(handles))
         if self._handles_and_tags == (handles, tags) and not self._lacks_bodies:
+            self._given.end()
             return None
         if self.is_external and (-1 in tags or self._lacks_bodies):
             # What made the new bodies may have made others that the client's list lacks.
@@ -155,8 +153,12 @@ class PyBulletSimulator:
         added.sort(key=lambda handle: order.get(handle, len(order)))
         saved = SavedShapes(self.client, added)
         with captured():  # PyBullet prints warnings about shapes that it does not return
-            names = self._call(lambda: names_of(self.client, handles, added, self._names))
+            name = partial(names_of, self.client, handles)
+            names = self._call(lambda: name(added, self._given.names))
             new = self._call(lambda: {h: self._describe_body(h, names[h], saved) for h in added})
+            changed = self._given.changed(description.body for description in new.values())
+            names = self._call(lambda: name(changed, self._given.names))
+            new |= self._call(lambda: {h: self._describe_body(h, names[h], saved) for h in changed})
         self._check_shapes(description.body for description in new.values())
         _warn_of_stand_ins(
             [description.body for description in new.values() if not description.exact]
@@ -168,8 +170,8 @@ class PyBulletSimulator:
         self._margin_reader = None
         self._handles_and_tags = handles, self._call(lambda: self._tags_of(handles))
         self._tags = dict(zip(*self._handles_and_tags, strict=True))
-        # These are of the present bodies, not of later bodies with the same numbers.
-        self._names, self._kinds, self._user_shapes, self._described = {}, {}, {}, True
+        self._given.end()
+        self._described = True
         self._apply_initial_flags()
         return [description.body for description in new.values()], gone
 
@@ -229,13 +231,9 @@ class PyBulletSimulator:
         return list(map(get, handles, repeat(self._tag), none, none, repeat(self.client)))
 
     def _describe_body(self, handle: int, name: str, saved: SavedShapes) -> BodyDescription:
+        given = self._given
         description = self.loaded.described.pop(handle, None) or describe(
-            self.client,
-            handle,
-            name,
-            self._kinds.get(handle),
-            saved,
-            self._user_shapes.get(handle),
+            self.client, handle, name, given.kinds.get(handle), saved, given.shapes.get(handle)
         )
         pybullet.addUserData(handle, self._tag, "1", -1, -1, self.client)
         return description
@@ -270,6 +268,7 @@ class PyBulletSimulator:
     def begin_episode(self) -> None:
         """Changes `episode`; the time is 0 again."""
         self.episode += 1
+        self._given.begin_episode()
         self.clock = Clock(self.timestep)
 
     def set_clock(self, clock: Clock) -> None:
