@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ssduck.errors import ProgramWarning, warn
-from ssduck.gym.terms import Judge, Judgement, Terms
+from ssduck.gym.judge import Judge
+from ssduck.gym.terms import Judgement, Terms
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.limits import Limits
 from ssduck.recording.spec import Recording
@@ -53,7 +54,7 @@ class ForwardCheck:
         """Takes the first tick after a reset."""
         if self._left:
             self._simulation.begin_episode()
-            self._judge.set_variables(values)
+            self._judge.begin_tick(values, is_first=True)
 
     def check(self, step: int, values: Mapping[str, Any], judgement: Judgement) -> None:
         """Takes a tick, and warns if a flag differs, which ends the checks."""
@@ -61,7 +62,7 @@ class ForwardCheck:
             return
         self._left -= 1
         self._simulation.tick()
-        self._judge.set_variables(values)
+        self._judge.begin_tick(values)
         other = self._judge.judgement()
         flags = {"success": other.success, "failure": other.failure, "stop_when": other.stop}
         seen = {"success": judgement.success, "failure": judgement.failure}

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from ssduck.errors import RecordError
-from ssduck.gym.terms import Judge, Judgement, Reward, Terms, WhereNaN
+from ssduck.gym.judge import Judge
+from ssduck.gym.terms import Judgement, Reward, Terms, WhereNaN
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.opening import open_record
 from ssduck.limits import Limits
@@ -160,7 +161,8 @@ def _judgements(
             raise RecordError(
                 f"{replayed.name!r} has no tick at {time:g} s: ticks of the episode are missing"
             )
-        judge.set_variables({name: values[index] for name, values in steps.variables.items()})
+        values = {name: series[index] for name, series in steps.variables.items()}
+        judge.begin_tick(values, is_first=index == 0)
         if index == 0:
             judge.check()
         else:

@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck.errors import ArgumentError, SceneError, SelectScriptError
-from ssduck.gym.terms import Judge, Terms
+from ssduck.gym.judge import Judge
+from ssduck.gym.terms import Terms
 from ssduck.gym.wrapper import INFO, check_open, described
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.opening import load_tried
@@ -153,6 +154,7 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
             position = self.np_random.uniform(start.low, start.high)
             self._world[start.entity].move(position.tolist())
         self._steps = 0
+        self._begin_tick(is_first=True)
         return self._observation(), {INFO: described(self._judge.judgement())}
 
     def step(
@@ -169,6 +171,7 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
                 entity.drive(velocities={one.joint: target})
         self._world.run(self.task.step_time, every=None)
         self._steps += 1
+        self._begin_tick(is_first=False)
         judgement = self._judge.judgement()
         reward = 0.0 if judgement.reward is None else judgement.reward
         is_over = self._steps >= self.task.steps
@@ -214,6 +217,10 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
         """Records the ticks in memory if a term reads them."""
         if tables := self._judge.past_tables | self._observer.past_tables:
             self._interpreter.record(WORLD, Recording(tables=tuple(tables)))
+
+    def _begin_tick(self, *, is_first: bool) -> None:
+        for judge in (self._judge, self._observer):
+            judge.begin_tick({}, is_first=is_first)
 
     def _observation(self) -> npt.NDArray[np.float64]:
         return np.array(list(self._observer.judgement().parts.values()))

@@ -12,7 +12,8 @@ from ssduck import validation
 from ssduck.errors import ArgumentError, ProgramWarning, SimulatorError, warn
 from ssduck.formatting import short_repr
 from ssduck.gym.forward_check import ForwardCheck
-from ssduck.gym.terms import Judge, Judgement, Reward, Terms, WhereNaN
+from ssduck.gym.judge import Judge
+from ssduck.gym.terms import Judgement, Reward, Terms, WhereNaN
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.namespace import check_name
 from ssduck.limits import Limits
@@ -63,7 +64,8 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             It may use `success` and `failure` by name, as a reward may.
         world: the name of the world in terms.
         variables: functions of the unwrapped environment, by the name of the variable that has
-            their value. They are called after each reset and step.
+            their value. They are called after each reset and step. One that changes
+            within an episode cannot be in a function of time, such as `previous`.
         record_to: a folder for the record of all episodes; it may have others.
         recording: the tables and entities that are recorded; all by default.
         forward: for MuJoCo, whether terms see the poses that belong to the joint positions of the
@@ -72,7 +74,8 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             False, with a warning at the first of 1,000 steps at which a flag depends on it.
         step_time: for PyBullet, the simulated time of a step of the environment, s; None for one
             step of the client.
-        nan: what a term is that cannot be computed, since a pose, a velocity or a variable is NaN:
+        nan: what a term is that cannot be computed, since a pose, a velocity or a variable is NaN,
+            or a pose or a velocity was at an earlier step that a function of time reads:
             `"error"`; `"failure"`, where the episode has failed and ends, and the reward's part is
             0; or a number for the reward's part, where a condition is False and the episode goes
             on.
@@ -200,7 +203,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
                 "step: the environment made its simulation anew within an episode, whose past is "
                 "gone: call reset"
             )
-        values = self._set_variables()
+        values = self._set_variables(is_first=False)
         judgement = self._judge.judgement()
         if judgement.reward is not None:
             reward = judgement.reward
@@ -271,7 +274,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         else:
             self._simulation.begin_episode()
         self._steps = EpisodeSteps(self._terms.texts, seed, options)
-        values = self._set_variables()
+        values = self._set_variables(is_first=True)
         if self._forward_check is not None:
             self._forward_check.begin_episode(values)
         if not self._is_checked:
@@ -289,7 +292,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         """Checks the terms before the first reset, which may be what sets variables."""
         self._record_past()
         try:
-            has_values = [] not in self._set_variables().values()
+            has_values = [] not in self._set_variables(is_first=True).values()
         except Exception:  # noqa: BLE001  # whatever it is, the first reset raises it
             has_values = False
         self._judge.check(with_variables=has_values)
@@ -300,13 +303,17 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         if tables := self._judge.past_tables:
             self._interpreter.record(self._world, Recording(tables=tuple(tables)))
 
-    def _set_variables(self) -> dict[str, Any]:
-        """Sets the variables to their values now, and returns these."""
+    def _set_variables(self, *, is_first: bool) -> dict[str, Any]:
+        """Sets the variables to their values now, and returns these.
+
+        Args:
+            is_first: whether the tick is the first one of an episode.
+        """
         environment = self.env.unwrapped
         values = {}
         for name, read in self._variables.items():
             values[name] = plain(read(environment), f"variables[{name!r}]")
-        self._judge.set_variables(values)
+        self._judge.begin_tick(values, is_first=is_first)
         return values
 
     def _save(self) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pybullet
 import pytest
 
-from ssduck.errors import ArgumentError
+from ssduck.errors import ArgumentError, SelectScriptError
 from ssduck.gym import QueryWrapper, score
 from tests.support.gym_environments import Drop
 
@@ -25,10 +25,10 @@ class Broken(gymnasium.Env):
     observation_space = gymnasium.spaces.Box(-10, 10, (14,), np.float64)
     action_space = gymnasium.spaces.Box(-1, 1, (1,), np.float64)
 
-    def __init__(self, at=2, goal_at=99):
+    def __init__(self, at=2, goal_at=99, until=99):
         self.model = mujoco.MjModel.from_xml_string(TEXT)
         self.data = mujoco.MjData(self.model)
-        self.at, self.goal_at = at, goal_at
+        self.at, self.goal_at, self.until = at, goal_at, until
 
     @property
     def goal(self):
@@ -42,7 +42,11 @@ class Broken(gymnasium.Env):
 
     def step(self, action):
         self.steps += 1
-        if self.steps >= self.at:
+        if self.steps == self.until:
+            mujoco.mj_resetData(self.model, self.data)
+            self.data.time = 0.1
+            mujoco.mj_kinematics(self.model, self.data)
+        elif self.at <= self.steps < self.until:
             self.data.qpos[:3] = np.nan
             mujoco.mj_kinematics(self.model, self.data)
             self.data.time += 0.004
@@ -128,6 +132,46 @@ def test_a_value_in_its_place(tmp_path):
         list(score(tmp_path, **TERMS))
     (failed,) = score(tmp_path, **TERMS, nan="failure")
     assert (failed.failure, failed.stop) == ((False, True), (False, True))
+
+
+@pytest.mark.parametrize(
+    ("term", "replaced"),
+    [
+        ("rate(x(sim.a))", [2, 3]),
+        ("previous(x(sim.a)) - x(sim.a)", [2, 3]),
+        ("least(x(sim.a))[1]", []),
+        ("previous(x(sim.b))", []),
+    ],
+)
+def test_a_value_whose_past_is_nan(tmp_path, term, replaced):
+    env = QueryWrapper(Broken(until=3), reward=term, nan=-4.5, record_to=tmp_path)
+    rewards = []
+    for _ in range(2):  # the next episode has another past
+        env.reset()
+        rewards.append([env.step(np.zeros(1))[1] for _ in range(4)])
+    env.close()
+    for one in rewards:
+        assert [number for number, r in enumerate(one, 1) if r == -4.5] == replaced
+    scored = [list(episode.rewards) for episode in score(tmp_path, reward=term, nan=-4.5)]
+    assert scored == rewards
+
+
+def test_the_error_of_a_past_that_is_nan(tmp_path):
+    message = r"reward: .* is NaN .*: the pose or the velocity of sim\.a was NaN at an earlier step"
+    with pytest.raises(ArgumentError, match=message):
+        run(3, env=Broken(until=3), reward="previous(x(sim.a))")
+    first = {"env": Broken(0, until=1), "reward": "initially(x(sim.a))"}
+    with pytest.raises(ArgumentError, match=r"reward: .* is NaN"):
+        run(1, **first)
+    assert run(3, **first, nan=-1.0, record_to=tmp_path)[0] == -1.0
+    (scored,) = score(tmp_path, reward=first["reward"], nan=-1.0)
+    assert scored.rewards == (-1.0,) * 3
+
+
+def test_a_past_that_is_nan_excuses_no_other_term():
+    terms = {"a": "previous(x(sim.a))", "b": "1 / (z(sim.b) - z(sim.b))"}
+    with pytest.raises(SelectScriptError, match="reward"):
+        run(3, env=Broken(until=3), reward=terms, nan=-1.0)
 
 
 def test_pybullet():

@@ -1,0 +1,423 @@
+"""Evaluates the terms of a task, with at most a statement a step: `Judge`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from ssduck.errors import ArgumentError, SelectScriptError, UnknownNameError
+from ssduck.formatting import joined_names, short_repr
+from ssduck.gym.terms import CONDITIONS, Judgement, Term, Terms, is_nan
+from ssduck.interpreter.interpreter import Interpreter
+from ssduck.interpreter.program import CompiledProgram
+from ssduck.interpreter.temporal_functions import TEMPORAL_FUNCTIONS, parts_of
+from ssduck.language.tree import (
+    Call,
+    Index,
+    Literal,
+    Name,
+    Node,
+    QualifiedName,
+    Query,
+    TimeIndex,
+)
+from ssduck.schema import RECORDABLE, RECORDED_BY_DEFAULT
+from ssduck.sql.table_use import tables_of
+from ssduck.world.world import World
+
+# What to do about the past of a variable.
+_KEEP_PAST = (
+    "let the environment keep what the term needs of earlier steps, and give that as a variable, "
+    "such as variables={'before': lambda env: env.before}"
+)
+
+
+class Judge:
+    """Evaluates the terms of a task at the present tick of a world, with one statement at most.
+
+    Args:
+        terms: the terms.
+        interpreter: runs them; it has the world.
+        world: the name of the world.
+        variables: the names of the variables that are set at each step.
+        if_unknown: what to do about a name that no variable has, with {name} for it.
+
+    Attributes:
+        terms: the terms.
+        past_tables: the tables to be recorded for terms that read the past; none if none does.
+    """
+
+    def __init__(
+        self,
+        terms: Terms,
+        interpreter: Interpreter,
+        world: str,
+        variables: Sequence[str],
+        *,
+        if_unknown: str,
+    ) -> None:
+        _check_variables(variables, terms, world)
+        self._if_unknown = if_unknown
+        self.terms = terms
+        self._interpreter, self._world = interpreter, world
+        self._elements: dict[str, set[int]] = {name: set() for name in variables}
+        self._whole: set[str] = set()
+        # The last values of variables and elements.
+        self._bound: dict[str, Any] = {}
+        for name in variables:  # so that errors suggest them
+            interpreter.add_variable(name, None)
+        self._texts = [self._expanded(term) for term in terms]
+        # Each was compiled by itself, so that none is more than an expression.
+        self._program = interpreter.compile(_selected(self._texts))
+        trees = [self._tree(text) for text in self._texts]
+        self._are_temporal = [_is_temporal(tree) for tree in trees]
+        # The terms that have a variable in a function of time, with the function, by the variable.
+        self._over_time: dict[str, tuple[Term, str]] = {}
+        for term, tree in zip(terms, trees, strict=True):
+            self._find_over_time(term, tree)
+        # The entities that were NaN at a tick of the episode.
+        self._were_nan: set[str] = set()
+        self.past_tables: frozenset[str] = frozenset()
+        if any(self._are_temporal):
+            read = frozenset().union(*map(tables_of, trees)).intersection(RECORDABLE)
+            self.past_tables = read.union(RECORDED_BY_DEFAULT)
+
+    def begin_tick(self, values: Mapping[str, Any], *, is_first: bool = False) -> None:
+        """Sets the variables of the present tick.
+
+        Args:
+            values: their values.
+            is_first: whether the tick is the first one of an episode.
+
+        Raises:
+            ArgumentError: a list is too short, or a variable in a function of time has changed
+                within the episode.
+        """
+        if is_first:
+            self._were_nan.clear()
+        if any(self._are_temporal):
+            self._were_nan.update(self._entities_with_nan())
+        for name, value in values.items():
+            for index in self._elements[name]:
+                try:
+                    element = value[index]
+                except (TypeError, IndexError, KeyError):
+                    raise ArgumentError(
+                        f"variables[{name!r}]: a term uses {name}[{index}], and the value is "
+                        f"{short_repr(value)}"
+                    ) from None
+                self._bind(self._element(name, index), element, f"{name}[{index}]", is_first)
+            if name in self._whole:
+                self._bind(name, value, name, is_first)
+
+    def _bind(self, name: str, value: Any, shown: str, is_first: bool) -> None:
+        """Sets a variable unless it has the value already: what reads it need not be found anew."""
+        bound = self._bound.get(name)
+        is_over_time = name in self._over_time and not is_first
+        if is_over_time and bound != value and not _has_nan(value):  # the terms tell of NaN
+            self._raise_changed(name, shown, bound, value)
+        if not (is_same(bound, value) and self._interpreter[name] is bound):
+            self._bound[name] = self._interpreter.add_variable(name, value)
+
+    def _raise_changed(self, name: str, shown: str, before: Any, value: Any) -> None:
+        """Raises the error of a variable in a function of time that has changed."""
+        term, function = self._over_time[name]
+        raise ArgumentError(
+            f"{term.key}: {term.text!r} has the variable {shown} in {function}(…), which takes its "
+            "present value at all past ticks, and it changed within the episode, from "
+            f"{short_repr(before)} to {short_repr(value)}: {_KEEP_PAST}"
+        )
+
+    def _find_over_time(self, term: Term, tree: Node) -> None:
+        """Finds the variables of a term in functions of time.
+
+        Raises:
+            ArgumentError: such a function has nothing but variables.
+        """
+        for call in tree.walk():
+            if not (isinstance(call, Call) and call.name in TEMPORAL_FUNCTIONS and call.arguments):
+                continue
+            nodes = list(parts_of(call)[0].walk())
+            names = {node.name for node in nodes if isinstance(node, Name)}
+            variables = names & (self._whole | self._element_names)
+            if (
+                variables
+                and variables == names
+                and not any(isinstance(node, QualifiedName | TimeIndex | Query) for node in nodes)
+            ):
+                raise ArgumentError(
+                    f"{term.key}: {term.text!r} has {call.name}(…) of variables alone, whose past "
+                    f"is not known: {_KEEP_PAST}"
+                )
+            for name in variables:
+                self._over_time.setdefault(name, (term, call.name))
+
+    def _element(self, name: str, index: int) -> str:
+        """Returns the name of an element of a list that a variable has, which none else has."""
+        element = f"{name}__{index}"
+        while element in self._elements:
+            element += "_"
+        return element
+
+    @property
+    def _element_names(self) -> set[str]:
+        """The names of the elements of lists that terms use."""
+        indices = self._elements.items()
+        return {self._element(name, index) for name, used in indices for index in used}
+
+    def judgement(self) -> Judgement:
+        """Returns the values of the terms at the present tick.
+
+        Raises:
+            SelectScriptError: a term failed, or its value is of the wrong type.
+        """
+        try:
+            values = self._interpreter.eval(self._program)
+        except ArgumentError:
+            if not (self._nan_sources() or self._were_nan):
+                raise
+            values = [self._value_or_nan(text) for text in self._texts]
+            if not self._nan_sources() and not self._has_nan_past(values):
+                raise
+        sources = ""
+        if any(map(is_nan, values)):
+            sources = self._nan_sources(values)
+            if not sources and self._has_nan_past(values):
+                names = joined_names(sorted(self._were_nan))
+                sources = f"the pose or the velocity of {names} was NaN at an earlier step"
+        if sources:
+            return self.terms.judgement_of_nan(values, sources)
+        return self.terms.judgement(values)
+
+    def _has_nan_past(self, values: Sequence[Any]) -> bool:
+        """Checks whether what terms lack may be that of a past tick that was NaN."""
+        pairs = zip(values, self._are_temporal, strict=True)
+        return bool(self._were_nan) and all(past for value, past in pairs if is_nan(value))
+
+    def _entities_with_nan(self) -> list[str]:
+        """Returns the entities whose pose or velocity is NaN at the present tick."""
+        world = self._interpreter[self._world]
+        assert isinstance(world, World)
+        return [f"{self._world}.{entity.name}" for entity in world.snapshot.entities_with_nan()]
+
+    def _value_or_nan(self, text: str) -> Any:
+        """Returns the value of a term; None if it fails, as it does where a number is NaN."""
+        try:
+            return self._interpreter.eval(_selected([text]))[0]
+        except ArgumentError:
+            return None
+
+    def _nan_sources(self, values: Sequence[Any] = ()) -> str:
+        """Returns what is NaN at the present tick, of which terms may depend; '' if nothing is.
+
+        Args:
+            values: the values of the terms.
+        """
+        names = self._entities_with_nan()
+        sources = [f"the pose or the velocity of {joined_names(names)} is"] if names else []
+        variables = [name for name, value in self._bound.items() if _has_nan(value)]
+        sources += [f"the variable {name} has" for name in variables]
+        if not sources and any(map(_has_nan, values)):
+            return "what it computes is no number"
+        return " NaN, and ".join(sources) + " NaN at this step" if sources else ""
+
+    def check(self, *, may_be_constant: bool = False, with_variables: bool = True) -> None:
+        """Checks each term by itself at the present tick.
+
+        Args:
+            may_be_constant: whether a term may be one that can never change.
+            with_variables: whether terms that use variables are checked, too.
+
+        Raises:
+            SelectScriptError: a term fails, can never change, or is of the wrong type; the message
+                begins with its key.
+        """
+        for term, text in zip(self.terms, self._texts, strict=True):
+            program = self._compiled(term.key, text)
+            if not with_variables and self._uses_variables(program):
+                continue
+            try:
+                value = self._value(term, program)
+                # Python skips what an AND or OR does not need; a plan knows all names.
+                self._value(term, _selected([text]))
+                term.check(value)
+            except ArgumentError:
+                if not (sources := self._nan_sources()):
+                    raise
+                if self.terms.nan == "error":
+                    raise term.nan_error(sources) from None
+            if not may_be_constant:
+                self._check_changes(term, program)
+
+    def _value(self, term: Term, program: str | CompiledProgram) -> Any:
+        """Returns the value of a program for a term, whose key begins the message of an error."""
+        try:
+            return self._interpreter.eval(program)
+        except SelectScriptError as error:
+            error.message = f"{term.key}: {error.message}{self._what_to_do(error, program)}"
+            raise
+
+    def _what_to_do(self, error: SelectScriptError, program: str | CompiledProgram) -> str:
+        """Returns what to do about a name that no variable has, and that is like none; else ''."""
+        if isinstance(program, str) or not isinstance(error, UnknownNameError):
+            return ""
+        world = self._interpreter[self._world]
+        for node in program.tree.statements[0].walk():
+            if isinstance(node, Name) and node.span == error.span:
+                is_entity = isinstance(world, World) and node.name in world
+                is_hinted = is_entity or error.suggestions or node.name in self._interpreter
+                return "" if is_hinted else f"; {self._if_unknown.format(name=node.name)}"
+        return ""
+
+    def _compiled(self, key: str, text: str) -> CompiledProgram:
+        try:
+            program = self._interpreter.compile(f"{text};")
+        except SelectScriptError as error:
+            error.message = f"{key}: {error.message}"
+            raise
+        if len(program.tree.statements) != 1 or program.tree.explain:
+            raise ArgumentError(f"{key}: {text!r} is to be one expression")
+        for doubt in program.tree.suspicions:
+            if doubt.is_grave:
+                raise ArgumentError(
+                    f"{key}: {doubt.message}", text=program.tree.text, span=doubt.span
+                )
+        return program
+
+    def _tree(self, text: str) -> Node:
+        return self._compiled("term", text).tree.statements[0]
+
+    def _expanded(self, term: Term) -> str:
+        """Returns the text of a term with the conditions that it names, and elements of lists.
+
+        A list that changes at each step would have to be planned at each step; numbers are not.
+        """
+        text, known = term.text, self.terms
+        replacements: list[tuple[int, int, str]] = []
+
+        def visit(node: Node) -> Node | None:
+            match node:
+                case Index(base=Name(name=name), indices=(Literal(value=int() as index),)) if (
+                    name in self._elements and index >= 0 and not isinstance(index, bool)
+                ):
+                    self._elements[name].add(index)
+                    replacement = self._element(name, index)
+                case Name(name=name) if name in self._elements:
+                    self._whole.add(name)
+                    return node
+                case Name(name=name) if name in CONDITIONS and name != term.key:
+                    condition = getattr(known, name)
+                    if condition is None:
+                        raise ArgumentError(f"{term.key} uses {name}, and there is no such term")
+                    if term.key in CONDITIONS:
+                        raise ArgumentError(f"{term.key} cannot use {name}: write its term out")
+                    replacement = f"({self._expanded(condition)}\n)"
+                case _:
+                    return None
+            replacements.append((node.span.start, node.span.end, replacement))
+            return node
+
+        self._compiled(term.key, text).tree.statements[0].replaced(visit)
+        for start, end, replacement in sorted(replacements, reverse=True):
+            text = text[:start] + replacement + text[end:]
+        return text
+
+    def _uses_variables(self, program: CompiledProgram) -> bool:
+        """Checks whether a program uses variables that are set at each step."""
+        variables = self._element_names.union(self._elements)
+        nodes = program.tree.statements[0].walk()
+        return any(isinstance(node, Name) and node.name in variables for node in nodes)
+
+    def _check_changes(self, term: Term, program: CompiledProgram) -> None:
+        """Checks that the value of a term may differ from step to step.
+
+        Raises:
+            ArgumentError: it cannot.
+        """
+        names: set[str] = set()
+        is_open = False
+        entities: set[str] = set()
+
+        def visit(node: Node) -> Node | None:
+            nonlocal is_open
+            match node:
+                case Index(base=Name(name=self._world), indices=(Literal(value=str() as name),)):
+                    entities.add(name)
+                    return node
+                case QualifiedName(alias=self._world, key=name):
+                    entities.add(name)
+                case Name(name=name) | TimeIndex(name=name):
+                    names.add(name)
+                case Query():
+                    is_open = True
+            return None
+
+        program.tree.statements[0].replaced(visit)
+        if is_open or self._world in names or self._uses_variables(program):
+            return
+        if not entities:
+            raise ArgumentError(
+                f"{term.key}: {term.text!r} can never change: it has no entity of {self._world!r}, "
+                f"such as {self._world}.cup, and no variable"
+            )
+        world = self._interpreter[self._world]
+        assert isinstance(world, World)
+        bodies = {entity.name: entity.body for entity in world.snapshot.entities}
+        known = [bodies.get(name) for name in sorted(entities)]
+        if all(body is not None and not body.movable for body in known):
+            raise ArgumentError(
+                f"{term.key}: {term.text!r} can never change: no joint moves "
+                f"{' or '.join(sorted(entities))}; if a reset moves it, give its place as a "
+                "variable: variables={'place': lambda env: …}"
+            )
+
+
+def _check_variables(names: Sequence[str], terms: Terms, world: str) -> None:
+    """Checks that no variable takes the place of the world, or of a term that others may name.
+
+    Raises:
+        ArgumentError: one does.
+    """
+    for name in names:
+        if name == world:
+            raise ArgumentError(f"variables: {name!r} is the name of the world")
+        if name in CONDITIONS and getattr(terms, name) is not None:
+            raise ArgumentError(
+                f"variables: {name!r} is the name of a term: give the variable another name"
+            )
+
+
+def _selected(texts: Iterable[str]) -> str:
+    """Returns the program whose value is the list of the values of expressions."""
+    columns = ", ".join(f"({text}\n)" for text in texts)  # a comment ends with its line
+    return f"SELECT {columns} FROM [0] AS list;"  # noqa: S608
+
+
+def is_same(a: Any, b: Any) -> bool:
+    """Checks whether two values are the same numbers, texts or lists of these, to the last bit.
+
+    >>> is_same([1.0, 0.0], [1.0, 0.0]), is_same(1.0, 1), is_same(0.0, -0.0)
+    (True, False, False)
+    """
+    if type(a) is not type(b):
+        return False
+    if isinstance(a, list):
+        return len(a) == len(b) and all(map(is_same, a, b))
+    is_equal = isinstance(a, bool | int | float | str) and a == b
+    return is_equal and (a != 0 or repr(a) == repr(b))  # a zero has a sign
+
+
+def _has_nan(value: Any) -> bool:
+    """Checks whether the value of a variable is NaN, or a list that has it."""
+    if isinstance(value, list):
+        return any(map(_has_nan, value))
+    return isinstance(value, float) and math.isnan(value)
+
+
+def _is_temporal(node: Node) -> bool:
+    """Checks whether an expression reads the past."""
+    return any(
+        isinstance(part, TimeIndex) or (isinstance(part, Call) and part.name in TEMPORAL_FUNCTIONS)
+        for part in node.walk()
+    )
