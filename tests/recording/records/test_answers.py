@@ -89,7 +89,7 @@ def test_handles_of_a_record_tell_and_cannot_be_moved(kitchen):
     opened = kitchen[2]["folder"]
     world = opened.call_variable("kitchen")
     assert repr(world) == (
-        "<RecordedWorld 'kitchen': 37 entities, ticks 2 to 102, t=0 s to 0.416667 s>"
+        "<RecordedWorld 'kitchen': 37 entities, ticks 1 to 101, t=0 s to 0.416667 s>"
     )
     cup = world["cup_905a"]
     assert (cup.kind, len(cup.position), cup.mass > 0) == ("kinbody", 3, True)
@@ -155,7 +155,7 @@ def test_episodes_are_told_and_opened_by_world_and_number(folder):
         ("still", 0, 1),
     ]
     assert told[0].tables == tuple(sorted(RECORDABLE))
-    assert (told[1].first_tick, told[1].last_tick) == (3, 14)
+    assert (told[1].first_tick, told[1].last_tick) == (2, 13)
     assert told[1].end == pytest.approx(11 / 240)
     with ssduck.open(folder) as ss:
         assert ss.call_variable("lab").snapshot.number == 14
