@@ -13,6 +13,8 @@ from itertools import pairwise
 from typing import Any, TypeAlias
 from weakref import ReferenceType, WeakKeyDictionary, ref
 
+import numpy as np
+
 from ssduck import validation
 from ssduck.database.database import Database
 from ssduck.database.pinning import PinnedWorlds
@@ -406,6 +408,7 @@ class Execution(Namespace):
             ]
             call = Call(node.span, node.name, tuple(placeholders), node.name_span)
             query = self._relation_queries[node] = Query(node.span, (call,), ())
+        values = [value.tolist() if _is_vector(value) else value for value in values]
         pinned = pin_to_common_tick(values, frame.own_elements())
         if pinned is None:
             return None
@@ -541,6 +544,11 @@ class _Transaction:
 def _is_short_plain_list(value: object) -> bool:
     """Checks whether a value is a short list of plain values, such as a position."""
     return type(value) is list and len(value) <= _SHORT and _PLAIN.issuperset(map(type, value))
+
+
+def _is_vector(value: Any) -> bool:
+    """Checks whether a value is an array of numbers, which relations take as a list."""
+    return isinstance(value, np.ndarray) and value.ndim == 1 and value.dtype.kind in "iuf"
 
 
 def _check_tick(node: Call, values: Iterable[Any]) -> None:

@@ -361,7 +361,8 @@ class Interpreter(RecordingMethods, AdditionMethods, TriggerMethods, EvalAsMetho
     def add_variable(self, name: str, value: Any) -> Any:
         """Binds a value to a name; the tables of a world become the schema of that name.
 
-        NumPy's numbers become Python's; a list or a dict that contains some is copied.
+        NumPy's numbers become Python's, and tuples of numbers become lists; a list or a dict that
+        contains some is copied. The relations take a 1-D array of numbers as a point.
 
         Args:
             name: the name of the variable.
@@ -563,7 +564,7 @@ class Interpreter(RecordingMethods, AdditionMethods, TriggerMethods, EvalAsMetho
 
 
 def _plain(value: Any) -> Any:
-    """Returns the value with Python's numbers in place of NumPy's."""
+    """Returns the value with Python's numbers and lists in place of NumPy's and tuples."""
     try:
         return python_value(value)
     except RecursionError:  # a list that contains itself; its use is the error

@@ -190,7 +190,7 @@ class Planner:
             lacking += "name an entity, as in room['panda']"
             raise ArgumentError(
                 f"{call.name} does not take ({types_text}): {RELATIONS[call.name].usage}"
-                + lacking * (None in values),
+                + lacking * any(value is None for value in values),
                 span=query.span,
             )
         (row,) = planned.run(types.frame(), ()).values  # type: ignore[union-attr]

@@ -94,7 +94,8 @@ class Suspects:
         ages: the calls of `least` and `greatest` with an age.
         first_rows: the columns of the first row of a group, with their names if they are bare.
         queries: the nested queries that SELECT has as lists of dicts.
-        sums: the sums of which a side is a position, or another list of numbers of an entity.
+        sums: the sums and products of which a side is a position, or another list of numbers of an
+            entity.
     """
 
     comparisons: tuple[Comparison, ...] = ()
@@ -121,7 +122,7 @@ def suspects_of(statement: Node) -> Suspects:
             part
             for part in statement.walk()
             if isinstance(part, Binary)
-            and part.operator == "+"
+            and part.operator in ("+", "*")
             and any(map(_vector_of, _sides(part)))
         ),
     )
@@ -136,6 +137,8 @@ def _vector_of(node: Node) -> str:
     match node:
         case Call(name=name) | Name(name=name) | QualifiedName(key=name):
             return name if name in _VECTORS else ""
+        case Binary(operator="-", left=left, right=right):
+            return _vector_of(left) or _vector_of(right)
     return ""
 
 
@@ -354,7 +357,14 @@ def mistakes_in(
             span=call.span,
         )
     for node in suspects.sums:
-        if all(_is_vector(side, variable, type_of_relation) for side in _sides(node)):
+        if node.operator == "*":
+            if any(_is_integer(side, variable) for side in _sides(node)):
+                yield ArgumentError(
+                    "* of a whole number repeats a list; the multiple is [2 * x(a), 2 * y(a), "
+                    "2 * z(a)], or [2 * v[0], 2 * v[1], 2 * v[2]] of another list v",
+                    span=node.span,
+                )
+        elif all(_is_vector(side, variable, type_of_relation) for side in _sides(node)):
             yield ArgumentError(
                 "+ joins two lists to a longer one; the sum is [x(a) + x(b), y(a) + y(b), "
                 "z(a) + z(b)], and - of two lists is their difference",
@@ -369,6 +379,16 @@ def mistakes_in(
         if not name or variable(name) is None:
             message = "this is of the first row of each group; group by it, too, or aggregate it"
             yield ArgumentError(message, span=span)
+
+
+def _is_integer(node: Node, variable: Callable[[str], Any]) -> bool:
+    """Checks whether a part is a whole number: a literal, or a variable."""
+    match node:
+        case Unary(operator="-", operand=Literal(value=value)) | Literal(value=value):
+            return type(value) is int
+        case Name(name=name):
+            return type(variable(name)) is int
+    return False
 
 
 def _is_vector(

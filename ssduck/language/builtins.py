@@ -15,7 +15,7 @@ from ssduck.errors import ArgumentError, FunctionError, LimitError, SelectScript
 from ssduck.formatting import argument_in_words, error_text, first_line
 from ssduck.language.operators import apply, apply_unary, check_size
 from ssduck.language.overrides import BINARY_NAMES
-from ssduck.language.value_keys import ATOMS, NUMPYS, equality_key
+from ssduck.language.value_keys import ATOMS, NUMPYS, equality_key, python_key, tuple_or_vector
 
 # The largest number of digits of a double before or after the decimal point.
 MAX_DIGITS = 400
@@ -28,7 +28,7 @@ class Function:
     Attributes:
         name: its name in programs.
         call: the function; lists and dicts are copied before and after a call. NumPy's numbers
-            and booleans in its results become Python's.
+            and booleans in its results become Python's, and tuples of numbers lists.
         help: the text of `help('name')` after the name.
         min_arguments: the least number of arguments.
         max_arguments: the largest number of arguments; None for any number.
@@ -100,13 +100,13 @@ def _copied(value: Any) -> Any:
 
 
 def _plain_result(value: Any) -> Any:
-    """Returns the result of a function, with lists copied and NumPy's numbers converted."""
+    """Returns the result of a function as `python_value` does, with lists copied."""
     if type(value) is list:
         return [part if type(part) in ATOMS else _plain_result(part) for part in value]
     if type(value) is tuple:
-        return tuple([part if type(part) in ATOMS else _plain_result(part) for part in value])
+        return tuple_or_vector([p if type(p) in ATOMS else _plain_result(p) for p in value])
     if type(value) is dict:
-        return {_plain_result(key): _plain_result(element) for key, element in value.items()}
+        return {python_key(key): _plain_result(element) for key, element in value.items()}
     return value.item() if isinstance(value, NUMPYS) else value
 
 

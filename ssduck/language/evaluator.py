@@ -50,9 +50,11 @@ from ssduck.language.tree import (
     UnresolvedName,
 )
 from ssduck.language.value_history import horizon_of
-from ssduck.language.value_keys import NUMPYS, node_key
+from ssduck.language.value_keys import NUMPYS, node_key, python_value
 from ssduck.limits import UsageMeter
 
+# The types of elements that become Python's and the language's.
+_CONVERTED = (*NUMPYS, tuple)
 # The size of a longer list is checked when it is made.
 SMALL_LIST = 4
 # The largest number of compiled parts; when it is reached, all are dropped.
@@ -459,7 +461,7 @@ class ExpressionCompiler:
             value = base(frame)
             for index, span in indices:
                 value = indexed(value, index(frame), span)
-            return value.item() if isinstance(value, NUMPYS) else value
+            return python_value(value) if isinstance(value, _CONVERTED) else value
 
         return element
 

@@ -32,25 +32,43 @@ def _field_key(value: Any) -> str:
 
 ATOMS = frozenset((int, float, str, bool, type(None)))
 NUMPYS = (np.bool_, np.integer, np.floating, np.str_)
+# What a tuple has that is a list to the language.
+_VECTOR_PARTS = frozenset((int, float, list))
 
 
 def python_value(value: Any) -> Any:
     """Returns a value in which Python's numbers, booleans and texts replace NumPy's.
 
-    NumPy's numbers overflow, and are infinite where Python's raise. The result is the value itself
-    if it contains none.
+    NumPy's numbers overflow, and are infinite where Python's raise. Tuples of numbers become lists,
+    since simulators return positions as such, and no tuple equals a list. The result is the value
+    itself if it contains none of these.
     """
     kind = type(value)
     if kind is dict:
-        parts = {python_value(key): python_value(part) for key, part in value.items()}
+        parts = {python_key(key): python_value(part) for key, part in value.items()}
         same = all(map(operator.is_, parts.values(), value.values()))
         return value if same and all(map(operator.is_, parts, value)) else parts
+    if kind is list and ATOMS.issuperset(map(type, value)):
+        return value
     if kind is list or kind is tuple:
-        if ATOMS.issuperset(map(type, value)):
-            return value
-        elements = kind(map(python_value, value))
-        return value if all(map(operator.is_, elements, value)) else elements
+        elements: Any = list(map(python_value, value))
+        elements = elements if kind is list else tuple_or_vector(elements)
+        same = type(elements) is kind and all(map(operator.is_, elements, value))
+        return value if same else elements
     return value.item() if isinstance(value, NUMPYS) else value
+
+
+def python_key(key: Any) -> Any:
+    """Returns the key of a dict as `python_value` does, but tuples stay tuples."""
+    if type(key) is not tuple:
+        return python_value(key)
+    parts = tuple(map(python_key, key))
+    return key if all(map(operator.is_, parts, key)) else parts
+
+
+def tuple_or_vector(parts: list[Any]) -> list[Any] | tuple[Any, ...]:
+    """Returns the parts of a tuple: a list if they are numbers, or lists; else a tuple."""
+    return parts if _VECTOR_PARTS.issuperset(map(type, parts)) else tuple(parts)
 
 
 def equality_key(value: Any) -> Any:
