@@ -269,7 +269,7 @@ GIVEN = [
     (str, np.str_("a"), "a"),
     (str, "a\0b", "a\0b"),
     (str, "\ud800", "\ud800"),
-    (list[int], (1, 2), (1, 2)),
+    (list[int], (1, 2), [1, 2]),
     (list[int], [1, 2.0], [1, 2.0]),
     (list[int], [True], [True]),
     (list[int], [], []),
