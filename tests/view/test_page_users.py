@@ -1,7 +1,6 @@
 """The page as users press it: reloads, clicks in a row, two pages, the keyboard, a stopped server."""
 
 import json
-import time
 
 import pytest
 
@@ -145,35 +144,3 @@ def test_a_page_whose_server_has_stopped_says_so(browser):
         page.value("__ss.type('1 + 1;'); __ss.run(); 0")
         page.wait("document.getElementById('error').textContent === 'there is no connection'")
         page.close()
-
-
-# What is typed, whether Enter asks at once, and the text then.
-ENTERED = [
-    ("z(kitchen.fridge", "fridge", "z(kitchen.fridge"),  # the name stands there: an error, at once
-    ("SELECT id FROM kitchen AS list", "list", "SELECT id FROM kitchen AS list"),
-]
-
-
-def typed(page, text):
-    """Types a text as a user does, and waits for the completions."""
-    page.value("__ss.type(''); document.querySelector('.cm-content').focus(); 0")
-    page.call("Input.insertText", text=text[:-1])
-    page.call("Input.insertText", text=text[-1])
-    page.wait("document.querySelector('.cm-tooltip-autocomplete [aria-selected]')")
-
-
-@pytest.mark.parametrize(("text", "chosen", "expected"), ENTERED)
-def test_enter_asks_where_completion_offers_what_stands_there(page, text, chosen, expected):
-    page.value("document.querySelector('[data-language=selectscript]').click(); 0")
-    answers = page.value("__ss.answers")
-    typed(page, text)
-    option = (
-        "document.querySelector('.cm-tooltip-autocomplete [aria-selected] .cm-completionLabel')"
-    )
-    assert page.value(f"{option}.textContent") == chosen
-    time.sleep(0.1)  # a menu that just came takes no keys
-    press(page, "Enter", 13)
-    page.wait(f"__ss.answers > {answers}")
-    assert page.value("document.querySelector('.cm-content').textContent") == expected
-    assert not page.value("document.querySelector('.cm-tooltip-autocomplete')")
-    assert not page.errors()

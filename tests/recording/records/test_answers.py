@@ -158,11 +158,11 @@ def test_episodes_are_told_and_opened_by_world_and_number(folder):
     assert (told[1].first_tick, told[1].last_tick) == (2, 13)
     assert told[1].end == pytest.approx(11 / 240)
     with ssduck.open(folder) as ss:
-        assert ss.call_variable("lab").snapshot.number == 14
+        assert ss.call_variable("lab").snapshot.number == 13
         assert len(ss.call_variable("still")) == 1
         assert ss.sql("SELECT count(*) FROM still.entities_history").fetchall() == [(1,)]
     with ssduck.open(folder, episode=0) as ss:
-        assert ss.call_variable("lab").snapshot.number == 13
+        assert ss.call_variable("lab").snapshot.number == 12
     with ssduck.open(folder, episode=1) as ss:
         assert next(iter(ss)) == "lab"
         assert "still" not in ss
