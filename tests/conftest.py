@@ -75,7 +75,7 @@ def _skip_without_pybullet(error):
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_setup():
-    """Skip tests whose fixtures need PyBullet."""
+    """Skip tests that need PyBullet, in their fixtures or themselves."""
     try:
         return (yield)
     except Exception as error:
@@ -83,14 +83,7 @@ def pytest_runtest_setup():
         raise
 
 
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_call():
-    """Skip tests that need it themselves."""
-    try:
-        return (yield)
-    except Exception as error:
-        _skip_without_pybullet(error)
-        raise
+pytest_runtest_call = pytest_runtest_setup
 
 
 @pytest.hookimpl(wrapper=True)
