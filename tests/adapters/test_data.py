@@ -209,7 +209,7 @@ def test_the_type_of_many_values_is_that_of_one(value):
         assert common_sql_type(many, str) == sql_type_of(value, str)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_long_lists_are_typed_and_told_apart_within_the_time():
     with ssduck.Interpreter(limits=ssduck.Limits(seconds=HANGS)) as ss:
         ss.add_variable("long", list(range(2_000_000)))

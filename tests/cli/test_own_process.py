@@ -72,7 +72,7 @@ def test_a_worker_that_is_stuck_is_ended_and_started_again(worker):
         rows(worker, "kept;")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @LINUX
 def test_a_worker_that_is_gone_is_started_again(worker):
     worker._process.kill()
@@ -118,7 +118,7 @@ def test_a_strict_query_has_its_result_and_its_errors():
 
 
 @LINUX
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_strict_query_takes_no_more_memory_than_it_may():
     process = query("--sql", LARGE)
     out, err = process.communicate(timeout=HANGS)

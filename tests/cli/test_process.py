@@ -15,7 +15,7 @@ from tests.support.command_line import LINUX, run, start
 from tests.support.timing import HANGS
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_kitchen_as_json(tmp_path):
     program = "SELECT id, position FROM kitchen WHERE isRobot(this);"
     code, out, err = run("query", "kitchen", program, "--format", "json", cwd=tmp_path)
@@ -37,7 +37,7 @@ def test_an_error_is_no_traceback(here):
     assert "Traceback" not in err
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_integers_of_any_length_and_a_locale_that_has_no_umlauts(here):
     env = {"PYTHONIOENCODING": "ascii"}
     program = "[2 ^ 20000, 'ü😀'];"
@@ -56,7 +56,7 @@ def _digits():
         sys.set_int_max_str_digits(limit)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_reader_that_goes_away(here):
     sql = "SELECT i FROM range(100000) r(i)"
     with start("query", "two.toml", "--sql", sql, "-F", "csv") as process:
@@ -66,7 +66,7 @@ def test_a_reader_that_goes_away(here):
     assert process.returncode == 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @LINUX
 @sampled("arguments", [["query", "two.toml", "1;"], ["--help"]], every=2)
 def test_a_full_disk(here, arguments):

@@ -72,7 +72,7 @@ COMMANDS = {
 
 @pytest.mark.slow
 @sampled("number", ENDING, every=3)
-@pytest.mark.parametrize("name", COMMANDS)
+@sampled("name", COMMANDS, every=3)
 def test_an_export_that_a_signal_ends_leaves_nothing(tmp_path, name, number):
     count = 20_000
     poses = {f"cup {i}": [[i, 0, t / count] for t in range(count)] for i in range(4)}

@@ -426,7 +426,7 @@ def test_one_folder_calls_duckdb():
         assert all(path.startswith(folder) for path in importers[name])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_nothing_is_printed_when_python_ends(tmp_path):
     """Not even if nothing is closed, and an interpreter is still held by the module."""
     program = (

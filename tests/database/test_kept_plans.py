@@ -132,7 +132,7 @@ def is_kept(ss):
 
 
 @pytest.mark.slow
-@sampled(("sql", "kept"), CASES, ids=[case[0] for case in CASES], every=4)
+@sampled(("sql", "kept"), CASES, ids=[case[0] for case in CASES], every=8)
 def test_results_are_those_of_copied_tables(traced, sql, kept):
     ss, client, _ = traced
     seen = set()

@@ -8,6 +8,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import EvaluationError, SqlError
+from tests.support.cases import sampled
 from tests.support.command_line import ssduck_
 
 LARGEST = (1 << 128) - 1
@@ -126,7 +127,7 @@ def test_the_end_of_a_day(ss, value):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ending", ["csv", "json", "md"])
+@sampled("ending", ["csv", "json", "md"], every=3)
 def test_the_command_line_says_so(ending, tmp_path):
     file = tmp_path / f"x.{ending}"
     for value, text in ((U, "2^127"), ("DATE '5000000-01-01'", "cast it to text")):

@@ -39,9 +39,25 @@ def blocks(language):
     return found
 
 
+def parts():
+    """The pages' Python, and what is shown as printed: a part begins where a scene is loaded anew."""
+    for page in PAGES:
+        texts, shown, number = [], [], 0
+        for language, text in FENCE.findall(page.read_text(encoding="utf-8")):
+            if language == "python":
+                if texts and text.startswith("import ssduck\n\nss = ssduck.load("):
+                    yield pytest.param(texts, shown, id=f"{page.relative_to(ROOT)} {number}")
+                    texts, shown, number = [], [], number + 1
+                texts.append(text)
+            elif language == "text":
+                shown.append(text)
+        if texts:
+            yield pytest.param(texts, shown, id=f"{page.relative_to(ROOT)} {number}")
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(("page", "texts"), blocks("python").items())
-def test_python_examples_run(page, texts, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize(("texts", "shown"), [*parts()])
+def test_python_examples_run(texts, shown, request, tmp_path, monkeypatch, capsys):
     if any("import mujoco" in text for text in texts):
         pytest.importorskip("mujoco")
     if any("ssduck.render" in text for text in texts):
@@ -49,13 +65,13 @@ def test_python_examples_run(page, texts, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     namespace = {}
     for text in texts:
-        exec(compile(text, page, "exec"), namespace)  # noqa: S102
+        exec(compile(text, request.node.name, "exec"), namespace)  # noqa: S102
     for value in list(namespace.values()):
         if isinstance(value, ssduck.Interpreter):
             value.close()
     printed = capsys.readouterr().out.strip()
-    for shown in blocks("text").get(page, ()):
-        assert shown.strip() in printed
+    for text in shown:
+        assert text.strip() in printed
 
 
 # What README's first command does not install, beside one simulator or the other.
@@ -98,8 +114,8 @@ def run_bare(text, folder, without="mujoco"):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("simulator", ["pybullet", "mujoco"])
-def test_readme_runs_as_its_first_command_leaves_it(tmp_path, simulator):
+@sampled(("simulator", "runs"), [("pybullet", 1), ("pybullet", 2), ("mujoco", 2)], every=3)
+def test_readme_runs_as_its_first_command_leaves_it(tmp_path, simulator, runs):
     """With either simulator, without pandas and other extras; and once more in the same folder."""
     pytest.importorskip(simulator)
     other = "mujoco" if simulator == "pybullet" else "pybullet"
@@ -109,7 +125,7 @@ def test_readme_runs_as_its_first_command_leaves_it(tmp_path, simulator):
         for text in blocks("python")["README.md"]
         if not any(line.startswith(needed) for line in text.splitlines())
     ]
-    for _ in range(2):
+    for _ in range(runs):
         run_bare("\n".join(shown), tmp_path, without=other)
 
 

@@ -80,7 +80,7 @@ def exact_key(values):
     return repr(values)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_in_either_order_and_through_every_door(heap, tmp_path):
     with ssduck.Interpreter(str(tmp_path / "run.duckdb"), recording=RECORDED) as ss:
         ss.add_variable("sim", heap)

@@ -54,7 +54,7 @@ def resets(env, action, number):
         (Drop, {}, "z(sim.body_1) < 0.2", 0),
         (Drop, {"reconnects": True}, "z(sim.body_1) < 0.2", 0),
     ],
-    every=2,
+    every=4,
 )
 def test_resets_leave_nothing(environment, options, success, action):
     with QueryWrapper(environment(**options), success=success) as first:

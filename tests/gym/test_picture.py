@@ -22,7 +22,7 @@ def pixels(path):
         return np.asarray(picture.convert("RGB")).astype(int)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_it_is_up_to_date_and_highlights_the_goal(tmp_path):
     command = [sys.executable, str(ROOT / "tools" / "draw_environment.py"), str(tmp_path)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}

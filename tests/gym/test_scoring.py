@@ -28,7 +28,7 @@ TERMS = {
 }
 # Terms of today, for the episodes of yesterday.
 OTHER = {"success": "heldFor(x(sim.ball) > goal[0] / 2) >= 0.02", "reward": "-z(sim.pusher)"}
-EPISODES = generated(8)
+EPISODES = generated(4)
 
 
 def nested(depth):

@@ -9,6 +9,7 @@ import pytest
 from ssduck.errors import ArgumentError, SceneError, SelectScriptError
 from ssduck.gym import make_task
 from ssduck.gym.tasks import MAX_BYTES
+from tests.support.cases import sampled
 from tests.support.gym_environments import PUSH
 
 TASK = """
@@ -77,7 +78,7 @@ def test_a_task_runs(folder):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
+@sampled(
     ("before", "after", "message"),
     [
         ('"push.xml"', '"../push.xml"', r"task.toml: scene: .* not in the folder"),
@@ -112,6 +113,7 @@ def test_a_task_runs(folder):
         ("high = 1\n", "high = inf\n", r"actions\[0\].high"),
         ("low = [0, -0.1, 0.45]", "low = [nan, -0.1, 0.45]", r"starts\[0\].low"),
     ],
+    every=2,
 )
 def test_errors_name_file_and_key(folder, before, after, message):
     assert before in TASK

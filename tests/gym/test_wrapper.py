@@ -13,6 +13,7 @@ import ssduck
 from ssduck.database.statement import RUNS_BEFORE_PLAN
 from ssduck.errors import ArgumentError, SelectScriptError, SimulatorError, UnknownNameError
 from ssduck.gym import QueryWrapper, score
+from tests.support.cases import sampled
 from tests.support.gym_environments import Drop, Push
 
 GOAL = {"goal": lambda env: env.goal}
@@ -371,7 +372,7 @@ def make_held():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["SyncVectorEnv", "AsyncVectorEnv"])
+@sampled("kind", ["SyncVectorEnv", "AsyncVectorEnv"], every=2)
 def test_history_begins_at_the_resets_of_vector_environments(kind):
     envs = getattr(gymnasium.vector, kind)([make_held, make_held])
     try:

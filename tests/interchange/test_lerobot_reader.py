@@ -214,7 +214,7 @@ def test_a_small_file_of_very_many_rows_is_not_read(tmp_path: Path, place: str) 
     assert not (tmp_path / "r").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_list_of_very_many_numbers_is_not_read(tmp_path: Path) -> None:
     dataset = written(tmp_path / "d", rows={"p": [*ROWS["p"][1:], [0.0] * 20_000_000]})
     (file,) = (dataset / "data").glob("*/*.parquet")

@@ -92,7 +92,7 @@ LARGE = [
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("program", LARGE)
+@sampled("program", LARGE, every=3)
 def test_results_without_measure_are_refused(patient, program):
     fails(patient, lambda: patient.eval(program), SelectScriptError, "large|digits|memory")
 
@@ -187,7 +187,7 @@ def test_what_is_no_text_is_an_error_under_limits_too(patient):
     fails(patient, lambda: patient.sql("SELECT '\ud800'"), SqlError, "surrogate")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_limit_within_a_function_that_sql_calls():
     limits = ssduck.Limits(seconds=0.5)
     with ssduck.Interpreter(limits=limits) as interpreter:
@@ -311,7 +311,7 @@ LONG = [
 ]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @sampled("statements", [[LONG[0], LONG[5]], [*LONG[1:5], *LONG[6:]]], every=2)
 def test_ctrl_c_stops_a_query_and_the_session_goes_on(statements):
     process = subprocess.Popen(

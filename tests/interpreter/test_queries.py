@@ -296,7 +296,7 @@ def test_what_depends_on_no_row_is_evaluated_once(ss):
     assert called == ["fridge"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_order_holds_in_large_worlds():
     """Joins and the row of parameters may not disturb it, whatever plan DuckDB takes."""
     client = pybullet.connect(pybullet.DIRECT)

@@ -22,6 +22,7 @@ from ssduck.lakes.pool import pools
 from ssduck.lakes.questions import ProgramQuestion
 from ssduck.lakes.workers import answer_episodes, forget_readers
 from tests.lakes.conftest import EPISODES
+from tests.support.cases import sampled
 from tests.support.command_line import write_scene
 from tests.support.lake_episodes import REWARD, SUCCESS, record_episodes
 from tests.support.lake_questions import FURTHER, PROGRAMS, by_itself, scores, whole_answer_of
@@ -39,7 +40,7 @@ def opened(recorded):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("program", [*PROGRAMS.values(), *FURTHER.values()], ids=str)
+@sampled("program", [*PROGRAMS.values(), *FURTHER.values()], ids=str, every=2)
 def test_one_answer_for_each_episode(recorded, opened, program):
     entries = ssduck.lake(recorded)._entries
     ((_, answers),) = answer_locally(ProgramQuestion(program), [entries], 1)

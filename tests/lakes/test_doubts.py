@@ -41,7 +41,7 @@ def test_a_doubt_is_told_once(recorded, word, program, answer):
         assert doubt == f"{wanted}\n  first in episode 0 of sim in {recorded}"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_doubt_of_several_processes_is_told_once(recorded):
     lake, (word, program, _) = ssduck.lake(recorded), DOUBTS["kind"]
     _, (doubt,) = asked(lake.ask, program, processes=2, batch=1)

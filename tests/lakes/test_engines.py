@@ -97,6 +97,7 @@ def test_a_killed_worker_of_spark(spark, folder, tmp_path):
     assert answers_after_a_kill(lake, tmp_path, "spark").equals(wanted)
 
 
+@pytest.mark.long
 def test_a_killed_process_of_this_machine_is_an_error(folder, tmp_path):
     lake = ssduck.lake(folder)
     wanted = lake.ask(QUESTION, processes=1)

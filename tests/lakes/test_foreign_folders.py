@@ -49,7 +49,7 @@ def test_an_agent_starts_no_file_of_the_folder(foreign: Path) -> None:
     assert not (foreign.parent / "run").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_processes_of_a_lake_start_no_file_of_the_folder(foreign: Path) -> None:
     rows = ssduck.lake("record").ask("z(lab.cup) > 0.5;", processes=2, batch=1)
     assert rows["error"].to_pylist() == [None] * 3

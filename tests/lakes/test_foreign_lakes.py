@@ -112,7 +112,7 @@ def forged(folder, **values):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
+@sampled(
     "values",
     [
         {"path": "/etc", "world": "other"},
@@ -132,6 +132,7 @@ def forged(folder, **values):
         {"files": [{"name": "a", "size": -1, "modified": 1, "checksum": 1}]},
         {"files": [{"name": "a", "size": None, "modified": 1, "checksum": 1}]},
     ],
+    every=2,
 )
 def test_a_forged_manifest_changes_no_answer_and_names_nothing_outside(folder, values):
     wanted = ssduck.lake(folder).ask(PROGRAM, processes=1)
@@ -237,7 +238,7 @@ def by_themselves(entry):
 
 
 @pytest.mark.slow
-@sampled("forgery", FORGERIES, every=3)
+@sampled("forgery", FORGERIES, every=9)
 def test_forged_groups_change_no_answer(tmp_path, forgery):
     record(tmp_path / "a")
     record(tmp_path / "b", **FORGERIES[forgery])

@@ -50,6 +50,7 @@ def test_few_ticks_are_compared(moving):
     assert 0 < few < all_ticks / 3
 
 
+@pytest.mark.long
 def test_the_order_does_not_matter_at_any_tick(moving):
     one = values(moving, "changes(clearance(sim.{0}, sim.{1}) + 0);")
     assert one == values(moving, "changes(clearance(sim.{1}, sim.{0}) + 0);")

@@ -14,6 +14,7 @@ from ssduck.lakes.lake import MANIFEST
 from ssduck.lakes.manifest import entries_of, from_bytes, table_of, to_bytes
 from ssduck.recording.stores.checksums import json_text
 from tests.lakes.conftest import EPISODES, STEPS
+from tests.support.cases import sampled
 from tests.support.command_line import write_scene
 from tests.support.lake_questions import PROGRAMS, by_itself, tags_by_two_lakes
 
@@ -127,7 +128,7 @@ DAMAGES = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("is_known", [False, True], ids=["before the manifest", "after it"])
+@sampled("is_known", [False, True], ids=["before the manifest", "after it"], every=2)
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_damage_is_one_row(folder, damage, is_known):
     whole = {number: by_itself(folder, number, QUESTION) for number in (0, 2)}

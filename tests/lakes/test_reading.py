@@ -19,6 +19,7 @@ from ssduck.recording.stores.checksums import write_parquet
 from ssduck.recording.stores.parquet import _options as options
 from ssduck.schema import MODELS
 from tests.support.archive import Archive
+from tests.support.cases import sampled
 from tests.support.forged import with_column
 from tests.support.lake_questions import whole_answer_of
 from tests.support.rising_cups import write_rising_cups
@@ -92,7 +93,7 @@ def test_the_files_of_a_batch_are_read_one_kind_after_the_other(record, monkeypa
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("together")
-@pytest.mark.parametrize("program", PROGRAMS)
+@sampled("program", PROGRAMS, every=2)
 def test_episodes_that_are_known_are_asked_with_others(record, program) -> None:
     """Those that the process knows are read in fewer steps; each has its own answer."""
     entries = ssduck.lake(record).entries
@@ -166,7 +167,7 @@ def test_a_file_that_changed_is_decoded_anew(record, value) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("together")
-@pytest.mark.parametrize("program", PROGRAMS)
+@sampled("program", PROGRAMS, every=3)
 def test_parts_that_are_too_large_to_be_kept_give_the_same_answers(
     record, monkeypatch, read, program
 ) -> None:

@@ -19,6 +19,7 @@ from ssduck.lakes import workers
 from ssduck.lakes.questions import ProgramQuestion
 from ssduck.recording.stores.batched_parts import ReadPart
 from ssduck.recording.stores.checksums import write_parquet
+from tests.support.cases import sampled
 from tests.support.forged import with_column
 from tests.support.rising_cups import write_rising_cups
 
@@ -94,7 +95,7 @@ def alone(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("forgery", FORGERIES)
+@sampled("forgery", FORGERIES, every=3)
 def test_a_row_of_another_tick_changes_no_answer(
     tmp_path: Path, forgery: str, alone: list[int]
 ) -> None:
@@ -113,13 +114,14 @@ def test_a_row_of_another_tick_changes_no_answer(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
+@sampled(
     ("change", "words"),
     [
         (twice, "a row is twice there"),
         (of_unknown, "the entity 999 is unknown"),
         (without_value, "the column 'visible' lacks a value"),
     ],
+    every=3,
 )
 def test_wrong_rows_are_an_error_of_their_episode(
     tmp_path: Path, change: Callable[[pa.Table], pa.Table], words: str

@@ -84,7 +84,7 @@ def test_duckdb_answers_as_the_episodes(lake, program):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("program", PROGRAMS)
+@sampled("program", PROGRAMS, every=3)
 def test_the_statement_for_spark_is_one(lake, program):
     text = lake.sql(program, dialect="spark")
     (tree,) = sqlglot.parse(text, dialect="spark")
@@ -152,7 +152,7 @@ def mixed(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
+@sampled(
     "program",
     [
         "holds(z(lab.cup_0) >= 0.5);",
@@ -163,6 +163,7 @@ def mixed(tmp_path):
         "SELECT this, z FROM lab WHERE distance(this, lab.cup_0) < 2;",
         "SELECT a.time AS t, a.this AS p, b.this AS q FROM a=lab{}, b=lab{} WHERE a.z < b.z;",
     ],
+    every=2,
 )
 def test_records_with_other_entities(mixed, program):
     lake = ssduck.lake(mixed)
@@ -257,7 +258,7 @@ def test_only_the_selected_episodes(lake):
         ("a = 1; SELECT z FROM sim WHERE z > a;", "one statement"),
     ],
 )
-@pytest.mark.parametrize("dialect", ["duckdb", "spark"])
+@sampled("dialect", ["duckdb", "spark"], every=2)
 def test_what_is_refused(lake, program, message, dialect):
     with pytest.raises(UnsupportedError, match=message):
         lake.sql(program, dialect=dialect)

@@ -10,7 +10,7 @@ from ssduck.errors import RecordError
 from ssduck.lakes.lake import MANIFEST
 from ssduck.recording.stores.object_store import ObjectPath, endpoint_and_region
 from tests.lakes.conftest import EPISODES
-from tests.support.cases import generated
+from tests.support.cases import generated, sampled
 from tests.support.lake_episodes import REWARD, SUCCESS
 from tests.support.lake_questions import FURTHER, PROGRAMS, answer_of, by_itself, tags_by_two_lakes
 from tests.support.s3_server import s3_server
@@ -121,7 +121,7 @@ ASKED = [
 ]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_names_that_are_patterns_are_names(address, recorded, monkeypatch):
     """Each record has another episode, so that reading another record is seen."""
     wanted = {}
@@ -144,7 +144,7 @@ def test_names_that_are_patterns_are_names(address, recorded, monkeypatch):
         assert found == {place: (json.loads(t), e) for place, (t, e) in texts.items()}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_records_below_a_record(address, recorded):
     for number, name in enumerate(("outer", "outer/night")):
         with ssduck.open(recorded, "sim", number) as ss:
@@ -172,7 +172,7 @@ def test_an_address_with_a_pattern_lists_no_others(address, recorded, monkeypatc
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["/record", "a//record", "./record", "a/../record"])
+@sampled("name", ["/record", "a//record", "./record", "a/../record"], every=4)
 def test_objects_that_no_path_names_are_left_out(address, recorded, name):
     place = "s3://runs/slashes " + name.replace("/", "_")
     with ssduck.open(recorded, "sim", 0) as ss:

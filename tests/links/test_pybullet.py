@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import ssduck
+from tests.support.cases import sampled
 from tests.support.cell import STEPS
 
 FINGERS = ("panda_leftfinger", "panda_rightfinger")
@@ -77,7 +78,7 @@ def test_contacts_at_the_last_tick(cell):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", FINGERS)
+@sampled("name", FINGERS, every=2)
 def test_contacts_at_every_tick(cell, name):
     forces = cell.forces(cell.panda, cell.numbers[name], cell.cube)
     if name == "panda_leftfinger":

@@ -26,6 +26,7 @@ from ssduck.mcp.guide import GUIDE
 from ssduck.mcp.server import create_server
 from ssduck.mcp.texts import as_text
 from ssduck.schema import TABLES
+from tests.support.cases import sampled
 from tests.support.timing import HANGS
 
 
@@ -240,7 +241,7 @@ def unlimited(request):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("question", ENDLESS)
+@sampled("question", ENDLESS, every=2)
 def test_a_cancelled_question_is_stopped(unlimited, question):
     """The program would never end, and the worker keeps its variables."""
     server = create_server(unlimited)
@@ -385,7 +386,7 @@ def test_the_command_answers_on_standard_output_alone(tmp_path):
     assert json.loads(text) == pytest.approx(0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_nothing_but_answers_is_on_standard_output(tmp_path):
     """C libraries write what they have buffered when the process ends."""
     ended = subprocess.run(

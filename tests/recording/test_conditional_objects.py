@@ -82,7 +82,7 @@ def test_an_object_that_others_change_each_time_is_an_error(
     assert found.tags == {"task": "pick", "a": True, "b": True, "c": True}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_recordings_begin_at_the_same_time(monkeypatch: pytest.MonkeyPatch) -> None:
     # Both find that number 0 is free.
     monkeypatch.setattr(folder_episodes, "_free_number", lambda *_: 0)

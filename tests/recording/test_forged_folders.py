@@ -221,7 +221,7 @@ def test_the_valid_one_is_none(folder: Path, made: Path) -> None:
     use(made / "unfinished")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_odd_numbers_are_answers(folder: Path) -> None:
     """What a diverged simulation leaves: poses that are not finite, and quaternions of length 0."""
     for name, value in (("x", "nan"), ("y", "inf"), ("qw", "0"), ("xmax", "-inf"), ("vx", "1e308")):
@@ -251,7 +251,7 @@ def test_a_world_of_a_name_that_no_world_can_have(folder: Path, world: str) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["[a]*?", "a'b", 'a"b', "x" * 200, "a;--", "{0}", "é\U0001f986"])
+@sampled("name", ["[a]*?", "a'b", 'a"b', "x" * 200, "a;--", "{0}", "é\U0001f986"], every=3)
 def test_any_name_of_a_folder(folder: Path, name: str) -> None:
     """Beside it is a folder that the name as a pattern finds."""
     shutil.copytree(folder, folder.with_name("axy"))
@@ -278,10 +278,11 @@ def mutations(value: Any) -> Iterator[Any]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
+@sampled(
     ("name", "every"),
     [(name, 6) for name in ("ssduck.json", ABOUT)]
     + [pytest.param(name, 1, marks=pytest.mark.slow) for name in ("ssduck.json", ABOUT)],
+    every=2,
 )
 def test_each_value_of_a_description(folder: Path, name: str, every: int) -> None:
     """A value of another type is an error that names the file, or does not matter."""
@@ -304,7 +305,7 @@ def test_each_value_of_a_description(folder: Path, name: str, every: int) -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("table", ["ticks", "models/entities", "entities"])
+@sampled("table", ["ticks", "models/entities", "entities"], every=3)
 def test_a_file_that_claims_too_many_values(folder: Path, table: str) -> None:
     file = part(folder, table)
     columns = pq.read_schema(file)

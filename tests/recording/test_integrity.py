@@ -16,6 +16,7 @@ from ssduck.errors import RecordError
 from ssduck.recording.stores.descriptions import read_description
 from ssduck.recording.stores.parquet import ParquetStore
 from tests.support.archive import Archive
+from tests.support.cases import sampled
 from tests.support.command_line import answer, ssduck_
 from tests.support.recorded import POSIX, python
 from tools import flip
@@ -51,7 +52,7 @@ def flips(tmp_path_factory: pytest.TempPathFactory) -> Iterator[flip.Run]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(24))
+@sampled("seed", range(24), every=3)
 def test_damaged_records_give_right_answers_or_errors(flips: flip.Run, seed: int) -> None:
     """The short form of `python -m tools.flip`."""
     flips.add(seed)
@@ -215,7 +216,7 @@ def test_the_log_of_a_file_is_set_aside(records: Path, tmp_path: Path) -> None:
     assert after == before[: len(after)] != before
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_damaged_block_of_a_file_is_named(records: Path, tmp_path: Path) -> None:
     """DuckDB has checksums of its own; at some blocks it does not open at all."""
     whole = (records / "run.duckdb").read_bytes()
@@ -302,7 +303,7 @@ with ssduck.open(sys.argv[1]) as ss:
 
 @POSIX
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["run", "run.duckdb"])
+@sampled("name", ["run", "run.duckdb"], every=2)
 def test_a_forked_process_opens_a_record_anew(records: Path, name: str) -> None:
     *told, anew, parent = python(FORKED, records / name).splitlines()
     assert told == ["RecordError True"] * 3

@@ -18,6 +18,7 @@ from ssduck.interchange import record_writer
 from ssduck.interpreter import recording, upgrading
 from ssduck.recording import export as exporting
 from ssduck.recording.stores import parquet
+from tests.support.cases import sampled
 from tests.support.presser import Presser
 
 POSES = {"cup": [[0, 0, 1], [0, 0, 2]]}
@@ -79,7 +80,7 @@ def pressed(call: Call, record: Path, folder: Path, line: float) -> int:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("call", [_export, _upgrade, _write])
-@pytest.mark.parametrize("has_others", [False, True], ids=["a new folder", "a record"])
+@sampled("has_others", [False, True], ids=["a new folder", "a record"], every=2)
 def test_nothing_is_left_or_the_whole(
     record: Path, tmp_path: Path, call: Call, has_others: bool
 ) -> None:

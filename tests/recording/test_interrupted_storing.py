@@ -95,7 +95,7 @@ def stored_once(path: Path, line: float, form: type[InDatabase | InFolder], meth
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["flush", "close"])
+@sampled("method", ["flush", "close"], every=2)
 @sampled("form", [InDatabase, InFolder, InRunningFolder], every=2)
 def test_all_is_stored_once(form, method, tmp_path):
     count = stored_once(tmp_path / "whole.duckdb", math.inf, form, method)
@@ -108,7 +108,7 @@ def test_all_is_stored_once(form, method, tmp_path):
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="Windows has another SIGTERM")
 @sampled("method", ["step", "flush", "close"], every=3)
-@pytest.mark.parametrize("form", [InDatabase, InRunningFolder])
+@sampled("form", [InDatabase, InRunningFolder], every=2)
 def test_a_program_that_sigterm_ends_has_stored_all(form, method, tmp_path):
     """Its handler is one that exits, as many programs have; the record is closed on the way."""
 
@@ -141,7 +141,7 @@ def test_a_program_that_sigterm_ends_has_stored_all(form, method, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("form", [InDatabase, InRunningFolder])
+@sampled("form", [InDatabase, InRunningFolder], every=2)
 def test_close_waits_for_what_is_being_stored(form, tmp_path, monkeypatch):
     """Ctrl-C comes while a slow disk is written, and once more while it is waited for."""
     append = {InDatabase: DuckDBStore, InRunningFolder: ParquetStore}[form].append
@@ -174,7 +174,7 @@ def test_close_waits_for_what_is_being_stored(form, tmp_path, monkeypatch):
     assert ssduck.episodes(tmp_path / "run.duckdb")[0].complete
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_another_recording_begins_or_the_one_goes_on(tmp_path):
     def begin(path: Path, line: float) -> int:
         with ssduck.load("kitchen", path) as ss:

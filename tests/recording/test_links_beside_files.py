@@ -137,7 +137,7 @@ def test_queries_leave_nothing_where_a_link_leads(file: Path, tmp_path: Path, pl
     assert not list(target.iterdir())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_a_crash_has_left_is_no_harm(tmp_path: Path) -> None:
     """A log, and files of queries that had no room in memory."""
     file = tmp_path / "run.duckdb"

@@ -75,7 +75,7 @@ def messages(ask: Callable[[str], Any]) -> str:
         (opened, 500, ".json"),  # it is asked for again, after a pause
         (opened, 500, ".parquet"),
     ],
-    every=3,
+    every=6,
 )
 def test_a_refusal_names_the_object_and_what_to_do(
     store: LyingStore, ask: Callable[[str], Any], status: int, name: str
@@ -89,7 +89,7 @@ def test_a_refusal_names_the_object_and_what_to_do(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ask", [opened, in_lake])
+@sampled("ask", [opened, in_lake], every=2)
 def test_half_a_body_is_an_error(store: LyingStore, ask: Callable[[str], Any]) -> None:
     store.cut = (".parquet",)
     message = messages(ask)
@@ -97,10 +97,9 @@ def test_half_a_body_is_an_error(store: LyingStore, ask: Callable[[str], Any]) -
     assert "None" not in message
 
 
-@pytest.mark.pairwise
 @pytest.mark.slow
 @pytest.mark.parametrize("ask", [opened, ssduck.check, in_lake])
-@pytest.mark.parametrize("size", [1 << 40, (1 << 63) - 1])
+@sampled("size", [1 << 40, (1 << 63) - 1], every=2)
 def test_an_object_is_not_read_whose_size_is_impossible(
     store: LyingStore, ask: Callable[[str], Any], size: int
 ) -> None:
@@ -142,7 +141,7 @@ def test_what_is_listed_and_not_there_is_missing(
     assert len(store.requests) < 300
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_part_that_is_gone_is_missing(store: LyingStore) -> None:
     store.statuses = {TICKS: 404}
     for ask in (opened, ssduck.check, in_lake):

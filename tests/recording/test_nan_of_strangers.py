@@ -75,7 +75,7 @@ CASES.remove(("unfinished", "contacts"))
 
 
 @pytest.mark.slow
-@sampled(("record", "table"), CASES, indirect=["record"], every=3)
+@sampled(("record", "table"), CASES, indirect=["record"], every=6)
 def test_sql_reads_null(record: Path, table: str) -> None:
     history = f"{table}_history"
     with ssduck.open(record) as ss:

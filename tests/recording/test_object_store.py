@@ -94,7 +94,7 @@ def test_the_same_rows_and_answers(places: tuple[str, Path]) -> None:
     assert ssduck.check(remote) == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_running_recording_is_read_with_its_log(server) -> None:
     place = "s3://lake/running"
     client = pybullet.connect(pybullet.DIRECT)
@@ -181,7 +181,7 @@ def test_the_commands_take_addresses(places: tuple[str, Path], tmp_path: Path) -
     assert ssduck.episodes("s3://lake/k")[0].ticks == 3
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_damaged_and_missing_objects_are_errors(places: tuple[str, Path]) -> None:
     with ssduck.open(places[1]) as ss:
         ss.export("s3://lake/damaged")
@@ -283,7 +283,7 @@ def test_live_worlds_that_change_are_recorded_to_the_store(server) -> None:
     assert ssduck_("check", "s3://lake/changing").exit_code == 0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_repair_renames_what_is_damaged(server) -> None:
     place = "s3://lake/torn"
     for height in (1.0, 2.0):

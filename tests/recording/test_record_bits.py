@@ -151,7 +151,7 @@ PROGRAMS = [
 ]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_parts_make_no_difference(recorded) -> None:
     place, _ = recorded
     found = {}

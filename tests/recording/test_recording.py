@@ -116,7 +116,7 @@ def test_what_is_flushed_often_is_put_together(world: ssduck.World, flushed: int
         assert len(ss._database._recorders.running[0]._store._parts) < 5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_buffers_are_used_again_when_nobody_looks_into_them(world: ssduck.World) -> None:
     with ssduck.Interpreter(recording=Recording(ticks=1600)) as ss:
         ss.add_variable("lab", world)

@@ -14,6 +14,7 @@ from ssduck.errors import RecordError, SqlError
 from ssduck.limits import Limits
 from ssduck.recording.opened_record import OpenedRecord
 from ssduck.recording.stores.parquet_layout import FolderRun
+from tests.support.cases import sampled
 
 QUESTION = "SELECT count(*) FROM kitchen{} AS value;"
 ROWS = "SELECT count(*) FROM kitchen.entities_history"
@@ -130,7 +131,7 @@ def test_a_part_that_is_removed(run, is_asked, name, is_strict):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has other permissions")
-@pytest.mark.parametrize("place", ["", "entities", "models", "part"])
+@sampled("place", ["", "entities", "models", "part"], every=2)
 @pytest.mark.parametrize("is_asked", [False, True])
 def test_a_part_that_may_no_longer_be_read(run, place, is_asked):
     closed = next((run / "entities").rglob("*.parquet")) if place == "part" else run / place

@@ -13,6 +13,7 @@ import pytest
 import ssduck
 from ssduck.errors import RecordError
 from tests.support.archive import Archive
+from tests.support.cases import sampled
 from tests.support.forged import make_records, part, rewrite, without_checksums
 
 # What a stranger replaces in a row: the SQL of the new tick and of the new time.
@@ -61,7 +62,7 @@ def forged_folder(made: Path, to: Path, table: str, tick: str, time: str) -> Pat
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("forge", [forged_file, forged_folder])
+@sampled("forge", [forged_file, forged_folder], every=2)
 @pytest.mark.parametrize("name", FORGERIES)
 @pytest.mark.parametrize("table", TABLES)
 def test_a_forged_row_is_an_error(

@@ -10,6 +10,7 @@ import ssduck
 from ssduck import Recording
 from ssduck.errors import ArgumentError, RecordError, SqlError
 from ssduck.recording.stores.parquet import ParquetStore
+from tests.support.cases import sampled
 from tests.support.command_line import answer
 from tests.support.recorded import ROOT
 
@@ -17,7 +18,7 @@ ROOM = ROOT / "tests/data/room.toml"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("file", ["room.duckdb", "ROOM", "memory.db"])
+@sampled("file", ["room.duckdb", "ROOM", "memory.db"], every=3)
 def test_a_file_may_have_the_name_of_its_world(tmp_path, file):
     path = tmp_path / file
     for ticks in (2, 4):  # the second run adds an episode
@@ -49,9 +50,7 @@ def rooms(tmp_path_factory):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", ["main", "MEMORY", "temp", "system", "information_schema", "pg_catalog"]
-)
+@sampled("name", ["main", "MEMORY", "temp", "system", "information_schema", "pg_catalog"], every=3)
 def test_a_world_with_the_name_of_a_schema_of_duckdbs_is_refused_when_it_is_named(rooms, name):
     room, places = rooms
     for ss in places:

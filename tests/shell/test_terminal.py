@@ -102,7 +102,7 @@ def test_completion(session):
 
 
 @LINUX
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_pseudo_terminal(tmp_path):
     import pty
 

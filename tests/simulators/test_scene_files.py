@@ -11,6 +11,7 @@ import ssduck
 from ssduck.errors import SceneError
 from ssduck.simulators import scene_files
 from ssduck.simulators.scenes import find_scene, shipped_scenes
+from tests.support.cases import sampled
 
 OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 MESH = '<mesh name="m" file="m.obj"/>'
@@ -271,7 +272,7 @@ def test_materials_inside_are_read(folder, outside):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", shipped_scenes())
+@sampled("name", shipped_scenes(), every=3)
 def test_copies_of_the_shipped_scenes_are_read(tmp_path, name):
     shutil.copytree(shipped_scenes()[name].parent, tmp_path / name)
     with strict(tmp_path / name / "scene.toml") as ss:

@@ -641,7 +641,7 @@ def test_the_files_of_a_scene_are_what_its_tool_writes(name):
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_elastic_scene_changes_no_other_simulation():
     """PyBullet has settings that all simulations of a process share."""
 

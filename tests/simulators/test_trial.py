@@ -22,7 +22,7 @@ from ssduck.mcp.answers import WorkerError
 from ssduck.simulators import trial
 from ssduck.simulators.scene_files import check_files_inside
 from ssduck.simulators.scenes import find_scene
-from tests.support.cases import sampled
+from tests.support.cases import generated, sampled
 from tests.support.command_line import ssduck_
 from tests.support.timing import HANGS
 from tests.support.urdf import collision, joint, link, robot
@@ -75,7 +75,7 @@ def test_a_file_of_any_size_is_not_read_to_see_whether_it_changes(folder: Path) 
         assert found == folder.resolve() / "big.png"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_crash_in_a_task_an_agent_and_a_command(folder: Path) -> None:
     with pytest.raises(SceneError, match=CRASH):
         make_task(folder / "crashing.toml")
@@ -239,7 +239,7 @@ def test_nothing_that_a_taken_process_tells_is_believed(
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux ends it with its parent")
-@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+@sampled("end", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT], every=3)
 def test_the_process_ends_with_its_parent(folder: Path, end: signal.Signals) -> None:
     pytest.importorskip("mujoco")
     bodies = '<replicate count="500" offset=".1 0 0"><geom size=".01"/></replicate>'
@@ -301,7 +301,7 @@ def test_no_mutated_file_ends_the_process(format: str, tmp_path: Path) -> None:
         pytest.importorskip("mujoco")
     fuzz = Fuzz()
     try:
-        for seed in range(6, 12):
+        for seed in range(6, 6 + generated(2)):
             fuzz.add(format, seed)
     finally:
         fuzz.close()

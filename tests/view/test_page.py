@@ -14,6 +14,7 @@ import ssduck
 
 pytest.importorskip("websockets", reason="the extra view is not installed")
 from ssduck.view.answers import MAX_ROWS
+from tests.support.cases import sampled
 from tools import draw_page
 from tools.browser import chromium
 
@@ -99,13 +100,14 @@ def downloaded(page, format):
     return name, io.BytesIO(base64.b64decode(page.value(CONTENT)))
 
 
-@pytest.mark.parametrize(
+@sampled(
     ("format", "read"),
     [
         ("csv", partial(pd.read_csv, converters={"z": float})),
         ("json", json.load),
         ("parquet", pd.read_parquet),
     ],
+    every=2,
 )
 def test_a_result_is_downloaded(ss, page, format, read):
     program = "SELECT id, z, isRobot(this) FROM kitchen WHERE z > 0.5;"
@@ -173,6 +175,7 @@ def test_what_moves_in_the_world_moves_on_all_pages(ss, page, browser):
     second.close()
 
 
+@pytest.mark.long
 def test_a_lost_connection_comes_back(ss, page):
     cup = ss["kitchen"]["cup_905a"]
     # It comes back after a second, which may pass before the next look.
@@ -191,6 +194,7 @@ def test_a_lost_connection_comes_back(ss, page):
     assert cells(page) == [["4"]]
 
 
+@pytest.mark.long
 def test_a_page_that_is_loaded_again_works(page):
     page.value("__ss.ready = false; location.reload(); 0")
     page.wait("window.__ss && __ss.ready")
@@ -198,7 +202,7 @@ def test_a_page_that_is_loaded_again_works(page):
     assert cells(page) == [["2"]]
 
 
-@pytest.mark.parametrize("size", [(1280, 720), (800, 600)])
+@sampled("size", [(1280, 720), (800, 600)], every=2)
 def test_nothing_overlaps(page, size):
     page.resize(*size)
     page.ask("SELECT id, z FROM kitchen WHERE z > 0.5;")
@@ -221,6 +225,7 @@ def test_nothing_overlaps(page, size):
             assert is_apart, (name, other)
 
 
+@pytest.mark.long
 def test_the_manuals_picture_is_up_to_date(tmp_path):
     drawn, stored = (
         np.asarray(Image.open(folder / "view.png").convert("RGB")).astype(int)

@@ -142,6 +142,7 @@ def test_the_past_of_a_column_is_plotted(page):
     )
 
 
+@pytest.mark.long
 def test_a_live_world_has_its_past_and_the_firings_of_its_triggers(browser):
     with ssduck.load("kitchen") as ss, ss.view() as served:
         page = browser.open(served.url)

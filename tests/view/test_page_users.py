@@ -78,6 +78,7 @@ def test_the_last_of_several_questions_is_answered(page):
     assert not page.errors()
 
 
+@pytest.mark.long
 def test_the_last_of_several_entities_is_shown(page):
     places = [page.value(f"__ss.placeOf('{name}')") for name in ("table", "roomba_625x", "table")]
     for place in (*places, places[1]):
@@ -134,6 +135,7 @@ def test_a_narrow_page_has_the_scene_above_the_query(page):
     page.resize(1280, 800)
 
 
+@pytest.mark.long
 def test_a_page_whose_server_has_stopped_says_so(browser):
     with ssduck.load("kitchen") as ss:
         served = ss.view()

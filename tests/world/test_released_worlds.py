@@ -71,7 +71,7 @@ def test_a_loop_of_programs_keeps_the_last_world_at_most(lab, program: str) -> N
     assert held(lab)[1] == 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_fails_keeps_no_world(lab) -> None:
     def fails() -> None:
         with pytest.raises(UnknownNameError):

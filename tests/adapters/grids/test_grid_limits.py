@@ -10,6 +10,7 @@ import pytest
 import ssduck
 from ssduck.errors import LimitError
 from ssduck.limits import UsageMeter
+from tests.support.cases import sampled
 
 LARGE = [
     "SELECT obj FROM kitchen WHERE isSensor(this) AS sensorgrid(0.24, 0.002);",
@@ -18,7 +19,7 @@ LARGE = [
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("program", LARGE)
+@sampled("program", LARGE, every=2)
 def test_a_large_grid_stops_at_the_next_check(program, monkeypatch):
     """A step of the work between two checks is small: the time is up at the fifth check."""
     checks = []

@@ -57,7 +57,7 @@ def test_kinds_of_shapes_and_their_volumes(stage, write):
         assert ss.eval("SELECT id FROM sim WHERE hasBody(this) AS list;") == ["none"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_has_no_shapes(stage):
     """It meets nothing, is infinitely far from all, and fits where its position is."""
     stage.box("a")
@@ -336,7 +336,7 @@ def test_the_kitchen():
         assert all(depth < 2e-5 and stands for depth, stands in found)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_all_pairs_of_entities_have_an_answer(stage):
     """Each of the registry's relations of shapes, of each combination of shapes."""
     for (n, (kind, size)), height in itertools.product(enumerate(SHAPES), (0.0, 0.3)):

@@ -190,7 +190,7 @@ def twisted(turn, half):
     return c * w - s * k, c * i - s * j, c * j + s * i, c * k + s * w
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @settings(max_examples=5, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     seed=st.integers(0, 10**6),

@@ -267,7 +267,7 @@ def add_all(ss, program, count=100):
         ss.add_trigger(f"t{number}", program.format(number / 40), 0, lambda _: None)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_numpy_evaluates_needs_no_statement(ss, boxes, told):
     add_all(ss, "SELECT name, z FROM sim WHERE distance(this, it) < {} AND above(it, this);")
     boxes.step()  # numpy evaluates what was evaluated once by itself
@@ -277,7 +277,7 @@ def test_what_numpy_evaluates_needs_no_statement(ss, boxes, told):
     assert state(ss, "t99").evaluations == 22
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_other_formulas_need_one_statement_a_tick(ss, boxes, told):
     add_all(ss, "SELECT name, z FROM sim WHERE name LIKE 'b%' AND z < {};")
     boxes.step(RUNS_BEFORE_PLAN + 1)

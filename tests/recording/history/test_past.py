@@ -144,7 +144,7 @@ def test_a_handle_that_was_not_there_is_unknown(falling: ssduck.Interpreter) -> 
         assert found == [world.snapshot.number]
 
 
-@pytest.mark.parametrize("is_same", [True, False])
+@sampled("is_same", [True, False], every=2)
 @pytest.mark.parametrize(
     "relation",
     ["near({}, 0.01)", "collides({})", "clearance({})", "touching({})", "on({})", "inContact({})"],
@@ -285,7 +285,7 @@ def moments(looked_at: ssduck.Interpreter) -> list[tuple[int, list[Any], Any]]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("form", ["near(a.this, b.this, 0.3)", "collides(a.this, b.this)"])
+@sampled("form", ["near(a.this, b.this, 0.3)", "collides(a.this, b.this)"], every=2)
 @pytest.mark.parametrize(
     "where",
     [

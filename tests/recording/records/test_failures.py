@@ -70,7 +70,7 @@ ss.close()
 
 @pytest.mark.slow
 @POSIX
-@pytest.mark.parametrize("kind", ["folder", "file"])
+@sampled("kind", ["folder", "file"], every=2)
 def test_a_full_disk_loses_nothing(tmp_path, kind):
     path = tmp_path / ("run.duckdb" if kind == "file" else "run")
     stored, failed, again = python(FULL, kind, path).splitlines()
@@ -98,7 +98,7 @@ with ssduck.load("kitchen") as ss:
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @POSIX
 def test_half_an_export_is_taken_back(tmp_path):
     assert python(EXPORT, tmp_path / "run") == "RecordError\n"

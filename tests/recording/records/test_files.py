@@ -82,7 +82,7 @@ def test_a_file_holds_what_was_flushed_and_the_next_run_is_an_episode(tmp_path):
     ]  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_file_in_use_is_told_of(tmp_path):
     path = tmp_path / "run.duckdb"
     with recorder(path, "wait") as process:

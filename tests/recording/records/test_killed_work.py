@@ -20,7 +20,7 @@ def run(tmp_path_factory):
 @pytest.mark.slow
 @POSIX
 # Exports, closing and so on in turn; folders below the number of works, files from it on.
-@sampled("seed", [0, 7, 2, 9, 4, 11], every=5)
+@sampled("seed", [0, 7, 2, 9, 4, 11], every=6)
 def test_killed_work_leaves_whole_records(run, seed):
     """The short form of `python -m tools.kill_work`."""
     run.add(seed)

@@ -13,7 +13,7 @@ mujoco, pybullet = pytest.importorskip("mujoco"), pytest.importorskip("pybullet"
 
 
 @pytest.fixture(
-    scope="module", params=[0, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 2, 3))]
+    scope="module", params=[0, *(pytest.param(n, marks=pytest.mark.long) for n in (1, 2, 3))]
 )
 def worlds(request):
     """An interpreter with the two worlds, and MuJoCo's model and data."""
@@ -54,7 +54,6 @@ SINGLE = (
 )  # fmt: skip
 
 
-@pytest.mark.pairwise
 @pytest.mark.slow
 @pytest.mark.parametrize("source", ["SIM", "links(SIM)"])
 def test_all_relations_of_pairs_agree(worlds, source):

@@ -98,7 +98,7 @@ for _ in range(2):
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="the library of windows needs no screen there")
 def test_pictures_without_a_screen_are_errors_each_time(tmp_path):
     """MuJoCo ends the process if it is asked for OpenGL again."""

@@ -433,7 +433,7 @@ def test_what_mjcf_has_not_is_named(tmp_path):
     assert any("other: its collisions are off" in text for text in warned)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_kitchen_is_at_rest_in_both(tmp_path):
     """After two seconds of simulation, the same things are on each other."""
     pytest.importorskip("pybullet")

@@ -165,7 +165,7 @@ POINTS = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("form", POINTS)
+@sampled("form", POINTS, every=3)
 def test_a_position_in_a_region_that_is_turned(form):
     """Against NumPy, with the pose that MuJoCo gives a geom of the same form there."""
     inner = f'type="{form}" size="{POINTS[form]}" pos=".1 .05 .3" euler="10 20 40"'

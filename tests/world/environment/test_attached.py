@@ -63,7 +63,7 @@ def test_relations_of_bodies_of_others_agree(menagerie):
     assert rounded(ours) == rounded(theirs)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_hulls_and_meshes_of_others(client, tmp_path):
     """Their margins are others, so that they rest elsewhere by a 100th of a millimetre."""
     own = {"physicsClientId": client}
