@@ -392,7 +392,7 @@ PICTURES = ["occupancygrid(0.5, 0.1)", "voxelgrid(0.5)", "points(0.2)", "mesh", 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("form", PICTURES)
+@sampled("form", PICTURES, every=2)
 def test_a_picture_goes_to_a_file(here, form):
     program = f"SELECT {'touching(a.this, b.this)' if form == 'graph' else 'a.obj'} FROM a=two"
     program += ", b=two" if form == "graph" else ""

@@ -10,6 +10,7 @@ import pytest
 
 import ssduck
 from ssduck.database.statement import RUNS_BEFORE_PLAN
+from tests.support.cases import sampled
 
 TICKS = RUNS_BEFORE_PLAN + 8
 # Balls that fall one after the other: the number of contacts grows while the statement is prepared.
@@ -39,7 +40,7 @@ STATEMENTS = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sql", STATEMENTS)
+@sampled("sql", STATEMENTS, every=2)
 @pytest.mark.parametrize(
     "recording",
     [None, ssduck.Recording(every=4), ssduck.Recording(tables=("entities",))],

@@ -143,7 +143,7 @@ def statement(choices):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(4))
+@sampled("seed", range(4), every=2)
 def test_rows_are_those_of_plain_duckdb(ss, plain, seed):
     choices, uncorrelated = Random(seed), 0  # noqa: S311
     for _ in range(generated(12)):

@@ -227,7 +227,7 @@ MACROS = [
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("macro", "call"), MACROS)
+@sampled(("macro", "call"), MACROS, every=2)
 def test_no_plan_is_kept_of_joined_rows_that_a_macro_may_list(traced, macro, call):
     """Another plan may join them in another order."""
     ss, _, _ = traced
@@ -309,7 +309,7 @@ BOXES = [
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("most", [0, kept_plans.MAX_ROWS], ids=["scanned", "kept"])
+@sampled("most", [0, kept_plans.MAX_ROWS], ids=["scanned", "kept"], every=2)
 @sampled(("sql", "reads"), BOXES, every=3)
 def test_boxes_are_written_for_statements_that_read_them(traced, monkeypatch, sql, reads, most):
     ss, client, statements = traced

@@ -182,7 +182,7 @@ def test_positions_in_a_range_are_searched_at_once(ss, relation, condition, is_s
 
 
 @pytest.mark.slow
-@sampled(("relation", "spelling"), SPELLED, every=7)
+@sampled(("relation", "spelling"), SPELLED, every=14)
 def test_every_spelling_has_the_rows_of_the_macro(ss, relation, spelling):
     comparison = OTHERS.get(relation, "")
     arguments = f"(a, b{SEARCHED.get(relation, '')})"
@@ -302,12 +302,13 @@ def with_values(sql, style):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
+@sampled(
     ("sql", "style", "relation"),
     [
         (sql, ("?", "$1", "$d")[n % 3], ("near", "touching")[n % 2])
         for n, sql in enumerate((*WITH_PARAMETERS, *WITH_PARAMETERS))
     ],
+    every=2,
 )
 def test_a_distance_may_be_a_parameter(ss, sql, relation, style):
     sql = sql.format(r=f"{relation}(a, b, <d>)", z="<z>", n="<n>")

@@ -129,7 +129,7 @@ def test_readme_runs_as_its_first_command_leaves_it(tmp_path, simulator, runs):
         run_bare("\n".join(shown), tmp_path, without=other)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_demonstration_runs_without_pybullet(tmp_path):
     pytest.importorskip("mujoco")
     answers = {

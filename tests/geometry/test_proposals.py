@@ -16,6 +16,7 @@ from ssduck.geometry.proofs.proposals import Proof, Proposals, Proposer, proposa
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Decisions
 from ssduck.geometry.solids import solid_of
 from tests.support import pairs
+from tests.support.cases import sampled
 from tests.support.pairs import gap
 
 KINDS = ("sphere", "box", "cylinder", "capsule", "ellipsoid", "hull")
@@ -135,7 +136,7 @@ def moved(shapes, random, far):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("far", [1e-4, 2e-3, 0.05])
+@sampled("far", [1e-4, 2e-3, 0.05], every=3)
 def test_what_is_kept_gives_no_wrong_verdict_and_fcl_is_asked_about_the_rest(far, monkeypatch):
     scene, random = Scene(random_pairs(7, 4)), np.random.default_rng(8)
     asked, ask = [], scene.proposer.ask

@@ -45,7 +45,7 @@ def resets(env, action, number):
         env.step(action)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @sampled(
     ("environment", "options", "success", "action"),
     [

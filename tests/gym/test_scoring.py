@@ -10,7 +10,7 @@ import pytest
 import ssduck
 from ssduck.errors import RecordError, SelectScriptError, UnknownNameError
 from ssduck.gym import QueryWrapper, score
-from tests.support.cases import generated
+from tests.support.cases import generated, sampled
 from tests.support.gym_environments import Push
 
 VARIABLES = {"goal": lambda env: env.goal}
@@ -124,7 +124,7 @@ def test_a_wrong_name_is_an_error(few):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
+@sampled(
     ("change", "message"),
     [
         ({"version": 2}, "later|newer"),
@@ -137,6 +137,7 @@ def test_a_wrong_name_is_an_error(few):
         ({"variables": {"goal": 3}}, "'variables'"),
         ({"variables": {"goal": [nested(900)] * 7}}, "more than 64 deep"),
     ],
+    every=2,
 )
 def test_damaged_steps_are_errors(few, tmp_path, change, message):
     folder = shutil.copytree(few, tmp_path / "damaged")

@@ -19,6 +19,7 @@ from ssduck.interpreter.archives import folder_run
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS
 from ssduck.sql.relations.registry import RELATIONS
 from tests.support.archive import Archive
+from tests.support.cases import sampled
 from tests.support.command_line import answer, ssduck_
 from tests.support.recorded import ALL, live_lab
 
@@ -103,7 +104,7 @@ def same(found: Any, expected: Any) -> bool:
 
 
 @pytest.mark.parametrize("table", ["entities", "links"])
-@pytest.mark.parametrize(("name", "call", "sources"), calls())
+@sampled(("name", "call", "sources"), calls(), every=2)
 def test_each_macro_answers_as_ssduck(
     opened: ssduck.Interpreter, plain: Any, name: str, call: str, sources: str, table: str
 ) -> None:

@@ -10,6 +10,7 @@ import ssduck
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.kept_scalars import KeptScalars
 from ssduck.interpreter.planner import Planner
+from tests.support.cases import sampled
 
 PILE = """
 <mujoco>
@@ -61,7 +62,7 @@ def statements(ss):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cone", ["", 'cone="elliptic"'])
+@sampled("cone", ["", 'cone="elliptic"'], every=2)
 def test_contacts_of_two_entities_are_those_of_all_pairs(cone):
     lab = Lab(cone)
     expected = set()

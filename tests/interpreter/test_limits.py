@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import signal
 import subprocess
 import sys
@@ -32,10 +33,12 @@ def patient():
 
 def _confined(seconds, **changes):
     limits = ssduck.Limits.strict(seconds=seconds, rows=1000, memory=200_000_000, **changes)
+    gc.disable()  # what other tests have left takes as long as a program may
     with ssduck.Interpreter(limits=limits) as interpreter:
         interpreter.add_variable("n", list(range(100)))
         interpreter.eval("kept = 1;")
         yield interpreter
+    gc.enable()
 
 
 def fails(interpreter, act, kind, words):

@@ -151,7 +151,7 @@ def changed(record: Path, name: str, value: object) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("together")
-@pytest.mark.parametrize("value", [99.0, float("nan")])
+@sampled("value", [99.0, float("nan")], every=2)
 def test_a_file_that_changed_is_decoded_anew(record, value) -> None:
     programs = PROGRAMS[:4]
     before = [asked(record, program) for program in programs]

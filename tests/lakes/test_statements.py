@@ -76,7 +76,7 @@ def lake(recorded):
 
 
 @pytest.mark.slow
-@sampled("program", PROGRAMS, every=2)
+@sampled("program", PROGRAMS, every=4)
 def test_duckdb_answers_as_the_episodes(lake, program):
     wanted = asked(lake, program)
     assert wanted

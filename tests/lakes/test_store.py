@@ -85,7 +85,7 @@ def test_tags_of_two_lakes_are_kept(address):
     assert tags_by_two_lakes(address) == [(1, 2), (1, 2)]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_damage_is_one_row(address):
     lake = ssduck.lake(address)
     place = ObjectPath(f"{address}/record/entities/world=sim/episode=2/part-000000.parquet")
@@ -160,7 +160,7 @@ def test_records_below_a_record(address, recorded):
     assert answers == [by_itself(recorded, number, program)[0] for number in range(2)]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_address_with_a_pattern_lists_no_others(address, recorded, monkeypatch):
     from ssduck.recording.stores.duckdb_objects import ArrowFSWrapper
 

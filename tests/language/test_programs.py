@@ -161,7 +161,7 @@ CHAINS = {
 
 
 @pytest.mark.slow
-@sampled("name", CHAINS, every=4)
+@sampled("name", CHAINS, every=8)
 def test_chains_are_no_nesting(shared, name):
     text, value = CHAINS[name]
     assert shared.eval(f"{text};") == value

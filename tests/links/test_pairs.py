@@ -11,6 +11,7 @@ import ssduck
 from ssduck.geometry import queries
 from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.schema import LINK_FACTOR
+from tests.support.cases import sampled
 
 SOURCES = [("links(sim)", "links(sim)"), ("links(sim)", "sim"), ("sim", "links(sim)")]
 EXACT = [
@@ -56,7 +57,7 @@ def calls(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sources", SOURCES, ids=" ".join)
-@pytest.mark.parametrize(("condition", "search"), EXACT, ids=[row[0] for row in EXACT])
+@sampled(("condition", "search"), EXACT, ids=[row[0] for row in EXACT], every=2)
 def test_pairs_are_those_of_each_pair(cell, condition, search, sources):
     by_sql, row_by_row = (names_in(ss, pairs_of(condition, sources)) for ss in cell.interpreters)
     assert by_sql == row_by_row
@@ -66,7 +67,7 @@ def test_pairs_are_those_of_each_pair(cell, condition, search, sources):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sources", SOURCES, ids=" ".join)
-@pytest.mark.parametrize("condition", [*CANDIDATES, "restsOn(a.this, b.this)"])
+@sampled("condition", [*CANDIDATES, "restsOn(a.this, b.this)"], every=2)
 def test_candidate_pairs_are_those_of_each_pair(cell, condition, sources):
     by_sql, row_by_row = (names_in(ss, pairs_of(condition, sources)) for ss in cell.interpreters)
     assert by_sql == row_by_row

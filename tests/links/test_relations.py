@@ -72,7 +72,7 @@ def late(cell):
 
 
 @sampled("relation", ONE, every=6, ids=lambda r: r.name)
-@pytest.mark.parametrize("name", LINKS)
+@sampled("name", LINKS, every=2)
 def test_of_one_link(cell, relation, name):
     owner, _, link = name.partition(".")
     expected = outcome(lambda: cell.ss.eval(f"{call(relation, f'sim.{name}')};"))

@@ -382,7 +382,7 @@ def client():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["collate", "recollated", "COLLATE", "generated_always"])
+@sampled("name", ["collate", "recollated", "COLLATE", "generated_always"], every=2)
 def test_names_of_worlds_are_no_collations(client, tmp_path, name):
     with ssduck.Interpreter(tmp_path / "record.duckdb") as ss:
         ss.add_variable(name, ssduck.World.attach(client)).step(3)

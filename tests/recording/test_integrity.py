@@ -52,7 +52,7 @@ def flips(tmp_path_factory: pytest.TempPathFactory) -> Iterator[flip.Run]:
 
 
 @pytest.mark.slow
-@sampled("seed", range(24), every=3)
+@sampled("seed", range(24), every=4)
 def test_damaged_records_give_right_answers_or_errors(flips: flip.Run, seed: int) -> None:
     """The short form of `python -m tools.flip`."""
     flips.add(seed)

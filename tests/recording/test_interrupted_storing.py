@@ -248,7 +248,7 @@ def test_ticks_that_are_stored_while_a_recording_begins_are_read_once(tmp_path, 
         assert rows == different > 0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_rows_that_ctrl_c_kept_from_duckdb_are_there_at_the_next_query(tmp_path, monkeypatch):
     """It is pressed while DuckDB gets tables that replace full ones."""
     register = Connection.register

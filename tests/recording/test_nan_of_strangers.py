@@ -112,7 +112,7 @@ PROGRAMS = (
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("record", KINDS, indirect=True)
+@sampled("record", KINDS, indirect=True, every=2)
 def test_selectscript_answers_as_for_null(record: Path, tmp_path: Path) -> None:
     """The oracle is the same record with NULL in their place, as ssduck stores them."""
     store_nan(record, "entities")
@@ -155,7 +155,7 @@ def _with_null(record: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("program", PROGRAMS)
+@sampled("program", PROGRAMS, every=2)
 def test_lakes_answer_as_for_null(tmp_path: Path, program: str) -> None:
     records = [write_rising_cups(tmp_path / name / "record", 2, 4) for name in ("nan", "null")]
     for record, change in zip(records, (_nan_in_entities, _null_in_entities), strict=True):

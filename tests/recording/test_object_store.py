@@ -154,7 +154,7 @@ def test_an_export_that_fails_leaves_no_episode(
     assert runs_in(expand_path("s3://lake/broken")) == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_poses_from_anywhere_tags_and_further_episodes(server) -> None:
     place = "s3://lake/written"
     for number in range(3):
@@ -205,7 +205,7 @@ def test_damaged_and_missing_objects_are_errors(places: tuple[str, Path]) -> Non
         ssduck.write_record("s3://no-such-bucket/r", ["a"], np.zeros((1, 1, 3)), [0])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_strict_limits_read_the_record_and_nothing_else(places: tuple[str, Path]) -> None:
     remote, _ = places
     with ssduck.open(remote, limits=ssduck.Limits.strict()) as ss:

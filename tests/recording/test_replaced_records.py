@@ -185,7 +185,7 @@ DOORS = {
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="Windows has other permissions")
-@pytest.mark.parametrize("mode", [0o000, 0o644], ids=oct)
+@sampled("mode", [0o000, 0o644], ids=oct, every=2)
 @pytest.mark.parametrize("door", DOORS)
 def test_a_folder_without_permission(door, mode, run):
     ssduck.open(run).close()  # imports what it needs
@@ -211,9 +211,10 @@ def test_a_part_without_permission(table, run):
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="Windows has other permissions")
-@pytest.mark.parametrize(
+@sampled(
     ("place", "pattern"),
     [("entities", "*.parquet"), ("ticks", "*.parquet"), ("models", "*.parquet"), ("episodes", "*")],
+    every=2,
 )
 def test_a_file_without_permission_is_not_damaged(run, place, pattern):
     """A repair would drop it."""

@@ -64,7 +64,7 @@ def forged_folder(made: Path, to: Path, table: str, tick: str, time: str) -> Pat
 @pytest.mark.slow
 @sampled("forge", [forged_file, forged_folder], every=2)
 @pytest.mark.parametrize("name", FORGERIES)
-@pytest.mark.parametrize("table", TABLES)
+@sampled("table", TABLES, every=2)
 def test_a_forged_row_is_an_error(
     made: Path,
     tmp_path: Path,

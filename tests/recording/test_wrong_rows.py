@@ -145,7 +145,7 @@ REPEATED = [
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("table", "column", "value"), REPEATED)
+@sampled(("table", "column", "value"), REPEATED, every=2)
 def test_what_rows_repeat_is_that_of_their_model(
     made: Path, tmp_path: Path, table: str, column: str, value: str
 ) -> None:

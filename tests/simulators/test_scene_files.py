@@ -153,7 +153,7 @@ INSIDE = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("form", INSIDE)
+@sampled("form", INSIDE, every=2)
 def test_files_inside_are_read(folder, outside, form):
     pytest.importorskip("mujoco")
     write(folder, outside, mjcf(INSIDE[form]))

@@ -148,13 +148,14 @@ def test_a_click_shows_the_entity(page):
     assert "plate" in page.value("document.getElementById('entity').textContent")
 
 
-@pytest.mark.parametrize(
+@sampled(
     ("program", "has_picture"),
     [
         ("SELECT this FROM kitchen WHERE id(this) == 'table' AS occupancygrid(0.4, 0.1);", True),
         ("SELECT this FROM kitchen WHERE id(this) == 'table' AS points(0.05);", True),
         ("SELECT id FROM kitchen WHERE id == 'table';", False),
     ],
+    every=2,
 )
 def test_grids_and_clouds_are_drawn_in_the_scene(page, program, has_picture):
     page.ask(program)
@@ -163,6 +164,7 @@ def test_grids_and_clouds_are_drawn_in_the_scene(page, program, has_picture):
     assert page.value("document.querySelectorAll('#result img').length") == has_picture
 
 
+@pytest.mark.long
 def test_what_moves_in_the_world_moves_on_all_pages(ss, page, browser):
     cup = ss["kitchen"]["cup_905a"]
     second = browser.open(page.value("location.href"))

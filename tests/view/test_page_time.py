@@ -78,6 +78,7 @@ def test_the_slider_goes_through_a_record(page, heights):
         page.wait(f"Math.abs(__ss.poseOf('{CUP}')[2] - {heights[index]}) < 1e-5")
 
 
+@pytest.mark.long
 def test_scrubbing_asks_the_server_for_no_poses(page, heights):
     page.value("__ss.seek(0); 0")
     page.wait("__ss.local > 0")
@@ -98,6 +99,7 @@ def test_the_query_is_asked_again_as_the_slider_moves(page, heights):
     )
 
 
+@pytest.mark.long
 def test_the_answers_changes_are_found_and_jumped_to(page, record):
     query = f"on(kitchen.table, kitchen.{CUP});"
     with ssduck.open(record) as ss:

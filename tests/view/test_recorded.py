@@ -112,7 +112,7 @@ PROGRAMS = [
 
 
 @pytest.mark.slow
-@sampled("program", PROGRAMS, every=2)
+@sampled("program", PROGRAMS, every=4)
 def test_a_scan_finds_each_change(record, program):
     """The oracle asks at each tick, and compares."""
     with ssduck.open(record) as ss:

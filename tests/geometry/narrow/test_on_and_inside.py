@@ -399,7 +399,7 @@ STICKS_OUT = [0.05 - 1e-9, 0.05 + 1e-9, 0.05 - 1e-4, 0.05 + 1e-4, 0.03, 0.06, 0.
 
 
 @pytest.mark.slow
-@sampled("out", STICKS_OUT, every=4)
+@sampled("out", STICKS_OUT, every=8)
 def test_what_is_contained_at_the_edges(out):
     around = (box(2, 2, 2), cylinder(1.0, 2.0), plane((1, 0, 0)))
     for b in (box(), sphere(), capsule(0.5, 1e-3), cylinder(), ell(1, 1, 1)):

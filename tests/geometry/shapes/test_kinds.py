@@ -203,7 +203,7 @@ COSTS = [
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("count", [50, 300, 1000])
+@pytest.mark.parametrize("count", [50, 300, pytest.param(1000, marks=pytest.mark.long)])
 def test_only_pairs_whose_boxes_meet_are_compared(stage, count):
     world, meeting = crowd(stage, count)
     assert meeting() > count / 10

@@ -221,7 +221,7 @@ def outcome(actions, *, together):
         session.close()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @settings(max_examples=generated(10))
 @given(st.lists(ADDED, min_size=3, max_size=8), ACTIONS)
 def test_together_as_one_by_one(added, actions):

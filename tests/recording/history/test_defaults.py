@@ -60,7 +60,7 @@ def test_entities_links_and_contacts_are_recorded_by_default(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("changed", [False, True], ids=["memory", "tables"])
+@sampled("changed", [False, True], ids=["memory", "tables"], every=2)
 def test_the_size_of_what_is_kept_is_bounded(falling: ssduck.Interpreter, changed: bool) -> None:
     limit = 400_000
     falling.record("lab", Recording(max_bytes=limit, changed=changed))

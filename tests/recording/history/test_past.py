@@ -254,7 +254,7 @@ def looked_at() -> Any:
 
 
 @pytest.mark.slow
-@sampled(("sql", "program"), LOOKED_UP, every=5, ids=[sql for sql, _ in LOOKED_UP])
+@sampled(("sql", "program"), LOOKED_UP, every=10, ids=[sql for sql, _ in LOOKED_UP])
 def test_raw_sql_looks_up_what_was_told_then(
     looked_at: ssduck.Interpreter, sql: str, program: str
 ) -> None:
@@ -286,7 +286,7 @@ def moments(looked_at: ssduck.Interpreter) -> list[tuple[int, list[Any], Any]]:
 
 @pytest.mark.slow
 @sampled("form", ["near(a.this, b.this, 0.3)", "collides(a.this, b.this)"], every=2)
-@pytest.mark.parametrize(
+@sampled(
     "where",
     [
         "a.this == robot AND {}",
@@ -296,6 +296,7 @@ def moments(looked_at: ssduck.Interpreter) -> list[tuple[int, list[Any], Any]]:
         "{} AND tick(a.this) % 7 == 0 AND z(b.this) > 1",
         "id(b.this) == 'no such' AND {}",
     ],
+    every=2,
 )
 def test_all_ticks_at_once_are_each_tick(
     looked_at: ssduck.Interpreter, moments: list[Any], form: str, where: str

@@ -122,7 +122,7 @@ def test_a_sensor_brings_what_it_sits_on() -> None:
         (Recording(ticks=1, max_bytes=10**9), 1, 3),
         (Recording(ticks=2000), 2000, 3001),
     ],
-    every=3,
+    every=6,
     ids=["ticks", "seconds", "both", "one", "many"],
 )
 def test_old_ticks_are_dropped(

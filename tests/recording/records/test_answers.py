@@ -30,7 +30,7 @@ KINDS = ["folder", "live", "file"]
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("program", PROGRAMS["kitchen"])
+@sampled("program", PROGRAMS["kitchen"], every=2)
 def test_the_kitchen_answers_as_it_did(kitchen, program, kind):
     answers, _, opened = kitchen
     assert answer(opened[kind], program) == answers[program]

@@ -10,6 +10,7 @@ from PIL import Image
 import ssduck
 from ssduck.errors import SceneError, UnknownNameError, UnsupportedError
 from ssduck.simulators.scenes import read_scene
+from tests.support.cases import sampled
 from tests.support.solids import box as solid_box
 from tests.support.solids import mesh_of
 
@@ -369,7 +370,7 @@ to = "other"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("slide", "turn"), [(0.0, 0.0), (0.02, -0.05), (0.21, -0.8), (0.4, -1.5)])
+@sampled(("slide", "turn"), [(0.0, 0.0), (0.02, -0.05), (0.21, -0.8), (0.4, -1.5)], every=2)
 def test_drawers_agree(tmp_path, slide, turn):
     """Two bodies of one file: names of parts that both have get that of the body in front."""
     pytest.importorskip("pybullet")

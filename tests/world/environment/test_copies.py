@@ -48,7 +48,7 @@ OF_THE_REST = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scene", shipped_scenes())
+@sampled("scene", shipped_scenes(), every=3)
 def test_an_excerpt_of_all_is_the_same_and_stays_so(scene):
     ss = ssduck.load(scene)
     world = ss.call_variable(scene)

@@ -60,7 +60,7 @@ def test_a_camera_sees_a_sphere(mast, radius, place, position, orientation):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("radius", "distance"), [(0.5, 3.0), (0.3, 1.0), (1.0, 4.0)])
+@sampled(("radius", "distance"), [(0.5, 3.0), (0.3, 1.0), (1.0, 4.0)], every=3)
 def test_the_share_of_a_sphere_ahead_is_that_of_its_cone(mast, radius, distance):
     """Its cone cuts a disc of radius tan(asin(r/d)) out of the image, in which pixels are even."""
     mast.sphere("ball", radius, [distance, 0, 0])
