@@ -106,6 +106,7 @@ def test_a_case_that_takes_too_long_alone_too_is_named(
     assert "   0.3 s  tests::client, 2 times" in told
 
 
+@pytest.mark.slow
 def test_pytest_tells_what_its_cases_and_fixtures_took(tmp_path):
     (tmp_path / "test_it.py").write_text(
         "import time, pytest\n"

@@ -90,6 +90,7 @@ def test_what_a_form_is_given(kitchen, registry):
     assert selection.query.items
 
 
+@pytest.mark.slow
 def test_the_worlds_of_a_query_without_entities(kitchen, registry):
     seen = []
     ssduck.adapter("keep")(seen.append)

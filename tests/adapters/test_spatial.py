@@ -264,6 +264,7 @@ def test_a_picture_shows_what_is_selected(kitchen):
     assert outlined(picture).any()
 
 
+@pytest.mark.slow
 def test_what_is_no_longer_there_is_in_no_form_of_space(shapes):
     twin = shapes.call_variable("world").excerpt(["box"])
     with ssduck.Interpreter() as ss:

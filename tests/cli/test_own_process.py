@@ -50,6 +50,7 @@ def test_a_worker_answers(worker):
         rows(worker, "nobody;")
 
 
+@pytest.mark.slow
 def test_a_picture_comes_from_the_worker(worker):
     name = rows(worker, "SELECT name FROM entities LIMIT 1", "sql")[0]["name"]
     picture = worker.picture(

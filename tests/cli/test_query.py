@@ -155,6 +155,7 @@ def model(request, here):
     return "drop.xml" if request.param == "model" else "dropped.toml"
 
 
+@pytest.mark.slow
 def test_seconds_are_in_steps_of_the_model(model):
     """Of each command, by the clock of the simulator, not by 1/240 s."""
     written = answer("query", model, "getTime();", "-F", "json", "--seconds", "0.5")
@@ -171,6 +172,7 @@ def test_agents_get_seconds_in_steps_of_the_model(model):
         assert json.loads(answers.query("getTime();", "selectscript", 9)) == pytest.approx(0.5)
 
 
+@pytest.mark.slow
 def test_what_a_program_prints_is_not_its_answer(here):
     result = ssduck_("query", "two.toml", "print(1, 'a'); 2;", "-F", "json")
     assert (result.exit_code, result.stdout, result.stderr) == (0, "2\n", "1 a\n")
@@ -259,6 +261,7 @@ def test_a_mistake_of_ours_is_a_traceback(here, monkeypatch):
         ssduck_("query", "two.toml", "1;")
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default")
 def test_each_warning_is_written_once(here, monkeypatch):
     load = opening.load
@@ -327,6 +330,7 @@ def test_many_rows_are_elided_on_a_terminal_only(here):
         assert "·" not in answer("query", "two.toml", *MANY, "-F", format, env=terminal)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flags", [["-F", "csv", "-o", "a"], ["-o", "a.csv"]])
 def test_a_result_goes_to_a_file(here, flags):
     assert answer("query", "two.toml", *MANY, *flags) == ""
@@ -357,6 +361,7 @@ def test_wrong_formats(here, flags, code, told):
 NO_ROWS = "SELECT id, z + 1 AS top FROM two WHERE z > 100;"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("format", "expected"),
     [

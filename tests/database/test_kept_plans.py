@@ -334,6 +334,7 @@ def test_boxes_are_written_for_statements_that_read_them(traced, monkeypatch, sq
         assert bool(asked) == reads
 
 
+@pytest.mark.slow
 def test_no_plan_is_kept_of_many_rows(traced, monkeypatch):
     ss, _, _ = traced
     monkeypatch.setattr(kept_plans, "MAX_ROWS", 6)  # there are 7

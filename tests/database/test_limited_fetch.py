@@ -177,6 +177,7 @@ def test_an_error_of_an_answer_by_column_is_duckdbs():
             statements.rows(plain, sql, None, None, None)
 
 
+@pytest.mark.slow
 def test_statements_that_ran_long_ago_are_forgotten():
     statements = RepeatedStatements()
     with duckdb.connect() as plain:
@@ -222,6 +223,7 @@ def test_a_long_answer_that_is_asked_for_again_is_of_the_present_tick(program, l
         assert answers[-1] != answers[-2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sql", ["FROM rows", 'EXECUTE "rows now"'])
 def test_statements_that_run_again_read_what_is_there_now(sql):
     statements = RepeatedStatements()

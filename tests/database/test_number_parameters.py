@@ -92,6 +92,7 @@ def test_results_are_those_of_duckdb(traced, sql, values, is_kept):
         assert (kinds[-1] == "EXECUTE") == is_kept
 
 
+@pytest.mark.slow
 def test_a_plan_is_made_once_for_all_numbers(traced):
     ss, statements = traced
     sql = CASES[0][0]

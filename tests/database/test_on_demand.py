@@ -231,6 +231,7 @@ def test_macros_follow_the_worlds(run: Path) -> None:
         assert ss.sql("SELECT * FROM lab.colliding_pairs()").fetchall() == []
 
 
+@pytest.mark.slow
 def test_a_users_statement_finds_everything(run: Path) -> None:
     with ssduck.open(run) as ss:
         ((count,),) = ss.sql("SELECT count(*) FROM entities_history").fetchall()

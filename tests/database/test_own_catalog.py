@@ -167,6 +167,7 @@ READING = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", READING)
 def test_copies_of_a_record_may_be_written(lasting, tmp_path, text):
     ss, before = lasting

@@ -163,6 +163,7 @@ SPELLED = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("relation", ["above", "below", "within"])
 @pytest.mark.parametrize(
     ("condition", "is_searched"),

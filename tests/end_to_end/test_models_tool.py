@@ -62,6 +62,7 @@ def test_a_difference_is_told(tmp_path, monkeypatch, part):
     assert {"frames": "pose", "boxes": "box", "masses": "mass"}[part] in about
 
 
+@pytest.mark.slow
 def test_a_process_that_ends_is_a_row(tmp_path, monkeypatch):
     monkeypatch.setattr(models, "outcome", lambda _: os._exit(7))
     assert models.in_a_process(tmp_path / "any.urdf") == ("FAULT", "the process ends with 7")

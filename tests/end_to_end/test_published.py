@@ -84,6 +84,7 @@ def test_flat_map(ss, size):
     assert ss.eval(problems.flat(MAPS[size])) == COLOURED[size]
 
 
+@pytest.mark.slow
 def test_nested_map(ss):
     assert ss.eval(problems.nested(FIRST_FIVE)) == COLOURED["five"]
 
@@ -174,6 +175,7 @@ def test_longer_ways(ss, form, most, monkeypatch):
     assert ss.eval(longer) == expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["plain", "no cycle"])
 def test_hanoi_as_sql(told, form, monkeypatch):
     """A search through so short a list is no statement, unless it is made one."""

@@ -244,6 +244,7 @@ def test_map(session):
     assert near.cells.sum() > 200
 
 
+@pytest.mark.slow
 def test_the_module_of_grids(session):
     module = openrave.RaveCreateModule(session["env"], "OccupancyGridMap")
     assert openrave.RaveCreateModule(session["env"], "simulator") is None

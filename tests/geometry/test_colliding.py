@@ -98,6 +98,7 @@ def test_the_boundary_of_boxes(client, ask, angle, depth, collides):
     assert len(ask(BOTH)[0]) == len(ask(ONE_BY_ONE)[0]) == 2 * collides
 
 
+@pytest.mark.slow
 def test_links_of_one_robot_do_not_count(client, ask):
     sphere = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.2, physicsClientId=client)
     create_linked_body(client, 1, sphere, linkPositions=[[0.1, 0, 0]])

@@ -71,6 +71,7 @@ def test_bounds_are_below_all_overlaps_in_a_triangle():
     assert ((directions[2] < 0.5).any(axis=0) <= (classes & 2 > 0)).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kinds", COMBINATIONS, ids=str)
 def test_verdicts_are_what_the_normals_of_single_pairs_say(kinds):
     """In a long form: `python -m tools.oracles`."""

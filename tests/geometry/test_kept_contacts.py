@@ -201,6 +201,7 @@ def test_shapes_that_move_far_are_divided_anew(monkeypatch):
         assert known - 2 * len(two) <= anew
 
 
+@pytest.mark.slow
 def test_what_proved_a_verdict_is_tried_before_directions_all_around(monkeypatch):
     anew, decide = [], contact_directions._decide_anew
 

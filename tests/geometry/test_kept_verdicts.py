@@ -204,6 +204,7 @@ def test_a_pair_at_its_bound_is_compared_once_while_it_stands_still(client):
         assert counts[1:] == [0, 0]
 
 
+@pytest.mark.slow
 def test_bodies_at_rest_are_not_compared_again(client, monkeypatch):
     """A body that moves takes with it only the pairs whose verdict it may change."""
     counts = []

@@ -111,6 +111,7 @@ def test_whatever_is_kept_of_pairs_bounds_their_signed_distances(size):
         assert (np.isfinite(greatest) & (greatest < 0.0))[gaps < -0.02].mean() > 0.7
 
 
+@pytest.mark.slow
 def test_points_without_a_direction_between_them_are_kept_with_some_direction():
     scene = Scene(random_pairs(14, 2))
     centres = np.array([scene.cores.centres[:, side] for side in scene.pairs])

@@ -330,6 +330,7 @@ def test_a_depth_below_0_is_an_error(hulls, slow):
         assert ss.sql(nothing).fetchall() == []
 
 
+@pytest.mark.slow
 def test_tables_of_all_pairs_take_a_depth(hulls):
     overlapping = {"b": [1, 0, 0, 0, 0.99, 0, 0], "c": [1, 0, 0, 0, -0.9, 0, 0]}
     with ssduck.Interpreter() as ss:

@@ -73,6 +73,7 @@ def test_many_are_computed_at_once(make_tick, monkeypatch):
     assert len(calls) == 1
 
 
+@pytest.mark.slow
 def test_a_few_of_many_ticks_are_computed_alone(monkeypatch):
     count, calls = 100 * SINGLE_IN, []
     of_all = TickSolids._all_poses

@@ -79,6 +79,7 @@ def run(env, folder, steps, **terms):
     return rewards, ticks, [one.rewards for one in score(folder, reward=(terms or TERMS)["reward"])]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kicks", [(2,), (3,), (2, 3)])
 def test_an_unstable_state_that_mujoco_resets_ends_no_episode(tmp_path, monkeypatch, kicks):
     monkeypatch.chdir(tmp_path)  # MuJoCo writes a log
@@ -92,6 +93,7 @@ def test_an_unstable_state_that_mujoco_resets_ends_no_episode(tmp_path, monkeypa
     assert kicks == (2, 3) or steps.times == pytest.approx([0, 0.02, 0.04, 0.06, 0.08])
 
 
+@pytest.mark.slow
 def test_an_unstable_state_in_a_loop(tmp_path, monkeypatch):
     """The time is that of PyBullet, which resets nothing; a reset by the user begins an episode."""
     monkeypatch.chdir(tmp_path)
@@ -132,6 +134,7 @@ def test_a_loop_that_begins_its_episodes_is_told_of_other_resets():
     assert world.begin_episode().time == 0.0
 
 
+@pytest.mark.slow
 def test_a_reset_within_is_an_episode_of_both_simulators(tmp_path):
     within = gymnasium.wrappers.Autoreset(Flight())
     rewards, ticks, scores = run(within, tmp_path / "mujoco", 7)
@@ -148,12 +151,14 @@ def test_a_reset_within_is_an_episode_of_both_simulators(tmp_path):
     assert rewards[0] < 0
 
 
+@pytest.mark.slow
 def test_a_time_that_stands_still(tmp_path):
     rewards, ticks, scores = run(Turn(), tmp_path, 3, reward="x(sim.a)")
     assert rewards == pytest.approx([0.6, 0.7, 0.8])
     assert (ticks, scores) == ([4], [tuple(rewards)])
 
 
+@pytest.mark.slow
 def test_steps_after_the_end_are_told_of(tmp_path):
     env = QueryWrapper(Flight(most=2), **TERMS, record_to=tmp_path)
     env.reset()
@@ -166,6 +171,7 @@ def test_steps_after_the_end_are_told_of(tmp_path):
     assert [len(one.rewards) for one in score(tmp_path, reward="x(sim.a)")] == [3]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "message"),
     [

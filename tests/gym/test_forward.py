@@ -54,6 +54,7 @@ def flags(env, steps=15):
     return [info["ssduck"]["success"] for info in infos], [info["done"] for info in infos]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "success", ["x(sim.ball) > goal", "heldFor(x(sim.ball) > goal) >= 0 AND x(sim.ball) > goal"]
 )

@@ -111,6 +111,7 @@ TERMS = {
 }
 
 
+@pytest.mark.slow
 def test_a_failure_of_the_episode():
     assert run(1, **TERMS, nan="failure")[1:] == (
         False,
@@ -122,6 +123,7 @@ def test_a_failure_of_the_episode():
     assert info == expected
 
 
+@pytest.mark.slow
 def test_a_value_in_its_place(tmp_path):
     reward, terminated, info = run(3, **TERMS, nan=-4.5, record_to=tmp_path)
     assert (reward, terminated, info["success"]) == (-3.5, False, False)
@@ -134,6 +136,7 @@ def test_a_value_in_its_place(tmp_path):
     assert (failed.failure, failed.stop) == ((False, True), (False, True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("term", "replaced"),
     [
@@ -156,6 +159,7 @@ def test_a_value_whose_past_is_nan(tmp_path, term, replaced):
     assert scored == rewards
 
 
+@pytest.mark.slow
 def test_the_error_of_a_past_that_is_nan(tmp_path):
     message = r"reward: .* is NaN .*: the pose or the velocity of sim\.a was NaN at an earlier step"
     with pytest.raises(ArgumentError, match=message):

@@ -190,6 +190,7 @@ def forged(few, place, **variables):
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("variables", "message"),
     [
@@ -214,6 +215,7 @@ def test_forged_variables_are_errors(few, tmp_path, variables, message):
     assert others == [None] * len(others)
 
 
+@pytest.mark.slow
 def test_an_element_is_of_its_own_variable(few, tmp_path):
     folder = forged(few, tmp_path, v=[1, 2], v__0=9)
     right = "v[0] == 1 AND v[1] == 2 AND v__0 == 9 AND z(sim.ball) > -9"

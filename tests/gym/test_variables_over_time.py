@@ -30,6 +30,7 @@ def rewards(reward, steps=4, **options):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "term",
     [
@@ -47,6 +48,7 @@ def test_one_that_changes_is_an_error(term):
         rewards(term)
 
 
+@pytest.mark.slow
 def test_at_the_step_where_it_changes():
     assert len(rewards(NEARER.format("late"), 2)) == 4
     env = QueryWrapper(
@@ -62,6 +64,7 @@ def test_at_the_step_where_it_changes():
     env.close()
 
 
+@pytest.mark.slow
 def test_a_constant_of_the_episode():
     term = NEARER.format("goal[0]")  # goal[1] changes
     env = QueryWrapper(Push(), reward=term, variables=VARIABLES, forward=False)
@@ -78,6 +81,7 @@ def test_a_constant_of_the_episode():
         rewards(NEARER.format("goal[1]"))
 
 
+@pytest.mark.slow
 def test_outside_of_the_expression_it_may_change():
     assert len(rewards("n * previous(x(sim.pusher))")) == 8
     assert len(rewards("at(0.001 * n, x(sim.pusher))")) == 8
@@ -89,6 +93,7 @@ def test_one_alone_is_an_error_at_once(term):
         QueryWrapper(Push(), reward=term, variables=VARIABLES, forward=False)
 
 
+@pytest.mark.slow
 def test_scores(tmp_path):
     rewards("x(sim.ball)", record_to=tmp_path)
     with pytest.raises(ArgumentError, match="the variable n in previous"):

@@ -159,6 +159,7 @@ def test_the_step_before_and_the_start_in_terms(wrap):
             starts.append(start)
 
 
+@pytest.mark.slow
 def test_the_past_has_the_tables_that_terms_read(wrap):
     near = "joint(sim.pusher, 'push') < 0.01"
     env = wrap(
@@ -390,6 +391,7 @@ def test_history_begins_at_the_resets_of_vector_environments(kind):
     assert np.array(rewards) == pytest.approx(np.array([expected] * 2).T)
 
 
+@pytest.mark.slow
 def test_the_checker_of_gymnasium(wrap):
     env = wrap(Push(), success="x(sim.ball) > 0.02", reward="-distance(sim.pusher, sim.ball)")
     # It says that there is a wrapper.
@@ -402,6 +404,7 @@ def test_a_wrapper_of_a_wrapper(wrap):
     assert len(list(itertools.islice(episode(env, 0, 10), 10))) == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("before", [None, np.zeros(0), "missing"])
 def test_variables_may_have_no_value_before_the_first_reset(wrap, before):
     class Later(Push):

@@ -356,6 +356,7 @@ def test_times_that_mcap_has_not_are_an_error(tmp_path: Path, time: float) -> No
     assert not (tmp_path / "out.mcap").exists()
 
 
+@pytest.mark.slow
 def test_files_of_others(tmp_path: Path) -> None:
     """Poses by topics and transforms are read; other topics are named."""
     pytest.importorskip("foxglove_schemas_protobuf", reason="the extra mcap is not installed")

@@ -160,6 +160,7 @@ def test_intervals_and_their_relations(plain: Any) -> None:
         assert isinstance(found, bool)
 
 
+@pytest.mark.slow
 def test_without_a_record_there_are_formulas() -> None:
     script = macro_script()
     lookups = SHAPES | JOINTS | PAIRED | CONTACTS | SENSINGS | FORMS | {"settled"}

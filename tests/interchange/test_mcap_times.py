@@ -92,6 +92,7 @@ OTHERS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OTHERS)
 def test_each_frame_is_where_it_was_told_of_last(tmp_path: Path, name: str) -> None:
     found = imported(tmp_path, [*OTHERS[name], *cup()])
@@ -104,6 +105,7 @@ def test_each_frame_is_where_it_was_told_of_last(tmp_path: Path, name: str) -> N
         assert ss.eval("distance(world.table, world.cup);") == 0.09
 
 
+@pytest.mark.slow
 def test_no_value_is_lost_and_each_is_the_last_one(tmp_path: Path) -> None:
     """Three frames with times of their own, against a search in what was told."""
     generator = np.random.default_rng(7)
@@ -121,6 +123,7 @@ def test_no_value_is_lost_and_each_is_the_last_one(tmp_path: Path) -> None:
     assert len({time for time, *_ in found}) < 88  # messages at about one time are one tick
 
 
+@pytest.mark.slow
 def test_a_frame_ends_where_a_message_says_so(tmp_path: Path) -> None:
     """By its id, with all that is in the scene, and until it comes again."""
     table = at(0, "table", (0, 0, 0))
@@ -136,6 +139,7 @@ def test_a_frame_ends_where_a_message_says_so(tmp_path: Path) -> None:
     assert [time for time, name, *_ in found if name == "hand"] == [0, 1, 2, 3, 4, 5, 6]
 
 
+@pytest.mark.slow
 def test_a_grid_has_the_last_value_of_each_frame(tmp_path: Path) -> None:
     messages = [*OTHERS["at another rate"], *cup()]
     found = imported(tmp_path, messages, rate=40)
@@ -171,6 +175,7 @@ def test_datasets_of_frames_have_no_rate(tmp_path: Path) -> None:
         ssduck.import_poses(tmp_path, tmp_path / "r", rate=10)
 
 
+@pytest.mark.slow
 def test_a_slow_grid_is_one_tick(tmp_path: Path) -> None:
     assert len(imported(tmp_path, cup(), rate=1e-300)) == 1
 
@@ -181,6 +186,7 @@ def test_more_poses_than_a_file_may_have(tmp_path: Path, monkeypatch: pytest.Mon
         imported(tmp_path, cup())
 
 
+@pytest.mark.slow
 def test_portions_give_the_rows_of_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     messages = [*OTHERS["at another rate"], *cup()]
     whole = imported(tmp_path, messages)
@@ -189,6 +195,7 @@ def test_portions_give_the_rows_of_one(tmp_path: Path, monkeypatch: pytest.Monke
     assert imported(tmp_path / "again", messages) == whole
 
 
+@pytest.mark.slow
 def test_stamps_of_a_simulation_begin_with_0(tmp_path: Path) -> None:
     """Though its log has the time of the day."""
     messages = [at(k * MS, "cup", (k, 0, 0), logged=DAY + k * MS) for k in range(3)]
@@ -200,11 +207,13 @@ def test_stamps_of_a_simulation_begin_with_0(tmp_path: Path) -> None:
     assert [time for time, name, *_ in found if name == "table"] == [0, 0.001, 0.002]
 
 
+@pytest.mark.slow
 def test_without_stamps_the_log_has_the_times(tmp_path: Path) -> None:
     found = imported(tmp_path, [at(None, "cup", (k, 0, 0), logged=k * MS) for k in range(4)])
     assert [(time, x) for time, _, x, *_ in found] == [(k / 1000, k) for k in range(4)]
 
 
+@pytest.mark.slow
 def test_stamps_are_whole_nanoseconds(tmp_path: Path) -> None:
     """Also where doubles of seconds are the same."""
     found = imported(tmp_path, [at(DAY + 100 * k, "cup", (k, 0, 0)) for k in range(4)])
@@ -219,6 +228,7 @@ def matrix(place: Sequence[float], angle: float) -> Any:
     return turn
 
 
+@pytest.mark.slow
 def test_frames_in_frames_are_placed_in_the_world(tmp_path: Path) -> None:
     """A chain of seven whose links turn, each told of at times of its own, against matrices."""
     generator, told, messages = np.random.default_rng(3), [], []
@@ -241,6 +251,7 @@ def test_frames_in_frames_are_placed_in_the_world(tmp_path: Path) -> None:
     assert min(seen) >= 0.006  # not before all frames that it is in
 
 
+@pytest.mark.slow
 def test_what_is_in_a_frame_that_is_gone_is_gone(tmp_path: Path) -> None:
     messages = [at(0, "tray", (1, 0, 0), turn=QUARTER), at(0, "cup", (0.5, 0, 0), "tray")]
     messages += [at(k * 10**9, "lamp", (0, 0, 2)) for k in range(4)]
@@ -261,6 +272,7 @@ def test_frames_in_a_circle_are_an_error(tmp_path: Path) -> None:
     assert not (tmp_path / "r").exists()
 
 
+@pytest.mark.slow
 def test_two_poses_of_a_frame_at_one_time_are_told_of(tmp_path: Path) -> None:
     same, other = at(0, "cup", (1, 0, 0)), at(10**9, "cup", (2, 0, 0))
     with pytest.warns(UserWarning, match="not read: 1 pose before another one of the same frame"):
@@ -268,6 +280,7 @@ def test_two_poses_of_a_frame_at_one_time_are_told_of(tmp_path: Path) -> None:
     assert [(time, x) for time, _, x, *_ in found] == [(0, 1), (1, 3)]
 
 
+@pytest.mark.slow
 def test_shapes_are_given_for_some_frames(tmp_path: Path) -> None:
     """And an entity is there when all of its links are."""
     messages = [at(0, "arm", (0, 0, 0)), at(0, "lamp", (0, 0, 0)), at(10**9, "lamp", (1, 0, 0))]
@@ -281,6 +294,7 @@ def test_shapes_are_given_for_some_frames(tmp_path: Path) -> None:
         imported(tmp_path, messages, entities={"shelv": {}})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [None, 1000])
 def test_ticks_at_one_time_are_imported_again(tmp_path: Path, rate: float | None) -> None:
     """A tick after a step and one after a hand moved something; and what was not there."""

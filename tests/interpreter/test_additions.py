@@ -82,6 +82,7 @@ def test_a_function_is_callable_by_its_name(empty):
     assert empty.sql("SELECT joined(['a', 'b'], 2, true)").fetchone() == ("a-b-a-b!",)
 
 
+@pytest.mark.slow
 def test_it_is_replaced_and_removed(empty):
     empty.add_function("f", twice)
     assert empty.sql("SELECT f(1)").fetchone() == (2.0,)
@@ -152,6 +153,7 @@ def test_a_frame_is_copied_and_replaced(empty):
     assert "t" in [name for (name,) in empty.sql("SHOW TABLES").fetchall()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "frame", "message"),
     [

@@ -377,6 +377,7 @@ def test_python_attributes_of_rows_are_not_there(patient, program):
         patient.eval(program)
 
 
+@pytest.mark.slow
 def test_variables_of_one_program_after_another_are_counted(patient):
     """The largest values of each are freed; what its variables keep adds up."""
     names = []
@@ -404,6 +405,7 @@ def test_grids_and_worlds_that_variables_keep_are_counted(patient):
     patient.eval("clear('g');")
 
 
+@pytest.mark.slow
 def test_the_users_own_variables_do_not_count(patient):
     patient.add_variable("large", "a" * 2 * MEMORY)
     assert patient.eval("x = 1; x + count(large);") == 2 * MEMORY + 1

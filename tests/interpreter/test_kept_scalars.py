@@ -241,6 +241,7 @@ class _Loud(ssduck.Interpreter):
         return ("own", form, super().evalAs(form, select, elements, names, where))
 
 
+@pytest.mark.slow
 def test_a_row_again_is_what_the_program_gives(lab, monkeypatch, capsys):
     calls = []
     lab.ss.add_function("noted", lambda x: calls.append(x) or x + 1.0)

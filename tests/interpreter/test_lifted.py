@@ -26,6 +26,7 @@ def lab():
         yield ss, put
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rise", "expected"), [(0.0, False), (0.25 - 1e-9, False), (0.25, True), (0.5, True)]
 )

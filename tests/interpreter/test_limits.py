@@ -76,6 +76,7 @@ ENDLESS = [
 ]
 
 
+@pytest.mark.slow
 @sampled(("program", "words"), ENDLESS, every=3)
 def test_programs_end(strict, program, words):
     fails(strict, lambda: strict.eval(program), LimitError, words)
@@ -127,6 +128,7 @@ def without_files():
     yield from _confined(seconds=HANGS, select_only=False)
 
 
+@pytest.mark.slow
 @sampled("text", ESCAPES, every=3)
 def test_sql_reaches_nothing_outside(strict, without_files, text, tmp_path, monkeypatch):
     import pandas as pd

@@ -53,6 +53,7 @@ def plain(value):
     return getattr(value, "name", value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_a_mirror_answers_programs_as_the_world(pair, program):
     ss, mirror = pair

@@ -144,6 +144,7 @@ def test_kept_answers_are_read_and_not_computed(recorded, tmp_path, monkeypatch)
         lake.ask(f"{program} ", processes=1, resume=tmp_path)
 
 
+@pytest.mark.slow
 def test_kept_answers_are_of_episodes_whatever_batches_they_were_in(
     recorded, tmp_path, monkeypatch
 ):

@@ -88,6 +88,7 @@ def test_strict_questions_refuse_doubts(recorded, word, program, answer):
     assert word in doubt
 
 
+@pytest.mark.slow
 def test_many_doubts_are_some_warnings(recorded):
     names = ", ".join(f"'thng_{number}'" for number in range(MAX_DOUBTS + 5))
     program = f"SELECT id FROM sim WHERE id IN ({names}) AS list;"

@@ -102,6 +102,7 @@ def test_episodes_that_are_known_are_asked_with_others(record, program) -> None:
     assert asked(record, program) == expected
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("together")
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_each_file_of_an_episode_is_read_once_a_question(record, read, program) -> None:

@@ -325,6 +325,7 @@ def test_sql_mistakes(ss, sql, words):
     assert ss.sql("SELECT 1").fetchall() == [(1,)]
 
 
+@pytest.mark.slow
 def test_a_removed_body():
     client = pybullet.connect(pybullet.DIRECT)
     try:

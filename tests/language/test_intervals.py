@@ -221,6 +221,7 @@ def test_the_greatest_value(lab: Any) -> None:
         lab[0].eval("greatest(id(ball));")
 
 
+@pytest.mark.slow
 def test_changes_of_a_value(lab: Any) -> None:
     _put(lab[2], [0.5, 0.21, 0.21, 0.5])
     found = _evaluated(lab, "changes(near(ball, board, 0.05));")
@@ -312,6 +313,7 @@ def test_intervals_in_sql_are_those_of_the_language(lab: Any) -> None:
     assert len(row) == 1
 
 
+@pytest.mark.slow
 def test_initially_is_the_value_at_the_first_recorded_tick(lab: Any) -> None:
     _, _, world = lab
     start = world["ball"].position[2]

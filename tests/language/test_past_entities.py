@@ -195,6 +195,7 @@ def test_lists_without_a_difference(fall, program, message):
 # -- previous, rate, at ----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_previous_rate_and_at(fall):
     z, eval = fall.heights, fall.ss.eval
     assert eval("previous(z(sim.ball));") == z[-2]

@@ -405,6 +405,7 @@ def test_operators_without_a_function_are_no_trouble(kitchen):
     assert found == before != []
 
 
+@pytest.mark.slow
 def test_a_replaced_relation_with_types_is_sql(kitchen):
     def above(a: ssduck.Entity, b: ssduck.Entity) -> bool:
         return a.name < b.name

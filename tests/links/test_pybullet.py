@@ -47,6 +47,7 @@ def test_boxes_are_within_those_of_pybullet(cell):
         assert values == [low[0], high[0], low[1], high[1], low[2], high[2]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*FINGERS, "panda_hand", "panda_link6"])
 @pytest.mark.parametrize(("other", "body"), [("cube", "cube"), ("table", "table")])
 def test_distances(cell, name, other, body):

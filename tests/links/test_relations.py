@@ -71,6 +71,7 @@ def late(cell):
     return f"sim{{{cell.world.time}}}"
 
 
+@pytest.mark.slow
 @sampled("relation", ONE, every=6, ids=lambda r: r.name)
 @sampled("name", LINKS, every=2)
 def test_of_one_link(cell, relation, name):

@@ -328,6 +328,7 @@ def test_a_picture_highlights_what_is_selected(kitchen, robots, program, languag
     assert np.array_equal(picture, robots)
 
 
+@pytest.mark.slow
 def test_a_result_that_is_a_picture_is_returned(kitchen):
     program = "SELECT obj FROM kitchen AS occupancygrid(0.24, 0.1);"
     expected = kitchen.eval(program)._repr_png_()

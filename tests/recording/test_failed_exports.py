@@ -154,6 +154,7 @@ def no_room(*_: Any, **__: Any) -> None:
     raise OSError(errno.ENOSPC, "No space left on device")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["create_file", "change_description", "write_parquet"])
 @pytest.mark.parametrize("new", ["out", "new/out"])
 def test_a_full_disk_leaves_no_folder(

@@ -408,6 +408,7 @@ def test_a_log_whose_part_is_complete_does_not_count(
         assert sorted(rows) == [(tick, BALLS) for tick in (1, 2, 3)]
 
 
+@pytest.mark.slow
 def test_full_buffers_only(world: ssduck.World, clock: Clock, tmp_path: Path) -> None:
     with ssduck.Interpreter(recording=None) as ss:
         recorder = _started(ss, world, tmp_path / "run", flush_every=None)

@@ -231,6 +231,7 @@ def test_true_statistics_are_none(made: Path, kind: str) -> None:
             assert ss.sql(f"SELECT count(*) FROM {table}_model").fetchone()[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("table", ["entities", "models/entities"])
 def test_a_folder_may_be_a_link_inside_of_the_record(folder: Path, table: str) -> None:
     episode, place = part(folder, table).parent, folder / "elsewhere" / "episode=1"

@@ -132,6 +132,7 @@ def test_an_episode_that_has_just_begun_is_removed(
         assert {place.name for place in tmp_path.iterdir()} == {"record"}
 
 
+@pytest.mark.slow
 def test_an_episode_is_not_left_without_its_pairs(
     record: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

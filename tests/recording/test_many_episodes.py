@@ -65,6 +65,7 @@ def run(tmp_path: Path, client: int) -> Path:
     return place
 
 
+@pytest.mark.slow
 def test_an_episode_begins_after_a_few_looks(
     run: Path, client: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -115,6 +115,7 @@ class Clock:
         return self.now
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["folder", "file"])
 def test_opening_under_limits_ends(
     runs: dict[str, Path], kind: str, monkeypatch: pytest.MonkeyPatch

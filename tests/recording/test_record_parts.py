@@ -178,6 +178,7 @@ def older(run: Path) -> None:
     about.write_text(json.dumps(told))
 
 
+@pytest.mark.slow
 def test_an_older_record_is_opened_if_its_ticks_ascend(run: Path) -> None:
     older(run)
     with ssduck.open(run) as ss:

@@ -130,6 +130,7 @@ def test_a_part_that_is_removed(run, is_asked, name, is_strict):
             ssduck.Interpreter().sql("FROM 'none.parquet'")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="Windows has other permissions")
 @sampled("place", ["", "entities", "models", "part"], every=2)
 @pytest.mark.parametrize("is_asked", [False, True])
@@ -152,6 +153,7 @@ def test_a_part_that_may_no_longer_be_read(run, place, is_asked):
             closed.chmod(0o755)
 
 
+@pytest.mark.slow
 def test_tags_of_an_open_record(run):
     with ssduck.open(run) as ss:
         before = ss.eval(QUESTION)

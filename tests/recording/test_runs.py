@@ -168,6 +168,7 @@ def test_what_is_no_row_is_unknown(live) -> None:
     assert len(live.sql(same).fetchall()) == 4
 
 
+@pytest.mark.slow
 def test_rows_of_two_ticks_are_an_error(live) -> None:
     shapes = ("clearance(a, b)", "near(a, b, 0.01)", "collides(a, b)", "inside(a, b)")
     for what in (*shapes, "inContact(a, b)", "contactForce(a, b)", "isSensing(a, b)"):

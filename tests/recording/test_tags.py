@@ -55,6 +55,7 @@ def test_tags_are_read_back_with_their_types(scene: Path, tmp_path: Path) -> Non
     assert recorded(scene, tmp_path / "a").tags == {}
 
 
+@pytest.mark.slow
 def test_a_running_recording_and_a_closed_one_get_further_tags(scene: Path, tmp_path: Path) -> None:
     with (
         ssduck.load(scene) as ss,

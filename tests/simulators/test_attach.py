@@ -467,6 +467,7 @@ def test_bodies_that_the_list_of_the_client_lacks(client):
     assert seen() == [0, 3, 5, 6, 7, 8]
 
 
+@pytest.mark.slow
 def test_contacts_of_a_body_that_the_list_still_lacks():
     """They are of no entity at the tick that meets the body first, and then of this body."""
     mine = pybullet.connect(pybullet.DIRECT)

@@ -339,6 +339,7 @@ def test_bodies_that_are_built_again_keep_their_names_in_the_next_episode(client
     assert [(entity.name, entity.kind) for entity in world] == first
 
 
+@pytest.mark.slow
 def test_a_table_that_was_not_read_does_not_count_the_tick_twice(client, bouncing):
     """Sums over the past are the same after any query."""
     ss, world = bouncing
@@ -421,6 +422,7 @@ def test_other_worlds_take_no_time_by_a_tick(tmp_path):
                 assert each.time == before
 
 
+@pytest.mark.slow
 def test_the_last_of_ticks_at_the_same_time_counts(client, bouncing):
     """The ball is put elsewhere between two steps; before, at and after that time."""
     ss, world = bouncing

@@ -66,6 +66,7 @@ def test_motors_take_joints_to_positions_and_hold_them(crane):
     assert at(crane, "push").position == pytest.approx(0.1, abs=0.01)
 
 
+@pytest.mark.slow
 def test_no_faster_than_the_model_allows(crane):
     crane.drive({"lift": 0.9})
     fastest = 0.0

@@ -124,6 +124,7 @@ def test_links_that_do_not_hang_on_it_do_not_count(yard):
     gripper.hold(ball)  # all hangs on the base
 
 
+@pytest.mark.slow
 def test_what_it_holds_is_held_in_an_excerpt(yard):
     gripper, ball = yard["gripper"], yard["ball"]
     gripper.hold(ball, "hand")

@@ -87,6 +87,7 @@ def test_changed_margins_count_from_the_next_tick(sim, client, way, row_by_row):
         assert [WAYS[way](ss, relation) for relation in RELATIONS] == [False] * 4
 
 
+@pytest.mark.slow
 def test_they_are_in_the_table_and_in_what_if_worlds(sim, client):
     with ssduck.Interpreter() as ss:
         ss.add_variable("sim", sim)

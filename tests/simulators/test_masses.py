@@ -110,6 +110,7 @@ def test_masses_of_a_world_that_ssduck_made():
         assert ss.sql("SELECT max(tick) FROM ticks").fetchall() == [(number[0][0] + 1,)]
 
 
+@pytest.mark.slow
 def test_a_soft_body_has_none(client):
     pybullet.resetSimulation(pybullet.RESET_USE_DEFORMABLE_WORLD, client)
     pybullet.loadSoftBody(f"{pybullet_data.getDataPath()}/bunny.obj", physicsClientId=client)

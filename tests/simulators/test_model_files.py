@@ -104,6 +104,7 @@ def test_the_names_of_mjcf_bodies(load, tmp_path):
         assert [entity.name for entity in ss.call_variable("a")] == names
 
 
+@pytest.mark.slow
 def test_the_names_of_mjcf_bodies_with_joints_to_the_world(load):
     """PyBullet puts a base without a name before them."""
     hinge, slide = '<joint type="hinge" axis="0 1 0"/>', '<joint type="slide" axis="1 0 0"/>'
@@ -135,6 +136,7 @@ def test_names_of_the_scene_come_first(load):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("key", "file", "text"), [("sdf", "a.sdf", SDF), ("mjcf", "a.xml", MJCF)])
 def test_a_pose_moves_the_whole_file(load, write, key, file, text):
     files = {file.replace(".", "_"): text}
@@ -173,6 +175,7 @@ def test_static_models_stay(load, word):
         assert entity.mass == (mass - 1 if static else mass)
 
 
+@pytest.mark.slow
 def test_all_bodies_of_a_file_can_be_fixed(load):
     text = 'floor = true\n[[body]]\nsdf = "a.sdf"\nfixed = true\nposition = [0, 0, 2]\n'
     _, world = load(text + '[[body]]\nname = "b"\nbox = [1, 1, 1]\n', a_sdf=SDF)
@@ -463,6 +466,7 @@ def test_meshes_that_are_skipped(load):
         load('[[body]]\nsdf = "a.sdf"\n', a_sdf=sdf_of(sdf_model("m", sdf_link(geometry=mesh))))
 
 
+@pytest.mark.slow
 def test_an_excerpt_of_part_of_a_file_has_the_order_of_the_world(load):
     text = '[[body]]\nsdf = "a.sdf"\n' + "".join(
         f'[[body]]\nname = "box_{number}"\nbox = [1, 1, 1]\nposition = [0, 0, {5 + 2 * number}]\n'

@@ -151,6 +151,7 @@ def test_a_pose_of_three_numbers(load):
         load("a.sdf", sdf_of(sdf_model("m", link)))
 
 
+@pytest.mark.slow
 def test_many_doubts_are_few_words(load):
     joints = [joint(f"j{n}", "fixed", "a", f"b{n}", xyz=("x", 1, 2)) for n in range(9)]
     links = [link("a"), *(link(f"b{n}") for n in range(9))]
@@ -184,6 +185,7 @@ def shape(kind, name):
 FORMATS = ["box.glb", "model.gltf", "box.ply", "box.off", "ascii.stl", "box.stl", "box.obj"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FORMATS)
 def test_meshes_of_other_formats(load, meshes, name):
     shapes = shape("visual", name) + collision(BOX)
@@ -212,6 +214,7 @@ def test_a_drawing_that_cannot_be_read_is_left_out(load, tmp_path, name):
     assert entity.aabb[1] == pytest.approx([0.5, 0.5, 0.5])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["pointer.obj", "pointer.stl", "pointer.dae", "empty.stl", "empty.obj"]
 )
@@ -363,6 +366,7 @@ def test_mujoco_keeps_the_names_of_links_at_fixed_joints(write):
 WORDS = ["main", "temp", "memory", "system", "select", "this", "as"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("word", WORDS)
 def test_a_file_whose_name_is_a_word(write, word):
     path = write(f"{word}.urdf", ROOT)
@@ -373,6 +377,7 @@ def test_a_file_whose_name_is_a_word(write, word):
         assert len(ss.eval(f"SELECT id FROM world_{word} AS list;")) == 1
 
 
+@pytest.mark.slow
 def test_the_name_of_a_world(write):
     path = write("main.urdf", ROOT)
     with ssduck.load(path, name="lab") as ss:

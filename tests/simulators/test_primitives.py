@@ -55,6 +55,7 @@ velocity = [0, 0, 0, 0, 0, 3]
 """
 
 
+@pytest.mark.slow
 @sampled("name", BODIES, every=2)
 def test_a_primitive_is_what_pybullet_makes(load, client, name):
     keys, arguments, mass = BODIES[name]
@@ -85,6 +86,7 @@ def test_a_primitive_is_what_pybullet_makes(load, client, name):
         assert high == pytest.approx(theirs[1], abs=2.1e-3)
 
 
+@pytest.mark.slow
 def test_the_aabb_of_each_primitive(load):
     """Centred at its frame, with its axis along z."""
     _, world = load("\n".join(f'[[body]]\nname = "{n}"\n{BODIES[n][0]}' for n in BODIES))
@@ -138,6 +140,7 @@ def test_the_table_of_the_floor(load):
     assert world.step(240)["box"].aabb[0][2] == pytest.approx(-0.5, abs=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("floor", "height"), [(0.0, 0.1), (1.0, 0.33)])
 def test_restitution_takes_both_bodies(load, floor, height):
     """From 1 m above the floor, a ball of restitution 0.5 bounces to about a quarter of that."""
@@ -229,6 +232,7 @@ def test_sensors_and_constraints_on_primitives(load):
     assert world.step(240)["crate"].position[2] == pytest.approx(1, abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_hidden_and_a_disabled_primitive(load):
     text = 'floor = true\n[[body]]\nname = "ghost"\nbox = [1, 1, 1]\nenabled = false\nvisible = false\n'
     _, world = load(text)
@@ -368,6 +372,7 @@ def test_what_if_a_primitive_were_elsewhere(load):
         assert ss.eval("penetration(other.floor, other.crate);") == pytest.approx(0.1, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_the_command_line_takes_such_scenes(write):
     path = write("room.toml", STACK)
     query = "SELECT id FROM room WHERE isKinbody(this) AS list;"

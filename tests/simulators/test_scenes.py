@@ -133,6 +133,7 @@ def test_a_scene_without_a_name_is_called_as_its_file(write, monkeypatch, tmp_pa
     assert read_scene(Path(path.name)).name == name
 
 
+@pytest.mark.slow
 def test_a_world_is_what_its_scene_says(scene):
     with ssduck.load(scene(FULL)) as ss:
         world = ss.call_variable("room")
@@ -191,6 +192,7 @@ velocity = [-0.5, 0.25, 0, 0, 0, 0]
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("elastic", [True, False])
 def test_bodies_of_an_elastic_scene_lose_no_energy(write, elastic):
     """Two balls of one mass that meet head-on exchange their speeds along the line of centres."""

@@ -158,11 +158,13 @@ def test_a_model_relative_to_another_and_its_placement_frame(load):
     assert same(placed(world["two"]), frame(MODEL) @ frame(FRAME) @ frame(ARM))
 
 
+@pytest.mark.slow
 def test_empty_poses(links):
     link = posed(sdf_link("base"), "").replace('name="c">', 'name="c"><pose/>', 1)
     assert same(links(link)["base"], frame(MODEL))
 
 
+@pytest.mark.slow
 def test_a_turned_base_in_a_turned_scene(load):
     text = sdf_of(sdf_model("m", posed(sdf_link(), words(BASE)), pose=words(MODEL)))
     pose = "position = [3, 2, 1]\norientation = [0.5, 0.5, 0.5, 0.5]\n"

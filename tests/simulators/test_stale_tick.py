@@ -249,6 +249,7 @@ OF_OTHER: list[Callable[[ssduck.Interpreter], Any]] = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_first", [True, False])
 def test_only_worlds_that_a_query_reads_are_compared(
     client: int, other: int, sim: tuple[ssduck.Interpreter, ssduck.World], *, is_first: bool

@@ -225,6 +225,7 @@ TOLD = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
 @pytest.mark.parametrize(("lines", "then", "error", "message"), TOLD)
 def test_nothing_that_a_taken_process_tells_is_believed(

@@ -91,6 +91,7 @@ def test_settled_at_its_boundary(lab, option, linear, angular):
     assert both(ss, expression) is False
 
 
+@pytest.mark.slow
 def test_a_robot_is_settled_when_each_link_is(tmp_path):
     """Live, row by row, in raw SQL, over the ticks and in a record, against PyBullet's getter."""
     client = pybullet.connect(pybullet.DIRECT)

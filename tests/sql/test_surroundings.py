@@ -137,6 +137,7 @@ def test_enclosed_is_walls_on_both_sides_along_two_axes(stage, write, name):
         assert found.count(True) > 3
 
 
+@pytest.mark.slow
 def test_the_hull_of_a_table_is_not_its_inside(stage, write):
     stage.urdf("table", write("table.urdf", of_boxes(*PROFILES["table"][0])))
     stage.sphere("ball", (0, 0, -0.02), radius=0.05)
@@ -332,6 +333,7 @@ def test_supports_at_its_edges(stage, place, holds):
         assert ss.eval("supports(plank, block);") is is_below
 
 
+@pytest.mark.slow
 @sampled(("degrees", "holds"), [(0, True), (29.9, True), (30.1, False), (60, False)], every=4)
 def test_supports_on_a_slope(stage, degrees, holds):
     turn = Rotation.from_euler("y", degrees, degrees=True)
@@ -355,6 +357,7 @@ CORNERS = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @sampled("name", CORNERS, every=4)
 def test_what_carries_together(stage, name):
     plates, carriers = CORNERS[name]

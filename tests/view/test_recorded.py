@@ -177,6 +177,7 @@ def binary(socket, kind):
             return data
 
 
+@pytest.mark.slow
 def test_the_ticks_and_a_track_are_sent(socket, ss):
     message = {}
     while message.get("type") != "ticks":

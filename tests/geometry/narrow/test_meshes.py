@@ -308,6 +308,7 @@ def test_the_depth_of_meshes_is_that_of_all_corners_and_triangles(seed):
     assert pairs.gap(a, b).distance == pytest.approx(-max(depths), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_many_corners_that_are_as_deep():
     slab = trimesh.creation.box((1, 1, 0.2))
     for _ in range(4):

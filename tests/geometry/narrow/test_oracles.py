@@ -99,6 +99,7 @@ def test_formulas_agree_with_fcl(kinds):
         assert max(0.0, found) == pytest.approx(max(0.0, distance), abs=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kinds",
     [("box", "box"), ("sphere", "cylinder"), ("capsule", "box"), ("cylinder", "cylinder")],

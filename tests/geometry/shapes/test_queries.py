@@ -106,6 +106,7 @@ def test_functions_of_texts_are_as_they_were(row):
     assert ss.sql("SELECT contains('abc', 'b'), position('b' IN 'abc')").fetchall() == [(True, 2)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("values", "one", "other"),
     [
@@ -251,6 +252,7 @@ def test_relations_of_two_worlds(stage):
         assert ss.eval(program.format("inContact")) == []
 
 
+@pytest.mark.slow
 def test_a_what_if_is_asked_of_its_own_poses(stage):
     stage.box("a")
     stage.box("b", (3, 0, 0))
@@ -262,6 +264,7 @@ def test_a_what_if_is_asked_of_its_own_poses(stage):
             assert found == pytest.approx([0, max(0, x - 1), max(0, x - 1), 0])
 
 
+@pytest.mark.slow
 def test_the_next_query_sees_what_was_moved(stage):
     stage.box("a")
     stage.box("b", (3, 0, 0))
@@ -316,6 +319,7 @@ def test_a_crate_at_rest_on_a_ramp_is_held_by_its_contacts(stage, first):
         assert on_ramp[1] == pytest.approx([-30 * y, 30 * x, 0], abs=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", ["", "sim."])
 def test_pairs_as_tables(row, place):
     ss, _, world = row

@@ -135,6 +135,7 @@ def in_sql(condition):
     return text
 
 
+@pytest.mark.slow
 @sampled(("condition", "position", "holds"), EDGES, every=2)
 def test_edges(pair, condition, position, holds):
     ss, slow, b = pair
@@ -261,6 +262,7 @@ def viewed():
     made.close()
 
 
+@pytest.mark.slow
 @sampled(("degrees", "offset", "side"), TURNED, every=3)
 def test_sides(viewed, degrees, offset, side):
     *both, world = viewed

@@ -200,6 +200,7 @@ def test_a_world_that_comes_later(ss, client):
     assert got == [1, ["ball"]]
 
 
+@pytest.mark.slow
 def test_a_name_may_come_to_stand_for_another_world(ss, sim, client):
     got = []
     ss.add_trigger("t", "SELECT id FROM sim AS list;", 0.1, got.append)

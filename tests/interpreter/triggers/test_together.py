@@ -333,6 +333,7 @@ def test_a_statement_serves_triggers_that_are_due_at_different_ticks(ss, boxes, 
     assert len(told) <= 60
 
 
+@pytest.mark.slow
 def test_a_removed_trigger_leaves_the_statement_of_the_others(ss, boxes, told):
     add_all(ss, "SELECT name, z FROM sim WHERE name LIKE 'b%' AND z < {};", 10)
     boxes.step(RUNS_BEFORE_PLAN + 1)

@@ -226,6 +226,7 @@ def test_a_symmetric_question_is_answered_in_the_other_order(heap: ssduck.Interp
     assert _work(heap) == before
 
 
+@pytest.mark.slow
 def test_of_two_orders_one_is_compared(heap: ssduck.Interpreter) -> None:
     heap.past("sim").record.answer_cache.clear()
     rows = (
@@ -271,6 +272,7 @@ def stool(tmp_path: Path) -> Iterator[ssduck.Interpreter]:
     pybullet.disconnect(client)
 
 
+@pytest.mark.slow
 def test_what_stands_still_is_compared_once(stool: ssduck.Interpreter) -> None:
     legs, (before, _) = 4, _work(stool)
     assert stool.eval("least(clearance(board, shelf));")[0] == 0.0

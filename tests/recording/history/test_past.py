@@ -130,6 +130,7 @@ def test_handles_of_the_past_stay(falling: ssduck.Interpreter) -> None:
         then.move([0, 0, 0])
 
 
+@pytest.mark.slow
 def test_a_handle_that_was_not_there_is_unknown(falling: ssduck.Interpreter) -> None:
     _step(falling, 5)
     world = falling.call_variable("lab")
@@ -144,6 +145,7 @@ def test_a_handle_that_was_not_there_is_unknown(falling: ssduck.Interpreter) -> 
         assert found == [world.snapshot.number]
 
 
+@pytest.mark.slow
 @sampled("is_same", [True, False], every=2)
 @pytest.mark.parametrize(
     "relation",
@@ -170,6 +172,7 @@ def test_shapes_of_two_ticks_are_not_compared(
     assert apart == rows != [0.0]
 
 
+@pytest.mark.slow
 def test_neither_are_those_of_a_nested_query(fallen: ssduck.Interpreter) -> None:
     program = "SELECT count(SELECT b.this FROM b=lab{{{}}} WHERE near(a.this, b.this, 5) AS list) "
     program += "FROM a=lab{{0.1}} AS list;"
@@ -333,6 +336,7 @@ def _is_chosen(where: str, a: Any, b: Any, tick: int) -> bool:
     return a.name == "roomba_625x" and ("'kitchen'" not in where or b.name == "kitchen")
 
 
+@pytest.mark.slow
 def test_a_window_is_compared_once(looked_at: ssduck.Interpreter) -> None:
     looked_at.eval("robot = SELECT obj FROM kitchen WHERE id(this) == 'roomba_625x' AS value;")
     looked_at.eval("room = SELECT obj FROM kitchen WHERE id(this) == 'kitchen' AS value;")
@@ -497,6 +501,7 @@ def test_a_bounded_record_is_exported_in_order(falling: ssduck.Interpreter, tmp_
         assert record.sql("SELECT * FROM entities_history ORDER BY tick, id").fetchall() == live
 
 
+@pytest.mark.slow
 def test_the_past_is_read_while_another_thread_steps(falling: ssduck.Interpreter) -> None:
     _step(falling, 20)
     with _stepped(falling.call_variable("lab")):

@@ -117,6 +117,7 @@ def test_all_ticks_together_have_the_answers_of_each_tick(
     assert ss.eval(program) == singly
 
 
+@pytest.mark.slow
 def test_a_container_that_stands_still_is_placed_once(
     ss: ssduck.Interpreter, monkeypatch: pytest.MonkeyPatch
 ) -> None:

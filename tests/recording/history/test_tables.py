@@ -95,6 +95,7 @@ def test_every_nth_tick_is_kept(falling: ssduck.Interpreter, every: int) -> None
     assert ticks == list(range(first, first + 21, every))
 
 
+@pytest.mark.slow
 def test_some_entities_are_kept(falling: ssduck.Interpreter) -> None:
     falling.record("lab", Recording(entities=("ball_1",), tables=("contacts", "shapes")))
     _step(falling, 100)

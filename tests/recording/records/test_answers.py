@@ -72,6 +72,7 @@ def test_each_past_tick_is_the_same(tmp_path, client):
                 assert opened.eval(program) == ss.eval(program)
 
 
+@pytest.mark.slow
 def test_the_time_of_day_goes_along(tmp_path, client):
     with ssduck.Interpreter() as ss:
         world = ss.add_variable("lab", ssduck.World.attach(client))

@@ -73,6 +73,7 @@ def test_some_entities_are_exported(tmp_path, client, chosen, found):
     assert episode.entities is not None
 
 
+@pytest.mark.slow
 @sampled(
     ("start", "end", "ticks"),
     [

@@ -127,6 +127,7 @@ def meshes_of(path):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["kuka_iiwa/model.urdf", "duck_vhacd.urdf", "teddy_vhacd.urdf"])
 def test_boxes_are_those_of_all_vertices_of_the_files(client, model):
     handle = pybullet.loadURDF(str(LIBRARY / model), physicsClientId=client)

@@ -119,6 +119,7 @@ def test_all_relations_of_entities_agree(worlds):
     assert differences(ss, f"SELECT id(this) AS name, {selected} FROM SIM;") == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["occupancygrid", "voxelgrid"])
 def test_grids_agree(worlds, form):
     """Cells are filled in the same places; a shape may end at the edge of one."""

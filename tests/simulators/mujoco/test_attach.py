@@ -207,6 +207,7 @@ def test_a_reset_begins_an_episode(model, data, tmp_path):
     assert episodes == [4, 2]
 
 
+@pytest.mark.slow
 def test_resets_of_worlds_that_no_interpreter_has(model, data):
     """One was closed, in another the name stands for something else now."""
     closed, other = ssduck.Interpreter(), ssduck.Interpreter()
@@ -392,6 +393,7 @@ def test_data_of_another_model_is_told(model):
         ssduck.World.attach(model, mujoco.MjData(other))
 
 
+@pytest.mark.slow
 def test_ticks_take_no_time_from_the_user(model, data):
     world = ssduck.World.attach(model, data)
     with pytest.raises(ArgumentError, match="keeps the time itself"):
@@ -405,6 +407,7 @@ def test_ticks_take_no_time_from_the_user(model, data):
     assert world.step(3).time == pytest.approx(0.02)
 
 
+@pytest.mark.slow
 def test_sensors_perceive_what_collides(model, data):
     """A range finder on the hand looks through it and what is only drawn, down to the table."""
     with ssduck.Interpreter() as ss:
@@ -441,6 +444,7 @@ def test_ssduck_works_without_mujoco():
     assert "pip install 'ssduck[mujoco]'" in done.stdout
 
 
+@pytest.mark.slow
 def test_a_file_is_loaded_and_run(tmp_path):
     path = tmp_path / "lab.xml"
     path.write_text(LAB)

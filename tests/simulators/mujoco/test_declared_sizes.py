@@ -202,6 +202,7 @@ def test_files_are_looked_for_where_mujoco_looks(tmp_path, name):
     refused(tmp_path, f"<mujoco>{text}</mujoco>", "more than 1,000,000 elements")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("form", "words"),
     [

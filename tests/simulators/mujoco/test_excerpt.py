@@ -52,6 +52,7 @@ def test_what_is_not_copied_is_not_there(lab):
     assert model.geom_contype.tolist() == mujoco.MjModel.from_xml_string(LAB).geom_contype.tolist()
 
 
+@pytest.mark.slow
 def test_copies_of_past_and_assumed_ticks_are_at_their_poses(lab):
     world, model, data = lab
     random_state(model, data, 5)

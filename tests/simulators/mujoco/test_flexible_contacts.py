@@ -20,6 +20,7 @@ CLOTH = """
 SENSORS = {"contact_sensor": {}, "range_finder": {"max_range": 1.0}}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "options"), SENSORS.items())
 def test_no_sensor_is_in_contact_where_cloth_presses(kind, options):
     model = mujoco.MjModel.from_xml_string(CLOTH)
@@ -63,6 +64,7 @@ FLEXES = {
 }
 
 
+@pytest.mark.slow
 @sampled("kind", FLEXES, every=4)
 def test_a_flex_is_one_entity_with_its_contacts(kind):
     try:
@@ -89,6 +91,7 @@ def test_a_flex_is_one_entity_with_its_contacts(kind):
         assert ss.eval("on(sim.world, sim.cloth);") is False
 
 
+@pytest.mark.slow
 def test_a_flex_can_be_named_and_falls_as_mujoco_says():
     model, data = settled(CLOTH, 1)
     with ssduck.Interpreter() as ss:
@@ -106,6 +109,7 @@ def test_a_flex_can_be_named_and_falls_as_mujoco_says():
             assert seen == pytest.approx(velocity[5], abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_flex_that_is_disabled_meets_nothing():
     model, data = settled(CLOTH)
     with ssduck.Interpreter() as ss:

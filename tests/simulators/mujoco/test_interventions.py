@@ -66,6 +66,7 @@ def test_what_is_held_goes_where_the_gripper_goes(yard):
     assert yard.simulator.episode == 0
 
 
+@pytest.mark.slow
 def test_a_link_holds_what_touches_it(yard):
     with pytest.raises(StateError, match="0 links of 'finger' and beyond are within"):
         yard["gripper"].hold(yard["ball"], "finger")

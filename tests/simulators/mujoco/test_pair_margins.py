@@ -51,6 +51,7 @@ def pressed(model, data, thing):
     return any(sorted(c.geom) == geoms and c.efc_address >= 0 for c in data.contact)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
 @sampled("case", CASES, every=3)
 def test_they_hold_where_the_simulator_presses(case, way):
@@ -74,6 +75,7 @@ def test_they_hold_where_the_simulator_presses(case, way):
         assert not any(answers[-1] for answers in seen.values())
 
 
+@pytest.mark.slow
 def test_margins_that_change_count_from_the_next_tick():
     model = mujoco.MjModel.from_xml_string(
         MODEL.format(option="", table="", cup="", ball="", pair=PAIR.format('margin=".1"'))
@@ -93,6 +95,7 @@ def test_margins_that_change_count_from_the_next_tick():
         assert ss.eval("touching(s.cup, s.ball);") is False
 
 
+@pytest.mark.slow
 def test_past_ticks_tell_that_they_have_a_margin_for_each_shape():
     model = mujoco.MjModel.from_xml_string(
         MODEL.format(option="", table="", cup="", ball="", pair=PAIR.format('margin=".1"'))

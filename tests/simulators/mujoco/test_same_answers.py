@@ -265,6 +265,7 @@ def test_forms_agree(heaps, form, recwarn):
         assert same(one, other), (one, other)
 
 
+@pytest.mark.slow
 def test_files_agree(heaps, tmp_path):
     import trimesh
     from pyarrow import parquet

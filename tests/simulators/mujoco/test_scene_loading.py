@@ -114,6 +114,7 @@ def are_same(one, other):
             assert found == ([] if joint.type == "fixed" else [pytest.approx(joint.position)])
 
 
+@pytest.mark.slow
 def test_a_scene_is_what_it_says(room):
     with ssduck.load(room, simulator="mujoco") as ss:
         world = ss["room"]
@@ -137,6 +138,7 @@ def test_a_scene_is_what_it_says(room):
         assert ss.eval("clearance(room.slope, room.ball);") == pytest.approx(9 * 0.6 + 0.8 - 0.2)
 
 
+@pytest.mark.slow
 def test_a_scene_is_the_same_with_pybullet(room):
     pytest.importorskip("pybullet")
     with (
@@ -146,6 +148,7 @@ def test_a_scene_is_the_same_with_pybullet(room):
         are_same(ss["room"], other["room"])
 
 
+@pytest.mark.slow
 def test_bodies_fall_are_held_and_driven(room):
     with ssduck.load(room, simulator="mujoco") as ss:
         world = ss["room"]
@@ -164,6 +167,7 @@ def test_bodies_fall_are_held_and_driven(room):
         assert ss.eval(joint.format("one", "roll")) - before == pytest.approx(0.5, abs=0.03)
 
 
+@pytest.mark.slow
 def test_it_is_copied_and_saved(room, tmp_path):
     with ssduck.load(room, simulator="mujoco") as ss:
         world = ss["room"]

@@ -188,6 +188,7 @@ def test_the_clearance_of_ellipsoids_is_the_distance_that_mujoco_computes(eggs):
     assert len(rows) - apart > 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("margin", [0.0, 1e-3, 0.05])
 def test_all_pairs_of_ellipsoids_at_once_are_those_one_by_one(eggs, margin):
     """As they lie, and lifted until some only just touch."""

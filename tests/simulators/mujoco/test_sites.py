@@ -98,6 +98,7 @@ def test_sites_are_values_beside_links(moved):
         ss.eval("lab.arm.gripp;")
 
 
+@pytest.mark.slow
 def test_the_table_has_forms_and_sizes(moved):
     ss = moved[0]
     rows = ss.sql("SELECT name, region, region_x, region_y, region_z FROM sites ORDER BY id")
@@ -207,6 +208,7 @@ def is_inside(form, size, place):
     return bool(np.linalg.norm([x, y, z - along]) < size[0])
 
 
+@pytest.mark.slow
 def test_raw_sql_says_how_to_ask_for_a_region(moved):
     ss = moved[0]
     pairs = "FROM sites s, entities e WHERE s.name = 'zone' AND e.name = 'ball'"
@@ -284,6 +286,7 @@ def test_a_region_that_changes_and_a_site_that_moves():
     assert ss.eval("clearance(lab.far, lab.world.goal);") == pytest.approx(0.05)
 
 
+@pytest.mark.slow
 def test_a_world_without_sites_has_none():
     ss, _, _ = world_of("<mujoco><worldbody><body><geom size='.1'/></body></worldbody></mujoco>")
     assert ss.eval("SELECT id FROM sites(lab) AS list;") == []

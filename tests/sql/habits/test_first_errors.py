@@ -100,6 +100,7 @@ def test_a_program_says_what_to_write(ss, program, told):
         ss.eval(program)
 
 
+@pytest.mark.slow
 def test_what_the_errors_say_is_right(ss):
     assert ss.eval("[aabb(sim.cube)[1], aabb(sim.arm.hand)[4]];") == pytest.approx([0.1, 0.95])
     assert ss.eval("z(sim['duplo2x4/']);") == 0.5
@@ -125,6 +126,7 @@ def test_limits_name_the_tables():
         strict.sql("SHOW TABLES")
 
 
+@pytest.mark.slow
 def test_each_of_many_links_is_a_value():
     """More than a table of 511 links, against MuJoCo."""
     bodies = "".join(

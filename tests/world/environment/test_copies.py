@@ -109,6 +109,7 @@ def test_it_holds_exactly_what_is_selected(kitchen):
     assert type(near["table"]) is ssduck.KinBody
 
 
+@pytest.mark.slow
 def test_a_sensor_brings_its_body_and_a_body_no_sensor(kitchen):
     kitchen["fridge_webcam"].power(False)
     with_body = kitchen.excerpt(["fridge_webcam"])

@@ -411,6 +411,7 @@ def test_mistakes_of_other_worlds_and_of_others_than_sensors(mast):
     pybullet.disconnect(other.client)
 
 
+@pytest.mark.slow
 def test_sensors_stay_what_they_are_while_a_query_runs(mast):
     mast.box("wall", [0.5, 9, 9], [2, 0, 0])
     world = mast.open()
