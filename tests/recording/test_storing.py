@@ -355,14 +355,16 @@ def test_what_fails_again_and_again(
 
 
 def test_a_log_that_cannot_be_moved_is_told_at_flush(
-    recorded: ssduck.Interpreter, world: ssduck.World, monkeypatch: pytest.MonkeyPatch
+    recorded: ssduck.Interpreter, world: ssduck.World, gate: Gate, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fails(_: Any) -> None:
         raise SqlError("no checkpoint")
 
     with monkeypatch.context() as patch:
         patch.setattr(WriterConnection, "checkpoint", fails)
+        gate.hold("INSERT")  # the next tick would tell it, too
         _ticked(world, RING + 1)
+        gate.opened.set()
         _recorder(recorded).wait()
     with pytest.raises(SqlError, match="no checkpoint"):
         recorded.flush()
