@@ -25,6 +25,8 @@ MASSES = "masses"
 MARGINS = "margins"
 # Requested likewise: all contacts of an entity, of which a record may have some only.
 ALL_CONTACTS = "all contacts"
+# Requested likewise: the moments of contacts besides those of their forces, which are not stored.
+MOMENTS = "moments"
 # A table is read with each tick until this number of ticks has passed without a request.
 FORGOTTEN_AFTER = 240
 # A pair of entities in SQL is one number, the first id times this plus the second: DuckDB passes
@@ -427,8 +429,8 @@ _CONTACTS = Table(
         Column("link_a", "integer", "number of its link"),
         Column("b", "integer", "id of the other entity"),
         Column("link_b", "integer", "number of its link"),
-        *_doubles("ax ay az", "point on a, m", "point_a"),
-        *_doubles("bx by bz", "point on b, m", "point_b"),
+        *_doubles("ax ay az", "point on a where the force acts, m", "point_a"),
+        *_doubles("bx by bz", "point on b where it acts, m; in MuJoCo the same", "point_b"),
         *_doubles("nx ny nz", "unit normal, from b to a", "normal"),
         Column("depth", "double", "penetration, m"),
         Column("force", "double", "normal force, N"),

@@ -228,7 +228,7 @@ class ContactPoints:
     Attributes:
         bodies: (n, 2), the handles of bodies a and b.
         links: (n, 2), the links of bodies a and b.
-        points: (n, 2, 3), the points on a and on b, m.
+        points: (n, 2, 3), the points on a and on b where the forces act, m.
         normals: (n, 3), of length 1.
         depths: (n,), the penetration depths, m.
         forces: (n,), the forces along the normals, N.
@@ -249,6 +249,11 @@ class ContactPoints:
         """Returns no contact points, the same each time."""
         pairs, vectors, numbers = np.zeros((0, 2), dtype=np.intp), np.zeros((0, 3)), np.zeros(0)
         return cls(pairs, pairs, np.zeros((0, 2, 3)), vectors, numbers, numbers, vectors)
+
+    @property
+    def has_moments(self) -> bool:
+        """Whether contacts are known to have moments besides forces; see `Contacts`."""
+        return False
 
     def all(self) -> ContactPoints:
         """Returns all of them; see `Contacts`."""
@@ -273,6 +278,10 @@ class ContactPoints:
 
 class Contacts(Protocol):
     """The contact points of a tick, which may be computed when they are asked for."""
+
+    @property
+    def has_moments(self) -> bool:
+        """Whether contacts have moments besides their forces, which `torque` leaves out."""
 
     def all(self) -> ContactPoints:
         """Returns all of them."""

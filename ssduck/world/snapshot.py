@@ -95,7 +95,7 @@ class Snapshot(TickGeometry):
         self.run = new_run() if run is None else run
         self._tables = {name: LiveTable(table.columns) for name, table in STORED_TABLES.items()}
         # The contacts of this tick, and those that are not in the table yet; see `tables`.
-        self._contacts: Contacts = ContactPoints.none()
+        self.contact_points: Contacts = ContactPoints.none()
         self._are_contacts_written = True
         self.number, self.time = 0, 0.0
         self.load_order: list[EntityInfo] = []
@@ -149,7 +149,7 @@ class Snapshot(TickGeometry):
 
     def contacts(self) -> ContactPairs:
         """Returns the contacts of this tick, whose table must have been requested."""
-        unwritten = None if self._are_contacts_written else self._contacts
+        unwritten = None if self._are_contacts_written else self.contact_points
         return contact_pairs(unwritten, self._layout, lambda: self.tables["contacts"])
 
     @property
@@ -428,7 +428,7 @@ class Snapshot(TickGeometry):
         known = self._write_poses(*self._link_poses, with_static=is_static_new)
         if state.joints is not None:
             self._tables["joints"].doubles("position", "effort")[:] = state.joints.T
-        self._contacts, self._are_contacts_written = state.contacts, "contacts" not in tables
+        self.contact_points, self._are_contacts_written = state.contacts, "contacts" not in tables
         self.sensing.readings = state.readings
         self._read_sensors, self._is_switched = state.sensors, False
         if "sensings" in tables:
@@ -457,7 +457,7 @@ class Snapshot(TickGeometry):
             joints = self._tables["joints"].doubles("position", "effort").T
             pairs.append((joints, simulator.read_joints(bodies)))
         if "contacts" in self._read:
-            contacts = (self._contacts.all(), simulator.read_contacts().all())
+            contacts = (self.contact_points.all(), simulator.read_contacts().all())
             pairs += zip(*(vars(points).values() for points in contacts), strict=True)
         return all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
 
@@ -595,5 +595,5 @@ class Snapshot(TickGeometry):
     def _write_contacts(self) -> None:
         """Writes the contacts of this tick into their table."""
         self._are_contacts_written = True
-        write_contacts(self._tables["contacts"], self._contacts.all(), self._layout)
+        write_contacts(self._tables["contacts"], self.contact_points.all(), self._layout)
         self._publish("contacts")

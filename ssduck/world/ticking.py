@@ -21,7 +21,7 @@ from ssduck.errors import (
     warn,
 )
 from ssduck.formatting import short_repr
-from ssduck.schema import MARGINS, MASSES
+from ssduck.schema import MARGINS, MASSES, MOMENTS
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import Simulator
 from ssduck.simulators.static import StaticSimulator
@@ -89,6 +89,7 @@ class SteppedSimulation(Observable):
         self.lock = threading.RLock()
         self._init_observers()
         self.serial = next(_serials)
+        self._has_told_of_moments = False
         self._queries = 0
         self._waiting = 0
         self._recorders: list[weakref.ref[TickSink]] = []
@@ -387,6 +388,17 @@ class SteppedSimulation(Observable):
                 self._read_masses()
             if MARGINS in tables and not self.is_final:
                 self.snapshot.read_margins(self._simulator)
+            if MOMENTS in tables:
+                self._warn_of_moments()
+
+    def _warn_of_moments(self) -> None:
+        """Warns, once, if contacts of this tick have moments besides those of their forces."""
+        if not self._has_told_of_moments and self.snapshot.contact_points.has_moments:
+            self._has_told_of_moments = True
+            warn(
+                f"{self.name!r}: torque lacks the moments of torsional and rolling friction, which "
+                "contacts of condim 4 and 6 have; mj_contactForce tells them"
+            )
 
     def _read_masses(self) -> None:
         """Reads the masses at this tick, and passes them to the recorders."""

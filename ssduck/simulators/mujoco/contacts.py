@@ -16,6 +16,8 @@ from ssduck.simulators.mujoco.library import copied_data, mujoco
 
 # The largest number of contacts whose forces are compared one by one, which is faster then.
 _FEW = 16
+# Of the numbers of a wrench, those that are forces; the others are moments.
+_FORCE_AXES = 3
 # The flag that lets bodies sleep; 0 before MuJoCo 3.4.
 _SLEEP = int(getattr(mujoco.mjtEnableBit, "mjENBL_SLEEP", 0))
 
@@ -156,7 +158,7 @@ class MuJoCoContacts:
 
     They are computed when something is asked: most programs ask for the contacts of two bodies.
     MuJoCo's normal points from the first side to the second. Points at a distance, which margins
-    allow, count if they press.
+    allow, count if they press. A contact has one point, where its forces act on both sides.
 
     Args:
         model: the model.
@@ -194,11 +196,11 @@ class MuJoCoContacts:
         """Checks which contacts have a positive normal force."""
         if len(rows) <= _FEW:
             return np.array([self._is_pressing(row) for row in rows.tolist()], bool)
-        are_pressing: Flags = self._forces(rows)[:, 0] > 0.0
+        are_pressing: Flags = self._wrenches(rows)[:, 0] > 0.0
         return are_pressing
 
     def _is_pressing(self, row: int) -> bool:
-        """Checks whether the normal force of a contact is positive; see `_forces`."""
+        """Checks whether the normal force of a contact is positive; see `_wrenches`."""
         first, dim = int(self._contacts.addresses[row]), int(self._contacts.dims[row])
         if first < 0:
             return False
@@ -211,10 +213,17 @@ class MuJoCoContacts:
         return self._all
 
     @cached_property
+    def has_moments(self) -> bool:
+        """Whether torsional or rolling friction adds a moment to a force."""
+        contacts, root_pairs = self._contacts, self._roots
+        rows = ((contacts.dims > _FORCE_AXES) & (root_pairs >= 0).all(axis=1)).nonzero()[0]
+        return bool(self._wrenches(rows)[:, _FORCE_AXES:].any())
+
+    @cached_property
     def _all(self) -> ContactPoints:
         roots = self._roots
         rows: Indices = np.arange(len(roots))
-        forces = self._forces(rows)
+        forces = self._wrenches(rows)[:, :_FORCE_AXES]
         is_kept = (roots >= 0).all(axis=1) & (
             (self._contacts.distances <= 0.0) | (forces[:, 0] > 0.0)
         )
@@ -227,28 +236,25 @@ class MuJoCoContacts:
         if not is_kept.all():
             forces, roots, bodies = forces[is_kept], roots[is_kept], bodies[is_kept]
             frames, depths, middles = frames[is_kept], depths[is_kept], middles[is_kept]
-        half = 0.5 * depths[:, None] * frames[:, 0]
-        points = np.zeros((len(depths), 2, 3))
-        np.add(middles, half, out=points[:, 0])
-        np.subtract(middles, half, out=points[:, 1])
         return ContactPoints(
             bodies=roots,
             links=bodies - roots,
-            points=points,
+            points=np.repeat(middles[:, None], 2, axis=1),
             normals=-frames[:, 0],
             depths=depths,
             forces=forces[:, 0],
             frictions=-np.einsum("nk,nki->ni", forces[:, 1:], frames[:, 1:]),
         )
 
-    def _forces(self, rows: Indices) -> Array:
-        """Returns the forces of the first geoms on the second in the frames of contacts, (n, 3).
+    def _wrenches(self, rows: Indices) -> Array:
+        """Returns the wrenches of the first geoms on the second in the frames of contacts, (n, 6).
 
-        They are the normal force and the two friction forces, as `mj_contactForce` returns them.
+        They are the normal force, the two friction forces, and the moments of torsional and rolling
+        friction, as `mj_contactForce` returns them.
         """
         addresses = self._contacts.addresses.take(rows).astype(np.intp)
         dims = self._contacts.dims.take(rows)
-        forces = np.zeros((len(rows), 3))
+        forces = np.zeros((len(rows), 6))
         is_active = addresses >= 0
         if not is_active.any():
             return forces
@@ -259,16 +265,14 @@ class MuJoCoContacts:
             chosen = every if is_uniform else np.flatnonzero(is_active & (dims == dim))
             first = addresses[chosen]
             if not self._is_pyramidal or dim == 1:
-                axes = min(dim, 3)
-                forces[chosen, :axes] = self._contacts.efc_forces[first[:, None] + np.arange(axes)]
+                forces[chosen, :dim] = self._contacts.efc_forces[first[:, None] + np.arange(dim)]
                 continue
             # A pyramid has two edges for each axis of friction; their forces add up to the normal
             # one.
             edges = self._contacts.efc_forces[first[:, None] + np.arange(2 * (dim - 1))]
             edges = edges.reshape(len(chosen), dim - 1, 2)
             forces[chosen, 0] = edges.sum(axis=(1, 2))
-            axes = min(dim - 1, 2)
-            differences = edges[:, :axes, 0] - edges[:, :axes, 1]
-            frictions = self._contacts.frictions[rows[chosen], :axes]
-            forces[chosen, 1 : 1 + axes] = differences * frictions
+            differences = edges[:, :, 0] - edges[:, :, 1]
+            frictions = self._contacts.frictions[rows[chosen], : dim - 1]
+            forces[chosen, 1:dim] = differences * frictions
         return forces

@@ -22,6 +22,7 @@ def entity_relation(
     aliases: tuple[str, ...] = (),
     link_formula: str = "",
     link_name: str = "name",
+    further_inputs: frozenset[str] = frozenset(),
 ) -> Relation:
     """Returns a relation of one entity."""
     return Relation(
@@ -36,6 +37,7 @@ def entity_relation(
         aliases=aliases,
         link_formula=link_formula,
         link_name=link_name,
+        further_inputs=further_inputs,
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 from ssduck.geometry.queries import ShapeQueries
+from ssduck.schema import MOMENTS
 from ssduck.sql.relations.common import ENTITY, entity_relation, link_of, recorded_numbers
 from ssduck.sql.relations.contacts import contact_sum
 from ssduck.sql.relations.geometry_query import COLLIDING, CandidatePairs, GeometryQuery
@@ -116,10 +117,12 @@ ODE_RELATIONS: tuple[Relation, ...] = (
         "list",
         contact_sum(*_TORQUE),
         "Returns the sum [x, y, z] of the moments of the contact forces (see force) about the "
-        "entity's position, in the world frame.",
+        "entity's position, in the world frame. The moments of torsional and rolling friction are "
+        "not included; a warning tells of them in MuJoCo.",
         "N m",
         recorded_formula=f"{recorded_numbers('wrench', 'object')}[4:6]",
         link_formula=contact_sum(*_TORQUE, of_links=True),
+        further_inputs=frozenset({MOMENTS}),
     ),
     entity_relation(
         "gravityMode",

@@ -80,6 +80,7 @@ class Relation:
         aliases: other names; a name that raw SQL has to quote has one.
         alias_of: the first name, if this is another one.
         python_table: the table that its Python function reads, if that is not of shapes.
+        further_inputs: what to fetch before it is evaluated that its formula does not show.
         may_fail: whether there are entities for which it is an error.
         of_contacts: the function of contacts that returns the same for two entities of a tick.
     """
@@ -106,6 +107,7 @@ class Relation:
     aliases: tuple[str, ...] = ()
     alias_of: str = ""
     python_table: str = ""
+    further_inputs: frozenset[str] = frozenset()
     may_fail: bool = False
     of_contacts: Callable[[ContactPairs, int, int], bool | float] | None = None
 
@@ -225,7 +227,7 @@ class Relation:
         tree = self.expressions[self.required_count]
         reads_mass = any(column.name == "mass" for column in tree.find_all(exp.Column))
         uses_margins = self.geometry is not None and self.geometry.uses_margins
-        result = self.tables | ({MASSES} if reads_mass else frozenset())
+        result = self.tables | self.further_inputs | ({MASSES} if reads_mass else frozenset())
         result |= {MARGINS} if uses_margins else frozenset()
         # A relation of two entities reads their contacts, one of a single entity all of its own.
         entities = [one for one in self.parameters if one.type == "entity"]
