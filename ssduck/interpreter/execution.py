@@ -359,7 +359,20 @@ class Execution(Namespace):
             raise unknown_function(node, self._known_functions())
         if node.name == "eval":
             return self._run_text(arguments[0], frame)
-        return function(arguments)
+        values = arguments if function.builtin else self.at_tick_of_rows(arguments, frame)
+        return None if values is None else function(values)
+
+    def at_tick_of_rows(self, arguments: list[Any], frame: Frame) -> list[Any] | None:
+        """Returns values, entities at the tick of the rows; None if one was not there then."""
+        rows = frame.own_elements()
+        if not any(isinstance(row, Handle) and row.moment is not None for row in rows):
+            return arguments
+        pinned = pin_to_common_tick(arguments, rows)
+        if pinned is None:
+            return None
+        return [
+            self.at_tick_of_rows(value, frame) if type(value) is list else value for value in pinned
+        ]
 
     def over_time(self, node: Call, frame: Frame) -> Any:
         """Returns the value of a call whose argument is evaluated at each recorded tick."""

@@ -109,6 +109,9 @@ class EvaluationScope(Protocol):
     def deferred(self, node: Node) -> LazyList:
         """Returns a list of the running program for the query that uses it."""
 
+    def at_tick_of_rows(self, arguments: list[Any], frame: Frame) -> list[Any] | None:
+        """Returns values, entities at the tick of the rows; None if one was not there then."""
+
     @property
     def meter(self) -> UsageMeter:
         """The usage of the running program's limits."""
@@ -441,7 +444,9 @@ class ExpressionCompiler:
             calls = frame.calls
             if key in calls:
                 return calls[key]
-            arguments = [thunk(frame) for thunk in thunks]
+            arguments = frame.scope.at_tick_of_rows([thunk(frame) for thunk in thunks], frame)
+            if arguments is None:
+                return None
             memos = frame.cached.get(MEMOS)
             memo = function
             if memos is not None:

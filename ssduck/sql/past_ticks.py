@@ -199,6 +199,11 @@ class QueryTicks:
         is_handle = any(known.value is value for known in self.joined_entities.values())
         return self._id_of(value) if is_handle else value.column("id")
 
+    @property
+    def has_past(self) -> bool:
+        """Whether a source has rows of recorded ticks."""
+        return any(value.sql_type.past for value in self._all_rows())
+
     def _all_rows(self) -> list[SqlValue]:
         """Returns the current elements of all sources, those of outer queries first."""
         outer = self._outer._all_rows() if self._outer is not None else []  # noqa: SLF001

@@ -11,6 +11,7 @@ from sqlglot import exp
 from ssduck.errors import UnknownNameError, nearest
 from ssduck.formatting import short_repr
 from ssduck.language.analysis import IMPURE, OVER_TIME, free_aliases, is_impure
+from ssduck.language.builtins import BUILTINS
 from ssduck.language.tree import (
     Assignment,
     Call,
@@ -95,6 +96,8 @@ class ExpressionScope(ABC):
                 )
             case Call(name=name) if name in RELATIONS or name in IMPURE or name in OVER_TIME:
                 return False
+            case Call(name=name) if name not in BUILTINS and self.ticks.has_past:
+                return False  # an entity that a user's function takes is that of the row's tick
         return all(self.is_constant(child) for child in node.children())
 
     def _is_variable(self, node: QualifiedName) -> bool:
