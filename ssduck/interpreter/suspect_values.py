@@ -14,7 +14,7 @@ from typing import Literal as OneOf
 
 from ssduck.errors import ArgumentError, SelectScriptError, SourceSpan
 from ssduck.formatting import argument_in_words
-from ssduck.language.aggregates import over_rows
+from ssduck.language.aggregates import is_grouped, over_rows
 from ssduck.language.analysis import free_aliases
 from ssduck.language.operator_chains import conjuncts
 from ssduck.language.tree import (
@@ -57,6 +57,7 @@ _VECTORS = frozenset(
     name for name, one in RELATIONS.items() if one.result == "list" and one.element == "double"
 )
 _COORDINATES = 3
+_ORDERINGS = ("<", "<=", ">", ">=")
 # Keys that only one entity has.
 _UNIQUE = frozenset(("id", "obj", "this"))
 
@@ -94,8 +95,9 @@ class Suspects:
         ages: the calls of `least` and `greatest` with an age.
         first_rows: the columns of the first row of a group, with their names if they are bare.
         queries: the nested queries that SELECT has as lists of dicts.
-        sums: the sums and products of which a side is a position, or another list of numbers of an
-            entity.
+        vectors: the sums, products and orderings of which a side is a position, or another list of
+            numbers of an entity.
+        aggregates: the aggregates that SELECT has of such a list in each row.
     """
 
     comparisons: tuple[Comparison, ...] = ()
@@ -103,7 +105,8 @@ class Suspects:
     ages: tuple[Call, ...] = ()
     first_rows: tuple[tuple[str, SourceSpan], ...] = ()
     queries: tuple[Query, ...] = ()
-    sums: tuple[Binary, ...] = ()
+    vectors: tuple[Binary, ...] = ()
+    aggregates: tuple[Call, ...] = ()
 
     def __bool__(self) -> bool:
         return any(getattr(self, part.name) for part in fields(self))
@@ -122,8 +125,16 @@ def suspects_of(statement: Node) -> Suspects:
             part
             for part in statement.walk()
             if isinstance(part, Binary)
-            and part.operator in ("+", "*")
+            and part.operator in ("+", "*", *_ORDERINGS)
             and any(map(_vector_of, _sides(part)))
+        ),
+        tuple(
+            call
+            for query in queries
+            if not is_grouped(query)
+            for item in query.items
+            for call in over_rows(item)
+            if call.name != "count" and _vector_of(call.arguments[0])
         ),
     )
 
@@ -356,7 +367,7 @@ def mistakes_in(
             f"{lesser}([a, b])",
             span=call.span,
         )
-    for node in suspects.sums:
+    for node in suspects.vectors:
         if node.operator == "*":
             if any(_is_integer(side, variable) for side in _sides(node)):
                 yield ArgumentError(
@@ -365,10 +376,14 @@ def mistakes_in(
                     span=node.span,
                 )
         elif all(_is_vector(side, variable, type_of_relation) for side in _sides(node)):
+            one = "+" if node.operator == "+" else "<"
+            yield ArgumentError(_OF_VECTORS[one].format(node.operator), span=node.span)
+    for call in suspects.aggregates:
+        if _is_vector(call.arguments[0], variable, type_of_relation):
             yield ArgumentError(
-                "+ joins two lists to a longer one; the sum is [x(a) + x(b), y(a) + y(b), "
-                "z(a) + z(b)], and - of two lists is their difference",
-                span=node.span,
+                f"{call.name} is over the numbers of the list of each row; over the rows write "
+                f"SELECT {call.name}(x(this)) AS x, {call.name}(y(this)) AS y, …",
+                span=call.span,
             )
     for query in suspects.queries:
         yield ArgumentError(
@@ -379,6 +394,15 @@ def mistakes_in(
         if not name or variable(name) is None:
             message = "this is of the first row of each group; group by it, too, or aggregate it"
             yield ArgumentError(message, span=span)
+
+
+# What is told of an operator of two lists of numbers, "<" for all that order them.
+_OF_VECTORS = {
+    "+": "+ joins two lists to a longer one; the sum is [x(a) + x(b), y(a) + y(b), "
+    "z(a) + z(b)], and - of two lists is their difference",
+    "<": "{0} orders two lists by the first numbers that differ, as words by their letters; of each "
+    "number write x(a) {0} x(b) AND y(a) {0} y(b) AND z(a) {0} z(b), or v[0] {0} w[0] AND …",
+}
 
 
 def _is_integer(node: Node, variable: Callable[[str], Any]) -> bool:
