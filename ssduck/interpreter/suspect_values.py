@@ -400,8 +400,8 @@ def mistakes_in(
 _OF_VECTORS = {
     "+": "+ joins two lists to a longer one; the sum is [x(a) + x(b), y(a) + y(b), "
     "z(a) + z(b)], and - of two lists is their difference",
-    "<": "{0} orders two lists by the first numbers that differ, as words by their letters; of each "
-    "number write x(a) {0} x(b) AND y(a) {0} y(b) AND z(a) {0} z(b), or v[0] {0} w[0] AND …",
+    "<": "{0} orders two lists by the first numbers that differ, as words by their letters; of "
+    "each number write x(a) {0} x(b) AND y(a) {0} y(b) AND z(a) {0} z(b), or v[0] {0} w[0] AND …",
 }
 
 
