@@ -21,6 +21,7 @@ from ssduck.language.tree import (
     QualifiedName,
     Query,
     TimeIndex,
+    Unary,
 )
 from ssduck.schema import RECORDABLE, RECORDED_BY_DEFAULT
 from ssduck.sql.table_use import tables_of
@@ -265,6 +266,8 @@ class Judge:
         world = self._interpreter[self._world]
         for node in program.tree.statements[0].walk():
             if isinstance(node, Name) and node.span == error.span:
+                if node.name in self.terms.parts:
+                    return "; terms can use success and failure: write that of the reward out"
                 is_entity = isinstance(world, World) and node.name in world
                 is_hinted = is_entity or error.suggestions or node.name in self._interpreter
                 return "" if is_hinted else f"; {self._if_unknown.format(name=node.name)}"
@@ -306,7 +309,9 @@ class Judge:
                 case Name(name=name) if name in self._elements:
                     self._whole.add(name)
                     return node
-                case Name(name=name) if name in CONDITIONS and name != term.key:
+                case Name(name=name) if name == term.key:
+                    raise ArgumentError(f"{name} is what this term decides: it cannot use itself")
+                case Name(name=name) if name in CONDITIONS:
                     condition = getattr(known, name)
                     if condition is None:
                         raise ArgumentError(f"{term.key} uses {name}, and there is no such term")
@@ -349,11 +354,14 @@ class Judge:
                     entities.add(name)
                 case Name(name=name) | TimeIndex(name=name):
                     names.add(name)
-                case Query():
+                case Query() | Call(name="getTime"):
                     is_open = True
             return None
 
-        program.tree.statements[0].replaced(visit)
+        tree = program.tree.statements[0]
+        if not term.is_condition and isinstance(_unsigned(tree), Literal):
+            return  # a bonus or a penalty of each step
+        tree.replaced(visit)
         if is_open or self._world in names or self._uses_variables(program):
             return
         if not entities:
@@ -413,6 +421,11 @@ def _has_nan(value: Any) -> bool:
     if isinstance(value, list):
         return any(map(_has_nan, value))
     return isinstance(value, float) and math.isnan(value)
+
+
+def _unsigned(node: Node) -> Node:
+    """Returns an expression without its signs."""
+    return _unsigned(node.operand) if isinstance(node, Unary) else node
 
 
 def _is_temporal(node: Node) -> bool:

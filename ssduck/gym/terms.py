@@ -155,9 +155,9 @@ class Terms:
             raise ArgumentError("give a term: success, failure, reward or stop_when")
         for key, text in (*conditions.items(), *((keys[name], rewards[name]) for name in rewards)):
             if text is not None and not (isinstance(text, str) and text.strip(" \n\t;")):
-                raise ArgumentError(
-                    f"{key}: a term is a text of SelectScript, not {short_repr(text)}"
-                )
+                shown = short_repr(text)
+                quoted = f": write '{shown}'" if validation.is_number(text) else ""
+                raise ArgumentError(f"{key}: a term is a text of SelectScript, not {shown}{quoted}")
         texts = {key: _stripped(text) for key, text in conditions.items() if text is not None}
         terms = {key: Term(key, text, is_condition=True) for key, text in texts.items()}
         return cls(

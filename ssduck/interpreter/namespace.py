@@ -51,6 +51,14 @@ from ssduck.world.world import World
 
 # The least similarity of a function's name that is suggested for an unknown variable.
 _FUNCTION_LIKENESS = 0.8
+# What to write for a call with another number of arguments.
+_CALLS = {
+    "heldFor": "the time is compared: heldFor(condition) >= 0.2",
+    "since": "how long a condition has held is compared: heldFor(condition) >= 0.2",
+    "time": "the simulated time now is getTime(), that of a row time(this)",
+    **{name: f"of several values, it is {name}([a, b])" for name in AGGREGATES},
+}
+_PAIR = "{1}; of anything in a world: EXISTS (SELECT this FROM room WHERE {0}(cup, this))"
 # Messages name at most this number of worlds.
 _MAX_WORLDS = 5
 
@@ -121,8 +129,10 @@ class Namespace:
             value = variables[name]
             return value.last if isinstance(value, ValueHistory) else value
         if name in RELATIONS or name in self.functions:
+            told = f"; {_CALLS[name]}" if name in RELATIONS and name in _CALLS else ""
             raise UnknownNameError(
                 f"there is no variable {name!r}; {name} is a function: write {name}(this), say"
+                + told
             )
         raise self._unknown_variable(name)
 
@@ -369,16 +379,18 @@ class Namespace:
         if node.name in RELATIONS:
             relation = RELATIONS[node.name]
             minimum, maximum = min(relation.expressions), max(relation.expressions)
-            fits, usage = count in relation.expressions, relation.usage
+            fits, usage = count in relation.expressions, _CALLS.get(name, relation.usage)
+            if count == 1 and [p.name for p in relation.parameters[:2]] == ["a", "b"]:
+                usage = _PAIR.format(name, usage)
         elif name in self.functions:
             function = self.functions[name]
             minimum, maximum = (
                 function.min_arguments,
                 count if function.max_arguments is None else function.max_arguments,
             )
-            fits, usage = minimum <= count <= maximum, f"see help('{name}')"
-            if name in AGGREGATES and count > 1:
-                usage = f"of several values, it is {name}([a, b])"
+            written = function.help.rpartition("Usage: ")[2] if function.builtin else ""
+            fits, usage = minimum <= count <= maximum, written or f"see help('{name}')"
+            usage = _CALLS.get(name, usage) if count != 1 else usage
         else:
             error = unknown_function(node, self._known_functions())
             worlds = [key for key, value in self.variables.items() if isinstance(value, World)]

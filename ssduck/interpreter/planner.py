@@ -188,9 +188,12 @@ class Planner:
             )
             lacking = "; room.robot is the row's entity if it is a robot, else nothing: "
             lacking += "name an entity, as in room['panda']"
+            whole = "; a world is no entity: of anything in it, EXISTS (SELECT this FROM room "
+            whole += f"WHERE {call.name}(cup, this))"
             raise ArgumentError(
                 f"{call.name} does not take ({types_text}): {RELATIONS[call.name].usage}"
-                + lacking * any(value is None for value in values),
+                + lacking * any(value is None for value in values)
+                + whole * (len(values) > 1 and any(isinstance(v, World) for v in values)),
                 span=query.span,
             )
         (row,) = planned.run(types.frame(), ()).values  # type: ignore[union-attr]

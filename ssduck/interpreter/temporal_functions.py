@@ -177,9 +177,7 @@ class TickSeries:
             end, size = start, size * 2
 
 
-def _since(series: TickSeries, age: Any) -> float | None:
-    if age is not None:
-        raise ArgumentError("since takes one argument: since(condition)")
+def _since(series: TickSeries, _: Any) -> float | None:
     start: float | None = None
     for past in series.backwards():
         times, holding = series.holding(past)
@@ -204,9 +202,7 @@ def _changes(series: TickSeries, age: Any) -> list[list[Any]]:
     return changes_of(*series.at(series.past(age)))
 
 
-def _initially(series: TickSeries, age: Any) -> Any:
-    if age is not None:
-        raise ArgumentError("initially takes one argument: initially(expression)")
+def _initially(series: TickSeries, _: Any) -> Any:
     start = series.ticks()[1][0]
     return series.at(series.window(start, start))[1][0]
 
@@ -292,6 +288,7 @@ TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
             "Returns the simulated time, in seconds, since which a condition has held at every "
             "recorded tick; nothing if it does not hold now.",
             "since(condition) -> float",
+            arguments=(1, 1),
         ),
         TemporalFunction(
             "heldFor",
@@ -299,6 +296,7 @@ TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
             "Returns the simulated time, in seconds, for which a condition has held until now; "
             "0 if it does not hold now.",
             "heldFor(condition) -> float",
+            arguments=(1, 1),
         ),
         TemporalFunction(
             "holds",
@@ -322,6 +320,7 @@ TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
             "was not there: z(cup) - initially(z(cup)) >= 0.1 is true of a cup that is lifted by "
             "10 cm.",
             "initially(expression) -> value",
+            arguments=(1, 1),
         ),
         TemporalFunction(
             "lifted",

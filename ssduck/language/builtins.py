@@ -176,6 +176,12 @@ def _round(number: float, digits: int | None = None) -> float:
     return round(number, digits)
 
 
+def _clip(number: float, low: float, high: float) -> float:
+    if isinstance(number, str | list | tuple):
+        raise TypeError("only numbers are clipped")
+    return min(max(number, low), high)
+
+
 _LIST_FUNCTIONS = (
     _builtin(
         "count",
@@ -215,6 +221,7 @@ _NUMBER_FUNCTIONS = tuple(
         ("asin", math.asin, "the arc sine of a number, in radians"),
         ("acos", math.acos, "the arc cosine of a number, in radians"),
         ("atan", math.atan, "the arc tangent of a number, in radians"),
+        ("tanh", math.tanh, "the hyperbolic tangent of a number, from -1 to 1"),
     )
 )
 
@@ -239,6 +246,13 @@ _OTHER_FUNCTIONS = (
         "Returns the angle of the vector (x, y) from the x axis, in radians, from -pi to pi.",
         "atan2(y, x) -> float",
         2,
+    ),
+    _builtin(
+        "clip",
+        _clip,
+        "Returns a number, or the nearer of two limits if it is not between them.",
+        "clip(number, low, high) -> number",
+        3,
     ),
     _builtin(
         "norm",
@@ -268,7 +282,7 @@ _OPERATOR_FUNCTIONS = (
 
 # The functions of numbers alone.
 NUMBER_FUNCTIONS = frozenset(
-    (*(f.name for f in _NUMBER_FUNCTIONS), "round", "pow", "atan2", "int", "float")
+    (*(f.name for f in _NUMBER_FUNCTIONS), "round", "pow", "atan2", "clip", "int", "float")
 )
 
 AGGREGATES: dict[str, Function] = {function.name: function for function in _LIST_FUNCTIONS}

@@ -17,6 +17,7 @@ from ssduck.formatting import (
     short_repr,
     type_in_words,
 )
+from ssduck.language.sql_suggestions import suggestion_for_name
 from ssduck.language.tree import Node
 
 # The limits of results: larger ones are mistakes, and their computation cannot be interrupted.
@@ -110,6 +111,19 @@ SAFE_TYPES = {"+": frozenset((int, float)), "*": frozenset((float,)), "^": froze
 # The operators whose time grows with their operands, though the result is small.
 SLOW = frozenset(("LIKE", "IN", "%", "/"))
 SHORT_CIRCUIT = frozenset(("AND", "OR"))
+# The names of the elements of a position.
+_AXES = ("x", "y", "z")
+# What to write instead of an operator that does not take lists, or a thing on its right.
+_OF_LISTS = {
+    **dict.fromkeys(
+        ("<", "<=", ">", ">="),
+        "compare an element, list[2] > 0.1, or the length, norm(list) > 0.1; the time for which a "
+        "condition has held is heldFor(condition) >= 0.2",
+    ),
+    "^": "the sum of squares is norm(list) ^ 2",
+    "*": "the dot product is sum([a[0] * b[0], a[1] * b[1], a[2] * b[2]])",
+}
+_NO_LIST = {"IN": "IN looks into a list or a text; what is in a thing or a region is within(a, b)"}
 
 
 def apply(sign: str, left: Any, right: Any, span: SourceSpan | None = None) -> Any:
@@ -130,8 +144,12 @@ def apply(sign: str, left: Any, right: Any, span: SourceSpan | None = None) -> A
     except TypeError as error:
         if sign == "-" and type(left) is type(right) is list:
             return _difference(left, right, span)
+        has_list = list in (type(left), type(right))
+        instead = (_OF_LISTS if has_list else _NO_LIST).get(sign)
         raise ArgumentError(
-            f"{sign} does not take {type_in_words(left)} and {type_in_words(right)}", span=span
+            f"{sign} does not take {type_in_words(left)} and {type_in_words(right)}"
+            + (f": {instead}" if instead else ""),
+            span=span,
         ) from error
     except SelectScriptError:
         raise
@@ -258,16 +276,26 @@ def indexed(value: Any, index: Any, span: SourceSpan) -> Any:
         raise
     except SelectScriptError as error:  # a world's error lacks the place in the program
         error.span = error.span or span
+        if isinstance(index, str) and not error.suggestions and ";" not in error.message:
+            error.message += instead_of(index)
         raise
     except (IndexError, KeyError) as error:
         raise _missing_element_error(value, index, span, error) from error
     except TypeError as error:
         message = f"{type_in_words(value)} has no element {short_repr(index)}"
         if isinstance(index, str) and hasattr(type(value), "key_hint"):
-            message += f"; {value.key_hint(index)}"
+            message += instead_of(index) or f"; {value.key_hint(index)}"
+        elif type(value) is list and index in _AXES:
+            message += f"; write [{_AXES.index(index)}], or {index}(e) of an entity e"
         raise ArgumentError(message, span=span) from error
     except Exception as error:
         raise as_evaluation_error(error, span) from error
+
+
+def instead_of(name: str) -> str:
+    """Returns what to write for a name of SQL or of a library, as the end of a message; or ''."""
+    instead = suggestion_for_name(name)
+    return f"; {instead}" if instead else ""
 
 
 def _missing_element_error(

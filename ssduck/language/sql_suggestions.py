@@ -5,6 +5,7 @@ from __future__ import annotations
 _JOIN = "only JOIN … ON … is known; write FROM room a, room b WHERE above(a, b)"
 _SETS = "lists are joined by +: (SELECT … AS list) + (SELECT … AS list)"
 _COMPARE = "write (SELECT … AS list), and IN, min or max of it"
+_IF = "a choice is IF(condition; a; b)"
 _RAW = "only SQL has it: query the tables by ss.sql or ssduck query --sql"
 _LIMIT_ADVICE = "write LIMIT n behind ORDER BY"
 _CAST = "write int(x), float(x) or str(x)"
@@ -15,7 +16,8 @@ _AGGREGATES = "the aggregates are count, sum, min, max, avg, uniq; query others 
 _TEXTS = "texts are compared exactly; find a part of one by 'part' IN text, or by LIKE"
 
 _INSTEAD_OF: dict[tuple[str, ...], str] = {
-    ("JOIN", "INNER", "LEFT", "RIGHT", "FULL", "OUTER", "CROSS", "NATURAL", "ON", "USING"): _JOIN,
+    ("JOIN", "INNER", "LEFT", "RIGHT", "FULL", "OUTER", "CROSS", "NATURAL", "USING"): _JOIN,
+    ("ON",): f"{_JOIN}; of two entities write on(a, b)",
     ("UNION", "INTERSECT", "EXCEPT", "MINUS"): _SETS,
     ("ANY", "SOME"): _COMPARE,
     ("EXISTS",): "write EXISTS (SELECT … FROM …)",
@@ -50,13 +52,28 @@ _INSTEAD_OF: dict[tuple[str, ...], str] = {
     ("!",): "write NOT",
     ("&", "&&"): "write AND",
     ("|", "||"): "write OR between conditions; texts are joined by +",
-    (":", "::"): _CAST,
+    ("::",): _CAST,
+    (":",): f"a part of a list is [p[0], p[1]], not p[0:2]; for a conversion {_CAST}",
     ("`",): "names are written without quotes",
     ("~", "~~"): "write LIKE",
     ("{",): "no braces here; a world's past is kitchen{12.5}",
-    ("?", "$"): "pass values as variables: ss.add_variable('name', value)",
+    ("IF", "?"): _IF,
+    ("$",): "pass values as variables: ss.add_variable('name', value)",
+    ("FOR",): "the time for which a condition has held is heldFor(condition) >= 0.2; what holds of "
+    "each entity of a world is SELECT z(this) FROM room",
+    ("IN",): "IN looks into a list or a text, x IN (a, b); what is in a region is within(a, b)",
 }
 
+# What to write for signs of other languages.
+SIGNS = {
+    "=>": "write >=",
+    "=<": "write <=",
+    "===": "write ==",
+    "**": "a power is x ^ y, or pow(x, y)",
+    "+=": "write x = x + 1",
+    "-=": "write x = x - 1",
+    ",": "numbers have a point: 0.1",
+}
 HABITS = {word: suggestion for words, suggestion in _INSTEAD_OF.items() for word in words}
 
 # The clauses behind FROM, in their order.
@@ -86,6 +103,55 @@ _NAMES = frozenset(
 
 _RANDOM = "a query gives the same result each time; draw numbers in Python"
 _TABLE = "the tables are those of ss.sql; in a program the source is the world: FROM room"
+_JOINT = "the position of a joint is joint(entity, 'name')"
+_JOINT_TABLE = 'is in the table of joints: ss.sql("SELECT name, {} FROM joints")'
+_BOX = "aabb(e) is the bounding box [xmin, xmax, ymin, ymax, zmin, zmax]: aabb(e)[{}] - aabb(e)[{}]"
+# The suggestions for names of other libraries, and for words of time.
+_OF_LIBRARIES: dict[tuple[str, ...], str] = {
+    ("CLAMP",): "write clip(x, low, high)",
+    ("MAXIMUM", "FMAX"): "write max([a, b])",
+    ("MINIMUM", "FMIN"): "write min([a, b])",
+    ("SQUARE",): "write x ^ 2",
+    ("LOG2",): "write log(x) / log(2)",
+    ("SIGMOID",): "write 1 / (1 + exp(-x))",
+    ("DOT", "INNER"): "write sum([a[0] * b[0], a[1] * b[1], a[2] * b[2]])",
+    ("CROSS",): "write [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], "
+    "a[0] * b[1] - a[1] * b[0]]",
+    ("MAGNITUDE",): "write norm(list)",
+    ("DEGREES", "DEG", "RAD2DEG"): "angles are radians; degrees are x * 180 / 3.141592653589793",
+    ("RADIANS", "RAD", "DEG2RAD"): "write x * 3.141592653589793 / 180",
+    ("YAW", "HEADING"): "write atan2(rot(e)[1][0], rot(e)[0][0])",
+    ("PITCH",): "write asin(-rot(e)[2][0]); the angle to the vertical is tilt(e)",
+    ("ROLL",): "write atan2(rot(e)[2][1], rot(e)[2][2]); the angle to the vertical is tilt(e)",
+    ("EULER", "RPY"): "write [atan2(rot(e)[2][1], rot(e)[2][2]), asin(-rot(e)[2][0]), "
+    "atan2(rot(e)[1][0], rot(e)[0][0])] for roll, pitch and yaw",
+    ("XPOS",): "write position(e)",
+    ("ROTATION", "XQUAT", "QUATERNION"): "write orientation(e), which is w, x, y, z, or rot(e), "
+    "the matrix",
+    ("XMAT",): "write rot(e)",
+    ("HEIGHT",): "the height is z(e), the top is aabb(e)[5]; the extent is aabb(e)[5] - aabb(e)[4]",
+    ("SIZE", "EXTENT", "EXTENTS", "DIMENSIONS", "WIDTH"): _BOX.format(1, 0),
+    ("QPOS", "JOINTPOSITION", "JOINTANGLE", "JOINTPOS", "JOINTSTATE"): f"{_JOINT}, that of a body "
+    "position(entity)",
+    ("QVEL", "JOINTVELOCITY", "JOINTVEL"): "the velocity of a joint "
+    f"{_JOINT_TABLE.format('velocity')}; that of a body is velocity(entity)",
+    ("JOINTLIMIT", "JOINTLIMITS", "JOINTRANGE"): "the range of a joint "
+    f"{_JOINT_TABLE.format('lower, upper')}",
+    ("CTRL",): "what an actuator is told is no part of the world: bind it, "
+    "ss.add_variable('ctrl', list(data.ctrl))",
+    ("RANGES", "READING"): "the readings of a sensor are Python's: world['name'].ranges; "
+    "a program has isSensing(sensor, entity) and sensingAmount(sensor, entity)",
+    ("UNDER", "UNDERNEATH", "BENEATH"): "write below(a, b)",
+    ("OVER",): "write above(a, b)",
+    ("HOLDING", "GRASPING", "ISGRASPED"): "write grasped(a, b)",
+    ("EVER", "EVENTUALLY", "ONCE", "SOMETIMES"): "write count(holds(condition)) > 0",
+    ("ALWAYS", "GLOBALLY"): "write count(holds(NOT (condition))) == 0",
+    ("NEVER",): "write count(holds(condition)) == 0",
+    ("DELTA", "DIFF"): "write x - previous(x), or rate(x) for the change in a second",
+    ("PREV", "LAG"): "write previous(x)",
+    ("T", "SIMTIME", "CLOCK"): "the simulated time is getTime()",
+    ("IIF", "IFELSE"): _IF,
+}
 # The suggestions for names of SQL that a program may use as its own.
 _OWN_NAMES = {
     **dict.fromkeys(("RANDOM", "RAND"), _RANDOM),
@@ -96,7 +162,9 @@ _OWN_NAMES = {
     **dict.fromkeys(("NOW", "CURRENT_DATE", "CURRENT_TIME", "CURRENT_TIMESTAMP", "TODAY"), _TIMES),
     **dict.fromkeys(("DATE_PART", "DATEDIFF", "DATE_DIFF", "DATE_TRUNC", "STRFTIME"), _TIMES),
     **dict.fromkeys(("STDDEV", "STDDEV_POP", "STDDEV_SAMP", "VARIANCE", "VAR_POP"), _AGGREGATES),
-    **dict.fromkeys(("MEDIAN", "QUANTILE", "MODE", "FIRST", "LAST", "ANY_VALUE"), _AGGREGATES),
+    **dict.fromkeys(("MEDIAN", "QUANTILE", "MODE", "ANY_VALUE"), _AGGREGATES),
+    "FIRST": f"the first time at which a condition held is holds(condition)[0][0]; {_AGGREGATES}",
+    "LAST": f"the last time at which a condition held is holds(condition)[-1][1]; {_AGGREGATES}",
     **dict.fromkeys(("STRING_AGG", "ARRAY_AGG", "GROUP_CONCAT", "LISTAGG"), _AGGREGATES),
     **dict.fromkeys(("LEFT", "RIGHT", "REPLACE", "REVERSE", "CONTAINS", "STRPOS"), _TEXTS),
     **dict.fromkeys(("CHAR_LENGTH", "INITCAP", "SPLIT_PART", "LPAD", "RPAD"), _TEXTS),
@@ -106,6 +174,7 @@ _OWN_NAMES = {
     "TRUNC": "write int(x)",
     "ISNAN": "write x != x",
     "SIGN": "write CASE WHEN x > 0 THEN 1 WHEN x < 0 THEN -1 ELSE 0 END",
+    **{word: suggestion for words, suggestion in _OF_LIBRARIES.items() for word in words},
 }
 
 

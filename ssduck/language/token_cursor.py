@@ -11,7 +11,7 @@ from sqlglot.tokenizer_core import Token, TokenType
 from ssduck.errors import ParseError, SourceSpan, nearest
 from ssduck.formatting import RESERVED_WORDS
 from ssduck.language.quoting import unquoted
-from ssduck.language.sql_suggestions import STATEMENTS, suggestion_for
+from ssduck.language.sql_suggestions import SIGNS, STATEMENTS, suggestion_for
 from ssduck.language.tree import Suspicion
 
 T = TypeVar("T")
@@ -23,6 +23,8 @@ MAXIMUM_DEPTH = 60
 # What follows a dot and is no name as it stands, `room.a:b`, and how far before an error it begins.
 _SIGNED_NAME = re.compile(r"\b([A-Za-z_]\w*)\.(\w+[/:][\w/:]*)")
 _MAX_SIGNED = 80
+# What is written at an error: signs, as in `=>`, or digits with a comma, as in `0,1`.
+_WRITTEN = re.compile(r"[=<>*+-]+|\d+,\d+")
 
 CLAUSES = frozenset(
     (
@@ -242,14 +244,28 @@ class Cursor:
         before = self.tokens[self.index - 1] if self.index else None
         if before is not None and before.text.upper() in STATEMENTS:
             return suggestion_for(before.text)
-        if is_kind(before, TokenType.STAR) and is_kind(token, TokenType.STAR):
-            return "a power is x ^ y, or pow(x, y)"
+        written = self._written_at(token.start)
+        if written in SIGNS:
+            return SIGNS[written]
         suggestion = "" if token.token_type == TokenType.STRING else suggestion_for(token.text)
         if suggestion or before is None:
             return suggestion
-        neighbours = [before, self._called_name()]
+        is_key = is_kind(self.ahead(-2), TokenType.DOT)  # the cube of room.cube
+        if is_kind(token, TokenType.L_PAREN) and is_key:
+            return f"a function has no dot before it: write {before.text}(…)"
+        if is_key and is_kind(token, TokenType.VAR) and is_kind(self.ahead(2), TokenType.DOT):
+            return f"a relation stands before its entities: {token.text}(a, b)"
+        neighbours = [None if is_key else before, self._called_name()]
         words = [t.text for t in neighbours if t is not None and t.token_type == TokenType.VAR]
-        return next(filter(None, map(suggestion_for, words)), "")
+        suggestion = next(filter(None, map(suggestion_for, words)), "")
+        has_comma = "," in written and not is_kind(self.ahead(-2), TokenType.VAR)
+        return suggestion or (SIGNS[","] if has_comma else "")
+
+    def _written_at(self, place: int) -> str:
+        """Returns the signs, or the number with a comma, at a place of the text."""
+        first, last = max(0, place - _MAX_SIGNED), place + _MAX_SIGNED
+        found = (match for match in _WRITTEN.finditer(self.text, first, last))
+        return next((one.group() for one in found if one.start() <= place < one.end()), "")
 
     def _called_name(self) -> Token | None:
         """Returns the name before the bracket that is open at the current token."""

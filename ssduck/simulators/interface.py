@@ -9,7 +9,7 @@ quaternions w, x, y, z.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Literal, Protocol, TypeAlias
 
@@ -41,12 +41,14 @@ class Link:
         mass: kg.
         region: of a site, its region: a sphere, capsule, cylinder, ellipsoid or box around the
             origin of its frame, by which nothing collides; None for a rigid part.
+        geoms: the names of its shapes in the simulator, for messages.
     """
 
     name: str
     parent: int
     mass: float
     region: Geometry | None = None
+    geoms: tuple[str, ...] = field(default=(), compare=False)
 
 
 @dataclass(frozen=True)

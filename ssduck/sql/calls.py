@@ -30,7 +30,7 @@ from ssduck.sql.sql_values import (
 from ssduck.sql.types import DOUBLE, INTEGER, STRING, SqlType
 
 # Functions that SQL and Python take from C, with the same results to the last digit.
-_REAL_FUNCTIONS = ("sin", "cos", "tan", "atan")
+_REAL_FUNCTIONS = ("sin", "cos", "tan", "atan", "tanh")
 
 
 def call(sql: ExpressionScope, node: Call) -> SqlValue:

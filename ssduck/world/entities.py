@@ -17,7 +17,7 @@ from ssduck.errors import (
     UnknownNameError,
     nearest,
 )
-from ssduck.formatting import joined_names, short_repr
+from ssduck.formatting import joined_names, name_path, short_repr
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.simulators.interface import DEFAULT_BACKEND, Body, Kind
 from ssduck.simulators.joints import openness
@@ -157,6 +157,9 @@ class Entity(Handle, OpenRaveEntity):
         names = [part.name for part in parts]
         near = nearest(key, names, 1)
         told = f"did you mean {near[0]!r}?" if near else super().key_hint(key)
+        body = self.info.body
+        if body is not None and any(joint.name == key for joint in body.joints):
+            told = f"of a joint write joint({name_path(self.world.name, self.name)}, {key!r})"
         return f"its {kinds}: {joined_names(names)}; {told}" if parts else told
 
     @property

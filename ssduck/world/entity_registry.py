@@ -1,4 +1,7 @@
-"""Registers the entities of a world: the bodies of its simulator and the sensors on them."""
+"""Registers the entities of a world: the bodies of its simulator and the sensors on them.
+
+`no_entity_error` tells what else has a name that no entity has.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,9 @@ from ssduck.errors import (
     UnknownNameError,
     UnsupportedError,
     nearest,
+    printable,
 )
+from ssduck.formatting import first_names, name_path, path_text
 from ssduck.schema import LINK_FACTOR
 from ssduck.simulators.interface import Simulator
 from ssduck.simulators.naming import unique_name
@@ -21,6 +26,22 @@ from ssduck.world.entities import Entity
 from ssduck.world.handles import Handle
 from ssduck.world.layout import EntityInfo
 from ssduck.world.links import Link
+
+# What to write for what is a table in SQL.
+_SOURCES = {
+    "entities": "its entities are FROM {0}",
+    "links": "its links are FROM links({0})",
+    "sites": "its sites are FROM sites({0})",
+    "joints": "joint({0}.arm, 'name') is the position of a joint; the table is for ss.sql: "
+    "SELECT * FROM {0}.joints",
+    "time": "the simulated time is getTime()",
+    "contacts": "inContact(a, b) asks for contacts; the table is for ss.sql: "
+    "SELECT * FROM {0}.contacts",
+}
+# At most so many parts that have the name that no entity has are told of.
+_MAX_OWNERS = 3
+# Of a world in which no name is near, this number of names are told.
+_MAX_NAMES = 5
 
 
 class EntityRegistry:
@@ -179,3 +200,51 @@ def _link_number(host: EntityInfo, spec: SensorSpec, index: int) -> int:
             suggestions=nearest(spec.link, names),
         )
     return names.index(spec.link)
+
+
+def no_entity_error(world: str, name: str, infos: Sequence[EntityInfo]) -> UnknownNameError:
+    """Returns the error for a name that no entity has, perhaps that of a part or a table.
+
+    Args:
+        world: the name of the world.
+        name: the name.
+        infos: the entities that there are.
+    """
+    message = f"world {world!r} has no entity {name!r}"
+    told = _of_part(world, name, infos)
+    if told is None:
+        told = _SOURCES[name].format(world) if name in _SOURCES else ""
+    if told:
+        return UnknownNameError(f"{message}; {told}")
+    near = nearest(name, [info.name for info in infos])
+    if not near:
+        paths_of = {link: f"{owner}.{link}" for owner, link in _links(infos)}
+        near = tuple(paths_of[link] for link in nearest(name, paths_of))
+    if near and not near[0].isidentifier():
+        message += f"; names with other signs are written {name_path(world, near[0])}"
+    elif not near and infos:
+        message += f", only {first_names([printable(i.name) for i in infos], _MAX_NAMES)}"
+    return UnknownNameError(message, suggestions=near)
+
+
+def _links(infos: Sequence[EntityInfo]) -> list[tuple[str, str]]:
+    """Returns the entities' names with those of their links."""
+    return [(i.name, link.name) for i in infos if i.body is not None for link in i.body.links]
+
+
+def _of_part(world: str, name: str, infos: Sequence[EntityInfo]) -> str | None:
+    """Returns what to write for the name of a link, a joint or a geom; None if none has it."""
+    owners = [owner for owner, link in _links(infos) if link == name]
+    if owners:
+        choices = " or ".join(path_text(world, owner, name) for owner in owners[:_MAX_OWNERS])
+        return f"a part of another one has that name: write {choices}"
+    for info in infos:
+        for joint in () if info.body is None else info.body.joints:
+            if joint.name == name:
+                return f"it is a joint: write joint({name_path(world, info.name)}, {name!r})"
+        for number, link in enumerate(() if info.body is None else info.body.links):
+            if name in link.geoms:
+                entity = name_path(world, info.name)
+                part = entity if number == 0 else path_text(world, info.name, link.name)
+                return f"it is a geom, a shape of the body {link.name}: write {part}"
+    return None

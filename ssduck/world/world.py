@@ -20,9 +20,8 @@ from ssduck.errors import (
     SelectScriptError,
     UnknownNameError,
     UnsupportedError,
-    nearest,
 )
-from ssduck.formatting import contents_of, name_path, path_text, short_repr
+from ssduck.formatting import contents_of, short_repr
 from ssduck.geometry.arrays import Indices
 from ssduck.schema import (
     LINK_FACTOR,
@@ -42,6 +41,7 @@ from ssduck.simulators.kinematics import (
 from ssduck.simulators.scenes import Camera, SensorSpec, variable_name
 from ssduck.world.construction import UNNAMED, ConstructibleWorld
 from ssduck.world.entities import HANDLES, Entity, Sensor
+from ssduck.world.entity_registry import no_entity_error
 from ssduck.world.excerpt import excerpt
 from ssduck.world.framing import framing_camera
 from ssduck.world.handles import Handle
@@ -56,19 +56,6 @@ from ssduck.world.snapshot import Snapshot
 from ssduck.world.what_if import what_if_tick
 
 T = TypeVar("T")
-
-# What to write for what is a table in SQL.
-_SOURCES = {
-    "entities": "its entities are FROM {0}",
-    "links": "its links are FROM links({0})",
-    "sites": "its sites are FROM sites({0})",
-    "joints": "joint({0}.arm, 'name') is the position of a joint; the table is for ss.sql: "
-    "SELECT * FROM {0}.joints",
-    "contacts": "inContact(a, b) asks for contacts; the table is for ss.sql: "
-    "SELECT * FROM {0}.contacts",
-}
-# At most so many parts that have the name that no entity has are told of.
-_MAX_OWNERS = 3
 
 
 class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicNames):
@@ -411,26 +398,7 @@ class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicName
         for info in self.snapshot.entities:
             if info.name == name:
                 return self.entity(info.id)
-        raise self._no_entity(name)
-
-    def _no_entity(self, name: str) -> UnknownNameError:
-        """Returns the error for a name that no entity has, perhaps that of a link or a site."""
-        message = f"world {self.name!r} has no entity {name!r}"
-        infos = self.snapshot.entities
-        links = [(i.name, link.name) for i in infos if i.body is not None for link in i.body.links]
-        owners = [owner for owner, link in links if link == name]
-        if name in _SOURCES and not owners:
-            return UnknownNameError(f"{message}; {_SOURCES[name].format(self.name)}")
-        if not owners:
-            near = nearest(name, [info.name for info in infos])
-            if not near:
-                paths_of = {link: f"{owner}.{link}" for owner, link in links}
-                near = tuple(paths_of[link] for link in nearest(name, paths_of))
-            if near and not near[0].isidentifier():
-                message += f"; names with other signs are written {name_path(self.name, near[0])}"
-            return UnknownNameError(message, suggestions=near)
-        choices = " or ".join(path_text(self.name, owner, name) for owner in owners[:_MAX_OWNERS])
-        return UnknownNameError(f"{message}; a part of another one has that name: write {choices}")
+        raise no_entity_error(self.name, name, self.snapshot.entities)
 
     def entity(self, id: int) -> Entity:
         """Returns the handle of a present entity by its id.

@@ -211,6 +211,21 @@ def test_pybullet(wrap, reconnects):
         assert low + 6 <= done <= low + 7
 
 
+def test_a_bonus_of_each_step_and_a_limit_of_time():
+    env = QueryWrapper(
+        Push(),
+        reward={"height": "z(sim.ball)", "alive": "1.0", "time": "-0.25"},
+        stop_when="getTime() > 0.05",
+    )
+    env.reset()
+    for _ in range(30):
+        _, reward, terminated, _, _ = env.step(0)
+        data = env.unwrapped.data
+        assert reward == pytest.approx(data.body("ball").xpos[2] + 0.75, abs=1e-4)
+        assert terminated == (data.time > 0.05)
+    assert terminated
+
+
 @pytest.mark.parametrize(
     ("terms", "error", "message"),
     [
@@ -232,6 +247,19 @@ def test_pybullet(wrap, reconnects):
         ),
         ({"success": "exp(-x(sim.ball)^2) > 2"}, ArgumentError, r"success: .*-\(x\(sim.ball\)\^2"),
         ({"success": ""}, ArgumentError, "success: a term is a text"),
+        ({"reward": {"alive": 1.0}}, ArgumentError, "not 1.0: write '1.0'"),
+        ({"success": "success AND z(sim.ball) > 1"}, ArgumentError, "success is what this term"),
+        ({"success": "time > 3"}, UnknownNameError, r"the simulated time now is getTime\(\)"),
+        (
+            {"reward": {"a": "z(sim.ball)", "b": "2 * a"}},
+            UnknownNameError,
+            r"\['b'\]: .* terms can use success and failure",
+        ),
+        (
+            {"success": "heldFor(z(sim.ball) < 1, 0.2)"},
+            ArgumentError,
+            r"heldFor\(condition\) >= 0.2",
+        ),
         ({"success": "x(sim.ball) > 9 AND z(sim.bal) > 1"}, UnknownNameError, "success: .*'ball'"),
         ({"failure": "x(sim.ball) < 9 OR z(sim.bal) > 1"}, UnknownNameError, "failure: .*'ball'"),
         ({"success": "x(sim.table.tabel) > 1"}, SelectScriptError, "did you mean 'table'"),

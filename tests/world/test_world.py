@@ -21,7 +21,7 @@ from ssduck.errors import (
 from ssduck.formatting import RESERVED_WORDS
 from ssduck.language.token_cursor import CLAUSES
 from ssduck.simulators.scenes import Camera, find_scene
-from ssduck.world import world as world_module
+from ssduck.world import entity_registry
 from tests.support.urdf import collision, joint, link, robot
 
 
@@ -568,7 +568,10 @@ def test_the_name_of_a_part_is_told_as_a_program_writes_it(tmp_path):
     )
     bodies = "".join(f'[[body]]\nname="{name}"\nurdf="m.urdf"\n' for name in names)
     (tmp_path / "scene.toml").write_text(f'name="lab"\n{bodies}')
-    with ssduck.load(tmp_path / "scene.toml") as ss, patch.object(world_module, "_MAX_OWNERS", 99):
+    with (
+        ssduck.load(tmp_path / "scene.toml") as ss,
+        patch.object(entity_registry, "_MAX_OWNERS", 99),
+    ):
         with pytest.raises(UnknownNameError) as raised:
             ss["lab"]["tip"]
         advice = raised.value.message.partition("write ")[2].split(" or ")

@@ -165,7 +165,11 @@ class ModelReader:
     def _link(self, number: int, root: int) -> Link:
         model = self._model
         parent = -1 if number == root else max(int(model.body_parentid[number]) - root, 0)
-        return Link(self._link_names[number], parent, float(link_masses(model)[number]))
+        first = int(model.body_geomadr[number])
+        ids = range(first, first + int(model.body_geomnum[number]))
+        names = [mujoco.mj_id2name(model, _OBJECT.mjOBJ_GEOM, id) for id in ids]
+        mass, geoms = float(link_masses(model)[number]), tuple(filter(None, names))
+        return Link(self._link_names[number], parent, mass, geoms=geoms)
 
     def _site_links(self, links: range) -> Iterator[Link]:
         """Yields the sites on some bodies; a name that a body has gets `_site` appended."""

@@ -6,21 +6,25 @@ import re
 
 import mujoco
 import pytest
+from scipy.spatial.transform import Rotation
 
 import ssduck
 from ssduck.errors import SelectScriptError
+from ssduck.language.sql_suggestions import suggestion_for_name
 
 XML = """
 <mujoco>
   <worldbody>
     <geom name="floor" type="plane" size="0 0 .1"/>
     <body name="table" pos="0 0 .2"><geom type="box" size=".5 .5 .2"/></body>
-    <body name="cube" pos="0 0 .5"><freejoint/><geom type="box" size=".1 .1 .1"/></body>
+    <body name="cube" pos="0 0 .5">
+      <freejoint/><geom name="cube_visual" type="box" size=".1 .1 .1"/>
+    </body>
     <body name="duplo2x4/" pos="1 0 .5"><freejoint/><geom size=".1"/></body>
     <body name="arm" pos="2 0 1">
       <joint name="hinge" axis="0 0 1"/>
       <geom type="box" size=".4 .02 .1"/>
-      <body name="hand" pos=".5 0 0"><joint name="wrist"/><geom size=".05"/></body>
+      <body name="hand" pos=".5 0 0"><joint name="wrist"/><geom name="pad" size=".05"/></body>
     </body>
   </worldbody>
 </mujoco>
@@ -73,28 +77,84 @@ def test_other_errors_of_sql_have_no_such_hint(ss, sql):
     assert "row" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("program", "told"),
-    [
-        ("SELECT id FROM sim WHERE near(name, 'table', .1);", "that of a row this"),
-        ("near(sim.cube, 'table', .1);", "the entity of a name is room['cup']"),
-        ("SELECT id FROM sim.links;", "its links are FROM links(sim)"),
-        ("sim.joints;", "SELECT * FROM sim.joints"),
-        ("sim.cube.position;", "position(sim.cube)"),
-        ("sim.cube.z;", "z(sim.cube)"),
-        ("sim.cube.xmax;", "aabb(sim.cube)[1]"),
-        ("sim.arm.hand.zmin;", "aabb(sim.arm.hand)[4]"),
-        ("sim['duplo2x4/'].z;", "z(sim['duplo2x4/'])"),
-        ("joints(sim.arm);", "joint(entity, 'name')"),
-        ("SELECT id FROM sim{1, 2};", "FROM sim{} WHERE time >= 1 AND time <= 2"),
-        ('z(sim."duplo2x4/");', "write ['duplo2x4/']"),
-        ("z(sim.duplo2x4/);", "is written sim['duplo2x4/']"),
-        ("z(sim.robot:arm);", "is written sim['robot:arm']"),
-        ("z(sim.duplo2x4);", "are written sim['duplo2x4/']"),
-        ("SELECT distance(this, kitchen.robot) FROM sim;", "no variable; the worlds are sim"),
-        ("SELECT distance(this, sim.robot) FROM sim;", "name an entity, as in room['panda']"),
-    ],
-)
+OF_PROGRAMS = [
+    ("SELECT id FROM sim WHERE near(name, 'table', .1);", "that of a row this"),
+    ("near(sim.cube, 'table', .1);", "the entity of a name is room['cup']"),
+    ("SELECT id FROM sim.links;", "its links are FROM links(sim)"),
+    ("sim.joints;", "SELECT * FROM sim.joints"),
+    ("sim.cube.position;", "position(sim.cube)"),
+    ("sim.cube.z;", "z(sim.cube)"),
+    ("sim.cube.xmax;", "aabb(sim.cube)[1]"),
+    ("sim.arm.hand.zmin;", "aabb(sim.arm.hand)[4]"),
+    ("sim['duplo2x4/'].z;", "z(sim['duplo2x4/'])"),
+    ("joints(sim.arm);", "joint(entity, 'name')"),
+    ("SELECT id FROM sim{1, 2};", "FROM sim{} WHERE time >= 1 AND time <= 2"),
+    ('z(sim."duplo2x4/");', "write ['duplo2x4/']"),
+    ("z(sim.duplo2x4/);", "is written sim['duplo2x4/']"),
+    ("z(sim.robot:arm);", "is written sim['robot:arm']"),
+    ("z(sim.duplo2x4);", "are written sim['duplo2x4/']"),
+    ("SELECT distance(this, kitchen.robot) FROM sim;", "no variable; the worlds are sim"),
+    ("SELECT distance(this, sim.robot) FROM sim;", "name an entity, as in room['panda']"),
+    # Functions of other libraries.
+    ("dot([1], [2]);", "write sum([a[0] * b[0], a[1] * b[1], a[2] * b[2]])"),
+    ("yaw(sim.cube);", "write atan2(rot(e)[1][0], rot(e)[0][0])"),
+    ("clamp(3, 0, 1);", "write clip(x, low, high)"),
+    ("clip([1], 0, 1);", "clip(number, low, high)"),
+    ("jointVelocity(sim.arm, 'hinge');", "SELECT name, velocity FROM joints"),
+    ("jointLimit(sim.arm, 'hinge');", "SELECT name, lower, upper FROM joints"),
+    ("ranges(sim.cube);", "world['name'].ranges"),
+    ("under(sim.cube, sim.table);", "write below(a, b)"),
+    ("np.tanh(1);", "a function has no dot before it: write tanh(…)"),
+    ("sim.cube.z();", "write z(…)"),
+    ("qpos[0];", "the position of a joint is joint(entity, 'name')"),
+    ("sim.cube.qpos;", "the position of a joint is joint(entity, 'name')"),
+    ("sum(sim.ctrl ^ 2);", "ss.add_variable('ctrl', list(data.ctrl))"),
+    ("sum([1, 2] ^ 2);", "norm(list) ^ 2"),
+    ("[1, 2] * [3, 4];", "the dot product is sum("),
+    # Time.
+    (
+        "heldFor(z(sim.cube) > 0, 0.2);",
+        "heldFor takes 1 argument, not 2: the time is compared: heldFor",
+    ),
+    ("since(z(sim.cube) > 0, 0.2);", "heldFor(condition) >= 0.2"),
+    ("initially(z(sim.cube), 0.2);", "initially(expression) -> value"),
+    ("holds(z(sim.cube) > 0) >= 0.2;", "heldFor(condition) >= 0.2"),
+    ("z(sim.cube) > 0 FOR 0.2;", "heldFor(condition) >= 0.2"),
+    ("ever(z(sim.cube) > 0);", "write count(holds(condition)) > 0"),
+    ("always(z(sim.cube) > 0);", "write count(holds(NOT (condition))) == 0"),
+    ("first(z(sim.cube) > 0);", "holds(condition)[0][0]"),
+    ("sim.time > 3;", "the simulated time is getTime()"),
+    ("time() > 3;", "the simulated time now is getTime()"),
+    ("t > 3;", "the simulated time is getTime()"),
+    # Other languages.
+    ("z(sim.cube) => 1;", "write >="),
+    ("z(sim.cube) =< 1;", "write <="),
+    ("z(sim.cube) === 1;", "write =="),
+    ("2 ** 3;", "a power is x ^ y"),
+    ("1 if z(sim.cube) > 0 else 0;", "a choice is IF(condition; a; b)"),
+    ("z(sim.cube) > 0 ? 1 : 0;", "a choice is IF(condition; a; b)"),
+    ("position(sim.cube)[0:2];", "[p[0], p[1]], not p[0:2]"),
+    ("position(sim.cube).z;", "write [2], or z(e)"),
+    ("z(sim.cube) > 0,1;", "numbers have a point: 0.1"),
+    ("IF(z(sim.cube) > 0,1,2);", "a choice is IF(condition; a; b)"),
+    ("sum(z(o) for o in sim);", "SELECT z(this) FROM room"),
+    ("sim.cube on sim.table;", "write on(a, b)"),
+    ("sim.cube under sim.table;", "a relation stands before its entities: under(a, b)"),
+    ("in(sim.cube, sim.table);", "within(a, b)"),
+    ("sim.cube IN sim.table;", "within(a, b)"),
+    # Calls and names.
+    ("inContact(sim.cube, sim);", "EXISTS (SELECT this FROM room WHERE inContact(cup, this))"),
+    ("inContact(sim.cube);", "EXISTS (SELECT this FROM room WHERE inContact(cup, this))"),
+    ("lifted(sim.cube);", "lifted(entity, height)"),
+    ("z(sim.cube_visual);", "it is a geom, a shape of the body cube: write sim.cube"),
+    ("z(sim.pad);", "a shape of the body hand: write sim.arm.hand"),
+    ("sim.hinge;", "it is a joint: write joint(sim.arm, 'hinge')"),
+    ("sim.arm.hinge;", "write joint(sim.arm, 'hinge')"),
+    ("z(sim.qwerty);", "has no entity 'qwerty', only world, table, cube, duplo2x4/, arm"),
+]
+
+
+@pytest.mark.parametrize(("program", "told"), OF_PROGRAMS)
 def test_a_program_says_what_to_write(ss, program, told):
     with pytest.raises(SelectScriptError, match=re.escape(told)):
         ss.eval(program)
@@ -111,6 +171,35 @@ def test_what_the_errors_say_is_right(ss):
     near = "FROM entities a, entities b WHERE near(a, b, 0.2) AND b.name = 'table'"
     assert ("cube",) in ss.sql(f"SELECT a.name {near}").fetchall()
     assert ss.eval("SELECT id FROM sim WHERE id = 'cube' AS dataframe;")["id"].tolist() == ["cube"]
+
+
+@pytest.mark.slow
+def test_what_is_said_of_other_libraries_is_right():
+    """The rotation against MuJoCo's own matrix, and SciPy's angles."""
+    turned = XML.replace('name="cube" pos="0 0 .5"', 'name="cube" pos="0 0 3" euler="10 20 30"')
+    model = mujoco.MjModel.from_xml_string(turned)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    matrix = data.body("cube").xmat.reshape(3, 3)
+    yaw, pitch, roll = Rotation.from_matrix(matrix).as_euler("ZYX")
+    with ssduck.Interpreter() as ss:
+        world = ss.add_variable("sim", ssduck.World.attach(model, data))
+        for name, angle in (("YAW", yaw), ("PITCH", pitch), ("ROLL", roll)):
+            text = suggestion_for_name(name).removeprefix("write ").partition(";")[0]
+            assert ss.eval(f"{text.replace('(e)', '(sim.cube)')};") == pytest.approx(angle)
+        for name, value in (("DOT", 32), ("CROSS", [-3, 6, -3])):
+            text = suggestion_for_name(name).removeprefix("write ")
+            assert ss.eval(f"a = [1, 2, 3]; b = [4, 5, 6]; {text};") == value
+        for data.time, data.qpos[2] in ((0.25, 3), (0.5, 1)):
+            mujoco.mj_forward(model, data)
+            world.tick()
+        condition = "z(sim.cube) > 2"
+        for name, value in (("EVER", True), ("ALWAYS", False), ("NEVER", False)):
+            text = suggestion_for_name(name).removeprefix("write ")
+            assert ss.eval(f"{text.replace('condition', condition)};") is value
+        assert ss.eval(f"[holds({condition})[0][0], holds({condition})[-1][1]];") == [0, 0.5]
+        touched = "EXISTS (SELECT this FROM sim WHERE touching(sim.{}, this));"
+        assert [ss.eval(touched.format(name)) for name in ("cube", "table")] == [False, True]
 
 
 def test_save_is_told_of(ss):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 
+import numpy as np
 import pytest
 
 from ssduck.errors import ArgumentError
@@ -361,3 +362,16 @@ def test_forms_of_users_in_any_case(ss, monkeypatch):
         ss.eval(program.format("MANY"))
     with pytest.raises(ArgumentError, match="own forms"):
         adapters.adapter("LIST")
+
+
+def test_numbers_are_clipped_as_numpy_does(ss):
+    rows = ss.eval("SELECT z, clip(z, 0.2, 0.8) AS c, tanh(3 * z - 2) AS t FROM kitchen;")
+    heights = np.array([row["z"] for row in rows])
+    assert [row["c"] for row in rows] == np.clip(heights, 0.2, 0.8).tolist()
+    assert [row["t"] for row in rows] == pytest.approx(np.tanh(3 * heights - 2), rel=1e-15)
+    assert ss.eval("SELECT id FROM kitchen WHERE tanh(z) > 0.9 OR clip(z, 0, 2) != z AS list;") == [
+        row
+        for row, z in zip(ss.eval("SELECT id FROM kitchen AS list;"), heights, strict=True)
+        if math.tanh(z) > 0.9 or not 0 <= z <= 2
+    ]
+    assert ss.eval("[clip(5, 3, 2), clip(-1, 0, 1)];") == np.clip([5, -1], [3, 0], [2, 1]).tolist()
