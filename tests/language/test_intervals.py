@@ -262,7 +262,7 @@ def test_an_entity_that_was_not_there_ends_what_holds(lab: Any) -> None:
         ("holds(1 < 2);", ArgumentError, "holds takes an expression of entities"),
         ("holds([] == (SELECT this FROM lab));", UnsupportedError, "without a query"),
         ("holds(near(ball, bord, 1));", UnknownNameError, "did you mean 'board'"),
-        ("since(z(ball) > 0, 1);", ArgumentError, "since takes one argument"),
+        ("since(z(ball) > 0, 1);", ArgumentError, "since takes 1 argument"),
         ("holds();", ArgumentError, "holds takes 1 to 2 arguments"),
         ("holds(z(ball) > 0, 'a');", ArgumentError, "number of seconds"),
         ("holds(z(ball) > 0, 99.0);", EvaluationError, "there is no tick at 99 s"),
@@ -346,5 +346,5 @@ def test_of_what_came_later_nothing_is_known_initially(lab: Any) -> None:
 
 def test_initially_takes_one_argument(unmoved: Any) -> None:
     ss, *_ = unmoved
-    with pytest.raises(ArgumentError, match="initially takes one argument"):
+    with pytest.raises(ArgumentError, match="initially takes 1 argument"):
         ss.eval("initially(z(ball), 1.0);")
