@@ -20,6 +20,7 @@ from ssduck.language.tree import (
     Node,
     QualifiedName,
     Query,
+    Source,
     TimeIndex,
     Unary,
 )
@@ -73,7 +74,8 @@ class Judge:
         self._program = interpreter.compile(_selected(self._texts))
         trees = [self._tree(text) for text in self._texts]
         self._are_temporal = [_is_temporal(tree) for tree in trees]
-        # The terms that have a variable in a function of time, with the function, by the variable.
+        # The terms that have a variable in a function of time or a query of the past, with that, by
+        # the variable.
         self._over_time: dict[str, tuple[Term, str]] = {}
         for term, tree in zip(terms, trees, strict=True):
             self._find_over_time(term, tree)
@@ -125,18 +127,23 @@ class Judge:
         """Raises the error of a variable in a function of time that has changed."""
         term, function = self._over_time[name]
         raise ArgumentError(
-            f"{term.key}: {term.text!r} has the variable {shown} in {function}(…), which takes its "
+            f"{term.key}: {term.text!r} has the variable {shown} in {function}, which takes its "
             "present value at all past ticks, and it changed within the episode, from "
             f"{short_repr(before)} to {short_repr(value)}: {_KEEP_PAST}"
         )
 
     def _find_over_time(self, term: Term, tree: Node) -> None:
-        """Finds the variables of a term in functions of time.
+        """Finds the variables of a term in functions of time, and in queries of the past.
 
         Raises:
             ArgumentError: such a function has nothing but variables.
         """
         for call in tree.walk():
+            if isinstance(call, Query) and any(map(_is_past, call.sources)):
+                parts = [part for part in call.children() if not isinstance(part, Source)]
+                names = {n.name for part in parts for n in part.walk() if isinstance(n, Name)}
+                for name in names & (self._whole | self._element_names):
+                    self._over_time.setdefault(name, (term, f"SELECT … FROM {self._world}{{…}}"))
             if not (isinstance(call, Call) and call.name in TEMPORAL_FUNCTIONS and call.arguments):
                 continue
             nodes = list(parts_of(call)[0].walk())
@@ -152,7 +159,7 @@ class Judge:
                     f"is not known: {_KEEP_PAST}"
                 )
             for name in variables:
-                self._over_time.setdefault(name, (term, call.name))
+                self._over_time.setdefault(name, (term, f"{call.name}(…)"))
 
     def _element(self, name: str, index: int) -> str:
         """Returns the name of an element of a list that a variable has, which none else has."""
@@ -426,6 +433,11 @@ def _has_nan(value: Any) -> bool:
 def _unsigned(node: Node) -> Node:
     """Returns an expression without its signs."""
     return _unsigned(node.operand) if isinstance(node, Unary) else node
+
+
+def _is_past(source: Source) -> bool:
+    """Checks whether a source has past ticks, as sim{} and links(sim{0.0}) have."""
+    return any(isinstance(node, TimeIndex) for node in source.value.walk())
 
 
 def _is_temporal(node: Node) -> bool:

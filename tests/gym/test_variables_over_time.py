@@ -40,10 +40,15 @@ def rewards(reward, steps=4, **options):
         "heldFor(x(sim.pusher) < n)",
         "least(x(sim.pusher) - n)[1]",
         "at(0, x(sim.pusher) - n)",
+        "count(SELECT this FROM sim{} WHERE x(sim.pusher) < n AS list)",
+        "sum(SELECT x(this) - n FROM sim{-0.1} WHERE id(this) == 'pusher' AS list)",
     ],
 )
 def test_one_that_changes_is_an_error(term):
-    message = r"reward: .* has the variable n in \w+\(…\), .* from 0 to 1: .*variables="
+    message = (
+        r"reward: .* has the variable n in (\w+\(…\)|SELECT … FROM sim\{…\}), "
+        ".* from 0 to 1: .*variables="
+    )
     with pytest.raises(ArgumentError, match=message):
         rewards(term)
 
