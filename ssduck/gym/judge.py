@@ -143,7 +143,7 @@ class Judge:
                 parts = [part for part in call.children() if not isinstance(part, Source)]
                 names = {n.name for part in parts for n in part.walk() if isinstance(n, Name)}
                 for name in names & (self._whole | self._element_names):
-                    self._over_time.setdefault(name, (term, f"SELECT … FROM {self._world}{{…}}"))
+                    self._over_time.setdefault(name, (term, f"a query of {self._world}{{…}}"))
             if not (isinstance(call, Call) and call.name in TEMPORAL_FUNCTIONS and call.arguments):
                 continue
             nodes = list(parts_of(call)[0].walk())

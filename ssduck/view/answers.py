@@ -95,12 +95,11 @@ class Answers:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             value = self._value_of(asked, text, language)
+            picture, drawing = _picture(value), drawing_of(value)
+            table = DisplayTable([], []) if picture else display_table(value)
+            everything = list(map(Marks(world).of, table.rows))
         self._result = value
-        picture, drawing = _picture(value), drawing_of(value)
-        table = DisplayTable([], []) if picture else display_table(value)
-        marks = Marks(world)
         rows = shown_rows(table.rows[:MAX_ROWS])
-        everything = list(map(marks.of, table.rows))
         return {
             "columns": heads_of(asked.interpreter, text, language, value, table.columns),
             "rows": rows,

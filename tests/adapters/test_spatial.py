@@ -13,7 +13,7 @@ import ssduck
 from ssduck.adapters import spatial
 from ssduck.adapters.highlight import OUTLINE
 from ssduck.adapters.marks import Marks
-from ssduck.errors import ArgumentError, LimitError, UnknownNameError
+from ssduck.errors import ArgumentError, LimitError, ProgramWarning, UnknownNameError
 from ssduck.schema import LINK_FACTOR
 from ssduck.simulators.scenes import Camera
 
@@ -357,6 +357,18 @@ def test_names_are_those_of_entities_then_full_ones_then_of_links(row):
     assert marks.of(["three.link1"]) == [(three, 1)]
     assert marks.of([["link2", {"a": "ball"}]]) == [(three, 2), (ball, -1)]
     assert marks.of(["nothing"]) == []
+
+
+def test_a_link_name_that_entities_share_stands_out_in_none(row):
+    world = row.call_variable("row")
+    ball = world["ball"].id
+    marks = Marks(world)
+    told = "'link0' is a link of three, ball, and stands out in none: .* as in 'three.link0'"
+    with pytest.warns(ProgramWarning, match=told) as caught:
+        assert marks.of(["link0"]) == []
+    assert len(caught) == 1
+    assert marks.of(["ball", "link0"]) == [(ball, -1), (ball, 0)]
+    assert marks.of(["ball.link0"]) == [(ball, 0)]
 
 
 def test_a_picture_of_no_entity_says_what_to_select(row):

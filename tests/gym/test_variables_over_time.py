@@ -46,7 +46,7 @@ def rewards(reward, steps=4, **options):
 )
 def test_one_that_changes_is_an_error(term):
     message = (
-        r"reward: .* has the variable n in (\w+\(…\)|SELECT … FROM sim\{…\}), "
+        r"reward: .* has the variable n in (\w+\(…\)|a query of sim\{…\}), "
         ".* from 0 to 1: .*variables="
     )
     with pytest.raises(ArgumentError, match=message):

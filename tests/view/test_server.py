@@ -236,6 +236,14 @@ def test_results_of_several_statements_are_told_of(socket):
         assert not asked(socket, type="ask", text=text)["warnings"]
 
 
+def test_a_link_name_that_entities_share_is_told_of(ss, socket):
+    names = [link.name for entity in ss["kitchen"] for link in getattr(entity, "links", ())]
+    shared = max(names, key=names.count)
+    answer = asked(socket, type="ask", text=f"'{shared}';")
+    assert (answer["marks"], answer["all"]) == ([[]], [])
+    assert f"'{shared}' is a link of" in answer["warnings"][0]
+
+
 def test_a_pair_has_the_line_between_its_nearest_points(ss, socket):
     text = "SELECT a.this, b.this FROM a=kitchen, b=kitchen WHERE id(a.this) == 'table' AND id(b.this) == 'fridge';"
     (line,) = asked(socket, type="ask", text=text)["lines"]
