@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from ssduck.errors import ArgumentError, SelectScriptError, UnknownNameError
@@ -79,6 +79,12 @@ class Judge:
         self._over_time: dict[str, tuple[Term, str]] = {}
         for term, tree in zip(terms, trees, strict=True):
             self._find_over_time(term, tree)
+        # The conditions in heldFor and holds, with the numbers of their terms.
+        self._held = [
+            (number, text[held.span.start : held.span.end])
+            for number, (text, tree) in enumerate(zip(self._texts, trees, strict=True))
+            for held in _held_conditions(tree)
+        ]
         # The entities that were NaN at a tick of the episode.
         self._were_nan: set[str] = set()
         self.past_tables: frozenset[str] = frozenset()
@@ -188,6 +194,8 @@ class Judge:
             values = [self._value_or_nan(text) for text in self._texts]
             if not self._nan_sources() and not self._has_nan_past(values):
                 raise
+        if self._held and self._nan_sources():
+            values = self._with_unknown(values)
         sources = ""
         if any(map(is_nan, values)):
             sources = self._nan_sources(values)
@@ -197,6 +205,14 @@ class Judge:
         if sources:
             return self.terms.judgement_of_nan(values, sources)
         return self.terms.judgement(values)
+
+    def _with_unknown(self, values: Sequence[Any]) -> list[Any]:
+        """Returns values, None in place of those with heldFor or holds of what is unknown now.
+
+        To these functions a condition that is unknown is one that does not hold.
+        """
+        unknown = {number for number, text in self._held if self._value_or_nan(text) is None}
+        return [None if number in unknown else value for number, value in enumerate(values)]
 
     def _has_nan_past(self, values: Sequence[Any]) -> bool:
         """Checks whether what terms lack may be that of a past tick that was NaN."""
@@ -428,6 +444,15 @@ def _has_nan(value: Any) -> bool:
     if isinstance(value, list):
         return any(map(_has_nan, value))
     return isinstance(value, float) and math.isnan(value)
+
+
+def _held_conditions(node: Node) -> Iterator[Node]:
+    """Yields the conditions in heldFor and holds, but for those of the rows of a query."""
+    if isinstance(node, Call) and node.name in ("heldFor", "holds"):
+        yield parts_of(node)[0]
+    if not isinstance(node, Query):
+        for child in node.children():
+            yield from _held_conditions(child)
 
 
 def _unsigned(node: Node) -> Node:

@@ -289,10 +289,12 @@ def _task(table: TomlTable, file: Path, limits: Limits) -> Task:
     scene = _scene(table, file, limits)
     text = partial(table.text, default=None)  # type: ignore[arg-type]
     reward = table.values.get("reward")
-    table.read_keys.update(("reward", "observation", "variables"))
+    nan = table.values.get("nan", "error")
+    table.read_keys.update(("reward", "observation", "variables", "nan"))
     try:
-        terms = Terms.of(text("success"), text("failure"), reward, text("stop_when"))
-        observation = Terms.of(None, None, _texts(table, "observation"), None, table="observation")
+        terms = Terms.of(text("success"), text("failure"), reward, text("stop_when"), nan=nan)
+        texts = _texts(table, "observation")
+        observation = Terms.of(None, None, texts, None, table="observation", nan=nan)
         variables = {
             name: plain(value, f"variables.{name}")
             for name, value in table.table("variables").values.items()

@@ -18,7 +18,7 @@ from sqlglot import exp
 from ssduck import validation
 from ssduck.database.database import Database
 from ssduck.errors import ArgumentError, ProgramWarning, RecordError, SqlError, record_errors, warn
-from ssduck.gym.terms import Reward, Terms
+from ssduck.gym.terms import Reward, Terms, WhereNaN
 from ssduck.lakes.answers import AnsweredEpisode, KeptAnswers, answer_table
 from ssduck.lakes.engines import Answerer, EngineName, engine_of
 from ssduck.lakes.manifest import (
@@ -294,6 +294,7 @@ class Lake:
         stop_when: str | None = None,
         *,
         where: str | None = None,
+        nan: WhereNaN = "error",
         engine: EngineName = "local",
         limits: Limits | None = None,
         processes: int | None = None,
@@ -305,7 +306,7 @@ class Lake:
     ) -> pa.Table:
         """Returns the return and the success of each episode of an environment of gymnasium.
 
-        They are those of `ssduck.gym.score`; its arguments are the terms.
+        They are those of `ssduck.gym.score`; its arguments are the terms and `nan`.
 
         Returns:
             A table with the columns `world`, `episode`, `path`, `return`, `success`, `failure`,
@@ -315,7 +316,7 @@ class Lake:
             ArgumentError: a term is none, or another argument is wrong.
             UnsupportedError: the engine is not installed.
         """
-        question = ScoreQuestion(Terms.of(success, failure, reward, stop_when), limits)
+        question = ScoreQuestion(Terms.of(success, failure, reward, stop_when, nan=nan), limits)
         engines = {"processes": processes, "options": options, "session": session}
         answered = self._answered(question, where, engine, batch, resume, progress, engines)
         return answer_table(answered)

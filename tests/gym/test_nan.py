@@ -6,6 +6,7 @@ import numpy as np
 import pybullet
 import pytest
 
+import ssduck
 from ssduck.errors import ArgumentError, SelectScriptError
 from ssduck.gym import QueryWrapper, score
 from tests.support.gym_environments import Drop
@@ -134,6 +135,44 @@ def test_a_value_in_its_place(tmp_path):
         list(score(tmp_path, **TERMS))
     (failed,) = score(tmp_path, **TERMS, nan="failure")
     assert (failed.failure, failed.stop) == ((False, True), (False, True))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("nan", [-4.5, "failure"])
+def test_a_lake_scores_likewise(tmp_path, nan):
+    run(3, **TERMS, nan=-4.5, record_to=tmp_path)
+    (scored,) = score(tmp_path, **TERMS, nan=nan)
+    lake = ssduck.lake(tmp_path)
+    (row,) = lake.score(**TERMS, nan=nan, processes=1).to_pylist()
+    found = (row["return"], row["success"], row["failure"], row["steps"], row["error"])
+    failed = None if scored.failure is None else scored.failure[-1]
+    assert found == (scored.total, scored.succeeded, failed, len(scored.rewards), None)
+    (row,) = lake.score(**TERMS, processes=1).to_pylist()
+    assert "is NaN" in row["error"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("term", "rewards"),
+    [
+        # The pose is NaN at the second and the third step, and time goes on from 0.1 s.
+        ("heldFor(z(sim.a) > 0.5)", [0.004, -4.5, -4.5, 0.0, 0.004]),
+        ("heldFor(near(sim.a, sim.b, 9))", [0.004, -4.5, -4.5, 0.0, 0.004]),
+        ("count(holds(z(sim.a) > 0.5))", [1, -4.5, -4.5, 2, 2]),
+        ("heldFor(z(sim.b) > 0.5)", [0.004, 0.008, 0.012, 0.096, 0.1]),
+        ("x(sim.b) + heldFor(z(sim.b) < 0.5)", [1, 1, 1, 1, 1]),
+    ],
+)
+def test_conditions_over_time_that_are_unknown(tmp_path, term, rewards):
+    env = QueryWrapper(Broken(until=4), reward=term, nan=-4.5, record_to=tmp_path)
+    env.reset()
+    assert [env.step(np.zeros(1))[1] for _ in range(5)] == pytest.approx(rewards)
+    env.close()
+    (scored,) = score(tmp_path, reward=term, nan=-4.5)
+    assert scored.rewards == pytest.approx(rewards)
+    if -4.5 in rewards:
+        with pytest.raises(ArgumentError, match="reward: .* is NaN .*" + STATE):
+            list(score(tmp_path, reward=term))
 
 
 @pytest.mark.slow

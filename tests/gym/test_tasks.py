@@ -268,3 +268,28 @@ def test_a_closed_task_takes_no_step(folder):
     for act in (lambda: env.step(np.zeros(1, np.float32)), env.reset):
         with pytest.raises(gymnasium.error.ClosedEnvironmentError, match="is closed: make it anew"):
             act()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("nan", "expected"), [("-2.5", (-2.5, False)), ("'failure'", (0.0, True))])
+@pytest.mark.filterwarnings("ignore:.*no number")
+def test_where_the_state_is_nan(folder, nan, expected):
+    model = MODEL.replace("<worldbody>", '<option><flag autoreset="disable"/></option><worldbody>')
+    (folder / "push.xml").write_text(model)
+    text = TASK.replace("[reward]\n", "[reward]\nhigh = 'z(sim.ball)'\n")
+    (folder / "task.toml").write_text(f"nan = {nan}\n{text}")
+    env = make_task(folder / "task.toml")
+    env.reset(seed=1)
+    _, _, is_over, _, info = env.step(np.zeros(1, np.float32))
+    assert (info["ssduck"]["parts"]["high"], is_over) == (pytest.approx(0.45, abs=0.01), False)
+    env._world._simulator.data.qpos[:] = np.nan
+    observation, _, is_over, _, info = env.step(np.zeros(1, np.float32))
+    assert (info["ssduck"]["parts"]["high"], is_over) == expected
+    assert observation.tolist() == [expected[0]] * 2
+    env.close()
+
+
+def test_another_value_of_nan(folder):
+    (folder / "task.toml").write_text(f"nan = 'fail'\n{TASK}")
+    with pytest.raises(SceneError, match=r"task\.toml: nan: give 'error', 'failure' or a number"):
+        make_task(folder / "task.toml")
