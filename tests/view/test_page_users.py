@@ -1,6 +1,7 @@
 """The page as users press it: reloads, clicks in a row, two pages, the keyboard, a stopped server."""
 
 import json
+import time
 
 import pytest
 
@@ -146,3 +147,65 @@ def test_a_page_whose_server_has_stopped_says_so(browser):
         page.value("__ss.type('1 + 1;'); __ss.run(); 0")
         page.wait("document.getElementById('error').textContent === 'there is no connection'")
         page.close()
+
+
+# What is typed, whether Enter asks at once, and the text then.
+ENTERED = [
+    ("z(kitchen.fridge", "fridge", "z(kitchen.fridge"),  # the name stands there: an error, at once
+    ("SELECT id FROM kitchen AS list", "list", "SELECT id FROM kitchen AS list"),
+    ("SELECT id FROM kitchen WHERE isRobot", "isRobot", "SELECT id FROM kitchen WHERE isRobot"),
+]
+
+
+def typed(page, text):
+    """Types a text as a user does, and waits for the completions."""
+    page.call("Page.bringToFront")  # one behind another page shows none
+    page.value("__ss.type(''); document.querySelector('.cm-content').focus(); 0")
+    page.call("Input.insertText", text=text[:-1])
+    page.call("Input.insertText", text=text[-1])
+    page.wait("!!document.querySelector('.cm-tooltip-autocomplete [aria-selected]')")
+
+
+@pytest.mark.parametrize(("text", "chosen", "expected"), ENTERED)
+def test_enter_asks_where_completion_offers_what_stands_there(page, text, chosen, expected):
+    page.value("document.querySelector('[data-language=selectscript]').click(); 0")
+    answers = page.value("__ss.answers")
+    typed(page, text)
+    option = (
+        "document.querySelector('.cm-tooltip-autocomplete [aria-selected] .cm-completionLabel')"
+    )
+    assert page.value(f"{option}.textContent") == chosen
+    time.sleep(0.1)  # a menu that just came takes no keys
+    press(page, "Enter", 13)
+    page.wait(f"__ss.answers > {answers}")
+    assert page.value("document.querySelector('.cm-content').textContent") == expected
+    assert not page.value("document.querySelector('.cm-tooltip-autocomplete')")
+    assert not page.errors()
+
+
+def test_enter_takes_a_completion_that_is_longer(page):
+    answers = page.value("__ss.answers")
+    typed(page, "SELECT z(kitchen.frid")
+    time.sleep(0.1)
+    press(page, "Enter", 13)
+    page.wait("document.querySelector('.cm-content').textContent === 'SELECT z(kitchen.fridge'")
+    assert page.value("__ss.answers") == answers
+
+
+def test_several_statements_show_that_the_result_is_the_last_ones(page):
+    page.ask("1 + 1; x = 3; 40 + 2;")
+    assert first_cell(page) == "42"
+    note = page.value("document.getElementById('error').textContent")
+    assert "the result of the last of 3 statements" in note
+    page.ask("x = 3; x + 1;")  # assignments have no result
+    assert page.value("document.getElementById('error').hidden")
+
+
+def test_names_of_links_stand_out(page):
+    """Those of one link, not of its whole robot."""
+    orange = []
+    for name in ("pin_c671", "barrett_4918.arm3", "barrett_4918"):
+        page.ask(f"SELECT '{name}' FROM [1];")
+        picture = page.picture()[:560, :800].astype(int)
+        orange.append(((picture[..., 0] - picture[..., 2] > 120) & (picture[..., 0] > 200)).sum())
+    assert orange[0] + 20 < orange[1] < orange[2] - 20
