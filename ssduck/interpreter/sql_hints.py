@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 
 from ssduck.errors import SelectScriptError, SqlError, nearest
+from ssduck.interpreter.temporal_functions import TEMPORAL_FUNCTIONS
 from ssduck.language.parser import parse
 from ssduck.schema import TABLES
 from ssduck.sql.relations.registry import RELATIONS
+from ssduck.world.world import World
 
 # DuckDB's errors of unknown tables, schemas and columns, and of a field of a number.
 _TABLE = re.compile(r"Catalog Error: Table with name (\w+) does not exist!")
@@ -17,8 +19,9 @@ _SCHEMA = re.compile(
 )
 _COLUMN = re.compile(r'column "(\w+)" not found|does not have a column named "(\w+)"')
 _FIELD = re.compile(r"Cannot extract field '\w+' from expression \"('[^']*'|\w+)\"")
-_FUNCTION = re.compile(r"Function with name \"?(\w+)\"? does not exist")
+_FUNCTION = re.compile(r"Function with name \"?(\w+|=>|=<)\"? does not exist")
 _NUMBER = re.compile(r"Could not convert string '(.*)' to INT64")
+_GUESS = "\nDid you mean"
 _NO_SOURCE = re.compile(r'Referenced table "(\w+)" not found')
 # The relations whose names are words of SQL, where they are called.
 _RESERVED = {
@@ -37,25 +40,48 @@ _LISTS = {
     "orientation": "the columns qw, qx, qy and qz; orientation(e) is a list of them",
     "velocity": "the columns vx, vy and vz",
 }
-# The names that relations and tables have, and what is meant by those of tables.
-_TABLE_CALLS = {
+_YAW = "atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))"
+# What to write for columns that there are not.
+_COLUMNS = {name: f"The {name} of an entity is in {where}" for name, where in _LISTS.items()} | {
+    "yaw": f"The orientation is in the columns qw, qx, qy and qz: the yaw is {_YAW}",
+}
+# What to write for functions that there are not: tables, and those of other libraries.
+_CALLS = {
+    "clip": "write least(greatest(x, low), high)",
+    "clamp": "write least(greatest(x, low), high)",
+    "dot": "write list_dot_product(a, b)",
+    "norm": "write sqrt(list_dot_product(a, a))",
+    "yaw": f"write {_YAW}",
+    "gettime": "the simulated time is the column time",
+    "under": "write below(a, b)",
+    "=>": "write >=",
+    "=<": "write <=",
     "joints": "joints is a table: FROM joints j JOIN entities e ON e.id = j.entity; the position "
     "of one joint is joint(e, 'its name')",
     "links": "links is a table: FROM links l JOIN entities e ON e.id = l.entity",
 }
+# What to write for tables that there are not.
+_TABLES = {
+    **dict.fromkeys(("bodies", "objects", "things"), "entities"),
+    "robots": "entities, WHERE kind = 'robot'",
+    "sensors": "entities, WHERE kind = 'sensor'",
+    "geoms": "shapes",
+}
+# The functions of SelectScript that SQL has not.
+_ONLY_PROGRAMS = frozenset(name.lower() for name in TEMPORAL_FUNCTIONS)
 # The columns that are ids of entities.
 _IDS = ("entity", "sensor", "a", "b")
 
 
 def add_hint(
-    error: SqlError, sql: str, worlds: Collection[str], functions: Collection[str]
+    error: SqlError, sql: str, worlds: Mapping[str, World], functions: Collection[str]
 ) -> None:
     """Adds a hint to the error of a user's statement, if there is one.
 
     Args:
         error: the error.
         sql: the statement.
-        worlds: the names of the worlds.
+        worlds: the worlds by name.
         functions: the names of the user's functions.
     """
     message = error.message
@@ -76,19 +102,25 @@ def add_hint(
             f"def {name}(x: float) -> float, say"
         )
     elif hint := _hint(message, sql, worlds):
-        error.message += f"\n{hint}"
+        error.message = f"{message.partition(_GUESS)[0]}\n{hint}"
 
 
-def _hint(message: str, sql: str, worlds: Collection[str]) -> str:
+def _hint(message: str, sql: str, worlds: Mapping[str, World]) -> str:
     """Returns the hint for a message of DuckDB's; empty if there is none."""
     if message.startswith("Parser Error"):
         return _hint_of_syntax(sql)
+    if match := _TABLE.match(message):
+        return _hint_of_table(match.group(1), message, worlds)
     if match := _COLUMN.search(message):
-        return _hint_of_column((match.group(1) or match.group(2)).lower())
+        column = match.group(1) or match.group(2)
+        if any(column in world for world in worlds.values()):
+            return f"A text is in single quotes: {column!r}"
+        return _hint_of_column(column.lower())
     if match := _FIELD.search(message):
         return _hint_of_row(match.group(1))
     if match := _FUNCTION.search(message):
-        return _TABLE_CALLS.get(match.group(1).lower(), "")
+        name = match.group(1).lower()
+        return _CALLS.get(name, _IS_SELECTSCRIPT if name in _ONLY_PROGRAMS else "")
     if match := _NUMBER.search(message):
         return (
             "The ids of entities are numbers in SQL; their names are in the column name: "
@@ -97,6 +129,15 @@ def _hint(message: str, sql: str, worlds: Collection[str]) -> str:
     if (match := _NO_SOURCE.search(message)) and _same(match.group(1), worlds):
         return _IS_SELECTSCRIPT
     return ""
+
+
+def _hint_of_table(name: str, message: str, worlds: Collection[str]) -> str:
+    if name in _TABLES:
+        return f"write {_TABLES[name]}"
+    if nearest(name, re.findall(r"\w+", message.partition(_GUESS)[2])):  # DuckDB's guess is good
+        return ""
+    tables = f"The tables of a world are {', '.join(TABLES)}; a" if worlds else "A"
+    return f"{tables} frame of yours is a table after ss.register({name!r}, {name})"
 
 
 def _hint_of_syntax(sql: str) -> str:
@@ -110,8 +151,8 @@ def _hint_of_syntax(sql: str) -> str:
 def _hint_of_column(name: str) -> str:
     if name == "this":
         return _IS_SELECTSCRIPT
-    if name in _LISTS:
-        return f"The {name} of an entity is in {_LISTS[name]}"
+    if name in _COLUMNS:
+        return _COLUMNS[name]
     relation = RELATIONS.get(_NAMES.get(name, ""))
     if relation is None or relation.parameters[0].type != "entity":
         return ""

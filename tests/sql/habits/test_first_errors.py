@@ -41,6 +41,7 @@ def ss():
         yield ss
 
 
+YAW_OF_COLUMNS = "atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))"
 OF_SQL = [
     ("SELECT on(a, b) FROM entities a, entities b", "on is a word of SQL: write onTop(…)"),
     ("SELECT position(e) FROM entities e", "position is a word of SQL: write positionOf(…)"),
@@ -59,6 +60,18 @@ OF_SQL = [
     ("SELECT id FROM sim{0.5}", "This is SelectScript: ss.eval runs it"),
     ("SELECT id, z FROM sim AS df;", "This is SelectScript: ss.eval runs it"),
     ("distance(sim.cube, sim.table) < 1", "This is SelectScript: ss.eval runs it"),
+    ("SELECT clip(z, 0, 1) FROM entities", "write least(greatest(x, low), high)"),
+    ("SELECT yaw(e) FROM entities e", f"write {YAW_OF_COLUMNS}"),
+    ("SELECT yaw FROM entities", f"the yaw is {YAW_OF_COLUMNS}"),
+    ("SELECT dot([1], [2])", "write list_dot_product(a, b)"),
+    ("SELECT getTime()", "the simulated time is the column time"),
+    ("SELECT heldFor(z(e) > 0) FROM entities e", "This is SelectScript: ss.eval runs it"),
+    ("SELECT * FROM entities WHERE z => 0.1", "write >="),
+    ("SELECT * FROM bodies", "bodies does not exist!\nwrite entities"),
+    ("SELECT * FROM geoms", "geoms does not exist!\nwrite shapes"),
+    ("SELECT count(*) FROM frame", "a frame of yours is a table after ss.register('frame', frame)"),
+    ("SELECT z FROM entities WHERE name = cube", "A text is in single quotes: 'cube'"),
+    ('SELECT z FROM entities WHERE name = "cube"', "A text is in single quotes: 'cube'"),
     ("SELECT distance(sim.cube, sim.table)", "This is SelectScript: ss.eval runs it"),
 ]
 
@@ -75,6 +88,13 @@ def test_other_errors_of_sql_have_no_such_hint(ss, sql):
         ss.sql(sql)
     assert "SelectScript" not in str(caught.value)
     assert "row" not in str(caught.value)
+
+
+def test_the_name_of_a_users_table_is_still_guessed():
+    with ssduck.Interpreter() as ss:
+        ss.sql("CREATE TABLE measured (a INT)")
+        with pytest.raises(SelectScriptError, match='Did you mean "measured"'):
+            ss.sql("SELECT * FROM mesured")
 
 
 OF_PROGRAMS = [
@@ -187,6 +207,11 @@ def test_what_is_said_of_other_libraries_is_right():
         for name, angle in (("YAW", yaw), ("PITCH", pitch), ("ROLL", roll)):
             text = suggestion_for_name(name).removeprefix("write ").partition(";")[0]
             assert ss.eval(f"{text.replace('(e)', '(sim.cube)')};") == pytest.approx(angle)
+        row = f"SELECT {YAW_OF_COLUMNS} FROM entities WHERE name = 'cube'"
+        assert ss.sql(row).fetchone()[0] == pytest.approx(yaw)
+        assert ss.sql("SELECT least(greatest(7, 0), 1), list_dot_product([3], [4])").fetchall() == [
+            (1, 12)
+        ]
         for name, value in (("DOT", 32), ("CROSS", [-3, 6, -3])):
             text = suggestion_for_name(name).removeprefix("write ")
             assert ss.eval(f"a = [1, 2, 3]; b = [4, 5, 6]; {text};") == value
