@@ -123,6 +123,10 @@ _OF_LISTS = {
     "^": "the sum of squares is norm(list) ^ 2",
     "*": "the dot product is sum([a[0] * b[0], a[1] * b[1], a[2] * b[2]])",
 }
+_NOTHING = (
+    "what was not there has no number: leave it out by x IS NOT NULL, or ask for a time at which "
+    "it was there, at(0.5, z(cup))"
+)
 _NO_LIST = {"IN": "IN looks into a list or a text; what is in a thing or a region is within(a, b)"}
 
 
@@ -146,6 +150,8 @@ def apply(sign: str, left: Any, right: Any, span: SourceSpan | None = None) -> A
             return _difference(left, right, span)
         has_list = list in (type(left), type(right))
         instead = (_OF_LISTS if has_list else _NO_LIST).get(sign)
+        if left is None or right is None:
+            instead = _NOTHING
         raise ArgumentError(
             f"{sign} does not take {type_in_words(left)} and {type_in_words(right)}"
             + (f": {instead}" if instead else ""),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Container
+from collections.abc import Collection, Container
 from itertools import count
 from pathlib import PurePath
 
@@ -46,6 +46,16 @@ def tells_nothing(name: str) -> bool:
     ['urdf_robot', 'link_0']
     """
     return not _words(name)
+
+
+def is_made_up(name: str, names: Collection[str]) -> bool:
+    """Checks whether a name tells nothing, or was made unique among names by a number.
+
+    >>> [name for name in ("cup", "cup_2", "body_0", "arm_1") if is_made_up(name, ["cup", "cup_2"])]
+    ['cup_2', 'body_0']
+    """
+    base = name.rstrip("0123456789")
+    return tells_nothing(name) or (base.endswith("_") and base != name and base[:-1] in names)
 
 
 def name_by_file(model_name: str, file: PurePath) -> str:

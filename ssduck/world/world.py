@@ -38,6 +38,7 @@ from ssduck.simulators.kinematics import (
     joint_positions,
     parse_pose,
 )
+from ssduck.simulators.naming import is_made_up
 from ssduck.simulators.scenes import Camera, SensorSpec, variable_name
 from ssduck.world.construction import UNNAMED, ConstructibleWorld
 from ssduck.world.entities import HANDLES, Entity, Sensor
@@ -420,7 +421,10 @@ class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicName
 
     def __repr__(self) -> str:
         contents = contents_of([(entity.name, entity.kind) for entity in self])
-        return f"<World {self.name!r}: {contents}, t={self.time:g} s>"
+        names = dict.fromkeys(entity.name for entity in self) if self.is_attached else {}
+        unclear = next((name for name in names if is_made_up(name, names)), None)
+        hint = f"; World.attach(…, names=…) names {unclear}" if unclear else ""
+        return f"<World {self.name!r}: {contents}, t={self.time:g} s{hint}>"
 
     def _repr_png_(self) -> bytes | None:
         """Returns a picture for notebooks; None if the world cannot be rendered."""

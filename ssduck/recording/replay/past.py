@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from ssduck import validation
-from ssduck.errors import ArgumentError, EvaluationError
-from ssduck.formatting import short_repr
+from ssduck.errors import ArgumentError, EvaluationError, UnknownNameError
+from ssduck.formatting import name_path, short_repr
 from ssduck.recording.replay.past_world import PastWorld
 from ssduck.recording.replay.record import TIME_TOLERANCE, Record, index_at
 from ssduck.schema import EntityTable, entity_of
@@ -167,7 +167,14 @@ class Past:
                 f"{world}{{t}} with a time t from 0 s on, or previous(…) for the tick before; "
                 f"for all of them query FROM {world}{{…}}, or write changes(…)"
             )
-        return self.record.at(self.ticks[-1])[name]
+        past = self.record.at(self.ticks[-1])
+        if name not in past and name in self.world:
+            now = name_path(self.world.name, name)
+            raise UnknownNameError(
+                f"{name!r} was not there at {past.time:g} s: changes(z({now})) has the time at "
+                "which it came"
+            )
+        return past[name]
 
     def __repr__(self) -> str:
         try:
