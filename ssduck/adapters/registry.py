@@ -125,7 +125,7 @@ def _exact_spelling(name: str, known: Collection[str]) -> str:
         message = f"there is no result form {short_repr(name)}"
         near = nearest(name, known)
         if not near:
-            message += f"; there are {', '.join(sorted(form.names[0] for form in all_adapters()))}"
+            message += "; some are list, value, dict, df and json: help('AS') lists all"
         raise UnknownNameError(message, suggestions=near)
     return spellings[0]
 

@@ -189,6 +189,11 @@ def plain(value: Any) -> Any:
             return [plain(element) for element in value]
         case Mapping():
             return {str(plain(key)): plain(element) for key, element in value.items()}
+    if hasattr(value, "columns"):  # of pandas, Polars or Arrow
+        raise ArgumentError(
+            f"the answer is a {type(value).__name__}: leave its AS … out; ask(…).to_pandas() is a "
+            "frame of the rows of all episodes"
+        )
     raise ArgumentError(
         f"the answer is {short_repr(value)}: ask for numbers, texts, lists or records"
     )

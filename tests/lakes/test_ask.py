@@ -9,6 +9,7 @@ import signal
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import pandas as pd
 import pyarrow as pa
 import pytest
 
@@ -19,7 +20,7 @@ from ssduck.lakes.answers import AnsweredEpisode, answer_table
 from ssduck.lakes.engines import answer_locally
 from ssduck.lakes.manifest import EpisodeEntry
 from ssduck.lakes.pool import pools
-from ssduck.lakes.questions import ProgramQuestion
+from ssduck.lakes.questions import ProgramQuestion, plain
 from ssduck.lakes.workers import answer_episodes, forget_readers
 from tests.lakes.conftest import EPISODES
 from tests.support.cases import sampled
@@ -235,6 +236,12 @@ def test_mistakes_are_errors_at_once(recorded):
         lake.tag("task", {"a": 1})
     with pytest.raises(ArgumentError, match=r"is a text of SelectScript, not {'a': 1}"):
         lake.sql({"a": 1})
+
+
+@pytest.mark.parametrize("frame", [pd.DataFrame({"z": [1]}), pa.table({"z": [1]})])
+def test_a_frame_is_told_of(frame):
+    with pytest.raises(ArgumentError, match=r"leave its AS … out; ask\(…\)\.to_pandas\(\)"):
+        plain(frame)
 
 
 def row(text, error=None):
