@@ -152,6 +152,13 @@ _OF_LIBRARIES: dict[tuple[str, ...], str] = {
     ("T", "SIMTIME", "CLOCK"): "the simulated time is getTime()",
     ("IIF", "IFELSE"): _IF,
 }
+# The columns of SQL that are elements of a list here.
+_ELEMENTS = {
+    "aabb": ("XMIN", "XMAX", "YMIN", "YMAX", "ZMIN", "ZMAX"),
+    "velocity": ("VX", "VY", "VZ"),
+    "angularVelocity": ("WX", "WY", "WZ"),
+    "orientation": ("QW", "QX", "QY", "QZ"),
+}
 # The suggestions for names of SQL that a program may use as its own.
 _OWN_NAMES = {
     **dict.fromkeys(("RANDOM", "RAND"), _RANDOM),
@@ -174,6 +181,11 @@ _OWN_NAMES = {
     "TRUNC": "write int(x)",
     "ISNAN": "write x != x",
     "SIGN": "write CASE WHEN x > 0 THEN 1 WHEN x < 0 THEN -1 ELSE 0 END",
+    **{
+        column: f"write {name}(e)[{number}]"
+        for name, columns in _ELEMENTS.items()
+        for number, column in enumerate(columns)
+    },
     **{word: suggestion for words, suggestion in _OF_LIBRARIES.items() for word in words},
 }
 

@@ -43,10 +43,6 @@ class RecordedTick:
     tick: int
 
 
-# What `aabb(entity)` lists.
-_SIDES = ("xmin", "xmax", "ymin", "ymax", "zmin", "zmax")
-
-
 class Handle(PublicNames):
     """A handle of an entity or a link: a row of a table of its world.
 
@@ -140,8 +136,6 @@ class Handle(PublicNames):
         path = name_path(self.world.name, *([] if owner is None else [owner]), self.name)
         key = "z" if key.startswith("_") else key
         told = "functions tell of an entity, a link or a site: "
-        if key in _SIDES:
-            return f"{told}aabb({path})[{_SIDES.index(key)}]"
         return f"{told}{key}({path}), {key}(this) of a row, or k.{key} of a source k"
 
     def column(self, name: str) -> Any:

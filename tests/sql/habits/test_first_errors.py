@@ -104,8 +104,8 @@ OF_PROGRAMS = [
     ("sim.joints;", "SELECT * FROM sim.joints"),
     ("sim.cube.position;", "position(sim.cube)"),
     ("sim.cube.z;", "z(sim.cube)"),
-    ("sim.cube.xmax;", "aabb(sim.cube)[1]"),
-    ("sim.arm.hand.zmin;", "aabb(sim.arm.hand)[4]"),
+    ("sim.cube.xmax;", "write aabb(e)[1]"),
+    ("sim.arm.hand.zmin;", "write aabb(e)[4]"),
     ("sim['duplo2x4/'].z;", "z(sim['duplo2x4/'])"),
     ("joints(sim.arm);", "joint(entity, 'name')"),
     ("SELECT id FROM sim{1, 2};", "FROM sim{} WHERE time >= 1 AND time <= 2"),
@@ -131,6 +131,10 @@ OF_PROGRAMS = [
     ("sum(sim.ctrl ^ 2);", "ss.add_variable('ctrl', list(data.ctrl))"),
     ("sum([1, 2] ^ 2);", "norm(list) ^ 2"),
     ("[1, 2] * [3, 4];", "the dot product is sum("),
+    ("SELECT vy FROM sim;", "write velocity(e)[1]"),
+    ("SELECT k.wz FROM sim k;", "write angularVelocity(e)[2]"),
+    ("SELECT id FROM sim ORDER BY qw;", "write orientation(e)[0]"),
+    ("SELECT id FROM sim AS frame_of_pandas;", "help('AS') lists all"),
     # Time.
     (
         "heldFor(z(sim.cube) > 0, 0.2);",
@@ -199,6 +203,7 @@ def test_what_is_said_of_other_libraries_is_right():
     turned = XML.replace('name="cube" pos="0 0 .5"', 'name="cube" pos="0 0 3" euler="10 20 30"')
     model = mujoco.MjModel.from_xml_string(turned)
     data = mujoco.MjData(model)
+    data.qvel[:6] = range(1, 7)
     mujoco.mj_forward(model, data)
     matrix = data.body("cube").xmat.reshape(3, 3)
     yaw, pitch, roll = Rotation.from_matrix(matrix).as_euler("ZYX")
@@ -207,6 +212,10 @@ def test_what_is_said_of_other_libraries_is_right():
         for name, angle in (("YAW", yaw), ("PITCH", pitch), ("ROLL", roll)):
             text = suggestion_for_name(name).removeprefix("write ").partition(";")[0]
             assert ss.eval(f"{text.replace('(e)', '(sim.cube)')};") == pytest.approx(angle)
+        for column in ("xmin", "xmax", "ymax", "zmin", "vx", "vz", "wy", "qw", "qz"):
+            text = suggestion_for_name(column).removeprefix("write ").replace("(e)", "(sim.cube)")
+            (stored,) = ss.sql(f"SELECT {column} FROM entities WHERE name = 'cube'").fetchone()
+            assert ss.eval(f"{text};") == stored
         row = f"SELECT {YAW_OF_COLUMNS} FROM entities WHERE name = 'cube'"
         assert ss.sql(row).fetchone()[0] == pytest.approx(yaw)
         assert ss.sql("SELECT least(greatest(7, 0), 1), list_dot_product([3], [4])").fetchall() == [
