@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from ssduck.errors import ProgramWarning, warn
@@ -46,7 +47,8 @@ class ForwardCheck:
             warnings.simplefilter("ignore")
             attached = World.attach(environment, forward=True)
             self._interpreter.add_variable(world, attached)
-            self._judge = Judge(terms, self._interpreter, world, variables, if_unknown="")
+            flags = replace(terms, parts={})  # rewards are not compared
+            self._judge = Judge(flags, self._interpreter, world, variables, if_unknown="")
             if tables := self._judge.past_tables:
                 self._interpreter.record(world, Recording(tables=tuple(tables)))
 

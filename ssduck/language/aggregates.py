@@ -171,7 +171,9 @@ def _aggregated(call: Call, argument: Thunk, rows: Sequence[Frame], first: Frame
 
 def _refusal_message(name: str, values: Sequence[Any]) -> str:
     kinds = list(dict.fromkeys(map(type_in_words, values)))
-    return f"{name} over the rows of a group does not take {' and '.join(kinds[:3])}"
+    message = f"{name} over the rows of a group does not take {' and '.join(kinds[:3])}"
+    of_each = f"; of each number write {name}(x(this)) AS x, {name}(y(this)) AS y, …"
+    return message + (of_each if "a list" in kinds else "")
 
 
 def check_one_group(query: Query, selected: Sequence[Node]) -> None:

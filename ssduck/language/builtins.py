@@ -84,7 +84,12 @@ class Function:
         """Returns the message for arguments that a built-in function does not take."""
         values_text = ", ".join(map(argument_in_words, arguments)) or "no arguments"
         usage = self.help.rpartition("Usage: ")[2].partition(" -> ")[0]
-        return f"{self.name} does not take {values_text}: {usage}"
+        instead = ""
+        has_lists = any(type(one) is list and list in map(type, one) for one in arguments)
+        if self.name in ("avg", "sum") and has_lists:
+            rows = "(SELECT x(this) FROM … AS list)"
+            instead = f"; of each number write {self.name}{rows}, …"
+        return f"{self.name} does not take {values_text}: {usage}{instead}"
 
     def _function_error(self, error: Exception, why: str) -> FunctionError:
         return FunctionError(f"{self.name}: {type(error).__name__}: {why}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 import mujoco
+import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -101,6 +102,8 @@ OF_PROGRAMS = [
     ("SELECT id FROM sim WHERE near(name, 'table', .1);", "that of a row this"),
     ("near(sim.cube, 'table', .1);", "the entity of a name is room['cup']"),
     ("SELECT id FROM sim.links;", "its links are FROM links(sim)"),
+    ("avg(SELECT position FROM sim AS list);", "write avg(SELECT x(this) FROM … AS list), …"),
+    ("SELECT sum(position) FROM sim GROUP BY kind;", "write sum(x(this)) AS x, sum(y(this)) AS y"),
     ("sim.joints;", "SELECT * FROM sim.joints"),
     ("sim.cube.position;", "position(sim.cube)"),
     ("sim.cube.z;", "z(sim.cube)"),
@@ -188,6 +191,10 @@ def test_a_program_says_what_to_write(ss, program, told):
 def test_what_the_errors_say_is_right(ss):
     assert ss.eval("[aabb(sim.cube)[1], aabb(sim.arm.hand)[4]];") == pytest.approx([0.1, 0.95])
     assert ss.eval("z(sim['duplo2x4/']);") == 0.5
+    mean = ss.eval("[avg(SELECT x(this) FROM sim AS list), avg(SELECT z(this) FROM sim AS list)];")
+    assert mean == pytest.approx(np.mean([body.position for body in ss["sim"]], axis=0)[::2])
+    (row,) = ss.eval("SELECT avg(x(this)) AS x, avg(z(this)) AS z FROM sim;")
+    assert list(row.values()) == pytest.approx(mean)
     assert ss.eval("SELECT id FROM links(sim) WHERE id = 'arm.hand' AS list;") == ["arm.hand"]
     assert ss.eval("SELECT id FROM sim{} WHERE time >= 1 AND time <= 2;") == []
     assert ss.eval("start = initially(z(sim.cube)); holds(z(sim.cube) - start >= 0.1);") == []
