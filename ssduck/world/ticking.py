@@ -89,7 +89,7 @@ class SteppedSimulation(Observable):
         self.lock = threading.RLock()
         self._init_observers()
         self.serial = next(_serials)
-        self._has_told_of_moments = False
+        self._had_moments = self._has_told_of_moments = False
         self._queries = 0
         self._waiting = 0
         self._recorders: list[weakref.ref[TickSink]] = []
@@ -367,6 +367,7 @@ class SteppedSimulation(Observable):
     def _record_tick(self) -> None:
         """Passes the tick to the recorders."""
         failure: BaseException | None = None
+        self._note_moments()
         for reference in self._recorders:
             recorder = reference()
             if recorder is not None:
@@ -376,6 +377,11 @@ class SteppedSimulation(Observable):
                     failure = failure or error  # the other recorders still get the tick
         if failure is not None:
             raise failure
+
+    def _note_moments(self) -> None:
+        """Notes whether recorded contacts have moments besides those of their forces."""
+        if not self._had_moments and "contacts" in self.snapshot.recorded:
+            self._had_moments = self.snapshot.contact_points.has_moments
 
     # -- tables and queries -----------------------------------------------------------------
 
@@ -392,8 +398,10 @@ class SteppedSimulation(Observable):
                 self._warn_of_moments()
 
     def _warn_of_moments(self) -> None:
-        """Warns, once, if contacts of this tick have moments besides those of their forces."""
-        if not self._has_told_of_moments and self.snapshot.contact_points.has_moments:
+        """Warns, once, if contacts of this tick or a recorded one have moments besides forces'."""
+        if self._has_told_of_moments:
+            return
+        if self._had_moments or self.snapshot.contact_points.has_moments:
             self._has_told_of_moments = True
             warn(
                 f"{self.name!r}: torque lacks the moments of torsional and rolling friction, which "
@@ -496,6 +504,7 @@ class SteppedSimulation(Observable):
             if self.snapshot.request_tables(()) and not self._read_again():
                 self._take()
             else:
+                self._note_moments()
                 recorder.record(self.snapshot)
 
     def remove_recorder(self, recorder: TickSink) -> None:

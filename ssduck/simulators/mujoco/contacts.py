@@ -215,15 +215,18 @@ class MuJoCoContacts:
     @cached_property
     def has_moments(self) -> bool:
         """Whether torsional or rolling friction adds a moment to a force."""
-        contacts, root_pairs = self._contacts, self._roots
-        rows = ((contacts.dims > _FORCE_AXES) & (root_pairs >= 0).all(axis=1)).nonzero()[0]
-        return bool(self._wrenches(rows)[:, _FORCE_AXES:].any())
+        if not (self._contacts.dims > _FORCE_AXES).any():
+            return False
+        return bool(self._every_wrench[(self._roots >= 0).all(axis=1), _FORCE_AXES:].any())
+
+    @cached_property
+    def _every_wrench(self) -> Array:
+        return self._wrenches(np.arange(len(self._roots)))
 
     @cached_property
     def _all(self) -> ContactPoints:
         roots = self._roots
-        rows: Indices = np.arange(len(roots))
-        forces = self._wrenches(rows)[:, :_FORCE_AXES]
+        forces = self._every_wrench[:, :_FORCE_AXES]
         is_kept = (roots >= 0).all(axis=1) & (
             (self._contacts.distances <= 0.0) | (forces[:, 0] > 0.0)
         )

@@ -63,6 +63,27 @@ def test_the_forces_act_where_mujoco_applies_them(cone, dim, margin):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("dim", "told"), [(3, 0), (4, 1)])
+def test_moments_of_the_past_are_told_of(dim, told):
+    model, data = simulated("elliptic", dim, 0)
+    with ssduck.Interpreter() as ss:
+        lab = ss.add_variable("lab", ssduck.World.attach(model, data))
+        data.qpos[2], data.qvel[:] = 5, 0  # nothing touches it any more
+        for _ in range(2):
+            mujoco.mj_step(model, data)
+            lab.tick()
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            before, now = ss.eval("[initially(torque(lab.bar)), torque(lab.bar)];")
+        assert np.abs(before).max() > 0.1
+        assert now == [0, 0, 0]
+        assert [str(w.message) for w in caught if "torque lacks" in str(w.message)] == (
+            ["'lab': torque lacks the moments of torsional and rolling friction, which contacts of "
+             "condim 4 and 6 have; mj_contactForce tells them"] * told
+        )  # fmt: skip
+
+
+@pytest.mark.slow
 def test_forces_alone_tell_of_no_moments():
     model, data = simulated("elliptic", 6, 0)
     with ssduck.Interpreter() as ss, warnings.catch_warnings():
