@@ -96,7 +96,7 @@ def test_processes_are_kept_until_one_is_killed(recorded):
     os.kill(min(first), signal.SIGKILL)
     assert lake.ask(program, batch=1, processes=2).equals(whole)
     second = children() - others
-    assert len(second) == 2
+    assert 0 < len(second) <= 2  # a process starts when the others have work
     assert not first & second
     forget_readers()
     assert children() == others

@@ -184,8 +184,8 @@ KEPT = [
     (["v{} = [1, 'a', [2]]; v{} = SELECT obj FROM w AS value;"], "[v{0} == v, id(v{}[1]), v{}[0]];", [True, "box", [1, "a", [2]]]),
     (["v{} = SELECT this FROM [5] AS dict;"], "v{}[0][0].this;", 5),
     # within a query, once for each row
-    (["SELECT this FROM [1, 2, 3] WHERE (v{} = this) > 0 AS list;"], "v{};", [1, 2, 3]),
-    (["v{} = 0; u = SELECT count(v{}) FROM [1, 2, 3] WHERE (v{} = this) > 0 AS list;"], "u;", [4, 4, 4]),
+    (["SELECT this FROM [1, 2, 3] WHERE IF(True; v{} = this, True) AS list;"], "v{};", [1, 2, 3]),
+    (["v{} = 0; u = SELECT count(v{}) FROM [1, 2, 3] WHERE IF(True; v{} = this, True) AS list;"], "u;", [4, 4, 4]),
     # more decimals than a step has
     (["v{2.2} = 1;", 2, "v{2.2} = 2;", 0.25], "v{};", [2]),
 ]  # fmt: skip

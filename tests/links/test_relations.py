@@ -122,6 +122,7 @@ def test_of_a_link_and_another(cell, relation):
         tables = ["links" if "." in name else "entities" for name in (a, b)]
         names = ["full_name" if "." in name else "name" for name in (a, b)]
         sql = call(relation, "a", "b").replace(relation.name, f'"{relation.name}"', 1)
+        sql = sql.replace(ARGUMENTS["place"], PLACE_IN_SQL)
         condition = f"a.{names[0]} = '{a}' AND b.{names[1]} = '{b}'"
         condition += f" AND tick = {cell.ticks[-1]}"  # other tests look at all of them
         for history in ("", "_history"):

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull, QhullError
 
@@ -348,6 +348,7 @@ def test_what_two_share_is_in_either(a, b, seed):
 @given(b=st.sampled_from(SOLID_KINDS), seed=SEEDS)
 def test_half_spaces_share_all(b, seed):
     ground, b = pairs.pair(("plane", b), seed)
+    assume(b.placed().solid.volume > 0.0)  # of a hull, the corners may be in a plane
     sky = Shape("plane", plane(-np.array(ground.geometry.size)), ground.position, ground.quaternion)
     assert share(ground, b) + share(sky, b) == pytest.approx(1.0, abs=1e-8)
 

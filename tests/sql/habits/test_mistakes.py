@@ -210,7 +210,7 @@ DOUBTS = [
         [False],
     ),
     ("x = 3; 2 * -[x][0] ^ 2;", "-[x][0] ^ 2", "this is (-[x][0])^2; write it so", 18),
-    ("x = 3; 2^-x^2;", "2^-x^2", "this is (2^-x)^2; write it so, or 2^-(x^2)", 0.015625),
+    ("x = 3; 2^-x^2;", "-x^2", "this is (2^-x)^2; write it so, or 2^-(x^2)", 0.015625),
     (f"{K} WHERE -z^2 < 0 AS list;", "-z^2", "-(z^2)", []),
     (f"{K} WHERE z = '1' AS list;", "'1'", "z is a number, and never equals '1'", []),
     (f"{K} WHERE id IN (3, 'can') AS list;", "3", "id is a text", ["can"]),
