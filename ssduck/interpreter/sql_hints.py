@@ -19,6 +19,7 @@ _SCHEMA = re.compile(
 )
 _COLUMN = re.compile(r'column "(\w+)" not found|does not have a column named "(\w+)"')
 _FIELD = re.compile(r"Cannot extract field '\w+' from expression \"('[^']*'|\w+)\"")
+_POINT = re.compile(r"Cannot extract field '[xyz]' from expression \"list_value\(")
 _FUNCTION = re.compile(r"Function with name \"?(\w+|=>|=<)\"? does not exist")
 _NUMBER = re.compile(r"Could not convert string '(.*)' to INT64")
 _GUESS = "\nDid you mean"
@@ -116,6 +117,8 @@ def _hint(message: str, sql: str, worlds: Mapping[str, World]) -> str:
         if any(column in world for world in worlds.values()):
             return f"A text is in single quotes: {column!r}"
         return _hint_of_column(column.lower())
+    if _POINT.search(message):
+        return "A point is {x: 1, y: 2, z: 3} in SQL"
     if match := _FIELD.search(message):
         return _hint_of_row(match.group(1))
     if match := _FUNCTION.search(message):

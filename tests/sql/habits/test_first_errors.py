@@ -68,6 +68,10 @@ OF_SQL = [
     ("SELECT getTime()", "the simulated time is the column time"),
     ("SELECT heldFor(z(e) > 0) FROM entities e", "This is SelectScript: ss.eval runs it"),
     ("SELECT * FROM entities WHERE z => 0.1", "write >="),
+    (
+        "SELECT name FROM entities e WHERE distance(e, [0, 0, 1]) < 1",
+        "A point is {x: 1, y: 2, z: 3}",
+    ),
     ("SELECT * FROM bodies", "bodies does not exist!\nwrite entities"),
     ("SELECT * FROM geoms", "geoms does not exist!\nwrite shapes"),
     ("SELECT count(*) FROM frame", "a frame of yours is a table after ss.register('frame', frame)"),
