@@ -205,7 +205,7 @@ def check_flips(count: int, seed: int) -> int:
             if not is_right or not all(is_right):
                 print(f"fault: {file.relative_to(copy)}, byte {position}: {answers}")
                 faults += 1
-            if number % REPORT_EVERY == 0:
+            if number % REPORT_EVERY == 0 or number == count:
                 print(f"{number} flipped: {errors} with errors, {faults} faults", flush=True)
     return int(faults > 0)
 

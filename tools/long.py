@@ -38,7 +38,7 @@ CHECKS = {
     "kill_work": ("24",),
     "flip": ("200",),
     "lake": ("flip", "24"),
-    "episodes": ("40", "--resets", "10"),
+    "episodes": ("40", "--resets", "60"),
     "replay": ("20",),
     "soak": ("50000",),
     "cleanup": ("1",),
