@@ -97,15 +97,16 @@ PAIR_CALL = "pair call"
 
 def note_pair(result: exp.Expr, relation: Relation, values: Mapping[str, SqlValue]) -> None:
     """Notes in a formula which relation of two entities of the present tick it stands for."""
-    call = None
-    if relation.geometry is not None:
-        name = relation.geometry.udf_name
-        call = next(part for part in result.find_all(exp.Anonymous) if part.name == name)
-        values = {key: value for key, value in values.items() if value.sql_type.type == "entity"}
-    schemas = {value.sql_type.schema for value in values.values()}
-    columns = [value.column for value in values.values() if value.column is not None]
-    is_past = any(value.sql_type.past for value in values.values())
-    if len(schemas) == 1 and len(columns) == len(values) and not is_past:
+    is_geometric = relation.geometry is not None
+    entities = [v for v in values.values() if not is_geometric or v.sql_type.type == "entity"]
+    schemas = {value.sql_type.schema for value in entities}
+    columns = [value.column for value in entities if value.column is not None]
+    is_past = any(value.sql_type.past for value in entities)
+    if len(schemas) == 1 and len(columns) == len(entities) and not is_past:
+        call = None
+        if relation.geometry is not None:
+            name = relation.geometry.udf_name
+            call = next(part for part in result.find_all(exp.Anonymous) if part.name == name)
         ids = tuple(column("id") for column in columns)
         result.meta[PAIR_CALL] = PairCall(relation.name, str(schemas.pop()), ids, call)
 

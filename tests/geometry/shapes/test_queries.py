@@ -13,6 +13,7 @@ import pytest
 import ssduck
 from ssduck.errors import SelectScriptError, SqlError, UnsupportedError
 from ssduck.interpreter import query_runner as queries
+from ssduck.sql.relations.registry import RELATIONS
 from tests.support.cases import sampled
 from tests.support.shape_cases import FORMS
 from tests.support.stage import BOX, PLANE, pairs_of
@@ -247,8 +248,13 @@ def test_relations_of_two_worlds(stage):
     for ss in stage.interpreters(one=world):
         ss.add_variable("two", other)
         program = "SELECT id(p.this) FROM p=one, q=two WHERE {}(p.this, q.this) AS list;"
-        with pytest.raises(SelectScriptError, match="collides: these entities are of two worlds"):
-            ss.eval(program.format("collides"))
+        for name, relation in RELATIONS.items():
+            if relation.geometry is not None and relation.required_count == 2:
+                calls = [f"{name}(one.a, two.b);"]
+                calls += [program.format(name)] if relation.result == "boolean" else []
+                for call in calls:
+                    with pytest.raises(SelectScriptError, match=f"{name}: .* are of two worlds"):
+                        ss.eval(call)
         assert ss.eval(program.format("inContact")) == []
 
 
