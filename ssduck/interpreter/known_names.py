@@ -1,15 +1,19 @@
-"""Looks up the names that the parts of worlds have, or had in a record, and their kinds."""
+"""Looks up the names of parts of worlds and their kinds, and the expressions that are such parts."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import get_args
+from dataclasses import dataclass
+from typing import Any, get_args
 from weakref import WeakKeyDictionary
 
 from ssduck.errors import SourceSpan, UnknownNameError, nearest
 from ssduck.formatting import short_repr
+from ssduck.language.tree import Call, Index, Literal, Name, Node
 from ssduck.simulators.interface import Kind
 from ssduck.sql.name_comparisons import NameKind
+from ssduck.world.handles import Handle
+from ssduck.world.links import Link
 from ssduck.world.world import World
 
 _OWNERS: Mapping[NameKind, str] = {
@@ -81,3 +85,61 @@ class KnownNames:
             span=span,
             suggestions=nearest(name, names),
         )
+
+
+@dataclass(frozen=True)
+class KnownHandle:
+    """What is known of an expression that is an entity, a link or a site for sure.
+
+    Attributes:
+        world: its world; None if it is not known.
+        is_link: whether it is a link or a site.
+    """
+
+    world: World | None
+    is_link: bool
+
+
+def handle_of(node: Node, variable: Callable[[str], Any]) -> KnownHandle | None:
+    """Returns what is known of an expression outside of a source; None if it may be no handle.
+
+    Args:
+        node: the expression.
+        variable: a function that returns the value of a variable; None if there is none.
+    """
+    match node:
+        case Name(name=name):
+            return _known(variable(name))
+        case Index(base=Name(name=name), indices=(Literal(value=str() as key), *links)):
+            place = variable(name)
+            if isinstance(place, Handle):  # a link of an entity
+                return None if links else KnownHandle(place.world, is_link=True)
+            if isinstance(place, World) and key in place and len(links) <= 1:
+                return KnownHandle(place, is_link=bool(links))
+        case Call(name="entity", arguments=(_,)) if variable("entity") is None:
+            return KnownHandle(None, is_link=False)
+    return None
+
+
+def _known(value: Any) -> KnownHandle | None:
+    is_handle = isinstance(value, Handle)
+    return KnownHandle(value.world, is_link=isinstance(value, Link)) if is_handle else None
+
+
+def spelled(node: Node) -> str:
+    """Returns such an expression as it is written: `room.cup`."""
+    match node:
+        case Name(name=name):
+            return name
+        case Index(base=Name(name=name)):
+            return f"{name}.{_path(node)}"
+    return "x"
+
+
+def spelled_id(node: Node) -> str:
+    """Returns its id as it is written: `'cup'`, or a call of `id`."""
+    return f"'{_path(node)}'" if isinstance(node, Index) else f"id({spelled(node)})"
+
+
+def _path(node: Index) -> str:
+    return ".".join(str(index.value) for index in node.indices if isinstance(index, Literal))

@@ -21,7 +21,7 @@ from ssduck.errors import (
     warn,
 )
 from ssduck.formatting import short_repr
-from ssduck.interpreter.known_names import KnownNames
+from ssduck.interpreter.known_names import KnownNames, handle_of
 from ssduck.interpreter.misread_relations import (
     VOLUME_NOTE,
     bare_numbers,
@@ -29,7 +29,7 @@ from ssduck.interpreter.misread_relations import (
     has_volume_in_sql,
     number_as_condition,
 )
-from ssduck.interpreter.suspect_values import Suspects, handle_of, mistakes_in, suspects_of
+from ssduck.interpreter.suspect_values import Suspects, mistakes_in, suspects_of
 from ssduck.language.analysis import OVER_TIME, states
 from ssduck.language.tree import (
     Assignment,

@@ -6,7 +6,7 @@ row of a group, a number as the age of `least` and `greatest`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -14,8 +14,9 @@ from typing import Literal as OneOf
 
 from ssduck.errors import ArgumentError, SelectScriptError, SourceSpan
 from ssduck.formatting import argument_in_words
+from ssduck.interpreter.known_names import handle_of, spelled, spelled_id
 from ssduck.language.aggregates import is_grouped, over_rows
-from ssduck.language.analysis import free_aliases
+from ssduck.language.analysis import free_aliases, states
 from ssduck.language.operator_chains import conjuncts
 from ssduck.language.tree import (
     Binary,
@@ -35,8 +36,7 @@ from ssduck.language.tree import (
 )
 from ssduck.recording.replay.past import Past
 from ssduck.sql.relations.registry import RELATIONS
-from ssduck.world.handles import Handle
-from ssduck.world.links import Link, Links
+from ssduck.world.links import Links
 from ssduck.world.world import World
 
 Kind = OneOf["number", "text", "boolean", "entity", "list"]
@@ -64,13 +64,13 @@ _UNIQUE = frozenset(("id", "obj", "this"))
 
 @dataclass(frozen=True)
 class Comparison:
-    """A column that is compared with literals.
+    """A column that is compared with values.
 
     Attributes:
         source: the source of its row.
         column: its name.
         is_bare: whether a variable of that name comes first.
-        literals: what it is compared with.
+        values: the literals, and what may be an entity, that it is compared with.
         other: the column that it is compared with.
         holds_of_missing: whether the comparison holds of a missing value.
         span: the place of the comparison.
@@ -79,7 +79,7 @@ class Comparison:
     source: Source
     column: str
     is_bare: bool
-    literals: tuple[Literal, ...]
+    values: tuple[Node, ...]
     holds_of_missing: bool
     span: SourceSpan
     other: Comparison | None = None
@@ -91,7 +91,7 @@ class Suspects:
 
     Attributes:
         comparisons: the comparisons of columns.
-        handles: what is compared with literals and may be an entity.
+        others: what is no column, and is compared with a value, with that value.
         ages: the calls of `least` and `greatest` with an age.
         first_rows: the columns of the first row of a group, with their names if they are bare.
         queries: the nested queries that SELECT has as lists of dicts.
@@ -101,7 +101,7 @@ class Suspects:
     """
 
     comparisons: tuple[Comparison, ...] = ()
-    handles: tuple[tuple[Node, Literal], ...] = ()
+    others: tuple[tuple[Node, Node], ...] = ()
     ages: tuple[Call, ...] = ()
     first_rows: tuple[tuple[str, SourceSpan], ...] = ()
     queries: tuple[Query, ...] = ()
@@ -115,9 +115,10 @@ class Suspects:
 def suspects_of(statement: Node) -> Suspects:
     """Returns the parts of a statement to look at."""
     queries = [part for part in statement.walk() if isinstance(part, Query)]
+    names = {name for query in queries for name in states(query)}
     return Suspects(
         tuple(site for query in queries for site in _comparisons(query)),
-        tuple(pair for part in statement.walk() for pair in _compared_handles(part)),
+        tuple(pair for part in statement.walk() for pair in _compared_with_values(part, names)),
         tuple(call for query in queries for item in query.items for call in _ages(item)),
         tuple(site for query in queries for site in _first_rows(query)),
         tuple(table for query in queries for table in _tables(query)),
@@ -177,15 +178,21 @@ def _comparisons(query: Query) -> Iterator[Comparison]:
             yield from _in_condition(part, query, present, negated=False)
 
 
-def _compared_handles(node: Node) -> Iterator[tuple[Node, Literal]]:
-    """Yields what may be an entity, with each literal that it is compared with."""
+def _compared_with_values(node: Node, names: set[str]) -> Iterator[tuple[Node, Node]]:
+    """Yields what may be an entity or a relation, with each value that it is compared with.
+
+    Args:
+        node: the comparison.
+        names: the state variables.
+    """
     match node:
         case Binary(operator="==" | "!=" | "IN" as operator, left=left, right=right):
             sides = [(left, right)] if operator == "IN" else [(left, right), (right, left)]
             for side, other in sides:
-                if isinstance(side, Name | Index | Call):
-                    for literal in _literals(other, operator):
-                        yield side, literal
+                is_state = isinstance(side, Name) and side.name in names
+                if isinstance(side, Name | Index | Call) and not is_state:
+                    for value in _values(other, operator, names):
+                        yield side, value
 
 
 def _columns_of_null_test(node: Node) -> Iterator[str]:
@@ -209,8 +216,8 @@ def _in_condition(
             holds = holds or (operator == "IN" and negated)
             sides = [(left, right)] if operator == "IN" else [(left, right), (right, left)]
             for side, other in sides:
-                site = _site(side, query, _literals(other, operator), node.span)
-                if site is not None and (site.literals or holds):
+                site = _site(side, query, _values(other, operator, states(query)), node.span)
+                if site is not None and (site.values or holds):
                     is_missing = holds and site.column not in present
                     yield replace(site, holds_of_missing=is_missing)
             if operator != "IN":
@@ -227,7 +234,7 @@ def _in_condition(
 
 
 def _site(
-    node: Node, query: Query, literals: tuple[Literal, ...], span: SourceSpan
+    node: Node, query: Query, values: tuple[Node, ...], span: SourceSpan
 ) -> Comparison | None:
     """Returns the place of a column in a comparison; None for another value."""
     column = (node.alias, "this", False) if isinstance(node, This) else _column(node)
@@ -237,7 +244,7 @@ def _site(
     source = _source(query, alias)
     if source is None:
         return None
-    return Comparison(source, name, is_bare, literals, holds_of_missing=False, span=span)
+    return Comparison(source, name, is_bare, values, holds_of_missing=False, span=span)
 
 
 def _column(node: Node) -> tuple[str | None, str, bool] | None:
@@ -254,9 +261,14 @@ def _column(node: Node) -> tuple[str | None, str, bool] | None:
     return None
 
 
-def _literals(node: Node, operator: str) -> tuple[Literal, ...]:
+def _values(node: Node, operator: str, names: AbstractSet[str]) -> tuple[Node, ...]:
+    """Returns the literals, and what may be an entity, on a side of a comparison."""
     items = (node,) if operator != "IN" else node.items if isinstance(node, ListLiteral) else ()
-    return tuple(item for item in items if isinstance(item, Literal))
+    return tuple(
+        item
+        for item in items
+        if isinstance(item, Literal | Index) or (isinstance(item, Name) and item.name not in names)
+    )
 
 
 def _source(query: Query, alias: str | None) -> Source | None:
@@ -356,9 +368,12 @@ def mistakes_in(
                 yield from _different_columns(site, site.other, variable, type_of_relation)
             continue
         yield from _mistakes_at(site, variable, type_of_relation)
-    for node, literal in suspects.handles:
+    for node, value in suspects.others:
         if handle_of(node, variable) is not None:
-            yield _never_equals("this", {"entity"}, literal)
+            yield from _unequal("this", {"entity"}, [value], variable)
+        elif isinstance(node, Call) and _column(node) is None:
+            kind = _KIND_OF_RESULT.get(type_of_relation(node.name) or "")
+            yield from _unequal(node.name, {kind} if kind else set(), [value], variable)
     for call in suspects.ages:
         lesser = "min" if call.name == "least" else "max"
         yield ArgumentError(
@@ -472,61 +487,51 @@ def _mistakes_at(
             )
         types.discard(type(None))
         kinds = {_KIND_OF_TYPE[kind] for kind in types} if types <= _KIND_OF_TYPE.keys() else set()
-    for literal in site.literals if kinds else ():
-        other = _KIND_OF_TYPE[type(literal.value)]
-        is_truth_value = kinds == {"boolean"} and literal.value in (0, 1)
-        if other not in kinds and not is_truth_value:
-            yield _never_equals(site.column, kinds, literal)
+    yield from _unequal(site.column, kinds, site.values, variable, _this_of(site.source))
 
 
-def _never_equals(what: str, kinds: AbstractSet[Kind], literal: Literal) -> ArgumentError:
-    words = " or ".join(_WORDS[kind] for kind in sorted(kinds))
-    advice = ""
-    if "entity" in kinds and isinstance(literal.value, str):
-        advice = "; compare its id: id(…)"
-    return ArgumentError(
-        f"{what} is {words}, and never equals {argument_in_words(literal.value)}{advice}",
-        span=literal.span,
-    )
+def _this_of(source: Source) -> str:
+    """Returns how the element of a source is written."""
+    is_named = source.alias not in (None, getattr(source.value, "name", None))
+    return f"{source.alias}.this" if is_named else "this"
 
 
-@dataclass(frozen=True)
-class KnownHandle:
-    """What is known of an expression that is an entity, a link or a site for sure.
-
-    Attributes:
-        world: its world; None if it is not known.
-        is_link: whether it is a link or a site.
-    """
-
-    world: World | None
-    is_link: bool
-
-
-def handle_of(node: Node, variable: Callable[[str], Any]) -> KnownHandle | None:
-    """Returns what is known of an expression outside of a source; None if it may be no handle.
+def _unequal(
+    what: str,
+    kinds: AbstractSet[Kind],
+    values: Iterable[Node],
+    variable: Callable[[str], Any],
+    this: str = "",
+) -> Iterator[SelectScriptError]:
+    """Yields the mistakes that what has some kinds never equals values of others.
 
     Args:
-        node: the expression.
-        variable: a function that returns the value of a variable; None if there is none.
+        what: the name of what is compared.
+        kinds: its kinds; none if they are not known.
+        values: what it is compared with.
+        variable: a function that returns the value of a variable.
+        this: how the element whose column it is is written; "" if it is no column.
     """
-    match node:
-        case Name(name=name):
-            return _known(variable(name))
-        case Index(base=Name(name=name), indices=(Literal(value=str() as key), *links)):
-            place = variable(name)
-            if isinstance(place, Handle):  # a link of an entity
-                return None if links else KnownHandle(place.world, is_link=True)
-            if isinstance(place, World) and key in place and len(links) <= 1:
-                return KnownHandle(place, is_link=bool(links))
-        case Call(name="entity", arguments=(_,)) if variable("entity") is None:
-            return KnownHandle(None, is_link=False)
-    return None
-
-
-def _known(value: Any) -> KnownHandle | None:
-    is_handle = isinstance(value, Handle)
-    return KnownHandle(value.world, is_link=isinstance(value, Link)) if is_handle else None
+    words = " or ".join(_WORDS[kind] for kind in sorted(kinds))
+    for value in values if kinds else ():
+        if isinstance(value, Literal):
+            is_truth_value = kinds == {"boolean"} and value.value in (0, 1)
+            is_equal = is_truth_value or _KIND_OF_TYPE[type(value.value)] in kinds
+            told = argument_in_words(value.value)
+            advice = "; compare its id: id(…)" if isinstance(value.value, str) else ""
+            advice = advice if "entity" in kinds else ""
+        else:
+            is_equal = "entity" in kinds or handle_of(value, variable) is None
+            told, advice = f"the entity {(name := spelled(value))}", ""
+            if what in ("id", "name") and this:
+                column = this.removesuffix("this") + what
+                advice = f"; write {this} = {name}, or {column} = {spelled_id(value)}"
+            elif this:
+                advice = f"; that of the entity is {what}({name})"
+        if not is_equal:
+            yield ArgumentError(
+                f"{what} is {words}, and never equals {told}{advice}", span=value.span
+            )
 
 
 def _cells(site: Comparison, variable: Callable[[str], Any]) -> list[Any] | None:

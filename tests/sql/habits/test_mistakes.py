@@ -323,6 +323,55 @@ DOUBTS = [
     (f"{K} WHERE name <> 'tabel' LIMIT 0 AS list;", "'tabel'", "'table'", []),
     ('SELECT "id" FROM kitchen LIMIT 1 AS list;', '"id"', "without quotes", ["id"]),
     ("SELECT this FROM 'people' AS list;", "'people'", "the variable is people", ["people"]),
+    (
+        f"{K} WHERE id = kitchen.can AS list;",
+        "kitchen.can",
+        "write this = kitchen.can, or id = 'can'",
+        [],
+    ),
+    (f"{K} WHERE kitchen.can = name AS list;", "kitchen.can", "or name = 'can'", []),
+    (f"{K} WHERE id(this) != kitchen.can LIMIT 0 AS list;", "kitchen.can", "id is a text", []),
+    (
+        f"{K} WHERE id IN ('table', kitchen.can) AS list;",
+        "kitchen.can",
+        "write this = kitchen.can",
+        ["table"],
+    ),
+    (
+        "SELECT a.id FROM kitchen a WHERE a.id = kitchen.can AS list;",
+        "kitchen.can",
+        "write a.this = kitchen.can, or a.id = 'can'",
+        [],
+    ),
+    (f"c = kitchen.can; {K} WHERE id = c AS list;", "c", "this = c, or id = id(c)", []),
+    (
+        f"{K} WHERE z = kitchen.can AS list;",
+        "kitchen.can",
+        "that of the entity is z(kitchen.can)",
+        [],
+    ),
+    (
+        "id(kitchen.table) == kitchen.can;",
+        "kitchen.can",
+        "never equals the entity kitchen.can",
+        False,
+    ),
+    (f"{K} WHERE on(kitchen.can, this) = 'yes' AS list;", "'yes'", "on is True or False", []),
+    (f"{K} WHERE NOT on(this, kitchen.can) != 'no' AS list;", "'no'", "on is True or False", []),
+    ("on(kitchen.can, kitchen.table) == 'true';", "'true'", "on is True or False", False),
+    (
+        f"{K} WHERE distance(this, kitchen.can) = 'near' AS list;",
+        "'near'",
+        "distance is a number",
+        [],
+    ),
+    (
+        f"{K} WHERE on(this, kitchen.can) = kitchen.can AS list;",
+        "kitchen.can",
+        "on is True or False, and never equals the entity kitchen.can",
+        [],
+    ),
+    ("z(kitchen.can) == 'high';", "'high'", "z is a number", False),
 ]
 
 
@@ -384,6 +433,10 @@ def test_of_many_names_that_nothing_bears_some_are_told(world):
         "SELECT id, z, count(*) AS n FROM kitchen GROUP BY name;",
         "SELECT a.id, a.z, count(*) AS n FROM kitchen a, kitchen b WHERE a.z > b.z GROUP BY a.id;",
         "SELECT this, count(*) AS n FROM [1, 'a'] WHERE this = 'a' GROUP BY this;",
+        f"{K} WHERE this = kitchen.can AND on(this, kitchen.can) = 0 AS list;",
+        f"{K} WHERE on(this, kitchen.can) = True OR distance(this, kitchen.can) = 1 AS list;",
+        "c = kitchen.can; SELECT obj FROM kitchen WHERE obj = c AND this IN (c, kitchen.table);",
+        "c = kitchen.can; SELECT c FROM [1] START WITH c='can' CONNECT BY c=c STOP WITH c == 'can';",
     ],
 )
 def test_what_is_no_mistake_is_not_told(world, program):
