@@ -1,4 +1,4 @@
-"""Looks up the names of parts of worlds and their kinds, and the expressions that are such parts."""
+"""Looks up names and kinds of parts of worlds, and finds the expressions that are such parts."""
 
 from __future__ import annotations
 

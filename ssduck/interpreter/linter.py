@@ -90,7 +90,7 @@ class StatementFacts:
         sources: texts behind FROM.
         aliases: bare names in a query that are also aliases of its sources.
         bare: names that are selected, or keys.
-        conditions: names that are conditions, or are compared with a literal in one.
+        conditions: names that are conditions, or are compared with a constant in one.
         columns: bare names in GROUP BY, HAVING and ORDER BY that are also names of columns.
         suspects: comparisons, columns and ages to look at.
         numbers: the conditions that are numbers.
@@ -219,7 +219,7 @@ def _collect_from_list(
 
 
 def _condition_names(nodes: Iterable[Node]) -> Iterator[Name]:
-    """Yields bare names that are conditions themselves, or are compared with a literal."""
+    """Yields bare names that are conditions themselves, or are compared with a constant."""
     for node in nodes:
         match node:
             case Name():
@@ -230,10 +230,17 @@ def _condition_names(nodes: Iterable[Node]) -> Iterator[Name]:
                 yield from _condition_names(operands)
             case Unary(operator="NOT", operand=operand):
                 yield from _condition_names((operand,))
-            case Binary(left=Name() as name, right=Literal()):
+            case Binary(left=Name() as name, right=other) if _is_constant(other):
                 yield name
-            case Binary(left=Literal(), right=Name() as name):
+            case Binary(left=other, right=Name() as name) if _is_constant(other):
                 yield name
+
+
+def _is_constant(node: Node) -> bool:
+    """Checks whether a value is a literal, or arithmetic of literals."""
+    return isinstance(node, Literal | Unary | Binary | OperatorChain) and all(
+        map(_is_constant, node.children())
+    )
 
 
 def _bare_names(nodes: Iterable[Node]) -> Iterator[Name]:

@@ -225,7 +225,7 @@ class SqlForms(Cursor):
         return node
 
     def check_sign(self, row: OperandRow, start: SourceSpan, exponent: SourceSpan) -> None:
-        """Reports `-x ^ 2`, which is `(-x) ^ 2`, unless the base is a number.
+        """Reports `-x ^ 2`, which is `(-x) ^ 2`, and `x ^ 3 ^ 2`, which is `(x ^ 3) ^ 2`.
 
         Args:
             row: the operands until the base.
@@ -237,16 +237,18 @@ class SqlForms(Cursor):
         while isinstance(base, Unary) and unsigned.startswith(("-", "+")):
             is_negative ^= base.operator == "-"
             base, unsigned = base.operand, unsigned[1:].lstrip()
-        if is_negative and not isinstance(base, Literal):
-            before, power = (
-                self.text[row.start : start.start],
-                self.text[exponent.start : self.end()],
-            )
-            if len(before) + len(negated) + len(power) > MAX_SPELLED:
-                before, negated, unsigned, power = "", "-x", "x", "n"
-            is_this, other = f"({before}{negated})^{power}", f"{before}-({unsigned}^{power})"
-            message = f"this is {is_this}; write it so, or {other}"
-            self.add_suspicion(self.since(start), message, is_grave=True)
+        if not is_negative and len(row.operators) != 1:
+            return  # a power of a power of a power is told of where it begins
+        before, power = self.text[row.start : start.start], self.text[exponent.start : self.end()]
+        if len(before) + len(negated) + len(power) > MAX_SPELLED:
+            before, negated, unsigned, power = "", "-x", "x", "n"
+            if not is_negative:
+                before, negated = "x^", "m"
+        is_this = f"({before}{negated})^{power}"
+        other = f"-({unsigned}^{power})" if is_negative else f"({negated}^{power})"
+        span = self.since(start) if is_negative else SourceSpan(row.start, self.end())
+        message = f"this is {is_this}; write it so, or {before}{other}"
+        self.add_suspicion(span, message, is_grave=True)
 
     # -- CASE -----------------------------------------------------------------------------
 
