@@ -28,6 +28,7 @@ from ssduck.interpreter.misread_relations import (
     has_volume,
     has_volume_in_sql,
     number_as_condition,
+    same_rows,
 )
 from ssduck.interpreter.suspect_values import Suspects, mistakes_in, suspects_of
 from ssduck.language.analysis import OVER_TIME, states
@@ -94,6 +95,7 @@ class StatementFacts:
         columns: bare names in GROUP BY, HAVING and ORDER BY that are also names of columns.
         suspects: comparisons, columns and ages to look at.
         numbers: the conditions that are numbers.
+        same_rows: what is told of `this` beside the same row of a nested query by its name.
         has_volume: whether it names `volume`.
     """
 
@@ -107,6 +109,7 @@ class StatementFacts:
     columns: list[tuple[str, SourceSpan]] = field(default_factory=list)
     suspects: Suspects = field(default_factory=Suspects)
     numbers: tuple[Call, ...] = ()
+    same_rows: tuple[tuple[str, SourceSpan], ...] = ()
     has_volume: bool = False
 
     @property
@@ -123,6 +126,7 @@ def facts_of(statement: Node) -> StatementFacts:
     facts = StatementFacts(
         suspects=suspects_of(statement),
         numbers=tuple(bare_numbers(statement)),
+        same_rows=tuple(same_rows(statement)),
         has_volume=has_volume(statement),
     )
     _collect(statement, {}, None, facts)
@@ -328,6 +332,7 @@ class Linter:
             *self._unknown_entities(facts, local),
             *mistakes_in(facts.suspects, self._variable, self._type_of_relation),
             *(number_as_condition(c) for c in facts.numbers if self._is_relation(c.name)),
+            *(ArgumentError(message, span=span) for message, span in facts.same_rows),
         ]
         if facts.has_volume and self._variable("volume") is None and self._is_relation("volume"):
             self._tell_of_volume()

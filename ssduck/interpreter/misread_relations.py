@@ -5,8 +5,20 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from ssduck.errors import ArgumentError
-from ssduck.language.tree import Binary, Branch, Call, If, Name, Node, OperatorChain, Query, Unary
+from ssduck.errors import ArgumentError, SourceSpan
+from ssduck.language.tree import (
+    Binary,
+    Branch,
+    Call,
+    If,
+    Name,
+    Node,
+    OperatorChain,
+    Query,
+    Source,
+    This,
+    Unary,
+)
 
 # What to write in place of a number that holds of nearly everything as a condition.
 _AS_CONDITION = {
@@ -45,6 +57,45 @@ def has_volume(statement: Node) -> bool:
 def has_volume_in_sql(sql: str) -> bool:
     """Checks whether a statement of raw SQL calls `volume`."""
     return _VOLUME_IN_SQL.search(sql) is not None
+
+
+def same_rows(node: Node, outer: Query | None = None) -> Iterator[tuple[str, SourceSpan]]:
+    """Yields what is told of `this` beside `b.this`, the same row if b is a query's only source.
+
+    Args:
+        node: a part of a statement.
+        outer: the query around it.
+    """
+    if isinstance(node, Query) and outer is not None and len(node.sources) == 1:
+        alias = node.sources[0].alias
+        for call in _calls_of_query(node):
+            aliases = {part.alias: part for part in call.arguments if isinstance(part, This)}
+            if alias is not None and {alias, None} <= aliases.keys():
+                advice = _outer_row(outer, alias)
+                message = f"this is {alias}.this here, the row of the nested query; {advice}"
+                yield message, aliases[None].span
+    inside = node if isinstance(node, Query) else outer
+    for child in node.children():
+        yield from same_rows(child, outer if isinstance(child, Source) else inside)
+
+
+def _calls_of_query(node: Node) -> Iterator[Call]:
+    """Yields the calls in the clauses of a query, without those in its source and in others."""
+    for child in node.children():
+        if not isinstance(child, Query | Source):
+            if isinstance(child, Call):
+                yield child
+            yield from _calls_of_query(child)
+
+
+def _outer_row(outer: Query, inner: str) -> str:
+    """Returns how the row of a query is written in a nested one, whose source is `inner`."""
+    source = outer.sources[0]
+    variable = source.value.name if isinstance(source.value, Name) else "…"
+    if source.alias not in (None, variable, inner):
+        return f"the row of the outer query is {source.alias}.this"
+    alias = "a" if inner != "a" else "b"
+    return f"name the outer source, FROM {alias}={variable}, and write {alias}.this"
 
 
 def _conditions(node: Node) -> tuple[Node, ...]:

@@ -378,6 +378,27 @@ DOUBTS = [
         "on is True or False, and never equals the entity kitchen.can",
         [],
     ),
+    (
+        f"{K} WHERE EXISTS (SELECT b.this FROM b=kitchen WHERE on(this, b.this)) AS list;",
+        "this",
+        "this is b.this here, the row of the nested query; name the outer source, FROM a=kitchen, "
+        "and write a.this",
+        [],
+    ),
+    (
+        "SELECT (SELECT count(*) FROM kitchen a WHERE distance(a.this, this) > 0 AS value) "
+        "FROM kitchen LIMIT 1 AS list;",
+        "this",
+        "name the outer source, FROM b=kitchen, and write b.this",
+        [0],
+    ),
+    (
+        "SELECT k.id FROM kitchen k WHERE 0 < count(SELECT b.this FROM b=kitchen "
+        "WHERE on(b.this, this) AS list) AS list;",
+        "this",
+        "the row of the outer query is k.this",
+        [],
+    ),
     ("z(kitchen.can) == 'high';", "'high'", "z is a number", False),
 ]
 
@@ -443,6 +464,9 @@ def test_of_many_names_that_nothing_bears_some_are_told(world):
         "SELECT a.id, a.z, count(*) AS n FROM kitchen a, kitchen b WHERE a.z > b.z GROUP BY a.id;",
         "SELECT this, count(*) AS n FROM [1, 'a'] WHERE this = 'a' GROUP BY this;",
         f"{K} WHERE this = kitchen.can AND on(this, kitchen.can) = 0 AS list;",
+        "SELECT a.id FROM a=kitchen WHERE EXISTS (SELECT this FROM b=kitchen "
+        "WHERE on(a.this, b.this) AND z(this) > z(b.this));",
+        "SELECT id FROM b=kitchen WHERE distance(this, b.this) = 0 LIMIT 1;",
         f"{K} WHERE on(this, kitchen.can) = True OR distance(this, kitchen.can) = 1 AS list;",
         "c = kitchen.can; SELECT obj FROM kitchen WHERE obj = c AND this IN (c, kitchen.table);",
         "c = kitchen.can; SELECT c FROM [1] START WITH c='can' CONNECT BY c=c STOP WITH c == 'can';",
