@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import tempfile
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
@@ -58,9 +59,12 @@ def rows(named: dict[str, Any]) -> Iterable[str]:
 
 def seconds_alone(case: str) -> float:
     """Runs a case alone, and returns its seconds."""
-    command = [sys.executable, "-m", "pytest", "-q", "-n", "0", "-m", "", case]
-    subprocess.run(command, cwd=ROOT, stdout=subprocess.DEVNULL, check=False)  # noqa: S603
-    return float(json.loads(CACHE.read_text(encoding="utf-8"))["calls"].get(case, 0.0))
+    with tempfile.TemporaryDirectory() as cache:
+        command = [sys.executable, "-m", "pytest", "-q", "-n", "0", "-m", "", case]
+        command += ["-o", f"cache_dir={cache}"]
+        subprocess.run(command, cwd=ROOT, stdout=subprocess.DEVNULL, check=False)  # noqa: S603
+        times = json.loads((Path(cache) / "v" / TIMES).read_text(encoding="utf-8"))
+    return float(times["calls"][case])
 
 
 def main() -> int:
@@ -73,7 +77,6 @@ def main() -> int:
     print("\n".join(rows(named)))
     dear = [case for case, seconds in named["calls"].items() if seconds > LIMIT]
     again = {case: seconds_alone(case) for case in dear}
-    CACHE.write_text(last, encoding="utf-8")
     too_long = {case: seconds for case, seconds in again.items() if seconds > LIMIT}
     for case, seconds in too_long.items():
         print(f"\n{case} takes {seconds:.1f} s, more than {LIMIT:.0f}: make it quicker, or `long`")

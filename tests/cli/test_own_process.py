@@ -73,7 +73,7 @@ def test_a_worker_that_is_stuck_is_ended_and_started_again(worker):
         rows(worker, "kept;")
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @LINUX
 def test_a_worker_that_is_gone_is_started_again(worker):
     worker._process.kill()

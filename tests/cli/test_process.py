@@ -66,7 +66,7 @@ def test_a_reader_that_goes_away(here):
     assert process.returncode == 1
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @LINUX
 @sampled("arguments", [["query", "two.toml", "1;"], ["--help"]], every=2)
 def test_a_full_disk(here, arguments):

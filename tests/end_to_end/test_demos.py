@@ -334,7 +334,7 @@ def test_maps_of_the_kitchen(tmp_path):
     assert sizes["near_roomba"] < sizes["kitchen"]
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @sampled("out", [[], ["--out", "together"]], every=2)
 def test_demonstrations_overwrite_nothing(tmp_path, monkeypatch, out):
     """Neither what another one made nor a user's file; one that is run again finds its own."""

@@ -190,7 +190,7 @@ def examples(text):
 
 
 @pytest.mark.slow
-@sampled(("page", "texts"), blocks("selectscript").items(), every=2)
+@pytest.mark.parametrize(("page", "texts"), blocks("selectscript").items())
 def test_selectscript_examples_run(page, texts):
     with ssduck.load("kitchen") as ss:
         for text in texts:

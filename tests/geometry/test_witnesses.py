@@ -137,7 +137,7 @@ MIXED = ["box"] * 8 + ["sphere"] * 4 + ["capsule"] * 4 + ["cylinder"] * 4 + ["hu
 
 
 @pytest.mark.slow
-@sampled("condition", CONDITIONS, every=8)
+@sampled("condition", CONDITIONS, every=3)
 def test_a_world_that_moves_answers_as_one_that_was_never_asked(client, condition):
     query = f"SELECT id(a.this), id(b.this) FROM a=w, b=w WHERE {condition} AS list;"
     fill(client, MIXED, seed=4, side=0.9)

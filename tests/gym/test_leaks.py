@@ -45,7 +45,7 @@ def resets(env, action, number):
         env.step(action)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @sampled(
     ("environment", "options", "success", "action"),
     [

@@ -34,11 +34,13 @@ def patient():
 def _confined(seconds, **changes):
     limits = ssduck.Limits.strict(seconds=seconds, rows=1000, memory=200_000_000, **changes)
     gc.disable()  # what other tests have left takes as long as a program may
-    with ssduck.Interpreter(limits=limits) as interpreter:
-        interpreter.add_variable("n", list(range(100)))
-        interpreter.eval("kept = 1;")
-        yield interpreter
-    gc.enable()
+    try:
+        with ssduck.Interpreter(limits=limits) as interpreter:
+            interpreter.add_variable("n", list(range(100)))
+            interpreter.eval("kept = 1;")
+            yield interpreter
+    finally:
+        gc.enable()
 
 
 def fails(interpreter, act, kind, words):
@@ -316,7 +318,7 @@ LONG = [
 ]
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @sampled("statements", [[LONG[0], LONG[5]], [*LONG[1:5], *LONG[6:]]], every=2)
 def test_ctrl_c_stops_a_query_and_the_session_goes_on(statements):
     process = subprocess.Popen(

@@ -81,7 +81,7 @@ def children():
     return {process.pid for process in multiprocessing.active_children()}
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="SIGKILL")
 def test_processes_are_kept_until_one_is_killed(recorded):
     forget_readers()

@@ -160,7 +160,7 @@ def test_result_forms_show_names(cell):
     assert len(ss.eval(f"{rows} AS mesh;").geometry) >= 2
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @sampled("door", ["folder", "file"], every=2)
 def test_records(cell, door, tmp_path):
     """A record answers as the live world does; DuckDB reads its views without ssduck."""

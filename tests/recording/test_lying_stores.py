@@ -107,7 +107,7 @@ def test_an_object_is_not_read_whose_size_is_impossible(
     assert f"it has {size:,} bytes, more than a file of a record" in messages(ask)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @sampled("size", [1 << 62, -5], every=2)
 def test_impossible_sizes_in_a_listing_are_an_error_of_their_episode(
     store: LyingStore, size: int

@@ -181,7 +181,7 @@ def test_the_commands_take_addresses(places: tuple[str, Path], tmp_path: Path) -
     assert ssduck.episodes("s3://lake/k")[0].ticks == 3
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_damaged_and_missing_objects_are_errors(places: tuple[str, Path]) -> None:
     with ssduck.open(places[1]) as ss:
         ss.export("s3://lake/damaged")
@@ -205,7 +205,7 @@ def test_damaged_and_missing_objects_are_errors(places: tuple[str, Path]) -> Non
         ssduck.write_record("s3://no-such-bucket/r", ["a"], np.zeros((1, 1, 3)), [0])
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_strict_limits_read_the_record_and_nothing_else(places: tuple[str, Path]) -> None:
     remote, _ = places
     with ssduck.open(remote, limits=ssduck.Limits.strict()) as ss:

@@ -101,7 +101,7 @@ def test_entities_that_come_and_go_are_told_apart_in_a_ring(
     assert store.stored == before + after
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @sampled("flushed", [1, 7, 5000], every=3)
 def test_what_is_flushed_often_is_put_together(world: ssduck.World, flushed: int) -> None:
     with ssduck.Interpreter(recording=Recording()) as ss:

@@ -62,7 +62,7 @@ def forged_folder(made: Path, to: Path, table: str, tick: str, time: str) -> Pat
 
 
 @pytest.mark.slow
-@sampled("forge", [forged_file, forged_folder], every=2)
+@sampled("forge", [forged_folder, forged_file], every=2)
 @pytest.mark.parametrize("name", FORGERIES)
 @sampled("table", TABLES, every=2)
 def test_a_forged_row_is_an_error(

@@ -449,7 +449,7 @@ ENDS = {
 }
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @POSIX
 @sampled("end", ENDS, every=3)
 def test_a_process_that_ends_while_it_stores(tmp_path: Path, end: str) -> None:

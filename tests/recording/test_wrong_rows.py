@@ -99,7 +99,7 @@ def forged_folder(made: Path, to: Path, table: str, select: str) -> Path:
 
 
 @pytest.mark.slow
-@sampled("forge", [forged_file, forged_folder], every=2)
+@sampled("forge", [forged_folder, forged_file], every=2)
 @pytest.mark.parametrize("name", FORGERIES)
 def test_a_check_finds_them(
     made: Path, tmp_path: Path, name: str, forge: Callable[[Path, Path, str, str], Path]
@@ -113,7 +113,7 @@ def test_a_check_finds_them(
 
 
 @pytest.mark.slow
-@sampled("forge", [forged_file, forged_folder], every=2)
+@sampled("forge", [forged_folder, forged_file], every=2)
 @pytest.mark.parametrize("name", FORGERIES)
 def test_sql_refuses_them(
     made: Path, tmp_path: Path, name: str, forge: Callable[[Path, Path, str, str], Path]

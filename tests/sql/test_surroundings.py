@@ -182,7 +182,7 @@ PAST = [
 
 
 @pytest.mark.slow
-@sampled(("half", "holds"), PAST, every=4)
+@pytest.mark.parametrize(("half", "holds"), PAST)
 def test_what_reaches_past_the_walls_at_both_ends_is_not_in_them(stage, write, half, holds):
     stage.urdf("tube", write("tube.urdf", of_boxes(FRONT, BACK, LEFT, RIGHT)))
     stage.box("rod", half=[half, 0.01, 0.01])

@@ -10,8 +10,10 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import shutil
+import sys
+import time
 from functools import cache
-from importlib.metadata import version
+from importlib.metadata import distributions
 from pathlib import Path
 
 import ssduck
@@ -22,21 +24,24 @@ except ImportError:  # Windows: two processes may write the same record
     fcntl = None
 
 TESTS = Path(__file__).resolve().parents[1]
-LIBRARIES = ("duckdb", "numpy", "pyarrow", "sqlglot")
+SUFFIXES = {".py", ".toml", ".urdf", ".sdf", ".xml", ".obj", ".stl"}
+LIBRARIES = ("duckdb", "numpy", "pyarrow", "sqlglot", "pybullet", "pybullet-arm64", "mujoco")
+# A run may copy records of a hash for so long after it has begun, in seconds.
+UNUSED = 24 * 3600
 
 
 class Archive:
     """The records of a hash.
 
     Args:
-        folder: where archives are; those of other hashes are removed.
+        folder: where archives are; those of other hashes are removed a day after they were made.
     """
 
     def __init__(self, folder):
         self._place = Path(folder) / _hash()
         self._place.mkdir(parents=True, exist_ok=True)
         for other in Path(folder).iterdir():
-            if other != self._place:
+            if other != self._place and time.time() - other.stat().st_mtime > UNUSED:
                 shutil.rmtree(other, ignore_errors=True)
 
     def copy(self, write, to, *arguments):
@@ -71,7 +76,8 @@ def _hash():
     hashed = hashlib.sha256()
     package = Path(ssduck.__file__).parent
     for folder in (package, TESTS, TESTS.parent / "scenes"):
-        for path in sorted(folder.rglob("*.py")) + sorted(folder.rglob("*.toml")):
+        for path in sorted(path for path in folder.rglob("*") if path.suffix in SUFFIXES):
             hashed.update(path.read_bytes())
-    hashed.update(repr([version(name) for name in LIBRARIES]).encode())
+    installed = {each.name: each.version for each in distributions() if each.name in LIBRARIES}
+    hashed.update(repr((sys.version, sorted(installed.items()))).encode())
     return hashed.hexdigest()[:20]

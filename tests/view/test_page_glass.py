@@ -58,7 +58,7 @@ def check(pixel, alpha):
         assert min(red, blue) > 60
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @sampled("alpha", [0.4, 1], every=2)
 def test_what_is_behind_a_pane_is_seen_through_it(browser, tmp_path, alpha):
     with ssduck.load(scene(tmp_path, alpha)) as ss, ss.view() as served:

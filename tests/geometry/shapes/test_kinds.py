@@ -57,7 +57,7 @@ def test_kinds_of_shapes_and_their_volumes(stage, write):
         assert ss.eval("SELECT id FROM sim WHERE hasBody(this) AS list;") == ["none"]
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_what_has_no_shapes(stage):
     """It meets nothing, is infinitely far from all, and fits where its position is."""
     stage.box("a")

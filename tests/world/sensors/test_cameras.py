@@ -217,7 +217,7 @@ def test_looking_through_a_body_is_as_if_it_were_not_there(stage):
 @pytest.mark.parametrize(
     ("distance", "there"), [(2 - 1e-3, True), (2 + 1e-3, False), (1e-2, True), (50, False)]
 )
-@sampled("kind", ["range_finder", "planar_laser", "depth_camera"], every=3)
+@pytest.mark.parametrize("kind", ["range_finder", "planar_laser", "depth_camera"])
 def test_how_far_a_sensor_sees(mast, kind, distance, there):
     mast.box("wall", [0.5, 9, 9], [distance + 0.5, 0, 0])
     world = mast.open()
