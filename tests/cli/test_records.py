@@ -118,7 +118,7 @@ ENDS = [
 @sampled(
     ("output", "number", "told"),
     [(output, *end) for output in ("run", "run.duckdb") for end in ENDS],
-    every=8,
+    every=4,
 )
 def test_an_interrupted_recording_is_whole(here, output, number, told):
     recording = ["two.toml", "--seconds", "100000", "-o", output, "--flush-every", "1000"]

@@ -238,7 +238,7 @@ def by_themselves(entry):
 
 
 @pytest.mark.slow
-@sampled("forgery", FORGERIES, every=9)
+@sampled("forgery", FORGERIES, every=4)
 def test_forged_groups_change_no_answer(tmp_path, forgery):
     record(tmp_path / "a")
     record(tmp_path / "b", **FORGERIES[forgery])

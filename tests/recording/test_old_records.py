@@ -43,7 +43,7 @@ def test_an_old_record_has_the_same_answers(records: Path, kind: str) -> None:
 
 
 @pytest.mark.slow
-@sampled("kind", KINDS, every=9)
+@sampled("kind", KINDS, every=3)
 def test_an_upgraded_record_has_them_too_and_is_of_the_present_format(
     records: Path, kind: str, tmp_path: Path
 ) -> None:

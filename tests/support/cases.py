@@ -30,7 +30,9 @@ def sampled(names, cases, *, every, **options):
     is_single = isinstance(names, str) and "," not in names
     marked = list(cases)
     if every > len(marked):
-        raise ValueError(f"only the first of {len(marked)} cases is run: let every be {len(marked)}")
+        raise ValueError(
+            f"only the first of {len(marked)} cases is run: let every be {len(marked)}"
+        )
     for number, case in enumerate(marked):
         if number % every:
             if isinstance(case, type(pytest.param())):
