@@ -120,9 +120,8 @@ def points_of_mujoco(model, data, handles):
         mujoco.mj_contactForce(model, data, number, force)
         if contact.dist > 0 and force[0] <= 0:
             continue
-        half = 0.5 * contact.dist * contact.frame[:3]
         sides = []
-        for side, sign in ((0, -1), (1, 1)):
+        for side in (0, 1):
             body = model.geom_bodyid[contact.geom[side]]
             root = model.body_rootid[body]
             if contact.geom[side] < 0:  # the vertices of the only flex are a body each
@@ -130,7 +129,7 @@ def points_of_mujoco(model, data, handles):
                 gaps = np.linalg.norm(data.flexvert_xpos[corners] - contact.pos, axis=1)
                 body = model.flex_vertbodyid[corners[gaps.argmin()]]
                 root = model.flex_vertbodyid[0]
-            sides.append((handles[root], int(body - root), *(contact.pos + sign * half)))
+            sides.append((handles[root], int(body - root), *contact.pos))
         (a, link_a, *at_a), (b, link_b, *at_b) = sorted(sides)
         yield (a, link_a, b, link_b, *at_a, *at_b, force[0], contact.dist)
 

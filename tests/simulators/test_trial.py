@@ -302,7 +302,7 @@ def test_no_mutated_file_ends_the_process(format: str, tmp_path: Path) -> None:
         pytest.importorskip("mujoco")
     fuzz = Fuzz()
     try:
-        for seed in range(6, 6 + generated(2)):
+        for seed in range(6, 6 + generated(4)):
             fuzz.add(format, seed)
     finally:
         fuzz.close()
