@@ -487,7 +487,8 @@ def _mistakes_at(
             )
         types.discard(type(None))
         kinds = {_KIND_OF_TYPE[kind] for kind in types} if types <= _KIND_OF_TYPE.keys() else set()
-    yield from _unequal(site.column, kinds, site.values, variable, _this_of(site.source))
+    this = _this_of(site.source) if cells is None else ""
+    yield from _unequal(site.column, kinds, site.values, variable, this)
 
 
 def _this_of(source: Source) -> str:
@@ -510,7 +511,7 @@ def _unequal(
         kinds: its kinds; none if they are not known.
         values: what it is compared with.
         variable: a function that returns the value of a variable.
-        this: how the element whose column it is is written; "" if it is no column.
+        this: how the entity whose column it is is written; "" if it is a column of none.
     """
     words = " or ".join(_WORDS[kind] for kind in sorted(kinds))
     for value in values if kinds else ():
@@ -526,6 +527,8 @@ def _unequal(
             if what in ("id", "name") and this:
                 column = this.removesuffix("this") + what
                 advice = f"; write {this} = {name}, or {column} = {spelled_id(value)}"
+            elif what in ("id", "name"):
+                advice = f"; its id is {spelled_id(value)}"
             elif this:
                 advice = f"; that of the entity is {what}({name})"
         if not is_equal:

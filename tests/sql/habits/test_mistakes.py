@@ -360,7 +360,7 @@ DOUBTS = [
     (
         "id(kitchen.table) == kitchen.can;",
         "kitchen.can",
-        "never equals the entity kitchen.can",
+        "the entity kitchen.can; its id is 'can'",
         False,
     ),
     (f"{K} WHERE on(kitchen.can, this) = 'yes' AS list;", "'yes'", "on is True or False", []),
@@ -397,6 +397,18 @@ DOUBTS = [
         "WHERE on(b.this, this) AS list) AS list;",
         "this",
         "the row of the outer query is k.this",
+        [],
+    ),
+    (
+        "SELECT name FROM people WHERE age = kitchen.can OR age = 36 AS list;",
+        "kitchen.can",
+        "age is a number, and never equals the entity kitchen.can\n",
+        ["Ada"],
+    ),
+    (
+        "SELECT age FROM people WHERE name = kitchen.can AS list;",
+        "kitchen.can",
+        "name is a text, and never equals the entity kitchen.can; its id is 'can'",
         [],
     ),
     ("z(kitchen.can) == 'high';", "'high'", "z is a number", False),
