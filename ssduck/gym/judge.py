@@ -128,6 +128,8 @@ class Judge:
             self._raise_changed(name, shown, bound, value)
         if not (is_same(bound, value) and self._interpreter[name] is bound):
             self._bound[name] = self._interpreter.add_variable(name, value)
+            if _has_nan(self._bound[name]):  # what compares it is unknown, too
+                self._interpreter.add_variable(name, _without_nan(self._bound[name]))
 
     def _raise_changed(self, name: str, shown: str, before: Any, value: Any) -> None:
         """Raises the error of a variable in a function of time that has changed."""
@@ -444,6 +446,13 @@ def _has_nan(value: Any) -> bool:
     if isinstance(value, list):
         return any(map(_has_nan, value))
     return isinstance(value, float) and math.isnan(value)
+
+
+def _without_nan(value: Any) -> Any:
+    """Returns a value with None in place of NaN, as the tables have it."""
+    if isinstance(value, list):
+        return list(map(_without_nan, value))
+    return None if _has_nan(value) else value
 
 
 def _held_conditions(node: Node) -> Iterator[Node]:

@@ -93,6 +93,24 @@ def test_a_variable_that_is_nan_is_named():
         run(env=Broken(99, 2), reward="x(sim.b) - goal[0]", variables=variables)
 
 
+OF_VARIABLES = ["goal[0] > 9", "NOT goal[0] > 0.5", "goal[0] + x(sim.b) > 9", "max(goal) < 0"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("term", OF_VARIABLES)
+@pytest.mark.parametrize("key", ["success", "failure", "stop_when"])
+def test_a_condition_of_a_variable_that_is_nan_is_unknown(tmp_path, key, term):
+    """No comparison with NaN holds, and its opposite does: neither is an answer."""
+    options = {"variables": {"goal": lambda env: env.goal}, key: term}
+    with pytest.raises(ArgumentError, match=f"{key}: .* the variable goal.* has NaN at this step"):
+        run(env=Broken(99, 2), **options)
+    _, terminated, info = run(env=Broken(99, 2), **options, nan="failure", record_to=tmp_path)
+    assert (terminated, info["failure"]) == (True, True)
+    assert run(env=Broken(99, 2), **options, nan=-1)[2].get(key, False) is False
+    (scored,) = score(tmp_path, **{key: term}, nan="failure")
+    assert scored.failure[-1] is True
+
+
 def test_at_the_first_reset():
     with pytest.raises(ArgumentError, match="reward: .* is NaN .*" + STATE):
         run(env=Broken(0), reward="x(sim.a) * 2")
