@@ -25,6 +25,7 @@ from ssduck.language.tree import (
     Unary,
 )
 from ssduck.schema import RECORDABLE, RECORDED_BY_DEFAULT
+from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.table_use import tables_of
 from ssduck.world.world import World
 
@@ -32,6 +33,15 @@ from ssduck.world.world import World
 _KEEP_PAST = (
     "let the environment keep what the term needs of earlier steps, and give that as a variable, "
     "such as variables={'before': lambda env: env.before}"
+)
+
+# The relations of two whose answer needs the shapes of both.
+_OF_GAPS = frozenset(
+    name
+    for name, relation in RELATIONS.items()
+    if relation.geometry is not None
+    and relation.required_count > 1
+    and relation.name not in ("contains", "enclosed", "inside")
 )
 
 
@@ -261,6 +271,7 @@ class Judge:
         """
         for term, text in zip(self.terms, self._texts, strict=True):
             program = self._compiled(term.key, text)
+            self._check_shapes(term, program)
             if not with_variables and self._uses_variables(program):
                 continue
             try:
@@ -359,6 +370,37 @@ class Judge:
         nodes = program.tree.statements[0].walk()
         return any(isinstance(node, Name) and node.name in variables for node in nodes)
 
+    def _check_shapes(self, term: Term, program: CompiledProgram) -> None:
+        """Checks that what is asked for a gap has shapes, as the markers of goals often have not.
+
+        Raises:
+            ArgumentError: an entity has none.
+        """
+        world = self._interpreter[self._world]
+        assert isinstance(world, World)
+        bodies = {entity.name: entity.body for entity in world.snapshot.entities}
+        for call in program.tree.statements[0].walk():
+            if not isinstance(call, Call) or call.name not in _OF_GAPS:
+                continue
+            for part in call.arguments:
+                name = self._entity_name(part)
+                body = bodies.get(name)
+                if body is not None and not body.shapes:
+                    raise ArgumentError(
+                        f"{term.key}: {term.text!r} asks {call.name} of {name}, which has no shape "
+                        "that collides: it touches nothing, and is infinitely far from all; "
+                        f"distance({self._world}.{name}, …) is that of positions"
+                    )
+
+    def _entity_name(self, node: Node) -> str:
+        """Returns the name of the entity of the world that an expression is; '' if it is none."""
+        match node:
+            case Index(base=Name(name=self._world), indices=(Literal(value=str() as name),)):
+                return name
+            case QualifiedName(alias=self._world, key=name):
+                return name
+        return ""
+
     def _check_changes(self, term: Term, program: CompiledProgram) -> None:
         """Checks that the value of a term may differ from step to step.
 
@@ -371,12 +413,10 @@ class Judge:
 
         def visit(node: Node) -> Node | None:
             nonlocal is_open
+            if name := self._entity_name(node):
+                entities.add(name)
+                return node
             match node:
-                case Index(base=Name(name=self._world), indices=(Literal(value=str() as name),)):
-                    entities.add(name)
-                    return node
-                case QualifiedName(alias=self._world, key=name):
-                    entities.add(name)
                 case Name(name=name) | TimeIndex(name=name):
                     names.add(name)
                 case Query() | Call(name="getTime"):

@@ -162,8 +162,8 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
     ) -> tuple[npt.NDArray[np.float64], float, bool, bool, dict[str, Any]]:
         """Sets the targets of joints, runs the scene, and evaluates the terms."""
         check_open(self._is_closed, "step")
-        targets = np.clip(action, self.action_space.low, self.action_space.high)  # type: ignore[attr-defined]
-        for one, target in zip(self.task.actions, targets.tolist(), strict=True):
+        for one, number in zip(self.task.actions, np.asarray(action, float).tolist(), strict=True):
+            target = min(max(number, one.low), one.high)  # the space rounds the ends of the range
             entity = self._world[one.entity]
             if one.control == "position":
                 entity.drive(positions={one.joint: target})

@@ -56,6 +56,21 @@ def folder(tmp_path):
 
 
 @pytest.mark.slow
+def test_the_ends_of_the_action_space_are_those_of_the_range(folder):
+    """The nearest float32 is beyond 0.07, which is all that the actuator takes."""
+    model = MODEL.replace('kv="50"', 'kv="50" ctrllimited="true" ctrlrange="-0.07 0.07"')
+    (folder / "push.xml").write_text(model)
+    text = TASK.replace("low = -1", "low = -0.07").replace("high = 1", "high = 0.07")
+    (folder / "task.toml").write_text(text)
+    env = make_task(folder / "task.toml")
+    assert float(env.action_space.high[0]) > 0.07
+    env.reset(seed=1)
+    for action in (env.action_space.high, env.action_space.low, [9.0]):
+        env.step(action)
+    env.close()
+
+
+@pytest.mark.slow
 def test_a_task_runs(folder):
     env = make_task(folder / "task.toml")
     assert env.task.seeds == (1, 2)

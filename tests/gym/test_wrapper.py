@@ -357,6 +357,22 @@ def test_variables_are_checked_at_the_first_reset(wrap, read, error, message):
         env.reset()
 
 
+@pytest.mark.slow
+def test_gaps_of_what_has_no_shape_are_errors():
+    """Pusher's goal is a disc that collides with nothing."""
+    for term in ("near(sim.object, sim.goal, 10)", "0 < clearance(sim['object'], sim.goal)"):
+        with pytest.raises(
+            ArgumentError, match=r"of goal, which has no shape .* distance\(sim.goal"
+        ):
+            QueryWrapper(gymnasium.make("Pusher-v5"), success=term)
+    env = QueryWrapper(gymnasium.make("Pusher-v5"), reward="-distance(sim.object, sim.goal)")
+    env.reset(seed=0)
+    places = [env.unwrapped.get_body_com(name) for name in ("object", "goal")]
+    reward = env.step(np.zeros(7, np.float32))[1]
+    assert reward == pytest.approx(-np.linalg.norm(places[0] - places[1]), abs=1e-3)
+    env.close()
+
+
 def test_an_environment_without_a_simulation():
     env = gymnasium.make("CartPole-v1", disable_env_checker=True)
     with pytest.raises(SimulatorError, match=r"no MuJoCo model .* PyBullet"):
