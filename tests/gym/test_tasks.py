@@ -58,8 +58,7 @@ def folder(tmp_path):
 @pytest.mark.slow
 def test_the_ends_of_the_action_space_are_those_of_the_range(folder):
     """The nearest float32 is beyond 0.07, which is all that the actuator takes."""
-    model = MODEL.replace('kv="50"', 'kv="50" ctrllimited="true" ctrlrange="-0.07 0.07"')
-    (folder / "push.xml").write_text(model)
+    (folder / "push.xml").write_text(MODEL.replace('"-1 1"/>', '"-0.07 0.07"/>'))
     text = TASK.replace("low = -1", "low = -0.07").replace("high = 1", "high = 0.07")
     (folder / "task.toml").write_text(text)
     env = make_task(folder / "task.toml")
