@@ -32,6 +32,9 @@ from ssduck.schema import RECORDABLE
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
+# The endings of files that only the command writes.
+_FILES = (".mcap", ".rrd")
+
 
 class RecordingMethods(ABC):
     """The methods of an interpreter on records."""
@@ -192,6 +195,7 @@ class RecordingMethods(ABC):
             The folder of each episode's ticks, by the name of its world.
 
         Raises:
+            ArgumentError: the path is that of a file of another format.
             RecordError: the folder holds other files, or cannot be written.
             EvaluationError: a world is not recorded, or not at that time.
 
@@ -216,6 +220,11 @@ class RecordingMethods(ABC):
             if not worlds:
                 raise EvaluationError("no world is recorded here")
             database, folder, added = self._database, expand_path(path), checked_tags(tags)
+            if folder.suffix in _FILES:
+                raise ArgumentError(
+                    f"this writes a folder of Parquet files, and {folder.name} is the name of a "
+                    f"file: ssduck export RECORD --format {folder.suffix[1:]} writes such files"
+                )
             folders: dict[str, Path] = {}
             with whole_record(folder) as begun:
                 for chosen in worlds:

@@ -514,10 +514,12 @@ class TemporalEvaluator:
                 span=expression.span,
             )
         if not worlds:
-            raise ArgumentError(
-                f"{call.name} takes an expression of entities, such as near(gripper, cup, 0.02)",
-                span=expression.span,
-            )
+            what = "takes an expression of entities, such as near(gripper, cup, 0.02)"
+            if isinstance(expression, Index):
+                what = f"takes the whole list, and the index comes after it: {call.name}(…)[0]"
+            elif call.name == "at":
+                what = "takes the time first, as in at(0.5, z(cup))"
+            raise ArgumentError(f"{call.name} {what}", span=expression.span)
         if len(worlds) > 1:
             raise UnsupportedError(f"{call.name} takes entities of one world", span=call.span)
         return self._query(call, places, tuple(handles)), worlds.pop(), values, handles

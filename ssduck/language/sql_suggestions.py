@@ -106,6 +106,12 @@ _TABLE = "the tables are those of ss.sql; in a program the source is the world: 
 _JOINT = "the position of a joint is joint(entity, 'name')"
 _JOINT_TABLE = 'is in the table of joints: ss.sql("SELECT name, {} FROM joints")'
 _BOX = "aabb(e) is the bounding box [xmin, xmax, ymin, ymax, zmin, zmax]: aabb(e)[{}] - aabb(e)[{}]"
+_ANGLE = (
+    "between the orientations of two it is 2 * acos(min([1, abs(dot)])), with dot = "
+    "sum([p[0] * q[0], p[1] * q[1], p[2] * q[2], p[3] * q[3]]) of p = orientation(a) and q = "
+    "orientation(b)"
+)
+_NOT_KEPT = "a world does not keep it: bind a number of the simulator as a variable"
 # The suggestions for names of other libraries, and for words of time.
 _OF_LIBRARIES: dict[tuple[str, ...], str] = {
     ("CLAMP",): "write clip(x, low, high)",
@@ -133,10 +139,34 @@ _OF_LIBRARIES: dict[tuple[str, ...], str] = {
     ("SIZE", "EXTENT", "EXTENTS", "DIMENSIONS", "WIDTH"): _BOX.format(1, 0),
     ("QPOS", "JOINTPOSITION", "JOINTANGLE", "JOINTPOS", "JOINTSTATE"): f"{_JOINT}, that of a body "
     "position(entity)",
-    ("QVEL", "JOINTVELOCITY", "JOINTVEL"): "the velocity of a joint "
-    f"{_JOINT_TABLE.format('velocity')}; that of a body is velocity(entity)",
+    ("QVEL", "JOINTVELOCITY", "JOINTVEL", "JOINTSPEED"): "the velocity of a joint is "
+    f"rate(joint(entity, 'name')), and {_JOINT_TABLE.format('velocity')}; that of a body is "
+    "velocity(entity)",
     ("JOINTLIMIT", "JOINTLIMITS", "JOINTRANGE"): "the range of a joint "
     f"{_JOINT_TABLE.format('lower, upper')}",
+    ("ATLIMIT", "NEARLIMIT", "INLIMITS", "JOINTFRACTION"): "write isOpen(entity, 'joint', share) "
+    "or isClosed(entity, 'joint', share), of shares of the joint's range",
+    ("JOINTFORCE", "JOINTTORQUE", "JOINTEFFORT"): f"the effort of a joint "
+    f"{_JOINT_TABLE.format('effort')}",
+    ("MOVING", "ISMOVING", "MOVED"): "write speed(e) > 0.01, or NOT settled(e)",
+    ("ATREST", "STATIONARY", "STILL", "RESTING"): "write settled(e), or speed(e) < 0.01",
+    ("STATIC", "ISSTATIC", "FIXED", "ISFIXED"): "the mass of what nothing moves is 0: mass(e) == 0",
+    ("FALLEN", "TIPPED", "FLIPPED", "LYING"): "write NOT upright(e), or tilt(e) > 0.5",
+    ("REACHED", "ARRIVED"): "write distance(a, b) < 0.05",
+    ("DISTANCEXY", "DISTANCE2D", "HYPOT"): "write norm([x(a) - x(b), y(a) - y(b)])",
+    (
+        "CLOSEST",
+    ): "the closest points of two are nearestPoints(a, b), and the gap is clearance(a, b)",
+    ("ANGLE", "ANGLEBETWEEN", "ANGULARDISTANCE", "ROTATIONDISTANCE"): _ANGLE,
+    ("ORIENTATIONDISTANCE", "ALIGNED", "PARALLEL"): _ANGLE,
+    ("XAXIS", "YAXIS", "ZAXIS", "UP"): "the axes of e are the columns of rot(e): the z axis is "
+    "[rot(e)[0][2], rot(e)[1][2], rot(e)[2][2]]",
+    ("ACCELERATION", "ACCEL"): "write rate(velocity(e))",
+    ("DERIVATIVE", "DDT"): "write rate(expression)",
+    ("DURATION", "TIMESINCE"): "write heldFor(condition), or holds(condition) for the times",
+    ("ELAPSED",): "the simulated time is getTime(); since a condition holds, heldFor(condition)",
+    ("COM", "CENTEROFMASS", "CENTREOFMASS", "COLOR", "COLOUR", "FRICTION", "INERTIA"): _NOT_KEPT,
+    ("ENERGY", "MOMENTUM", "IMPULSE"): _NOT_KEPT,
     ("CTRL",): "what an actuator is told is no part of the world: bind it, "
     "ss.add_variable('ctrl', list(data.ctrl))",
     ("RANGES", "READING"): "the readings of a sensor are Python's: world['name'].ranges; "

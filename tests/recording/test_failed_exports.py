@@ -11,7 +11,7 @@ import pytest
 
 import ssduck
 from ssduck.database import database
-from ssduck.errors import RecordError
+from ssduck.errors import ArgumentError, RecordError
 from ssduck.interpreter import recording, upgrading
 from ssduck.recording import folder_check, folder_episodes
 from ssduck.recording.episode_steps import EpisodeSteps
@@ -93,6 +93,17 @@ def test_steps_that_cannot_be_written_leave_no_episode(
         ssduck.upgrade(record, tmp_path / "new")
     assert written == [0, 1]
     assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["run.mcap", "run.rrd"])
+def test_the_name_of_a_file_of_another_format_is_an_error(tmp_path: Path, name: str) -> None:
+    with (
+        ssduck.open(recorded(tmp_path / "record")) as ss,
+        pytest.raises(ArgumentError, match=f"export RECORD --format {Path(name).suffix[1:]} "),
+    ):
+        ss.export(tmp_path / name)
+    assert not (tmp_path / name).exists()
 
 
 @pytest.mark.slow

@@ -127,7 +127,16 @@ OF_PROGRAMS = [
     ("yaw(sim.cube);", "write atan2(rot(e)[1][0], rot(e)[0][0])"),
     ("clamp(3, 0, 1);", "write clip(x, low, high)"),
     ("clip([1], 0, 1);", "clip(number, low, high)"),
-    ("jointVelocity(sim.arm, 'hinge');", "SELECT name, velocity FROM joints"),
+    ("jointVelocity(sim.arm, 'hinge');", "is rate(joint(entity, 'name')), and is in the table"),
+    ("atLimit(sim.arm, 'hinge');", "write isOpen(entity, 'joint', share)"),
+    ("isMoving(sim.cube);", "write speed(e) > 0.01"),
+    ("atRest(sim.cube);", "write settled(e)"),
+    ("fallen(sim.cube);", "write NOT upright(e)"),
+    ("angleBetween(sim.cube, sim.table);", "it is 2 * acos(min([1, abs(dot)]))"),
+    ("friction(sim.cube);", "bind a number of the simulator as a variable"),
+    ("acceleration(sim.cube);", "write rate(velocity(e))"),
+    ("rate(velocity(sim.cube)[2]);", "the index comes after it: rate(…)[0]"),
+    ("at(z(sim.cube), 0.5);", "takes the time first, as in at(0.5, z(cup))"),
     ("jointLimit(sim.arm, 'hinge');", "SELECT name, lower, upper FROM joints"),
     ("ranges(sim.cube);", "world['name'].ranges"),
     ("under(sim.cube, sim.table);", "write below(a, b)"),
@@ -235,6 +244,13 @@ def test_what_is_said_of_other_libraries_is_right():
         for name, value in (("DOT", 32), ("CROSS", [-3, 6, -3])):
             text = suggestion_for_name(name).removeprefix("write ")
             assert ss.eval(f"a = [1, 2, 3]; b = [4, 5, 6]; {text};") == value
+        of, dot = suggestion_for_name("ANGLE").partition("it is ")[2].split(", with dot = ")
+        dot, _, _ = dot.partition(" of p")
+        bound = "p = orientation(sim.cube); q = orientation(sim.table);"
+        angle = np.arccos((np.trace(matrix) - 1) / 2)  # the table is not turned
+        assert ss.eval(f"{bound} dot = {dot}; {of};") == pytest.approx(angle)
+        axis = suggestion_for_name("ZAXIS").partition("axis is ")[2].replace("(e)", "(sim.cube)")
+        assert ss.eval(f"{axis};") == pytest.approx(matrix[:, 2].tolist())
         for data.time, data.qpos[2] in ((0.25, 3), (0.5, 1)):
             mujoco.mj_forward(model, data)
             world.tick()
