@@ -6,12 +6,13 @@ import json
 import os
 import subprocess
 import sys
+import time
 from itertools import combinations, product
 from types import SimpleNamespace
 
 import pytest
 
-from tests.support.archive import Archive
+from tests.support.archive import UNUSED, Archive
 from tests.support.cases import covering, mark_all_but_pairs, sampled
 from tools import times
 
@@ -62,14 +63,17 @@ def write_number(folder, number):
 
 
 def test_what_is_archived_is_written_once_for_each_argument(tmp_path):
-    (tmp_path / "records" / "of older code").mkdir(parents=True)
+    for name, age in (("of old code", UNUSED + 60), ("of another run", UNUSED - 60)):
+        (tmp_path / "records" / name).mkdir(parents=True)
+        os.utime(tmp_path / "records" / name, (time.time() - age,) * 2)
     for run in range(2):  # two processes of a run
         archive = Archive(tmp_path / "records")
         for number in (1, 2):
             copy = archive.copy(write_number, tmp_path / f"{run} {number}", number)
             assert (copy / "number").read_text() == str(number)
             (copy / "number").write_text("changed")
-    (place,) = (tmp_path / "records").iterdir()
+    other, place = sorted((tmp_path / "records").iterdir(), key=lambda one: one.stat().st_mtime)
+    assert other.name == "of another run"
     assert (place / "calls").read_text() == "1 2 "
 
 
