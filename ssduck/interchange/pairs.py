@@ -47,12 +47,16 @@ def checked_distance(within: float) -> float:
 
 
 def pair_query(schema: str) -> str:
-    """Returns the SELECT of the pairs of a world at its recorded ticks; `?` is the distance."""
+    """Returns the SELECT of the pairs of a world at recorded ticks.
+
+    Its parameters are the distance, and the first and the last tick.
+    """
     history = f'"{validation.identifier(schema, "a world")}".entities_history'
     return (
         "SELECT a.tick, a.time, a.id AS a, b.id AS b, clearance(a, b) AS clearance, "  # noqa: S608
         f"penetration(a, b) AS depth FROM {history} AS a JOIN {history} AS b "
-        "ON a.tick = b.tick AND a.id < b.id WHERE near(a, b, ?) ORDER BY a.tick, a.id, b.id"
+        "ON a.tick = b.tick AND a.id < b.id WHERE near(a, b, ?) AND a.tick BETWEEN ? AND ? "
+        "ORDER BY a.tick, a.id, b.id"
     )
 
 

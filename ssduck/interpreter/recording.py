@@ -240,8 +240,9 @@ class RecordingMethods(ABC):
 
     def _write_pairs(self, run: FolderRun, within: float) -> None:
         """Writes the pairs of an exported episode within a distance, m."""
-        rows = self.sql(pair_query(run.world), [within]).arrow()
         ticks, entities = run.ticks()[1].numbers, run.read("models/entities")["id"].to_numpy()
+        span = [int(ticks[0]), int(ticks[-1])]
+        rows = self.sql(pair_query(run.world), [within, *span]).arrow()
         is_exported = np.isin(rows["tick"].to_numpy(), ticks)
         for side in ("a", "b"):
             is_exported &= np.isin(rows[side].to_numpy(), entities)

@@ -90,8 +90,8 @@ def quoted(relation):
     return f'"{relation.name}"({called(relation).partition("(")[2]}'
 
 
-@pytest.mark.slow
-@sampled("name", NAMES, every=3)
+@pytest.mark.long
+@pytest.mark.parametrize("name", NAMES)
 def test_every_relation_may_have_its_world_before_it(worlds, told_alone, name):
     several, _ = worlds
     for key, relation in RELATIONS.items():

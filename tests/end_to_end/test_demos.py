@@ -32,7 +32,6 @@ from ssduck.demos.grid import SearchGrid, free_cells, shortest_path
 from ssduck.demos.placing import Placing
 from ssduck.demos.results import keep
 from ssduck.errors import SelectScriptError
-from tests.support.cases import sampled
 
 pytestmark = pytest.mark.slow
 
@@ -334,8 +333,8 @@ def test_maps_of_the_kitchen(tmp_path):
     assert sizes["near_roomba"] < sizes["kitchen"]
 
 
-@pytest.mark.slow
-@sampled("out", [[], ["--out", "together"]], every=2)
+@pytest.mark.long
+@pytest.mark.parametrize("out", [[], ["--out", "together"]])
 def test_demonstrations_overwrite_nothing(tmp_path, monkeypatch, out):
     """Neither what another one made nor a user's file; one that is run again finds its own."""
     monkeypatch.chdir(tmp_path)

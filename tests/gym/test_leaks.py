@@ -9,7 +9,7 @@ import pytest
 
 from ssduck.gym import QueryWrapper
 from ssduck.world.world import World
-from tests.support.cases import generated, sampled
+from tests.support.cases import generated
 from tests.support.gym_environments import Drop, Push
 
 RESETS = generated(25)
@@ -45,8 +45,8 @@ def resets(env, action, number):
         env.step(action)
 
 
-@pytest.mark.slow
-@sampled(
+@pytest.mark.long
+@pytest.mark.parametrize(
     ("environment", "options", "success", "action"),
     [
         (Push, {}, "x(sim.ball) > 0.02", [1.0]),
@@ -54,7 +54,6 @@ def resets(env, action, number):
         (Drop, {}, "z(sim.body_1) < 0.2", 0),
         (Drop, {"reconnects": True}, "z(sim.body_1) < 0.2", 0),
     ],
-    every=4,
 )
 def test_resets_leave_nothing(environment, options, success, action):
     with QueryWrapper(environment(**options), success=success) as first:

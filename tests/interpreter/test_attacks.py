@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import time
 from pathlib import Path
 
@@ -34,6 +35,15 @@ def _strict(seconds):
         ss.add_variable("text", "a" * 100_000)
         ss.add_variable("numbers", [0] * 100_000)
         yield ss
+
+
+@pytest.fixture(autouse=True)
+def pythons_collections():
+    """Garbage is collected as often as it is for users: until then it counts as memory."""
+    threshold = gc.get_threshold()
+    gc.set_threshold(700, 10, 10)
+    yield
+    gc.set_threshold(*threshold)
 
 
 @pytest.fixture(scope="module")

@@ -192,7 +192,7 @@ CALLS = {
     "TableView.text(width)": ("above 0", True, lambda t, v: t.ss.sql("SELECT 1").__rich__().text(v)),
     "Interpreter.past(age)": ("time", True, lambda t, v: t.ss.past("sim", v)),
     "Interpreter.export(start)": ("time", True, lambda t, v: t.ss.export(t.path, start=v)),
-    "Interpreter.export(pairs)": ("seconds", True, lambda t, v: t.ss.export(t.path, pairs=v)),
+    "Interpreter.export(pairs)": ("seconds", True, lambda t, v: t.ss.export(t.path, start=t.sim.time, pairs=v)),
     "Interpreter.export(end)": ("time", True, lambda t, v: t.ss.export(t.path, end=v)),
     "Interpreter.add_trigger(interval)": ("seconds", False, lambda t, v: trigger(t, interval=v)),
     "Interpreter.add_trigger(debounce)": ("seconds", False, lambda t, v: trigger(t, debounce=v)),

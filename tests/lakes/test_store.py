@@ -121,7 +121,7 @@ ASKED = [
 ]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_names_that_are_patterns_are_names(address, recorded, monkeypatch):
     """Each record has another episode, so that reading another record is seen."""
     wanted = {}

@@ -13,7 +13,6 @@ from ssduck.errors import SqlError
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.stores.base import TickStore
 from ssduck.schema import recorded_tables
-from tests.support.cases import sampled
 
 
 class Store(TickStore):
@@ -101,8 +100,8 @@ def test_entities_that_come_and_go_are_told_apart_in_a_ring(
     assert store.stored == before + after
 
 
-@pytest.mark.slow
-@sampled("flushed", [1, 7, 5000], every=3)
+@pytest.mark.long
+@pytest.mark.parametrize("flushed", [1, 7, 5000])
 def test_what_is_flushed_often_is_put_together(world: ssduck.World, flushed: int) -> None:
     with ssduck.Interpreter(recording=Recording()) as ss:
         ss.add_variable("lab", world)

@@ -295,14 +295,14 @@ def test_memory_is_limited(folder: Path) -> None:
 
 
 @pytest.mark.slow
-@sampled("format", FORMATS, every=3)
+@sampled("format", FORMATS, every=4)
 def test_no_mutated_file_ends_the_process(format: str, tmp_path: Path) -> None:
     """The short form of `python -m tools.fuzz_scenes`."""
     if format == "mujoco":
         pytest.importorskip("mujoco")
     fuzz = Fuzz()
     try:
-        for seed in range(6, 6 + generated(4)):
+        for seed in range(6, 6 + generated(2)):
             fuzz.add(format, seed)
     finally:
         fuzz.close()

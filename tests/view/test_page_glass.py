@@ -7,7 +7,6 @@ from PIL import Image
 import ssduck
 
 pytest.importorskip("websockets", reason="the extra view is not installed")
-from tests.support.cases import sampled
 from tools.browser import chromium
 
 pytestmark = [
@@ -58,8 +57,8 @@ def check(pixel, alpha):
         assert min(red, blue) > 60
 
 
-@pytest.mark.slow
-@sampled("alpha", [0.4, 1], every=2)
+@pytest.mark.long
+@pytest.mark.parametrize("alpha", [0.4, 1])
 def test_what_is_behind_a_pane_is_seen_through_it(browser, tmp_path, alpha):
     with ssduck.load(scene(tmp_path, alpha)) as ss, ss.view() as served:
         page = browser.open(served.url)
