@@ -25,6 +25,7 @@ from ssduck.language.tree import (
     Unary,
 )
 from ssduck.schema import RECORDABLE, RECORDED_BY_DEFAULT
+from ssduck.simulators.interface import Body
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.table_use import tables_of
 from ssduck.world.world import World
@@ -376,9 +377,7 @@ class Judge:
         Raises:
             ArgumentError: an entity has none.
         """
-        world = self._interpreter[self._world]
-        assert isinstance(world, World)
-        bodies = {entity.name: entity.body for entity in world.snapshot.entities}
+        bodies = self._bodies()
         for call in program.tree.statements[0].walk():
             if not isinstance(call, Call) or call.name not in _OF_GAPS:
                 continue
@@ -391,6 +390,12 @@ class Judge:
                         "that collides: it touches nothing, and is infinitely far from all; "
                         f"distance({self._world}.{name}, …) is that of positions"
                     )
+
+    def _bodies(self) -> dict[str, Body | None]:
+        """Returns the bodies of the entities by name; None for a sensor."""
+        world = self._interpreter[self._world]
+        assert isinstance(world, World)
+        return {entity.name: entity.body for entity in world.snapshot.entities}
 
     def _entity_name(self, node: Node) -> str:
         """Returns the name of the entity of the world that an expression is; '' if it is none."""
@@ -434,9 +439,7 @@ class Judge:
                 f"{term.key}: {term.text!r} can never change: it has no entity of {self._world!r}, "
                 f"such as {self._world}.cup, and no variable"
             )
-        world = self._interpreter[self._world]
-        assert isinstance(world, World)
-        bodies = {entity.name: entity.body for entity in world.snapshot.entities}
+        bodies = self._bodies()
         known = [bodies.get(name) for name in sorted(entities)]
         if all(body is not None and not body.movable for body in known):
             raise ArgumentError(
