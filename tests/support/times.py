@@ -49,5 +49,5 @@ class Times:
                     self._fixtures[fixture].append(seconds)
 
     def pytest_sessionfinish(self):
-        if not hasattr(self._config, "workerinput"):
+        if self._calls and not hasattr(self._config, "workerinput"):
             self._config.cache.set(TIMES, {"calls": self._calls, "fixtures": self._fixtures})
