@@ -270,9 +270,10 @@ _POSE_OF_SHAPE = (
     *_doubles("x y z", _POSITION, "", "both", "position in the frame of the link, m"),
     *_doubles("qw qx qy qz", _ORIENTATION, "", "both", "orientation in the frame of the link"),
 )
+TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 _TWIST = (
-    *_doubles("vx vy vz", "velocity of the link frame's origin, m/s"),
-    *_doubles("wx wy wz", "angular velocity, rad/s"),
+    *_doubles(" ".join(TWIST[:3]), "velocity of the link frame's origin, m/s"),
+    *_doubles(" ".join(TWIST[3:]), "angular velocity, rad/s"),
 )
 _BOX = _doubles(" ".join(BOX), "axis-aligned box of the shapes, exact, m")
 _FIRST_MASS = "kg, when the entity was first recorded; a later change is not recorded"

@@ -62,7 +62,7 @@ class BoundWorld:
 
     Attributes:
         reference: a weak reference to the world; None when nothing else refers to the world.
-        key: the prefix of its buffers' names among DuckDB's temporary views.
+        number: tells the worlds of a database apart, and ascends in the order they were added.
         schemas: its names; ssduck's own statements use the first.
         versions: the versions of the tables that DuckDB has registered.
         registered: the `state` of the rows that DuckDB has.
@@ -72,7 +72,7 @@ class BoundWorld:
     """
 
     reference: weakref.ref[World]
-    key: str
+    number: int
     schemas: list[str] = field(default_factory=list)
     versions: dict[str, int] = field(default_factory=dict)
     registered: tuple[object, ...] | None = None
@@ -82,6 +82,11 @@ class BoundWorld:
     _poses: OrderedDict[tuple[int, EntityTable], Poses] = field(default_factory=OrderedDict)
     _changed_margins: set[str] = field(default_factory=set)
     _has_told_of_pairs: bool = False
+
+    @property
+    def key(self) -> str:
+        """The prefix of its buffers' names among DuckDB's temporary views."""
+        return f"world {self.number}"
 
     @property
     def world(self) -> World:

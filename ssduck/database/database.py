@@ -410,7 +410,8 @@ class Database:
             check_is_live(world)
             check_names(recording, world.snapshot.entities)
             name = self.schema_of(world)
-            return self._recorders.to_folder(world, recording, path, name, tags)
+            bound = self._worlds.entry(world)
+            return self._recorders.to_folder(bound, recording, path, name, tags)
 
     def history_of(self, world: World) -> WorldHistory | None:
         """Returns the recorded ticks of a world; None if it is not recorded."""
@@ -441,7 +442,7 @@ class Database:
         time_range: tuple[float | None, float | None],
         begun: list[BegunEpisode],
         tags: Tags | None = None,
-        about: Mapping[str, str] | None = None,
+        about: Mapping[str, str | int] | None = None,
     ) -> Path:
         """Writes the record of a world to a folder as a new episode; returns its ticks' folder.
 
@@ -457,10 +458,12 @@ class Database:
             if record.stored is not None:
                 for table in sorted(record.tables):
                     record.stored.check_rows(table)
-            history = self._worlds.entry(world).history
-            assert history is not None
-            recording = history.store.recording
+            bound = self._worlds.entry(world)
+            assert bound.history is not None
+            recording = bound.history.store.recording
             name = self.schema_of(world)
+            order = bound.number if record.order is None else record.order
+            about = {"order": order} | dict(about or {})
             return export(record, recording, name, path, names, time_range, begun, tags, about)
 
     def flush(self) -> dict[str, int]:

@@ -48,7 +48,15 @@ class Recorders:
         if in_memory:
             store = MemoryStore(schema, connection, recording, name)
         else:
-            store = DuckDBStore(schema, connection, recording, name, tags=tags, camera=world.camera)
+            store = DuckDBStore(
+                schema,
+                connection,
+                recording,
+                name,
+                tags=tags,
+                camera=world.camera,
+                order=bound.number,
+            )
             if is_file:
                 store.create_views()
         # In a file, few ticks may wait: a killed process loses them.
@@ -120,14 +128,16 @@ class Recorders:
 
     def to_folder(
         self,
-        world: World,
+        bound: BoundWorld,
         recording: Recording,
         path: Path,
         name: str,
         tags: Tags | None = None,
     ) -> ParquetRecording:
         """Starts to write the ticks of a world to a folder as well, under a name."""
-        running = ParquetRecording(world, recording, path, name, PART_TICKS, self.running, tags)
+        running = ParquetRecording(
+            bound.world, recording, path, name, PART_TICKS, self.running, tags, bound.number
+        )
         self._folders = [one for one in self._folders if one.is_running]
         self._folders.append(running)
         return running

@@ -170,7 +170,7 @@ class WorldRegistry:
         for bound in self.bound:
             if bound.reference() is world:
                 return bound
-        bound = BoundWorld(weakref.ref(world, self._gone.append), f"world {next(self._numbers)}")
+        bound = BoundWorld(weakref.ref(world, self._gone.append), next(self._numbers))
         self.bound.append(bound)
         if self.episode_observer is not None:
             world.follow_episodes(self.episode_observer)

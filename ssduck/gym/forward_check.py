@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -9,7 +10,7 @@ from typing import Any
 
 from ssduck.errors import ProgramWarning, warn
 from ssduck.gym.judge import Judge
-from ssduck.gym.terms import Judgement, Terms
+from ssduck.gym.terms import Judgement
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.limits import Limits
 from ssduck.recording.spec import Recording
@@ -20,14 +21,17 @@ _CHECKED = 1000
 
 
 class ForwardCheck:
-    """Judges steps by the poses of their joint positions, too, and warns where a flag differs.
+    """Judges steps by the poses of their joint positions, too, and warns where a term differs.
+
+    Terms of poses alone are not compared: they always differ, by what moves within a step of the
+    simulator. Those are compared for which this is much: flags, velocities and differences of time.
 
     After a step MuJoCo's poses are those at its beginning. Code that reads `qpos` is a step ahead
     of code that reads `xpos`; ssduck cannot know which of the two an environment reads.
 
     Args:
         environment: the unwrapped environment.
-        terms: the terms.
+        judge: evaluates the terms by MuJoCo's poses.
         world: the name of the world.
         variables: the names of the variables.
         limits: the limits of terms.
@@ -36,7 +40,7 @@ class ForwardCheck:
     def __init__(
         self,
         environment: Any,
-        terms: Terms,
+        judge: Judge,
         world: str,
         variables: Sequence[str],
         limits: Limits | None,
@@ -47,8 +51,12 @@ class ForwardCheck:
             warnings.simplefilter("ignore")
             attached = World.attach(environment, forward=True)
             self._interpreter.add_variable(world, attached)
-            flags = replace(terms, parts={})  # rewards are not compared
-            self._judge = Judge(flags, self._interpreter, world, variables, if_unknown="")
+            is_compared = dict(zip(judge.terms, judge.are_sensitive, strict=True))
+            # The places of their values among those of all terms.
+            self._places = [n for n, compared in enumerate(is_compared.values()) if compared]
+            parts = {name: part for name, part in judge.terms.parts.items() if is_compared[part]}
+            terms = replace(judge.terms, parts=parts, nan=0.0)  # whose errors the other judge has
+            self._judge = Judge(terms, self._interpreter, world, variables, if_unknown="")
             if tables := self._judge.past_tables:
                 self._interpreter.record(world, Recording(tables=tuple(tables)))
 
@@ -59,26 +67,25 @@ class ForwardCheck:
             self._judge.begin_tick(values, is_first=True)
 
     def check(self, step: int, values: Mapping[str, Any], judgement: Judgement) -> None:
-        """Takes a tick, and warns if a flag differs, which ends the checks."""
+        """Takes a tick, and warns if a term differs, which ends the checks."""
         if not self._left:
             return
         self._left -= 1
         self._simulation.tick()
         self._judge.begin_tick(values)
-        other = self._judge.judgement()
-        flags = {"success": other.success, "failure": other.failure, "stop_when": other.stop}
-        seen = {"success": judgement.success, "failure": judgement.failure}
-        seen["stop_when"] = judgement.stop
-        differing = next((name for name, flag in flags.items() if flag != seen[name]), None)
-        if differing is not None:
-            warn(
-                f"step {step}: {differing} is {seen[differing]} by MuJoCo's poses, which are those "
-                f"before the simulator's last step, and {flags[differing]} by the joint positions "
-                "after it: QueryWrapper(…, forward=True) if the environment's own code reads "
-                "qpos, forward=False if it reads xpos",
-                ProgramWarning,
-            )
-            self._left = 0
+        others = self._judge.judgement().computed
+        for term, place, other in zip(self._judge.terms, self._places, others, strict=True):
+            seen = judgement.computed[place]
+            if _differ(seen, other):
+                warn(
+                    f"step {step}: {term.key} is {_shown(seen)} by MuJoCo's poses, which are those "
+                    f"before the simulator's last step, and {_shown(other)} by the joint positions "
+                    "after it: QueryWrapper(…, forward=True) if the environment's own code reads "
+                    "qpos, forward=False if it reads xpos",
+                    ProgramWarning,
+                )
+                self._left = 0
+                break
         if not self._left:
             self.close()
 
@@ -92,3 +99,12 @@ class ForwardCheck:
         world = self._interpreter[self._world]
         assert isinstance(world, World)
         return world
+
+
+def _differ(a: bool | float | None, b: bool | float | None) -> bool:
+    """Checks whether two values of a term differ by more than rounding; not if one is unknown."""
+    return a is not None and b is not None and not math.isclose(a, b, rel_tol=1e-6, abs_tol=1e-9)
+
+
+def _shown(value: bool | float | None) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

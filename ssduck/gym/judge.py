@@ -24,7 +24,7 @@ from ssduck.language.tree import (
     TimeIndex,
     Unary,
 )
-from ssduck.schema import RECORDABLE, RECORDED_BY_DEFAULT
+from ssduck.schema import RECORDABLE, RECORDED_BY_DEFAULT, TWIST
 from ssduck.simulators.interface import Body
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.table_use import tables_of
@@ -36,6 +36,10 @@ _KEEP_PAST = (
     "such as variables={'before': lambda env: env.before}"
 )
 
+# The relations and columns that say how fast something moves.
+_OF_MOTION = frozenset(
+    {name for name, relation in RELATIONS.items() if relation.unit in ("m/s", "rad/s")} | set(TWIST)
+)
 # The relations of two whose answer needs the shapes of both.
 _OF_GAPS = frozenset(
     name
@@ -59,6 +63,8 @@ class Judge:
     Attributes:
         terms: the terms.
         past_tables: the tables to be recorded for terms that read the past; none if none does.
+        are_sensitive: of each term, whether it may change a lot within a step of the simulator: a
+            condition, and a number that says how fast something moves or that reads the past.
     """
 
     def __init__(
@@ -85,6 +91,10 @@ class Judge:
         self._program = interpreter.compile(_selected(self._texts))
         trees = [self._tree(text) for text in self._texts]
         self._are_temporal = [_is_temporal(tree) for tree in trees]
+        self.are_sensitive = [
+            term.is_condition or is_temporal or not _OF_MOTION.isdisjoint(_names(tree))
+            for term, tree, is_temporal in zip(terms, trees, self._are_temporal, strict=True)
+        ]
         # The terms that have a variable in a function of time or a query of the past, with that, by
         # the variable.
         self._over_time: dict[str, tuple[Term, str]] = {}
@@ -510,6 +520,11 @@ def _held_conditions(node: Node) -> Iterator[Node]:
 def _unsigned(node: Node) -> Node:
     """Returns an expression without its signs."""
     return _unsigned(node.operand) if isinstance(node, Unary) else node
+
+
+def _names(node: Node) -> set[str | None]:
+    """Returns the names of functions, columns and variables in an expression."""
+    return {getattr(part, key, None) for part in node.walk() for key in ("name", "key")}
 
 
 def _is_past(source: Source) -> bool:

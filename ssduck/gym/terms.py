@@ -92,6 +92,7 @@ class Judgement:
         stop: whether the episode ends; None without such a term.
         reward: the sum of the parts; None without a reward.
         parts: the parts of the reward by name.
+        computed: the values of all terms in their order; None of one that is NaN.
     """
 
     success: bool | None
@@ -99,6 +100,7 @@ class Judgement:
     stop: bool | None
     reward: float | None
     parts: Mapping[str, float]
+    computed: Sequence[bool | float | None]
 
 
 @dataclass(frozen=True)
@@ -211,7 +213,8 @@ class Terms:
                 raise term.nan_error(sources)
             else:
                 replaced.append(False if term.is_condition else number)
-        judgement = self.judgement(replaced)
+        computed = [None if is_nan(value) else value for value in values]
+        judgement = replace(self.judgement(replaced), computed=computed)
         if self.nan != "failure":
             return judgement
         success = None if self.success is None else False
@@ -223,16 +226,15 @@ class Terms:
         Raises:
             ArgumentError: a value is of the wrong type.
         """
-        left = iter(values)
+        computed = [term.check(value) for term, value in zip(self, values, strict=True)]
+        left = iter(computed)
         success, failure, stop = (
-            None if term is None else term.check(next(left))
+            None if term is None else next(left)
             for term in (self.success, self.failure, self.stop_when)
         )
-        parts = {
-            name: term.check(value)
-            for (name, term), value in zip(self.parts.items(), left, strict=True)
-        }
-        return Judgement(success, failure, stop, sum(parts.values()) if parts else None, parts)
+        parts = dict(zip(self.parts, left, strict=True))
+        reward = sum(parts.values()) if parts else None
+        return Judgement(success, failure, stop, reward, parts, computed)
 
 
 def is_nan(value: Any) -> bool:

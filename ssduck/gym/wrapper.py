@@ -71,7 +71,8 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         forward: for MuJoCo, whether terms see the poses that belong to the joint positions of the
             step, `qpos`, in place of those before the simulator's last step, which `xpos` has:
             True if the environment's own code reads `qpos`, False if it reads `xpos`. None is
-            False, with a warning at the first of 1,000 steps at which a flag depends on it.
+            False, with a warning at the first of 1,000 steps at which a flag depends on it, or a
+            number that says how fast something moves or that reads the past, such as `rate`.
         step_time: for PyBullet, the simulated time of a step of the environment, s; None for one
             step of the client.
         nan: what a term is that cannot be computed, since a pose, a velocity or a variable is NaN,
@@ -143,9 +144,8 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
                 tuple(self._variables),
                 if_unknown=_IF_UNKNOWN,
             )
-            has_flags = self._terms.success or self._terms.failure or self._terms.stop_when
-            if forward is None and self._client is None and has_flags:
-                parts = self.env.unwrapped, self._terms, world, tuple(self._variables)
+            if forward is None and self._client is None and any(self._judge.are_sensitive):
+                parts = self.env.unwrapped, self._judge, world, tuple(self._variables)
                 self._forward_check = ForwardCheck(*parts, limits)
             # The first reset may build the simulation, or give variables their values.
             self._is_checked = False

@@ -18,10 +18,9 @@ from ssduck.errors import ArgumentError, nearest
 from ssduck.formatting import short_repr
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.poses import unit_quaternions
-from ssduck.schema import POSE
+from ssduck.schema import POSE, TWIST
 from ssduck.world.layout import EntityInfo
 
-TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 # A quaternion whose square differs from 1 by less is one of unit length, and stays as it is.
 UNIT_TOLERANCE = 1e-9
 _SHAPES = "(ticks, 7): x, y, z, qw, qx, qy, qz, or (ticks, 3): x, y, z"

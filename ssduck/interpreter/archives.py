@@ -122,6 +122,9 @@ def select_runs(
 ) -> list[RecordedRun]:
     """Returns one run of each world, or of one: the run of a number, or the last one with ticks.
 
+    They are in the order in which the worlds were added, or that of their names where the record,
+    as one of an older ssduck, does not have it.
+
     Raises:
         RecordError: there is no such run.
     """
@@ -150,7 +153,13 @@ def select_runs(
         raise RecordError(
             f"no episode {number} has ticks; episodes with ticks: {', '.join(named) or 'none'}"
         )
-    return list(reversed(selected.values()))
+    found = list(reversed(selected.values()))
+    return sorted(found, key=_order) if len(found) > 1 else found
+
+
+def _order(run: RecordedRun) -> int:
+    order: int = run.description.get("order", 0)
+    return order
 
 
 def folder_run(path: str | Path, world: str | None, number: int | None) -> FolderRun:
@@ -211,6 +220,7 @@ def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
         source=rows.source,
         tags=run.tags,
         stored=rows,
+        order=run.description.get("order"),
     )
     return ReplayedWorld(run.world, record, archive, camera_of(run.description))
 

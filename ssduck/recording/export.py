@@ -31,7 +31,7 @@ def export(
     between: tuple[float | None, float | None],
     begun: list[BegunEpisode],
     tags: Tags | None = None,
-    about: Mapping[str, str] | None = None,
+    about: Mapping[str, str | int] | None = None,
 ) -> Path:
     """Writes recorded ticks of a world as a new episode, and returns the folder of its ticks.
 
@@ -45,7 +45,7 @@ def export(
         begun: gets the episode as it begins; the caller discards it if anything fails, as a part of
             an episode would pass for all of it.
         tags: what the user says of the run, added to the tags of the record.
-        about: the id of the episode and the time of its start; None for new ones.
+        about: what the episode says of itself, in place of a new id and the time of now.
 
     Raises:
         RecordError: the folder has something else in it, or cannot be written.

@@ -28,6 +28,7 @@ class ParquetRecording:
         part_ticks: the largest number of ticks of a part.
         recorders: the running recorders of the database, to which it adds its own.
         tags: what the user says of the run, of each of its episodes.
+        order: a number that is less than those of the worlds that were added later.
 
     Attributes:
         world: the recorded world.
@@ -42,8 +43,10 @@ class ParquetRecording:
         part_ticks: int,
         recorders: list[Recorder],
         tags: Tags | None = None,
+        order: int = 0,
     ) -> None:
         self.world = world
+        self._order = order
         self._tags = tags
         self._recording, self._path, self._name = recording, path, name
         self._part_ticks = part_ticks
@@ -54,7 +57,12 @@ class ParquetRecording:
         """Starts a new episode."""
         recording, world = self._recording, self.world
         self._folder = ParquetStore(
-            self._path, self._name, recording, tags=self._tags, camera=world.camera
+            self._path,
+            self._name,
+            recording,
+            tags=self._tags,
+            camera=world.camera,
+            about={"order": self._order},
         )
         self._recorder = Recorder(recording, self._folder, self._part_ticks, recording.flush_every)
         self._recorders.append(self._recorder)

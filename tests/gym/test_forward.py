@@ -84,3 +84,79 @@ def test_where_no_flag_differs_nothing_is_told():
         warnings.simplefilter("error")
         mine, _ = flags(env)
     assert mine == [True] * 15
+
+
+def run(env, steps):
+    env.reset(seed=0)
+    for _ in range(steps):
+        env.step(np.zeros(1))
+
+
+class Pulled(Drift):
+    """A ball that gets faster; the environment has a rate of its own, by `qpos`."""
+
+    def __init__(self):
+        super().__init__()
+        self.model.opt.gravity[0] = 5.0
+        self.lost = float("nan")
+
+    def step(self, action):
+        before = self.data.qpos[0]
+        result = super().step(action)
+        self.speed = (self.data.qpos[0] - before) / self.model.opt.timestep
+        return result
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "term",
+    [
+        "rate(x(sim.ball))",
+        "speed(sim.ball)",
+        "3 * norm(linearVelocity(sim.ball))",
+        "(x(sim.ball) - x(previous(sim.ball))) / 0.002",
+    ],
+)
+def test_a_number_that_says_how_fast_something_moves_is_told_of(term):
+    reward = {"lost": "lost", "fast": term, "where": "x(sim.ball)"}
+    variables = {"lost": lambda env: env.lost}
+    env = QueryWrapper(Pulled(), reward=reward, variables=variables, nan=-7.0)
+    with pytest.warns(ProgramWarning, match=r"step \d: reward\['fast'\] is .* and .*forward=True"):
+        run(env, 4)
+    env.close()
+    forward = QueryWrapper(
+        Pulled(), reward="rate(x(sim.ball))", stop_when="x(sim.ball) > 9", forward=True
+    )
+    forward.reset(seed=0)
+    for _ in range(4):
+        assert forward.step(np.zeros(1))[1] == pytest.approx(forward.unwrapped.speed, rel=1e-6)
+    forward.close()
+
+
+@pytest.mark.parametrize("nan", ["failure", -7.0])
+@pytest.mark.parametrize(
+    "terms",
+    [
+        {"success": "z(sim.ball) > 2", "reward": "lost"},
+        {"success": "lost > 1", "stop_when": "success OR z(sim.ball) > 2", "reward": "x(sim.ball)"},
+        {"reward": {"lost": "lost", "fast": "rate(z(sim.ball))"}},
+    ],
+)
+def test_what_is_nan_by_both_poses_does_not_differ(nan, terms):
+    env = QueryWrapper(Drift(), **terms, variables={"lost": lambda env: float("nan")}, nan=nan)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for _ in range(2):
+            env.reset(seed=0)
+            env.step(np.zeros(1))
+    env.close()
+
+
+def test_at_a_step_with_nan_the_flags_that_are_known_are_compared():
+    lost = {"lost": lambda env: float("nan"), "goal": lambda env: env.goal}
+    env = QueryWrapper(
+        Drift(), success="x(sim.ball) > goal", reward="lost", variables=lost, nan=0.0
+    )
+    with pytest.warns(ProgramWarning, match=r"step 11: success is False by MuJoCo's poses"):
+        run(env, 12)
+    env.close()

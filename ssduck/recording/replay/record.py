@@ -68,6 +68,7 @@ class Record:
         source: the folder or the file that has it, for messages.
         tags: what the user says of the run, by name.
         stored: checks the stored rows of a table; None if this process wrote them.
+        order: the order of its world among those of the record; None if it is not known.
 
     Attributes:
         entity_shapes: the shapes of the members.
@@ -89,7 +90,9 @@ class Record:
         source: str = "the record",
         tags: Tags | None = None,
         stored: CheckedRows | None = None,
+        order: int | None = None,
     ) -> None:
+        self.order = order
         self.tags: Tags = tags or {}
         self.stored = stored
         self.recording = recording

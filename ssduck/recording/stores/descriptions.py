@@ -82,6 +82,7 @@ _IDENTITY = {
     "id": Value("a UUID", _is_id, is_required=False),
     "tags": Value("an object of texts and numbers", are_tags, is_required=False),
 }
+_ORDER = Value("a number", lambda value: _is_whole(value, 0), is_required=False)
 _CAMERA = Value("a camera that sees something", is_camera, is_required=False)
 _COUNT = Value("a number of parts", lambda value: _is_whole(value, 0), is_required=False)
 # What describes an episode in a folder.
@@ -97,6 +98,7 @@ EPISODE: Description = {
     "removed": Value("a list of parts", _is_parts, is_required=False),
     **_IDENTITY,
     "camera": _CAMERA,
+    "order": _ORDER,
 }
 # What it says of the recording, and of the number of complete parts.
 RECORDING: Description = {
@@ -116,6 +118,7 @@ DATABASE_EPISODE: Description = {
     "recording": _OBJECT,
     **_IDENTITY,
     "camera": _CAMERA,
+    "order": _ORDER,
 }
 
 

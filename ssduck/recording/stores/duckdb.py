@@ -62,6 +62,8 @@ class DuckDBStore(TickStore, TickArchive):
         world: the name of the world, to create the schema; None to read an existing one.
         file: the attached file that has the schema; None for the database itself.
         tags: what the user says of the run.
+        camera: the camera of the world; None if it is not stored.
+        order: a number that is less than those of the worlds that were added later.
     """
 
     def __init__(
@@ -74,6 +76,7 @@ class DuckDBStore(TickStore, TickArchive):
         file: RecordFile | None = None,
         tags: Tags | None = None,
         camera: Camera | None = None,
+        order: int = 0,
     ) -> None:
         self.recording = recording
         self.tables = recorded_tables(recording.tables)
@@ -90,7 +93,7 @@ class DuckDBStore(TickStore, TickArchive):
         self._max_bytes = bytes_before_dropping(recording)
         if world is not None:
             with self._models.transaction():
-                self._models.create(world, recording, tags, camera)
+                self._models.create(world, recording, tags, camera, order)
                 for table in self.tables:
                     for slot in range(self._slots):
                         self._create_slot(table, slot)

@@ -58,6 +58,7 @@ class ModelTables:
         recording: Recording,
         tags: Tags | None = None,
         camera: Camera | None = None,
+        order: int = 0,
     ) -> None:
         """Creates the schema, a table that describes the record, and empty models.
 
@@ -66,6 +67,7 @@ class ModelTables:
             recording: what is recorded.
             tags: what the user says of the run.
             camera: the camera of the world; None if it is not stored.
+            order: a number that is less than those of the worlds that were added later.
         """
         about = {
             "version": VERSION,
@@ -74,6 +76,7 @@ class ModelTables:
             "started": datetime.now(UTC).isoformat(timespec="seconds"),
             "recording": description_of(recording),
             "tags": dict(tags or {}),
+            "order": order,
             "complete": False,
         }
         if camera is not None:

@@ -65,7 +65,7 @@ class ParquetStore(TickStore):
         is_export: whether the episode exists only when it is finished.
         tags: what the user says of the run.
         camera: the camera of the world; None if it is not stored.
-        about: the id of the episode and the time of its start; None for new ones.
+        about: what the episode says of itself, in place of a new id and the time of now.
 
     Raises:
         RecordError: the path is that of a file, or of a folder with something else in it, or it
@@ -81,7 +81,7 @@ class ParquetStore(TickStore):
         is_export: bool = False,
         tags: Tags | None = None,
         camera: Camera | None = None,
-        about: Mapping[str, str] | None = None,
+        about: Mapping[str, str | int] | None = None,
     ) -> None:
         self.path = expand_path(path)
         self.recording = recording
