@@ -22,7 +22,7 @@ from ssduck.recording.episode import Episode
 from ssduck.recording.paths import expand_path
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.parquet import PART_TICKS, ParquetStore
-from ssduck.recording.tags import Tags, checked_tags
+from ssduck.recording.tags import Tags, given_tags
 from ssduck.schema import FRAMES, LINK_FACTOR, RECORDED
 from ssduck.simulators.interface import LinkPoses
 from ssduck.world import ctrl_c
@@ -156,7 +156,7 @@ class RecordWriter:
     ) -> None:
         self._path = expand_path(folder).absolute()
         self._world = validation.world_name(world)
-        self._tags = checked_tags(tags)
+        self._tags = given_tags(tags)
         self._entities = entities_of(entities)
         self.frames = Frames.of(self._entities)
         has_links = len(self.frames) > len(self._entities)

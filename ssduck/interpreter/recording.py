@@ -27,7 +27,7 @@ from ssduck.recording.replay.past import Past, past_of
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.recording.stores.part_names import episode_number
-from ssduck.recording.tags import Tags, checked_tags
+from ssduck.recording.tags import Tags, given_tags
 from ssduck.schema import RECORDABLE
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
@@ -85,7 +85,7 @@ class RecordingMethods(ABC):
         validation.instance(recording, Recording, "record: recording")
         with self._lock:
             try:
-                self._database.record(self._world(world), recording, checked_tags(tags))
+                self._database.record(self._world(world), recording, given_tags(tags))
             finally:  # Ctrl-C ends it after the recording began, too
                 self._planner.forget()
 
@@ -164,7 +164,7 @@ class RecordingMethods(ABC):
             chosen = worlds[0] if world is None else self._world(world)
             # The working directory may change while the recording runs.
             folder = expand_path(path).absolute()
-            return self._database.record_to(chosen, recording, folder, checked_tags(tags))
+            return self._database.record_to(chosen, recording, folder, given_tags(tags))
 
     @record_errors()
     def export(
@@ -219,7 +219,7 @@ class RecordingMethods(ABC):
             )
             if not worlds:
                 raise EvaluationError("no world is recorded here")
-            database, folder, added = self._database, expand_path(path), checked_tags(tags)
+            database, folder, added = self._database, expand_path(path), given_tags(tags)
             if folder.suffix in _FILES:
                 raise ArgumentError(
                     f"this writes a folder of Parquet files, and {folder.name} is the name of a "

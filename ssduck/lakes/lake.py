@@ -46,7 +46,7 @@ from ssduck.recording.stores.object_store import ObjectPath
 from ssduck.recording.stores.parquet import write_tags
 from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.recording.stores.summaries import size_and_time
-from ssduck.recording.tags import Tag, checked_tags
+from ssduck.recording.tags import Tag, checked_tags, given_tags
 
 MANIFEST = "ssduck-manifest"
 # The number of episodes that are asked together, at most.
@@ -447,7 +447,7 @@ class Lake:
             ArgumentError: a tag is another value, or the condition is none.
             RecordError: the description of an episode cannot be written, or it is in a DuckDB file.
         """
-        added = checked_tags(tags)
+        added = given_tags(tags)
         entries = self._selected(where)
         whole = [entry for entry in entries if entry.error is None]
         self._write_tags({entry.key: added for entry in whole})

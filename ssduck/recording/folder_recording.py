@@ -9,7 +9,7 @@ from ssduck.recording.episode import Episode
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.parquet import ParquetStore, write_tags
-from ssduck.recording.tags import Tags
+from ssduck.recording.tags import Tags, given_tags
 
 if TYPE_CHECKING:
     from ssduck.world.world import World
@@ -106,7 +106,7 @@ class ParquetRecording:
             ArgumentError: a tag is another value.
             RecordError: the file that describes the episode cannot be written.
         """
-        write_tags(self._folder.run, tags)
+        write_tags(self._folder.run, given_tags(tags))
 
     def flush(self) -> int | None:
         """Writes the buffered ticks to the disk; returns the last tick there, or None.

@@ -15,14 +15,18 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from ssduck import validation
-from ssduck.errors import ArgumentError
+from ssduck.errors import ArgumentError, ProgramWarning, SelectScriptError, warn
 from ssduck.formatting import short_repr
+from ssduck.language.parser import parse
+from ssduck.language.tree import Binary, Call, Index, Query
 
 Tag: TypeAlias = str | bool | int | float
 Tags: TypeAlias = Mapping[str, Tag]
 # The largest number of tags of an episode, and the longest name of one.
 MAX_TAGS = 1000
 _MAX_NAME = 200
+# The longest text that may be taken for a program.
+_MAX_PROGRAM = 2000
 
 
 def checked_tags(tags: Any, argument: str = "tags") -> dict[str, Tag]:
@@ -49,6 +53,39 @@ def checked_tags(tags: Any, argument: str = "tags") -> dict[str, Tag]:
                 f"{argument}: {short_repr(name)} is no name: give 1 to {_MAX_NAME} letters"
             )
     return {name: _plain(value, f"{argument}[{name!r}]") for name, value in given.items()}
+
+
+def given_tags(tags: Any) -> dict[str, Tag]:
+    """Returns tags that a user gives, as `checked_tags`, and warns of programs among them.
+
+    Raises:
+        ArgumentError: they are no dict of texts, booleans and finite numbers by name.
+    """
+    checked = checked_tags(tags)
+    for name, value in checked.items():
+        if isinstance(value, str) and _is_program(value):
+            warn(
+                f"tags[{name!r}] is the text {short_repr(value)}, not the answer to it: "
+                f"lake.tag({name!r}, program) and `ssduck tag RECORDS --program '{name}=…'` tag "
+                "each episode with its answer to a program",
+                ProgramWarning,
+            )
+    return checked
+
+
+def _is_program(text: str) -> bool:
+    """Checks whether a text is a query, or a condition or call with an entity such as sim.cup."""
+    if len(text) > _MAX_PROGRAM:
+        return False
+    try:
+        statements = parse(text).statements
+    except (SelectScriptError, RecursionError):
+        return False
+    for statement in statements:
+        parts = {type(part) for part in statement.walk()}
+        if Query in parts or (isinstance(statement, Binary | Call) and Index in parts):
+            return True
+    return False
 
 
 def are_tags(value: Any) -> bool:

@@ -14,7 +14,8 @@ import numpy as np
 from ssduck import validation
 from ssduck.adapters.display import display_table
 from ssduck.adapters.marks import Mark, Marks
-from ssduck.errors import ArgumentError, UnknownNameError
+from ssduck.errors import ArgumentError, ProgramWarning, UnknownNameError, warn
+from ssduck.formatting import short_repr
 from ssduck.geometry.arrays import Array
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.opening import open_record
@@ -300,6 +301,7 @@ def _pictures(
         yield drawing.picture(take.world, frame, marks)
         if on_picture is not None:
             on_picture(number, len(take.times))
+    query.warn_if_unseen()
 
 
 class _Drawing:
@@ -339,6 +341,8 @@ class _Query:
     def __init__(self, take: _Take, film: Film) -> None:
         self._take, self._film = take, film
         self._compiled = None
+        # Whether something stood out; the last answer with rows, where nothing did.
+        self._has_marks, self._unseen = False, ""
         if film.highlight is not None and film.language == "selectscript":
             self._compiled = take.ss.compile(film.highlight)
 
@@ -351,5 +355,26 @@ class _Query:
             value: Any = rows_to_show(self._compiled, ss.eval)
         else:
             value = ss.sql(self._film.highlight)
-        marks = Marks(self._take.world)
-        return [mark for row in display_table(value).rows for mark in marks.of(row)]
+        marks, rows = Marks(self._take.world), display_table(value).rows
+        found = [mark for row in rows for mark in marks.of(row)]
+        self._has_marks = self._has_marks or bool(found)
+        if rows and not found:
+            self._unseen = short_repr(list(rows) if self._compiled is None else value)
+        return found
+
+    def warn_if_unseen(self) -> None:
+        """Warns if the query was asked, and nothing stood out in any picture."""
+        if self._film.highlight is None or self._has_marks:
+            return
+        reason, world = "has no rows", self._take.world.name
+        if self._unseen:
+            reason = (
+                f"answers {self._unseen}, which has no entity and no link of {world!r}, by itself "
+                "or by name: let it be a query for obj"
+            )
+        pictures = "the picture" if len(self._take.times) == 1 else "any picture"
+        warn(
+            f"highlight: nothing stands out in {pictures}: {short_repr(self._film.highlight)} "
+            f"{reason}",
+            ProgramWarning,
+        )

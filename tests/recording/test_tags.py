@@ -12,12 +12,12 @@ import pytest
 
 import ssduck
 from ssduck import Recording
-from ssduck.errors import ArgumentError, RecordError
+from ssduck.errors import ArgumentError, ProgramWarning, RecordError
 from ssduck.recording.stores.checksums import json_text
 from ssduck.recording.stores.parquet import write_tags
 from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.recording.tags import parsed_tag
-from tests.support.command_line import answer, write_scene
+from tests.support.command_line import answer, ssduck_, write_scene
 
 TAGS = {"task": "pick", "success": True, "return": 12.5, "attempt": 3}
 ENTITIES = Recording(tables=("entities",))
@@ -191,3 +191,30 @@ def test_the_commands_take_tags_and_list_them(scene: Path, tmp_path: Path, outpu
     (episode,) = ssduck.episodes(place)
     assert episode.tags == {"task": "pick", "n": 3}
     assert "n=3 task=pick" in answer("episodes", place)
+
+
+PROGRAMS = ["z(two.a) > 0.5", "on(two.table, two.a) AND True;", "SELECT id FROM two AS list;"]
+TEXTS = ["pick", "a-b", "run/2024-11-01", "Smith (2024)", "file.txt", "select the cup", "x > 3", ""]
+
+
+@pytest.mark.slow
+def test_a_text_that_is_a_program_is_told_of(scene: Path, tmp_path: Path) -> None:
+    place = tmp_path / "r"
+    with ssduck.load(scene) as ss:
+        ss.run(0.02)
+        ss.export(place, tags={f"t{n}": text for n, text in enumerate(TEXTS)})
+        for text in PROGRAMS:
+            with pytest.warns(
+                ProgramWarning, match=r"tags\['good'\] is the text .*--program 'good=…'"
+            ):
+                ss.export(tmp_path / "other", tags={"good": text})  # kept as it is
+        with (
+            ss.record_to(tmp_path / "live", recording=ENTITIES) as recording,
+            pytest.warns(ProgramWarning, match=r"lake\.tag\('good', program\)"),
+        ):
+            recording.tag({"good": PROGRAMS[0]})
+    with pytest.warns(ProgramWarning, match=r"tags\['good'\] is the text"):
+        ssduck.lake(place).set_tags({"good": PROGRAMS[0]})
+    assert ssduck.episodes(place)[0].tags["good"] == PROGRAMS[0]
+    told = ssduck_("tag", str(place), f"fine={PROGRAMS[1]}").stderr
+    assert "tags['fine'] is the text 'on(two.table, two.a) AND True;'" in told

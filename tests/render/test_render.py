@@ -1,13 +1,14 @@
 """Pictures and films: what is drawn where, against projections computed by hand."""
 
 import math
+import warnings
 
 import numpy as np
 import pytest
 from PIL import Image
 
 import ssduck
-from ssduck.errors import ArgumentError, SelectScriptError, UnknownNameError
+from ssduck.errors import ArgumentError, ProgramWarning, SelectScriptError, UnknownNameError
 from ssduck.render import Film, filmed, render
 from ssduck.simulators.scenes import Camera
 from tests.support.command_line import answer
@@ -128,6 +129,32 @@ def test_highlighted_entities_stand_out(scene, picture):
     sql = "SELECT name FROM entities WHERE z > 1"
     render(scene, path, Film(size=SIZE, camera=VIEW, highlight=sql, language="sql"))
     assert (drawn(path) == marked).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("query", "language", "told"),
+    [
+        ("isKinbody(desk.red);", "selectscript", r"answers True, which has no entity .* of 'desk'"),
+        ("SELECT z FROM desk;", "selectscript", r"answers \[\{'z': .*, which has no entity"),
+        ("SELECT z FROM entities LIMIT 1", "sql", r"answers \[.*, which has no entity"),
+        ("SELECT id FROM desk WHERE z(this) > 99;", "selectscript", r"> 99;' has no rows"),
+    ],
+)
+def test_an_answer_without_entities_is_told_of(scene, query, language, told):
+    film = Film(size=(64, 48), camera=VIEW, highlight=query, language=language)
+    with pytest.warns(ProgramWarning, match=f"highlight: nothing stands out.*{told}") as caught:
+        render(scene, scene.parent / "unmarked.png", film)
+    assert len(caught) == 1
+
+
+@pytest.mark.slow
+def test_a_film_in_which_something_stands_out_sometimes_is_not_told_of(scene):
+    query = "SELECT id(this) FROM desk WHERE z(this) > 1 AND getTime() > 0.1;"
+    film = Film(span=(0.0, 0.3), fps=10, size=(64, 48), camera=VIEW, highlight=query)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        render(scene, scene.parent / "sometimes.gif", film)
 
 
 @pytest.mark.slow

@@ -84,11 +84,7 @@ class Debouncer:
     def __init__(self, config: TriggerConfig) -> None:
         self._config = config
         self._delivered_rows: list[Any] = []
-        self._settled: Any = None
-        if config.when != "change":
-            self._settled = (False,)
-        elif config.rows:
-            self._settled = multiset([])
+        self._settled = _before_the_first(config)
         self._candidate: Any = None
         self.is_steady = False
         self._candidate_since: WeakKeyDictionary[World, float] | None = None
@@ -140,7 +136,20 @@ class Debouncer:
         since = self._candidate_since
         return any(w.reached(since.get(w, w.time) + self._config.debounce) for w in worlds)
 
+    def begin_episode(self) -> None:
+        """Takes the next result for the first one; rows still differ from those delivered last."""
+        self.reset()
+        if self._config.when != "change" or not self._config.rows:
+            self._settled = _before_the_first(self._config)
+
     def reset(self) -> None:
         """Forgets the result that was about to settle."""
         self._candidate = self._candidate_since = None
         self.is_steady = False
+
+
+def _before_the_first(config: TriggerConfig) -> Any:
+    """Returns the key that stands for the state before the first result."""
+    if config.when != "change":
+        return (False,)
+    return multiset([]) if config.rows else None

@@ -373,10 +373,11 @@ class TriggerRegistry:
             self._idle[world] = _IdleTicks(state, evaluated, due)
 
     def episode_began(self, world: World) -> None:
-        """Counts the intervals of all triggers anew in a world that was reset."""
+        """Lets the triggers that read a world begin anew, as it was reset."""
         self._end_idle(world)
         for trigger in self._by_name.values():
-            trigger.restart(world)
+            if world in self._worlds_of(trigger):
+                trigger.restart(world)
 
     def _end_all_idle(self) -> None:
         """Counts the evaluations at the idle ticks of all worlds."""

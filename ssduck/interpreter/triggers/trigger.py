@@ -160,8 +160,8 @@ class Trigger:
                 self._schedule(world).reschedule(world)
 
     def restart(self, world: World) -> None:
-        """Counts its interval in a world from now on, and forgets what was about to settle."""
-        self._debouncer.reset()
+        """Counts its interval from now on in a world that it reads, where an episode begins."""
+        self._debouncer.begin_episode()
         schedule = self._schedules.pop(world, None)
         if schedule is not None:
             self._schedule(world).due = world.time  # the first tick of an episode counts

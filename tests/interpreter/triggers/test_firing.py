@@ -366,3 +366,54 @@ def test_values_that_cannot_be_compared_do_not_stop_the_world(ss, sim):
     ss.add_trigger("t", "v;", 0, lambda _: None)
     with pytest.warns(TriggerWarning, match="not with me"):
         sim.step()
+
+
+# -- episodes --------------------------------------------------------------------------------------
+
+LOW = "z(sim.lab_1) < 9;"
+
+
+@pytest.mark.parametrize(
+    ("options", "program", "expected"),
+    [
+        ({}, LOW, [[True], [True]]),
+        ({"when": "rising"}, LOW, [[True], [True]]),
+        ({"when": "falling"}, f"NOT {LOW}", [[], []]),
+        ({"rows": True}, "SELECT id FROM sim AS list;", [[1], []]),  # still those of the last call
+        ({"rows": True, "when": "rising"}, "SELECT id FROM sim AS list;", [[1], [0]]),
+    ],
+)
+@pytest.mark.parametrize("interval", [0.0, 0.004])
+def test_an_episode_begins_with_a_first_result(client, interval, options, program, expected):
+    body = pybullet.createMultiBody(1, basePosition=[0, 0, 1], physicsClientId=client)
+    with ssduck.Interpreter() as ss:
+        sim = ss.add_variable("sim", ssduck.World.attach(client, names={body: "lab_1"}))
+        got = []
+        ss.add_trigger("low", program, interval, got.append, **options)
+        found = []
+        for _ in range(2):
+            for _ in range(5):
+                pybullet.stepSimulation(client)
+                sim.tick()
+            found.append(shown(got))
+            got.clear()
+            sim.begin_episode()
+    assert found == expected
+
+
+def shown(got):
+    """The results of a trigger; how many rows were added, where it gets changes."""
+    return [one if one is True else len(one.added) for one in got]
+
+
+def test_an_episode_of_another_world_begins_nothing(client, ss, sim):
+    with ssduck.Interpreter() as other:
+        mine = other.add_variable("mine", ssduck.World.attach(client))
+        yours = other.add_variable("yours", ssduck.World.attach(pybullet.connect(pybullet.DIRECT)))
+        got = []
+        other.add_trigger("there", "SELECT id FROM mine AS list;", 0, got.append)
+        yours.begin_episode()
+        mine.tick()
+        assert len(got) == 1
+        mine.begin_episode()
+        assert len(got) == 2
