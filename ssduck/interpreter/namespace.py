@@ -22,7 +22,7 @@ from ssduck.interpreter.output import help_of_result_form, help_of_result_forms
 from ssduck.interpreter.sources import worlds_in
 from ssduck.interpreter.temporal_functions import TEMPORAL_FUNCTIONS
 from ssduck.language.analysis import calls_of, forms_of, variables_of
-from ssduck.language.builtins import AGGREGATES, BUILTINS, Function
+from ssduck.language.builtins import AGGREGATES, BUILTINS, EXTREMES, Function
 from ssduck.language.deferred import LazyList
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS
 from ssduck.language.operators import SMALL_BYTES, check_size, size_of
@@ -57,6 +57,7 @@ _CALLS = {
     "since": "how long a condition has held is compared: heldFor(condition) >= 0.2",
     "time": "the simulated time now is getTime(), that of a row time(this)",
     **{name: f"of several values, it is {name}([a, b])" for name in AGGREGATES},
+    **{name: f"of several values, it is {list_one}([a, b])" for name, list_one in EXTREMES.items()},
 }
 _PAIR = "{1}; of anything in a world: EXISTS (SELECT this FROM room WHERE {0}(cup, this))"
 # Messages name at most this number of worlds.

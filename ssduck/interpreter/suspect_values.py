@@ -12,11 +12,13 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 from typing import Literal as OneOf
 
+from ssduck import validation
 from ssduck.errors import ArgumentError, SelectScriptError, SourceSpan
 from ssduck.formatting import argument_in_words
 from ssduck.interpreter.known_names import handle_of, spelled, spelled_id
 from ssduck.language.aggregates import is_grouped, over_rows
 from ssduck.language.analysis import free_aliases, states
+from ssduck.language.builtins import EXTREMES
 from ssduck.language.operator_chains import conjuncts
 from ssduck.language.tree import (
     Binary,
@@ -119,7 +121,7 @@ def suspects_of(statement: Node) -> Suspects:
     return Suspects(
         tuple(site for query in queries for site in _comparisons(query)),
         tuple(pair for part in statement.walk() for pair in _compared_with_values(part, names)),
-        tuple(call for query in queries for item in query.items for call in _ages(item)),
+        tuple(_ages(statement)),
         tuple(site for query in queries for site in _first_rows(query)),
         tuple(table for query in queries for table in _tables(query)),
         tuple(
@@ -338,10 +340,14 @@ def _ages(node: Node) -> Iterator[Call]:
     """Yields the calls of `least` and `greatest` with an age that counts from the beginning."""
     for part in node.walk():
         match part:
-            case Call(name="least" | "greatest", arguments=(_, age)) if not (
+            case Call(name=name, arguments=(_, age)) if name in EXTREMES and not (
                 isinstance(age, Unary) and age.operator == "-"
             ):
                 yield part
+
+
+def _is_negative(value: Any) -> bool:
+    return validation.is_number(value) and value < 0
 
 
 # -- what is a mistake ----------------------------------------------------------------------------
@@ -375,11 +381,12 @@ def mistakes_in(
             kind = _KIND_OF_RESULT.get(type_of_relation(node.name) or "")
             yield from _unequal(node.name, {kind} if kind else set(), [value], variable)
     for call in suspects.ages:
-        lesser = "min" if call.name == "least" else "max"
+        if isinstance(age := call.arguments[1], Name) and _is_negative(variable(age.name)):
+            continue
         yield ArgumentError(
             f"the second argument of {call.name} is an age: {call.name} is over the recorded ticks "
             f"at that time, or of the last seconds if it is negative; of two numbers write "
-            f"{lesser}([a, b])",
+            f"{EXTREMES[call.name]}([a, b])",
             span=call.span,
         )
     for node in suspects.vectors:

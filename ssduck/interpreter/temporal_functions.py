@@ -22,7 +22,7 @@ import numpy.typing as npt
 from ssduck.errors import ArgumentError, UnsupportedError
 from ssduck.formatting import short_repr
 from ssduck.language.analysis import free_aliases
-from ssduck.language.builtins import Function
+from ssduck.language.builtins import EXTREMES, Function
 from ssduck.language.evaluator import Frame
 from ssduck.language.intervals import changes_of, intervals_of
 from ssduck.language.operators import apply, truth
@@ -517,6 +517,8 @@ class TemporalEvaluator:
             what = "takes an expression of entities, such as near(gripper, cup, 0.02)"
             if isinstance(expression, Index):
                 what = f"takes the whole list, and the index comes after it: {call.name}(…)[0]"
+            elif call.name in EXTREMES:
+                what += f"; of several numbers write {EXTREMES[call.name]}([a, b])"
             elif call.name == "at":
                 what = "takes the time first, as in at(0.5, z(cup))"
             raise ArgumentError(f"{call.name} {what}", span=expression.span)

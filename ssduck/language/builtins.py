@@ -292,6 +292,9 @@ NUMBER_FUNCTIONS = frozenset(
 
 AGGREGATES: dict[str, Function] = {function.name: function for function in _LIST_FUNCTIONS}
 
+# Two functions over time, which SQL has for several values, and what is for several values here.
+EXTREMES = {"least": "min", "greatest": "max"}
+
 BUILTINS: dict[str, Function] = {
     function.name: function
     for function in _LIST_FUNCTIONS + _NUMBER_FUNCTIONS + _OTHER_FUNCTIONS + _OPERATOR_FUNCTIONS

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import warnings
 
+import pybullet
 import pytest
 
 import ssduck
@@ -603,3 +604,47 @@ def test_combinations_agree(as_sql, by_rows):
             except SelectScriptError as error:
                 found.append(type(error).__name__)
         assert found[0] == found[1], program
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("program", "value"),
+    [
+        ("least(z(sim.ball), 0.0);", [0.0, 10.0]),
+        ("greatest(z(sim.ball), t0)[1];", 10.0),
+        ("SELECT id FROM sim WHERE greatest(z(this), 0.0)[1] > 9 AS list;", ["ball"]),
+    ],
+)
+def test_a_second_argument_from_0_up_of_an_extreme_is_told_of_anywhere(client, program, value):
+    with ssduck.Interpreter() as ss:
+        falling_ball(ss, client)
+        with pytest.warns(ProgramWarning, match=r"is an age: .* write (min|max)\(\[a, b\]\)"):
+            assert ss.eval(program) == value
+
+
+def test_an_age_before_now_is_not_told_of(client):
+    with ssduck.Interpreter() as ss:
+        falling_ball(ss, client)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            assert ss.eval("least(z(sim.ball), -9.0)[0] > 0;") is True
+            assert ss.eval("greatest(z(sim.ball), before)[0];") == 0.0
+
+
+@pytest.mark.parametrize("program", ["greatest(1, 2, 3);", "greatest(0.2, z(sim.ball), 1);"])
+def test_the_extreme_of_several_values_is_named(client, program):
+    with ssduck.Interpreter() as ss:
+        falling_ball(ss, client)
+        with pytest.raises(ArgumentError, match=r"of several values, it is max\(\[a, b\]\)"):
+            ss.eval(program)
+        with pytest.raises(ArgumentError, match=r"of several numbers write min\(\[a, b\]\)"):
+            ss.eval("least([1, 2]);")
+
+
+def falling_ball(ss, client):
+    """A world with a ball that has fallen for a tenth of a second, and two ages."""
+    pybullet.setGravity(0, 0, -10, physicsClientId=client)
+    body = pybullet.createMultiBody(1, basePosition=[0, 0, 10], physicsClientId=client)
+    ss.add_variable("sim", ssduck.World.attach(client, names={body: "ball"})).step(24)
+    ss.add_variable("t0", 0.0)
+    ss.add_variable("before", -9.0)
