@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
+from ssduck.errors import SimulatorError, warn
 from ssduck.simulators.backends import drawn_shapes
 from ssduck.simulators.interface import Body, Simulator, VisualShape
 from ssduck.simulators.visuals import stored_visuals
@@ -14,7 +16,8 @@ class DrawnBodies:
     """Asks a simulator what it draws of a body, while it has the body.
 
     A simulator may give the number of a removed body to a new one. So a body that is gone has what
-    was read last, or its collision shapes if nothing was.
+    was read last, or its collision shapes if nothing was. If the simulator is gone, all bodies are,
+    and a warning says so.
 
     Args:
         simulator: the simulator.
@@ -24,14 +27,27 @@ class DrawnBodies:
     def __init__(self, simulator: Simulator, registry: EntityRegistry) -> None:
         self._simulator, self._registry = simulator, registry
         self._read: dict[int, tuple[Body, Sequence[VisualShape]]] = {}
+        self._has_told = False
 
     def __call__(self, body: Body) -> Sequence[VisualShape]:
         """Returns what is drawn of a body."""
         if any(entity.body is body for entity in self._registry.entities):
-            shapes = drawn_shapes(self._simulator, body)
-            self._read[id(body)] = body, shapes
-            return shapes
+            with self._errors_as_a_warning():
+                shapes = drawn_shapes(self._simulator, body)
+                self._read[id(body)] = body, shapes
+                return shapes
         known = self._read.get(id(body))
         if known is not None and known[0] is body:
             return known[1]
         return stored_visuals(body)
+
+    @contextmanager
+    def _errors_as_a_warning(self) -> Iterator[None]:
+        """Turns the errors of a simulator that is gone into a warning, once."""
+        try:
+            yield
+        except SimulatorError as error:
+            if not self._has_told:
+                self._has_told = True
+                reason = error.message.partition(";")[0]
+                warn(f"{reason}: collision shapes stand in for what it draws")

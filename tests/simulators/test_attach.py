@@ -408,6 +408,30 @@ def test_a_lost_client_stays_lost():
 
 
 @pytest.mark.slow
+def test_the_record_of_a_lost_client_is_written(tmp_path):
+    number = pybullet.connect(pybullet.DIRECT)
+    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=number)
+    body = pybullet.createMultiBody(1, shape, basePosition=[0, 0, 2], physicsClientId=number)
+    with ssduck.Interpreter() as ss:
+        world = ss.add_variable("sim", ssduck.World.attach(number, names={body: "ball"}))
+        world.step(3)
+        z = pybullet.getBasePositionAndOrientation(body, number)[0][2]
+        pybullet.disconnect(number)
+        with pytest.warns(UserWarning, match=r"is disconnected: collision shapes stand in") as told:
+            ss.export(tmp_path / "run")
+            ss.export(tmp_path / "run")
+        assert len(told) == 1
+        with pytest.raises(SimulatorError, match=f"PyBullet client {number} is disconnected"):
+            world.save(tmp_path / "scene")
+        with pytest.raises(SimulatorError, match=f"PyBullet client {number} is disconnected"):
+            ssduck.simulators.backends.backend("pybullet").visual_shapes(
+                world.simulator, world["ball"].info.body
+            )
+    with ssduck.open(tmp_path / "run") as record:
+        assert record.eval("SELECT z FROM sim AS value;") == z
+
+
+@pytest.mark.slow
 def test_a_world_that_nobody_holds_frees_its_client():
     number = next_number()
     world = ssduck.World.load(find_scene("kitchen"))

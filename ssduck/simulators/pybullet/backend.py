@@ -98,9 +98,10 @@ def scene_of(
 
     assert isinstance(simulator, PyBulletSimulator)
     if target == MUJOCO:
-        mjcf_writer.write_mjcf(simulator, originals, tick, folder / MODEL_FILE)
+        model = folder / MODEL_FILE
+        simulator.call(lambda: mjcf_writer.write_mjcf(simulator, originals, tick, model))
         return mjcf_scene(folder)
-    return scene_writer.scene_of(simulator, originals, tick, folder)
+    return simulator.call(lambda: scene_writer.scene_of(simulator, originals, tick, folder))
 
 
 def visual_shapes(simulator: Simulator, body: Body) -> list[VisualShape]:
@@ -108,4 +109,4 @@ def visual_shapes(simulator: Simulator, body: Body) -> list[VisualShape]:
     from ssduck.simulators.pybullet import introspection
 
     assert isinstance(simulator, PyBulletSimulator)
-    return introspection.visual_shapes(simulator, body)
+    return simulator.call(lambda: introspection.visual_shapes(simulator, body))

@@ -137,15 +137,15 @@ class PyBulletSimulator:
             gone, self._removed = self._removed, []
             return ([], gone) if gone else None
         handles = self.handles()
-        tags = self._call(lambda: self._tags_of(handles))
+        tags = self.call(lambda: self._tags_of(handles))
         if self._handles_and_tags == (handles, tags) and not self._lacks_bodies:
             self._given.end()
             return None
         if self.is_external and (-1 in tags or self._lacks_bodies):
             # What made the new bodies may have made others that the client's list lacks.
             self._lacks_bodies = False
-            handles = self._call(lambda: all_handles_of(self.client))
-            tags = self._call(lambda: self._tags_of(handles))
+            handles = self.call(lambda: all_handles_of(self.client))
+            tags = self.call(lambda: self._tags_of(handles))
         present = {h for h, tag in zip(handles, tags, strict=True) if self._tags.get(h) == tag}
         added = [handle for handle in handles if handle not in present]
         # Copies have the order of their originals. PyBullet's order changes with a removal.
@@ -154,11 +154,11 @@ class PyBulletSimulator:
         saved = SavedShapes(self.client, added)
         with captured():  # PyBullet prints warnings about shapes that it does not return
             name = partial(names_of, self.client, handles)
-            names = self._call(lambda: name(added, self._given.names))
-            new = self._call(lambda: {h: self._describe_body(h, names[h], saved) for h in added})
+            names = self.call(lambda: name(added, self._given.names))
+            new = self.call(lambda: {h: self._describe_body(h, names[h], saved) for h in added})
             changed = self._given.changed(description.body for description in new.values())
-            names = self._call(lambda: name(changed, self._given.names))
-            new |= self._call(lambda: {h: self._describe_body(h, names[h], saved) for h in changed})
+            names = self.call(lambda: name(changed, self._given.names))
+            new |= self.call(lambda: {h: self._describe_body(h, names[h], saved) for h in changed})
         self._check_shapes(description.body for description in new.values())
         _warn_of_stand_ins(
             [description.body for description in new.values() if not description.exact]
@@ -168,7 +168,7 @@ class PyBulletSimulator:
         self.has_removed |= bool(gone)
         self._descriptions = {handle: self._descriptions[handle] for handle in present} | new
         self._margin_reader = None
-        self._handles_and_tags = handles, self._call(lambda: self._tags_of(handles))
+        self._handles_and_tags = handles, self.call(lambda: self._tags_of(handles))
         self._tags = dict(zip(*self._handles_and_tags, strict=True))
         self._given.end()
         self._described = True
@@ -185,9 +185,9 @@ class PyBulletSimulator:
 
     def remove(self, body: Body) -> None:
         """Removes a body from a client that ssduck made."""
-        self._call(lambda: pybullet.removeBody(body.handle, self.client))
+        self.call(lambda: pybullet.removeBody(body.handle, self.client))
         # Bodies that rested on it must fall with the next step.
-        self._call(lambda: pybullet.performCollisionDetection(self.client))
+        self.call(lambda: pybullet.performCollisionDetection(self.client))
         self._forget([body])
         del self._descriptions[body.handle]
         self._margin_reader = None
@@ -204,17 +204,17 @@ class PyBulletSimulator:
         if self.is_external:
             # Another body may have its number by now.
             tag = self._tags.get(body.handle)
-            if self._call(lambda: self._tags_of([body.handle])) != [tag]:
+            if self.call(lambda: self._tags_of([body.handle])) != [tag]:
                 return None
         return description
 
     def handles(self) -> list[int]:
         """Returns the numbers of the bodies that the client has now, in PyBullet's order."""
-        return self._call(lambda: handles_of(self.client))
+        return self.call(lambda: handles_of(self.client))
 
     def visual_colours(self, body: Body) -> list[tuple[int, int, Sequence[float]]]:
         """Returns the colours of a body, shown or hidden: link, index of the shape, colour."""
-        return self._colours.get(body) or self._call(
+        return self._colours.get(body) or self.call(
             lambda: visual_colours(self.client, body.handle)
         )
 
@@ -281,7 +281,7 @@ class PyBulletSimulator:
         if reader is None:
             reader = LinkPosesReader(bodies, [self._descriptions[b.handle].com for b in bodies])
             self._readers = [(bodies, reader), *self._readers[: _READERS - 1]]
-        return self._call(partial(reader.read, self.client, with_velocities))
+        return self.call(partial(reader.read, self.client, with_velocities))
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:
         """Returns the position, velocity and effort of the joints of some bodies, (joints, 3)."""
@@ -292,13 +292,13 @@ class PyBulletSimulator:
                 for state in pybullet.getJointStates(body.handle, list(indices), self.client):
                     yield state[0], state[1], state[3]
 
-        rows = self._call(lambda: list(read()))
+        rows = self.call(lambda: list(read()))
         return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
     def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
         """Returns the masses of bodies' links; the last known ones if a body is gone."""
         client, are_present = self.client, self._are_present(bodies)
-        return self._call(
+        return self.call(
             lambda: [
                 masses_of(client, body) if is_present else body.masses
                 for body, is_present in zip(bodies, are_present, strict=True)
@@ -314,7 +314,7 @@ class PyBulletSimulator:
         if reader is None or reader.bodies != tuple(bodies):
             reader = self._margin_reader = self._new_margin_reader(bodies)
         are_present = self._are_present(reader.changeable)
-        return self._call(lambda: reader.read(self.client, are_present))
+        return self.call(lambda: reader.read(self.client, are_present))
 
     def _new_margin_reader(self, bodies: Sequence[Body]) -> MarginReader:
         """Returns a reader of the margins that PyBullet can change, of bodies that it has."""
@@ -334,12 +334,12 @@ class PyBulletSimulator:
         """Returns whether the client still has each of some bodies."""
         if not bodies:
             return []
-        now = self._call(lambda: self._tags_of([body.handle for body in bodies]))
+        now = self.call(lambda: self._tags_of([body.handle for body in bodies]))
         return [tag == self._tags.get(b.handle) for b, tag in zip(bodies, now, strict=True)]
 
     def has_moved_on(self, sample: Sequence[Body]) -> bool:
         """Checks whether bodies came or went since the last tick, as far as a sample shows it."""
-        count = self._call(lambda: pybullet.getNumBodies(self.client))
+        count = self.call(lambda: pybullet.getNumBodies(self.client))
         return count != len(self._tags) or not all(self._are_present(sample))
 
     def read_contacts(self) -> ContactPoints:
@@ -348,14 +348,14 @@ class PyBulletSimulator:
         Bodies that another client of the same simulation made are described at the next tick; until
         then their contacts are left out.
         """
-        contacts = self._call(lambda: read_contacts(self.client))
+        contacts = self.call(lambda: read_contacts(self.client))
         are_known = np.isin(contacts.bodies, list(self._descriptions))
         self._lacks_bodies = not are_known.all()
         return contacts.only(are_known[:, 0] & are_known[:, 1]) if self._lacks_bodies else contacts
 
     def cast_rays(self, starts: Array, ends: Array, through: Indices) -> RayHits:
         """Returns the first body that each ray hits; see `ssduck.simulators.pybullet.rays`."""
-        return self._call(lambda: cast_rays(self.client, starts, ends, through))
+        return self.call(lambda: cast_rays(self.client, starts, ends, through))
 
     def step(self, count: int) -> None:
         """Advances by a number of steps."""
@@ -371,7 +371,7 @@ class PyBulletSimulator:
             finally:
                 self.clock = self.clock.after(done, timestep)
 
-        self._call(run)
+        self.call(run)
 
     def _client_timestep(self) -> float:
         """Returns the client's time step, which the user may change at any time."""
@@ -379,7 +379,7 @@ class PyBulletSimulator:
 
     def parameters(self) -> dict[str, Any]:
         """Returns PyBullet's parameters of gravity, time step and solver."""
-        parameters: dict[str, Any] = self._call(
+        parameters: dict[str, Any] = self.call(
             lambda: pybullet.getPhysicsEngineParameters(self.client)
         )
         return parameters
@@ -396,7 +396,7 @@ class PyBulletSimulator:
             # Otherwise its contacts would be those at its old place.
             pybullet.performCollisionDetection(self.client)
 
-        self._call(put)
+        self.call(put)
 
     def set_joints(self, body: Body, positions: Mapping[int, float]) -> None:
         """Sets joints by their indices, at rest.
@@ -413,7 +413,7 @@ class PyBulletSimulator:
                     self.loaded.motor_positions.setdefault(body.handle, {})[joint.link] = position
             pybullet.performCollisionDetection(self.client)
 
-        self._call(put)
+        self.call(put)
 
     def drive(self, body: Body, motors: Mapping[int, MotorTarget]) -> None:
         """Sets motors of joints by their indices for the next steps."""
@@ -422,15 +422,15 @@ class PyBulletSimulator:
             for number, motor in motors.items():
                 set_motor(body.handle, body.joints[number].link, motor, self.client)
 
-        self._call(put)
+        self.call(put)
 
     def has_constraint(self, body: Body, other: Body) -> bool:
         """Checks whether a fixed constraint connects a link of a body to the base of another."""
-        return bool(self._call(lambda: fixed_constraints(self.client, body.handle, other.handle)))
+        return bool(self.call(lambda: fixed_constraints(self.client, body.handle, other.handle)))
 
     def add_constraint(self, body: Body, link: int, other: Body) -> None:
         """Adds a fixed constraint between a link of a body and the base of another, as they are."""
-        self._call(lambda: add_fixed_constraint(self.client, (body.handle, link - 1), other.handle))
+        self.call(lambda: add_fixed_constraint(self.client, (body.handle, link - 1), other.handle))
 
     def remove_constraint(self, body: Body, other: Body) -> None:
         """Removes the fixed constraints between links of a body and the base of another."""
@@ -439,7 +439,7 @@ class PyBulletSimulator:
             for number in fixed_constraints(self.client, body.handle, other.handle):
                 pybullet.removeConstraint(number, self.client)
 
-        self._call(remove)
+        self.call(remove)
 
     def enable(self, body: Body, on: bool) -> None:
         """Switches the collisions of a body on or off.
@@ -459,7 +459,7 @@ class PyBulletSimulator:
                 )
             pybullet.performCollisionDetection(self.client)
 
-        self._call(put)
+        self.call(put)
         self.disabled = self.disabled - {body} if on else self.disabled | {body}
 
     def show(self, body: Body, on: bool) -> None:
@@ -475,7 +475,7 @@ class PyBulletSimulator:
                     body.handle, link, shape, rgbaColor=colour, physicsClientId=self.client
                 )
 
-        self._call(put)
+        self.call(put)
         self.hidden = self.hidden - {body} if on else self.hidden | {body}
         self._colours = {hidden: self._colours.get(hidden, colours) for hidden in self.hidden}
 
@@ -488,7 +488,7 @@ class PyBulletSimulator:
     def segment(self, camera: Camera, width: int, height: int) -> tuple[Indices, Indices]:
         """Returns the numbers of the body and of its link in each pixel, (height, width)."""
         view, projection = _camera_matrices(camera, width, height)
-        pixels = self._call(
+        pixels = self.call(
             lambda: pybullet.getCameraImage(
                 width,
                 height,
@@ -517,7 +517,7 @@ class PyBulletSimulator:
     def _draw(
         self, width: int, height: int, view: Any, projection: Any, *, shadow: bool
     ) -> npt.NDArray[np.uint8]:
-        picture = self._call(
+        picture = self.call(
             lambda: pybullet.getCameraImage(
                 width,
                 height,
@@ -549,8 +549,12 @@ class PyBulletSimulator:
         else:
             pybullet.disconnect(self.client)
 
-    def _call(self, function: Callable[[], T]) -> T:
-        """Calls PyBullet and converts its errors into those of ssduck."""
+    def call(self, function: Callable[[], T]) -> T:
+        """Calls PyBullet and converts its errors into those of ssduck.
+
+        Raises:
+            SimulatorError: the client is disconnected, the world is closed, or PyBullet fails.
+        """
         if self._lost_reason is not None:
             raise SimulatorError(f"{self._lost_reason}; load or attach the world again")
         try:
