@@ -10,17 +10,14 @@ from weakref import WeakKeyDictionary, WeakSet
 import numpy as np
 from sqlglot import exp
 
+from ssduck.columns.arrays import Array
+from ssduck.columns.expressions import LeftToDuckDBError
 from ssduck.database.database import Database
 from ssduck.database.statement import Statement
 from ssduck.errors import SelectScriptError
-from ssduck.interpreter.triggers.array_expressions import (
-    NotArraysError,
-    Number,
-    TickArrays,
-    Values,
-)
 from ssduck.interpreter.triggers.formulas import ROWS, Formula
 from ssduck.interpreter.triggers.geometric_calls import GeometricCalls
+from ssduck.interpreter.triggers.rows import Number, TickArrays
 from ssduck.interpreter.triggers.selection import FormulaSelection
 from ssduck.interpreter.triggers.table_state import TIME_COLUMNS
 from ssduck.world.layout import TableLayout
@@ -145,7 +142,7 @@ class _FormulaBatch:
         self, snapshot: Snapshot, rows: _Rows, selections: Sequence[FormulaSelection]
     ) -> None:
         """Evaluates selections of formulas, as far as numpy and DuckDB can."""
-        fetched: Mapping[str, Values] = {}
+        fetched: Mapping[str, Array] = {}
         in_sql = [f for s in selections for f in s.formulas if f.sql_parts]
         in_sql = [formula for formula in in_sql if formula not in self._failed]
         if len(in_sql) >= _FEW:
@@ -158,7 +155,7 @@ class _FormulaBatch:
                 continue
             try:
                 self._changes += selection.evaluate(snapshot.number, fetched)
-            except NotArraysError:
+            except LeftToDuckDBError:
                 self._evaluate_singly(snapshot, rows, selection, fetched)
             else:
                 selection.state = rows.state
@@ -168,7 +165,7 @@ class _FormulaBatch:
         snapshot: Snapshot,
         rows: _Rows,
         selection: FormulaSelection,
-        fetched: Mapping[str, Values],
+        fetched: Mapping[str, Array],
     ) -> None:
         """Evaluates each formula of a selection; the next one has none that cannot be."""
         if len(selection.formulas) == 1:
@@ -177,7 +174,7 @@ class _FormulaBatch:
             single = FormulaSelection(rows.tick, self._calls, snapshot.rows, [formula])
             try:
                 single.evaluate(snapshot.number, fetched)
-            except NotArraysError:
+            except LeftToDuckDBError:
                 self._alone.add(formula)
         self._formulas = ()
 
@@ -208,7 +205,7 @@ class _Rows:
         self.tick = TickArrays(table)
         self.state = 0
         self._version = 0
-        self._before: Values = np.zeros((0, 0), np.int64)
+        self._before: Array = np.zeros((0, 0), np.int64)
         self._columns: list[int] = []
         self._shapes = 0
 
@@ -244,7 +241,7 @@ class _FormulaStatement:
 
     def columns(
         self, snapshot: Snapshot, table: LiveTable, formulas: Sequence[Formula]
-    ) -> dict[str, Values]:
+    ) -> dict[str, Array]:
         """Returns the columns of the statement by their text, in the order of the table's rows.
 
         There are none if the statement has too few of the formulas.

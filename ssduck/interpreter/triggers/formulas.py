@@ -7,29 +7,32 @@ batch` evaluates the formulas of many triggers together.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
+from operator import itemgetter
 from typing import Any, Protocol
 
 from sqlglot import exp
 
 from ssduck.adapters.registry import Adapter
 from ssduck.adapters.values import VALUES
+from ssduck.columns.arrays import ArrayOperations
+from ssduck.columns.compiler import Compiler, literal_of
+from ssduck.columns.expressions import Expression, LeftToDuckDBError
 from ssduck.database.values import to_sql
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.output import AsClause, as_clause_of
 from ssduck.interpreter.program import CompiledProgram
 from ssduck.interpreter.query_runner import PlannedQuery
-from ssduck.interpreter.triggers.array_expressions import (
+from ssduck.interpreter.triggers.rows import (
+    COLUMN_KINDS,
+    FIXED_COLUMNS,
     NUMERIC_COLUMNS,
-    ArrayCompiler,
-    ArrayExpression,
-    NotArraysError,
     Number,
     Slot,
-    fetched_expression,
 )
 from ssduck.interpreter.triggers.table_state import TIME_COLUMNS
 from ssduck.language.clauses import Selected
@@ -45,6 +48,8 @@ from ssduck.world.world import World
 
 # The alias of the rows in the expressions of all formulas.
 ROWS = "entities"
+# With the text of an expression, the key of the values that DuckDB evaluated.
+FETCHED = "fetched"
 
 # The parts of a SELECT that a formula may have.
 _CLAUSES = frozenset(("expressions", "from_", "where", "order", "limit", "offset"))
@@ -89,6 +94,7 @@ class Formula:
         schema: the schema of its tables.
         condition: the condition on a row; None if there is none.
         columns: the values of a row.
+        texts: these expressions, with slots in place of constants.
         slots: the constants of these expressions.
         sql_parts: the expressions that DuckDB evaluates.
         types: the types of the parameters in them, by name.
@@ -104,8 +110,9 @@ class Formula:
 
     world: World
     schema: str
-    condition: ArrayExpression | None
-    columns: list[ArrayExpression]
+    condition: Expression | None
+    columns: list[Expression]
+    texts: tuple[str, ...]
     slots: list[Slot]
     sql_parts: list[SqlExpression]
     types: dict[str, Number]
@@ -123,18 +130,15 @@ class Formula:
     place: int = field(default=0, init=False)
 
     @property
-    def changing(self) -> list[ArrayExpression]:
+    def changing(self) -> list[Expression]:
         """The columns that do not stay the same until the table is replaced."""
         return [part for part in self.columns if not part.is_fixed]
 
     @cached_property
     def shape(self) -> tuple[Any, ...]:
         """What formulas that are evaluated at once have in common."""
-        return (
-            None if self.condition is None else self.condition.key,
-            *(part.key for part in self.columns),
-            *(slot.signature for slot in self.slots),
-        )
+        signatures = (slot.signature for slot in self.slots)
+        return self.condition is None, *self.texts, *signatures
 
     def is_evaluated_at(self, tick: int) -> bool:
         """Checks whether its rows are those of the tick of a number."""
@@ -258,23 +262,25 @@ class FormulaPlanner:
             column.set("table", exp.to_identifier(ROWS))
         slots = {key: Slot(types[key], value) for key, value in constants.items()}
         slots |= {key: Slot(types[key], *value) for key, value in entity_columns.items()}
-        parts = _Parts(slots, str(source_type.schema))
         where = select.args.get("where")
-        condition = None if where is None else parts.expression(where.this, is_condition=True)
-        columns = [parts.expression(column) for column in select.expressions]
+        conditions = [] if where is None else [where.this]
+        parts = _Parts(slots, str(source_type.schema), [*conditions, *select.expressions])
+        condition = parts.expressions[0] if conditions else None
+        columns = parts.expressions[len(conditions) :]
         return Formula(
             world,
             str(source_type.schema),
             condition,
             columns,
-            parts.compiler.slots,
+            parts.texts,
+            parts.slots,
             parts.in_sql,
             types,
             constants,
             entity_columns,
             tables,
             _window(select),
-            not parts.compiler.columns.isdisjoint(TIME_COLUMNS),
+            not parts.columns.isdisjoint(TIME_COLUMNS),
             query,
             planned,
             form,
@@ -283,40 +289,89 @@ class FormulaPlanner:
 
 
 class _Parts:
-    """Makes the expressions of a formula.
+    """Makes the expressions of a formula: by numpy if it can, and else by DuckDB.
 
     Args:
-        slots: the parameters by name.
+        parameters: the parameters by name.
         schema: the schema of the world.
+        parts: the expressions, the condition first if there is one.
 
     Attributes:
-        compiler: makes those that numpy evaluates.
-        in_sql: those that DuckDB evaluates.
+        slots: the constants, and the parameters; equal ones share their slot.
+        columns: the columns that are read, also those of entities.
+        in_sql: the expressions that DuckDB evaluates.
+        expressions: all of them.
+        texts: all of them as texts, with slots in place of constants.
+
+    Raises:
+        _NoFormulaError: one has a function that neither evaluates for many formulas.
     """
 
-    def __init__(self, slots: dict[str, Slot], schema: str) -> None:
-        self._slots = slots
-        self.compiler = ArrayCompiler(slots, schema)
+    def __init__(self, parameters: dict[str, Slot], schema: str, parts: Sequence[exp.Expr]) -> None:
+        self._parameters = parameters
+        self.slots: list[Slot] = []
+        self.columns: set[str | None] = set()
         self.in_sql: list[SqlExpression] = []
+        self._places: dict[tuple[Any, ...], int] = {}
+        slotted = [self._slotted(part) for part in parts]
+        compiler = Compiler(ArrayOperations(schema), self._leaf, slotted)
+        made = [self._made(compiler, *pair) for pair in zip(parts, slotted, strict=True)]
+        self.expressions = [expression for expression, _ in made]
+        self.texts = tuple(text for _, text in made)
 
-    def expression(self, sql: exp.Expr, *, is_condition: bool = False) -> ArrayExpression:
-        """Returns an expression that numpy evaluates if it can, and else DuckDB.
+    def _slotted(self, sql: exp.Expr) -> exp.Expr:
+        """Returns an expression with slots in place of parameters and constants."""
+        whole = exp.Paren(this=sql.copy())
+        self.columns.update(column.name for column in whole.find_all(exp.Column))
+        for part in list(whole.find_all(exp.Literal, exp.Parameter)):
+            slot = self._slot(part)
+            if slot is not None:
+                self.columns.add(slot.column)
+                place = self._places.setdefault(slot.key, len(self.slots))
+                if place == len(self.slots):
+                    self.slots.append(slot)
+                part.replace(exp.Parameter(this=exp.var(str(place))))
+        result: exp.Expr = whole.this
+        return result
 
-        Raises:
-            _NoFormulaError: it has a function that neither does for many formulas.
-        """
+    def _slot(self, part: exp.Expr) -> Slot | None:
+        """Returns a parameter or a constant; None for a number that is a part of a form."""
+        if isinstance(part, exp.Parameter):
+            return self._parameters.get(part.name)
+        around = part.parent
+        is_exponent = isinstance(around, exp.Pow) and around.expression is part
+        is_place = isinstance(around, exp.Anonymous) and around.name.lower() == "list_extract"
+        is_compared = isinstance(around, exp.EQ | exp.NEQ | exp.In)
+        if is_exponent or is_place or (part.is_string and not is_compared):
+            return None
+        assert isinstance(part, exp.Literal)
+        with suppress(LeftToDuckDBError):
+            return Slot(*literal_of(part))
+        return None
+
+    def _leaf(self, sql: exp.Expr) -> Expression | None:
+        """Returns a slot, or a column of the entities."""
+        if isinstance(sql, exp.Column):
+            kind = COLUMN_KINDS.get(sql.name)
+            if kind is None:
+                return None
+            return Expression(kind, itemgetter(sql.name), is_fixed=sql.name in FIXED_COLUMNS)
+        if not sql.name.isdecimal():
+            return None
+        slot, place = self.slots[int(sql.name)], int(sql.name)
+        is_text = slot.kind == "string"
+        return Expression(slot.kind, itemgetter(place), is_text) if slot.is_in_range else None
+
+    def _made(self, compiler: Compiler, sql: exp.Expr, slotted: exp.Expr) -> tuple[Expression, str]:
+        """Returns an expression, and its text."""
         try:
-            return self.compiler.expression(sql)
-        except NotArraysError:
+            return compiler.expression(slotted), slotted.sql("duckdb")
+        except LeftToDuckDBError:
             if isinstance(sql, exp.Anonymous) or sql.find(exp.Anonymous):
                 raise _NoFormulaError from None
             text = sql.sql("duckdb")
             self.in_sql.append(SqlExpression(sql, text))
-            self.compiler.columns.update(column.name for column in sql.find_all(exp.Column))
-            self.compiler.columns.update(
-                self._slots[parameter.name].column for parameter in sql.find_all(exp.Parameter)
-            )
-            return fetched_expression(text, is_condition=is_condition)
+            return Expression("object", itemgetter((FETCHED, text))), text
 
 
 class _NoFormulaError(Exception):

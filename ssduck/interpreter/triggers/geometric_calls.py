@@ -14,11 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ssduck.columns.arrays import Array as Values
+from ssduck.columns.expressions import LeftToDuckDBError
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.id_pairs import Ids
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
-from ssduck.interpreter.triggers.array_expressions import NotArraysError, Values
 from ssduck.schema import ID_FACTOR
 from ssduck.sql.relations.geometry_query import GeometryUdf
 from ssduck.world.snapshot import Snapshot
@@ -154,7 +155,7 @@ class GeometricCalls:
             count: the number of rows.
 
         Raises:
-            NotArraysError: an answer is unknown, or an argument is wrong.
+            LeftToDuckDBError: an answer is unknown, or an argument is wrong.
         """
         needed = np.ones((1, count), dtype=np.bool_) if active is None else np.atleast_2d(active)
         shape = np.broadcast_shapes(needed.shape, *(argument.shape for argument in arguments))
@@ -163,9 +164,9 @@ class GeometricCalls:
         ids = [column.astype(np.int64) for column in columns[: udf.entities]]
         numbers = [column.astype(np.float64) for column in columns[udf.entities :]]
         if any(np.isnan(column).any() for column in numbers):
-            raise NotArraysError
+            raise LeftToDuckDBError
         if udf.function is ShapeQueries.collides and (numbers[0] < 0.0).any():
-            raise NotArraysError  # evaluated by itself, it raises the error
+            raise LeftToDuckDBError  # evaluated by itself, it raises the error
         result: Values = np.zeros(shape, np.bool_ if udf.result == "BOOLEAN" else np.float64)
         if len(places):
             result.ravel()[places] = self._of_pairs(udf, ids, numbers)
@@ -246,7 +247,7 @@ class GeometricCalls:
         assert self._motion is not None
         clearance = self._snapshot.shapes().clearance_up_to(*divmod(pair, ID_FACTOR), limit)
         if clearance is None:
-            raise NotArraysError
+            raise LeftToDuckDBError
         low = limit if clearance == math.inf else clearance
         if len(self._clearances) >= _MAX_ANSWERS:
             self._clearances.clear()
@@ -270,7 +271,7 @@ class GeometricCalls:
                 return known[1]
         value = udf.function(self._snapshot.shapes(), *ids, *numbers)
         if value is None:
-            raise NotArraysError
+            raise LeftToDuckDBError
         if len(self._answers) >= _MAX_ANSWERS:
             self._answers.clear()
         self._answers[key] = motion.serial, float(value)

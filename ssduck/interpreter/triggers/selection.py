@@ -8,16 +8,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ssduck.columns.arrays import Array, ArrayValues, Calls
+from ssduck.columns.expressions import Expression
 from ssduck.geometry.arrays import Flags
-from ssduck.interpreter.triggers.array_expressions import (
-    ArrayExpression,
-    Calls,
-    Slot,
-    TickArrays,
-    Values,
-    slot_values,
-)
 from ssduck.interpreter.triggers.formulas import Formula
+from ssduck.interpreter.triggers.rows import Slot, TickArrays, slot_values
 
 
 class FormulaSelection:
@@ -34,13 +29,6 @@ class FormulaSelection:
         number: the number of the tick of the last evaluation; 0 before the first.
         state: the state of the table at that evaluation.
         reads_time: whether the rows may differ though nothing has moved.
-        tick: the columns.
-        calls: the narrow phase.
-        active: the places at which values matter; None for all.
-        slots: the values of the slots at this tick.
-        known: the values of parts that were evaluated at this tick.
-        fixed: those that stay the same until the table is replaced.
-        fetched: the columns that DuckDB evaluated at this tick, by their text.
     """
 
     def __init__(
@@ -52,13 +40,10 @@ class FormulaSelection:
     ) -> None:
         self.formulas = tuple(formulas)
         self.number = self.state = 0
-        self.tick = tick
-        self.calls = calls
-        self.active: Values | None = None
-        self.slots: list[Values] = []
-        self.known: dict[str, Any] = {}
-        self.fixed: dict[str, Any] = {}
-        self.fetched: Mapping[str, Values] = {}
+        self._tick = tick
+        self._calls = calls
+        self._fetched: Mapping[str, Array] = {}
+        self._leaves = ArrayValues(self._read, tick.table.count, calls, {})
         first = formulas[0]
         self._condition, self._columns, self._changing = (
             first.condition,
@@ -70,8 +55,8 @@ class FormulaSelection:
         self.reads_time = any(formula.reads_time for formula in formulas)
         self._version = -1
         self._mask: Flags = np.zeros((1, 0), dtype=np.bool_)
-        self._values: list[Values] = []
-        self._keys: list[Values] = []
+        self._values: list[Array] = []
+        self._keys: list[Array] = []
         self._continue()
 
     def _continue(self) -> None:
@@ -86,7 +71,7 @@ class FormulaSelection:
         for place, formula in enumerate(self.formulas):
             formula.selection, formula.place = self, place
 
-    def last(self, place: int) -> tuple[int, Flags, list[Values], list[Values]] | None:
+    def last(self, place: int) -> tuple[int, Flags, list[Array], list[Array]] | None:
         """Returns the last rows of a formula: the table's version, mask, values and their keys."""
         if self._version < 0:
             return None
@@ -94,7 +79,13 @@ class FormulaSelection:
         keys = [_of_formula(part, place) for part in self._keys]
         return self._version, _of_formula(self._mask, place), values, keys
 
-    def evaluate(self, number: int, fetched: Mapping[str, Values]) -> bool:
+    def _read(self, key: Any) -> Array:
+        """Returns the values of a slot, a column, or an expression that DuckDB evaluated."""
+        if isinstance(key, int):
+            return self._readers[key](self._tick)
+        return self._tick[key] if isinstance(key, str) else self._fetched[key[1]]
+
+    def evaluate(self, number: int, fetched: Mapping[str, Array]) -> bool:
         """Evaluates the formulas at the tick of a number; returns whether rows have changed.
 
         Args:
@@ -102,22 +93,18 @@ class FormulaSelection:
             fetched: the columns that DuckDB evaluated.
 
         Raises:
-            NotArraysError: they have to be evaluated by themselves.
+            LeftToDuckDBError: they have to be evaluated by themselves.
         """
-        table = self.tick.table
-        self.known.clear()
-        self.active = None
-        self.fetched = fetched
+        table = self._tick.table
+        self._fetched = fetched
         is_replaced = self._version != table.version
-        if is_replaced:
-            self.fixed.clear()
-        self.slots = [read(self.tick) for read in self._readers]
+        fixed = {} if is_replaced else self._leaves.fixed
+        self._leaves = ArrayValues(self._read, table.count, self._calls, fixed)
         mask = np.ones((1, table.count), dtype=np.bool_)
         if self._condition is not None:
-            mask = self._rows(self._condition)
-        self.active = mask
-        values = [self._rows(part).copy() for part in self._changing]
-        self.active = None
+            mask = self._rows(self._condition).astype(np.bool_)  # NULL does not hold
+        with self._leaves.narrowed(mask):
+            values = [self._rows(part).copy() for part in self._changing]
         keys = [_bits(part) for part in values]
         changed: Flags = np.ones(1, dtype=np.bool_)
         if not is_replaced:
@@ -131,15 +118,15 @@ class FormulaSelection:
             formula.version += is_new
         return True
 
-    def _rows(self, part: ArrayExpression) -> Values:
+    def _rows(self, part: Expression) -> Array:
         """Returns the values of a part for all rows, (k or 1, n) or (k or 1, n, length)."""
-        values = part.values(self)
+        values: Array = part.compute(self._leaves)
         if part.kind == "list":
-            return values  # type: ignore[no-any-return]
+            return values
         values = np.atleast_2d(values)
-        return np.broadcast_to(values, (len(values), self.tick.table.count))
+        return np.broadcast_to(values, (len(values), self._tick.table.count))
 
-    def _differing(self, mask: Flags, keys: Sequence[Values]) -> Flags:
+    def _differing(self, mask: Flags, keys: Sequence[Array]) -> Flags:
         """Returns whether the rows of each formula differ from the last ones, (k,) or (1,)."""
         changed: Flags = (mask != self._mask).any(axis=1)
         for now, before in zip(keys, self._keys, strict=True):
@@ -156,19 +143,19 @@ class FormulaSelection:
             return [()] * int(mask.sum())
         changing = iter(self._values)
         columns = [
-            part.values(self) if part.is_fixed else _of_formula(next(changing), place)
+            _of_formula(self._rows(part) if part.is_fixed else next(changing), place)
             for part in self._columns
         ]
         return list(zip(*(column[mask].tolist() for column in columns), strict=True))
 
 
-def _of_formula(values: Values, place: int) -> Values:
+def _of_formula(values: Array, place: int) -> Array:
     """Returns the values of one of k formulas."""
-    own: Values = values[place] if len(values) > 1 else values[0]
+    own: Array = values[place] if len(values) > 1 else values[0]
     return own
 
 
-def _bits(values: Values) -> Values:
+def _bits(values: Array) -> Array:
     """Returns a key of each value that tells 0.0 from -0.0."""
     if values.dtype == np.float64:
         return values.view(np.int64)
@@ -177,9 +164,7 @@ def _bits(values: Values) -> Values:
     return values
 
 
-def _slot_reader(
-    slots: Sequence[Slot], row_of: Mapping[int, int]
-) -> Callable[[TickArrays], Values]:
+def _slot_reader(slots: Sequence[Slot], row_of: Mapping[int, int]) -> Callable[[TickArrays], Array]:
     """Returns a function that reads a slot of k formulas at a tick, (k, 1) or (1, 1)."""
     column = slots[0].column
     if column is None:
@@ -188,4 +173,4 @@ def _slot_reader(
     rows: npt.NDArray[np.intp] = np.array([row_of[slot.value.id] for slot in slots], np.intp)
     if (rows == rows[0]).all():
         rows = rows[:1]
-    return lambda tick: tick.numbers[column][rows][:, None]
+    return lambda tick: tick[column][rows][:, None]

@@ -1,0 +1,269 @@
+"""Operations on arrays of numpy, for expressions of many rows.
+
+Expressions that differ only in their constants have the same *shape*. The constants are *slots* of
+the shape, and k expressions of one shape are evaluated at once: a slot is an array (k, 1), a column
+of n rows is (n,), and the values are (k, n), or (1, n) where they are the same for all k.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import count
+from typing import Any, Protocol, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from sqlglot import exp
+
+from ssduck.columns.compiler import PairCompiler, Parts
+from ssduck.columns.expressions import Compute, Expression, LeftToDuckDBError
+from ssduck.geometry.arrays import Flags
+from ssduck.sql.relation_calls import PairCall
+from ssduck.sql.relations.geometry_query import MARGINS_UDF, GeometryUdf
+from ssduck.sql.relations.registry import GEOMETRY_UDFS
+
+# The values of an expression: (k, n), or what numpy broadcasts to that.
+Array: TypeAlias = npt.NDArray[Any]
+
+
+class Calls(Protocol):
+    """The interface of the narrow phase to expressions."""
+
+    def values(
+        self, udf: GeometryUdf, arguments: Sequence[Array], active: Flags | None, count: int
+    ) -> Array:
+        """Returns the values of a function of shapes at the places that are active."""
+
+    @property
+    def margins(self) -> float:
+        """The largest distance, m, of shapes that touch by their margins."""
+
+
+class ArrayValues(dict[Any, Array]):
+    """The values of leaves by key, each read when it is first needed.
+
+    Args:
+        read: returns the values of a leaf.
+        count: the number of rows.
+        calls: the narrow phase.
+        fixed: the values of parts that stay the same while the rows do; kept by the caller.
+
+    Attributes:
+        active: the places at which values matter, (k, n) or (1, n); None for all.
+    """
+
+    def __init__(
+        self, read: Callable[[Any], Array], count: int, calls: Calls, fixed: dict[Any, Array]
+    ) -> None:
+        super().__init__()
+        self._read = read
+        self.count, self.calls, self.fixed = count, calls, fixed
+        self.active: Flags | None = None
+
+    def __missing__(self, key: Any) -> Array:
+        """Reads the values of a leaf."""
+        values = self[key] = self._read(key)
+        return values
+
+    @contextmanager
+    def narrowed(self, places: Flags) -> Iterator[None]:
+        """Restricts the places at which values matter."""
+        before = self.active
+        self.active = places if before is None else before & places
+        try:
+            yield
+        finally:
+            self.active = before
+
+    def needs(self, places: Flags) -> bool:
+        """Checks whether a value at one of some places matters."""
+        if not np.any(places):
+            return False
+        return self.active is None or bool(np.any(places & self.active))
+
+
+class ArrayOperations:
+    """Operations on arrays of the rows of a world's table.
+
+    What is not a number, or DuckDB may take for an error, is left to it, where it matters.
+
+    Args:
+        schema: the schema of the world.
+    """
+
+    def __init__(self, schema: str) -> None:
+        self._schema = schema
+        self._keys = (f"shared {number}" for number in count())
+
+    def constant(self, value: Any) -> Compute:
+        constant = np.array([[value]])
+        return lambda _: constant
+
+    def once(self, part: Expression) -> Compute:
+        if part.has_calls:  # what matters of it differs from place to place
+            return part.compute
+        key, inner = next(self._keys), part.compute
+
+        def compute(values: ArrayValues) -> Array:
+            if key not in values:
+                values[key] = inner(values)
+            return values[key]
+
+        return compute
+
+    def fixed(self, part: Compute) -> Compute:
+        key = next(self._keys)
+
+        def compute(values: ArrayValues) -> Array:
+            if key not in values.fixed:
+                values.fixed[key] = part(values)
+            return values.fixed[key]
+
+        return compute
+
+    def arithmetic(self, operate: Callable[[Any, Any], Any], a: Compute, b: Compute) -> Compute:
+        return lambda values: _known(operate(a(values), b(values)), values)
+
+    def quotient(self, a: Compute, b: Compute) -> Compute:
+        def compute(values: ArrayValues) -> Array:
+            divisor = b(values)
+            if values.needs(divisor == 0.0):
+                raise LeftToDuckDBError
+            return _known(a(values) / divisor, values)
+
+        return compute
+
+    def double(self, part: Compute) -> Compute:
+        return lambda values: np.asarray(part(values), dtype=np.float64)
+
+    def negated(self, part: Compute) -> Compute:
+        return lambda values: -part(values)
+
+    def absolute(self, part: Compute) -> Compute:
+        return lambda values: np.abs(part(values))
+
+    def root(self, part: Compute) -> Compute:
+        return lambda values: _known(np.sqrt(part(values)), values)
+
+    def angle(self, y: Compute, x: Compute) -> Compute:
+        return lambda values: _by_c_library(math.atan2, y(values), x(values))
+
+    def power(self, part: Compute, exponent: float) -> Compute:
+        return lambda values: _by_c_library(math.pow, part(values), exponent)
+
+    def compared(self, compare: Callable[[Any, Any], Any], a: Compute, b: Compute) -> Compute:
+        return lambda values: np.asarray(compare(a(values), b(values)), dtype=np.bool_)
+
+    def inverted(self, part: Compute) -> Compute:
+        return lambda values: ~part(values)
+
+    def both(self, first: Expression, second: Expression) -> Compute:
+        return self._combined(first, second, is_and=True)
+
+    def either(self, first: Expression, second: Expression) -> Compute:
+        return self._combined(first, second, is_and=False)
+
+    def _combined(self, first: Expression, second: Expression, *, is_and: bool) -> Compute:
+        if first.has_calls and not second.has_calls:  # the narrow phase has the last word
+            first, second = second, first
+        a, b = first.compute, second.compute
+
+        def compute(values: ArrayValues) -> Array:
+            known = np.atleast_2d(a(values))
+            with values.narrowed(known if is_and else ~known):
+                other = b(values)
+            result: Array = known & other if is_and else known | other
+            return result
+
+        return compute
+
+    def case(self, branches: Sequence[tuple[Compute, Compute]], otherwise: Compute) -> Compute:
+        def compute(values: ArrayValues) -> Array:
+            left = np.ones((1, values.count), np.bool_)
+            result: Array | None = None
+            for condition, part in branches:
+                with values.narrowed(left):
+                    holds = left & condition(values)
+                result = _chosen(holds, part, result, values)
+                left = left & ~holds
+            if values.needs(left):
+                result = _chosen(left, otherwise, result, values)
+            assert result is not None
+            return result
+
+        return compute
+
+    def left(self) -> Compute:
+        def compute(values: ArrayValues) -> Array:
+            if values.needs(np.ones((1, 1), np.bool_)):
+                raise LeftToDuckDBError
+            return np.zeros((1, 1), np.bool_)
+
+        return compute
+
+    def listed(self, parts: Parts) -> Compute:
+        """Returns lists, (k, n, length)."""
+
+        def compute(values: ArrayValues) -> Array:
+            columns = [np.atleast_2d(part(values)) for part in parts]
+            columns.append(np.broadcast_to(0.0, (1, values.count)))
+            return np.stack(np.broadcast_arrays(*columns)[:-1], axis=-1)
+
+        return compute
+
+    def element(self, whole: Compute, index: int) -> Compute:
+        return lambda values: whole(values)[..., index]
+
+    def knows(self, function: str, arguments: Sequence[exp.Expr]) -> bool:
+        world = arguments[0] if arguments else None
+        if not (isinstance(world, exp.Literal) and world.name == self._schema):
+            return False
+        udf = GEOMETRY_UDFS.get(function)
+        return function == MARGINS_UDF or (udf is not None and udf.entities > 0)
+
+    def call(self, function: str, arguments: Parts) -> Compute:
+        if function == MARGINS_UDF:
+            return lambda values: np.array([[values.calls.margins]])
+        udf = GEOMETRY_UDFS[function]
+        last = 2 + 2 * udf.entities  # each entity has its tick and its id
+        read = (*arguments[2:last:2], *arguments[last - 1 :])
+
+        def compute(values: ArrayValues) -> Array:
+            numbers = [np.asarray(part(values)) for part in read]
+            return values.calls.values(udf, numbers, values.active, values.count)
+
+        return compute
+
+    def pair(self, pair: PairCall, compiler: PairCompiler) -> Expression | None:
+        del pair, compiler
+        return None  # of many pairs, the boxes in the formula leave out most
+
+
+def _known(result: Array, values: ArrayValues) -> Array:
+    """Returns numbers; DuckDB compares NaN in another way.
+
+    Raises:
+        LeftToDuckDBError: one that matters is NaN.
+    """
+    if values.needs(np.isnan(result)):
+        raise LeftToDuckDBError
+    return result
+
+
+def _chosen(holds: Flags, part: Compute, others: Array | None, values: ArrayValues) -> Array:
+    """Returns the values of a part where a condition holds, and others elsewhere."""
+    with values.narrowed(holds):
+        own = part(values)
+    return np.where(holds, own, np.zeros_like(own) if others is None else others)
+
+
+def _by_c_library(function: Callable[..., float], *parts: Any) -> Array:
+    """Returns the values of a function as the C library computes them: rarely, numpy's differ."""
+    columns = np.broadcast_arrays(*(np.asarray(part, dtype=np.float64) for part in parts))
+    try:
+        numbers = list(map(function, *(column.ravel().tolist() for column in columns)))
+    except (OverflowError, ValueError):
+        raise LeftToDuckDBError from None
+    return np.array(numbers).reshape(columns[0].shape)

@@ -1,0 +1,171 @@
+"""Operations on Python's numbers, for expressions of one row.
+
+The values of leaves are a dict. Nothing is NULL: what may be, and overflows and NaN, which DuckDB
+compares in its own way, is left to DuckDB.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from itertools import count
+from typing import Any
+
+from sqlglot import exp
+
+from ssduck.columns.compiler import PairCompiler, Parts
+from ssduck.columns.expressions import Compute, Expression, Kind, LeftToDuckDBError, Values
+from ssduck.sql.relation_calls import PairCall
+from ssduck.sql.relations.registry import GEOMETRY_UDFS, RELATIONS
+
+
+def known(value: float) -> float:
+    """Returns a number; DuckDB compares NaN in its own way.
+
+    Raises:
+        LeftToDuckDBError: it is NaN.
+    """
+    if math.isnan(value):
+        raise LeftToDuckDBError
+    return value
+
+
+def finite(value: float) -> float:
+    """Returns a finite number; whether an overflow is an error is left to DuckDB.
+
+    Raises:
+        LeftToDuckDBError: it is infinite or NaN.
+    """
+    if not math.isfinite(value):
+        raise LeftToDuckDBError
+    return value
+
+
+class NumberOperations:
+    """Operations on Python's numbers.
+
+    Args:
+        functions: the functions of shapes and contacts that it calls itself, by their names in SQL.
+    """
+
+    def __init__(self, functions: Mapping[str, Callable[..., Any]]) -> None:
+        self._functions = functions
+        self._keys = (f"shared {number}" for number in count())
+
+    def constant(self, value: Any) -> Compute:
+        return lambda _: value
+
+    def once(self, part: Expression) -> Compute:
+        key, inner = next(self._keys), part.compute
+
+        def compute(values: dict[Any, Any]) -> Any:
+            if key not in values:
+                values[key] = inner(values)
+            return values[key]
+
+        return compute
+
+    def fixed(self, part: Compute) -> Compute:
+        return part
+
+    def arithmetic(self, operate: Callable[[Any, Any], Any], a: Compute, b: Compute) -> Compute:
+        def compute(values: Values) -> float:
+            x, y = a(values), b(values)
+            result: float = operate(x, y)  # an integer becomes a double without rounding
+            if math.isfinite(result):
+                return result
+            # The box of a plane is infinite, and so are its sums with other numbers.
+            is_infinite = math.isinf(x) or math.isinf(y)
+            return known(result) if is_infinite else finite(result)
+
+        return compute
+
+    def quotient(self, a: Compute, b: Compute) -> Compute:
+        return lambda values: finite(a(values) / b(values))
+
+    def double(self, part: Compute) -> Compute:
+        return lambda values: float(part(values))
+
+    def negated(self, part: Compute) -> Compute:
+        return lambda values: -part(values)
+
+    def absolute(self, part: Compute) -> Compute:
+        return lambda values: abs(part(values))
+
+    def root(self, part: Compute) -> Compute:
+        return lambda values: finite(math.sqrt(part(values)))
+
+    def angle(self, y: Compute, x: Compute) -> Compute:
+        return lambda values: math.atan2(y(values), x(values))
+
+    def power(self, part: Compute, exponent: float) -> Compute:
+        return lambda values: finite(math.pow(part(values), exponent))
+
+    def compared(self, compare: Callable[[Any, Any], Any], a: Compute, b: Compute) -> Compute:
+        return lambda values: compare(a(values), b(values))
+
+    def inverted(self, part: Compute) -> Compute:
+        return lambda values: not part(values)
+
+    def both(self, first: Expression, second: Expression) -> Compute:
+        a, b = first.compute, second.compute
+        return lambda values: a(values) and b(values)
+
+    def either(self, first: Expression, second: Expression) -> Compute:
+        a, b = first.compute, second.compute
+        return lambda values: a(values) or b(values)
+
+    def case(self, branches: Sequence[tuple[Compute, Compute]], otherwise: Compute) -> Compute:
+        def compute(values: Values) -> Any:
+            for holds, result in branches:
+                if holds(values):
+                    return result(values)
+            return otherwise(values)
+
+        return compute
+
+    def left(self) -> Compute:
+        def compute(_: Values) -> Any:
+            raise LeftToDuckDBError
+
+        return compute
+
+    def listed(self, parts: Parts) -> Compute:
+        return lambda values: [part(values) for part in parts]
+
+    def element(self, whole: Compute, index: int) -> Compute:
+        return lambda values: whole(values)[index]
+
+    def knows(self, function: str, arguments: Sequence[exp.Expr]) -> bool:
+        del arguments
+        return function in self._functions
+
+    def call(self, function: str, arguments: Parts) -> Compute:
+        called, udf = self._functions[function], GEOMETRY_UDFS.get(function)
+        is_condition = udf is not None and udf.result == "BOOLEAN"
+
+        def compute(values: Values) -> Any:
+            value = called(*[argument(values) for argument in arguments])
+            if value is None:
+                raise LeftToDuckDBError
+            return bool(value) if is_condition else finite(float(value))
+
+        return compute
+
+    def pair(self, pair: PairCall, compiler: PairCompiler) -> Expression | None:
+        if pair.call is None and pair.relation not in self._functions:
+            return None
+        first, second = (compiler.integer(id) for id in pair.ids)
+        if pair.call is not None:  # the boxes of two entities need not be read
+            call = compiler.expression(pair.call).compute
+            return Expression(
+                "boolean", lambda values: first(values) != second(values) and call(values)
+            )
+        function, schema = self._functions[pair.relation], pair.schema
+        kind: Kind = "boolean" if RELATIONS[pair.relation].result == "boolean" else "double"
+
+        def compute(values: Values) -> Any:
+            value = function(schema, first(values), second(values))
+            return value if kind == "boolean" else finite(value)
+
+        return Expression(kind, compute)
