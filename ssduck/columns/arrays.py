@@ -153,6 +153,22 @@ class ArrayOperations:
     def power(self, part: Compute, exponent: float) -> Compute:
         return lambda values: _by_c_library(math.pow, part(values), exponent)
 
+    def real(self, function: Callable[[float], float], part: Compute) -> Compute:
+        return lambda values: _by_c_library(function, part(values))
+
+    def is_finite(self, part: Compute) -> Compute:
+        return lambda values: np.isfinite(part(values))
+
+    def extreme(self, compare: Callable[[Any, Any], Any], parts: Parts) -> Compute:
+        def compute(values: ArrayValues) -> Array:
+            result: Array = parts[0](values)
+            for part in parts[1:]:
+                other = part(values)
+                result = np.where(compare(other, result), other, result)
+            return result
+
+        return compute
+
     def compared(self, compare: Callable[[Any, Any], Any], a: Compute, b: Compute) -> Compute:
         return lambda values: np.asarray(compare(a(values), b(values)), dtype=np.bool_)
 

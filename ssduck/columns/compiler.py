@@ -40,6 +40,15 @@ _ARITHMETIC: dict[type[exp.Expr], Callable[[Any, Any], Any]] = {
     exp.Sub: operator.sub,
     exp.Mul: operator.mul,
 }
+# Functions that SQL and Python take from C, with the same results to the last digit.
+_REAL_FUNCTIONS = {
+    function.__name__: function
+    for function in (math.sin, math.cos, math.tan, math.atan, math.tanh)
+}
+_EXTREMES = {
+    **dict.fromkeys(("list_min", "arraymin"), operator.lt),
+    **dict.fromkeys(("list_max", "arraymax"), operator.gt),
+}
 # Expressions that are as fast to evaluate again as to look up.
 _LEAVES = (exp.Parameter, exp.Column, exp.Literal, exp.Boolean)
 # Literals of more digits may round in another way as a DECIMAL.
@@ -85,6 +94,15 @@ class Operations(Protocol):
 
     def power(self, part: Compute, exponent: float) -> Compute:
         """Returns a power of a double, as the C library computes it."""
+
+    def real(self, function: Callable[[float], float], part: Compute) -> Compute:
+        """Returns a function of a real number, as the C library computes it."""
+
+    def is_finite(self, part: Compute) -> Compute:
+        """Returns whether a number is finite."""
+
+    def extreme(self, compare: Callable[[Any, Any], Any], parts: Parts) -> Compute:
+        """Returns the first of some numbers that is less, or greater, than the others."""
 
     def compared(self, compare: Callable[[Any, Any], Any], a: Compute, b: Compute) -> Compute:
         """Returns a comparison."""
@@ -215,6 +233,11 @@ class Compiler:
                 return self._call(sql)
             case exp.Anonymous() if sql.name.lower() == "list_extract":
                 return self._element(sql)
+            case exp.Coalesce():  # nothing is NULL
+                return self.expression(sql.this)
+            case exp.IsNan():  # so is no number NaN
+                self._number(sql.this, ("double",))
+                return self._constant("boolean", value=False)
             case exp.Div():
                 a, b = self._number(sql.this, ("double",)), self._double(sql.expression)
                 return _joined("double", self._operations.quotient(a.compute, b.compute), a, b)
@@ -226,6 +249,24 @@ class Compiler:
             return self._arithmetic(sql)
         if type(sql) in _COMPARISONS:
             return self._comparison(sql)
+        return self._named(sql)
+
+    def _named(self, sql: exp.Expr) -> Expression:
+        """Returns a call of one of DuckDB's own functions."""
+        name = (sql.name if isinstance(sql, exp.Anonymous) else type(sql).__name__).lower()
+        argument = sql.this if not isinstance(sql, exp.Anonymous) else sql.expressions[0]
+        if name in _REAL_FUNCTIONS:
+            part = self._double(argument)
+            compute = self._operations.real(_REAL_FUNCTIONS[name], part.compute)
+            return _joined("double", compute, part)
+        if name == "isfinite":
+            part = self._number(argument, ("double",))
+            return _joined("boolean", self._operations.is_finite(part.compute), part)
+        if name in _EXTREMES and isinstance(argument, exp.Array) and argument.expressions:
+            parts = [self._number(part, ("double",)) for part in argument.expressions]
+            computes = [part.compute for part in parts]
+            compute = self._operations.extreme(_EXTREMES[name], computes)
+            return _joined("double", compute, *parts)
         raise LeftToDuckDBError
 
     def _constant(self, kind: Kind, value: Any) -> Expression:
@@ -327,11 +368,14 @@ class Compiler:
 
     def _unless_unknown(self, sql: exp.Expr) -> Expression:
         """Returns an expression that may not be needed; where it is, DuckDB may have to decide."""
-        calls: Iterable[exp.Anonymous] = sql.find_all(exp.Anonymous)
-        knows = self._operations.knows
-        if any(not knows(call.name, call.expressions) for call in calls):
+        try:
+            return self.expression(sql)
+        except LeftToDuckDBError:
+            calls: Iterable[exp.Anonymous] = sql.find_all(exp.Anonymous)
+            knows = self._operations.knows
+            if all(knows(call.name, call.expressions) for call in calls):
+                raise
             return self._left
-        return self.expression(sql)
 
     def _list(self, sql: exp.Array) -> Expression:
         """Returns a list of doubles."""

@@ -7,6 +7,7 @@ compares in its own way, is left to DuckDB.
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from itertools import count
 from typing import Any
@@ -100,6 +101,16 @@ class NumberOperations:
 
     def power(self, part: Compute, exponent: float) -> Compute:
         return lambda values: finite(math.pow(part(values), exponent))
+
+    def real(self, function: Callable[[float], float], part: Compute) -> Compute:
+        return lambda values: function(part(values))
+
+    def is_finite(self, part: Compute) -> Compute:
+        return lambda values: math.isfinite(part(values))
+
+    def extreme(self, compare: Callable[[Any, Any], Any], parts: Parts) -> Compute:
+        choose = max if compare is operator.gt else min
+        return lambda values: choose(part(values) for part in parts)
 
     def compared(self, compare: Callable[[Any, Any], Any], a: Compute, b: Compute) -> Compute:
         return lambda values: compare(a(values), b(values))

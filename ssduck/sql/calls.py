@@ -106,9 +106,7 @@ def _relation(sql: ExpressionScope, relation: Relation, node: Call) -> SqlValue:
         note_pair(result, relation, values)
     domain = FloatDomain.INFINITE if relation.may_be_infinite else FloatDomain.FINITE
     if isinstance(result, exp.Array):
-        elements = tuple(SqlValue(part, DOUBLE, domain=domain) for part in result.expressions)
-        length = 3 if len(elements) == 3 else None
-        return SqlValue(result, SqlType("list", DOUBLE, length), elements=elements, domain=domain)
+        return _array(result, domain)
     sql_type = SqlType(relation.result_type(count))
     if sql_type.type == "list":
         element = SqlType(relation.element)
@@ -116,6 +114,19 @@ def _relation(sql: ExpressionScope, relation: Relation, node: Call) -> SqlValue:
             "list", SqlType("list", DOUBLE) if relation.element == "list" else element
         )
     return SqlValue(result, sql_type, is_non_negative=relation.name == "tick", domain=domain)
+
+
+def _array(array: exp.Array, domain: FloatDomain) -> SqlValue:
+    """Returns a list of numbers, or of lists of numbers, whose elements are written out."""
+    elements = tuple(
+        _array(part, domain)
+        if isinstance(part, exp.Array)
+        else SqlValue(part, DOUBLE, domain=domain)
+        for part in array.expressions
+    )
+    length = 3 if len(elements) == 3 else None
+    element = replace(elements[0].sql_type, length=None)
+    return SqlValue(array, SqlType("list", element, length), elements=elements, domain=domain)
 
 
 def _argument(

@@ -43,9 +43,15 @@ EXPRESSIONS = [
     "text != 'cup' AND a > 0",
     "sqrt(a * a + b * b) < c OR sqrt(a * a + b * b) > 2 * c",
     "IF(a * b < c; a * b; c - a * b)",
+    "max([a, b, c])",
+    "min([a, -b, 0.5])",
+    "max([-1.0, -norm([a, b, c])])",
+    "tanh(a)",
+    "1 - tanh(5.0 * abs(b))",
+    "sin(a) + cos(b) * atan(c)",
 ]
 # Those that neither computes as doubles.
-OTHERS = ["n * n", "sin(a)", "text + 'x' == 'cupx'", "round(a, 2)", "[1, 2]", "min([a, b])"]
+OTHERS = ["n * n", "text + 'x' == 'cupx'", "round(a, 2)", "[1, 2]", "min([n, 2])", "log(a)"]
 NUMBERS = st.one_of(
     st.floats(),
     st.sampled_from([0.0, -0.0, 1.0, 0.1, 0.3, 5e-324, 1e308, -1e308, 1e154, 2.0**53]),
