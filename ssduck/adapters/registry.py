@@ -35,6 +35,18 @@ _ADAPTERS: dict[str, Adapter] = {
 _BUILT_IN = frozenset(_ADAPTERS)
 # The grammar has these words, in upper or lower case.
 _WORDS = frozenset(name for form in VALUES for name in form.names)
+# The words of other tools for a form, in lower case.
+_OTHER_WORDS = {
+    "list": ("array", "tuple", "set", "values", "names", "ids"),
+    "numpy": ("array", "np", "ndarray", "matrix", "tensor"),
+    "value": ("scalar", "number", "int", "float", "bool", "single", "one", "first"),
+    "dict": ("dicts", "rows", "objects", "mapping"),
+    "records": ("rows", "tuples", "namedtuples", "structs"),
+    "df": ("frame", "series"),
+    "json": ("text", "string", "str", "yaml"),
+    "csv": ("text", "string", "str", "tsv", "excel"),
+    "image": ("picture", "png", "plot", "pic", "photo"),
+}
 
 
 def adapter(
@@ -123,7 +135,8 @@ def _exact_spelling(name: str, known: Collection[str]) -> str:
         raise ArgumentError(f"AS {name} is ambiguous; write AS {listed}")
     if not spellings:
         message = f"there is no result form {short_repr(name)}"
-        near = nearest(name, known)
+        same = tuple(form for form, words in _OTHER_WORDS.items() if name.casefold() in words)
+        near = same or nearest(name, known)
         if not near:
             message += "; some are list, value, dict, df and json: help('AS') lists all"
         raise UnknownNameError(message, suggestions=near)

@@ -17,7 +17,7 @@ from ssduck.errors import (
     SelectScriptError,
     SourceSpan,
 )
-from ssduck.formatting import error_text
+from ssduck.formatting import error_text, first_line
 from ssduck.language.clauses import (
     Groups,
     Rows,
@@ -187,7 +187,9 @@ def as_clause_of(query: Query, frame: Frame) -> AsClause:
         adapter.signature.bind(None, *arguments, **by_name)
     except TypeError as error:
         raise ArgumentError(
-            f"AS {clause.name}: {error}; its usage: {adapter.usage}", span=clause.span
+            f"AS {clause.name}: {error}; its usage: {adapter.usage}; its value: "
+            f"{first_line(adapter.help)}",
+            span=clause.span,
         ) from error
     return AsClause(clause.name, adapter, arguments, by_name, clause.span)
 

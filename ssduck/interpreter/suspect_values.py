@@ -1,7 +1,7 @@
 """Finds comparisons and columns of a query that are valid, but mean something else in SQL.
 
 A number that is compared with a text, a missing value for which `!=` holds, a column of the first
-row of a group, a number as the age of `least` and `greatest`.
+row of a group, a number as the age of `least` and `holds`.
 """
 
 from __future__ import annotations
@@ -59,6 +59,12 @@ _VECTORS = frozenset(
     name for name, one in RELATIONS.items() if one.result == "list" and one.element == "double"
 )
 _COORDINATES = 3
+# What to write for a second argument that is no age.
+_INSTEAD_OF_AGE = {
+    **{name: f"of two numbers write {list_one}([a, b])" for name, list_one in EXTREMES.items()},
+    "holds": "the time for which a condition has held is heldFor(condition) >= 0.2",
+    "changes": "the value at a time is at(0.2, expression)",
+}
 _ORDERINGS = ("<", "<=", ">", ">=")
 # Keys that only one entity has.
 _UNIQUE = frozenset(("id", "obj", "this"))
@@ -94,7 +100,7 @@ class Suspects:
     Attributes:
         comparisons: the comparisons of columns.
         others: what is no column, and is compared with a value, with that value.
-        ages: the calls of `least` and `greatest` with an age.
+        ages: the calls of `least`, `holds` and others over time with an age.
         first_rows: the columns of the first row of a group, with their names if they are bare.
         queries: the nested queries that SELECT has as lists of dicts.
         vectors: the sums, products and orderings of which a side is a position, or another list of
@@ -337,17 +343,13 @@ def _printed(node: Node, query: Query) -> str:
 
 
 def _ages(node: Node) -> Iterator[Call]:
-    """Yields the calls of `least` and `greatest` with an age that counts from the beginning."""
+    """Yields the calls of `least`, `holds` and others over time with an age from the beginning."""
     for part in node.walk():
         match part:
-            case Call(name=name, arguments=(_, age)) if name in EXTREMES and not (
+            case Call(name=name, arguments=(_, age)) if name in _INSTEAD_OF_AGE and not (
                 isinstance(age, Unary) and age.operator == "-"
             ):
                 yield part
-
-
-def _is_negative(value: Any) -> bool:
-    return validation.is_number(value) and value < 0
 
 
 # -- what is a mistake ----------------------------------------------------------------------------
@@ -381,14 +383,13 @@ def mistakes_in(
             kind = _KIND_OF_RESULT.get(type_of_relation(node.name) or "")
             yield from _unequal(node.name, {kind} if kind else set(), [value], variable)
     for call in suspects.ages:
-        if isinstance(age := call.arguments[1], Name) and _is_negative(variable(age.name)):
-            continue
-        yield ArgumentError(
-            f"the second argument of {call.name} is an age: {call.name} is over the recorded ticks "
-            f"at that time, or of the last seconds if it is negative; of two numbers write "
-            f"{EXTREMES[call.name]}([a, b])",
-            span=call.span,
-        )
+        if _is_time(call.arguments[1], variable):
+            yield ArgumentError(
+                f"the second argument of {call.name} is an age: {call.name} is over the recorded "
+                f"ticks at that time, or of the last seconds if it is negative; "
+                f"{_INSTEAD_OF_AGE[call.name]}",
+                span=call.span,
+            )
     for node in suspects.vectors:
         if node.operator == "*":
             if any(_is_integer(side, variable) for side in _sides(node)):
@@ -425,6 +426,16 @@ _OF_VECTORS = {
     "<": "{0} orders two lists by the first numbers that differ, as words by their letters; of "
     "each number write x(a) {0} x(b) AND y(a) {0} y(b) AND z(a) {0} z(b), or v[0] {0} w[0] AND …",
 }
+
+
+def _is_time(age: Node, variable: Callable[[str], Any]) -> bool:
+    """Checks whether an age is a number from 0 on, or computed by functions, as of an entity."""
+    match age:
+        case Literal():
+            return True
+        case Name(name=name) if (value := variable(name)) is not None:
+            return validation.is_number(value) and value >= 0
+    return any(isinstance(part, Call) for part in age.walk())
 
 
 def _is_integer(node: Node, variable: Callable[[str], Any]) -> bool:

@@ -144,6 +144,21 @@ def _avg(values: list[Any]) -> Any:
     return sum(values) / len(values)
 
 
+def _stddev(values: list[float]) -> float | None:
+    count = len(values)
+    if count <= 1:
+        return None
+    mean = math.fsum(values) / count
+    return math.sqrt(math.fsum((value - mean) ** 2 for value in values) / (count - 1))
+
+
+def _median(values: list[float]) -> float:
+    if any(map(math.isnan, values)):
+        return math.nan  # NaN has no place in an order
+    ordered, middle = sorted(values), len(values) // 2
+    return (ordered[middle] + ordered[~middle]) / 2
+
+
 def _norm(vector: list[float]) -> float:
     return math.hypot(*vector)
 
@@ -201,6 +216,16 @@ _LIST_FUNCTIONS = (
             ("min", min, "Returns the least element of a list.", "value"),
             ("max", max, "Returns the greatest element of a list.", "value"),
             ("avg", _avg, "Returns the mean of the numbers in a list.", "float"),
+            ("median", _median, "Returns the median of the numbers in a list.", "float"),
+            (
+                "stddev",
+                _stddev,
+                (
+                    "Returns the standard deviation of the numbers in a list as a sample: the sum "
+                    "of squares is divided by their count less one; nothing for one number."
+                ),
+                "float",
+            ),
             (
                 "uniq",
                 _uniq,

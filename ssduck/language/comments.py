@@ -13,7 +13,8 @@ _QUOTES = ("'", '"')
 # What is before and behind the sign in an integer division.
 _ENDS_OPERAND = re.compile(r"[\w)\]] *$")
 _CONTINUES = re.compile(
-    r" *[\d.]+ *(?:$|[=<>!,)+*/-]|(?:AS|FROM|AND|OR)\b)", re.IGNORECASE | re.MULTILINE
+    r" *(?:[\d.]+ *(?:$|[=<>!,;)+*/-]|(?:AS|FROM|AND|OR)\b)|[\w.]+(?:\([\w.]*\))? *;)",
+    re.IGNORECASE | re.MULTILINE,
 )
 
 

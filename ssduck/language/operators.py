@@ -118,7 +118,7 @@ _OF_LISTS = {
     **dict.fromkeys(
         ("<", "<=", ">", ">="),
         "compare an element, list[2] > 0.1, or the length, norm(list) > 0.1; the time for which a "
-        "condition has held is heldFor(condition) >= 0.2",
+        "condition has held is heldFor(condition) >= 0.2, the least value of a time least(…)[1]",
     ),
     "^": "the sum of squares is norm(list) ^ 2",
     "*": "the dot product is sum([a[0] * b[0], a[1] * b[1], a[2] * b[2]])",

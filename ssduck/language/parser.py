@@ -393,6 +393,7 @@ class _Parser(SqlForms):
                 if operator == "^":
                     self.check_sign(row, *places[-2:])
                 row.add(operator, right, self.end())
+            self.check_equality(row, places)
             left = self.comparison(row, places) if operator in RELATIONAL else row.node()
         return left
 
@@ -457,6 +458,7 @@ class _Parser(SqlForms):
         if self.take(TokenType.L_BRACKET):
             items = () if self.at(TokenType.R_BRACKET) else self.parts()
             self.expect(TokenType.R_BRACKET, "']'")
+            self.check_list(self.since(start))
             return ListLiteral(self.since(start), items)
         if self.take(TokenType.DOT) and (digits := self.take(TokenType.NUMBER)):
             return Literal(self.since(start), self.number(digits, "."))

@@ -45,6 +45,8 @@ from ssduck.language.tree import (
 _COMPARISONS = ("==", "!=", "<", "<=", ">", ">=")
 _ARITHMETIC = ("-", "*", "/", "%", "^")
 _SUM = ("+",)
+# The functions of lists that no list of dicts is an argument of.
+_OF_NUMBERS = frozenset(("norm", *AGGREGATES)) - {"count", "uniq"}
 # Stands among the visible names for a source of entities, whose functions are columns.
 _ENTITIES = "."
 # The clauses of a query that its own sources are visible in.
@@ -245,7 +247,8 @@ class _Reading:
         if not isinstance(child, Query) or not _has_one_column(child):
             return child
         if not self._is_value(parent, child):
-            return child
+            is_list = isinstance(parent, Call) and self._takes_numbers(parent.name)
+            return _with_form(child, "list") if is_list else child
         is_unequal = isinstance(parent, Binary) and parent.operator == "!="
         return _with_form(child, "value", is_required=is_unequal)
 
@@ -273,6 +276,11 @@ class _Reading:
             case Query(items=items):
                 return any(query is item for item in items) and self._has_one_row(query)
         return False
+
+    def _takes_numbers(self, name: str) -> bool:
+        """Checks whether a function takes a list of numbers, so that dicts would be an error."""
+        name = _lower_builtin(name) or name
+        return name in _OF_NUMBERS and not self._names.is_users(name)
 
     def _has_one_row(self, query: Query) -> bool:
         """Checks whether a query certainly aggregates all of its rows to one."""

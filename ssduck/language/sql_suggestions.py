@@ -4,7 +4,6 @@ from __future__ import annotations
 
 _JOIN = "only JOIN … ON … is known; write FROM room a, room b WHERE above(a, b)"
 _SETS = "lists are joined by +: (SELECT … AS list) + (SELECT … AS list)"
-_COMPARE = "write (SELECT … AS list), and IN, min or max of it"
 _IF = "a choice is IF(condition; a; b)"
 _RAW = "only SQL has it: query the tables by ss.sql or ssduck query --sql"
 _LIMIT_ADVICE = "write LIMIT n behind ORDER BY"
@@ -12,14 +11,24 @@ _CAST = "write int(x), float(x) or str(x)"
 _MISSING = "there is no NULL; write x IS NULL, or x IS NOT NULL"
 _INSTEAD = "write IF(x IS NULL; 0; x)"
 _TIMES = "times are seconds of simulated time: getTime(), time(this)"
-_AGGREGATES = "the aggregates are count, sum, min, max, avg, uniq; query others by ss.sql"
+_AGGREGATES = (
+    "the aggregates are count, sum, min, max, avg, median, stddev, uniq; raw SQL has all of "
+    'DuckDB: ss.sql("SELECT quantile_cont(z, 0.9) FROM entities")'
+)
+_NOT_A_NUMBER = "NaN is x != x, and infinity float('inf')"
+_EXISTS = "of any element write EXISTS (SELECT this FROM room WHERE condition)"
+_ALL = "of all elements write NOT EXISTS (SELECT this FROM room WHERE NOT (condition))"
+_PYTHON = (
+    "a program has no statements of Python: a function of yours gets a name by "
+    "ss.add_function('name', function)"
+)
 _TEXTS = "texts are compared exactly; find a part of one by 'part' IN text, or by LIKE"
 
 _INSTEAD_OF: dict[tuple[str, ...], str] = {
     ("JOIN", "INNER", "LEFT", "RIGHT", "FULL", "OUTER", "CROSS", "NATURAL", "USING"): _JOIN,
     ("ON",): f"{_JOIN}; of two entities write on(a, b)",
     ("UNION", "INTERSECT", "EXCEPT", "MINUS"): _SETS,
-    ("ANY", "SOME"): _COMPARE,
+    ("ANY", "SOME"): f"{_EXISTS}, of a list True IN list; x > ANY is x > min(SELECT …)",
     ("EXISTS",): "write EXISTS (SELECT … FROM …)",
     ("OFFSET", "SKIP"): "write LIMIT n OFFSET m behind ORDER BY",
     ("FETCH", "TOP", "FIRST"): _LIMIT_ADVICE,
@@ -36,14 +45,20 @@ _INSTEAD_OF: dict[tuple[str, ...], str] = {
     ("UPPER", "LOWER", "SUBSTRING", "SUBSTR", "TRIM", "STARTS_WITH"): _TEXTS,
     ("CAST", "TRY_CAST", "CONVERT"): _CAST,
     ("NULL", "NONE", "NIL"): _MISSING,
+    ("NAN", "INF", "INFINITY"): _NOT_A_NUMBER,
     ("COALESCE", "IFNULL", "NVL"): _INSTEAD,
     ("NULLIF",): "write IF(…; …; …)",
     ("CONCAT",): "texts are joined by +",
-    ("LEN", "LENGTH"): "write count(list); a text's letters are counted in Python",
+    ("LEN", "LENGTH"): "write count(x), of a list or of the letters of a text",
     ("POWER",): "write pow(x, y) or x ^ y",
     ("CEILING",): "write ceil(x)",
     ("MEAN", "AVERAGE"): "write avg(x)",
-    ("ALL",): "leave ALL out: all rows are selected, unless DISTINCT is written",
+    ("ALL",): f"{_ALL}, of a list NOT False IN list; x > ALL is x > max(SELECT …); behind "
+    "SELECT and LIMIT leave ALL out",
+    ("MOD", "DIV"): "write x % y for the remainder, floor(x / y) for the integer quotient",
+    ("OF",): "a result form is one word, perhaps with arguments: AS dict, AS list, AS df, "
+    "AS image(640, 480); help('AS') lists all",
+    ("WHILE", "DEF", "RETURN", "LAMBDA", "IMPORT", "DEL", "RAISE", "ASSERT"): _PYTHON,
     ("DISTINCT",): "write SELECT DISTINCT x, without brackets or ON, or uniq(x) with GROUP BY",
     ("WHEN", "THEN", "ELSE", "END"): "write CASE WHEN … THEN … ELSE … END, or IF(…; …; …)",
     ("NOTNULL", "ISNULL"): "write x IS NOT NULL, or x IS NULL",
@@ -56,7 +71,7 @@ _INSTEAD_OF: dict[tuple[str, ...], str] = {
     (":",): f"a part of a list is [p[0], p[1]], not p[0:2]; for a conversion {_CAST}",
     ("`",): "names are written without quotes",
     ("~", "~~"): "write LIKE",
-    ("{",): "no braces here; a world's past is kitchen{12.5}",
+    ("{",): "no braces here: a list is [1, 2, 3]; a world's past is kitchen{12.5}",
     ("IF", "?"): _IF,
     ("$",): "pass values as variables: ss.add_variable('name', value)",
     ("FOR",): "the time for which a condition has held is heldFor(condition) >= 0.2; what holds of "
@@ -72,8 +87,19 @@ SIGNS = {
     "**": "a power is x ^ y, or pow(x, y)",
     "+=": "write x = x + 1",
     "-=": "write x = x - 1",
+    "++": "write x = x + 1",
+    ":=": "write x = 1",
     ",": "numbers have a point: 0.1",
 }
+# What to write where the text between two tokens is that of other languages.
+NO_COMMA = "leave the comma before it out"
+NO_PREFIX = "a text has no letter before its quote; write 'a ' + str(x) for a text with a value"
+NO_NUMBER = "a number is written 1000, 0.5 or 1e3"
+NO_TUPLE = "a list is written in square brackets: [1, 2, 3]"
+NUMPY = (
+    "an array of NumPy is written array.tolist(), as in [0.1, 0.2, 0.3], or given as a parameter: "
+    "ss.eval('distance(sim.cup, p);', {'p': array})"
+)
 HABITS = {word: suggestion for words, suggestion in _INSTEAD_OF.items() for word in words}
 
 # The clauses behind FROM, in their order.
@@ -96,7 +122,7 @@ _NAMES = frozenset(
         *("ANY", "SOME", "EXISTS", "NULL", "NONE", "NIL", "ALL", "DISTINCT", "CAST", "TRY_CAST"),
         *("CONVERT", "COALESCE", "IFNULL", "NVL", "NULLIF", "CONCAT", "LEN", "LENGTH", "POWER"),
         *("CEILING", "MEAN", "AVERAGE", "UPPER", "LOWER", "SUBSTRING", "SUBSTR", "TRIM"),
-        *("STARTS_WITH", "NOTNULL", "ISNULL"),
+        *("STARTS_WITH", "NOTNULL", "ISNULL", "NAN", "INF", "INFINITY"),
     )
 )
 
@@ -114,6 +140,19 @@ _ANGLE = (
 _NOT_KEPT = "a world does not keep it: bind a number of the simulator as a variable"
 # The suggestions for names of other libraries, and for words of time.
 _OF_LIBRARIES: dict[tuple[str, ...], str] = {
+    ("QUANTILE", "QUANTILE_CONT", "QUANTILE_DISC", "PERCENTILE", "MODE", "ANY_VALUE"): _AGGREGATES,
+    ("STRING_AGG", "ARRAY_AGG", "GROUP_CONCAT", "LISTAGG", "HISTOGRAM", "ENTROPY"): _AGGREGATES,
+    ("CORR", "COVAR_POP", "COVAR_SAMP", "SKEWNESS", "KURTOSIS", "PRODUCT", "PROD"): _AGGREGATES,
+    ("STD", "STDEV", "STDDEV_SAMP"): "write stddev(x), that of a sample",
+    ("STDDEV_POP", "PSTDEV"): "write sqrt(avg(x ^ 2) - avg(x) ^ 2)",
+    ("VARIANCE", "VAR_SAMP"): "write stddev(x) ^ 2, that of a sample",
+    ("VAR_POP", "PVARIANCE"): "write avg(x ^ 2) - avg(x) ^ 2",
+    ("ARG_MAX", "ARGMAX", "MAX_BY"): "write SELECT id FROM room ORDER BY z DESC LIMIT 1",
+    ("ARG_MIN", "ARGMIN", "MIN_BY"): "write SELECT id FROM room ORDER BY z LIMIT 1",
+    ("RMS",): "write sqrt(avg(x ^ 2)), or norm(list) / sqrt(count(list))",
+    ("TOTAL",): "write sum(x)",
+    ("BOOL_AND", "EVERY", "FORALL"): _ALL,
+    ("BOOL_OR",): _EXISTS,
     ("CLAMP",): "write clip(x, low, high)",
     ("MAXIMUM", "FMAX"): "write max([a, b])",
     ("MINIMUM", "FMIN"): "write min([a, b])",
@@ -198,11 +237,11 @@ _OWN_NAMES = {
     "TICKS": _TABLE,
     **dict.fromkeys(("NOW", "CURRENT_DATE", "CURRENT_TIME", "CURRENT_TIMESTAMP", "TODAY"), _TIMES),
     **dict.fromkeys(("DATE_PART", "DATEDIFF", "DATE_DIFF", "DATE_TRUNC", "STRFTIME"), _TIMES),
-    **dict.fromkeys(("STDDEV", "STDDEV_POP", "STDDEV_SAMP", "VARIANCE", "VAR_POP"), _AGGREGATES),
-    **dict.fromkeys(("MEDIAN", "QUANTILE", "MODE", "ANY_VALUE"), _AGGREGATES),
+    **dict.fromkeys(
+        ("ARRAY", "NDARRAY", "FLOAT64", "FLOAT32", "INT64", "INT32", "TENSOR", "ASARRAY"), NUMPY
+    ),
     "FIRST": f"the first time at which a condition held is holds(condition)[0][0]; {_AGGREGATES}",
     "LAST": f"the last time at which a condition held is holds(condition)[-1][1]; {_AGGREGATES}",
-    **dict.fromkeys(("STRING_AGG", "ARRAY_AGG", "GROUP_CONCAT", "LISTAGG"), _AGGREGATES),
     **dict.fromkeys(("LEFT", "RIGHT", "REPLACE", "REVERSE", "CONTAINS", "STRPOS"), _TEXTS),
     **dict.fromkeys(("CHAR_LENGTH", "INITCAP", "SPLIT_PART", "LPAD", "RPAD"), _TEXTS),
     "PI": "write 3.141592653589793",

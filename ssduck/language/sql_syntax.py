@@ -5,6 +5,7 @@ LIKE and IS NULL become operators of their own; all others become existing nodes
 
 from __future__ import annotations
 
+import re
 from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Any
@@ -12,8 +13,9 @@ from typing import Any
 from sqlglot.tokenizer_core import Token, TokenType
 
 from ssduck.errors import SourceSpan
+from ssduck.language.builtins import AGGREGATES
 from ssduck.language.operator_chains import OperandRow
-from ssduck.language.sql_suggestions import HABITS
+from ssduck.language.sql_suggestions import HABITS, NUMPY
 from ssduck.language.token_cursor import (
     CLAUSES,
     LEVEL_OF,
@@ -44,7 +46,6 @@ from ssduck.language.tree import (
     Unary,
 )
 
-AGGREGATES = frozenset(("count", "sum", "min", "max", "avg", "uniq"))
 # The result forms whose names are words of the grammar, so in any case.
 FORMS = frozenset(("dict", "dictionary", "list", "val", "value"))
 _CONDITIONS = ("LIKE", "BETWEEN", "IS")
@@ -55,6 +56,9 @@ _BEHIND_SOURCE = (
     *("JOIN", "INNER", "CROSS", "ON"),
 )
 CHAIN_OF_EQUALS = "this compares True or False; write x = y AND y = z"
+# A list of numbers of which all but the first have signs, as NumPy prints an array.
+_PRINTED_ARRAY = re.compile(r"\[\s*[-+]?[\d.]+(?:e[-+]?\d+)?(?:\s+[-+][\d.]+(?:e[-+]?\d+)?)+\s*\]")
+_EQUALITIES = ("==", "!=")
 _BEGINS = (TokenType.VAR, TokenType.NUMBER, TokenType.STRING)
 _SIGNS = (TokenType.DASH, TokenType.PLUS)
 # Messages quote shorter powers.
@@ -79,6 +83,10 @@ def _is_written_out(value: Node) -> bool:
     """Checks whether a value depends on nothing."""
     kinds = (Literal, ListLiteral, Unary, Binary, OperatorChain, Assignment)
     return all(isinstance(part, kinds) for part in value.walk())
+
+
+def _is_truth_value(node: Node) -> bool:
+    return isinstance(node, Literal) and isinstance(node.value, bool)
 
 
 class SqlForms(Cursor):
@@ -224,6 +232,27 @@ class SqlForms(Cursor):
         self.comparisons[node] = parts
         return node
 
+    def check_equality(self, row: OperandRow, places: Sequence[SourceSpan]) -> None:
+        """Reports `a == b == c`, which compares whether a equals b with c.
+
+        Args:
+            row: the operands, and the operators between them.
+            places: the place of the first token of each operand.
+        """
+        if row.operators[0] not in _EQUALITIES or any(map(_is_truth_value, row.operands)):
+            return
+        is_chain = len(row.operators) > 1 or any(
+            isinstance(operand, Binary)
+            and operand.operator in _EQUALITIES
+            and operand.span.start == place.start  # not in brackets
+            and not any(map(_is_truth_value, operand.children()))
+            for operand, place in zip(row.operands, places, strict=True)
+        )
+        if is_chain:
+            message = "this compares True or False; write a == b AND b == c, or (a == b) == c"
+            span = SourceSpan(row.start, self.end())
+            self.add_suspicion(span, message, is_grave=True)
+
     def check_sign(self, row: OperandRow, start: SourceSpan, exponent: SourceSpan) -> None:
         """Reports `-x ^ 2`, which is `(-x) ^ 2`, and `x ^ 3 ^ 2`, which is `(x ^ 3) ^ 2`.
 
@@ -249,6 +278,11 @@ class SqlForms(Cursor):
         span = self.since(start) if is_negative else SourceSpan(row.start, self.end())
         message = f"this is {is_this}; write it so, or {before}{other}"
         self.add_suspicion(span, message, is_grave=True)
+
+    def check_list(self, span: SourceSpan) -> None:
+        """Reports `[1 -2 -3]`, a list of one number: NumPy prints arrays without commas."""
+        if _PRINTED_ARRAY.fullmatch(self.text, span.start, span.end):
+            self.add_suspicion(span, f"this is a list of one number; {NUMPY}", is_grave=True)
 
     # -- CASE -----------------------------------------------------------------------------
 
@@ -400,6 +434,8 @@ class SqlForms(Cursor):
 
     def form_name(self) -> str:
         """Returns the name of a result form; that of a basic one in any case."""
+        if self.at(TokenType.STRING):
+            self.fail("expected the name of a result form (without quotes)")
         name = self.expect_name("the name of a result form").text
         return name.lower() if name.lower() in FORMS else name
 

@@ -11,7 +11,17 @@ from sqlglot.tokenizer_core import Token, TokenType
 from ssduck.errors import ParseError, SourceSpan, nearest
 from ssduck.formatting import RESERVED_WORDS
 from ssduck.language.quoting import unquoted
-from ssduck.language.sql_suggestions import SIGNS, STATEMENTS, suggestion_for
+from ssduck.language.sql_suggestions import (
+    NO_COMMA,
+    NO_NUMBER,
+    NO_PREFIX,
+    NO_TUPLE,
+    NUMPY,
+    SIGNS,
+    STATEMENTS,
+    suggestion_for,
+    suggestion_for_name,
+)
 from ssduck.language.tree import Suspicion
 
 T = TypeVar("T")
@@ -24,7 +34,7 @@ MAXIMUM_DEPTH = 60
 _SIGNED_NAME = re.compile(r"\b([A-Za-z_]\w*)\.(\w+[/:][\w/:]*)")
 _MAX_SIGNED = 80
 # What is written at an error: signs, as in `=>`, or digits with a comma, as in `0,1`.
-_WRITTEN = re.compile(r"[=<>*+-]+|\d+,\d+")
+_WRITTEN = re.compile(r"[=<>*+:-]+|\d+,\d+")
 
 CLAUSES = frozenset(
     (
@@ -234,7 +244,7 @@ class Cursor:
         else:
             result = repr(self.text[slice_of(token)])
             instead = self._suggestion(token)
-            is_known = token.text.upper() in CLAUSES or instead
+            is_known = token.text.upper() in CLAUSES or instead or message.endswith(")")
             names = () if is_known else nearest(token.text, CLAUSES, 1)
         text = f"{message}, found {result}" + (f"; {instead}" if instead else "")
         raise ParseError(text, text=self.text, span=self.here(), suggestions=names)
@@ -245,14 +255,18 @@ class Cursor:
         if before is not None and before.text.upper() in STATEMENTS:
             return suggestion_for(before.text)
         written = self._written_at(token.start)
-        if written in SIGNS:
-            return SIGNS[written]
+        signs = [written, "" if before is None else self._written_at(before.start)]
+        if instead := next((SIGNS[sign] for sign in signs if sign in SIGNS), ""):
+            return instead
+        if before is not None and (instead := self._between(before, token)):
+            return instead
         suggestion = "" if token.token_type == TokenType.STRING else suggestion_for(token.text)
         if suggestion or before is None:
             return suggestion
         is_key = is_kind(self.ahead(-2), TokenType.DOT)  # the cube of room.cube
         if is_kind(token, TokenType.L_PAREN) and is_key:
-            return f"a function has no dot before it: write {before.text}(…)"
+            instead = suggestion_for_name(before.text)
+            return instead or f"a function has no dot before it: write {before.text}(…)"
         if is_key and is_kind(token, TokenType.VAR) and is_kind(self.ahead(2), TokenType.DOT):
             return f"a relation stands before its entities: {token.text}(a, b)"
         neighbours = [None if is_key else before, self._called_name()]
@@ -267,15 +281,41 @@ class Cursor:
         found = (match for match in _WRITTEN.finditer(self.text, first, last))
         return next((one.group() for one in found if one.start() <= place < one.end()), "")
 
-    def _called_name(self) -> Token | None:
-        """Returns the name before the bracket that is open at the current token."""
+    def _between(self, before: Token, token: Token) -> str:
+        """Returns what to write for two tokens that follow each other in other languages only."""
+        kinds = (before.token_type, token.token_type)
+        opening, is_adjacent = self._opening(), before.end + 1 == token.start
+        bracket = None if opening is None else self.tokens[opening].token_type
+        if kinds[0] == TokenType.COMMA and (kinds[1] in _CLOSING or is_word(token, *CLAUSES)):
+            return NO_COMMA
+        if kinds == (TokenType.NUMBER,) * 2 and bracket == TokenType.L_BRACKET:
+            return NUMPY
+        if kinds == (TokenType.NUMBER, TokenType.VAR) and is_adjacent:
+            return NO_NUMBER
+        if kinds[1] == TokenType.STRING and is_adjacent and is_word(before, "F", "R", "B", "U"):
+            return NO_PREFIX
+        if kinds[1] == TokenType.COMMA and bracket == TokenType.L_PAREN:
+            called = self._called_name()
+            is_call = is_kind(called, TokenType.VAR)
+            is_call = is_call and not is_word(called, *CLAUSES, *OPERATOR_WORDS)
+            is_query = opening is not None and is_word(self.tokens[opening + 1], "SELECT")
+            return "" if is_call or is_query else NO_TUPLE
+        return ""
+
+    def _opening(self) -> int | None:
+        """Returns the number of the bracket that is open at the current token."""
         depth = 0
-        for place in range(self.index - 1, 0, -1):
+        for place in range(self.index - 1, -1, -1):
             kind = self.tokens[place].token_type
-            depth += (kind == TokenType.R_PAREN) - (kind == TokenType.L_PAREN)
+            depth += (kind in _CLOSING) - (kind in _OPENING)
             if depth < 0:
-                return self.tokens[place - 1]
+                return place
         return None
+
+    def _called_name(self) -> Token | None:
+        """Returns the token before the bracket that is open at the current token."""
+        opening = self._opening()
+        return self.tokens[opening - 1] if opening else None
 
 
 def is_kind(token: Token | None, kind: TokenType) -> bool:

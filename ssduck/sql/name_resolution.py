@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 from ssduck.errors import ArgumentError, SelectScriptError
-from ssduck.language.aggregates import is_grouped, over_rows
+from ssduck.language.aggregates import is_grouped, is_one_group, over_rows
 from ssduck.language.analysis import free_aliases, states
 from ssduck.language.builtins import AGGREGATES, NUMBER_FUNCTIONS
 from ssduck.language.clauses import SelectedValue
@@ -109,7 +109,18 @@ class _Resolver:
         columns = tuple(self._columns())
         if self._aggregates_all_rows(columns):
             changed = replace(changed, having=Literal(query.span, True))
+        if is_one_group(changed):  # an unknown aggregate would be taken for a value of one row
+            for column in columns:
+                self._check_calls(column.node)
         return ResolvedQuery(changed, columns, self._bare)
+
+    def _check_calls(self, node: Node) -> None:
+        if isinstance(node, Query):
+            return
+        if isinstance(node, Call):
+            self._names.check_call(node)
+        for child in node.children():
+            self._check_calls(child)
 
     def _aggregates_all_rows(self, columns: Sequence[SelectedValue]) -> bool:
         """Checks whether SELECT has aggregates that can only be over all rows: `avg(z)`.

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import warnings
+from contextlib import suppress
 
 import mujoco
 import numpy as np
@@ -10,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import ssduck
-from ssduck.errors import SelectScriptError
+from ssduck.errors import EvaluationError, ProgramWarning, SelectScriptError
 from ssduck.language.sql_suggestions import suggestion_for_name
 
 XML = """
@@ -145,12 +147,29 @@ OF_PROGRAMS = [
     ("qpos[0];", "the position of a joint is joint(entity, 'name')"),
     ("sim.cube.qpos;", "the position of a joint is joint(entity, 'name')"),
     ("sum(sim.ctrl ^ 2);", "ss.add_variable('ctrl', list(data.ctrl))"),
+    ("SELECT avg(z), variance(z) FROM sim;", "write stddev(x) ^ 2"),
+    ("SELECT count(*), quantile_cont(z, 0.5) FROM sim;", "raw SQL has all of DuckDB: ss.sql("),
+    ("SELECT max(z), argmax(z) FROM sim;", "ORDER BY z DESC LIMIT 1"),
+    ("all(SELECT z > 0 FROM sim);", "NOT EXISTS (SELECT this FROM room WHERE NOT (condition))"),
+    ("any(SELECT z > 0 FROM sim);", "write EXISTS (SELECT this FROM room WHERE condition)"),
+    ("z(sim.cube) > ANY (SELECT z FROM sim);", "x > min(SELECT …)"),
+    ("z(sim.cube) > ALL (SELECT z FROM sim);", "x > max(SELECT …)"),
+    ("z(sim.cube) != nan;", "NaN is x != x"),
+    ("z(sim.cube) IS nan;", "NaN is x != x"),
+    ("z(sim.cube) < inf;", "infinity float('inf')"),
+    ("len('abc');", "write count(x), of a list or of the letters"),
     ("sum([1, 2] ^ 2);", "norm(list) ^ 2"),
     ("[1, 2] * [3, 4];", "the dot product is sum("),
     ("SELECT vy FROM sim;", "write velocity(e)[1]"),
     ("SELECT k.wz FROM sim k;", "write angularVelocity(e)[2]"),
     ("SELECT id FROM sim ORDER BY qw;", "write orientation(e)[0]"),
     ("SELECT id FROM sim AS frame_of_pandas;", "help('AS') lists all"),
+    ("SELECT id FROM sim AS array;", "did you mean 'list' or 'numpy'?"),
+    ("SELECT id FROM sim AS Scalar;", "did you mean 'value'?"),
+    ("SELECT id FROM sim AS rows;", "did you mean 'dict' or 'records'?"),
+    ("SELECT id FROM sim AS map;", "its value: The grid of cells"),
+    ("SELECT id FROM sim AS 'list';", "expected the name of a result form (without quotes)"),
+    ("SELECT id FROM sim AS dict of list;", "a result form is one word"),
     # Time.
     (
         "heldFor(z(sim.cube) > 0, 0.2);",
@@ -171,6 +190,23 @@ OF_PROGRAMS = [
     ("z(sim.cube) =< 1;", "write <="),
     ("z(sim.cube) === 1;", "write =="),
     ("2 ** 3;", "a power is x ^ y"),
+    ("x++;", "write x = x + 1"),
+    ("x := 1;", "write x = 1"),
+    ("1_000;", "a number is written 1000"),
+    ("7 mod 2;", "write x % y"),
+    ('f"{x}";', "a text has no letter before its quote"),
+    ("while True: 1;", "no statements of Python"),
+    ("lambda x: x;", "no statements of Python"),
+    ("[1, 2, ];", "leave the comma before it out"),
+    ("z(sim.cube, );", "leave the comma before it out"),
+    ("SELECT id, z, FROM sim;", "found 'FROM'; leave the comma before it out"),
+    ("distance(sim.cube, (1,2,3));", "a list is written in square brackets: [1, 2, 3]"),
+    ("x = (1, 2);", "a list is written in square brackets"),
+    ("x = {1, 2};", "a list is [1, 2, 3]"),
+    ("distance(sim.cube, [0.1 0.2 0.3]);", "array.tolist()"),
+    ("distance(sim.cube, [ 1. -2.  3.]);", "array.tolist()"),
+    ("distance(sim.cube, np.array([1, 2, 3]));", "given as a parameter: ss.eval("),
+    ("distance(sim.cube, [np.float64(0.1), 2, 3]);", "array.tolist()"),
     ("1 if z(sim.cube) > 0 else 0;", "a choice is IF(condition; a; b)"),
     ("z(sim.cube) > 0 ? 1 : 0;", "a choice is IF(condition; a; b)"),
     ("position(sim.cube)[0:2];", "[p[0], p[1]], not p[0:2]"),
@@ -194,6 +230,14 @@ OF_PROGRAMS = [
 ]
 
 
+def test_what_follows_names_that_mean_other_things_has_no_hint(ss):
+    for program in ("f(1, 2 3);", "IF(1 > 2,1,2);", "SELECT id FROM (SELECT id FROM sim, 5);"):
+        with pytest.raises(SelectScriptError) as caught:
+            ss.eval(program)
+        assert "square brackets" not in str(caught.value)
+        assert "NumPy" not in str(caught.value)
+
+
 @pytest.mark.parametrize(("program", "told"), OF_PROGRAMS)
 def test_a_program_says_what_to_write(ss, program, told):
     with pytest.raises(SelectScriptError, match=re.escape(told)):
@@ -208,6 +252,20 @@ def test_what_the_errors_say_is_right(ss):
     assert mean == pytest.approx(np.mean([body.position for body in ss["sim"]], axis=0)[::2])
     (row,) = ss.eval("SELECT avg(x(this)) AS x, avg(z(this)) AS z FROM sim;")
     assert list(row.values()) == pytest.approx(mean)
+    heights = [float(body.position[2]) for body in ss["sim"]]
+    (row,) = ss.eval(
+        "SELECT stddev(z) AS s, stddev(z) ^ 2 AS v, median(z) AS m, sqrt(avg(z ^ 2) - avg(z) ^ 2) "
+        "AS p FROM sim;"
+    )
+    spread = np.std(heights, ddof=1)
+    expected = [spread, spread**2, np.median(heights), np.std(heights)]
+    assert list(row.values()) == pytest.approx(expected)
+    assert ss.sql("SELECT stddev(z), median(z) FROM entities").fetchone() == pytest.approx(
+        [row["s"], row["m"]]
+    )
+    assert ss.eval("NOT EXISTS (SELECT this FROM sim WHERE NOT (z > -1));") is True
+    assert ss.eval("[True IN [z(sim.cube) > 9], NOT False IN [True, False]];") == [False, False]
+    assert ss.eval("distance(sim.cube, p);", {"p": np.array([0.0, 0.0, 0.0])}) == 0.5
     assert ss.eval("SELECT id FROM links(sim) WHERE id = 'arm.hand' AS list;") == ["arm.hand"]
     assert ss.eval("SELECT id FROM sim{} WHERE time >= 1 AND time <= 2;") == []
     assert ss.eval("start = initially(z(sim.cube)); holds(z(sim.cube) - start >= 0.1);") == []
@@ -261,6 +319,28 @@ def test_what_is_said_of_other_libraries_is_right():
         assert ss.eval(f"[holds({condition})[0][0], holds({condition})[-1][1]];") == [0, 0.5]
         touched = "EXISTS (SELECT this FROM sim WHERE touching(sim.{}, this));"
         assert [ss.eval(touched.format(name)) for name in ("cube", "table")] == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("program", "told"),
+    [
+        ("least(z(sim.cube), z(sim.table));", "of two numbers write min([a, b])"),
+        ("greatest(z(sim.cube), 0);", "of two numbers write max([a, b])"),
+        ("holds(z(sim.cube) > 0, 0.2);", "heldFor(condition) >= 0.2"),
+        ("t = 0.2; holds(z(sim.cube) > 0, t);", "heldFor(condition) >= 0.2"),
+        ("changes(z(sim.cube) > 0, 0.2);", "the value at a time is at(0.2, expression)"),
+    ],
+)
+def test_a_second_argument_that_is_no_age_is_told_of(ss, program, told):
+    with pytest.warns(ProgramWarning, match=re.escape(told)), suppress(EvaluationError):
+        ss.eval(program)
+
+
+def test_ages_are_not_told_of(ss):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ss.eval("t = -0.2; [holds(z(sim.cube) > 0, t), least(z(sim.cube), -0.1)];")
+        ss.eval("t = 0.2; [changes(z(sim.cube), -t), changes(z(sim.cube), t - 1)];")
 
 
 def test_save_is_told_of(ss):
