@@ -431,6 +431,15 @@ DAMAGES = [
     ("library_geometries", "library", "<COLLADA> has no <library_geometries>"),
     ('<vertices id="v"><input semantic="POSITION" source="#p"/></vertices>', "", "no <vertices>"),
     ("<p>0 1 2</p>", "", "<triangles> has no <p>"),
+    (
+        '"1"><input semantic="VERTEX" source="#v" offset="0"/><p>0 1 2',
+        '"0"><input semantic="VERTEX" source="#v" offset="0"/><p>',
+        "<p> is empty",
+    ),
+    ("<p>0", "<p><!-- a -->0", "<p> is empty"),
+    ("<p>0", "<p><?a?>0", "<p> is empty"),
+    ("<p>0", "<p>0<!-- a -->", "has fewer corners than it counts"),
+    ('"9">0', '"9"><!-- a -->0', "has not the numbers that it counts"),
     ("0 1 2</p>", "0 1 99999999</p>", "refers to a missing vertex"),
     ("0 1 2</p>", "0 1 -99999999</p>", "refers to a missing vertex"),
     ("0 1 2</p>", "0 1 x</p>", "invalid literal"),
@@ -472,6 +481,25 @@ def test_a_damaged_collada_file(tmp_path: Path, old: str, new: str, words: str) 
     (tmp_path / "m.dae").write_text(COLLADA.replace(old, new))
     with pytest.raises(SceneError, match=rf"m.dae: .*{words}"):
         ssduck.load(tmp_path / "s.urdf", simulator="pybullet")
+
+
+EMPTY = (
+    '<geometry id="e"><mesh><source id="q"><float_array id="b" count="0"/>'
+    '</source><vertices id="w"><input semantic="POSITION" source="#q"/></vertices></mesh></geometry>'
+)
+
+
+def test_a_collada_file_with_an_empty_geometry(tmp_path: Path) -> None:
+    """Exporters write these, and PyBullet reads no source of them, as in a hip of the ANYmal."""
+    text = COLLADA.replace("</library_geometries>", f"{EMPTY}</library_geometries>")
+    text = text.replace(
+        "</visual_scene>", '<node><instance_geometry url="#e"/></node></visual_scene>'
+    )
+    (tmp_path / "m.dae").write_text(text)
+    (tmp_path / "s.urdf").write_text(mesh("m.dae"))
+    with ssduck.load(tmp_path / "s.urdf", simulator="pybullet") as ss:
+        rows = ss.sql("SELECT xmin, ymin, zmin, xmax, ymax, zmax FROM shapes").fetchall()
+    assert rows == [pytest.approx((0, 0, 0, 1, 1, 0), abs=1e-9)]
 
 
 @pytest.mark.slow

@@ -25,8 +25,10 @@ def collada_fault(file: Path) -> str:
     content = file.read_bytes()
     if b"<!DOCTYPE" in content:  # readers differ in what they take entities for
         return "<!DOCTYPE> is not supported"
+    # PyBullet takes the text of an element up to a comment.
+    parts = ET.TreeBuilder(insert_comments=True, insert_pis=True)
     try:
-        root = ET.fromstring(content)  # noqa: S314  # without <!DOCTYPE>, it has no entities
+        root = ET.fromstring(content, ET.XMLParser(target=parts))  # noqa: S314  # no entities
     except (ET.ParseError, ValueError) as error:
         return f"it is no XML: {error}"
     if _name(root) != "COLLADA":
@@ -52,13 +54,16 @@ def collada_fault(file: Path) -> str:
 
 
 def _check_mesh(mesh: ET.Element) -> None:
-    """Checks the triangles of a mesh.
+    """Checks the triangles of a mesh; PyBullet reads no source of a mesh without any.
 
     Raises:
         ValueError: a part is missing, or a triangle has a corner that is not there.
     """
-    counts = {_attribute(part, "id"): _row_count(part) for part in _children(mesh, "source")}
+    sources = {_attribute(part, "id"): part for part in _children(mesh, "source")}
     vertices = _child(mesh, "vertices")
+    if next(_children(mesh, "triangles"), None) is None:
+        return
+    counts = {name: _row_count(part) for name, part in sources.items()}
     inputs = list(_children(vertices, "input"))
     places = [i for i in inputs if _attribute(i, "semantic") == "POSITION"]
     if not places:
@@ -83,6 +88,8 @@ def _check_triangles(triangles: ET.Element, counts: Mapping[str, int]) -> None:
         raise ValueError("<triangles> has no <input> of vertices")
     width = max(bounds) + 1
     indices = np.array([int(word[:18]) for word in (_child(triangles, "p").text or "").split()])
+    if not len(indices):
+        raise ValueError("<p> is empty")
     if len(indices) < 3 * width * _number(triangles, "count"):
         raise ValueError("<triangles> has fewer corners than it counts")
     for offset, bound in bounds.items():
