@@ -319,7 +319,6 @@ PARTS = [
     ("sdf", "in_model", '<plugin name="p" filename="f"/>', "<plugin> of p"),
     ("sdf", "in_world", '<actor name="a"/>', "<actor> of a"),
     ("sdf", "in_world", "<physics><max_step_size>0.1</max_step_size></physics>", "<physics>"),
-    ("sdf", "in_model", '<frame name="f"/>', "<frame> of f"),
     ("sdf", "in_model", '<gripper name="g"/>', "<gripper> of g"),
     (
         "sdf",

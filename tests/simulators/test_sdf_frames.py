@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from tests.support.bodies import client_of
 from tests.support.models import sdf_link, sdf_model, sdf_of
 
-# A frame is no link: the warning of that is not the subject here.
-pytestmark = pytest.mark.filterwarnings("ignore:.*PyBullet ignores <frame> of f$")
+# Nothing is ignored of frames to which poses are relative.
+pytestmark = pytest.mark.filterwarnings("error:.*PyBullet ignores <frame>")
 
 
 def frame(pose):

@@ -30,7 +30,6 @@ IGNORED: Mapping[str, tuple[str, ...]] = MappingProxyType(
             ".//plugin",
             ".//actor",
             ".//physics",
-            ".//frame",
             ".//gripper",
             ".//surface",
             ".//model/model",
