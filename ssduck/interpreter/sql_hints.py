@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Mapping
 
+import sqlglot
+
 from ssduck.errors import SelectScriptError, SqlError, nearest
 from ssduck.interpreter.temporal_functions import TEMPORAL_FUNCTIONS
 from ssduck.language.parser import parse
@@ -23,6 +25,7 @@ _POINT = re.compile(r"Cannot extract field '[xyz]' from expression \"list_value\
 _FUNCTION = re.compile(r"Function with name \"?(\w+|=>|=<)\"? does not exist")
 _NUMBER = re.compile(r"Could not convert string '(.*)' to INT64")
 _GUESS = "\nDid you mean"
+_SYNTAX = re.compile(r'Parser Error: syntax error at or near "([^"]+)"')
 _NO_SOURCE = re.compile(r'Referenced table "(\w+)" not found')
 # The relations whose names are words of SQL, where they are called.
 _RESERVED = {
@@ -100,7 +103,7 @@ def add_hint(
         error.message = (
             f"{name} is a function of yours, and raw SQL calls those whose parameters and result "
             "all have type hints (bool, int, float, str or lists of these): "
-            f"def {name}(x: float) -> float, say"
+            f"def {name}(x: float) -> float, say; programs of ss.eval call any, also of entities"
         )
     elif hint := _hint(message, sql, worlds):
         error.message = f"{message.partition(_GUESS)[0]}\n{hint}"
@@ -109,7 +112,7 @@ def add_hint(
 def _hint(message: str, sql: str, worlds: Mapping[str, World]) -> str:
     """Returns the hint for a message of DuckDB's; empty if there is none."""
     if message.startswith("Parser Error"):
-        return _hint_of_syntax(sql)
+        return _hint_of_world(message, sql, worlds) or _hint_of_syntax(sql)
     if match := _TABLE.match(message):
         return _hint_of_table(match.group(1), message, worlds)
     if match := _COLUMN.search(message):
@@ -141,6 +144,18 @@ def _hint_of_table(name: str, message: str, worlds: Collection[str]) -> str:
         return ""
     tables = f"The tables of a world are {', '.join(TABLES)}; a" if worlds else "A"
     return f"{tables} frame of yours is a table after ss.register({name!r}, {name})"
+
+
+def _hint_of_world(message: str, sql: str, worlds: Collection[str]) -> str:
+    """Returns the hint for a world whose name is a word of SQL, where its tables are named."""
+    match = _SYNTAX.match(message)
+    for world in worlds if match else ():
+        named = re.search(rf"\b({world})\s*\.\s*(\w+)", sql, re.IGNORECASE)
+        if named and match and match.group(1) in (named.group(1), "."):
+            (token,) = sqlglot.tokenize(world, read="duckdb")
+            if match.group(1) != "." or token.token_type != sqlglot.TokenType.VAR:
+                return f'{world} is a word of SQL: write "{world}".{named.group(2)}'
+    return ""
 
 
 def _hint_of_syntax(sql: str) -> str:

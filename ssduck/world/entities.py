@@ -146,19 +146,26 @@ class Entity(Handle, OpenRaveEntity):
         try:
             return self.link(name)
         except UnknownNameError as error:
-            if error.suggestions:
+            if error.suggestions and not self._is_of_another_kind(name):
                 raise
             raise TypeError(error.message) from error
+
+    def _is_of_another_kind(self, name: str) -> bool:
+        """Checks whether a name that no link has is that of a joint, or of a value."""
+        return hasattr(type(self), name) or self._has_joint(name)
+
+    def _has_joint(self, name: str) -> bool:
+        body = self.info.body
+        return body is not None and any(joint.name == name for joint in body.joints)
 
     def key_hint(self, key: str) -> str:
         """The hint of the error for a program that asks for a part or a value by a key."""
         parts = links_and_sites_of(self)
         kinds = " and ".join(dict.fromkeys(f"{part.kind}s" for part in parts))
         names = [part.name for part in parts]
-        near = nearest(key, names, 1)
+        near = () if self._is_of_another_kind(key) else nearest(key, names, 1)
         told = f"did you mean {near[0]!r}?" if near else super().key_hint(key)
-        body = self.info.body
-        if body is not None and any(joint.name == key for joint in body.joints):
+        if self._has_joint(key):
             told = f"of a joint write joint({name_path(self.world.name, self.name)}, {key!r})"
         return f"its {kinds}: {joined_names(names)}; {told}" if parts else told
 

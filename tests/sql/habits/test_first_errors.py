@@ -27,7 +27,7 @@ XML = """
     <body name="arm" pos="2 0 1">
       <joint name="hinge" axis="0 0 1"/>
       <geom type="box" size=".4 .02 .1"/>
-      <body name="hand" pos=".5 0 0"><joint name="wrist"/><geom name="pad" size=".05"/></body>
+      <body name="hand" pos=".5 0 0"><joint name="hand_joint"/><geom name="pad" size=".05"/></body>
     </body>
   </worldbody>
 </mujoco>
@@ -95,6 +95,19 @@ def test_other_errors_of_sql_have_no_such_hint(ss, sql):
         ss.sql(sql)
     assert "SelectScript" not in str(caught.value)
     assert "row" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["order", "join", "table"])
+def test_a_world_whose_name_is_a_word_of_sql(name):
+    model = mujoco.MjModel.from_xml_string(XML)
+    with ssduck.Interpreter() as ss:
+        ss.add_variable(name, ssduck.World.attach(model, mujoco.MjData(model)))
+        with pytest.raises(SelectScriptError, match=f'{name} is a word of SQL: write "{name}".ent'):
+            ss.sql(f"SELECT count(*) FROM {name}.entities")
+        assert ss.sql(f'SELECT count(*) FROM "{name}".entities').fetchall() == [(5,)]
+        with pytest.raises(SelectScriptError) as caught:
+            ss.sql(f'SELECT count(*) FROM "{name}"..entities')
+        assert "word of SQL" not in str(caught.value)
 
 
 def test_the_name_of_a_users_table_is_still_guessed():
@@ -226,6 +239,8 @@ OF_PROGRAMS = [
     ("z(sim.pad);", "a shape of the body hand: write sim.arm.hand"),
     ("sim.hinge;", "it is a joint: write joint(sim.arm, 'hinge')"),
     ("sim.arm.hinge;", "write joint(sim.arm, 'hinge')"),
+    ("sim.arm.hand_joint;", "write joint(sim.arm, 'hand_joint')"),  # there is a link 'hand'
+    ("sim.cube.links;", "links(sim.cube)"),
     ("z(sim.qwerty);", "has no entity 'qwerty', only world, table, cube, duplo2x4/, arm"),
 ]
 
