@@ -50,6 +50,15 @@ def name_path(world: str, *names: str) -> str:
     return world + "".join(f"[{name!r}]" for name in names)
 
 
+def past_path(world: str, name: str) -> str:
+    """Returns how a program names an entity at an earlier time.
+
+    >>> past_path("lab", "cup"), past_path("lab", "duplo2x4/")
+    ('lab{…}.cup', "lab{…}['duplo2x4/']")
+    """
+    return f"{world}{{…}}{name_path(world, name).removeprefix(world)}"
+
+
 def short_repr(value: Any) -> str:
     """Returns the `repr` of a value, shortened if it is long.
 

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.errors import ArgumentError, NumberError, StateError
-from ssduck.formatting import short_repr
+from ssduck.errors import ArgumentError, NumberError, StateError, nearest
+from ssduck.formatting import joined_names, short_repr
 
 # More steps than this would take years: the number is a mistake.
 MAX_STEPS = 10**12
@@ -24,6 +24,31 @@ MAX_STEPS = 10**12
 _SCHEMAS = frozenset(("main", "memory", "temp", "system", "pg_catalog", "information_schema"))
 # The largest width and height of a picture, pixels.
 MAX_PIXELS = 8192
+
+
+# -- arguments --------------------------------------------------------------------------------
+
+
+def no_others(
+    given: Mapping[str, object], function: str, known: Sequence[str], instead: Mapping[str, str]
+) -> None:
+    """Checks that a function was called without other keywords than its own.
+
+    Args:
+        given: the other arguments.
+        function: the name of the function.
+        known: the names of its own arguments.
+        instead: what to write for names that users of other libraries know.
+
+    Raises:
+        ArgumentError: there is one.
+    """
+    for name in given:
+        told = instead.get(name, f"the arguments are {joined_names(known)}")
+        raise ArgumentError(
+            f"{function}: there is no argument {name!r}; {told}",
+            suggestions=() if name in instead else nearest(name, known),
+        )
 
 
 # -- numbers ----------------------------------------------------------------------------------

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, Protocol, Self, cast
+from typing import Any, Literal, Never, Protocol, Self, cast
 from weakref import WeakKeyDictionary
 
 from ssduck import validation
@@ -64,7 +64,7 @@ from ssduck.lazy import service
 from ssduck.limits import Limits
 from ssduck.recording.spec import Recording
 from ssduck.simulators.scenes import Camera
-from ssduck.world.public_names import PublicNames
+from ssduck.world.public_names import INSTEAD_IN_INTERPRETERS, PublicNames
 from ssduck.world.running import run
 from ssduck.world.world import World
 
@@ -109,6 +109,8 @@ class Interpreter(RecordingMethods, AdditionMethods, TriggerMethods, EvalAsMetho
     ...     ss.eval("SELECT this * this FROM [1, 2, 3] AS list;")
     [1, 4, 9]
     """
+
+    INSTEAD_OF = INSTEAD_IN_INTERPRETERS
 
     def __init__(
         self,
@@ -457,6 +459,7 @@ class Interpreter(RecordingMethods, AdditionMethods, TriggerMethods, EvalAsMetho
         realtime: bool | float = False,
         progress: bool | Literal["always"] = False,
         every: int | None = 1,
+        **others: Never,
     ) -> None:
         """Runs all worlds in lockstep for a duration, each in its own time step.
 
@@ -469,6 +472,7 @@ class Interpreter(RecordingMethods, AdditionMethods, TriggerMethods, EvalAsMetho
             realtime: True to keep pace with the clock, or a factor of its speed.
             progress: whether a progress bar is shown.
             every: the number of steps between two ticks; None for requested ticks and the last.
+            **others: none; an error says what to write for other names.
 
         Raises:
             UnknownNameError: there is no world.
@@ -484,7 +488,7 @@ class Interpreter(RecordingMethods, AdditionMethods, TriggerMethods, EvalAsMetho
             raise UnknownNameError(
                 "there is no world to run; add one with add_variable, or use load"
             )
-        run(worlds, seconds, realtime=realtime, progress=progress, every=every)
+        run(worlds, seconds, realtime=realtime, progress=progress, every=every, **others)
 
     # -- raw SQL --------------------------------------------------------------------------
 

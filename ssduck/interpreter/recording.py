@@ -6,7 +6,7 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -39,7 +39,6 @@ _FILES = (".mcap", ".rrd")
 class RecordingMethods(ABC):
     """The methods of an interpreter on records."""
 
-    INSTEAD_OF: ClassVar[Mapping[str, str]] = {"save": "export(folder) writes a world's ticks"}
     _database: Database
     _lock: threading.RLock
     _planner: Planner

@@ -34,6 +34,11 @@ _RESERVED = {
 _CALLED = re.compile(rf"\b({'|'.join(_RESERVED)})\s*\(", re.IGNORECASE)
 _OWN_TABLES = re.compile(rf"\b({'|'.join(TABLES)})\b", re.IGNORECASE)
 _NAMES = {name.lower(): name for name in RELATIONS}
+# A table or a world with the braces that the past has in SelectScript.
+_PAST = re.compile(r"\bFROM\s+[\w.\"]+\s*\{", re.IGNORECASE)
+_PAST_TABLES = (
+    "The past has tables of its own in SQL: SELECT name, z FROM entities_history WHERE time = 0.5"
+)
 _IS_SELECTSCRIPT = (
     "This is SelectScript: ss.eval runs it, and ssduck query without --sql. In SQL, entities are "
     "rows: SELECT b.name FROM entities a, entities b WHERE above(a, b) AND a.name = 'table'"
@@ -70,6 +75,10 @@ _TABLES = {
     "robots": "entities, WHERE kind = 'robot'",
     "sensors": "entities, WHERE kind = 'sensor'",
     "geoms": "shapes",
+    **dict.fromkeys(
+        ("history", "past", "trajectory", "states"),
+        "entities_history, links_history and so on, which have the rows of all recorded ticks",
+    ),
 }
 # The functions of SelectScript that SQL has not.
 _ONLY_PROGRAMS = frozenset(name.lower() for name in TEMPORAL_FUNCTIONS)
@@ -142,7 +151,12 @@ def _hint_of_table(name: str, message: str, worlds: Collection[str]) -> str:
         return f"write {_TABLES[name]}"
     if nearest(name, re.findall(r"\w+", message.partition(_GUESS)[2])):  # DuckDB's guess is good
         return ""
-    tables = f"The tables of a world are {', '.join(TABLES)}; a" if worlds else "A"
+    tables = "A"
+    if worlds:
+        tables = (
+            f"The tables of a world are {', '.join(TABLES)}, and those of all recorded ticks "
+            "entities_history and so on; a"
+        )
     return f"{tables} frame of yours is a table after ss.register({name!r}, {name})"
 
 
@@ -159,6 +173,8 @@ def _hint_of_world(message: str, sql: str, worlds: Collection[str]) -> str:
 
 
 def _hint_of_syntax(sql: str) -> str:
+    if _PAST.search(sql):
+        return f"{_PAST_TABLES}\n{_IS_SELECTSCRIPT}" if _is_selectscript(sql) else _PAST_TABLES
     called = _CALLED.search(sql)
     if called is not None and (_OWN_TABLES.search(sql) or not _is_selectscript(sql)):
         name = called.group(1)

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ssduck.errors import ArgumentError, SceneError, UnknownNameError, nearest
+from ssduck.formatting import joined_names
 from ssduck.simulators.scene_bodies import MODEL_SUFFIXES, BodySpec, read_body, read_floor
 from ssduck.simulators.sensor_types import SENSOR_TYPES, SensorSetting, SensorType
 from ssduck.simulators.toml_reader import REQUIRED, Quaternion, TomlTable, Vector
@@ -373,7 +374,9 @@ def read_sensor(values: Mapping[str, Any], bodies: Collection[str]) -> SensorSpe
 def _sensor(table: TomlTable, bodies: Collection[str] | None) -> SensorSpec:
     name = table.text("type")
     if name not in SENSOR_TYPES:
-        table.fail("type", f"there is no sensor type {name!r}", nearest(name, SENSOR_TYPES))
+        known = f"the types are {joined_names(list(SENSOR_TYPES))}"
+        told = f"there is no sensor type {name!r}; {known}"
+        table.fail("type", told, nearest(name, SENSOR_TYPES))
     kind = SENSOR_TYPES[name]
     on = table.text("on")
     check_body(on, bodies, table.place("on"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Never, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -24,15 +24,27 @@ from ssduck.simulators.joints import openness
 from ssduck.simulators.kinematics import JointValues
 from ssduck.simulators.scenes import SensorSpec
 from ssduck.simulators.sensor_types import SENSOR_TYPES
-from ssduck.world.handles import Handle, RecordedTick
+from ssduck.world.handles import Handle, NamedList, RecordedTick
 from ssduck.world.layout import EntityInfo
 from ssduck.world.links import Link, Site, links_and_sites_of, links_of, sites_of
 from ssduck.world.openrave_names import OpenRaveEntity, OpenRaveSensor
 from ssduck.world.orientations import Orientation, orientation_of
+from ssduck.world.public_names import INSTEAD_IN_ENTITIES
 from ssduck.world.sensor_readings import Reading
 
 if TYPE_CHECKING:
     from ssduck.world.world import World
+
+
+# What to write for the arguments that other libraries' functions have for a pose.
+_OF_MOVE = {
+    **dict.fromkeys(("pos", "xyz", "translation"), "the position is position=[x, y, z], m"),
+    **dict.fromkeys(
+        ("quaternion", "quat", "orn", "rotation"),
+        "a quaternion is wxyz=[w, x, y, z], or xyzw=[x, y, z, w]",
+    ),
+    **dict.fromkeys(("q", "qpos"), "positions of joints are joints={'name': 0.5}"),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +87,8 @@ class Entity(Handle, OpenRaveEntity):
 
     __slots__ = ("kind",)
 
+    INSTEAD_OF = INSTEAD_IN_ENTITIES
+
     kind: Kind
 
     def __init__(
@@ -105,20 +119,20 @@ class Entity(Handle, OpenRaveEntity):
             return state.snapshot.entities[self._row()]
 
     @property
-    def links(self) -> list[Link]:
-        """The links, the base first; requests the table of links from the world."""
+    def links(self) -> NamedList[Link]:
+        """The links, the base first, by number or name; requests the table of links."""
         with self.state.lock:
             self._row()
             self.state.request_tables(["links"])
-            return links_of(self)
+            return NamedList(links_of(self))
 
     @property
-    def sites(self) -> list[Site]:
-        """The sites; requests the table of links from the world."""
+    def sites(self) -> NamedList[Site]:
+        """The sites, by number or name; requests the table of links from the world."""
         with self.state.lock:
             self._row()
             self.state.request_tables(["links"])
-            return sites_of(self)
+            return NamedList(sites_of(self))
 
     def link(self, name: str) -> Link:
         """Returns the link, or the site, of a name.
@@ -170,10 +184,11 @@ class Entity(Handle, OpenRaveEntity):
         return f"its {kinds}: {joined_names(names)}; {told}" if parts else told
 
     @property
-    def joints(self) -> list[JointState]:
-        """The joints; requests the table of joints from the world."""
+    def joints(self) -> NamedList[JointState]:
+        """The joints, by number or name; requests the table of joints from the world."""
         keys = ("name", "type", "position", "velocity", "effort", "lower", "upper")
-        return [JointState(**{key: row[key] for key in keys}) for row in self._table("joints")]
+        rows = self._table("joints")
+        return NamedList(JointState(**{key: row[key] for key in keys}) for row in rows)
 
     def move(
         self,
@@ -183,6 +198,7 @@ class Entity(Handle, OpenRaveEntity):
         *,
         wxyz: Sequence[float] | None = None,
         xyzw: Sequence[float] | None = None,
+        **others: Never,
     ) -> None:
         """Moves the body to another pose, at rest, and takes a tick, so that queries see it.
 
@@ -203,6 +219,7 @@ class Entity(Handle, OpenRaveEntity):
                 velocity.
             wxyz: in place of `orientation`: a quaternion [w, x, y, z], without the warning.
             xyzw: in place of `orientation`: a quaternion [x, y, z, w], as PyBullet has them.
+            **others: none; an error says what to write for other names.
 
         Raises:
             StateError: a number is not finite, the orientation is all 0, or a joint is beyond
@@ -213,6 +230,8 @@ class Entity(Handle, OpenRaveEntity):
             RemovedEntityError: the entity is no longer in its world.
             UnsupportedError: the entity is in a what-if world.
         """
+        arguments = ("position", "orientation", "joints", "wxyz", "xyzw")
+        validation.no_others(others, "move", arguments, _OF_MOVE)
         pose = None
         given = (position, orientation, wxyz, xyzw)
         if joints is None or any(value is not None for value in given):

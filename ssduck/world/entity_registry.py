@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import count
 from typing import Any
 
@@ -17,13 +17,13 @@ from ssduck.errors import (
     nearest,
     printable,
 )
-from ssduck.formatting import first_names, name_path, path_text
+from ssduck.formatting import first_names, name_path, path_text, short_repr
 from ssduck.schema import LINK_FACTOR
 from ssduck.simulators.interface import Simulator
 from ssduck.simulators.naming import unique_name
 from ssduck.simulators.scenes import SensorSpec, read_sensor
+from ssduck.simulators.sensor_types import SENSOR_TYPES
 from ssduck.world.entities import Entity
-from ssduck.world.handles import Handle
 from ssduck.world.layout import EntityInfo
 from ssduck.world.links import Link
 
@@ -52,10 +52,12 @@ class EntityRegistry:
 
     Attributes:
         entities: the current entities; a new list whenever entities were added or removed.
+        removed: the simulated times, s, at which those of a name were found to be removed.
     """
 
     def __init__(self, entities: list[EntityInfo]) -> None:
         self.entities = entities
+        self.removed: dict[str, float] = {}
         self._ids = count(1)
 
     def add_all(self, simulator: Simulator, sensors: Sequence[SensorSpec]) -> None:
@@ -77,11 +79,9 @@ class EntityRegistry:
         added, removed = changes
         removed_bodies = set(removed)
         removed_ids = {info.id for info in self.entities if info.body in removed_bodies}
-        self.entities = [
-            info
-            for info in self.entities
-            if info.id not in removed_ids and info.mount[0] not in removed_ids
-        ]
+        self._remove(
+            lambda info: info.id in removed_ids or info.mount[0] in removed_ids, simulator.time
+        )
         used_names = {info.name for info in self.entities}
         for body in added:
             name = unique_name(body.name, used_names)
@@ -137,11 +137,15 @@ class EntityRegistry:
         self.entities = [*self.entities, info]
         return info
 
-    def remove(self, id: int) -> None:
-        """Removes a sensor."""
-        self.entities = [info for info in self.entities if info.id != id]
+    def remove(self, id: int, time: float) -> None:
+        """Removes a sensor, at a simulated time, s."""
+        self._remove(lambda info: info.id == id, time)
 
-    def host(self, on: str | Handle, world: str) -> EntityInfo:
+    def _remove(self, is_gone: Callable[[EntityInfo], bool], time: float) -> None:
+        self.removed |= {info.name: time for info in self.entities if is_gone(info)}
+        self.entities = [info for info in self.entities if not is_gone(info)]
+
+    def host(self, on: str | Entity | Link, world: str) -> EntityInfo:
         """Returns the body of a new sensor.
 
         Args:
@@ -161,11 +165,12 @@ class EntityRegistry:
                 raise on.removed()
         else:
             host = next((info for info in self.entities if info.name == on), None)
-        if host is None:
-            known = [info.name for info in self.entities if info.body is not None]
-            raise UnknownNameError(
-                f"world {world!r} has no body {on!r}", suggestions=nearest(on, known)
-            )
+            if host is None:
+                error = no_entity_error(world, on, self.entities)
+                error.message = f"add_sensor: on: {error.message}"
+                if on in SENSOR_TYPES:
+                    error.message += "; the type comes first: add_sensor(type, on)"
+                raise error
         if host.body is None:
             raise ArgumentError(f"add_sensor: on: {host.name!r} is a sensor, not a body")
         return host
@@ -202,16 +207,19 @@ def _link_number(host: EntityInfo, spec: SensorSpec, index: int) -> int:
     return names.index(spec.link)
 
 
-def no_entity_error(world: str, name: str, infos: Sequence[EntityInfo]) -> UnknownNameError:
+def no_entity_error(
+    world: str, name: str, infos: Sequence[EntityInfo], removal: str = ""
+) -> UnknownNameError:
     """Returns the error for a name that no entity has, perhaps that of a part or a table.
 
     Args:
         world: the name of the world.
         name: the name.
         infos: the entities that there are.
+        removal: what is told of one that had the name.
     """
-    message = f"world {world!r} has no entity {name!r}"
-    told = _of_part(world, name, infos)
+    message = f"world {world!r} has no entity {short_repr(name)}"
+    told = removal or _of_part(world, name, infos)
     if told is None:
         told = _SOURCES[name].format(world) if name in _SOURCES else ""
     if told:

@@ -2,17 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    ClassVar,
+    Protocol,
+    Self,
+    SupportsIndex,
+    TypeVar,
+    overload,
+)
 
-from ssduck.errors import RemovedEntityError
-from ssduck.formatting import name_path
+from ssduck.errors import RemovedEntityError, UnknownNameError, nearest
+from ssduck.formatting import first_names, name_path, short_repr
 from ssduck.schema import MASSES, TABLES, EntityTable
-from ssduck.world.public_names import HANDLE_INTERNALS, PublicNames
+from ssduck.world.public_names import HANDLE_INTERNALS, INSTEAD_IN_HANDLES, PublicNames
 
 if TYPE_CHECKING:
     from ssduck.world.entities import Entity
+    from ssduck.world.layout import EntityInfo
     from ssduck.world.world import World
+
+
+# The error of an unknown name tells so many names.
+_MAX_NAMES = 12
 
 
 class WorldArchive(Protocol):
@@ -21,6 +36,10 @@ class WorldArchive(Protocol):
     @property
     def world(self) -> World:
         """The recorded world."""
+
+    @property
+    def members(self) -> Mapping[int, EntityInfo]:
+        """The recorded entities by id, of all ticks."""
 
     def at(self, tick: int) -> World:
         """Returns the world at a tick."""
@@ -43,6 +62,41 @@ class RecordedTick:
     tick: int
 
 
+class _Named(Protocol):
+    @property
+    def name(self) -> str: ...
+
+
+T = TypeVar("T", bound=_Named)
+
+
+class NamedList(list[T]):
+    """A list whose elements can be had by name, too: `arm.joints["elbow"]`."""
+
+    @overload
+    def __getitem__(self, key: SupportsIndex | str, /) -> T: ...
+
+    @overload
+    def __getitem__(self, key: slice, /) -> list[T]: ...
+
+    def __getitem__(self, key: SupportsIndex | slice | str, /) -> T | list[T]:
+        """Returns the element of a number or a name, or a part of the list.
+
+        Raises:
+            UnknownNameError: no element has the name; the error suggests the nearest names.
+        """
+        if not isinstance(key, str):
+            return super().__getitem__(key)
+        for element in self:
+            if element.name == key:
+                return element
+        names = [element.name for element in self]
+        told = f"the names are {first_names(names, _MAX_NAMES)}" if names else "the list is empty"
+        raise UnknownNameError(
+            f"there is no {short_repr(key)}; {told}", suggestions=nearest(key, names)
+        )
+
+
 class Handle(PublicNames):
     """A handle of an entity or a link: a row of a table of its world.
 
@@ -57,7 +111,7 @@ class Handle(PublicNames):
 
     __slots__ = ("id", "moment", "name", "world")
 
-    INTERNAL_NAMES = HANDLE_INTERNALS
+    INTERNAL_NAMES, INSTEAD_OF = HANDLE_INTERNALS, INSTEAD_IN_HANDLES
 
     kind: str
     # The table of the world that has the row.
@@ -152,7 +206,9 @@ class Handle(PublicNames):
 
     def removed(self) -> RemovedEntityError:
         """Returns the error for an entity that is no longer in its world, or a link of it."""
-        return RemovedEntityError(f"{self.full_name!r} is no longer in world {self.world.name!r}")
+        told = self.world.removal_of(self.entity.name)
+        message = f"{self.full_name!r} is no longer in world {self.world.name!r}"
+        return RemovedEntityError(f"{message}; {told}" if told else message)
 
     def _numbers(self, first: str, last: str) -> list[float]:
         with self.state.lock:

@@ -48,7 +48,16 @@ class PublicNames(metaclass=_PublicNamesType):
 
 WORLD_INTERNALS = frozenset(
     (
-        *("INTERNAL_NAMES", "add_recorder", "advance", "drive", "enable", "handle", "hold"),
+        *(
+            "INTERNAL_NAMES",
+            "INSTEAD_OF",
+            "add_recorder",
+            "advance",
+            "drive",
+            "enable",
+            "handle",
+            "hold",
+        ),
         *(
             "is_attached",
             "is_final",
@@ -59,13 +68,90 @@ WORLD_INTERNALS = frozenset(
             "origin",
         ),
         *("owning", "pinned", "place", "reading", "release", "remove_recorder"),
-        *("request_tables", "serial", "slack", "steps_to_due", "steps_to_tick", "switch"),
+        *(
+            "removal_of",
+            "request_tables",
+            "serial",
+            "slack",
+            "steps_to_due",
+            "steps_to_tick",
+            "switch",
+        ),
         "warn_of_unrecorded_start",
     )
 )
 HANDLE_INTERNALS = frozenset(
     (
-        *("INTERNAL_NAMES", "TABLE", "body_of", "column", "info", "key_hint", "moment"),
+        *(
+            "INTERNAL_NAMES",
+            "INSTEAD_OF",
+            "TABLE",
+            "body_of",
+            "column",
+            "info",
+            "key_hint",
+            "moment",
+        ),
         *("pinned", "removed", "state"),
     )
+)
+
+
+def _told(*entries: tuple[str, str]) -> dict[str, str]:
+    """Returns what to write, by each of the names that stand before it."""
+    return {name: told for names, told in entries for name in names.split()}
+
+
+# What there is in place of names that users of other libraries look for.
+INSTEAD_IN_INTERPRETERS = _told(
+    ("save export_record write", "export(folder) writes a world's ticks"),
+    ("load open", "ssduck.load(scene) and ssduck.open(record) return interpreters"),
+    ("query execute run_query", "eval(program) runs SelectScript, and sql(text) SQL"),
+    ("run_sql eval_sql execute_sql", "sql(text) runs SQL"),
+    ("remove_trigger delete_trigger", "del_trigger(name) removes a trigger"),
+    ("step tick", "a world does that: ss['room'].step(); run(seconds) runs all worlds"),
+    ("set_variable add_world attach", "add_variable('room', ssduck.World.attach(client))"),
+    ("get_variable world variable", "a variable is ss['room']; the worlds are ss.worlds"),
+    ("variables", "list(ss) has the names of the variables, and ss['room'] their values"),
+    ("add_udf register_function define", "add_function(name, function, help) adds a function"),
+)
+_OF_INTERPRETERS = "that is for the interpreter that has the world: ss."
+INSTEAD_IN_WORLDS = _told(
+    *(
+        (name, f"{_OF_INTERPRETERS}{name}(…)")
+        for name in ("eval", "sql", "export", "record", "add_trigger", "add_function", "past")
+    ),
+    ("query", f"{_OF_INTERPRETERS}eval(…)"),
+    ("history", f"{_OF_INTERPRETERS}past(…), or queries of room{{0.5}}"),
+    ("entities bodies objects", "a world is iterated: for entity in world; one is world['cup']"),
+    ("names ids", "[entity.name for entity in world]"),
+    ("robots", "[entity for entity in world if entity.kind == 'robot']"),
+    ("get body entity_by_name", "an entity is world['cup']"),
+    ("joints", "those of an entity are world['arm'].joints"),
+    ("contacts", "inContact(a, b) asks for them, and ss.sql('FROM room.contacts')"),
+    ("reset", "reset the simulator, and call begin_episode(); or load the scene again"),
+    ("dt time_step", "the time step is .timestep, s"),
+    ("simulate", "run(seconds) runs the simulation, and step(n) n steps of it"),
+    ("state snapshot_state", "ss.sql('FROM room.entities') has the state as rows"),
+    ("ticks", "those that are recorded are ss.past('room').times"),
+)
+INSTEAD_IN_HANDLES = _told(
+    ("pos xyz translation", "write .position, [x, y, z] in m"),
+    *((axis, f"write .position[{place}]") for place, axis in enumerate("xyz")),
+    ("orn quat quaternion rotation", "write .orientation, [w, x, y, z]"),
+    ("rpy euler", "write .orientation, [w, x, y, z], of which SciPy's Rotation makes angles"),
+    ("vel linear_velocity", "write .velocity[:3], m/s"),
+    ("angular_velocity", "write .velocity[3:], rad/s"),
+    ("bbox bounds bounding_box extents size", "write .aabb, the lower and the upper corner"),
+)
+INSTEAD_IN_ENTITIES = INSTEAD_IN_HANDLES | _told(
+    ("set_position set_pose move_to teleport", "write .move(position, orientation)"),
+    ("set_orientation", "write .move(orientation=…)"),
+    ("set_joints set_joint_positions", "write .move(joints={'name': 0.5})"),
+    ("joint", "a joint is .joints['name']"),
+    ("q qpos joint_positions", "write [joint.position for joint in arm.joints]"),
+    ("qvel joint_velocities", "write [joint.velocity for joint in arm.joints]"),
+    ("dof num_joints", "write len(arm.joints)"),
+    ("remove delete", "write world.remove(entity)"),
+    ("apply_force apply_torque", "forces are applied by the simulator's own functions"),
 )

@@ -12,14 +12,14 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, Never, TypeAlias
 
 import numpy as np
 
 from ssduck import validation
 from ssduck.errors import ArgumentError
 from ssduck.formatting import short_repr
-from ssduck.world.ticking import SteppedSimulation
+from ssduck.world.ticking import OF_STEPS, SteppedSimulation
 
 # A function that is called with the simulated seconds that were run since the last call.
 ProgressCallback: TypeAlias = Callable[[float], object]
@@ -34,8 +34,11 @@ def run(
     realtime: bool | float = False,
     progress: bool | Literal["always"] = False,
     every: int | None = 1,
+    **others: Never,
 ) -> None:
     """Runs worlds for a simulated time, s; the arguments are those of `World.run`."""
+    known = ("seconds", "realtime", "progress", "every")
+    validation.no_others(others, "run", known, OF_STEPS)
     seconds = validation.duration(seconds, "run: seconds")
     speed = _speed(realtime)
     every = validation.tick_interval(every, "run: every")

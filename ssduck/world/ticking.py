@@ -37,6 +37,24 @@ _serials = count()
 _YIELD_SECONDS = 1e-4
 # The number of steps between two progress reports.
 _STEPS_PER_REPORT = 24
+# What to write for the arguments that other simulators' functions have for the time.
+_TIME_STEP = "the time step is the simulator's own, .timestep; "
+_OF_TICK = {
+    **dict.fromkeys(
+        ("dt", "timestep", "time_step", "seconds", "duration", "n", "count"),
+        f"{_TIME_STEP}after n of your steps write tick(steps=n), or tick(time=…) with the "
+        "simulated time now, s",
+    ),
+    "t": "the simulated time now is time=",
+}
+OF_STEPS = {
+    **dict.fromkeys(
+        ("dt", "timestep", "time_step"),
+        f"{_TIME_STEP}step(n) runs n of them, and run(seconds) as many as that takes",
+    ),
+    **dict.fromkeys(("n", "steps", "num_steps", "n_steps"), "step(n) runs n steps"),
+    **dict.fromkeys(("seconds", "duration", "time", "t"), "run(seconds) runs for a time"),
+}
 
 
 class TickSink(Protocol):
@@ -132,7 +150,13 @@ class SteppedSimulation(Observable):
 
     # -- a tick ---------------------------------------------------------------------------
 
-    def tick(self, *unnamed: Never, steps: int | None = None, time: float | None = None) -> Self:
+    def tick(
+        self,
+        *unnamed: Never,
+        steps: int | None = None,
+        time: float | None = None,
+        **others: Never,
+    ) -> Self:
         """Takes a tick: replaces the tables by the current state of the simulator.
 
         In an attached PyBullet world, whose client you step, each such tick advances simulated
@@ -150,6 +174,7 @@ class SteppedSimulation(Observable):
                 another tick at the same time, for example after bodies were moved.
             time: the current simulated time, s, instead of a number of steps; not before that
                 of the last tick.
+            **others: none; an error says what to write for other names.
 
         Returns:
             The world itself.
@@ -166,6 +191,7 @@ class SteppedSimulation(Observable):
                 f"tick: {value} has no name: write tick(steps={value}) for a number of steps, "
                 f"tick(time={value}) for the simulated time in seconds"
             )
+        validation.no_others(others, "tick", ("steps", "time"), _OF_TICK)
         with self.lock:
             self._check_not_pinned()
             number = self.snapshot.number
@@ -241,7 +267,7 @@ class SteppedSimulation(Observable):
         # Within rounding it is the time of the last tick.
         return clock if abs(seconds - clock.time) <= self.slack else clock.at(seconds, timestep)
 
-    def step(self, count: int = 1, *, every: int | None = 1) -> Self:
+    def step(self, count: int = 1, *, every: int | None = 1, **others: Never) -> Self:
         """Runs steps of the simulator, and takes a tick after each of them.
 
         With `every`, there are fewer ticks: after so many steps each, at the end, and when
@@ -251,6 +277,7 @@ class SteppedSimulation(Observable):
         Args:
             count: the number of steps, 0 or more; for a number of seconds, see `run`.
             every: the number of steps between ticks; None for requested ticks and the last.
+            **others: none; an error says what to write for other names.
 
         Returns:
             The world itself.
@@ -261,6 +288,7 @@ class SteppedSimulation(Observable):
             SimulatorError: the simulator does not answer; the last tick remains.
             UnsupportedError: it is a what-if world.
         """
+        validation.no_others(others, "step", ("count", "every"), OF_STEPS)
         count = validation.step_count(count, "step", "run({})")
         every = validation.tick_interval(every, "step: every")
         done = 0
@@ -353,6 +381,7 @@ class SteppedSimulation(Observable):
                 )
             self._recorders.clear()  # the ticks of a record are of one episode
             self.snapshot.restart()
+            self._registry.removed.clear()
             self._start = self._first_recorded = None
             self._is_restarted = True
         self._episode = episode

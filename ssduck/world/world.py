@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, Never, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +21,7 @@ from ssduck.errors import (
     UnknownNameError,
     UnsupportedError,
 )
-from ssduck.formatting import contents_of, short_repr
+from ssduck.formatting import contents_of, past_path, short_repr
 from ssduck.geometry.arrays import Indices
 from ssduck.schema import (
     LINK_FACTOR,
@@ -49,7 +49,7 @@ from ssduck.world.handles import Handle
 from ssduck.world.links import Link, links_and_sites_of
 from ssduck.world.manipulation import ManipulableSimulation
 from ssduck.world.openrave_names import OpenRaveWorld
-from ssduck.world.public_names import WORLD_INTERNALS, PublicNames
+from ssduck.world.public_names import INSTEAD_IN_WORLDS, WORLD_INTERNALS, PublicNames
 from ssduck.world.running import run
 from ssduck.world.scene_export import new_folder, scene_of, write_scene
 from ssduck.world.sensor_readings import Reading
@@ -72,7 +72,7 @@ class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicName
         camera: its camera; None for one that frames what is small and moves.
     """
 
-    INTERNAL_NAMES = WORLD_INTERNALS
+    INTERNAL_NAMES, INSTEAD_OF = WORLD_INTERNALS, INSTEAD_IN_WORLDS
 
     def __init__(
         self,
@@ -128,6 +128,7 @@ class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicName
         realtime: bool | float = False,
         progress: bool | Literal["always"] = False,
         every: int | None = 1,
+        **others: Never,
     ) -> World:
         """Runs for a simulated time, and takes a tick after each step.
 
@@ -143,6 +144,7 @@ class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicName
             progress: whether to show a progress bar on standard error if that is a terminal;
                 `"always"`: in any case.
             every: the number of steps between ticks; None for requested ticks and the last.
+            **others: none; an error says what to write for other names.
 
         Returns:
             The world itself.
@@ -154,7 +156,7 @@ class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicName
             UnsupportedError: it is a what-if world.
             KeyboardInterrupt: Ctrl-C stopped the run, at a tick.
         """
-        run([self], seconds, realtime=realtime, progress=progress, every=every)
+        run([self], seconds, realtime=realtime, progress=progress, every=every, **others)
         return self
 
     def close(self) -> None:
@@ -399,7 +401,17 @@ class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicName
         for info in self.snapshot.entities:
             if info.name == name:
                 return self.entity(info.id)
-        raise no_entity_error(self.name, name, self.snapshot.entities)
+        raise no_entity_error(self.name, name, self.snapshot.entities, self.removal_of(name))
+
+    def removal_of(self, name: str) -> str:
+        """Returns when an entity of a name was removed, for an error; '' if none was."""
+        time = self._registry.removed.get(name)
+        if time is None:
+            return ""
+        return (
+            f"it was removed at {time:g} s; where it is recorded, "
+            f"{past_path(self.name, name)} is that of an earlier time"
+        )
 
     def entity(self, id: int) -> Entity:
         """Returns the handle of a present entity by its id.
@@ -507,7 +519,7 @@ class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicName
                 raise entity.removed()
             if not isinstance(entity, Sensor):
                 raise ArgumentError(f"{entity.name!r} is a {entity.kind}, no sensor")
-            self._registry.remove(entity.id)
+            self._registry.remove(entity.id, self.time)
             self._take_tick()
 
     def switch(self, sensor: Sensor, *, on: bool) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from ssduck.formatting import past_path
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.schema import MASSES, ON_DEMAND, TABLES
 from ssduck.simulators.interface import Simulator
@@ -51,6 +52,12 @@ class PastWorld(World):
         entities = self.snapshot.tables["entities"]
         entities.block[entities.block_rows(_ENTITY_DOUBLES)] = self._recorded
         entities.publish_unknown()
+
+    def removal_of(self, name: str) -> str:
+        """Returns that an entity of a name is recorded at other ticks; '' if none is."""
+        if all(member.name != name for member in self._record.members.values()):
+            return ""
+        return f"it is there at other ticks of the record: {past_path(self.name, name)}"
 
     def request_tables(self, tables: Iterable[str]) -> None:
         """Ensures that the tick includes tables; recorded ones are always there."""

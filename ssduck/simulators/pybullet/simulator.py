@@ -550,11 +550,7 @@ class PyBulletSimulator:
             pybullet.disconnect(self.client)
 
     def call(self, function: Callable[[], T]) -> T:
-        """Calls PyBullet and converts its errors into those of ssduck.
-
-        Raises:
-            SimulatorError: the client is disconnected, the world is closed, or PyBullet fails.
-        """
+        """Calls PyBullet and converts its errors into those of ssduck."""
         if self._lost_reason is not None:
             raise SimulatorError(f"{self._lost_reason}; load or attach the world again")
         try:

@@ -262,7 +262,7 @@ MISTAKES = [
         ("range_finder", "mats"),
         {"max_range": 1},
         UnknownNameError,
-        "has no body 'mats'; did you mean 'mast'?",
+        "add_sensor: on: world 'world' has no entity 'mats'; did you mean 'mast'?",
     ),
     (("range_finder", "eye"), {"max_range": 1}, ArgumentError, "on: 'eye' is a sensor, not a body"),
     (
