@@ -211,11 +211,12 @@ class Judge:
         """
         try:
             values = self._interpreter.eval(self._program)
-        except ArgumentError:
-            if not (self._nan_sources() or self._were_nan):
-                raise
-            values = [self._value_or_nan(text) for text in self._texts]
-            if not self._nan_sources() and not self._has_nan_past(values):
+        except SelectScriptError as error:
+            values = []
+            if isinstance(error, ArgumentError) and (self._nan_sources() or self._were_nan):
+                values = [self._value_or_nan(text) for text in self._texts]
+            if not values or not (self._nan_sources() or self._has_nan_past(values)):
+                self._evaluate_each()  # so that the error has the key of its term
                 raise
         if self._held and self._nan_sources():
             values = self._with_unknown(values)
@@ -228,6 +229,15 @@ class Judge:
         if sources:
             return self.terms.judgement_of_nan(values, sources)
         return self.terms.judgement(values)
+
+    def _evaluate_each(self) -> None:
+        """Evaluates each term by itself.
+
+        Raises:
+            SelectScriptError: a term failed; the message begins with its key.
+        """
+        for term, text in zip(self.terms, self._texts, strict=True):
+            self._value(term, self._compiled(term.key, text))
 
     def _with_unknown(self, values: Sequence[Any]) -> list[Any]:
         """Returns values, None in place of those with heldFor or holds of what is unknown now.

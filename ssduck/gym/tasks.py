@@ -13,9 +13,15 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.errors import ArgumentError, SceneError, SelectScriptError
+from ssduck.errors import (
+    ArgumentError,
+    SceneError,
+    SelectScriptError,
+    UnknownNameError,
+    nearest,
+)
 from ssduck.gym.judge import Judge
-from ssduck.gym.terms import Terms
+from ssduck.gym.terms import Judgement, Terms
 from ssduck.gym.wrapper import INFO, check_open, described
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.opening import load_tried
@@ -32,6 +38,11 @@ from ssduck.world.world import World
 WORLD = "sim"
 # The largest number of steps of the simulator, or of parts of these, in a step of a task.
 MAX_STEPS = 100_000
+# The keys of a task file.
+_KEYS = (
+    *("scene", "success", "failure", "stop_when", "reward", "nan", "observation", "variables"),
+    *("actions", "starts", "seeds", "steps", "step_time"),
+)
 # The largest size of a task file, bytes.
 MAX_BYTES = 10_000_000
 
@@ -133,8 +144,7 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
                 self._entity(f"starts[{number}].entity", start.entity)
         except SelectScriptError as error:
             self.close()
-            if not isinstance(error, SceneError):
-                error.message = f"{task.path}: {error.message}"
+            self._name_file(error)
             raise
         low = np.array([action.low for action in task.actions], np.float32)
         high = np.array([action.high for action in task.actions], np.float32)
@@ -154,8 +164,8 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
             position = self.np_random.uniform(start.low, start.high)
             self._world[start.entity].move(position.tolist())
         self._steps = 0
-        self._begin_tick(is_first=True)
-        return self._observation(), {INFO: described(self._judge.judgement())}
+        judgement, observation = self._judged(is_first=True)
+        return observation, {INFO: described(judgement)}
 
     def step(
         self, action: npt.NDArray[np.float32]
@@ -171,12 +181,11 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
                 entity.drive(velocities={one.joint: target})
         self._world.run(self.task.step_time, every=None)
         self._steps += 1
-        self._begin_tick(is_first=False)
-        judgement = self._judge.judgement()
+        judgement, observation = self._judged(is_first=False)
         reward = 0.0 if judgement.reward is None else judgement.reward
         is_over = self._steps >= self.task.steps
         info = {INFO: described(judgement)}
-        return self._observation(), reward, bool(judgement.stop), is_over, info
+        return observation, reward, bool(judgement.stop), is_over, info
 
     def close(self) -> None:
         """Closes the simulation."""
@@ -218,12 +227,25 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
         if tables := self._judge.past_tables | self._observer.past_tables:
             self._interpreter.record(WORLD, Recording(tables=tuple(tables)))
 
-    def _begin_tick(self, *, is_first: bool) -> None:
-        for judge in (self._judge, self._observer):
-            judge.begin_tick({}, is_first=is_first)
+    def _judged(self, *, is_first: bool) -> tuple[Judgement, npt.NDArray[np.float64]]:
+        """Returns the values of the terms and of the observation at the present tick.
 
-    def _observation(self) -> npt.NDArray[np.float64]:
-        return np.array(list(self._observer.judgement().parts.values()))
+        Raises:
+            SelectScriptError: one failed; the message has the file and the key.
+        """
+        try:
+            for judge in (self._judge, self._observer):
+                judge.begin_tick({}, is_first=is_first)
+            observed = self._observer.judgement().parts
+            return self._judge.judgement(), np.array(list(observed.values()))
+        except SelectScriptError as error:
+            self._name_file(error)
+            raise
+
+    def _name_file(self, error: SelectScriptError) -> None:
+        """Lets the message of an error begin with the file, as those of scenes do."""
+        if not isinstance(error, SceneError):
+            error.message = f"{self.task.path}: {error.message}"
 
     def _entity(self, key: str, name: str) -> Any:
         """Returns an entity.
@@ -244,14 +266,15 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
             SceneError: there is no such joint, or it does not.
         """
         entity = self._entity(f"{key}.entity", action.entity)
-        for target in (action.low, action.high):
+        for end, target in (("low", action.low), ("high", action.high)):
             try:
                 if action.control == "position":
                     entity.drive(positions={action.joint: target})
                 else:
                     entity.drive(velocities={action.joint: target})
             except SelectScriptError as error:
-                message = f"{self.task.path}: {key}: {error.message}"
+                place = f"{key}.{'joint' if isinstance(error, UnknownNameError) else end}"
+                message = f"{self.task.path}: {place}: {error.message}"
                 raise SceneError(message, suggestions=error.suggestions) from error
 
 
@@ -290,7 +313,8 @@ def _task(table: TomlTable, file: Path, limits: Limits) -> Task:
     text = partial(table.text, default=None)  # type: ignore[arg-type]
     reward = table.values.get("reward")
     nan = table.values.get("nan", "error")
-    table.read_keys.update(("reward", "observation", "variables", "nan"))
+    table.read_keys.update(_KEYS)
+    table.end()  # a misspelt term is no term
     try:
         terms = Terms.of(text("success"), text("failure"), reward, text("stop_when"), nan=nan)
         texts = _texts(table, "observation")
@@ -304,10 +328,9 @@ def _task(table: TomlTable, file: Path, limits: Limits) -> Task:
     if WORLD in variables:
         raise SceneError(f"{file}: variables.{WORLD} is the world; give it another name")
     seeds = table.values.get("seeds", [0])
-    table.read_keys.add("seeds")
     if not isinstance(seeds, list) or not all(type(one) is int and one >= 0 for one in seeds):
         table.fail("seeds", f"expected a list of whole numbers from 0, found {seeds!r}")
-    task = Task(
+    return Task(
         file,
         scene,
         terms,
@@ -319,8 +342,6 @@ def _task(table: TomlTable, file: Path, limits: Limits) -> Task:
         table.whole("steps", at_least=1) or 1000,
         table.number("step_time", 0.02, above=0.0, at_most=60.0),
     )
-    table.end()
-    return task
 
 
 def _scene(table: TomlTable, file: Path, limits: Limits) -> Scene:
@@ -333,6 +354,9 @@ def _scene(table: TomlTable, file: Path, limits: Limits) -> Scene:
         table.fail("scene", f"{place} is not in the folder of the task")
     if not limits.files:
         check_scene_inside(place, file.parent)
+    if not place.exists():
+        near = nearest(name, [other.name for other in file.parent.iterdir()])
+        table.fail("scene", f"there is no file {name!r} beside the task file", near)
     scene = find_scene(place)
     if not limits.files:
         check_files_inside(scene)

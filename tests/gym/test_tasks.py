@@ -126,6 +126,10 @@ def test_a_task_runs(folder):
         ('"push.xml"', '"kitchen"', "kitchen"),
         ("high = 1\n", "high = inf\n", r"actions\[0\].high"),
         ("low = [0, -0.1, 0.45]", "low = [nan, -0.1, 0.45]", r"starts\[0\].low"),
+        ('success = "x', 'succes = "x', r"task\.toml: succes: there is no such key; did you"),
+        ('scene = "push.xml"', 'scene = "pusch.xml"', r"scene: there is no file .*'push\.xml'"),
+        ('joint = "push"', 'joint = "pus"', r"actions\[0\]\.joint: pusher has no joint 'pus'"),
+        ("high = 1\n", "high = 99\n", r"actions\[0\]\.high: pusher: "),
     ],
     every=2,
 )
@@ -134,6 +138,32 @@ def test_errors_name_file_and_key(folder, before, after, message):
     (folder / "task.toml").write_text(TASK.replace(before, after))
     with pytest.raises(SelectScriptError, match=message):
         make_task(folder / "task.toml")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        (
+            'done = "10',
+            'done = "log(0.03 - getTime()) + 10',
+            r"reward\['done'\]: log does not take",
+        ),
+        (
+            'ball = "x(sim.ball)"',
+            "ball = \"IF(getTime() > 0.03; joint(sim.pusher, 'x'); 1)\"",
+            r"observation\['ball'\]: pusher has no joint 'x'",
+        ),
+    ],
+)
+def test_an_error_of_a_later_step_names_file_and_key(folder, before, after, message):
+    (folder / "task.toml").write_text(TASK.replace(before, after))
+    env = make_task(folder / "task.toml")
+    env.reset(seed=1)
+    env.step([0.0])
+    with pytest.raises(SelectScriptError, match=rf"^\S*task\.toml: {message}"):
+        env.step([0.0])
+    env.close()
 
 
 @pytest.mark.parametrize("scene", ["sub", "sub/scene.toml", "."])
