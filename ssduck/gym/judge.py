@@ -10,8 +10,8 @@ from ssduck.errors import ArgumentError, SelectScriptError, UnknownNameError
 from ssduck.formatting import joined_names, short_repr
 from ssduck.gym.terms import CONDITIONS, Judgement, Term, Terms, is_nan
 from ssduck.interpreter.interpreter import Interpreter
+from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, parts_of
 from ssduck.interpreter.program import CompiledProgram
-from ssduck.interpreter.temporal_functions import TEMPORAL_FUNCTIONS, parts_of
 from ssduck.language.tree import (
     Call,
     Index,
@@ -24,7 +24,7 @@ from ssduck.language.tree import (
     TimeIndex,
     Unary,
 )
-from ssduck.schema import RECORDABLE, RECORDED_BY_DEFAULT, TWIST
+from ssduck.schema import RECORDABLE, TWIST
 from ssduck.simulators.interface import Body
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.table_use import tables_of
@@ -111,7 +111,7 @@ class Judge:
         self.past_tables: frozenset[str] = frozenset()
         if any(self._are_temporal):
             read = frozenset().union(*map(tables_of, trees)).intersection(RECORDABLE)
-            self.past_tables = read.union(RECORDED_BY_DEFAULT)
+            self.past_tables = read | {"entities"}
 
     def begin_tick(self, values: Mapping[str, Any], *, is_first: bool = False) -> None:
         """Sets the variables of the present tick.

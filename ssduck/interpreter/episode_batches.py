@@ -17,7 +17,8 @@ import pyarrow as pa
 
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.interpreter import Interpreter
-from ssduck.interpreter.temporal_functions import TEMPORAL_FUNCTIONS, RowsOf, parts_of
+from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, parts_of
+from ssduck.interpreter.over_time.series import RowsOf
 from ssduck.language.builtins import BUILTINS
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS
 from ssduck.language.tree import (

@@ -29,12 +29,11 @@ from ssduck.errors import (
 from ssduck.interpreter.linter import Linter
 from ssduck.interpreter.namespace import Namespace
 from ssduck.interpreter.output import is_list
+from ssduck.interpreter.over_time.evaluator import TemporalEvaluator
+from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, parts_of
+from ssduck.interpreter.over_time.live import LiveFolds
+from ssduck.interpreter.over_time.series import TickSeries
 from ssduck.interpreter.planner import Planner
-from ssduck.interpreter.temporal_functions import (
-    TEMPORAL_FUNCTIONS,
-    TemporalEvaluator,
-    parts_of,
-)
 from ssduck.language.analysis import calls_of, is_impure, variables_of
 from ssduck.language.clauses import formed
 from ssduck.language.deferred import LazyList
@@ -130,6 +129,7 @@ class Execution(Namespace):
         )
         self.planner = Planner(database, self, limits, row_by_row=row_by_row)
         self.temporal = TemporalEvaluator()
+        self._folds = LiveFolds(self, self.planner, self.tables_read)
         self._relation_queries: WeakKeyDictionary[Call, Query] = WeakKeyDictionary()
         self._program_texts: list[str] = []
         self._stamp: tuple[object, ...] = ()
@@ -389,11 +389,15 @@ class Execution(Namespace):
             fetched: Sequence[Sequence[Any]] = formed(selected, lambda part: part.values)
             return fetched
 
+        def series() -> TickSeries:
+            return self.temporal.series(node, frame, self.database.record_of, rows, self.meter)
+
+        form = TEMPORAL_FUNCTIONS[node.name]
         with self.worlds_pinned(node):
-            series = self.temporal.series(node, frame, self.database.record_of, rows, self.meter)
-            return TEMPORAL_FUNCTIONS[node.name].make(
-                series, None if age is None else validation.seconds(age)
-            )
+            fold = form.fold if other is None and self.temporal.reader is None else None
+            if fold is not None and self._folds.takes(node, frame):
+                return self._folds.value(node, fold, series)
+            return form.make(series(), None if age is None else validation.seconds(age))
 
     def _run_text(self, text: Any, frame: Frame) -> Any:
         """Returns the value of a program in a text; it sees the rows around the call of `eval`."""

@@ -19,8 +19,8 @@ from ssduck.errors import ArgumentError, LimitError, UnknownNameError, nearest, 
 from ssduck.formatting import short_repr
 from ssduck.interpreter.link_functions import LINK_FUNCTIONS, mentions_links
 from ssduck.interpreter.output import help_of_result_form, help_of_result_forms
+from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS
 from ssduck.interpreter.sources import worlds_in
-from ssduck.interpreter.temporal_functions import TEMPORAL_FUNCTIONS
 from ssduck.language.analysis import calls_of, forms_of, variables_of
 from ssduck.language.builtins import AGGREGATES, BUILTINS, EXTREMES, Function
 from ssduck.language.deferred import LazyList

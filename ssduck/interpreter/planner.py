@@ -118,8 +118,7 @@ class Planner:
             frame: the scope and the rows around it.
             check: a function that is called with the columns before the query runs.
         """
-        is_outermost = not (frame.elements or frame.local or frame.placeholders)
-        kept = self._kept.get(query) if is_outermost else None
+        kept = self._kept.get(query) if frame.is_outermost else None
         if kept is not None and (selected := kept.run(frame)) is not None:
             check(kept.columns)
             return selected

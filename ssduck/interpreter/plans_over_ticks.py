@@ -14,7 +14,7 @@ from sqlglot import exp
 from ssduck.errors import SourceSpan, UnsupportedError
 from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.interpreter import Interpreter
-from ssduck.interpreter.temporal_functions import TEMPORAL_FUNCTIONS
+from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS
 from ssduck.language.analysis import OVER_TIME
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import (

@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping
 import sqlglot
 
 from ssduck.errors import SelectScriptError, SqlError, nearest
-from ssduck.interpreter.temporal_functions import TEMPORAL_FUNCTIONS
+from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS
 from ssduck.language.parser import parse
 from ssduck.schema import TABLES
 from ssduck.sql.relations.registry import RELATIONS

@@ -28,7 +28,7 @@ T = TypeVar("T")
 
 # Calls with side effects or hidden inputs; they are evaluated row by row, in order.
 IMPURE = frozenset(("print", "eval", "clear"))
-# Calls whose argument is evaluated at each recorded tick (ssduck.interpreter.temporal_functions).
+# Calls whose argument is evaluated at each recorded tick (ssduck.interpreter.over_time.functions).
 OVER_TIME = frozenset(
     (
         *("since", "heldFor", "holds", "changes", "initially", "lifted", "least", "greatest"),

@@ -195,6 +195,11 @@ class Frame:
             outer_elements=self.elements,
         )
 
+    @property
+    def is_outermost(self) -> bool:
+        """Whether there are no rows and no state variables around the expression."""
+        return not (self.elements or self.local or self.placeholders)
+
     def own_elements(self) -> list[Any]:
         """Returns the elements of this query, and of those around it that it depends on."""
         return [e for alias, e in self.elements.items() if self.outer_elements.get(alias) is not e]

@@ -1,0 +1,264 @@
+"""Turns an expression over time into a query of the values at each tick.
+
+`holds(near(gripper, cup, 0.02))` becomes a query. Its sources are the entities in the expression,
+each at the ticks of the record; it selects the time and the value of the expression. Python
+computes the result from these.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from operator import itemgetter
+from typing import Any, Protocol
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from ssduck.errors import ArgumentError, UnsupportedError
+from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, parts_of
+from ssduck.interpreter.over_time.series import RowsOf, TickSeries
+from ssduck.language.analysis import free_aliases
+from ssduck.language.builtins import EXTREMES
+from ssduck.language.evaluator import Frame
+from ssduck.language.tree import (
+    Call,
+    Index,
+    Name,
+    Node,
+    Placeholder,
+    Query,
+    Source,
+    This,
+    TimeIndex,
+    UnresolvedName,
+)
+from ssduck.limits import UsageMeter
+from ssduck.recording.replay.pair_answers import PairQueries
+from ssduck.recording.replay.past import Past, common_moment, past_of
+from ssduck.recording.replay.record import Record
+from ssduck.recording.stores.base import PairRequest
+from ssduck.world.handles import Handle
+from ssduck.world.world import World
+
+_TICK = itemgetter(0)
+_PLACES = (Name, This, Index, TimeIndex, Placeholder, UnresolvedName)
+
+
+class SeriesReader(Protocol):
+    """Reads the values of an expression at ticks, for several records at once."""
+
+    def rows(self, key: Hashable, past: Past, rows_of: RowsOf) -> Sequence[Sequence[Any]]:
+        """Returns the rows [tick, time, value] of some ticks.
+
+        Args:
+            key: what identifies the expression, with its entities and values.
+            past: the ticks.
+            rows_of: a function that returns the rows of any ticks.
+        """
+
+    def least_clearance(self, past: Past, a: int, b: int) -> tuple[int, float] | None:
+        """Returns the first tick with the least clearance of two entities, and the clearance, m.
+
+        Args:
+            past: the ticks.
+            a: the id of an entity.
+            b: the id of another one.
+        """
+
+
+class TemporalEvaluator:
+    """Turns expressions into queries, and caches these: each is planned once.
+
+    Attributes:
+        reader: reads the values of expressions; None to read those of the requested ticks only.
+    """
+
+    def __init__(self) -> None:
+        self.reader: SeriesReader | None = None
+        self._queries: WeakKeyDictionary[Node, dict[tuple[bool, ...], Query]] = WeakKeyDictionary()
+        self._expansions: WeakKeyDictionary[Node, Node] = WeakKeyDictionary()
+
+    def expansion(self, call: Call) -> Node | None:
+        """Returns the expression for which a call stands; None for a series of its own."""
+        expand = TEMPORAL_FUNCTIONS[call.name].expansion
+        if expand is not None and call not in self._expansions:
+            self._expansions[call] = expand(call)
+        return self._expansions.get(call)
+
+    def series(
+        self,
+        call: Call,
+        frame: Frame,
+        record_of: Callable[[World], Record],
+        run: Callable[[Query, dict[str, Any]], Sequence[Sequence[Any]]],
+        meter: UsageMeter,
+    ) -> TickSeries:
+        """Returns the values of the expression in a call, tick by tick.
+
+        Args:
+            call: the call, `holds(…)` say.
+            frame: the scope, which has the entities in the expression and its other values.
+            record_of: a function that returns the record of a world.
+            run: a function that returns the rows of a query, from the values of its placeholders.
+            meter: checks the limits of the running program.
+
+        Raises:
+            ArgumentError: the expression contains no entity.
+            UnsupportedError: the expression contains a query, or entities of two worlds.
+        """
+        expression, _ = parts_of(call)
+        query, world, values, handles = self._query_and_values(call, frame)
+        record = record_of(world)
+        record.world.warn_of_unrecorded_start()
+        moment = common_moment(world, (), frame.own_elements())
+        now = None if moment is None else moment.tick
+
+        def rows(past: Past) -> Sequence[Sequence[Any]]:
+            return run(query, _placeholders(values, handles, past))
+
+        reader, least = self.reader, None
+        are_entities = all(handles) and all(value.TABLE == "entities" for value in values)
+        if are_entities and _is_clearance(expression) and len({v.id for v in values}) == 2:
+            least = partial(self._least_clearance, meter, values[0].id, values[1].id)
+        if reader is None and now is None:
+            return TickSeries(record, rows, expression, least)
+        key = (
+            query,
+            tuple(
+                (value.id, value.TABLE) if is_entity else (type(value), repr(value))
+                for value, is_entity in zip(values, handles, strict=True)
+            ),
+        )
+        if reader is None:
+            cache: dict[Any, Any] = frame.cached
+
+            def rows_of(past: Past) -> Sequence[Sequence[Any]]:
+                if key not in cache:  # of all ticks at once, for the next rows of the query
+                    cache[key] = rows(past_of(record, None))
+                of_all: Sequence[Sequence[Any]] = cache[key]
+                return of_all[
+                    bisect_left(of_all, past.first, key=_TICK) : bisect_right(
+                        of_all, past.last, key=_TICK
+                    )
+                ]
+
+            return TickSeries(record, rows_of, expression, least, now)
+        return TickSeries(record, lambda past: reader.rows(key, past, rows), expression, least, now)
+
+    def query_over_ticks(
+        self, call: Call, frame: Frame, record_of: Callable[[World], Record]
+    ) -> tuple[Query, dict[str, Any]]:
+        """Returns the query of the values of the first argument of a call, over all ticks.
+
+        Its rows are [tick, time, value]. The arguments and errors are those of `series`.
+
+        Returns:
+            The query, and the values of its placeholders.
+        """
+        query, world, values, handles = self._query_and_values(call, frame)
+        return query, _placeholders(values, handles, past_of(record_of(world), None))
+
+    def _query_and_values(
+        self, call: Call, frame: Frame
+    ) -> tuple[Query, World, list[Any], list[bool]]:
+        """Returns the query of a call, the world, its values, and which of them are entities."""
+        expression, _ = parts_of(call)
+        places = list(_places(expression, call))
+        values = [frame.value(place) for place in places]
+        # An entity of a row of the past follows the ticks; that of `sim{0.0}.cup` stays at its own.
+        handles = [
+            isinstance(value, Handle) and (value.moment is None or bool(free_aliases(place)))
+            for place, value in zip(places, values, strict=True)
+        ]
+        worlds = {v.world for v, is_entity in zip(values, handles, strict=True) if is_entity}
+        if not worlds and any(isinstance(value, Handle) for value in values):
+            raise ArgumentError(
+                f"{call.name} takes an entity at all ticks, and this one stays at its tick: write "
+                "it without {…}",
+                span=expression.span,
+            )
+        if not worlds:
+            what = "takes an expression of entities, such as near(gripper, cup, 0.02)"
+            if isinstance(expression, Index):
+                what = f"takes the whole list, and the index comes after it: {call.name}(…)[0]"
+            elif call.name in EXTREMES:
+                what += f"; of several numbers write {EXTREMES[call.name]}([a, b])"
+            elif call.name == "at":
+                what = "takes the time first, as in at(0.5, z(cup))"
+            raise ArgumentError(f"{call.name} {what}", span=expression.span)
+        if len(worlds) > 1:
+            raise UnsupportedError(f"{call.name} takes entities of one world", span=call.span)
+        return self._query(call, places, tuple(handles)), worlds.pop(), values, handles
+
+    def _least_clearance(
+        self, meter: UsageMeter, a: int, b: int, past: Past
+    ) -> tuple[int, float] | None:
+        """Returns the first tick with the least clearance of two entities, and the clearance, m."""
+        if self.reader is not None:
+            return self.reader.least_clearance(past, a, b)
+        request = PairRequest(past.first, past.last, a, b, 0.0)
+        starts = np.array([past.first])
+        return PairQueries(past.record, meter).least_clearances(request, starts)[0]
+
+    def _query(self, call: Call, places: Sequence[Node], handles: tuple[bool, ...]) -> Query:
+        queries = self._queries.setdefault(call, {})
+        if handles not in queries:
+            queries[handles] = _query_of(call, places, handles)
+        return queries[handles]
+
+
+def _is_clearance(expression: Node) -> bool:
+    """Checks whether an expression is the clearance of two entities."""
+    return (
+        isinstance(expression, Call)
+        and expression.name == "clearance"
+        and len(expression.arguments) == 2
+    )
+
+
+def _placeholders(values: Sequence[Any], handles: Sequence[bool], past: Past) -> dict[str, Any]:
+    """Returns the values of the placeholders of a query: entities at some ticks, and others."""
+    return {
+        f"value_{number}": _of_entity(past, value) if is_entity else value
+        for number, (value, is_entity) in enumerate(zip(values, handles, strict=True))
+    }
+
+
+def _of_entity(past: Past, entity: Handle) -> Past:
+    """Returns the past of one entity."""
+    return replace(past, is_window=True, id=entity.id, table=entity.TABLE)
+
+
+def _places(node: Node, call: Call) -> Iterator[Node]:
+    """Yields the parts of an expression that may be entities."""
+    if isinstance(node, Query):
+        raise UnsupportedError(
+            f"{call.name} takes an expression without a query; query FROM world{{}} instead",
+            span=node.span,
+        )
+    if isinstance(node, _PLACES):
+        yield node
+        return
+    for child in node.children():
+        yield from _places(child, call)
+
+
+def _query_of(call: Call, places: Sequence[Node], handles: tuple[bool, ...]) -> Query:
+    span = call.span
+    replacements: dict[Node, Node] = {}
+    sources = []
+    for number, (place, is_entity) in enumerate(zip(places, handles, strict=True)):
+        placeholder = Placeholder(place.span, f"value_{number}")
+        if not is_entity:
+            replacements[place] = placeholder
+            continue
+        alias = f"entity_{number}"
+        replacements[place] = This(place.span, alias)
+        sources.append(Source(place.span, alias, placeholder))
+    first = This(span, sources[0].alias)
+    value = parts_of(call)[0].replaced(replacements.get)
+    items = (*(Call(span, name, (first,), span) for name in ("tick", "time")), value)
+    return Query(span, items, tuple(sources))

@@ -1,0 +1,337 @@
+"""Functions of an expression at each recorded tick: `since`, `holds`, `changes` and others."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from operator import gt, lt
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from ssduck.errors import ArgumentError
+from ssduck.formatting import short_repr
+from ssduck.interpreter.over_time.series import TickSeries
+from ssduck.language.builtins import Function
+from ssduck.language.intervals import changes_of, intervals_of
+from ssduck.language.operators import apply
+from ssduck.language.tree import Binary, Call, Node
+
+
+@dataclass(frozen=True)
+class Fold:
+    """A function of all ticks until now as one of its state at the tick before, and the next value.
+
+    Attributes:
+        begin: returns the state for all ticks of a series.
+        step: returns the state with one more tick: from the state, the time, s, and the value.
+        value: returns the value of the function: from the state, and the time of its last tick, s.
+        is_of_condition: whether its expression is a condition.
+    """
+
+    begin: Callable[[TickSeries], Any]
+    step: Callable[[Any, float, Any], Any]
+    value: Callable[[Any, float], Any] = lambda state, _: state
+    is_of_condition: bool = False
+
+
+@dataclass(frozen=True)
+class TemporalFunction:
+    """A function whose first argument is evaluated at each tick.
+
+    Attributes:
+        name: its name.
+        make: the function that computes its value from a series of ticks and an age.
+        about: its description for help.
+        usage: its signature for help.
+        expansion: the function that returns the expression for which a call stands, of a function
+            that is no series of its own.
+        arguments: the least and the largest number of arguments.
+        expression: the place of the expression among the arguments.
+        fold: the fold over all ticks that it is without an age, if it is one.
+        is_in_lakes: whether it is evaluated over the episodes of a lake by one statement.
+    """
+
+    name: str
+    make: Callable[[TickSeries, Any], Any]
+    about: str
+    usage: str
+    expansion: Callable[[Call], Node] | None = None
+    arguments: tuple[int, int] = (1, 2)
+    expression: int = 0
+    fold: Fold | None = None
+    is_in_lakes: bool = True
+
+    @property
+    def function(self) -> Function:
+        """The entry for help; it is never called."""
+        help_text = f"{self.about}\nUsage: {self.usage}"
+        return Function(self.name, lambda *_: None, help_text, *self.arguments, builtin=True)
+
+
+def parts_of(call: Call) -> tuple[Node, Node | None]:
+    """Returns the expression of a call that is evaluated at ticks, and the other argument."""
+    form = TEMPORAL_FUNCTIONS.get(call.name)
+    place = 0 if form is None else form.expression
+    others = [part for number, part in enumerate(call.arguments) if number != place]
+    return call.arguments[place], others[0] if others else None
+
+
+def _since(series: TickSeries, _: Any) -> float | None:
+    start: float | None = None
+    for past in series.backwards():
+        times, holding = series.holding(past)
+        holding.reverse()
+        if False in holding:
+            count = holding.index(False)
+            return times[-count] if count else start
+        start = times[0]
+    return start
+
+
+def _since_step(start: float | None, time: float, holds: bool) -> float | None:
+    if not holds:
+        return None
+    return time if start is None else start
+
+
+def _held_for(series: TickSeries, age: Any) -> float:
+    return _duration(_since(series, age), float(series.ticks()[1][-1]))
+
+
+def _duration(start: float | None, time: float) -> float:
+    return 0.0 if start is None else time - start
+
+
+def _holds(series: TickSeries, age: Any) -> list[list[float]]:
+    return intervals_of(*series.holding(series.past(age)))
+
+
+def _changes(series: TickSeries, age: Any) -> list[list[Any]]:
+    return changes_of(*series.at(series.past(age)))
+
+
+def _initially(series: TickSeries, _: Any) -> Any:
+    start = series.ticks()[1][0]
+    return series.at(series.window(start, start))[1][0]
+
+
+def _previous(series: TickSeries, _: Any) -> Any:
+    times = series.ticks()[1]
+    before = times[: np.searchsorted(times, series.time)]
+    time = before[-1] if len(before) else times[0]
+    return series.at(series.window(time, time))[1][0]
+
+
+def _rate(series: TickSeries, _: Any) -> Any:
+    return _rate_of(_last_two(series))
+
+
+# The times and the values at the tick before and at the last one, which is both if it is the first.
+_LastTwo: TypeAlias = tuple[tuple[float, Any], tuple[float, Any]]
+
+
+def _last_two(series: TickSeries) -> _LastTwo:
+    times = series.ticks()[1]
+    before = times[: np.searchsorted(times, times[-1])]
+    ends = series.at(series.window(before[-1] if len(before) else times[-1], times[-1]))
+    first, *others = zip(*ends, strict=True)
+    return first, others[-1] if others else first
+
+
+def _next_two(state: _LastTwo, time: float, value: Any) -> _LastTwo:
+    return state[1], (time, value)
+
+
+def _rate_of(state: _LastTwo, _: float = 0.0) -> Any:
+    (start, before), (end, now) = state
+    if before is None or now is None:
+        return None
+    is_list = type(before) is list
+    first, last = (value if is_list else [value] for value in (before, now))
+    if not {int, float}.issuperset(map(type, (*first, *last))):
+        raise ArgumentError(f"rate takes an expression of numbers, not {short_repr(now)}")
+    seconds = end - start if end > start else 1.0
+    rates = [change / seconds for change in apply("-", last, first)]
+    return rates if is_list else rates[0]
+
+
+def _at(series: TickSeries, time: Any) -> Any:
+    if time is None or time < 0:
+        raise ArgumentError(
+            "at takes a time from 0 s on, then an expression: at(0.5, x(cup)); for half a second "
+            "ago write at(getTime() - 0.5, x(cup))"
+        )
+    return series.at(series.past(time))[1][-1]
+
+
+def _lifted(call: Call) -> Node:
+    """Returns z(entity) - initially(z(entity)) >= height for lifted(entity, height)."""
+    span = call.span
+    entity, height = call.arguments
+    z = Call(entity.span, "z", (entity,), entity.span)
+    rise = Binary(span, "-", z, Call(span, "initially", (z,), span))
+    return Binary(span, ">=", rise, height)
+
+
+def _least(series: TickSeries, age: Any) -> list[Any] | None:
+    if series.least_clearance is not None:
+        past = series.past(age)
+        ticks, times = past.ticks, past.times
+        found = series.least_clearance(past) if len(set(times)) == len(times) else None
+        if found is not None:
+            return [times[ticks.index(found[0])], found[1]]
+    return _extreme(series, age, "least", min)
+
+
+def _greatest(series: TickSeries, age: Any) -> list[Any] | None:
+    return _extreme(series, age, "greatest", max)
+
+
+def _extreme(
+    series: TickSeries, age: Any, name: str, choose: Callable[..., tuple[float, Any]]
+) -> list[Any] | None:
+    """Returns [time, value] of the first of the extreme values; None without numbers."""
+    times, values = series.at(series.past(age))
+    entries = [
+        (time, value) for time, value in zip(times, values, strict=True) if _is_number(value)
+    ]
+    for value in values:
+        _check_is_number(name, value)
+    return list(choose(entries, key=lambda entry: entry[1])) if entries else None
+
+
+def _copied(state: list[Any] | None, _: float) -> list[Any] | None:
+    return None if state is None else list(state)
+
+
+def _check_is_number(name: str, value: Any) -> None:
+    if not (value is None or isinstance(value, int | float)):
+        raise ArgumentError(f"{name} takes an expression of numbers, not {short_repr(value)}")
+
+
+def _extreme_step(name: str, is_further: Callable[[Any, Any], bool]) -> Callable[..., Any]:
+    def step(state: list[Any] | None, time: float, value: Any) -> list[Any] | None:
+        _check_is_number(name, value)
+        if not _is_number(value) or not (state is None or is_further(value, state[1])):
+            return state
+        return [time, value]
+
+    return step
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not math.isnan(value)
+
+
+TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
+    form.name: form
+    for form in (
+        TemporalFunction(
+            "since",
+            _since,
+            "Returns the simulated time, in seconds, since which a condition has held at every "
+            "recorded tick; nothing if it does not hold now.",
+            "since(condition) -> float",
+            arguments=(1, 1),
+            fold=Fold(lambda series: _since(series, None), _since_step, is_of_condition=True),
+        ),
+        TemporalFunction(
+            "heldFor",
+            _held_for,
+            "Returns the simulated time, in seconds, for which a condition has held until now; "
+            "0 if it does not hold now.",
+            "heldFor(condition) -> float",
+            arguments=(1, 1),
+            fold=Fold(
+                lambda series: _since(series, None), _since_step, _duration, is_of_condition=True
+            ),
+        ),
+        TemporalFunction(
+            "holds",
+            _holds,
+            "Returns the maximal intervals [start, end] of simulated time, in seconds, during "
+            "which a condition held. An interval ends at the first tick at which the condition "
+            "does not hold, or at the last tick.",
+            "holds(condition[, age]) -> list",
+        ),
+        TemporalFunction(
+            "changes",
+            _changes,
+            "Returns [time, value] of an expression at the first recorded tick and at each tick "
+            "where the value changes; times in seconds.",
+            "changes(expression[, age]) -> list",
+        ),
+        TemporalFunction(
+            "initially",
+            _initially,
+            "Returns the value of an expression at the first recorded tick, nothing if an entity "
+            "was not there: z(cup) - initially(z(cup)) >= 0.1 is true of a cup that is lifted by "
+            "10 cm.",
+            "initially(expression) -> value",
+            arguments=(1, 1),
+            fold=Fold(lambda series: _initially(series, None), lambda state, *_: state),
+        ),
+        TemporalFunction(
+            "lifted",
+            _initially,
+            "Checks if an entity is higher by so many metres than at the first recorded tick: "
+            "z(entity) - initially(z(entity)) >= height.",
+            "lifted(entity, height) -> bool",
+            _lifted,
+            arguments=(2, 2),
+        ),
+        TemporalFunction(
+            "previous",
+            _previous,
+            "Returns the value of an expression at the last recorded tick before the current time: "
+            "that of the tick itself at the first one, nothing if an entity was not there.",
+            "previous(expression) -> value",
+            arguments=(1, 1),
+            is_in_lakes=False,
+            fold=Fold(_last_two, _next_two, lambda state, _: state[0][1]),
+        ),
+        TemporalFunction(
+            "rate",
+            _rate,
+            "Returns the change of an expression from the recorded tick before to the last one, in "
+            "its unit a second; 0 at the first tick, nothing if an entity was not there at one of "
+            "them. Of a list of numbers it is a list.",
+            "rate(expression) -> number",
+            arguments=(1, 1),
+            is_in_lakes=False,
+            fold=Fold(_last_two, _next_two, _rate_of),
+        ),
+        TemporalFunction(
+            "at",
+            _at,
+            "Returns the value of an expression at a simulated time in seconds: at the last "
+            "recorded tick until then; nothing if an entity was not there.",
+            "at(time, expression) -> value",
+            arguments=(2, 2),
+            expression=1,
+            is_in_lakes=False,
+        ),
+        TemporalFunction(
+            "least",
+            _least,
+            "Returns [time, value] of the least value of an expression over the recorded ticks, "
+            "at its first tick, the time in seconds: least(clearance(a, b)) is the closest "
+            "approach.",
+            "least(expression[, age]) -> list",
+            fold=Fold(lambda series: _least(series, None), _extreme_step("least", lt), _copied),
+        ),
+        TemporalFunction(
+            "greatest",
+            _greatest,
+            "Returns [time, value] of the greatest value of an expression over the recorded ticks, "
+            "at its first tick, the time in seconds: greatest(contactForce(a, b)) is the hardest "
+            "push.",
+            "greatest(expression[, age]) -> list",
+            fold=Fold(
+                lambda series: _greatest(series, None), _extreme_step("greatest", gt), _copied
+            ),
+        ),
+    )
+}

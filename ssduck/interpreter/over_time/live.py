@@ -1,0 +1,191 @@
+"""Functions of time of a simulation that goes on: each tick adds its value to what was before.
+
+A condition of an environment that asks `heldFor(…)` at each step would read all ticks of the
+episode anew. Here, a call keeps the *state* of its fold over the ticks until now, and the value at
+the next tick is computed as a SELECT of one row. Whenever anything but the next tick is new, such
+as a variable, a body or the first recorded tick, the state is made anew from the record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+from weakref import WeakKeyDictionary
+
+from ssduck.errors import SelectScriptError
+from ssduck.interpreter.over_time.functions import Fold, parts_of
+from ssduck.interpreter.over_time.series import TickSeries
+from ssduck.interpreter.planner import Planner
+from ssduck.language.analysis import free_aliases
+from ssduck.language.builtins import BUILTINS
+from ssduck.language.clauses import formed
+from ssduck.language.evaluator import EvaluationScope, Frame
+from ssduck.language.tree import Call, ListLiteral, Literal, Name, Node, Query, Source, TimeIndex
+from ssduck.language.value_keys import ATOMS
+from ssduck.schema import MASSES
+from ssduck.sql.relations.registry import RELATIONS
+from ssduck.world.handles import Handle
+from ssduck.world.layout import TableLayout
+from ssduck.world.world import World
+
+
+@dataclass
+class _Kept:
+    """The state of a fold over the ticks until one.
+
+    Attributes:
+        query: the SELECT that has the value of the expression at the present tick.
+        names: the variables of the expression.
+        meaning: what it depends on besides the tick.
+        layout: the entities of the world.
+        series: the ticks.
+        run: the number of the world's run.
+        first: the number of the first recorded tick.
+        tick: the number of the last one that is in the state.
+        time: its time, s.
+        state: the state.
+    """
+
+    query: Query
+    names: tuple[str, ...]
+    meaning: tuple[Any, ...]
+    layout: TableLayout
+    series: TickSeries
+    run: int
+    first: int
+    tick: int
+    time: float
+    state: Any
+
+
+class LiveFolds:
+    """The states of calls of functions of time.
+
+    Args:
+        scope: the variables.
+        planner: runs queries.
+        tables_read: returns the data that an expression reads.
+    """
+
+    def __init__(
+        self,
+        scope: EvaluationScope,
+        planner: Planner,
+        tables_read: Callable[[Node], frozenset[str]],
+    ) -> None:
+        self._scope, self._planner, self._tables_read = scope, planner, tables_read
+        self._kept: WeakKeyDictionary[Call, _Kept] = WeakKeyDictionary()
+        # Whether the expression of a call is the same at the present tick and in the record.
+        self._are_simple: WeakKeyDictionary[Call, bool] = WeakKeyDictionary()
+
+    def takes(self, call: Call, frame: Frame) -> bool:
+        """Checks whether the state of a call can be kept: it depends on no row around it."""
+        if frame.local or frame.placeholders or any(map(_is_row, frame.elements.values())):
+            return False
+        if call not in self._are_simple:
+            self._are_simple[call] = not free_aliases(call) and self._is_simple(parts_of(call)[0])
+        return self._are_simple[call]
+
+    def value(self, call: Call, fold: Fold, series_of: Callable[[], TickSeries]) -> Any:
+        """Returns the value of a call at the present tick; the caller pins the worlds.
+
+        Args:
+            call: a call that it takes.
+            fold: the fold that its function is.
+            series_of: a function that returns the ticks of its expression.
+        """
+        kept = self._kept.get(call)
+        if kept is not None and self._is_next(kept, fold):
+            return fold.value(kept.state, kept.time)
+        self._kept.pop(call, None)
+        series = series_of()
+        state, time = fold.begin(series), float(series.ticks()[1][-1])
+        kept = self._made(call, series, state)
+        if kept is not None:
+            self._kept[call] = kept
+        return fold.value(state, time)
+
+    def _is_next(self, kept: _Kept, fold: Fold) -> bool:
+        """Adds the present tick to a state, unless it has it; returns whether that is all."""
+        snapshot = kept.series.record.world.snapshot
+        if (
+            kept.run != snapshot.run
+            or kept.layout is not snapshot.layout
+            or kept.meaning != self._meaning(kept.names)
+        ):
+            return False
+        numbers, times = kept.series.ticks()
+        if not len(numbers) or numbers[0] != kept.first or numbers[-1] != snapshot.number:
+            return False
+        if numbers[-1] == kept.tick:
+            return True
+        time = float(times[-1])
+        if len(numbers) < 2 or numbers[-2] != kept.tick or time <= kept.time:
+            return False
+        try:
+            selected = self._planner.run(kept.query, Frame(self._scope), lambda _: None)
+            ((value,),) = formed(selected, lambda rows: rows.values)
+            if fold.is_of_condition:
+                value = kept.series.is_true(value)
+            kept.state = fold.step(kept.state, time, value)
+        except SelectScriptError:
+            return False  # made from the record, it raises the error if there is one
+        kept.tick, kept.time = int(numbers[-1]), time
+        return True
+
+    def _made(self, call: Call, series: TickSeries, state: Any) -> _Kept | None:
+        """Returns a state to keep; None if it depends on what may change."""
+        expression, _ = parts_of(call)
+        snapshot = series.record.world.snapshot
+        numbers, times = series.ticks()
+        if not len(numbers) or numbers[-1] != snapshot.number:
+            return None
+        zero = ListLiteral(call.span, (Literal(call.span, 0),))
+        query = Query(call.span, (expression,), (Source(call.span, None, zero),))
+        names = tuple(dict.fromkeys(n.name for n in expression.walk() if isinstance(n, Name)))
+        meaning = self._meaning(names)
+        if meaning is None:
+            return None
+        return _Kept(
+            query,
+            names,
+            meaning,
+            snapshot.layout,
+            series,
+            snapshot.run,
+            int(numbers[0]),
+            int(numbers[-1]),
+            float(times[-1]),
+            state,
+        )
+
+    def _is_simple(self, expression: Node) -> bool:
+        """Checks whether an expression has the same value at the present tick and in the record.
+
+        Masses are recorded once, and functions of users may give another value each time.
+        """
+        for node in expression.walk():
+            if isinstance(node, TimeIndex | Query):
+                return False
+            if isinstance(node, Call) and node.name not in RELATIONS and node.name not in BUILTINS:
+                return False
+        return MASSES not in self._tables_read(expression)
+
+    def _meaning(self, names: tuple[str, ...]) -> tuple[Any, ...] | None:
+        """Returns what an expression depends on besides the tick; None if that is not known."""
+        meaning: list[Any] = [self._planner.generation]
+        scope = self._scope
+        for name in names:
+            value = scope.variable(name) if scope.has_variable(name) else None
+            if type(value) in ATOMS:
+                meaning.append((name, type(value), repr(value)))
+            elif isinstance(value, World) or (isinstance(value, Handle) and value.moment is None):
+                meaning.append((name, value))
+            else:
+                return None
+        return tuple(meaning)
+
+
+def _is_row(element: Any) -> bool:
+    return isinstance(element, Handle)

@@ -1,0 +1,166 @@
+"""Functions of time that are kept from tick to tick are those of the whole record.
+
+A program with another text is another program, of which nothing is kept.
+"""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from itertools import count
+
+import mujoco
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+import ssduck
+from ssduck.errors import SelectScriptError
+from ssduck.interpreter.over_time.evaluator import TemporalEvaluator
+from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS
+from tests.support.cases import generated
+
+MODEL = """
+<mujoco><option timestep="0.01"/><worldbody>
+  <geom type="plane" size="1 1 0.1"/>
+  <body name="ball" pos="0 0 0.3"><freejoint/><geom type="sphere" size="0.05"/></body>
+  <body name="box" pos="0.3 0 0.05"><freejoint/><geom type="box" size="0.05 0.05 0.05"/></body>
+</worldbody></mujoco>
+"""
+TERMS = [
+    "heldFor(z(sim.ball) < limit)",
+    "since(near(sim.ball, sim.box, 0.35))",
+    "initially(position(sim.ball))",
+    "previous(z(sim.ball))",
+    "rate(z(sim.ball))",
+    "rate(position(sim.ball))",
+    "least(distance(sim.ball, sim.box))",
+    "greatest(speed(sim.ball))",
+    "heldFor(inContact(sim.ball, sim.world))",
+    "lifted(sim.ball, -0.05)",
+    "heldFor(z(sim.ball) < 0.2) > 0.05 OR rate(z(sim.ball)) > 1.0",
+]
+FOLDS = {name for name, form in TEMPORAL_FUNCTIONS.items() if form.fold is not None}
+STEPS = ("tick", "tick", "tick", "ask", "same time", "limit", "reset", "lift", "nan")
+FRESH = count()
+
+
+@contextmanager
+def opened():
+    model = mujoco.MjModel.from_xml_string(MODEL)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    with ssduck.Interpreter() as ss:
+        sim = ssduck.World.attach((model, data))
+        ss.add_variable("sim", sim)
+        ss.add_variable("limit", 0.25)
+        sim.tick()
+        yield ss, sim, model, data
+
+
+@pytest.fixture
+def scene():
+    with opened() as made:
+        yield made
+
+
+def outcome(ss, text):
+    try:
+        return ss.eval(text)
+    except SelectScriptError as error:
+        return error.message
+
+
+def fresh(ss, text):
+    return outcome(ss, f"{text}; # {next(FRESH)}")
+
+
+def act(scene, step):
+    ss, sim, model, data = scene
+    match step:
+        case "tick":
+            mujoco.mj_step(model, data, 2)
+            sim.tick()
+        case "same time":
+            data.qpos[2] += 0.01
+            sim.tick()
+        case "limit":
+            ss.add_variable("limit", 0.29 if ss["limit"] == 0.25 else 0.25)
+        case "reset":
+            mujoco.mj_resetData(model, data)
+            mujoco.mj_forward(model, data)
+            sim.begin_episode()
+        case "lift":
+            data.qpos[2] += 0.2
+            mujoco.mj_step(model, data)
+            sim.tick()
+        case "nan":
+            data.xpos[1, 2] = float("nan")
+            data.time += 0.01
+            sim.tick()
+            mujoco.mj_forward(model, data)
+
+
+def test_each_function_without_an_age_is_a_fold():
+    with_age = {name for name, form in TEMPORAL_FUNCTIONS.items() if form.arguments[1] > 1}
+    assert with_age - FOLDS == {"holds", "changes", "lifted", "at"}
+    assert {term.partition("(")[0] for term in TERMS} >= FOLDS
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:ball. the simulator gives a pose")
+@settings(max_examples=generated(6))
+@given(st.lists(st.sampled_from(STEPS), max_size=15))
+@example(["tick"] * 12 + ["lift"] + ["tick"] * 8)
+@example(["tick", "limit", "tick", "limit", "tick", "reset", "tick", "tick"])
+@example(["tick", "same time", "tick", "nan", "tick", "tick"])
+def test_they_are_those_of_the_record(steps):
+    with opened() as made:
+        for step in ("ask", *steps):
+            act(made, step)
+            for term in TERMS:
+                assert outcome(made[0], f"{term};") == fresh(made[0], term), (step, term)
+
+
+@pytest.mark.parametrize("term", TERMS)
+def test_the_next_tick_needs_no_record(monkeypatch, scene, term):
+    ss = scene[0]
+    act(scene, "tick")
+    ss.eval(f"{term};")
+    made = []
+    series = TemporalEvaluator.series
+    monkeypatch.setattr(TemporalEvaluator, "series", lambda *args: made.append(1) or series(*args))
+    for _ in range(5):
+        act(scene, "tick")
+        ss.eval(f"{term};")
+    assert made == []
+
+
+@pytest.mark.parametrize(
+    "term",
+    [
+        "heldFor(mass(sim.ball) > 0.1)",  # masses are recorded once
+        "heldFor(chosen(sim.ball))",  # what a user's function gives may change
+        "SELECT heldFor(z(this) < 0.2) FROM sim AS list",  # it depends on a row
+        "heldFor(z(sim{0.0}.ball) < z(sim.ball))",
+    ],
+)
+def test_others_are_made_from_the_record_each_time(monkeypatch, scene, term):
+    ss = scene[0]
+    ss.add_function("chosen", lambda ball: ball.z > 0.1)
+    made = []
+    series = TemporalEvaluator.series
+    monkeypatch.setattr(TemporalEvaluator, "series", lambda *args: made.append(1) or series(*args))
+    for number in range(1, 4):
+        act(scene, "tick")
+        assert outcome(ss, f"{term};") == fresh(ss, term)
+        assert len(made) >= 2 * number
+
+
+def test_what_is_dropped_is_not_kept(scene):
+    ss = scene[0]
+    ss.record("sim", ssduck.Recording(seconds=0.1))
+    for _ in range(20):
+        act(scene, "tick")
+        for term in TERMS:
+            assert outcome(ss, f"{term};") == fresh(ss, term)
+    assert len(ss.sql("SELECT DISTINCT tick FROM sim.entities_history").fetchall()) < 20
