@@ -24,7 +24,7 @@ from ssduck.recording.folder_episodes import whole_record
 from ssduck.recording.folder_recording import ParquetRecording
 from ssduck.recording.paths import expand_path
 from ssduck.recording.replay.past import Past, past_of
-from ssduck.recording.spec import Recording
+from ssduck.recording.spec import Recording, no_ticks_message
 from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.recording.stores.part_names import episode_number
 from ssduck.recording.tags import Tags, given_tags
@@ -217,7 +217,8 @@ class RecordingMethods(ABC):
                 else [self._world(world)]
             )
             if not worlds:
-                raise EvaluationError("no world is recorded here")
+                known = list(self._database.worlds)
+                raise EvaluationError(no_ticks_message(known[0]) if known else "there is no world")
             database, folder, added = self._database, expand_path(path), given_tags(tags)
             if folder.suffix in _FILES:
                 raise ArgumentError(

@@ -461,7 +461,10 @@ class TriggerRegistry:
         for trigger in self._by_name.values():
             if self._batches is not None:
                 self._batches.forget(trigger)
+            before = set(trigger.worlds.worlds)
             self._observe(trigger)
+            if not before.issubset(trigger.worlds.worlds):  # it reads another run
+                trigger.begin_anew()
 
     def _release_worlds(self) -> None:
         """Drops what refers to worlds, which may be gone."""

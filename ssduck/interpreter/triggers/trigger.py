@@ -159,9 +159,13 @@ class Trigger:
             for world in worlds:
                 self._schedule(world).reschedule(world)
 
+    def begin_anew(self) -> None:
+        """Takes the next result for the first one, as that of another run or episode."""
+        self._debouncer.begin_episode()
+
     def restart(self, world: World) -> None:
         """Counts its interval from now on in a world that it reads, where an episode begins."""
-        self._debouncer.begin_episode()
+        self.begin_anew()
         schedule = self._schedules.pop(world, None)
         if schedule is not None:
             self._schedule(world).due = world.time  # the first tick of an episode counts

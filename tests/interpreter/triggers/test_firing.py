@@ -417,3 +417,19 @@ def test_an_episode_of_another_world_begins_nothing(client, ss, sim):
         assert len(got) == 1
         mine.begin_episode()
         assert len(got) == 2
+
+
+@pytest.mark.parametrize("when", ["change", "rising"])
+def test_another_world_of_the_name_begins_with_a_first_result(client, when):
+    other = pybullet.connect(pybullet.DIRECT)
+    got = []
+    with ssduck.Interpreter() as ss:
+        for number in (client, other):
+            body = pybullet.createMultiBody(1, basePosition=[0, 0, 1], physicsClientId=number)
+            sim = ss.add_variable("sim", ssduck.World.attach(number, names={body: "lab_1"}))
+            if number == client:
+                ss.add_trigger("low", LOW, 0, got.append, when=when)
+            ss.add_variable("v", number)  # binds no world
+            sim.step(3)
+    pybullet.disconnect(other)
+    assert got == [True, True]

@@ -368,3 +368,13 @@ def test_a_folder_below_a_file(tmp_path, client):
         ss.add_variable("lab", ssduck.World.attach(client))
         with pytest.raises(RecordError, match=r"file/run cannot be written: .*Not a directory"):
             ss.export(tmp_path / "file" / "run")
+
+
+def test_a_world_without_a_record_is_told_of_with_the_call(tmp_path, client):
+    with ssduck.Interpreter(recording=None) as ss:
+        with pytest.raises(EvaluationError, match=r"there is no world"):
+            ss.export(tmp_path / "run")
+        ss.add_variable("lab", ssduck.World.attach(client))
+        with pytest.raises(EvaluationError, match=r"ss\.record\('lab', ssduck\.Recording\(\)\)"):
+            ss.export(tmp_path / "run")
+    assert not (tmp_path / "run").exists()
