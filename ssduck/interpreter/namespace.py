@@ -36,7 +36,7 @@ from ssduck.language.overrides import (
 )
 from ssduck.language.parser import is_reserved
 from ssduck.language.sql_suggestions import suggestion_for_name
-from ssduck.language.tree import Call, Node
+from ssduck.language.tree import Call, Literal, Node
 from ssduck.language.value_history import ValueHistory, history_of, past_value, with_assignment
 from ssduck.language.value_keys import python_value
 from ssduck.limits import Limits
@@ -140,13 +140,14 @@ class Namespace:
     def _unknown_variable(self, name: str) -> UnknownNameError:
         """Returns the error for an unknown variable; it says what the name may stand for."""
         message = f"there is no variable {short_repr(name)}"
-        if instead := suggestion_for_name(name):
-            return UnknownNameError(f"{message}; {instead}")
         worlds = {key: value for key, value in self.variables.items() if isinstance(value, World)}
         owners = [key for key, world in worlds.items() if name in world]
         if owners and name.isidentifier():
             choices = " or ".join(f"{key}.{name}" for key in owners[:_MAX_WORLDS])
             return UnknownNameError(f"{message}; for the entity, write {choices}")
+        hints = filter(None, (world.part_hint(name) for world in worlds.values()))
+        if instead := next(hints, "") or suggestion_for_name(name):
+            return UnknownNameError(f"{message}; {instead}")
         functions = (known for known in self.names() if known not in self.variables)
         near = nearest(name, self.variables) or nearest(name, functions, least=_FUNCTION_LIKENESS)
         if worlds and not near:
@@ -401,6 +402,9 @@ class Namespace:
                 error.suggestions = nearest(name, [*self._known_functions(), *self.variables])
             raise error
         if not fits:
+            texts = (one for one in node.arguments if isinstance(one, Literal))
+            if count > minimum and any(type(one.value) is str for one in texts):
+                usage += "; a link or a site is written by its names: room.panda.hand"
             expected = f"{minimum}" if minimum == maximum else f"{minimum} to {maximum}"
             plural = "" if expected == "1" else "s"
             raise ArgumentError(

@@ -290,7 +290,9 @@ def indexed(value: Any, index: Any, span: SourceSpan) -> Any:
     except TypeError as error:
         message = f"{type_in_words(value)} has no element {short_repr(index)}"
         if isinstance(index, str) and hasattr(type(value), "key_hint"):
-            message += instead_of(index) or f"; {value.key_hint(index)}"
+            part = value.part_hint(index)
+            instead = f"; {part}" if part else instead_of(index)
+            message += instead or f"; {value.key_hint(index)}"
         elif type(value) is list and index in _AXES:
             message += f"; write [{_AXES.index(index)}], or {index}(e) of an entity e"
         raise ArgumentError(message, span=span) from error

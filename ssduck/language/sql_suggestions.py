@@ -221,6 +221,12 @@ _OF_LIBRARIES: dict[tuple[str, ...], str] = {
     ("T", "SIMTIME", "CLOCK"): "the simulated time is getTime()",
     ("IIF", "IFELSE"): _IF,
 }
+# Functions of other libraries that return a part of an entity.
+_PARTS = frozenset(("LINK", "BODY", "SITE", "GEOM", "GETLINK", "GETBODY"))
+_OF_PARTS = (
+    "a link or a site is written by its names: room.panda.hand, or room['panda']['hand']; "
+    "links(entity) is a list of all"
+)
 # The columns of SQL that are elements of a list here.
 _ELEMENTS = {
     "aabb": ("XMIN", "XMAX", "YMIN", "YMAX", "ZMIN", "ZMAX"),
@@ -264,6 +270,11 @@ def suggestion_for_name(name: str) -> str:
     if name.upper() in _OWN_NAMES:
         return _OWN_NAMES[name.upper()]
     return HABITS[name.upper()] if name.upper() in _NAMES else ""
+
+
+def suggestion_for_call(name: str) -> str:
+    """Returns the suggestion for an unknown function; empty if it is no word of SQL."""
+    return _OF_PARTS if name.upper() in _PARTS else suggestion_for_name(name)
 
 
 def suggestion_for(word: str) -> str:

@@ -121,6 +121,7 @@ class Body:
         joints: any number for each link, in the order of the links.
         shapes: the collision shapes; `PlacedGeometry.frame` is the index of the link.
         visuals: of a recorded body, what was drawn of it; None if the simulator tells, or nobody.
+        unread: the kinds of the named parts of the model that worlds do not read, for messages.
     """
 
     handle: int
@@ -131,6 +132,7 @@ class Body:
     joints: tuple[Joint, ...]
     shapes: tuple[PlacedGeometry, ...]
     visuals: tuple[VisualShape, ...] | None = None
+    unread: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def masses(self) -> list[float]:

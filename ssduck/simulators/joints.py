@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from ssduck.errors import UnknownNameError, nearest
+from ssduck.formatting import first_names
 from ssduck.simulators.interface import SCALAR_JOINTS, Joint
 
 # The default least openness of an open joint, and greatest openness of a closed one.
@@ -117,5 +118,7 @@ class EntityJoints:
             if joint.name == name:
                 return joint, position
         names = [joint.name for joint in self.joints]
+        near = nearest(name, names)
         missing = f"no joint {name!r}" if names else "no joints"
-        raise JointError(f"{self.entity} has {missing}", suggestions=nearest(name, names))
+        only = f", only {first_names(names)}" if names and not near else ""
+        raise JointError(f"{self.entity} has {missing}{only}", suggestions=near)

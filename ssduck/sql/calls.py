@@ -169,7 +169,10 @@ def _argument_error(
         return NotSqlError()
     message = f"{relation.name}: {parameter.name} must be {parameter.meaning}, not {actual}"
     if actual == "a text" and parameter.type in ("entity", "place"):
-        message += "; the entity of a name is room['cup'] in a world room, that of a row this"
+        message += (
+            "; the entity of a name is room['cup'] in a world room, its link room['cup'].handle, "
+            "that of a row this"
+        )
     return ArgumentError(message, span=node.span)
 
 

@@ -21,7 +21,7 @@ from ssduck.language.aggregates import check_one_group, is_aggregated, is_one_gr
 from ssduck.language.analysis import OVER_TIME, changing, free_aliases, is_impure
 from ssduck.language.clauses import PythonClauses
 from ssduck.language.operator_chains import conjuncts
-from ssduck.language.sql_suggestions import suggestion_for_name
+from ssduck.language.sql_suggestions import suggestion_for_call
 from ssduck.language.tree import Binary, Call, Node, OrderKey, Query, This
 from ssduck.sql import subqueries
 from ssduck.sql.expressions import Expressions
@@ -536,7 +536,7 @@ def _parts(node: Node) -> Iterator[Node]:
 
 def unknown_function(node: Call, known: Sequence[str]) -> UnknownNameError:
     """Returns the error for an unknown function."""
-    instead = suggestion_for_name(node.name)
+    instead = suggestion_for_call(node.name)
     near = nearest(node.name, known)
     is_same = any(name.casefold() == node.name.casefold() for name in near)
     return UnknownNameError(

@@ -17,7 +17,7 @@ from ssduck.errors import (
     UnknownNameError,
     nearest,
 )
-from ssduck.formatting import joined_names, name_path, short_repr
+from ssduck.formatting import joined_names, short_repr
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.simulators.interface import DEFAULT_BACKEND, Body, Kind
 from ssduck.simulators.joints import openness
@@ -165,12 +165,8 @@ class Entity(Handle, OpenRaveEntity):
             raise TypeError(error.message) from error
 
     def _is_of_another_kind(self, name: str) -> bool:
-        """Checks whether a name that no link has is that of a joint, or of a value."""
-        return hasattr(type(self), name) or self._has_joint(name)
-
-    def _has_joint(self, name: str) -> bool:
-        body = self.info.body
-        return body is not None and any(joint.name == name for joint in body.joints)
+        """Checks whether a name that no link has is that of a joint, say, or of a value."""
+        return hasattr(type(self), name) or bool(self.part_hint(name))
 
     def key_hint(self, key: str) -> str:
         """The hint of the error for a program that asks for a part or a value by a key."""
@@ -179,8 +175,6 @@ class Entity(Handle, OpenRaveEntity):
         names = [part.name for part in parts]
         near = () if self._is_of_another_kind(key) else nearest(key, names, 1)
         told = f"did you mean {near[0]!r}?" if near else super().key_hint(key)
-        if self._has_joint(key):
-            told = f"of a joint write joint({name_path(self.world.name, self.name)}, {key!r})"
         return f"its {kinds}: {joined_names(names)}; {told}" if parts else told
 
     @property

@@ -38,6 +38,14 @@ _SOURCES = {
     "contacts": "inContact(a, b) asks for contacts; the table is for ss.sql: "
     "SELECT * FROM {0}.contacts",
 }
+# How MuJoCo gives the values of parts of a model that worlds do not read.
+_VALUES = {
+    "sensor": "data.sensor({}).data.tolist()",
+    "actuator": "data.actuator({}).ctrl.tolist()",
+    "camera": "data.camera({}).xpos.tolist()",
+    "tendon": "data.tendon({}).length.tolist()",
+    "keyframe": "model.key({}).qpos.tolist()",
+}
 # At most so many parts that have the name that no entity has are told of.
 _MAX_OWNERS = 3
 # Of a world in which no name is near, this number of names are told.
@@ -219,8 +227,8 @@ def no_entity_error(
         removal: what is told of one that had the name.
     """
     message = f"world {world!r} has no entity {short_repr(name)}"
-    told = removal or _of_part(world, name, infos)
-    if told is None:
+    told = removal or told_of_part(world, name, infos)
+    if not told:
         told = _SOURCES[name].format(world) if name in _SOURCES else ""
     if told:
         return UnknownNameError(f"{message}; {told}")
@@ -240,19 +248,42 @@ def _links(infos: Sequence[EntityInfo]) -> list[tuple[str, str]]:
     return [(i.name, link.name) for i in infos if i.body is not None for link in i.body.links]
 
 
-def _of_part(world: str, name: str, infos: Sequence[EntityInfo]) -> str | None:
-    """Returns what to write for the name of a link, a joint or a geom; None if none has it."""
+def told_of_part(world: str, name: str, infos: Sequence[EntityInfo]) -> str:
+    """Returns what to write for the name of a part of a world's model; "" if none has it.
+
+    Args:
+        world: the name of the world.
+        name: the name.
+        infos: the entities that there are.
+    """
+    bodies = [(info.name, info.body) for info in infos if info.body is not None]
+    if any(info.name == name for info in infos):
+        return f"for the entity, write {name_path(world, name)}"
     owners = [owner for owner, link in _links(infos) if link == name]
     if owners:
         choices = " or ".join(path_text(world, owner, name) for owner in owners[:_MAX_OWNERS])
         return f"a part of another one has that name: write {choices}"
-    for info in infos:
-        for joint in () if info.body is None else info.body.joints:
-            if joint.name == name:
-                return f"it is a joint: write joint({name_path(world, info.name)}, {name!r})"
-        for number, link in enumerate(() if info.body is None else info.body.links):
+    for owner, body in bodies:
+        if any(joint.name == name for joint in body.joints):
+            return f"it is a joint: write joint({name_path(world, owner)}, {name!r})"
+        for number, link in enumerate(body.links):
             if name in link.geoms:
-                entity = name_path(world, info.name)
-                part = entity if number == 0 else path_text(world, info.name, link.name)
-                return f"it is a geom, a shape of the body {link.name}: write {part}"
-    return None
+                part = (
+                    name_path(world, owner) if number == 0 else path_text(world, owner, link.name)
+                )
+                told = f"it is a geom, a shape of the body {link.name}: write {part}"
+                return told + (", which has all of its shapes" if len(link.geoms) > 1 else "")
+    kind = next((body.unread[name] for _, body in bodies if name in body.unread), "")
+    return _told_of_unread(kind, name) if kind else ""
+
+
+def _told_of_unread(kind: str, name: str) -> str:
+    """Returns what to write for a part of a model that worlds do not read."""
+    if kind not in _VALUES:
+        return f"it is a {kind} of the model; entities are bodies, their parts links and sites"
+    value = _VALUES[kind].format(repr(name))
+    article = "an" if kind.startswith("a") else "a"
+    return (
+        f"it is {article} {kind} of the model, which a world does not read: give its value as a "
+        f"variable after each tick, ss.add_variable({name!r}, {value})"
+    )

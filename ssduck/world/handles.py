@@ -184,6 +184,10 @@ class Handle(PublicNames):
             self.state.request_tables([MASSES])
             return self._numbers("mass", "mass")[0]
 
+    def part_hint(self, key: str) -> str:
+        """The hint of an error for a key: what of its world has that name; "" if nothing has."""
+        return self.world.part_hint(key)
+
     def key_hint(self, key: str) -> str:
         """The hint of the error for a program that asks for a value by a key, as in `cup.z`."""
         owner = getattr(self, "owner", None)
@@ -206,7 +210,7 @@ class Handle(PublicNames):
 
     def removed(self) -> RemovedEntityError:
         """Returns the error for an entity that is no longer in its world, or a link of it."""
-        told = self.world.removal_of(self.entity.name)
+        told = self.world.removal_of(getattr(self, "owner", self.name))
         message = f"{self.full_name!r} is no longer in world {self.world.name!r}"
         return RemovedEntityError(f"{message}; {told}" if told else message)
 

@@ -66,6 +66,7 @@ WORLD_INTERNALS = frozenset(
             "lock",
             "notify_observers",
             "origin",
+            "part_hint",
         ),
         *("owning", "pinned", "place", "reading", "release", "remove_recorder"),
         *(
@@ -91,6 +92,7 @@ HANDLE_INTERNALS = frozenset(
             "info",
             "key_hint",
             "moment",
+            "part_hint",
         ),
         *("pinned", "removed", "state"),
     )

@@ -42,7 +42,7 @@ from ssduck.simulators.naming import is_made_up
 from ssduck.simulators.scenes import Camera, SensorSpec, variable_name
 from ssduck.world.construction import UNNAMED, ConstructibleWorld
 from ssduck.world.entities import HANDLES, Entity, Sensor
-from ssduck.world.entity_registry import no_entity_error
+from ssduck.world.entity_registry import no_entity_error, told_of_part
 from ssduck.world.excerpt import excerpt
 from ssduck.world.framing import framing_camera
 from ssduck.world.handles import Handle
@@ -412,6 +412,10 @@ class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicName
             f"it was removed at {time:g} s; where it is recorded, "
             f"{past_path(self.name, name)} is that of an earlier time"
         )
+
+    def part_hint(self, name: str) -> str:
+        """The hint of an error for a name: what of the world has it; "" if nothing has."""
+        return told_of_part(self.name, name, self.snapshot.entities)
 
     def entity(self, id: int) -> Entity:
         """Returns the handle of a present entity by its id.

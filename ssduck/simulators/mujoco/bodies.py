@@ -74,6 +74,16 @@ def name_of(model: Any, type: Any, number: int, noun: str) -> str:
     return mujoco.mj_id2name(model, type, number) or f"{noun}_{number}"
 
 
+def unread_parts(model: Any) -> dict[str, str]:
+    """Returns the kinds of the named parts of a model that worlds do not read."""
+    return {
+        name: kind
+        for kind, (type, size) in _UNREAD.items()
+        for number in range(getattr(model, size))
+        if (name := mujoco.mj_id2name(model, type, number))
+    }
+
+
 def body_names(model: Any) -> list[str]:
     """Returns the names of all bodies of a model."""
     return [name_of(model, _OBJECT.mjOBJ_BODY, n, "body") for n in range(model.nbody)]
@@ -83,6 +93,20 @@ def roots_of(model: Any) -> list[int]:
     """Returns the numbers of the roots of all trees, the world body first."""
     numbers = np.arange(model.nbody)
     return [int(number) for number in np.flatnonzero(entity_roots(model) == numbers)]
+
+
+# The kinds of such parts, with MuJoCo's types and the names of their numbers.
+_UNREAD = {
+    "keyframe": (_OBJECT.mjOBJ_KEY, "nkey"),
+    "texture": (_OBJECT.mjOBJ_TEXTURE, "ntex"),
+    "mesh": (_OBJECT.mjOBJ_MESH, "nmesh"),
+    "material": (_OBJECT.mjOBJ_MATERIAL, "nmat"),
+    "light": (_OBJECT.mjOBJ_LIGHT, "nlight"),
+    "camera": (_OBJECT.mjOBJ_CAMERA, "ncam"),
+    "tendon": (_OBJECT.mjOBJ_TENDON, "ntendon"),
+    "actuator": (_OBJECT.mjOBJ_ACTUATOR, "nu"),
+    "sensor": (_OBJECT.mjOBJ_SENSOR, "nsensor"),
+}
 
 
 class ModelReader:
@@ -121,6 +145,7 @@ class ModelReader:
             self._flex_shapes[body].append(replace(shape, margin=margin))
         self._joints = _by_owner(model.jnt_bodyid, np.arange(model.njnt), model.nbody)
         self._geometries: dict[int, Geometry] = {}
+        self._unread = unread_parts(model)
 
     def bodies(self) -> list[Body]:
         """Returns all bodies, in the order of their numbers."""
@@ -153,6 +178,7 @@ class ModelReader:
             links=(*(self._link(number, root) for number in links), *self._site_links(links)),
             joints=joints,
             shapes=tuple(self._shapes(links)),
+            unread=self._unread,
         )
 
     def _shapes(self, links: range) -> Iterator[PlacedGeometry]:

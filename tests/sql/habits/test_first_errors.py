@@ -17,7 +17,9 @@ from ssduck.language.sql_suggestions import suggestion_for_name
 
 XML = """
 <mujoco>
+  <asset><material name="wood" rgba="1 0 0 1"/></asset>
   <worldbody>
+    <camera name="front" pos="0 -3 1"/>
     <geom name="floor" type="plane" size="0 0 .1"/>
     <body name="table" pos="0 0 .2"><geom type="box" size=".5 .5 .2"/></body>
     <body name="cube" pos="0 0 .5">
@@ -27,9 +29,12 @@ XML = """
     <body name="arm" pos="2 0 1">
       <joint name="hinge" axis="0 0 1"/>
       <geom type="box" size=".4 .02 .1"/>
-      <body name="hand" pos=".5 0 0"><joint name="hand_joint"/><geom name="pad" size=".05"/></body>
+      <body name="hand" pos=".5 0 0"><joint name="hand_joint"/><geom name="pad" size=".05"/><geom name="lpad" size=".04"/></body>
     </body>
   </worldbody>
+  <actuator><motor name="motor" joint="hinge"/></actuator>
+  <sensor><jointpos name="angle_of_hinge" joint="hinge"/></sensor>
+  <keyframe><key name="home" qpos="0 0 .5 1 0 0 0 1 0 .5 1 0 0 0 .3 0"/></keyframe>
 </mujoco>
 """
 
@@ -237,6 +242,24 @@ OF_PROGRAMS = [
     ("lifted(sim.cube);", "lifted(entity, height)"),
     ("z(sim.cube_visual);", "it is a geom, a shape of the body cube: write sim.cube"),
     ("z(sim.pad);", "a shape of the body hand: write sim.arm.hand"),
+    ("inContact(sim.arm.hand.lpad, sim.cube);", "write sim.arm.hand, which has all of its shapes"),
+    ("clearance(sim.arm.pad, sim.cube);", "a shape of the body hand: write sim.arm.hand"),
+    ("sim.arm.cube;", "for the entity, write sim.cube"),
+    ("sim.cube.hand;", "write sim.arm.hand"),
+    ("z(hand);", "no variable 'hand'; a part of another one has that name: write sim.arm.hand"),
+    ("sim.angle_of_hinge > 0;", "data.sensor('angle_of_hinge').data.tolist()"),
+    ("angle_of_hinge > 0;", "it is a sensor of the model, which a world does not read"),
+    ("sim.arm.angle_of_hinge > 0;", "it is a sensor of the model"),
+    ("sim.motor;", "it is an actuator of the model"),
+    ("sim.front;", "data.camera('front').xpos.tolist()"),
+    ("sim.home;", "model.key('home').qpos.tolist()"),
+    ("sim.wood;", "it is a material of the model"),
+    ("link(sim.arm, 'hand');", "room['panda']['hand']"),
+    ("links(sim.arm, 'hand');", "written by its names: room.panda.hand"),
+    ("z(sim.arm, 'hand');", "written by its names: room.panda.hand"),
+    ("inContact(sim.arm, 'hand');", "its link room['cup'].handle"),
+    ("joint(sim.arm, 'motor');", "arm has no joint 'motor', only hinge, hand_joint"),
+    ("joint(sim.arm, hinge);", "it is a joint: write joint(sim.arm, 'hinge')"),
     ("sim.hinge;", "it is a joint: write joint(sim.arm, 'hinge')"),
     ("sim.arm.hinge;", "write joint(sim.arm, 'hinge')"),
     ("sim.arm.hand_joint;", "write joint(sim.arm, 'hand_joint')"),  # there is a link 'hand'
