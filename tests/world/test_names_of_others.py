@@ -117,6 +117,7 @@ def test_a_wrong_sensor_is_told_of(ss, arguments, told):
 def test_a_removed_entity_is_told_of_with_its_time(client, ss, ball, tmp_path):
     lab = ss["lab"]
     handle, z = lab["ball"], lab["ball"].position[2]
+    link = handle.links[0]
     pybullet.removeBody(ball, client)
     lab.step()
     removal = rf"it was removed at {lab.time:g} s; .*lab{{…}}\.ball is that of an earlier time"
@@ -129,6 +130,8 @@ def test_a_removed_entity_is_told_of_with_its_time(client, ss, ball, tmp_path):
             ask()
     with pytest.raises(RemovedEntityError, match=removal):
         assert handle.position
+    with pytest.raises(RemovedEntityError, match=removal):
+        assert link.entity
     with pytest.raises(UnknownNameError, match=r"no entity 'other'$"):
         lab["other"]
     earlier = f"z(lab{{{lab.time - lab.timestep}}}.ball);"
