@@ -39,13 +39,17 @@ def blocks(language):
     return found
 
 
+# A part begins where a scene is loaded anew, or a command is run.
+BEGINNINGS = ("import ssduck\n\nss = ssduck.load(", "import subprocess\n")
+
+
 def parts():
-    """The pages' Python, and what is shown as printed: a part begins where a scene is loaded anew."""
+    """The pages' Python, and what is shown as printed, in parts that need none of the others."""
     for page in PAGES:
         texts, shown, number = [], [], 0
         for language, text in FENCE.findall(page.read_text(encoding="utf-8")):
             if language == "python":
-                if texts and text.startswith("import ssduck\n\nss = ssduck.load("):
+                if texts and text.startswith(BEGINNINGS):
                     yield pytest.param(texts, shown, id=f"{page.relative_to(ROOT)} {number}")
                     texts, shown, number = [], [], number + 1
                 texts.append(text)
