@@ -394,9 +394,9 @@ class Execution(Namespace):
 
         form = TEMPORAL_FUNCTIONS[node.name]
         with self.worlds_pinned(node):
-            fold = form.fold if other is None and self.temporal.reader is None else None
-            if fold is not None and self._folds.takes(node, frame):
-                return self._folds.value(node, fold, series)
+            is_fold = form.fold is not None and other is None and self.temporal.reader is None
+            if is_fold and self._folds.takes(node, frame):
+                return self._folds.value(node, form, series)
             return form.make(series(), None if age is None else validation.seconds(age))
 
     def _run_text(self, text: Any, frame: Frame) -> Any:

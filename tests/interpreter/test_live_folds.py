@@ -156,9 +156,10 @@ def test_others_are_made_from_the_record_each_time(monkeypatch, scene, term):
         assert len(made) >= 2 * number
 
 
-def test_what_is_dropped_is_not_kept(scene):
+@pytest.mark.parametrize("recording", [{"seconds": 0.1}, {"every": 3}])
+def test_what_is_dropped_or_not_recorded_is_not_kept(scene, recording):
     ss = scene[0]
-    ss.record("sim", ssduck.Recording(seconds=0.1))
+    ss.record("sim", ssduck.Recording(**recording))
     for _ in range(20):
         act(scene, "tick")
         for term in TERMS:

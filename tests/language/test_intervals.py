@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 import ssduck
 from ssduck.errors import ArgumentError, EvaluationError, UnknownNameError, UnsupportedError
-from ssduck.interpreter import temporal_functions
+from ssduck.interpreter.over_time import series
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS, changes_of, intervals_of
 from tests.support.bodies import client_of
 from tests.support.cases import sampled
@@ -188,7 +188,7 @@ def test_since_looks_back_as_far_as_it_has_to(lab: Any, ticks: int) -> None:
 @pytest.mark.slow
 def test_since_is_what_a_loop_over_ticks_finds(lab: Any, monkeypatch: Any) -> None:
     """The ticks are read in several pieces, and the first two have the same time."""
-    monkeypatch.setattr(temporal_functions, "FIRST_TICKS", 2)
+    monkeypatch.setattr(series, "FIRST_TICKS", 2)
     _put(lab[2], HEIGHTS)
     ticks = dict(
         lab[0]

@@ -14,7 +14,7 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 from ssduck.errors import SelectScriptError
-from ssduck.interpreter.over_time.functions import Fold, parts_of
+from ssduck.interpreter.over_time.functions import Fold, TemporalFunction, parts_of
 from ssduck.interpreter.over_time.series import TickSeries
 from ssduck.interpreter.planner import Planner
 from ssduck.language.analysis import free_aliases
@@ -87,24 +87,26 @@ class LiveFolds:
             self._are_simple[call] = not free_aliases(call) and self._is_simple(parts_of(call)[0])
         return self._are_simple[call]
 
-    def value(self, call: Call, fold: Fold, series_of: Callable[[], TickSeries]) -> Any:
+    def value(self, call: Call, form: TemporalFunction, series_of: Callable[[], TickSeries]) -> Any:
         """Returns the value of a call at the present tick; the caller pins the worlds.
 
         Args:
             call: a call that it takes.
-            fold: the fold that its function is.
+            form: its function, which is a fold.
             series_of: a function that returns the ticks of its expression.
         """
+        fold = form.fold
+        assert fold is not None
         kept = self._kept.get(call)
         if kept is not None and self._is_next(kept, fold):
             return fold.value(kept.state, kept.time)
         self._kept.pop(call, None)
         series = series_of()
-        state, time = fold.begin(series), float(series.ticks()[1][-1])
-        kept = self._made(call, series, state)
-        if kept is not None:
-            self._kept[call] = kept
-        return fold.value(state, time)
+        kept = self._made(call, series, fold)
+        if kept is None:
+            return form.make(series, None)
+        self._kept[call] = kept
+        return fold.value(kept.state, kept.time)
 
     def _is_next(self, kept: _Kept, fold: Fold) -> bool:
         """Adds the present tick to a state, unless it has it; returns whether that is all."""
@@ -134,21 +136,22 @@ class LiveFolds:
         kept.tick, kept.time = int(numbers[-1]), time
         return True
 
-    def _made(self, call: Call, series: TickSeries, state: Any) -> _Kept | None:
-        """Returns a state to keep; None if it depends on what may change."""
-        expression, _ = parts_of(call)
+    def _made(self, call: Call, series: TickSeries, fold: Fold) -> _Kept | None:
+        """Returns a state to keep.
+
+        Returns:
+            None if the present tick is not recorded, or a variable is of a type that may change.
+        """
         snapshot = series.record.world.snapshot
         numbers, times = series.ticks()
-        if not len(numbers) or numbers[-1] != snapshot.number:
-            return None
-        zero = ListLiteral(call.span, (Literal(call.span, 0),))
-        query = Query(call.span, (expression,), (Source(call.span, None, zero),))
+        expression, _ = parts_of(call)
         names = tuple(dict.fromkeys(n.name for n in expression.walk() if isinstance(n, Name)))
         meaning = self._meaning(names)
-        if meaning is None:
+        if meaning is None or not len(numbers) or numbers[-1] != snapshot.number:
             return None
+        zero = ListLiteral(call.span, (Literal(call.span, 0),))
         return _Kept(
-            query,
+            Query(call.span, (expression,), (Source(call.span, None, zero),)),
             names,
             meaning,
             snapshot.layout,
@@ -157,7 +160,7 @@ class LiveFolds:
             int(numbers[0]),
             int(numbers[-1]),
             float(times[-1]),
-            state,
+            fold.begin(series),
         )
 
     def _is_simple(self, expression: Node) -> bool:
