@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import TypeAlias
 
 import numpy as np
@@ -22,13 +21,11 @@ from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.broad_phase import Pairs
 from ssduck.geometry.poses import rotate
 from ssduck.geometry.proofs.gjk import decide_gaps, tolerances
-from ssduck.geometry.proofs.kept_verdicts import KeptVerdicts, pair_keys
+from ssduck.geometry.proofs.kept_verdicts import KeptVerdicts
 from ssduck.geometry.proofs.separating_axes import box_depths
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Decisions, Verdicts
-from ssduck.geometry.proofs.witnesses import KeptWitnesses
 from ssduck.geometry.tick_shapes import (
     MAX_ENTITIES,
-    KeptPairs,
     PairPredicate,
     ShapeTable,
     TickShapes,
@@ -72,7 +69,7 @@ def matching_pairs(
     predicate: PairPredicate,
     satisfies: Callable[[int, int], bool],
     among: Pairs | None = None,
-    kept: KeptPairs | None = None,
+    kept: KeptVerdicts | None = None,
 ) -> PairResult:
     """Returns the pairs of entities for which a predicate holds.
 
@@ -81,11 +78,10 @@ def matching_pairs(
         predicate: the condition on two shapes.
         satisfies: decides the pairs of shapes that no rule decides.
         among: the pairs of shapes to compare; None for all candidate pairs.
-        kept: what is kept of the same predicate from the tick before.
+        kept: the verdicts on the same predicate at the tick before, which are replaced.
     """
     among = predicate.candidates(tick) if among is None else comparable_pairs(tick, among)
     bounds = predicate.bounds(tick.table, *among)
-    by_cores = partial(_by_cores, kept=None if kept is None else kept.witnesses)
     by_axes = _by_axes if predicate.kind == "colliding" else _by_axes_if_sure
     rules: tuple[Rule, ...] = (
         *((_by_planes,) if tick.table.has_planes else ()),
@@ -93,7 +89,7 @@ def matching_pairs(
         _by_proposals,
         by_axes,  # a few boxes
         _by_spheres,
-        by_cores,
+        _by_cores,
     )
     if predicate.kind != "colliding":  # a distance is not negative
         is_non_negative = bounds >= 0.0
@@ -214,7 +210,7 @@ def _matching_entities(
     rules: Sequence[Rule],
     bounds: Array,
     is_below: Callable[[int, int], bool],
-    kept: KeptPairs | None,
+    kept: KeptVerdicts | None,
 ) -> PairResult:
     """Returns the pairs of entities with shapes whose signed distance is below a bound.
 
@@ -232,7 +228,7 @@ def _matching_entities(
     compared = owners if has_single_shapes else np.unique(owners)
     decisions = Decisions.none(len(first))
     if kept is not None:
-        decisions = kept.verdicts.find(tick.poses, first, second)
+        decisions = kept.find(tick.poses, first, second)
     verdicts = decisions.verdicts
     open_pairs = np.flatnonzero(verdicts == UNDECIDED)
     is_kept = True
@@ -250,7 +246,8 @@ def _matching_entities(
             open_pairs = open_pairs[found.verdicts == UNDECIDED]
     _compare_one_by_one(decisions, open_pairs, owners, candidates, is_below)
     if kept is not None and not is_kept:
-        _keep(kept, tick, candidates, decisions)
+        _limit_room(decisions, tick, candidates)
+        kept.keep(tick.poses, first, second, decisions)
     matching = owners[verdicts == BELOW]
     return PairResult(np.sort(matching) if has_single_shapes else np.unique(matching), compared)
 
@@ -272,13 +269,6 @@ def _compare_one_by_one(
             decisions.verdicts[pair] = BELOW if is_below(s, t) else ABOVE
             if decisions.verdicts[pair] == BELOW:
                 matching.add(owner)
-
-
-def _keep(kept: KeptPairs, tick: TickShapes, pairs: Pairs, decisions: Decisions) -> None:
-    """Keeps the verdicts of a tick for the next one."""
-    _limit_room(decisions, tick, pairs)
-    kept.verdicts.keep(tick.poses, *pairs, decisions)
-    kept.witnesses.keep_only(pair_keys(*pairs))
 
 
 # -- rules -------------------------------------------------------------------------------------
@@ -398,7 +388,6 @@ def _by_cores(
     first: Indices,
     second: Indices,
     bounds: Array,
-    kept: KeptWitnesses | None = None,
     directions: Array | None = None,
 ) -> Decisions:
     """Decides convex shapes by GJK. The convex hull of a mesh can only show that it is far away."""
@@ -409,7 +398,7 @@ def _by_cores(
     indices = np.flatnonzero(~(table.is_plane[first] | table.is_plane[second]))
     tried = None if directions is None else directions[:, indices]
     some = first[indices], second[indices], bounds[indices]
-    found = decide_gaps(tick.placed_cores, *some, kept, tried)
+    found = decide_gaps(tick.placed_cores, *some, tried)
     is_concave = ~(table.is_convex[first[indices]] & table.is_convex[second[indices]])
     found.decide(is_concave & (found.verdicts == BELOW), UNDECIDED)
     decisions.decide(indices, found.verdicts, found.room)

@@ -17,7 +17,6 @@ from ssduck.geometry.proofs.cores import ConvexCores, PlacedCores
 from ssduck.geometry.proofs.kept_parts import KeptParts
 from ssduck.geometry.proofs.kept_verdicts import KeptVerdicts, ShapePoses
 from ssduck.geometry.proofs.proposals import Proposer
-from ssduck.geometry.proofs.witnesses import KeptWitnesses
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import Solid, solid_of
 
@@ -75,13 +74,6 @@ class PairPredicate:
         return _candidates(tick, grown, max(self.distance, 0.0) + _BOUND_MARGIN)
 
 
-class KeptPairs:
-    """What decided the pairs of a condition at the tick before, and the verdicts."""
-
-    def __init__(self) -> None:
-        self.witnesses, self.verdicts = KeptWitnesses(), KeptVerdicts()
-
-
 class ShapeTable:
     """The properties of shapes that do not depend on their poses, and what is kept between ticks.
 
@@ -135,18 +127,18 @@ class ShapeTable:
         self.normal = np.array(normals).reshape(-1, 3)[solid_indices]
         self.cores = ConvexCores(solids, solid_indices)
         self.proposer = Proposer(solids, solid_indices)
-        self._kept: dict[PairPredicate, KeptPairs] = {}
+        self._kept: dict[PairPredicate, KeptVerdicts] = {}
         self.kept_touching, self.kept_upward = KeptVerdicts(), KeptVerdicts()
         self.kept_parts = KeptParts()
         self._regrouped: dict[tuple[bytes, bytes], ShapeTable] = {}
         self._extended: tuple[tuple[tuple[str, ...], bytes], ShapeTable] | None = None
 
-    def kept(self, predicate: PairPredicate) -> KeptPairs:
-        """Returns what is kept of a predicate from the tick before."""
+    def kept(self, predicate: PairPredicate) -> KeptVerdicts:
+        """Returns the verdicts on a predicate at the tick before."""
         if predicate not in self._kept:
             if len(self._kept) >= _MAX_PREDICATES:
                 self._kept.clear()
-            self._kept[predicate] = KeptPairs()
+            self._kept[predicate] = KeptVerdicts()
         return self._kept[predicate]
 
     def extended(self, geometries: Sequence[Geometry], entities: Indices) -> ShapeTable:
@@ -175,7 +167,7 @@ class ShapeTable:
     def regrouped(self, shapes: Indices, entities: Indices) -> ShapeTable:
         """Returns the table of some of the shapes, which belong to other entities.
 
-        The table is the same at each tick, so that it keeps its witnesses.
+        The table is the same at each tick, so that it keeps its verdicts.
 
         Args:
             shapes: (m,), the numbers of the shapes.
@@ -287,7 +279,7 @@ def _candidates(tick: TickShapes, boxes: Array, max_distance: float) -> Pairs:
     if max_distance == np.inf:
         first, second = np.triu_indices(boxes.shape[1], 1)
     else:
-        # The lower number first: in the same order at each tick, for the witnesses.
+        # The lower number first: in the same order at each tick, for the kept verdicts.
         first, second = overlapping_pairs(boxes, max_distance)
     if known is not None:
         first, second = known[first], known[second]

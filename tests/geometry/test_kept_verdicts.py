@@ -178,6 +178,24 @@ def test_a_world_that_drifts_answers_as_one_that_was_never_asked(client, conditi
                 assert other.eval(query) == found
 
 
+@pytest.mark.slow
+@sampled("condition", [*CONDITIONS, "collides(a.this, b.this, 0.01)"], every=3)
+def test_a_world_that_moves_answers_as_one_that_compares_pair_by_pair(client, condition):
+    query = f"SELECT id(a.this), id(b.this) FROM a=w, b=w WHERE {condition} AS list;"
+    one_by_one = query.replace(" AS list", " AND z(a.this) > -1e9 AS list")
+    fill(client, [*MIXED, "plane"], seed=4, side=0.9)
+    random = np.random.default_rng(6)
+    with ssduck.Interpreter() as ss:
+        world = ss.add_variable("w", ssduck.World.attach(client))
+        for far in (0.0, 1e-4, 1e-3, 0.02, 0.0, 0.3):
+            drift(client, random, far)
+            world.tick()
+            found = ss.eval(query)
+            with ssduck.Interpreter() as other:
+                other.add_variable("w", ssduck.World.attach(client))
+                assert other.eval(one_by_one) == found
+
+
 def test_a_pair_at_its_bound_is_compared_once_while_it_stands_still(client):
     """The narrow phase decides it, which counts its calls of FCL."""
     names = {}

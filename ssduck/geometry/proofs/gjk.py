@@ -30,9 +30,7 @@ import numpy as np
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.proofs.columns import column_lengths, unit_columns
 from ssduck.geometry.proofs.cores import PlacedCores
-from ssduck.geometry.proofs.kept_verdicts import pair_keys
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Decisions, Verdicts
-from ssduck.geometry.proofs.witnesses import KeptWitnesses, Witnesses, WitnessLog
 
 # Polytopes need few steps; the steps towards a cylinder's rim get smaller and smaller.
 MAX_STEPS = 40
@@ -64,7 +62,6 @@ class _Pairs:
         low, high: (n,): distances of the cores above `high` are above the bound, those below `low`
             below it.
         simplex: (3, 3, n): three points (point, axis, pair) of the difference.
-        on_first: (3, 3, n), the points on the first shape, from its centre, that they are made of.
         nearest: (3, n), a point of their hull.
         upper_bound: (n,), its distance from the origin.
     """
@@ -76,7 +73,6 @@ class _Pairs:
     low: Array
     high: Array
     simplex: Array
-    on_first: Array
     nearest: Array
     upper_bound: Array
 
@@ -84,17 +80,14 @@ class _Pairs:
         """Returns the selected pairs."""
         return _Pairs(*(getattr(self, name).take(indices, axis=-1) for name in _FIELDS))
 
-    def difference_points(self, bodies: PlacedCores, directions: Array) -> tuple[Array, Array]:
-        """Returns the support points of the differences in directions, and those of the first.
-
-        All of them are (3, n), those of the first shape from its centre.
-        """
+    def difference_points(self, bodies: PlacedCores, directions: Array) -> Array:
+        """Returns the support points (3, n) of the differences in directions (3, n)."""
         count = len(self.first)
         both = np.concatenate((self.first, self.second))
         points = bodies.support_points(both, np.concatenate((directions, -directions), axis=1))
         points_of_difference: Array = points[:, :count] - points[:, count:]
         points_of_difference += self.between
-        return points_of_difference, points[:, :count]
+        return points_of_difference
 
 
 _FIELDS = tuple(_Pairs.__dataclass_fields__)
@@ -106,11 +99,7 @@ def _concatenate(parts: Sequence[_Pairs]) -> _Pairs:
 
 
 def classify_gaps(
-    bodies: PlacedCores,
-    first: Indices,
-    second: Indices,
-    bound: float | Array,
-    kept: KeptWitnesses | None = None,
+    bodies: PlacedCores, first: Indices, second: Indices, bound: float | Array
 ) -> Verdicts:
     """Classifies the signed distances of convex shapes as BELOW a bound, ABOVE it, or UNDECIDED.
 
@@ -123,9 +112,8 @@ def classify_gaps(
         second: (n,), indices of shapes. For the hull of a shape that is not convex, only ABOVE
             holds for the shape.
         bound: metres, for all pairs or (n,) for each.
-        kept: the witnesses of the tick before, which are replaced by those of this one.
     """
-    return decide_gaps(bodies, first, second, bound, kept).verdicts
+    return decide_gaps(bodies, first, second, bound).verdicts
 
 
 def decide_gaps(
@@ -133,7 +121,6 @@ def decide_gaps(
     first: Indices,
     second: Indices,
     bound: float | Array,
-    kept: KeptWitnesses | None = None,
     directions: Array | None = None,
 ) -> Decisions:
     """Returns the same verdicts as `classify_gaps`, with the room of those that took one step.
@@ -143,28 +130,20 @@ def decide_gaps(
         first: see there.
         second: see there.
         bound: see there.
-        kept: see there.
-        directions: (3, n), from the second shapes to the first, to try first where nothing is kept;
-            0 for those of the centres.
+        directions: (3, n), from the second shapes to the first, to try first; 0 for those of the
+            centres.
     """
     decisions = Decisions.none(len(first))
     bounds = np.broadcast_to(np.asarray(bound, dtype=np.float64), first.shape)
-    log = WitnessLog()
     for start in range(0, len(first), PAIRS_AT_ONCE):
         batch = slice(start, start + PAIRS_AT_ONCE)
         part = decisions.part(batch)
         pairs = _initial_pairs(bodies, first[batch], second[batch], bounds[batch])
-        if kept is None:
-            tried = pairs.between.copy()
-            if directions is not None:
-                is_given = directions[:, batch].any(axis=0)
-                np.copyto(tried, directions[:, batch], where=is_given)
-            pairs = _first_step(pairs, tried, bodies, part)
-        else:
-            pairs = _first_step_by_witnesses(pairs, bodies, part, kept, log)
-        _decide(pairs, bodies, part, log if kept is not None else None)
-    if kept is not None:
-        kept.keep(log, pair_keys(first, second))
+        tried = pairs.between.copy()
+        if directions is not None:
+            is_given = directions[:, batch].any(axis=0)
+            np.copyto(tried, directions[:, batch], where=is_given)
+        _decide(_first_step(pairs, tried, bodies, part), bodies, part)
     return decisions
 
 
@@ -191,7 +170,6 @@ def _initial_pairs(bodies: PlacedCores, first: Indices, second: Indices, bounds:
         core_bound - error,
         core_bound + error,
         np.zeros((3, 3, count)),
-        np.zeros((3, 3, count)),
         between,
         np.full(count, np.inf),
     )
@@ -200,96 +178,22 @@ def _initial_pairs(bodies: PlacedCores, first: Indices, second: Indices, bounds:
 # -- steps -------------------------------------------------------------------------------------
 
 
-def _first_step_by_witnesses(
-    pairs: _Pairs, bodies: PlacedCores, decisions: Decisions, kept: KeptWitnesses, log: WitnessLog
-) -> _Pairs:
-    """Takes the first step, and decides pairs whose witnesses still hold; returns the others."""
-    verdicts = decisions.verdicts
-    directions = pairs.between.copy()
-    found = kept.find(pair_keys(pairs.first, pairs.second))
-    if found is None:
-        return _first_step(pairs, directions, bodies, decisions)
-    places, witnesses = found
-    directions[:, places] = np.where(
-        witnesses.are_apart, witnesses.directions, directions[:, places]
-    )
-    pairs = _first_step(pairs, directions, bodies, decisions)
-    is_open = ~witnesses.are_apart & (verdicts[places] == UNDECIDED)
-    holds = witnesses.are_apart & (verdicts[places] == ABOVE)
-    if is_open.any():
-        overlapping = np.flatnonzero(is_open)
-        rows = np.searchsorted(pairs.number, places[overlapping])
-        some, room = _by_points(pairs.select(rows), bodies, witnesses.select(overlapping))
-        holds[overlapping] = overlap = room > 0.0
-        decisions.decide(places[overlapping[overlap]], BELOW, room[overlap])
-        is_restarted = (room <= 0.0) & (some.upper_bound > 0.0)
-        others = np.flatnonzero(verdicts[pairs.number] == UNDECIDED)
-        others = others[~np.isin(others, rows[is_restarted])]
-        pairs = _concatenate((pairs.select(others), some.select(np.flatnonzero(is_restarted))))
-    log.add(witnesses.select(np.flatnonzero(holds)))
-    return pairs
-
-
-def _by_points(pairs: _Pairs, bodies: PlacedCores, witnesses: Witnesses) -> tuple[_Pairs, Array]:
-    """Returns pairs that begin at the four points of their witnesses, and the room of these.
-
-    The room is how far below its bound the points still show a pair to be. A pair whose points are
-    around the origin has an upper bound of 0.
-    """
-    on_first = bodies.to_world(pairs.first, witnesses.points_first)
-    on_second = bodies.to_world(pairs.second, witnesses.points_second)
-    corners = on_first - on_second + pairs.between
-    depth = _depths(corners)[0].min(axis=0)
-    chosen, nearest = _closest(corners[:3], corners[3])
-    pairs = _with_simplex(pairs, corners, on_first, chosen, nearest)
-    pairs.upper_bound[depth > 0.0] = 0.0
-    room: Array = pairs.low - pairs.upper_bound + np.maximum(depth, 0.0)
-    return pairs, room
-
-
-def _with_simplex(
-    pairs: _Pairs, corners: Array, on_first: Array, chosen: Indices, nearest: Array
-) -> _Pairs:
-    """Returns pairs with three of four corners (4, 3, n), and the point nearest to the origin."""
-    rows = np.arange(len(pairs.number))
-    return replace(
-        pairs,
-        simplex=corners[chosen, :, rows].transpose(0, 2, 1),
-        on_first=on_first[chosen, :, rows].transpose(0, 2, 1),
-        nearest=nearest,
-        upper_bound=column_lengths(nearest),
-    )
-
-
-def _log_points(
-    log: WitnessLog, pairs: _Pairs, bodies: PlacedCores, corners: Array, on_first: Array
-) -> None:
-    """Adds pairs that points (4, 3, n) of their difference decide, with those on the first."""
-    if not len(pairs.number):
-        return
-    points_first = bodies.to_local(pairs.first, on_first)
-    points_second = bodies.to_local(pairs.second, on_first + pairs.between - corners)
-    log.add_points(pairs.first, pairs.second, points_first, points_second)
-
-
-def _decide(
-    pairs: _Pairs, bodies: PlacedCores, decisions: Decisions, log: WitnessLog | None
-) -> None:
+def _decide(pairs: _Pairs, bodies: PlacedCores, decisions: Decisions) -> None:
     """Decides pairs after their first step, by their indices."""
     on_origin = []
     for _ in range(MAX_STEPS):
         if not len(pairs.number):
             break
-        pairs, shallow = _step(pairs, bodies, decisions, log)
+        pairs, shallow = _step(pairs, bodies, decisions)
         on_origin += [shallow] if shallow else []
     if on_origin:
         surrounding = _concatenate([pairs for pairs, _ in on_origin])
         corners = np.concatenate([corners for _, corners in on_origin], axis=-1)
         verdicts = decisions.verdicts
-        _move_tetrahedra(surrounding, corners, bodies, verdicts, log)
+        _move_tetrahedra(surrounding, corners, bodies, verdicts)
         undecided = surrounding.select(np.flatnonzero(verdicts[surrounding.number] == UNDECIDED))
         if len(undecided.number):
-            _move_tetrahedra(undecided, _tetrahedron(undecided, bodies), bodies, verdicts, log)
+            _move_tetrahedra(undecided, _tetrahedron(undecided, bodies), bodies, verdicts)
 
 
 def _first_step(
@@ -302,15 +206,12 @@ def _first_step(
     """
     length = column_lengths(directions)
     directions[0, length == 0.0] = 1.0
-    new, on_first = pairs.difference_points(bodies, -directions)
+    new = pairs.difference_points(bodies, -directions)
     room = _dots(directions, new) / np.where(length == 0.0, 1.0, length) - pairs.high
     is_apart = room > 0.0
     decisions.decide(pairs.number[is_apart], ABOVE, room[is_apart])
     has_ball, centre, radius = bodies.balls(pairs.first, pairs.second)
     centre = np.where(has_ball, centre, new)
-    centre_on_first = bodies.inscribed_centres.take(pairs.first, axis=1)
-    centre_on_first -= bodies.centres.take(pairs.first, axis=1)
-    centre_on_first = np.where(has_ball, centre_on_first, on_first)
     edges = new - centre
     fraction = np.clip(-_dots(centre, edges) / np.maximum(_dots(edges, edges), 1e-300), 0.0, 1.0)
     nearest = centre + fraction * edges
@@ -321,7 +222,6 @@ def _first_step(
     pairs = replace(
         pairs,
         simplex=np.array((new, centre, centre)),
-        on_first=np.array((on_first, centre_on_first, centre_on_first)),
         nearest=nearest,
         upper_bound=upper_bound,
     )
@@ -332,48 +232,41 @@ _SurroundingPairs: TypeAlias = tuple[_Pairs, Array]
 
 
 def _step(
-    pairs: _Pairs, bodies: PlacedCores, decisions: Decisions, log: WitnessLog | None
+    pairs: _Pairs, bodies: PlacedCores, decisions: Decisions
 ) -> tuple[_Pairs, _SurroundingPairs | None]:
     """Takes a step with each pair.
 
     Returns:
         The pairs that are undecided and can go on, and those whose tetrahedron contains the origin
-        without deciding them, with its corners and these on the first shape, (2, 4, 3, n).
+        without deciding them, with its corners, (4, 3, n).
     """
-    new, new_on_first = pairs.difference_points(bodies, -pairs.nearest)
+    new = pairs.difference_points(bodies, -pairs.nearest)
     height = _dots(pairs.nearest, new)
     is_origin = pairs.upper_bound == 0.0  # which is no direction
     room = height / np.where(is_origin, 1.0, pairs.upper_bound) - pairs.high
     is_apart = (room > 0.0) & ~is_origin
     decisions.decide(pairs.number[is_apart], ABOVE, room[is_apart])
-    if log is not None:
-        log.add_directions(
-            pairs.first[is_apart], pairs.second[is_apart], pairs.nearest[:, is_apart]
-        )
     # A point that is as far away as its plane is the nearest one.
     remaining = np.flatnonzero(~is_apart & (height < pairs.upper_bound * pairs.upper_bound))
     pairs, new = pairs.select(remaining), new[:, remaining]
     corners = np.concatenate((pairs.simplex, new[None]))
-    on_first = np.concatenate((pairs.on_first, new_on_first[None, :, remaining]))
-    moved = _with_simplex(pairs, corners, on_first, *_closest(pairs.simplex, new))
-    upper_bound = moved.upper_bound
+    simplex, nearest = _closest(pairs.simplex, new)
+    upper_bound = column_lengths(nearest)
     depth = _depths(corners)[0].min(axis=0)
     room = pairs.low - np.where(depth > 0.0, -depth, upper_bound)
     is_below = room > 0.0
     decisions.decide(pairs.number[is_below], BELOW, room[is_below])
-    if log is not None:
-        below = np.flatnonzero(is_below)
-        _log_points(log, pairs.select(below), bodies, corners[..., below], on_first[..., below])
     is_on_origin = (depth > 0.0) | (upper_bound <= 1e-13 * np.abs(corners).max(axis=(0, 1)))
     shallow = np.flatnonzero(is_on_origin & ~is_below)
     on_origin = None
     if len(shallow):
-        on_origin = pairs.select(shallow), np.array((corners, on_first))[..., shallow]
+        on_origin = pairs.select(shallow), corners[..., shallow]
     undecided = np.flatnonzero(~(is_below | is_on_origin) & (upper_bound < pairs.upper_bound))
+    moved = replace(pairs, simplex=simplex, nearest=nearest, upper_bound=upper_bound)
     return moved.select(undecided), on_origin
 
 
-def _closest(simplex: Array, new: Array) -> tuple[Indices, Array]:
+def _closest(simplex: Array, new: Array) -> tuple[Array, Array]:
     """Returns the point nearest to the origin on the three faces at a tetrahedron's newest corner.
 
     The fourth face is no nearer. Corners may be equal.
@@ -383,8 +276,7 @@ def _closest(simplex: Array, new: Array) -> tuple[Indices, Array]:
         new: (3, n), the newest corner.
 
     Returns:
-        The corners of the point's face, as places among all four with the newest last, (3, n) and
-        the newest first; the point, (3, n).
+        The corners of the point's face, the newest first, (3, 3, n); the point, (3, n).
     """
     edges = simplex - new
     after = edges[_NEXT]
@@ -406,7 +298,8 @@ def _closest(simplex: Array, new: Array) -> tuple[Indices, Array]:
     squared_distances[3:][~has_area] = np.inf
     best, rows = squared_distances.argmin(axis=0), np.arange(new.shape[1])
     face = best % 3
-    return np.array((np.full(len(rows), 3), face, _NEXT[face])), points[best, :, rows].T
+    nearest_face = np.array((new, simplex[face, :, rows].T, simplex[_NEXT[face], :, rows].T))
+    return nearest_face, points[best, :, rows].T
 
 
 def _depths(corners: Array) -> tuple[Array, Array]:
@@ -432,11 +325,7 @@ def _depths(corners: Array) -> tuple[Array, Array]:
 
 
 def _move_tetrahedra(
-    pairs: _Pairs,
-    corners: Array,
-    bodies: PlacedCores,
-    verdicts: Verdicts,
-    log: WitnessLog | None,
+    pairs: _Pairs, corners: Array, bodies: PlacedCores, verdicts: Verdicts
 ) -> None:
     """Decides pairs whose tetrahedra contain the origin, by the face nearest to it.
 
@@ -446,30 +335,23 @@ def _move_tetrahedra(
 
     Args:
         pairs: the pairs.
-        corners: (2, 4, 3, n), the corners of the tetrahedra, and these on the first shape.
+        corners: (4, 3, n), the corners of the tetrahedra.
         bodies: the cores.
         verdicts: those of all pairs.
-        log: the witnesses of decided pairs.
     """
     for move in range(MAX_MOVES):
-        depths, normals = _depths(corners[0])
+        depths, normals = _depths(corners)
         rows = np.arange(len(pairs.number))
         directions = unit_columns(normals[_nearest_face(depths, normals), :, rows].T)
         directions += _DEVIATIONS[move % len(_DEVIATIONS)][:, None]
-        new = np.array(pairs.difference_points(bodies, directions))
-        is_above = -_dots(directions, new[0]) > pairs.high * column_lengths(directions)
+        new = pairs.difference_points(bodies, directions)
+        is_above = -_dots(directions, new) > pairs.high * column_lengths(directions)
         verdicts[pairs.number[is_above]] = ABOVE
-        replaced, depth = _replaced_corner(corners[0], new[0])
+        replaced, depth = _replaced_corner(corners, new)
         moved = corners.copy()
-        moved[:, replaced, :, rows] = new.transpose(2, 0, 1)
+        moved[replaced, :, rows] = new.T
         is_below = ~is_above & (-depth < pairs.low)
         verdicts[pairs.number[is_below]] = BELOW
-        if log is not None:
-            below = np.flatnonzero(is_below)
-            _log_points(log, pairs.select(below), bodies, *moved[..., below])
-            log.add_directions(
-                pairs.first[is_above], pairs.second[is_above], -directions[:, is_above]
-            )
         undecided = np.flatnonzero(~(is_above | is_below))
         if not len(undecided):
             return
@@ -477,14 +359,10 @@ def _move_tetrahedra(
 
 
 def _tetrahedron(pairs: _Pairs, bodies: PlacedCores) -> Array:
-    """Returns points of the differences in four directions of the first's frame, (2, 4, 3, n).
-
-    The first four are those of the differences, the others those on the first shape.
-    """
+    """Returns points of the differences in four directions of the first's frame, (4, 3, n)."""
     rotations = bodies.rotations.take(pairs.first, axis=1).reshape(3, 3, -1)
     directions = np.einsum("ijn,dj->din", rotations, _OBLIQUE_DIRECTIONS)
-    points = [pairs.difference_points(bodies, direction) for direction in directions]
-    return np.array(points).transpose(1, 0, 2, 3)
+    return np.array([pairs.difference_points(bodies, direction) for direction in directions])
 
 
 def _nearest_face(depths: Array, normals: Array) -> Indices:

@@ -5,10 +5,9 @@ changed. It changes by no more than the points of the shapes move relative to ea
 whose signed distance has some room to the bound therefore holds until the shapes have moved by that
 room: nothing is computed anew for them but their motion.
 
-Unlike a witness, a kept verdict is not proved again. It is only kept with room beyond the tolerance
-within which a pair stays undecided, so that a new comparison would give the same verdict. Any
-verdict holds for two shapes whose poses are the same to the last bit: a comparison depends on
-nothing else.
+A kept verdict is not proved again. It is only kept with room beyond the tolerance within which a
+pair stays undecided, so that a new comparison would give the same verdict. Any verdict holds for
+two shapes whose poses are the same to the last bit: a comparison depends on nothing else.
 """
 
 from __future__ import annotations
