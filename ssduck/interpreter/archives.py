@@ -35,6 +35,7 @@ from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.recording.stores.record_file import RecordFile
 from ssduck.recording.tags import Tags
 from ssduck.schema import RECORDABLE
+from ssduck.simulators.scene_bodies import MODEL_SUFFIXES
 from ssduck.world.run_numbers import new_run
 
 # The number of an episode in the name of a schema.
@@ -112,9 +113,13 @@ def recorded_runs(path: Path, database: Database) -> Sequence[RecordedRun]:
         return runs_in(path)
     if not path.is_file():
         raise RecordError(f"there is no record {path}: neither a folder nor a DuckDB file")
-    return _runs_in_file(
-        path, database.connection.attach(path), database.connection.reader(OpenedRecord(path))
-    )
+    try:
+        schema = database.connection.attach(path)
+    except RecordError as error:
+        if path.suffix.lower() in (".toml", *MODEL_SUFFIXES):
+            error.message += "; scenes and models are opened by ssduck.load, not as records"
+        raise
+    return _runs_in_file(path, schema, database.connection.reader(OpenedRecord(path)))
 
 
 def select_runs(

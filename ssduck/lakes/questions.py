@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, fields
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from ssduck.adapters.display import RowsOfColumns
-from ssduck.errors import ArgumentError
+from ssduck.errors import ArgumentError, RecordError, UnknownNameError
 from ssduck.formatting import short_repr
 from ssduck.gym.scoring import score_with
 from ssduck.gym.terms import Terms
@@ -26,6 +26,7 @@ from ssduck.recording.episode_steps import EpisodeSteps
 from ssduck.recording.paths import expand_path
 from ssduck.validation import text
 from ssduck.world.handles import Handle
+from ssduck.world.world import World
 
 # Answers an entry with the interpreter that has its world at the last tick.
 Answering: TypeAlias = Callable[[Interpreter, EpisodeEntry], Any]
@@ -111,7 +112,51 @@ class ProgramQuestion(Question):
     def answering(self, interpreter: Interpreter) -> Answering:
         """Returns a function that answers episodes, with one interpreter for all of them."""
         program: CompiledProgram = interpreter.compile(self.text)
-        return lambda present, _: plain(present.eval(program))
+
+        def answer(present: Interpreter, entry: EpisodeEntry) -> Any:
+            try:
+                return plain(present.eval(program))
+            except UnknownNameError as error:
+                add_hint_of_episode(error, self._tree, entry)
+                raise
+
+        return answer
+
+
+def add_hint_of_episode(error: UnknownNameError, program: Program, entry: EpisodeEntry) -> None:
+    """Adds to the error for a name what an episode has of that name: a column, a variable.
+
+    Args:
+        error: the error.
+        program: the program.
+        entry: the episode.
+    """
+    parts = (part for statement in program.statements for part in statement.walk())
+    names = {part.name for part in parts if isinstance(part, Name) and part.span == error.span}
+    columns = {*entry.tags, *(field.name for field in fields(entry))} - {"group", "files"}
+    for name in names:
+        if name in columns:
+            told = (
+                f"{name} is a column of lake.episodes, whose rows have the path, world and episode "
+                f"of the answers; the argument where chooses by it: where='{name} = …'"
+            )
+        elif name in _variables_of(entry):
+            told = (
+                f"{name} is a variable of the environment, which has a value for each step: "
+                "lake.score has it in its terms, as in lake.score(success='x(sim.ball) > goal')"
+            )
+        else:
+            continue
+        error.message, error.suggestions = f"{error.message}; {told}", ()
+
+
+def _variables_of(entry: EpisodeEntry) -> Collection[str]:
+    """Returns the names of the variables that an environment recorded in an episode."""
+    try:
+        steps = EpisodeSteps.read(expand_path(entry.path), entry.world, entry.episode)
+    except RecordError:
+        return ()
+    return steps.variables
 
 
 def _is_of_episode(node: Node) -> bool:
@@ -193,6 +238,11 @@ def plain(value: Any) -> Any:
         raise ArgumentError(
             f"the answer is a {type(value).__name__}: leave its AS … out; ask(…).to_pandas() is a "
             "frame of the rows of all episodes"
+        )
+    if isinstance(value, World):
+        raise ArgumentError(
+            f"the answer is the world {value.name}: ask for its entities by a query, or for what "
+            f"holds of one, as in z({value.name}.cup)"
         )
     raise ArgumentError(
         f"the answer is {short_repr(value)}: ask for numbers, texts, lists or records"

@@ -29,7 +29,9 @@ from ssduck.lakes.entry_files import EntryFiles
 from ssduck.lakes.footers import footer_errors
 from ssduck.lakes.groups import EpisodeGroup
 from ssduck.lakes.manifest import EpisodeEntry, named_errors
+from ssduck.lakes.questions import add_hint_of_episode
 from ssduck.lakes.workers import UNREADABLE
+from ssduck.language.parser import parse
 from ssduck.limits import Limits
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.paths import expand_path
@@ -175,7 +177,11 @@ def _plans_of(
     for members in groups:
         first = next(iter(members.values()))
         with open_record(first.path, first.world, first.episode, limits=limits) as interpreter:
-            plan = plan_over_ticks(interpreter, program)
+            try:
+                plan = plan_over_ticks(interpreter, program)
+            except UnknownNameError as error:
+                add_hint_of_episode(error, parse(program), first)
+                raise
         bare = _without_ticks(plan.select)
         key = first.world, bare.sql("duckdb")
         plans.setdefault(key, (replace(plan, select=bare), {}))[1].update(members)

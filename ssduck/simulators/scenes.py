@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ssduck.errors import ArgumentError, SceneError, UnknownNameError, nearest
-from ssduck.formatting import joined_names
+from ssduck.formatting import joined_names, short_repr
 from ssduck.simulators.scene_bodies import MODEL_SUFFIXES, BodySpec, read_body, read_floor
 from ssduck.simulators.sensor_types import SENSOR_TYPES, SensorSetting, SensorType
 from ssduck.simulators.toml_reader import REQUIRED, Quaternion, TomlTable, Vector
@@ -256,6 +256,9 @@ def read_scene(path: Path) -> Scene:
 
 
 def _scene(table: TomlTable, path: Path) -> Scene:
+    if "scene" in table.values:
+        told = f"its scene is {short_repr(table.values['scene'])}; ssduck.gym.make_task makes"
+        table.fail("scene", f"this is the file of a task, no scene: {told} its environment")
     floor = _floor(table)
     bodies = tuple(read_body(entry, path.parent) for entry in table.tables("body"))
     first = () if floor is None else (floor,)

@@ -206,6 +206,9 @@ ERRORS = [
     (["query", "two.toml", "--sql", "FROM entitis"], 1, "entitis"),
     (["query", "kitchn", "1;"], 1, "did you mean 'kitchen'?"),
     (["query", "bad.toml", "1;"], 1, "bad.toml: nam: there is no such key; did you mean 'name'?"),
+    (["query", "task.toml", "1;"], 1, "scene: this is the file of a task, no scene: its scene is"),
+    (["render", "task.toml", "-o", "a.png"], 1, "'push.xml'; ssduck.gym.make_task makes its"),
+    (["check", "task.toml"], 1, "scenes and models are opened by ssduck.load, not as records"),
     (["query", "two.toml", "-f", "nofile.ss"], 1, "nofile.ss cannot be read: No such file"),
     (["query", "two.toml", "-f", "."], 1, "cannot be read: Is a directory"),
     (["query", "two.toml", "-f", "latin.ss"], 1, "latin.ss is not UTF-8: byte 1 is 0xfc"),
@@ -239,6 +242,7 @@ ERRORS = [
 def test_errors(here, arguments, code, told):
     (here / "latin.ss").write_bytes("'ü';".encode("latin-1"))
     (here / "bad.toml").write_text('nam = "x"')
+    (here / "task.toml").write_text('scene = "push.xml"\nsuccess = "z(sim.ball) > 1"')
     result = ssduck_(*arguments)
     assert result.exit_code == code
     assert told in result.stderr

@@ -5,6 +5,7 @@ import math
 import multiprocessing
 import os
 import pickle
+import re
 import signal
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -14,7 +15,7 @@ import pyarrow as pa
 import pytest
 
 import ssduck
-from ssduck.errors import ArgumentError, EvaluationError, ParseError
+from ssduck.errors import ArgumentError, EvaluationError, ParseError, SelectScriptError
 from ssduck.lakes import engines
 from ssduck.lakes.answers import AnsweredEpisode, answer_table
 from ssduck.lakes.engines import answer_locally
@@ -48,6 +49,35 @@ def test_one_answer_for_each_episode(recorded, opened, program):
     assert answers == [whole_answer_of(record, program) for record in opened]
     is_error = program in (FURTHER["error"], FURTHER["no value"])
     assert any(answer.text is not None for answer in answers) != is_error
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("program", "told"),
+    [
+        ("x(sim.cup) > goal;", "goal is a variable of the environment"),
+        ("holds(x(sim.cup) > goal);", "lake.score has it in its terms"),
+        ("seed;", "seed is a column of lake.episodes"),
+        ("SELECT id, success FROM sim;", "success is a column of lake.episodes"),
+        ("SELECT id FROM sim WHERE episode = 1;", "chooses by it: where='episode = …'"),
+        ("sim;", "the answer is the world sim: ask for its entities"),
+    ],
+)
+def test_names_of_episodes_are_told_of(recorded, program, told):
+    lake = ssduck.lake(recorded)
+    errors = lake.ask(program, where="episode < 2", processes=1)["error"].to_pylist()
+    assert len(errors) == 2
+    assert all(told in error for error in errors)
+    assert all("did you mean" not in error for error in errors)
+    if program != "sim;":
+        with pytest.raises(SelectScriptError, match=re.escape(told)):
+            lake.sql(program)
+
+
+def test_other_unknown_names_have_no_such_hint(recorded):
+    (error,) = ssduck.lake(recorded).ask("goals;", where="episode = 0")["error"].to_pylist()
+    assert "environment" not in error
+    assert "episodes" not in error
 
 
 @pytest.mark.slow

@@ -258,6 +258,12 @@ HUGE = "1" + "0" * 400
 MISTAKES = [
     # top level
     ("nam = 'x'", "nam", "there is no such key", ("name",)),
+    (
+        "scene = 'a.xml'\nsuccess = '1'",
+        "scene",
+        "the file of a task, no scene: its scene is 'a.xml'",
+        (),
+    ),
     ("name = 'a room'", "name", "'a room' is no name", ()),
     ("name = 3", "name", "expected a text, found 3", ()),
     ("name = ''", "name", "expected a text, found ''", ()),
