@@ -12,12 +12,12 @@ from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from operator import itemgetter
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from ssduck.errors import ArgumentError, UnsupportedError
+from ssduck.errors import ArgumentError, LimitError, SelectScriptError, UnsupportedError
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, parts_of
 from ssduck.interpreter.over_time.series import RowsOf, TickSeries
 from ssduck.language.analysis import free_aliases
@@ -44,6 +44,10 @@ from ssduck.world.handles import Handle
 from ssduck.world.world import World
 
 _TICK = itemgetter(0)
+# The largest number of rows that are read of all entities at once, for the rows of a query.
+MOST_ROWS = 100_000
+# Returns the rows of a query, from the values of its placeholders.
+RunQuery: TypeAlias = Callable[[Query, dict[str, Any]], Sequence[Sequence[Any]]]
 _PLACES = (Name, This, Index, TimeIndex, Placeholder, UnresolvedName)
 
 
@@ -78,7 +82,7 @@ class TemporalEvaluator:
 
     def __init__(self) -> None:
         self.reader: SeriesReader | None = None
-        self._queries: WeakKeyDictionary[Node, dict[tuple[bool, ...], Query]] = WeakKeyDictionary()
+        self._queries: WeakKeyDictionary[Node, dict[Any, Query]] = WeakKeyDictionary()
         self._expansions: WeakKeyDictionary[Node, Node] = WeakKeyDictionary()
 
     def expansion(self, call: Call) -> Node | None:
@@ -93,7 +97,7 @@ class TemporalEvaluator:
         call: Call,
         frame: Frame,
         record_of: Callable[[World], Record],
-        run: Callable[[Query, dict[str, Any]], Sequence[Sequence[Any]]],
+        run: RunQuery,
         meter: UsageMeter,
     ) -> TickSeries:
         """Returns the values of the expression in a call, tick by tick.
@@ -110,30 +114,30 @@ class TemporalEvaluator:
             UnsupportedError: the expression contains a query, or entities of two worlds.
         """
         expression, _ = parts_of(call)
-        query, world, values, handles = self._query_and_values(call, frame)
+        places, world, values, handles = self._given(call, frame)
+        query = self._query(call, places, handles)
         record = record_of(world)
         record.world.warn_of_unrecorded_start()
         moment = common_moment(world, (), frame.own_elements())
         now = None if moment is None else moment.tick
 
-        def rows(past: Past) -> Sequence[Sequence[Any]]:
+        def of_one(past: Past) -> Sequence[Sequence[Any]]:
             return run(query, _placeholders(values, handles, past))
 
+        rows: RowsOf = of_one
         reader, least = self.reader, None
         are_entities = all(handles) and all(value.TABLE == "entities" for value in values)
         if are_entities and _is_clearance(expression) and len({v.id for v in values}) == 2:
             least = partial(self._least_clearance, meter, values[0].id, values[1].id)
+        cache: dict[Any, Any] = frame.cached
+        of_rows = [number for number, place in enumerate(places) if free_aliases(place)]
         if reader is None and now is None:
+            if len(of_rows) == 1 and handles[of_rows[0]] and values[of_rows[0]].TABLE == "entities":
+                of_all = self._query(call, places, handles, of_rows[0])
+                rows = _for_each(of_one, of_all, values, handles, of_rows[0], run, cache)
             return TickSeries(record, rows, expression, least)
-        key = (
-            query,
-            tuple(
-                (value.id, value.TABLE) if is_entity else (type(value), repr(value))
-                for value, is_entity in zip(values, handles, strict=True)
-            ),
-        )
+        key = (query, _keys(values, handles))
         if reader is None:
-            cache: dict[Any, Any] = frame.cached
 
             def rows_of(past: Past) -> Sequence[Sequence[Any]]:
                 if key not in cache:  # of all ticks at once, for the next rows of the query
@@ -158,21 +162,22 @@ class TemporalEvaluator:
         Returns:
             The query, and the values of its placeholders.
         """
-        query, world, values, handles = self._query_and_values(call, frame)
-        return query, _placeholders(values, handles, past_of(record_of(world), None))
+        places, world, values, handles = self._given(call, frame)
+        past = past_of(record_of(world), None)
+        return self._query(call, places, handles), _placeholders(values, handles, past)
 
-    def _query_and_values(
+    def _given(
         self, call: Call, frame: Frame
-    ) -> tuple[Query, World, list[Any], list[bool]]:
-        """Returns the query of a call, the world, its values, and which of them are entities."""
+    ) -> tuple[list[Node], World, list[Any], tuple[bool, ...]]:
+        """Returns the places of entities, their world, the values, and which follow the ticks."""
         expression, _ = parts_of(call)
         places = list(_places(expression, call))
         values = [frame.value(place) for place in places]
         # An entity of a row of the past follows the ticks; that of `sim{0.0}.cup` stays at its own.
-        handles = [
+        handles = tuple(
             isinstance(value, Handle) and (value.moment is None or bool(free_aliases(place)))
             for place, value in zip(places, values, strict=True)
-        ]
+        )
         worlds = {v.world for v, is_entity in zip(values, handles, strict=True) if is_entity}
         if not worlds and any(isinstance(value, Handle) for value in values):
             raise ArgumentError(
@@ -191,7 +196,7 @@ class TemporalEvaluator:
             raise ArgumentError(f"{call.name} {what}", span=expression.span)
         if len(worlds) > 1:
             raise UnsupportedError(f"{call.name} takes entities of one world", span=call.span)
-        return self._query(call, places, tuple(handles)), worlds.pop(), values, handles
+        return places, worlds.pop(), values, handles
 
     def _least_clearance(
         self, meter: UsageMeter, a: int, b: int, past: Past
@@ -203,11 +208,17 @@ class TemporalEvaluator:
         starts = np.array([past.first])
         return PairQueries(past.record, meter).least_clearances(request, starts)[0]
 
-    def _query(self, call: Call, places: Sequence[Node], handles: tuple[bool, ...]) -> Query:
-        queries = self._queries.setdefault(call, {})
-        if handles not in queries:
-            queries[handles] = _query_of(call, places, handles)
-        return queries[handles]
+    def _query(
+        self,
+        call: Call,
+        places: Sequence[Node],
+        handles: tuple[bool, ...],
+        number: int | None = None,
+    ) -> Query:
+        queries, key = self._queries.setdefault(call, {}), (handles, number)
+        if key not in queries:
+            queries[key] = _query_of(call, places, handles, number)
+        return queries[key]
 
 
 def _is_clearance(expression: Node) -> bool:
@@ -219,12 +230,84 @@ def _is_clearance(expression: Node) -> bool:
     )
 
 
-def _placeholders(values: Sequence[Any], handles: Sequence[bool], past: Past) -> dict[str, Any]:
-    """Returns the values of the placeholders of a query: entities at some ticks, and others."""
-    return {
-        f"value_{number}": _of_entity(past, value) if is_entity else value
-        for number, (value, is_entity) in enumerate(zip(values, handles, strict=True))
-    }
+def _for_each(
+    rows: RowsOf,
+    query: Query,
+    values: Sequence[Any],
+    handles: Sequence[bool],
+    number: int,
+    run: RunQuery,
+    cache: dict[Any, Any],
+) -> RowsOf:
+    """Returns a function that reads ticks for all entities at once, for the rows of a query.
+
+    The first entity is read by itself, as there may be no other. So is each one if the expression
+    fails for any, as a condition of the query may exclude that.
+
+    Args:
+        rows: a function that returns the rows of the entity.
+        query: a query with the rows of all entities.
+        values: the entities and other values of the expression.
+        handles: which of these are entities that follow the ticks.
+        number: the number of the one that differs from row to row.
+        run: a function that returns the rows of a query.
+        cache: what the rows of the query share.
+    """
+    keys, entity = _keys(values, handles), values[number]
+    others = keys[:number] + keys[number + 1 :]
+
+    def rows_of(past: Past) -> Sequence[Sequence[Any]]:
+        key = query, others, past.first, past.last
+        if (past.last - past.first + 1) * len(past.world) > MOST_ROWS:
+            return rows(past)
+        if key not in cache:
+            cache[key] = None
+            return rows(past)
+        if cache[key] is None:
+            try:
+                cache[key] = _by_entity(run(query, _placeholders(values, handles, past, number)))
+            except LimitError:
+                raise
+            except SelectScriptError:
+                cache[key] = False
+        if cache[key] is False:
+            return rows(past)
+        found: Sequence[Sequence[Any]] = cache[key].get(entity.id, ())
+        return found
+
+    return rows_of
+
+
+def _by_entity(rows: Sequence[Sequence[Any]]) -> dict[int, list[Sequence[Any]]]:
+    """Returns rows [tick, time, value, entity] by the ids of the entities."""
+    result: dict[int, list[Sequence[Any]]] = {}
+    for row in rows:
+        result.setdefault(row[3].id, []).append(row)
+    return result
+
+
+def _keys(values: Sequence[Any], handles: Sequence[bool]) -> tuple[Hashable, ...]:
+    """Returns what identifies each value."""
+    return tuple(
+        (value.id, value.TABLE) if is_entity else (type(value), repr(value))
+        for value, is_entity in zip(values, handles, strict=True)
+    )
+
+
+def _placeholders(
+    values: Sequence[Any], handles: Sequence[bool], past: Past, of_all: int | None = None
+) -> dict[str, Any]:
+    """Returns the values of the placeholders of a query: entities at some ticks, and others.
+
+    In place of the entity with the number `of_all` are all of its world.
+    """
+    result = {f"value_{number}": value for number, value in enumerate(values)}
+    for number, (value, is_entity) in enumerate(zip(values, handles, strict=True)):
+        if is_entity:
+            every = replace(past, is_window=True)
+            one = every if number == of_all else _of_entity(past, value)
+            result[f"value_{number}"] = one
+    return result
 
 
 def _of_entity(past: Past, entity: Handle) -> Past:
@@ -246,7 +329,13 @@ def _places(node: Node, call: Call) -> Iterator[Node]:
         yield from _places(child, call)
 
 
-def _query_of(call: Call, places: Sequence[Node], handles: tuple[bool, ...]) -> Query:
+def _query_of(
+    call: Call, places: Sequence[Node], handles: tuple[bool, ...], number_of_row: int | None
+) -> Query:
+    """Returns the query of an expression; its rows are [tick, time, value].
+
+    A fourth column is the entity at the place with the number `number_of_row`.
+    """
     span = call.span
     replacements: dict[Node, Node] = {}
     sources = []
@@ -260,5 +349,6 @@ def _query_of(call: Call, places: Sequence[Node], handles: tuple[bool, ...]) -> 
         sources.append(Source(place.span, alias, placeholder))
     first = This(span, sources[0].alias)
     value = parts_of(call)[0].replaced(replacements.get)
-    items = (*(Call(span, name, (first,), span) for name in ("tick", "time")), value)
+    of_row = () if number_of_row is None else (This(span, f"entity_{number_of_row}"),)
+    items = (*(Call(span, name, (first,), span) for name in ("tick", "time")), value, *of_row)
     return Query(span, items, tuple(sources))
