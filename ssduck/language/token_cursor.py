@@ -244,8 +244,10 @@ class Cursor:
         else:
             result = repr(self.text[slice_of(token)])
             instead = self._suggestion(token)
-            is_known = token.text.upper() in CLAUSES or instead or message.endswith(")")
+            is_known = token.text.upper() in CLAUSES or instead
             names = () if is_known else nearest(token.text, CLAUSES, 1)
+            if message.endswith(")"):  # it says what to write, unless a word of it is misspelt
+                names = tuple(name for name in names if name in message)
         text = f"{message}, found {result}" + (f"; {instead}" if instead else "")
         raise ParseError(text, text=self.text, span=self.here(), suggestions=names)
 

@@ -126,6 +126,7 @@ OF_PROGRAMS = [
     ("SELECT id FROM sim WHERE near(name, 'table', .1);", "that of a row this"),
     ("near(sim.cube, 'table', .1);", "the entity of a name is room['cup']"),
     ("SELECT id FROM sim.links;", "its links are FROM links(sim)"),
+    ("SELECT id FORM sim;", "did you mean 'FROM'"),
     ("avg(SELECT position FROM sim AS list);", "write avg(SELECT x(this) FROM … AS list), …"),
     ("SELECT sum(position) FROM sim GROUP BY kind;", "write sum(x(this)) AS x, sum(y(this)) AS y"),
     ("sim.joints;", "SELECT * FROM sim.joints"),
