@@ -24,10 +24,9 @@ from ssduck.formatting import short_repr
 from ssduck.interpreter.known_names import KnownNames, handle_of
 from ssduck.interpreter.misread_relations import (
     VOLUME_NOTE,
-    bare_numbers,
     has_volume,
     has_volume_in_sql,
-    number_as_condition,
+    misread_calls,
     same_rows,
 )
 from ssduck.interpreter.suspect_values import Suspects, mistakes_in, suspects_of
@@ -94,7 +93,7 @@ class StatementFacts:
         conditions: names that are conditions, or are compared with a constant in one.
         columns: bare names in GROUP BY, HAVING and ORDER BY that are also names of columns.
         suspects: comparisons, columns and ages to look at.
-        numbers: the conditions that are numbers.
+        misread: calls of relations that read as something else, with what is told of each.
         same_rows: what is told of `this` beside the same row of a nested query by its name.
         has_volume: whether it names `volume`.
     """
@@ -108,7 +107,7 @@ class StatementFacts:
     conditions: list[tuple[str, SourceSpan]] = field(default_factory=list)
     columns: list[tuple[str, SourceSpan]] = field(default_factory=list)
     suspects: Suspects = field(default_factory=Suspects)
-    numbers: tuple[Call, ...] = ()
+    misread: tuple[tuple[Call, str], ...] = ()
     same_rows: tuple[tuple[str, SourceSpan], ...] = ()
     has_volume: bool = False
 
@@ -125,7 +124,7 @@ def facts_of(statement: Node) -> StatementFacts:
     """Returns the parts of a statement to look up."""
     facts = StatementFacts(
         suspects=suspects_of(statement),
-        numbers=tuple(bare_numbers(statement)),
+        misread=tuple(misread_calls(statement)),
         same_rows=tuple(same_rows(statement)),
         has_volume=has_volume(statement),
     )
@@ -331,7 +330,11 @@ class Linter:
             *self._quoted_names(facts, text),
             *self._unknown_entities(facts, local),
             *mistakes_in(facts.suspects, self._variable, self._type_of_relation),
-            *(number_as_condition(c) for c in facts.numbers if self._is_relation(c.name)),
+            *(
+                ArgumentError(message, span=call.span)
+                for call, message in facts.misread
+                if self._is_relation(call.name)
+            ),
             *(ArgumentError(message, span=span) for message, span in facts.same_rows),
         ]
         if facts.has_volume and self._variable("volume") is None and self._is_relation("volume"):

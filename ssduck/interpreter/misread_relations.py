@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 
-from ssduck.errors import ArgumentError, SourceSpan
+from ssduck.errors import SourceSpan
 from ssduck.language.tree import (
     Binary,
     Branch,
     Call,
     If,
+    Literal,
     Name,
     Node,
     OperatorChain,
@@ -27,6 +29,9 @@ _AS_CONDITION = {
     "distance": "it is a number: write distance(a, b) < 0.1, say",
     "clearance": "it is a number: write near(a, b, 0.1), or clearance(a, b) < 0.1",
 }
+_IN_DEGREES = (
+    "the angle of {0} is in radians, from 0 to 3.14: {1} degrees are {1} * 3.141592653589793 / 180"
+)
 _CONDITIONS_OVER_TIME = frozenset(("since", "heldFor", "holds"))
 VOLUME_NOTE = (
     "volume is an eighth of the volume of the box, as published; solidVolume is that of the "
@@ -35,18 +40,31 @@ VOLUME_NOTE = (
 _VOLUME_IN_SQL = re.compile(r"\bvolume\s*\(", re.IGNORECASE)
 
 
-def bare_numbers(statement: Node) -> Iterator[Call]:
-    """Yields the conditions of a statement that are such a number, and are not compared."""
+def misread_calls(statement: Node) -> Iterator[tuple[Call, str]]:
+    """Yields the calls of relations that read as something else, with what is told of them.
+
+    These are conditions that are such a number and are not compared, and angles in degrees.
+    """
     for node in statement.walk():
         for part in _conditions(node):
             if isinstance(part, Call) and part.name in _AS_CONDITION:
-                yield part
+                told = _AS_CONDITION[part.name]
+                yield part, f"{part.name} as a condition holds of any number but 0; {told}"
+        for call, angle in _angles(node):
+            value = angle.value if isinstance(angle, Literal) else None
+            if isinstance(value, int | float) and value > math.pi:
+                yield call, _IN_DEGREES.format(call.name, value)
 
 
-def number_as_condition(call: Call) -> ArgumentError:
-    """Returns the error of such a condition."""
-    message = f"{call.name} as a condition holds of any number but 0; {_AS_CONDITION[call.name]}"
-    return ArgumentError(message, span=call.span)
+def _angles(node: Node) -> Iterator[tuple[Call, Node]]:
+    """Yields the calls in a part that take or give an angle, with what is to be an angle, too."""
+    match node:
+        case Call(name="upright", arguments=(_, angle)):
+            yield node, angle
+        case Binary(operator="<" | "<=" | ">" | ">=", left=left, right=right):
+            for side, other in ((left, right), (right, left)):
+                if isinstance(side, Call) and side.name == "tilt":
+                    yield side, other
 
 
 def has_volume(statement: Node) -> bool:

@@ -157,6 +157,7 @@ class SqlForms(Cursor):
         else:
             self.expect_word("LIKE")
             right = self.operation(LEVEL_OF["IN"] + 1)
+            self.check_pattern(right)
             node = Binary(self.since(start), "LIKE", left, right)
         return Unary(self.since(start), "NOT", node) if is_not else node
 
@@ -487,6 +488,13 @@ class SqlForms(Cursor):
                 message = "this condition is the same for all rows; write x IN (a, b)"
                 self.add_suspicion(node.span, message)
 
+    def check_pattern(self, node: Node) -> None:
+        """Reports the pattern `'cup*'` of LIKE, which is of shells."""
+        pattern = node.value if isinstance(node, Literal) else None
+        if isinstance(pattern, str) and "*" in pattern and not {"%", "_"} & set(pattern):
+            message = "in a pattern of LIKE, % stands for any letters, and * for itself"
+            self.add_suspicion(node.span, message)
+
     def check_texts(self, node: Node | None) -> None:
         """Reports a condition on two texts, one in double quotes: it is the same for all rows."""
         if node is None or isinstance(node, Query):
@@ -507,11 +515,13 @@ class SqlForms(Cursor):
             self.check_texts(child)
 
     def check_keys(self, query: Query) -> None:
-        """Reports keys that are numbers and refer to no column."""
+        """Reports keys that are numbers and refer to no column, and those that are texts."""
         keys = [("ORDER BY", key.value) for key in query.order]
         keys += [("GROUP BY", node) for node in query.group]
         for clause, node in keys:
-            if isinstance(node, Literal) and type(node.value) is int:
+            is_text = self.text.startswith("'", node.span.start)  # of "z", the linter tells
+            if isinstance(node, Literal) and (type(node.value) is int or is_text):
+                what = "a text" if is_text else "a number"
                 self.add_suspicion(
-                    node.span, f"{clause} a number is the same for all rows; write the column"
+                    node.span, f"{clause} {what} is the same for all rows; write the column"
                 )
