@@ -10,6 +10,7 @@ from ssduck.errors import ArgumentError, SelectScriptError, UnknownNameError
 from ssduck.formatting import joined_names, short_repr
 from ssduck.gym.terms import CONDITIONS, Judgement, Term, Terms, is_nan
 from ssduck.interpreter.interpreter import Interpreter
+from ssduck.interpreter.over_time.each_tick import ExpressionsAtTicks
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, parts_of
 from ssduck.interpreter.program import CompiledProgram
 from ssduck.language.tree import (
@@ -106,12 +107,19 @@ class Judge:
             for number, (text, tree) in enumerate(zip(self._texts, trees, strict=True))
             for held in _held_conditions(tree)
         ]
+        self._at_ticks: ExpressionsAtTicks | None = None
         # The entities that were NaN at a tick of the episode.
         self._were_nan: set[str] = set()
         self.past_tables: frozenset[str] = frozenset()
         if any(self._are_temporal):
             read = frozenset().union(*map(tables_of, trees)).intersection(RECORDABLE)
             self.past_tables = read | {"entities"}
+
+    def begin_episode(self) -> None:
+        """Forgets the values of variables."""
+        self._bound.clear()
+        for name in self._elements:
+            self._interpreter.add_variable(name, None)
 
     def begin_tick(self, values: Mapping[str, Any], *, is_first: bool = False) -> None:
         """Sets the variables of the present tick.
@@ -238,6 +246,43 @@ class Judge:
         """
         for term, text in zip(self.terms, self._texts, strict=True):
             self._value(term, self._compiled(term.key, text))
+
+    def judgements(
+        self, times: Sequence[float], variables: Sequence[Mapping[str, Any]]
+    ) -> list[Judgement] | None:
+        """Returns the values of the terms at the ticks of a recorded episode.
+
+        Args:
+            times: the times of the ticks, s; the world is at the last one.
+            variables: the values of the variables at each.
+
+        Returns:
+            None if they have to be computed at each tick by itself, as where a number is NaN.
+        """
+        try:
+            if self._at_ticks is None:
+                trees = list(map(self._tree, self._texts))
+                names = self._whole | self._element_names
+                self._at_ticks = ExpressionsAtTicks(self._interpreter, trees, self._world, names)
+            named = list(map(self._named_values, variables))
+            if any(_has_nan(value) for values in named for value in values.values()):
+                return None
+            found = self._at_ticks.values(times, named)
+            if found is None or any(any(map(is_nan, values)) for values in found):
+                return None
+            return list(map(self.terms.judgement, found))
+        except (SelectScriptError, LookupError, TypeError):
+            return None
+
+    def _named_values(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Returns the values of variables, and of their elements, by the names in the terms."""
+        named = {name: values[name] for name in self._whole}
+        elements = self._elements.items()
+        return named | {
+            self._element(name, index): values[name][index]
+            for name, used in elements
+            for index in used
+        }
 
     def _with_unknown(self, values: Sequence[Any]) -> list[Any]:
         """Returns values, None in place of those with heldFor or holds of what is unknown now.

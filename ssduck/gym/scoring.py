@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -104,7 +105,12 @@ def _score(
 
 
 def score_with(
-    interpreter: Interpreter, world: str, number: int, steps: EpisodeSteps, terms: Terms
+    interpreter: Interpreter,
+    world: str,
+    number: int,
+    steps: EpisodeSteps,
+    terms: Terms,
+    judges: dict[Any, Judge] | None = None,
 ) -> EpisodeScore:
     """Returns the score of an episode that an interpreter has open.
 
@@ -114,16 +120,24 @@ def score_with(
         number: the number of the episode.
         steps: the steps of the episode.
         terms: the terms.
+        judges: has what judged earlier episodes of these terms with this interpreter, whose worlds
+            have the same entities, and gets what judges this one.
 
     Raises:
         SelectScriptError: a term is wrong, or ticks are missing.
     """
     recorded = tuple(steps.variables)
-    if_unknown = "the record has no variables"
-    if recorded:
-        if_unknown = f"the record has the variables {', '.join(recorded)}"
-    judge = Judge(terms, interpreter, world, recorded, if_unknown=if_unknown)
-    judgements = list(_judgements(interpreter, world, judge, steps))
+    judges = {} if judges is None else judges
+    judge = judges.get((world, recorded))
+    is_known = judge is not None
+    if judge is None:
+        if_unknown = "the record has no variables"
+        if recorded:
+            if_unknown = f"the record has the variables {', '.join(recorded)}"
+        judge = Judge(terms, interpreter, world, recorded, if_unknown=if_unknown)
+    judge.begin_episode()
+    judgements = list(_judgements(interpreter, world, judge, steps, is_checked=is_known))
+    judges[world, recorded] = judge
 
     # Without such a term, a step at which nothing is NaN is no failure.
     is_failed = any(one.failure is True for one in judgements)
@@ -145,28 +159,60 @@ def score_with(
 
 
 def _judgements(
-    interpreter: Interpreter, world: str, judge: Judge, steps: EpisodeSteps
+    interpreter: Interpreter, world: str, judge: Judge, steps: EpisodeSteps, *, is_checked: bool
 ) -> Iterator[Judgement]:
     """Yields what the terms say after each step, until one says that the episode ends."""
     replayed = interpreter[world]
     assert isinstance(replayed, ReplayedWorld)
-    # A simulation whose time stands still has several ticks of one time.
-    is_by_time = steps.ticks is None or all(a < b for a, b in pairwise(steps.times))
-    for index, time in enumerate(steps.times):
-        if is_by_time or steps.ticks is None:
-            replayed.seek(time)
-        else:
-            replayed.seek_tick(steps.ticks[index])
-        if replayed.time != time:
-            raise RecordError(
-                f"{replayed.name!r} has no tick at {time:g} s: ticks of the episode are missing"
-            )
-        values = {name: series[index] for name, series in steps.variables.items()}
+    variables = [
+        {name: series[index] for name, series in steps.variables.items()}
+        for index in range(len(steps.times))
+    ]
+    is_by_time = all(a < b for a, b in pairwise(steps.times))
+    seek = partial(_seek, replayed, steps, is_by_time=is_by_time)
+    if not is_checked:
+        seek(0)
+        judge.begin_tick(variables[0], is_first=True)
+        judge.check()
+    if is_by_time:
+        seek(len(steps.times) - 1)
+        judgements = judge.judgements(steps.times, variables)
+        if judgements is not None:
+            yield from _until_stop(judgements[1:])
+            return
+    yield from _until_stop(_one_by_one(seek, judge, variables))
+
+
+def _one_by_one(
+    seek: Callable[[int], None], judge: Judge, variables: Sequence[Mapping[str, Any]]
+) -> Iterator[Judgement]:
+    """Yields what the terms say after each step, computed at its tick."""
+    for index, values in enumerate(variables):
+        seek(index)
         judge.begin_tick(values, is_first=index == 0)
-        if index == 0:
-            judge.check()
-        else:
-            judgement = judge.judgement()
-            yield judgement
-            if judgement.stop:
-                return
+        if index:
+            yield judge.judgement()
+
+
+def _until_stop(judgements: Iterable[Judgement]) -> Iterator[Judgement]:
+    for judgement in judgements:
+        yield judgement
+        if judgement.stop:
+            return
+
+
+def _seek(replayed: ReplayedWorld, steps: EpisodeSteps, index: int, *, is_by_time: bool) -> None:
+    """Moves a world to the tick of a step.
+
+    Raises:
+        RecordError: there is none.
+    """
+    time = steps.times[index]
+    if is_by_time or steps.ticks is None:
+        replayed.seek(time)
+    else:  # a simulation whose time stands still has several ticks of one time
+        replayed.seek_tick(steps.ticks[index])
+    if replayed.time != time:
+        raise RecordError(
+            f"{replayed.name!r} has no tick at {time:g} s: ticks of the episode are missing"
+        )

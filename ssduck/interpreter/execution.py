@@ -381,6 +381,16 @@ class Execution(Namespace):
             return frame.value(expansion)
         _, other = parts_of(node)
         age = None if other is None else frame.value(other)
+        series = partial(self.series, node, frame)
+        form = TEMPORAL_FUNCTIONS[node.name]
+        with self.worlds_pinned(node):
+            is_fold = form.fold is not None and other is None and self.temporal.reader is None
+            if is_fold and self._folds.takes(node, frame):
+                return self._folds.value(node, form, series)
+            return form.make(series(), None if age is None else validation.seconds(age))
+
+    def series(self, node: Call, frame: Frame) -> TickSeries:
+        """Returns the values of the expression in such a call; the caller pins the worlds."""
 
         def rows(query: Query, placeholders: dict[str, Any]) -> Sequence[Sequence[Any]]:
             selected = self.planner.run(
@@ -389,15 +399,7 @@ class Execution(Namespace):
             fetched: Sequence[Sequence[Any]] = formed(selected, lambda part: part.values)
             return fetched
 
-        def series() -> TickSeries:
-            return self.temporal.series(node, frame, self.database.record_of, rows, self.meter)
-
-        form = TEMPORAL_FUNCTIONS[node.name]
-        with self.worlds_pinned(node):
-            is_fold = form.fold is not None and other is None and self.temporal.reader is None
-            if is_fold and self._folds.takes(node, frame):
-                return self._folds.value(node, form, series)
-            return form.make(series(), None if age is None else validation.seconds(age))
+        return self.temporal.series(node, frame, self.database.record_of, rows, self.meter)
 
     def _run_text(self, text: Any, frame: Frame) -> Any:
         """Returns the value of a program in a text; it sees the rows around the call of `eval`."""

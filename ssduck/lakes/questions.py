@@ -13,6 +13,7 @@ import numpy as np
 from ssduck.adapters.display import RowsOfColumns
 from ssduck.errors import ArgumentError, RecordError, UnknownNameError
 from ssduck.formatting import short_repr
+from ssduck.gym.judge import Judge
 from ssduck.gym.scoring import score_with
 from ssduck.gym.terms import Terms
 from ssduck.interpreter.episode_batches import reads_present
@@ -197,10 +198,11 @@ class ScoreQuestion(Question):
 
     def answering(self, interpreter: Interpreter) -> Answering:  # noqa: ARG002
         """Returns a function that answers episodes, with one interpreter for all of them."""
+        judges: dict[Any, Judge] = {}
 
         def answer(present: Interpreter, entry: EpisodeEntry) -> dict[str, Any]:
             steps = EpisodeSteps.read(expand_path(entry.path), entry.world, entry.episode)
-            score = score_with(present, entry.world, entry.episode, steps, self.terms)
+            score = score_with(present, entry.world, entry.episode, steps, self.terms, judges)
             return {
                 "return": score.total,
                 "success": score.succeeded,

@@ -24,12 +24,14 @@ class Fold:
     """A function of all ticks until now as one of its state at the tick before, and the next value.
 
     Attributes:
+        first: returns the state for a first tick: from its time, s, and the value.
         begin: returns the state for all ticks of a series.
         step: returns the state with one more tick: from the state, the time, s, and the value.
         value: returns the value of the function: from the state, and the time of its last tick, s.
         is_of_condition: whether its expression is a condition.
     """
 
+    first: Callable[[float, Any], Any]
     begin: Callable[[TickSeries], Any]
     step: Callable[[Any, float, Any], Any]
     value: Callable[[Any, float], Any] = lambda state, _: state
@@ -90,10 +92,12 @@ def _since(series: TickSeries, _: Any) -> float | None:
     return start
 
 
+def _since_first(time: float, holds: bool) -> float | None:
+    return time if holds else None
+
+
 def _since_step(start: float | None, time: float, holds: bool) -> float | None:
-    if not holds:
-        return None
-    return time if start is None else start
+    return start if holds and start is not None else _since_first(time, holds)
 
 
 def _held_for(series: TickSeries, age: Any) -> float:
@@ -138,6 +142,10 @@ def _last_two(series: TickSeries) -> _LastTwo:
     ends = series.at(series.window(before[-1] if len(before) else times[-1], times[-1]))
     first, *others = zip(*ends, strict=True)
     return first, others[-1] if others else first
+
+
+def _first_two(time: float, value: Any) -> _LastTwo:
+    return (time, value), (time, value)
 
 
 def _next_two(state: _LastTwo, time: float, value: Any) -> _LastTwo:
@@ -202,23 +210,28 @@ def _extreme(
     return list(choose(entries, key=lambda entry: entry[1])) if entries else None
 
 
-def _copied(state: list[Any] | None, _: float) -> list[Any] | None:
-    return None if state is None else list(state)
-
-
 def _check_is_number(name: str, value: Any) -> None:
     if not (value is None or isinstance(value, int | float)):
         raise ArgumentError(f"{name} takes an expression of numbers, not {short_repr(value)}")
 
 
-def _extreme_step(name: str, is_further: Callable[[Any, Any], bool]) -> Callable[..., Any]:
+def _extreme_fold(
+    name: str,
+    make: Callable[[TickSeries, Any], Any],
+    is_further: Callable[[Any, Any], bool],
+) -> Fold:
     def step(state: list[Any] | None, time: float, value: Any) -> list[Any] | None:
         _check_is_number(name, value)
         if not _is_number(value) or not (state is None or is_further(value, state[1])):
             return state
         return [time, value]
 
-    return step
+    return Fold(
+        lambda time, value: step(None, time, value),
+        lambda series: make(series, None),
+        step,
+        lambda state, _: None if state is None else list(state),
+    )
 
 
 def _is_number(value: Any) -> bool:
@@ -235,7 +248,12 @@ TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
             "recorded tick; nothing if it does not hold now.",
             "since(condition) -> float",
             arguments=(1, 1),
-            fold=Fold(lambda series: _since(series, None), _since_step, is_of_condition=True),
+            fold=Fold(
+                _since_first,
+                lambda series: _since(series, None),
+                _since_step,
+                is_of_condition=True,
+            ),
         ),
         TemporalFunction(
             "heldFor",
@@ -245,7 +263,11 @@ TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
             "heldFor(condition) -> float",
             arguments=(1, 1),
             fold=Fold(
-                lambda series: _since(series, None), _since_step, _duration, is_of_condition=True
+                _since_first,
+                lambda series: _since(series, None),
+                _since_step,
+                _duration,
+                is_of_condition=True,
             ),
         ),
         TemporalFunction(
@@ -271,7 +293,11 @@ TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
             "10 cm.",
             "initially(expression) -> value",
             arguments=(1, 1),
-            fold=Fold(lambda series: _initially(series, None), lambda state, *_: state),
+            fold=Fold(
+                lambda _, value: value,
+                lambda series: _initially(series, None),
+                lambda state, *_: state,
+            ),
         ),
         TemporalFunction(
             "lifted",
@@ -290,7 +316,7 @@ TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
             "previous(expression) -> value",
             arguments=(1, 1),
             is_in_lakes=False,
-            fold=Fold(_last_two, _next_two, lambda state, _: state[0][1]),
+            fold=Fold(_first_two, _last_two, _next_two, lambda state, _: state[0][1]),
         ),
         TemporalFunction(
             "rate",
@@ -301,7 +327,7 @@ TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
             "rate(expression) -> number",
             arguments=(1, 1),
             is_in_lakes=False,
-            fold=Fold(_last_two, _next_two, _rate_of),
+            fold=Fold(_first_two, _last_two, _next_two, _rate_of),
         ),
         TemporalFunction(
             "at",
@@ -320,7 +346,7 @@ TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
             "at its first tick, the time in seconds: least(clearance(a, b)) is the closest "
             "approach.",
             "least(expression[, age]) -> list",
-            fold=Fold(lambda series: _least(series, None), _extreme_step("least", lt), _copied),
+            fold=_extreme_fold("least", _least, lt),
         ),
         TemporalFunction(
             "greatest",
@@ -329,9 +355,7 @@ TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
             "at its first tick, the time in seconds: greatest(contactForce(a, b)) is the hardest "
             "push.",
             "greatest(expression[, age]) -> list",
-            fold=Fold(
-                lambda series: _greatest(series, None), _extreme_step("greatest", gt), _copied
-            ),
+            fold=_extreme_fold("greatest", _greatest, gt),
         ),
     )
 }
