@@ -24,17 +24,19 @@ from ssduck.formatting import short_repr
 from ssduck.interpreter.known_names import KnownNames, handle_of
 from ssduck.interpreter.misread_relations import (
     VOLUME_NOTE,
+    as_conditions,
     has_volume,
     has_volume_in_sql,
     misread_calls,
     same_rows,
 )
-from ssduck.interpreter.suspect_values import Suspects, mistakes_in, suspects_of
+from ssduck.interpreter.suspect_values import VECTORS, Suspects, mistakes_in, suspects_of
 from ssduck.language.analysis import OVER_TIME, states
 from ssduck.language.tree import (
     Assignment,
     Binary,
     Call,
+    Index,
     ListLiteral,
     Literal,
     Name,
@@ -58,6 +60,13 @@ _NAME_FUNCTIONS = ("id", "name", "kind", "type")
 _KIND_FUNCTIONS = _NAME_FUNCTIONS[2:]
 # The functions that SQL's users know as columns; so common as variables that they may hide them.
 _COLUMNS = frozenset(("name", "kind"))
+
+
+# The relations that hold as conditions whatever the world is like, with what they are.
+_NO_CONDITIONS = {
+    **dict.fromkeys(("id", "name", "type", "kind"), "a text"),
+    **dict.fromkeys(VECTORS, "a list"),
+}
 
 
 @dataclass(frozen=True)
@@ -93,6 +102,7 @@ class StatementFacts:
         conditions: names that are conditions, or are compared with a constant in one.
         columns: bare names in GROUP BY, HAVING and ORDER BY that are also names of columns.
         suspects: comparisons, columns and ages to look at.
+        as_conditions: what stands as a condition, and may be an entity or a list.
         misread: calls of relations that read as something else, with what is told of each.
         same_rows: what is told of `this` beside the same row of a nested query by its name.
         has_volume: whether it names `volume`.
@@ -107,6 +117,7 @@ class StatementFacts:
     conditions: list[tuple[str, SourceSpan]] = field(default_factory=list)
     columns: list[tuple[str, SourceSpan]] = field(default_factory=list)
     suspects: Suspects = field(default_factory=Suspects)
+    as_conditions: tuple[Node, ...] = ()
     misread: tuple[tuple[Call, str], ...] = ()
     same_rows: tuple[tuple[str, SourceSpan], ...] = ()
     has_volume: bool = False
@@ -124,6 +135,7 @@ def facts_of(statement: Node) -> StatementFacts:
     """Returns the parts of a statement to look up."""
     facts = StatementFacts(
         suspects=suspects_of(statement),
+        as_conditions=tuple(as_conditions(statement)),
         misread=tuple(misread_calls(statement)),
         same_rows=tuple(same_rows(statement)),
         has_volume=has_volume(statement),
@@ -336,6 +348,7 @@ class Linter:
                 if self._is_relation(call.name)
             ),
             *(ArgumentError(message, span=span) for message, span in facts.same_rows),
+            *self._always_true(facts),
         ]
         if facts.has_volume and self._variable("volume") is None and self._is_relation("volume"):
             self._tell_of_volume()
@@ -365,6 +378,31 @@ class Linter:
 
     def _is_relation(self, name: str) -> bool:
         return self._type_of_relation(name) is not None
+
+    def _always_true(self, facts: StatementFacts) -> Iterator[SelectScriptError]:
+        """Yields an error for each condition that is an entity, a text or a list with elements."""
+        for node in facts.as_conditions:
+            what = self._without_a_question(node)
+            if what:
+                advice = "compare it with something, as in z(this) > 1"
+                message = f"{what}, which always holds as a condition: {advice}"
+                yield ArgumentError(message, span=node.span)
+
+    def _without_a_question(self, node: Node) -> str:
+        """Returns what a condition is that is neither true nor false; '' for another one."""
+        match node:
+            case Call(name=name) | Name(name=name):
+                value = self._variable(name)
+                if value is None or isinstance(node, Call):
+                    what = _NO_CONDITIONS.get(name) if self._is_relation(name) else None
+                    return f"{name} is {what}" if what else ""
+                return f"{name} is an entity" if isinstance(value, Handle) else ""
+            case (
+                QualifiedName(alias=alias, key=key)
+                | Index(base=Name(name=alias), indices=(Literal(value=str() as key),))
+            ) if isinstance(self._variable(alias), World):
+                return f"{alias}.{key} is an entity"
+        return ""
 
     def _tell_of_volume(self) -> None:
         """Warns, once, of what `volume` is: published programs use it, so it is no mistake."""

@@ -12,10 +12,12 @@ from ssduck.language.tree import (
     Branch,
     Call,
     If,
+    Index,
     Literal,
     Name,
     Node,
     OperatorChain,
+    QualifiedName,
     Query,
     Source,
     This,
@@ -54,6 +56,14 @@ def misread_calls(statement: Node) -> Iterator[tuple[Call, str]]:
             value = angle.value if isinstance(angle, Literal) else None
             if isinstance(value, int | float) and value > math.pi:
                 yield call, _IN_DEGREES.format(call.name, value)
+
+
+def as_conditions(statement: Node) -> Iterator[Node]:
+    """Yields what stands as a condition, and may be an entity or a list, which always hold."""
+    for node in statement.walk():
+        for part in _conditions(node):
+            if isinstance(part, Call | Name | QualifiedName | Index):
+                yield part
 
 
 def _angles(node: Node) -> Iterator[tuple[Call, Node]]:

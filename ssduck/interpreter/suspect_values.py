@@ -55,7 +55,7 @@ _KIND_OF_TYPE: dict[type, Kind] = {int: "number", float: "number", str: "text", 
 # Two names of one relation.
 _SYNONYMS = {"name": "id", "kind": "type"}
 # The relations whose values are lists of numbers.
-_VECTORS = frozenset(
+VECTORS = frozenset(
     name for name, one in RELATIONS.items() if one.result == "list" and one.element == "double"
 )
 _COORDINATES = 3
@@ -156,7 +156,7 @@ def _vector_of(node: Node) -> str:
     """Returns the relation whose value, a list of numbers, a part is; "" for another part."""
     match node:
         case Call(name=name) | Name(name=name) | QualifiedName(key=name):
-            return name if name in _VECTORS else ""
+            return name if name in VECTORS else ""
         case Binary(operator="-", left=left, right=right):
             return _vector_of(left) or _vector_of(right)
     return ""
@@ -400,7 +400,7 @@ def mistakes_in(
                 )
         elif all(_is_vector(side, variable, type_of_relation) for side in _sides(node)):
             one = "+" if node.operator == "+" else "<"
-            yield ArgumentError(_OF_VECTORS[one].format(node.operator), span=node.span)
+            yield ArgumentError(_OFVECTORS[one].format(node.operator), span=node.span)
     for call in suspects.aggregates:
         if _is_vector(call.arguments[0], variable, type_of_relation):
             yield ArgumentError(
@@ -420,7 +420,7 @@ def mistakes_in(
 
 
 # What is told of an operator of two lists of numbers, "<" for all that order them.
-_OF_VECTORS = {
+_OFVECTORS = {
     "+": "+ joins two lists to a longer one; the sum is [x(a) + x(b), y(a) + y(b), "
     "z(a) + z(b)], and - of two lists is their difference",
     "<": "{0} orders two lists by the first numbers that differ, as words by their letters; of "

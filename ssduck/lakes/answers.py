@@ -11,6 +11,8 @@ from typing import Any
 
 import pyarrow as pa
 
+from ssduck.errors import ProgramWarning, warn
+from ssduck.formatting import count_of
 from ssduck.lakes.manifest import EpisodeEntry
 from ssduck.lakes.questions import Question, from_text, to_text
 from ssduck.lakes.workers import Answer
@@ -59,6 +61,17 @@ def answer_table(answered: Iterable[AnsweredEpisode]) -> pa.Table:
     columns["answer"] = _array(values)
     columns[ERROR] = pa.array([row.error for row in rows], pa.string())
     return pa.table(columns)
+
+
+def whole_table(answered: Iterable[AnsweredEpisode]) -> pa.Table:
+    """Returns the answers as `answer_table` does, and warns if no episode has one."""
+    table = answer_table(answered)
+    errors = table[ERROR]
+    if table.num_rows and not errors.null_count:
+        episodes = count_of(table.num_rows, "episode")
+        told = f"no answer: {episodes} failed, as the column {ERROR!r} says: {errors[0]}"
+        warn(told, ProgramWarning)
+    return table
 
 
 def _are_records(value: Any) -> bool:

@@ -19,7 +19,7 @@ from ssduck import validation
 from ssduck.database.database import Database
 from ssduck.errors import ArgumentError, ProgramWarning, RecordError, SqlError, record_errors, warn
 from ssduck.gym.terms import Reward, Terms, WhereNaN
-from ssduck.lakes.answers import AnsweredEpisode, KeptAnswers, answer_table
+from ssduck.lakes.answers import AnsweredEpisode, KeptAnswers, answer_table, whole_table
 from ssduck.lakes.engines import Answerer, EngineName, engine_of
 from ssduck.lakes.manifest import (
     EpisodeEntry,
@@ -257,7 +257,7 @@ class Lake:
         question.check()
         engines = {"processes": processes, "options": options, "session": session}
         answered = self._answered(question, where, engine, batch, resume, progress, engines)
-        return answer_table(answered)
+        return whole_table(answered)
 
     def stream(
         self,
@@ -319,7 +319,7 @@ class Lake:
         question = ScoreQuestion(Terms.of(success, failure, reward, stop_when, nan=nan), limits)
         engines = {"processes": processes, "options": options, "session": session}
         answered = self._answered(question, where, engine, batch, resume, progress, engines)
-        return answer_table(answered)
+        return whole_table(answered)
 
     def _answered(
         self,

@@ -75,6 +75,39 @@ def test_a_number_that_is_compared_is_not(ss, program):
     assert told(ss.eval, program) == []
 
 
+# (program, what always holds)
+ALWAYS = [
+    ("SELECT id FROM sim WHERE position;", "position is a list"),
+    ("SELECT id FROM sim WHERE velocity(this) AND z(this) > 0;", "velocity is a list"),
+    ("SELECT id FROM sim WHERE sim.ball AND z(this) > 0;", "sim.ball is an entity"),
+    ("SELECT id FROM sim WHERE NOT sim['ball'];", "sim.ball is an entity"),
+    ("SELECT id FROM sim WHERE name OR z > 1;", "name is a text"),
+    ("ball AND True;", "ball is an entity"),
+    ("IF(pose(sim.ball); 1; 2);", "pose is a list"),
+]
+
+
+@pytest.mark.parametrize(("program", "what"), ALWAYS)
+def test_what_always_holds_is_told_of(ss, program, what):
+    ss.add_variable("ball", ss["sim"]["ball"])
+    (message,) = told(ss.eval, program)
+    assert message.startswith(f"{what}, which always holds as a condition: compare it")
+
+
+@pytest.mark.parametrize(
+    "program",
+    [
+        "SELECT id FROM sim WHERE robot(this);",  # nothing for what is none
+        "SELECT id FROM sim WHERE sensingEnvIDs(this);",  # empty where nothing is seen
+        "SELECT id FROM sim WHERE has.bin AND z(this) > 0;",
+    ],
+)
+def test_what_may_not_hold_is_not(ss, program):
+    ss.add_variable("has", {"bin": False})
+    ss.strict = True
+    assert told(ss.eval, program) == []
+
+
 @pytest.mark.parametrize("program", ["volume(sim.ball);", "SELECT id, volume FROM sim;"])
 def test_volume_is_told_of_once_and_stays_as_published(ss, program):
     ss.strict = True
