@@ -33,7 +33,7 @@ NEEDED = 4 << 30
 PYBULLET = ("pybullet", "pybullet_data")
 
 # The machines that run the tests are slow and shared; a failing example is found again.
-settings.register_profile("few", deadline=None, derandomize=True, max_examples=generated(25))
+settings.register_profile("few", deadline=None, derandomize=True, max_examples=generated(15))
 # Each night draws other examples.
 settings.register_profile("many", deadline=None, print_blob=True, max_examples=generated(100))
 settings.load_profile("many" if factor() > 1 else "few")

@@ -75,7 +75,7 @@ TUTORIAL = [
 ]
 
 
-@pytest.mark.slow
+@pytest.mark.long  # it takes seconds
 def test_demo_in_an_empty_folder(tmp_path):
     code, out, err = run("demo", cwd=tmp_path)
     assert (code, err) == (0, "")

@@ -88,7 +88,7 @@ def test_scores(recorded):
     assert rows[0]["seed"] == 0
 
 
-@pytest.mark.slow
+@pytest.mark.long  # it takes seconds
 def test_processes_stream_and_resume(recorded, tmp_path):
     lake = ssduck.lake(recorded)
     program = PROGRAMS["least clearance"]

@@ -366,7 +366,7 @@ def test_a_record_has_episodes(tmp_path):
         assert json.loads(text_of(server, "query", program=program)) == ss.eval(program)
 
 
-@pytest.mark.slow
+@pytest.mark.long  # it takes seconds
 def test_the_command_answers_on_standard_output_alone(tmp_path):
     command = StdioServerParameters(
         command=sys.executable,
