@@ -52,6 +52,7 @@ class ArrayValues(dict[Any, Array]):
 
     Attributes:
         active: the places at which values matter, (k, n) or (1, n); None for all.
+        computed: the values of common parts by key, with the places for which they were computed.
     """
 
     def __init__(
@@ -61,6 +62,7 @@ class ArrayValues(dict[Any, Array]):
         self._read = read
         self.count, self.calls, self.fixed = count, calls, fixed
         self.active: Flags | None = None
+        self.computed: dict[str, tuple[Flags | None, Array]] = {}
 
     def __missing__(self, key: Any) -> Array:
         """Reads the values of a leaf."""
@@ -107,9 +109,12 @@ class ArrayOperations:
         key, inner = next(self._keys), part.compute
 
         def compute(values: ArrayValues) -> Array:
-            if key not in values:
-                values[key] = inner(values)
-            return values[key]
+            checked, known = values.computed.get(key, (None, None))
+            # What is no number is found only where it matters.
+            if known is None or not (checked is None or checked is values.active):
+                known = inner(values)
+                values.computed[key] = values.active, known
+            return known
 
         return compute
 

@@ -45,8 +45,8 @@ _REAL_FUNCTIONS = {
     function.__name__: function for function in (math.sin, math.cos, math.tan, math.atan, math.tanh)
 }
 _EXTREMES = {
-    **dict.fromkeys(("list_min", "arraymin"), operator.lt),
-    **dict.fromkeys(("list_max", "arraymax"), operator.gt),
+    **dict.fromkeys(("list_min", "arraymin"), operator.le),
+    **dict.fromkeys(("list_max", "arraymax"), operator.ge),
 }
 # Expressions that are as fast to evaluate again as to look up.
 _LEAVES = (exp.Parameter, exp.Column, exp.Literal, exp.Boolean)
@@ -101,7 +101,7 @@ class Operations(Protocol):
         """Returns whether a number is finite."""
 
     def extreme(self, compare: Callable[[Any, Any], Any], parts: Parts) -> Compute:
-        """Returns the first of some numbers that is less, or greater, than the others."""
+        """Returns the least or the greatest of some numbers, the last one of several."""
 
     def compared(self, compare: Callable[[Any, Any], Any], a: Compute, b: Compute) -> Compute:
         """Returns a comparison."""

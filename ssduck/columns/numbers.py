@@ -7,7 +7,6 @@ compares in its own way, is left to DuckDB.
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Callable, Mapping, Sequence
 from itertools import count
 from typing import Any
@@ -109,8 +108,15 @@ class NumberOperations:
         return lambda values: math.isfinite(part(values))
 
     def extreme(self, compare: Callable[[Any, Any], Any], parts: Parts) -> Compute:
-        choose = max if compare is operator.gt else min
-        return lambda values: choose(part(values) for part in parts)
+        def compute(values: Values) -> float:
+            result: float = parts[0](values)
+            for part in parts[1:]:
+                other = part(values)
+                if compare(other, result):
+                    result = other
+            return result
+
+        return compute
 
     def compared(self, compare: Callable[[Any, Any], Any], a: Compute, b: Compute) -> Compute:
         return lambda values: compare(a(values), b(values))
