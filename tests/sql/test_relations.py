@@ -268,3 +268,4 @@ def test_a_wrong_entry_of_shapes_is_an_error(entry, message):
 def test_help_lists_every_relation(pair):
     ss, _ = pair
     assert set(RELATIONS) <= set(ss.eval("help();"))
+    assert "setCollisionFilterGroupMask" in ss.help("isEnabled")

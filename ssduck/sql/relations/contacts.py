@@ -48,7 +48,6 @@ CONTACT_RELATIONS: tuple[Relation, ...] = (
         "Checks if the physics solver found a contact of a and b with a normal force above 0 in "
         "the last step.",
         is_symmetric=True,
-        across_worlds="FALSE",
         recorded_formula="a.id <> b.id "
         f"AND COALESCE(list_max({recorded_numbers('contact_forces', 'a', 'b')}) > 0, FALSE)",
         link_formula=f"{_PAIR} IN (SELECT pairs.pair[1], pairs.pair[2] FROM ({_PAIRS}) AS pairs "  # noqa: S608
@@ -64,7 +63,6 @@ CONTACT_RELATIONS: tuple[Relation, ...] = (
         "meet, even if they do not press, as when they are moving apart, or they press at a "
         "distance, which margins allow.",
         is_symmetric=True,
-        across_worlds="FALSE",
         recorded_formula="a.id <> b.id "
         f"AND len({recorded_numbers('contact_forces', 'a', 'b')}) > 0",
         link_formula=f"{_PAIR} IN (SELECT pairs.pair[1], pairs.pair[2] "  # noqa: S608
@@ -83,7 +81,6 @@ CONTACT_RELATIONS: tuple[Relation, ...] = (
         "physics solver.",
         unit="N",
         is_symmetric=True,
-        across_worlds="0.0::DOUBLE",
         recorded_formula="CASE WHEN a.id = b.id THEN 0.0::DOUBLE "
         f"ELSE COALESCE(list_sum({recorded_numbers('contact_forces', 'a', 'b')}), 0.0) END",
         link_formula="CASE WHEN a.id = b.id THEN 0.0::DOUBLE ELSE COALESCE(map_extract_value(("  # noqa: S608
@@ -103,7 +100,6 @@ CONTACT_RELATIONS: tuple[Relation, ...] = (
         "Checks if a presses b from opposite sides: of their contacts in the last step with a "
         "normal force above 0, two have normals that are at least 120 degrees apart.",
         is_symmetric=True,
-        across_worlds="FALSE",
         recorded_formula="a.id <> b.id "
         f"AND COALESCE(list_min({recorded_numbers('opposition', 'a', 'b')}) <= {OPPOSING}, FALSE)",
         link_formula=_opposing(_PAIRS),

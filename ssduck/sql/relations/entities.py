@@ -211,7 +211,12 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         site_formula=_in_region(),
     ),
     entity_relation(
-        "isEnabled", "boolean", "object.enabled", "Checks if the simulator lets the entity collide."
+        "isEnabled",
+        "boolean",
+        "object.enabled",
+        "Checks if the simulator lets the entity collide: the value that was set by `enabled` of "
+        "a handle. Calls of setCollisionFilterGroupMask do not change it: PyBullet does not tell of "
+        "them.",
     ),
     entity_relation(
         "isVisible", "boolean", "object.visible", "Checks if the simulator draws the entity."

@@ -68,7 +68,6 @@ class Relation:
         unit: the unit of the result.
         is_symmetric: whether the order of two entities does not matter.
         element: the type of the elements, if the result is a list.
-        across_worlds: the value for entities of two worlds, if the formula looks things up.
         geometry: the function of shapes that it calls, if any.
         candidate_pairs: the pairs of a tick of which it may hold, if they can be found at once.
         recorded_formula: the formula of a macro for rows of a recorded tick, if it looks up what
@@ -96,7 +95,6 @@ class Relation:
     unit: str = ""
     is_symmetric: bool = False
     element: ValueType = "double"
-    across_worlds: str = ""
     geometry: GeometryQuery | None = None
     candidate_pairs: CandidatePairs | None = None
     recorded_formula: str = ""
@@ -203,8 +201,11 @@ class Relation:
 
     @cached_property
     def across_worlds_expression(self) -> exp.Expr:
-        """The value for entities of two worlds, if the formula looks things up in one."""
-        return _parsed(self.across_worlds)
+        """The error for entities of two worlds, if the formula looks things up in one."""
+        return _parsed(
+            f"error('{self.name}: these entities are of two worlds, and {self.name} is of "
+            "entities of one')"
+        )
 
     @cached_property
     def tables(self) -> frozenset[str]:

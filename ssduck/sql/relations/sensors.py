@@ -17,7 +17,6 @@ SENSOR_RELATIONS: tuple[Relation, ...] = (
         "Checks if sensor s perceives e at the tick: if a ray, a pixel or a contact point of s "
         "ends on e. It is False while s is switched off, for the body on which s is mounted, if "
         "e is a sensor, and if s is not one.",
-        across_worlds="FALSE",
         recorded_formula=f"len({recorded_numbers('sensed', 's', 'e')}) > 0",
     ),
     Relation(
@@ -28,7 +27,6 @@ SENSOR_RELATIONS: tuple[Relation, ...] = (
         "FROM sensings), (s.id, e.id)), 0.0::DOUBLE)",
         "Returns the share of the rays, pixels or contact points of sensor s that end on e, "
         "from 0 to 1; 0 if isSensing(s, e) is False.",
-        across_worlds="0.0::DOUBLE",
         recorded_formula=f"COALESCE({recorded_numbers('sensed', 's', 'e')}[1], 0.0)",
     ),
     Relation(

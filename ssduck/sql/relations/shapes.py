@@ -74,8 +74,6 @@ def shape_relation(
         unit=unit,
         is_symmetric=is_symmetric,
         element=element,
-        across_worlds=f"error('{name}: these entities are of two worlds, and only shapes of one "
-        "are compared')",
         geometry=geometry,
         candidate_pairs=candidate_pairs,
         aliases=aliases,

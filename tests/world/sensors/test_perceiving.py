@@ -165,8 +165,9 @@ def test_two_worlds_do_not_see_each_other(mast):
         for ss in evaluators(world):
             ss.add_variable("other", second)
             program = "SELECT id(a.this), id(b.this) FROM a={}, b={} WHERE isSensing(a.this, b.this) OR sensingAmount(a.this, b.this) > 0 AS list;"
-            assert ss.eval(program.format("sim", "other")) == []
-            assert ss.eval(program.format("other", "sim")) == []
+            for names in (("sim", "other"), ("other", "sim")):
+                with pytest.raises(SelectScriptError, match="these entities are of two worlds"):
+                    ss.eval(program.format(*names))
             assert ss.eval(program.format("other", "other")) == []
             assert ss.eval(program.format("sim", "sim")) == ["eye", "wall"]
             # A row does not tell which world it is of.
