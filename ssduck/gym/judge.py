@@ -41,14 +41,6 @@ _KEEP_PAST = (
 _OF_MOTION = frozenset(
     {name for name, relation in RELATIONS.items() if relation.unit in ("m/s", "rad/s")} | set(TWIST)
 )
-# The relations of two whose answer needs the shapes of both.
-_OF_GAPS = frozenset(
-    name
-    for name, relation in RELATIONS.items()
-    if relation.geometry is not None
-    and relation.required_count > 1
-    and relation.name not in ("contains", "enclosed", "inside")
-)
 
 
 class Judge:
@@ -337,7 +329,6 @@ class Judge:
         """
         for term, text in zip(self.terms, self._texts, strict=True):
             program = self._compiled(term.key, text)
-            self._check_shapes(term, program)
             if not with_variables and self._uses_variables(program):
                 continue
             try:
@@ -435,26 +426,6 @@ class Judge:
         variables = self._element_names.union(self._elements)
         nodes = program.tree.statements[0].walk()
         return any(isinstance(node, Name) and node.name in variables for node in nodes)
-
-    def _check_shapes(self, term: Term, program: CompiledProgram) -> None:
-        """Checks that what is asked for a gap has shapes, as the markers of goals often have not.
-
-        Raises:
-            ArgumentError: an entity has none.
-        """
-        bodies = self._bodies()
-        for call in program.tree.statements[0].walk():
-            if not isinstance(call, Call) or call.name not in _OF_GAPS:
-                continue
-            for part in call.arguments:
-                name = self._entity_name(part)
-                body = bodies.get(name)
-                if body is not None and not body.shapes:
-                    raise ArgumentError(
-                        f"{term.key}: {term.text!r} asks {call.name} of {name}, which has no shape "
-                        "that collides: it touches nothing, and is infinitely far from all; "
-                        f"distance({self._world}.{name}, …) is that of positions"
-                    )
 
     def _bodies(self) -> dict[str, Body | None]:
         """Returns the bodies of the entities by name; None for a sensor."""

@@ -20,7 +20,7 @@ from ssduck.errors import (
     SourceSpan,
     warn,
 )
-from ssduck.formatting import short_repr
+from ssduck.formatting import name_path, short_repr
 from ssduck.interpreter.known_names import KnownNames, handle_of
 from ssduck.interpreter.misread_relations import (
     VOLUME_NOTE,
@@ -28,6 +28,7 @@ from ssduck.interpreter.misread_relations import (
     has_volume,
     has_volume_in_sql,
     misread_calls,
+    of_shapes,
     same_rows,
 )
 from ssduck.interpreter.suspect_values import VECTORS, Suspects, mistakes_in, suspects_of
@@ -51,6 +52,7 @@ from ssduck.language.tree import (
 )
 from ssduck.recording.replay.past import Past
 from ssduck.sql.name_comparisons import NameKind, name_comparisons
+from ssduck.world.entities import Entity
 from ssduck.world.handles import Handle
 from ssduck.world.links import Link, Links
 from ssduck.world.world import World
@@ -103,6 +105,7 @@ class StatementFacts:
         columns: bare names in GROUP BY, HAVING and ORDER BY that are also names of columns.
         suspects: comparisons, columns and ages to look at.
         as_conditions: what stands as a condition, and may be an entity or a list.
+        of_shapes: calls that ask for shapes, each with what may be an entity that has none.
         misread: calls of relations that read as something else, with what is told of each.
         same_rows: what is told of `this` beside the same row of a nested query by its name.
         has_volume: whether it names `volume`.
@@ -118,6 +121,7 @@ class StatementFacts:
     columns: list[tuple[str, SourceSpan]] = field(default_factory=list)
     suspects: Suspects = field(default_factory=Suspects)
     as_conditions: tuple[Node, ...] = ()
+    of_shapes: tuple[tuple[Call, Node], ...] = ()
     misread: tuple[tuple[Call, str], ...] = ()
     same_rows: tuple[tuple[str, SourceSpan], ...] = ()
     has_volume: bool = False
@@ -136,6 +140,7 @@ def facts_of(statement: Node) -> StatementFacts:
     facts = StatementFacts(
         suspects=suspects_of(statement),
         as_conditions=tuple(as_conditions(statement)),
+        of_shapes=tuple(of_shapes(statement)),
         misread=tuple(misread_calls(statement)),
         same_rows=tuple(same_rows(statement)),
         has_volume=has_volume(statement),
@@ -349,6 +354,7 @@ class Linter:
             ),
             *(ArgumentError(message, span=span) for message, span in facts.same_rows),
             *self._always_true(facts),
+            *self._without_shapes(facts),
         ]
         if facts.has_volume and self._variable("volume") is None and self._is_relation("volume"):
             self._tell_of_volume()
@@ -397,12 +403,40 @@ class Linter:
                     what = _NO_CONDITIONS.get(name) if self._is_relation(name) else None
                     return f"{name} is {what}" if what else ""
                 return f"{name} is an entity" if isinstance(value, Handle) else ""
+            case QualifiedName() | Index():
+                named = self._entity(node)
+                return (
+                    f"{name_path(named.world.name, named.name)} is an entity"
+                    if named is not None
+                    else ""
+                )
+        return ""
+
+    def _without_shapes(self, facts: StatementFacts) -> Iterator[SelectScriptError]:
+        """Yields an error for each entity without shapes in a relation of shapes."""
+        for call, node in facts.of_shapes:
+            named = self._entity(node) if self._is_relation(call.name) else None
+            body = named.info.body if named is not None else None
+            if named is not None and body is not None and not body.shapes:
+                name = name_path(named.world.name, named.name)
+                message = (
+                    f"{call.name} asks for the shapes of {name}, which has none that collides: it "
+                    "touches nothing, and is infinitely far from all; "
+                    f"distance({name}, …) is that of positions"
+                )
+                yield ArgumentError(message, span=node.span)
+
+    def _entity(self, node: Node) -> Entity | None:
+        """Returns the entity of a world that an expression names; None if it is none."""
+        match node:
             case (
                 QualifiedName(alias=alias, key=key)
                 | Index(base=Name(name=alias), indices=(Literal(value=str() as key),))
-            ) if isinstance(self._variable(alias), World):
-                return f"{alias}.{key} is an entity"
-        return ""
+            ):
+                world = self._variable(alias)
+                found = world[key] if isinstance(world, World) and key in world else None
+                return found if isinstance(found, Entity) else None
+        return None
 
     def _tell_of_volume(self) -> None:
         """Warns, once, of what `volume` is: published programs use it, so it is no mistake."""

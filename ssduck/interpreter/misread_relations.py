@@ -23,6 +23,7 @@ from ssduck.language.tree import (
     This,
     Unary,
 )
+from ssduck.sql.relations.registry import RELATIONS
 
 # What to write in place of a number that holds of nearly everything as a condition.
 _AS_CONDITION = {
@@ -56,6 +57,23 @@ def misread_calls(statement: Node) -> Iterator[tuple[Call, str]]:
             value = angle.value if isinstance(angle, Literal) else None
             if isinstance(value, int | float) and value > math.pi:
                 yield call, _IN_DEGREES.format(call.name, value)
+
+
+# The relations of two whose answer needs the shapes of both, or a region that one of them is.
+_OF_SHAPES = frozenset(
+    name
+    for name, relation in RELATIONS.items()
+    if name == "within" or (relation.geometry is not None and relation.required_count > 1)
+)
+
+
+def of_shapes(statement: Node) -> Iterator[tuple[Call, Node]]:
+    """Yields the calls that ask for shapes, each with what may be an entity that has none."""
+    for call in statement.walk():
+        if isinstance(call, Call) and call.name in _OF_SHAPES:
+            for part in call.arguments:
+                if isinstance(part, QualifiedName | Index):
+                    yield call, part
 
 
 def as_conditions(statement: Node) -> Iterator[Node]:

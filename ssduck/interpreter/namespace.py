@@ -277,7 +277,9 @@ class Namespace:
         value = self.variables[name]
         if isinstance(value, World):
             seconds = validation.seconds(age[0], "what is in {…}") if age else None
-            return past_of(self.database.record_of(value), seconds)
+            record = self.database.record_of(value)
+            record.warn_of_dropped_ticks(seconds)
+            return past_of(record, seconds)
         return past_value(name, value, age, self._now)
 
     def history(self, name: str) -> list[tuple[float, Any]]:

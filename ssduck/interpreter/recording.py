@@ -119,7 +119,9 @@ class RecordingMethods(ABC):
         with self._lock:
             chosen = self._world(world)
             seconds = None if age is None else validation.seconds(age)
-            return past_of(self._database.record_of(chosen), seconds)
+            record = self._database.record_of(chosen)
+            record.warn_of_dropped_ticks(seconds)
+            return past_of(record, seconds)
 
     @record_errors()
     def record_to(

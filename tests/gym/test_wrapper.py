@@ -367,7 +367,7 @@ def test_gaps_of_what_has_no_shape_are_errors():
     """Pusher's goal is a disc that collides with nothing."""
     for term in ("near(sim.object, sim.goal, 10)", "0 < clearance(sim['object'], sim.goal)"):
         with pytest.raises(
-            ArgumentError, match=r"of goal, which has no shape .* distance\(sim.goal"
+            ArgumentError, match=r"of sim.goal, which has none .* distance\(sim.goal"
         ):
             QueryWrapper(gymnasium.make("Pusher-v5"), success=term)
     env = QueryWrapper(gymnasium.make("Pusher-v5"), reward="-distance(sim.object, sim.goal)")

@@ -108,6 +108,47 @@ def test_what_may_not_hold_is_not(ss, program):
     assert told(ss.eval, program) == []
 
 
+@pytest.fixture
+def marked():
+    """A cup inside of a goal that is drawn only."""
+    client = pybullet.connect(pybullet.DIRECT)
+    half = [0.5] * 3
+    drawn = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=half, physicsClientId=client)
+    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    bodies = [
+        pybullet.createMultiBody(0, -1, drawn, physicsClientId=client),
+        pybullet.createMultiBody(1, ball, physicsClientId=client),
+    ]
+    with ssduck.Interpreter() as ss:
+        names = dict(zip(bodies, ("goal", "cup"), strict=True))
+        ss.add_variable("sim", ssduck.World.attach(client, names=names))
+        yield ss
+    pybullet.disconnect(client)
+
+
+@pytest.mark.parametrize(
+    "program",
+    [
+        "near(sim.goal, sim.cup, 0.1);",
+        "SELECT id FROM sim WHERE within(sim['goal'], this);",
+        "contains(sim.goal, sim.cup) OR True;",
+        "least(clearance(sim.cup, sim.goal));",
+    ],
+)
+def test_what_is_drawn_only_has_no_shapes_to_ask_for(marked, program):
+    (message,) = told(marked.eval, program)
+    assert "asks for the shapes of sim.goal, which has none that collides" in message
+    marked.strict = True
+    with pytest.raises(ArgumentError, match=r"distance\(sim.goal, …\) is that of positions"):
+        marked.eval(program)
+
+
+def test_its_position_is_known(marked):
+    marked.strict = True
+    assert marked.eval("distance(sim.goal, sim.cup) < 0.01;")
+    assert marked.eval("inBox(sim.cup, [-0.5, -0.5, -0.5], [0.5, 0.5, 0.5], sim.goal);")
+
+
 @pytest.mark.parametrize("program", ["volume(sim.ball);", "SELECT id, volume FROM sim;"])
 def test_volume_is_told_of_once_and_stays_as_published(ss, program):
     ss.strict = True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from itertools import pairwise
 
 import pytest
@@ -269,3 +270,36 @@ def test_the_words_may_be_names_of_ones_own(recwarn):
             ss.add_function("at", lambda a, b: a + b)
         assert ss.eval("at(1, 2);") == 3
         assert ss.eval("SELECT at(this, 2) FROM [1, 2] AS list;") == [3, 4]
+
+
+# (what is asked of the past, whether that is more than what is kept)
+ASKED = [
+    ("heldFor(z(sim.ball) > 0);", True),
+    ("since(z(sim.ball) > 0) > 0;", True),
+    ("initially(z(sim.ball));", True),
+    ("greatest(z(sim.ball));", True),
+    ("holds(z(sim.ball) > 0);", True),
+    ("SELECT max(z) FROM sim{} AS value;", True),
+    ("SELECT max(z) FROM sim{-1.0} AS value;", True),
+    ("heldFor(z(sim.ball) > 9);", False),
+    ("holds(z(sim.ball) > 0, -0.02);", False),
+    ("SELECT max(z) FROM sim{-0.02} AS value;", False),
+    ("previous(z(sim.ball)) > rate(z(sim.ball));", False),
+]
+
+
+@pytest.mark.parametrize(("program", "is_more"), ASKED)
+def test_dropped_ticks_are_told_of_once_where_they_are_asked_for(program, is_more):
+    fall = Fall(steps=0)
+    with fall.ss, warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        fall.ss.record("sim", ssduck.Recording(seconds=0.05))
+        fall.step(20)
+        first = fall.ss.past("sim", -0.02).record.ticks.times[0]
+        assert first > 0.05
+        for _ in range(2):
+            fall.ss.eval(program)
+    messages = [str(one.message) for one in told]
+    assert len(messages) == is_more
+    assert all(f"the past begins at {first:g} s" in message for message in messages)
+    assert all("ss.record('sim', ssduck.Recording(seconds=0.1))" in m for m in messages)

@@ -89,6 +89,7 @@ def _since(series: TickSeries, _: Any) -> float | None:
             count = holding.index(False)
             return times[-count] if count else start
         start = times[0]
+    series.record.warn_of_dropped_ticks()
     return start
 
 
@@ -109,14 +110,15 @@ def _duration(start: float | None, time: float) -> float:
 
 
 def _holds(series: TickSeries, age: Any) -> list[list[float]]:
-    return intervals_of(*series.holding(series.past(age)))
+    return intervals_of(*series.holding(series.whole(age)))
 
 
 def _changes(series: TickSeries, age: Any) -> list[list[Any]]:
-    return changes_of(*series.at(series.past(age)))
+    return changes_of(*series.at(series.whole(age)))
 
 
 def _initially(series: TickSeries, _: Any) -> Any:
+    series.record.warn_of_dropped_ticks()
     start = series.ticks()[1][0]
     return series.at(series.window(start, start))[1][0]
 
@@ -185,7 +187,7 @@ def _lifted(call: Call) -> Node:
 
 def _least(series: TickSeries, age: Any) -> list[Any] | None:
     if series.least_clearance is not None:
-        past = series.past(age)
+        past = series.whole(age)
         ticks, times = past.ticks, past.times
         found = series.least_clearance(past) if len(set(times)) == len(times) else None
         if found is not None:
@@ -201,7 +203,7 @@ def _extreme(
     series: TickSeries, age: Any, name: str, choose: Callable[..., tuple[float, Any]]
 ) -> list[Any] | None:
     """Returns [time, value] of the first of the extreme values; None without numbers."""
-    times, values = series.at(series.past(age))
+    times, values = series.at(series.whole(age))
     entries = [
         (time, value) for time, value in zip(times, values, strict=True) if _is_number(value)
     ]

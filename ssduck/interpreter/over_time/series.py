@@ -62,6 +62,11 @@ class TickSeries:
         """Returns the tick at a time, those of the last seconds, or all, as braces do."""
         return past_of(self.record, age, self._now)
 
+    def whole(self, age: float | None) -> Past:
+        """Returns the ticks of `past`; warns if some of them are kept no longer."""
+        self.record.warn_of_dropped_ticks(age)
+        return self.past(age)
+
     def window(self, first: float, last: float) -> Past:
         """Returns all ticks from one time to another."""
         numbers, times = self.ticks()

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from ssduck.errors import EvaluationError, warn
+from ssduck.errors import EvaluationError, ProgramWarning, warn
 from ssduck.formatting import joined_names
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.distance import CallCounter
@@ -123,7 +123,7 @@ class Record:
         )
         # Whether it was replaced by another record, or discarded.
         self.is_closed = False
-        self._has_told_of_contacts = False
+        self._has_told_of_contacts = self._has_told_of_dropped = False
         # Calls of the narrow phase count for the world, at any tick.
         self.calls = CallCounter() if world is None else world.snapshot.calls
 
@@ -249,6 +249,24 @@ class Record:
         if self.recording is None or not self.ticks.has_dropped:
             return ""
         return f"; {longer_recording_message(self.world.name, self.recording)}"
+
+    def warn_of_dropped_ticks(self, age: float | None = None) -> None:
+        """Warns, once, if ticks were dropped that an answer is to be of.
+
+        Args:
+            age: if negative, it is to be of so many last seconds; None for all ticks.
+        """
+        advice = self.dropped_ticks_message
+        if not advice or self._has_told_of_dropped or (age is not None and age >= 0.0):
+            return
+        name, first = self.world.name, float(self.ticks.times[0])
+        if age is None or self.world.time + age < first - TIME_TOLERANCE:
+            self._has_told_of_dropped = True
+            warn(
+                f"{name}: the past begins at {first:g} s, and so does what is asked of all ticks"
+                f"{advice}",
+                ProgramWarning,
+            )
 
     def _index_of(self, tick: int) -> int:
         self.check_open()
