@@ -83,7 +83,12 @@ ss.sql("SELECT a, b FROM link_pairs_within(0.02)")  # ids of links; also collidi
 
 An entity consists of the shapes of all its links: a relation of two entities holds for their
 closest shapes. A plane is a solid half-space, so everything below the ground collides with it. A
-closed mesh is solid, an open one is a surface. An entity without shapes, such as a sensor,
+closed mesh is solid, an open one is a surface. To PyBullet a concave mesh
+(`GEOM_FORCE_CONCAVE_TRIMESH`, `concave="yes"`) is a surface even if it is closed: in a room that is
+such a mesh, a ball has clearance 0 from the room, collides with it, and is not on its floor. A
+warning names such a mesh once if it is around something that is compared with it; a query of a
+whole history does not warn. `enclosed` and the relations of contacts hold there as in PyBullet.
+Walls of boxes are the same to both. An entity without shapes, such as a sensor,
 touches nothing and is infinitely far from everything. Disabled and invisible entities have their
 shapes as before. The compared rows of `entities` are of one tick: the current one, or a recorded
 one (see [Time](time.md)).

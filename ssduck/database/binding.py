@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import weakref
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, TypeAlias
@@ -20,9 +20,11 @@ from ssduck.recording.replay.lookups import LOOKUPS
 from ssduck.recording.replay.record import Record
 from ssduck.recording.spec import no_ticks_message, not_recorded_message
 from ssduck.recording.stores.base import TickArchive, VisibleRows
-from ssduck.schema import LINK_FACTOR, POSE, RECORDED, TABLES, EntityTable, link_id
+from ssduck.schema import LINK_FACTOR, POSE, RECORDED, TABLES, EntityTable, entity_of, link_id
 from ssduck.simulators.contact_pairs import ContactPairs
+from ssduck.simulators.interface import DEFAULT_BACKEND
 from ssduck.simulators.joints import EntityJoints
+from ssduck.sql.relations.geometry_query import INDIFFERENT_TO_INSIDES
 from ssduck.world.live_tables import LiveTable, last_version
 from ssduck.world.snapshot import Snapshot
 from ssduck.world.world import World
@@ -81,6 +83,7 @@ class BoundWorld:
     planned_margins: float = 0.0
     _poses: OrderedDict[tuple[int, EntityTable], Poses] = field(default_factory=OrderedDict)
     _changed_margins: set[str] = field(default_factory=set)
+    _filled_meshes: set[int] = field(default_factory=set)
     _has_told_of_pairs: bool = False
 
     @property
@@ -252,6 +255,30 @@ class BoundWorld:
                 f"{self.world.name!r}: the collision margins of {joined_names(new)} were changed; "
                 "recorded ticks have the margins with which a body was first recorded, so that on, "
                 "touching and similar relations may differ there from the simulator",
+            )
+
+    def warn_of_filled_meshes(
+        self, function: Callable[..., Any], shapes: ShapeQueries, ids: Sequence[int] | None = None
+    ) -> None:
+        """Warns, once for each entity, of closed meshes of PyBullet that surround others.
+
+        Args:
+            function: a method of `ShapeQueries` that compares entities.
+            shapes: the shapes at a tick.
+            ids: the ids of the entities that are compared; None for all.
+        """
+        if function in INDIFFERENT_TO_INSIDES or self.world.simulator.backend != DEFAULT_BACKEND:
+            return
+        filled = {entity_of(id) for id in shapes.filled_meshes(ids)} - self._filled_meshes
+        if filled:
+            self._filled_meshes |= filled
+            members = {member.id: member.name for member in self.world.snapshot.entities}
+            names = joined_names([members.get(id, f"entity {id}") for id in sorted(filled)])
+            warn(
+                f"{self.world.name!r}: a closed concave mesh of {names} is around something: for "
+                "PyBullet it is a surface with nothing inside, for ssduck a solid, so that "
+                "clearance is 0 there, near, touching and collides hold, and on does not; "
+                "enclosed, contains and inContact are as in PyBullet"
             )
 
     def joints(self, tick: int, id: int) -> EntityJoints:

@@ -21,7 +21,7 @@ from ssduck.database.values import Converter, converter, is_exactly
 from ssduck.errors import EvaluationError, UnknownNameError, UnsupportedError, nearest
 from ssduck.geometry.id_pairs import IdPairs
 from ssduck.geometry.pair_batch import PairQuestion, QuestionKind
-from ssduck.geometry.queries import depth
+from ssduck.geometry.tick_shapes import depth
 from ssduck.language.builtins import Function
 from ssduck.language.memo import Memo
 from ssduck.recording.replay.pair_answers import PairQueries
@@ -259,6 +259,7 @@ def _geometry_function(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Ca
             shapes = shapes.of(ids)
         if udf.uses_margins:
             worlds[world].warn_of_changed_margins(tick)
+        worlds[world].warn_of_filled_meshes(udf.function, shapes, ids)
         return udf.function(shapes, *ids, *arguments[id_count:])
 
     return call
@@ -285,6 +286,7 @@ def _pair_search(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Callable
             shapes = shapes.links
         elif kind == "links and entities":
             shapes = shapes.links_and_entities
+        worlds[world].warn_of_filled_meshes(udf.function, shapes)
         found: IdPairs | list[int] = udf.function(shapes, *values)
         return found.numbers if isinstance(found, IdPairs) else found
 

@@ -60,11 +60,14 @@ def _found(
     search, distance = lookup.search, lookup.distance
     if search.of_boxes:
         found: IdPairs = search.function(bound.world.snapshot.boxes())
-    elif search.takes_distance:
+        return found.first, found.second
+    shapes = bound.shapes(None, None)
+    bound.warn_of_filled_meshes(search.function, shapes)
+    if search.takes_distance:
         value = float(parameters[distance]) if isinstance(distance, str) else distance
-        found = search.function(bound.shapes(None, None), value)
+        found = search.function(shapes, value)
     else:
-        found = search.function(bound.shapes(None, None))
+        found = search.function(shapes)
     return found.first, found.second
 
 

@@ -340,6 +340,25 @@ class NarrowPhase:
             return None
         return sum(self._tick.solids[shape].volume for shape in self._shapes[e])
 
+    def surrounds(self, i: int, others: Iterable[int]) -> bool:
+        """Checks whether a closed mesh of an entity surrounds another entity.
+
+        The mesh contains the centre of the other's box, and the box of the mesh contains that box,
+        but for `TOUCHING_DISTANCE`.
+        """
+        meshes = [shape for shape in self._shapes[i] if self._tick.solids[shape].is_closed_mesh]
+        known = (e for e in others if e != i and self._shapes[e] and self._are_known[e])
+        return self._are_known[i] and any(
+            _contains_box(self._tick.corners[shape], self.box(e))
+            and self._winds_around(shape, self.box_centre(e))
+            for e in known
+            for shape in meshes
+        )
+
+    def _winds_around(self, shape: int, point: Point) -> bool:
+        placed = self._tick.placed(shape)
+        return bool(placed.solid.surface.encloses(np.array([placed.to_local(point)]))[0])
+
     def margin(self, e: int) -> float:
         """Returns the largest collision margin of the shapes of an entity, m; 0 without shapes."""
         return max((self._tick.margins.listed[shape] for shape in self._shapes[e]), default=0.0)
@@ -489,3 +508,11 @@ def _shapes_with_points(tick: TickSolids, starts: Sequence[int], e: int) -> list
 def _is_known(tick: TickSolids, starts: Sequence[int], e: int) -> bool:
     """Checks whether all poses and shapes of an entity are known."""
     return all(tick.are_known[shape] for shape in range(starts[e], starts[e + 1]))
+
+
+def _contains_box(outer: Box, inner: Box) -> bool:
+    """Checks whether a box contains another one, but for `TOUCHING_DISTANCE`."""
+    room = TOUCHING_DISTANCE
+    return all(
+        outer[k] - room <= inner[k] and inner[k + 3] <= outer[k + 3] + room for k in range(3)
+    )

@@ -11,7 +11,6 @@ from threading import RLock
 
 import numpy as np
 
-from ssduck.errors import ArgumentError
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.broad_phase import overlapping_pairs
 from ssduck.geometry.id_pairs import IdPairs, Ids, places_by_number
@@ -21,7 +20,7 @@ from ssduck.geometry.on_pairs import are_on
 from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import PlacedSolids
-from ssduck.geometry.tick_shapes import PairPredicate, ShapeTable, pair_number
+from ssduck.geometry.tick_shapes import PairPredicate, ShapeTable, depth, pair_number
 from ssduck.schema import LINK_FACTOR, entity_of
 
 # After this number of pairs, or a quarter of the entities, all pairs are compared at once.
@@ -558,6 +557,19 @@ class ShapeQueries:
         """Returns the sum of the volumes of an entity's shapes, m³."""
         return self._narrow.solid_volume(self._numbers[entity])
 
+    def filled_meshes(self, ids: Sequence[int] | None = None) -> list[int]:
+        """Returns the entities with a closed mesh that surrounds another one.
+
+        Args:
+            ids: the entities; None for all.
+        """
+        meshes = self._table.with_closed_meshes
+        if not meshes:
+            return []
+        numbers = {self._numbers[id]: id for id in (self._numbers if ids is None else ids)}
+        meshes = meshes.intersection(numbers)
+        return [numbers[mesh] for mesh in meshes if self._narrow.surrounds(mesh, numbers)]
+
     def unknown(self, ids: Sequence[int]) -> list[int]:
         """Returns the entities whose poses are not finite, or whose shapes are not valid."""
         queries = self.of(ids)
@@ -579,19 +591,6 @@ class _Numbers(dict[int, int]):
         if id < LINK_FACTOR:
             raise KeyError(id)
         return self.empty
-
-
-def depth(min_depth: float) -> float:
-    """Checks a depth, m.
-
-    Raises:
-        ArgumentError: it is negative or NaN.
-    """
-    if not min_depth >= 0.0:
-        raise ArgumentError(
-            f"collides: the depth is a number of metres from 0 up, not {min_depth:g}"
-        )
-    return min_depth
 
 
 def _orientation(numbers: tuple[float, ...]) -> Orientation:

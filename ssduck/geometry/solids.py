@@ -92,6 +92,11 @@ class Solid:
         """Whether it is its own convex hull."""
         return self.type != "mesh"
 
+    @property
+    def is_closed_mesh(self) -> bool:
+        """Whether it was given as a closed mesh, convex or not."""
+        return self.is_shell or (self.type == "mesh" and self.is_closed)
+
     @cached_property
     def is_swept(self) -> bool:
         """Whether an ellipsoid, or a disc, is swept along the core."""

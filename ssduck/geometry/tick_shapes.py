@@ -9,6 +9,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
+from ssduck.errors import ArgumentError
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.broad_phase import Pairs, overlapping_pairs
 from ssduck.geometry.margins import Margins
@@ -109,6 +110,8 @@ class ShapeTable:
         self.is_convex = np.array([solid.is_convex for solid in solids], dtype=bool)[solid_indices]
         self.are_all_convex = bool(self.is_convex.all())
         self.bounding_radius = np.array([solid.bounding_radius for solid in solids])[solid_indices]
+        is_closed_mesh = np.array([solid.is_closed_mesh for solid in solids], dtype=bool)
+        self.with_closed_meshes = frozenset(entities[is_closed_mesh[solid_indices]].tolist())
         # In the frames of the shapes, (3, n).
         self.centres = (
             np.array([solid.centre for solid in solids]).reshape(-1, 3).T[:, solid_indices]
@@ -287,3 +290,16 @@ def _candidates(tick: TickShapes, boxes: Array, max_distance: float) -> Pairs:
         return first, second
     different = table.entities[first] != table.entities[second]
     return first[different], second[different]
+
+
+def depth(min_depth: float) -> float:
+    """Checks a depth, m.
+
+    Raises:
+        ArgumentError: it is negative or NaN.
+    """
+    if not min_depth >= 0.0:
+        raise ArgumentError(
+            f"collides: the depth is a number of metres from 0 up, not {min_depth:g}"
+        )
+    return min_depth

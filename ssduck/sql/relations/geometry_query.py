@@ -217,6 +217,18 @@ class CandidatePairs:
     distance_with_options: str = "0"
 
 
+# The functions to which it does not matter whether a simulator takes a closed mesh as a solid.
+INDIFFERENT_TO_INSIDES = (
+    ShapeQueries.inside,
+    ShapeQueries.contains,
+    ShapeQueries.encloses,
+    ShapeQueries.volume,
+    ShapeQueries.all_meeting,
+    ShapeQueries.all_reaching,
+    ShapeQueries.all_unknown,
+)
+
+
 @dataclass(frozen=True)
 class GeometryUdf:
     """A function of the shapes of a tick, as DuckDB calls it: with the name of a world first.
