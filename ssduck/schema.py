@@ -23,8 +23,8 @@ from typing import Literal, TypeAlias
 MASSES = "masses"
 # Requested likewise: the collision margins.
 MARGINS = "margins"
-# Requested likewise: all contacts of an entity, of which a record may have some only.
-ALL_CONTACTS = "all contacts"
+# Requested likewise: all entities of a tick, or all contacts of one; a record may have some only.
+ALL_ENTITIES = "all entities"
 # Requested likewise: the moments of contacts besides those of their forces, which are not stored.
 MOMENTS = "moments"
 # A table is read with each tick until this number of ticks has passed without a request.

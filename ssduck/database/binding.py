@@ -281,6 +281,15 @@ class BoundWorld:
                 "enclosed, contains and inContact are as in PyBullet"
             )
 
+    def warn_of_missing_entities(self, tick: int) -> None:
+        """Warns, once, if a recorded tick lacks entities; the present one of a simulator has all.
+
+        Args:
+            tick: the number of the tick.
+        """
+        if tick != self.world.snapshot.number and self.history is not None:
+            self.history.record.warn_of_missing_entities()
+
     def joints(self, tick: int, id: int) -> EntityJoints:
         """Returns the joints of an entity at a tick.
 
@@ -375,7 +384,7 @@ class BoundWorld:
             UnsupportedError: they are not recorded.
         """
         if kind == "wrench" and self.history is not None:
-            self.history.record.warn_of_missing_contacts(self.history.store.recording)
+            self.history.record.warn_of_missing_entities()
         return LOOKUPS[kind](partial(self._recorded, tick=tick), a, b)
 
 

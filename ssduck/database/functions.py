@@ -260,6 +260,8 @@ def _geometry_function(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Ca
         if udf.uses_margins:
             worlds[world].warn_of_changed_margins(tick)
         worlds[world].warn_of_filled_meshes(udf.function, shapes, ids)
+        if udf.needs_whole_tick:
+            worlds[world].warn_of_missing_entities(tick)
         return udf.function(shapes, *ids, *arguments[id_count:])
 
     return call
@@ -398,6 +400,8 @@ def _pairs_over_ticks(
         question = PairQuestion(kind, depth(distance) if kind == "colliding" else distance)
         if question.uses_margins:
             worlds[world].warn_of_changed_margins(first)
+        if question.needs_whole_tick:
+            history.record.warn_of_missing_entities()
         own = connection()
         assert own is not None, "a statement of the connection is running"
         queries = PairQueries(history.record, own.meter)

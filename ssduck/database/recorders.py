@@ -74,6 +74,7 @@ class Recorders:
             mass_changes=recorder.mass_changes,
             recording=recording,
             tags=tags,
+            entities=recording.entities,
         )
         bound.history = WorldHistory(
             store, record, recorder, (*store.visible_rows, *recorder.visible_rows)

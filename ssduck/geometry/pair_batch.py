@@ -93,6 +93,11 @@ class PairQuestion:
         return self.kind in get_args(PlacedKind)
 
     @property
+    def needs_whole_tick(self) -> bool:
+        """Whether the answer depends on all entities of the tick."""
+        return self.kind in ("supports", "resting")
+
+    @property
     def uses_margins(self) -> bool:
         """Whether the collision margins of shapes count."""
         return self.kind in ("touching", "on", "supports", "resting")

@@ -226,6 +226,7 @@ def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
         tags=run.tags,
         stored=rows,
         order=run.description.get("order"),
+        entities=archive.recording.entities,
     )
     return ReplayedWorld(run.world, record, archive, camera_of(run.description))
 

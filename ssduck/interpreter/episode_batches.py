@@ -156,6 +156,7 @@ class BatchInterpreter:
             geometries_of(models),
             run,
             source=source,
+            entities=self._archive.recording.entities,
         )
         self._name, self._camera = world, camera
         self._episodes: Sequence[BatchedEpisode] = ()

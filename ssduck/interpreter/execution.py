@@ -45,7 +45,6 @@ from ssduck.language.sql_readings import SqlReader
 from ssduck.language.tree import Call, Node, Placeholder, Program, Query
 from ssduck.limits import Limits, UsageMeter
 from ssduck.recording.replay.past import pin_to_common_tick
-from ssduck.schema import MASSES
 from ssduck.sql.dialects import in_dialect
 from ssduck.sql.explain import explained
 from ssduck.sql.relations.registry import RELATIONS
@@ -444,8 +443,8 @@ class Execution(Namespace):
                     error.span = argument.span
                     raise error
                 moment = value.moment if isinstance(value, Handle) else None
-                if moment is not None and MASSES in RELATIONS[node.name].inputs:
-                    moment.record.warn_of_masses()
+                if moment is not None:
+                    moment.record.warn_of_missing(tables)
             return self.planner.relation(query, Frame(self, placeholders=values_by_name))
 
     # -- the rest of the scope (`EvaluationScope`) -------------------------------------------

@@ -231,6 +231,7 @@ def _copy_of(
         geometries=world.snapshot.geometries,
         run=world.snapshot.run,
         source="the copy of its ticks",
+        entities=history.store.recording.entities,
     )
     return _HistoryCopy(store, record, ticks, members)
 

@@ -27,7 +27,6 @@ from ssduck.language.evaluator import EvaluationScope, Frame
 from ssduck.language.tree import Call, Name, Node, Placeholder, Query, TimeIndex
 from ssduck.limits import Limits
 from ssduck.recording.replay.past import Past
-from ssduck.schema import MASSES
 from ssduck.sql.name_resolution import ResolvedQuery, resolve
 from ssduck.sql.plan import Plan, SourceType
 from ssduck.sql.relations.registry import RELATIONS
@@ -329,12 +328,11 @@ class Planner:
     def _check_records(self, query: Query, values: Sequence[Any]) -> None:
         """Checks that pasts come from this interpreter's records.
 
-        It also warns of masses that a record does not have.
+        It also warns of masses and entities that a record does not have.
         """
-        reads_masses = MASSES in tables_of(query)
         for value in values:
-            if reads_masses and isinstance(value, Past):
-                value.record.warn_of_masses()
+            if isinstance(value, Past):
+                value.record.warn_of_missing(tables_of(query))
             is_bound = isinstance(value, Past) and value.world in self._database.worlds.values()
             if is_bound and self._database.record_of(value.world) is not value.record:
                 raise EvaluationError(

@@ -31,8 +31,9 @@ class Recording:
         tables: the recorded tables, always with `entities`. The others are read from the simulator
             at every tick. By default entities, links and contacts.
         entities: the names of the recorded entities; None for all. The body that carries a recorded
-            sensor is recorded, too. Contacts are recorded where both entities are: `force` and
-            `torque` lack the others, with a warning.
+            sensor is recorded, too. Contacts are recorded where both entities are. What depends on
+            the others is told of by a warning: `force`, `torque`, `restsOn`, `supports`, `nextTo`
+            and nested queries about a row.
         every: n, to record every n-th tick, beginning with the first.
         changed: whether rows that equal those of the previous tick are not stored again. The
             history tables are the same; they take less memory and more time.

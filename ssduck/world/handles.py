@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import (
     TYPE_CHECKING,
@@ -50,8 +50,8 @@ class WorldArchive(Protocol):
     def handle(self, tick: int, id: int) -> Handle:
         """Returns the handle of an entity or a link at a tick."""
 
-    def warn_of_masses(self) -> None:
-        """Warns of masses that differ from the recorded ones."""
+    def warn_of_missing(self, inputs: Collection[str]) -> None:
+        """Warns of what an evaluation reads and the record has not as the world had it."""
 
 
 @dataclass(frozen=True, eq=False)

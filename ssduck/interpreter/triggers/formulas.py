@@ -39,7 +39,7 @@ from ssduck.language.clauses import Selected
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import Binary, Literal, Name, Node, Query, Unary
 from ssduck.language.value_keys import node_key
-from ssduck.schema import MARGINS, MASSES
+from ssduck.schema import ALL_ENTITIES, MARGINS, MASSES
 from ssduck.sql.from_clause import world_table
 from ssduck.sql.plan import Plan
 from ssduck.sql.sql_values import with_values
@@ -230,7 +230,7 @@ class FormulaPlanner:
         if not isinstance(world, World):
             raise _NoFormulaError
         tables = self._execution.tables_read(query)
-        if not tables <= {MASSES, MARGINS, "shapes"}:
+        if not tables <= {ALL_ENTITIES, MASSES, MARGINS, "shapes"}:
             raise _NoFormulaError
         names, texts = {}, {}
         types: dict[str, Number] = {}

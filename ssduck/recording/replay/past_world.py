@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from ssduck.formatting import past_path
 from ssduck.geometry.queries import ShapeQueries
-from ssduck.schema import MASSES, ON_DEMAND, TABLES
+from ssduck.schema import ON_DEMAND, TABLES
 from ssduck.simulators.interface import Simulator
 from ssduck.simulators.static import StaticSimulator
 from ssduck.world.entities import Entity
@@ -62,8 +62,7 @@ class PastWorld(World):
     def request_tables(self, tables: Iterable[str]) -> None:
         """Ensures that the tick includes tables; recorded ones are always there."""
         requested = frozenset(tables)
-        if MASSES in requested:
-            self._record.warn_of_masses()
+        self._record.warn_of_missing(requested)
         super().request_tables(_READ & requested)
 
     def shapes(self) -> ShapeQueries:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import weakref
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -30,7 +30,17 @@ from ssduck.recording.replay.row_cache import RowCache
 from ssduck.recording.spec import Recording, longer_recording_message, not_recorded_message
 from ssduck.recording.stores.base import PairRequest
 from ssduck.recording.tags import Tags
-from ssduck.schema import LINK_FACTOR, ON_DEMAND, POSE, RECORDABLE, TABLES, entity_of, link_of
+from ssduck.schema import (
+    ALL_ENTITIES,
+    LINK_FACTOR,
+    MASSES,
+    ON_DEMAND,
+    POSE,
+    RECORDABLE,
+    TABLES,
+    entity_of,
+    link_of,
+)
 from ssduck.simulators.static import StaticSimulator
 from ssduck.world.entities import HANDLES, Entity
 from ssduck.world.handles import Handle, RecordedTick
@@ -69,6 +79,7 @@ class Record:
         tags: what the user says of the run, by name.
         stored: checks the stored rows of a table; None if this process wrote them.
         order: the order of its world among those of the record; None if it is not known.
+        entities: the names of the entities to which it was restricted; None for all.
 
     Attributes:
         entity_shapes: the shapes of the members.
@@ -91,7 +102,9 @@ class Record:
         tags: Tags | None = None,
         stored: CheckedRows | None = None,
         order: int | None = None,
+        entities: Sequence[str] | None = None,
     ) -> None:
+        self._entities = entities
         self.order = order
         self.tags: Tags = tags or {}
         self.stored = stored
@@ -123,7 +136,7 @@ class Record:
         )
         # Whether it was replaced by another record, or discarded.
         self.is_closed = False
-        self._has_told_of_contacts = self._has_told_of_dropped = False
+        self._has_told_of_entities = self._has_told_of_dropped = False
         # Calls of the narrow phase count for the world, at any tick.
         self.calls = CallCounter() if world is None else world.snapshot.calls
 
@@ -228,18 +241,26 @@ class Record:
         if self._mass_changes is not None:  # masses do not change in a replayed world
             self._mass_changes.warn(self.world)
 
-    def warn_of_missing_contacts(self, recording: Recording) -> None:
-        """Warns, once, if contacts with entities that are not recorded are missing.
+    def warn_of_missing(self, inputs: Collection[str]) -> None:
+        """Warns of what an evaluation reads and the record has not as the world had it.
 
         Args:
-            recording: what is recorded.
+            inputs: what it reads: tables, masses, all entities of a tick.
         """
-        if recording.entities is None or self._has_told_of_contacts:
+        if MASSES in inputs:
+            self.warn_of_masses()
+        if ALL_ENTITIES in inputs:
+            self.warn_of_missing_entities()
+
+    def warn_of_missing_entities(self) -> None:
+        """Warns, once, if entities are missing on which the answer to a question may depend."""
+        if self._entities is None or self._has_told_of_entities:
             return
-        self._has_told_of_contacts = True
+        self._has_told_of_entities = True
         warn(
-            f"{self.world.name!r}: only {joined_names(recording.entities)} were recorded, and "
-            "contacts with other entities were not: force and torque lack these; record without "
+            f"{self.world.name!r}: only {joined_names(self._entities)} were recorded: answers that "
+            "depend on other entities, or on contacts with these, may differ from those of the "
+            "world, as force, torque, restsOn, supports, nextTo and NOT EXISTS do; record without "
             "entities=… to have all"
         )
 

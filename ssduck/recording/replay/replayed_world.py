@@ -15,7 +15,6 @@ from ssduck.geometry.arrays import Array
 from ssduck.recording.replay.past_world import PastWorld
 from ssduck.recording.replay.record import Record, index_at
 from ssduck.recording.stores.base import TickArchive
-from ssduck.schema import ALL_CONTACTS
 from ssduck.simulators.scenes import Camera
 from ssduck.world.entities import Entity
 from ssduck.world.snapshot import Snapshot
@@ -129,8 +128,7 @@ class ReplayedWorld(PastWorld):
     def request_tables(self, tables: Iterable[str]) -> None:
         """Ensures that the tick includes tables; recorded ones are always there."""
         requested = tuple(tables)
-        if ALL_CONTACTS in requested:
-            self._record.warn_of_missing_contacts(self.archive.recording)
+        self._record.warn_of_missing(requested)
         if requested or self.is_restored:
             super().request_tables(requested)
 

@@ -215,8 +215,8 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         "boolean",
         "object.enabled",
         "Checks if the simulator lets the entity collide: the value that was set by `enabled` of "
-        "a handle. Calls of setCollisionFilterGroupMask do not change it: PyBullet does not tell of "
-        "them.",
+        "a handle. Calls of setCollisionFilterGroupMask do not change it: PyBullet does not tell "
+        "of them.",
     ),
     entity_relation(
         "isVisible", "boolean", "object.visible", "Checks if the simulator draws the entity."

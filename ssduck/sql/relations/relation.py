@@ -10,7 +10,7 @@ from typing import Literal, TypeAlias
 import sqlglot
 from sqlglot import exp
 
-from ssduck.schema import ALL_CONTACTS, BOX, LINK_FACTOR, MARGINS, MASSES
+from ssduck.schema import ALL_ENTITIES, BOX, LINK_FACTOR, MARGINS, MASSES
 from ssduck.simulators.contact_pairs import ContactPairs
 from ssduck.sql.relations.geometry_query import CandidatePairs, GeometryQuery
 
@@ -224,7 +224,7 @@ class Relation:
 
     @cached_property
     def inputs(self) -> frozenset[str]:
-        """The data to fetch before it is evaluated: tables, masses, margins, all contacts."""
+        """The data to fetch before it is evaluated: tables, masses, margins, all entities."""
         tree = self.expressions[self.required_count]
         reads_mass = any(column.name == "mass" for column in tree.find_all(exp.Column))
         uses_margins = self.geometry is not None and self.geometry.uses_margins
@@ -233,7 +233,8 @@ class Relation:
         # A relation of two entities reads their contacts, one of a single entity all of its own.
         entities = [one for one in self.parameters if one.type == "entity"]
         reads_all = "contacts" in self.tables and len(entities) == 1
-        return result | ({ALL_CONTACTS} if reads_all else frozenset())
+        reads_all |= self.geometry is not None and self.geometry.needs_whole_tick
+        return result | ({ALL_ENTITIES} if reads_all else frozenset())
 
     def _checked(self, tree: exp.Expr, schema: str) -> exp.Expr:
         """Returns a formula for rows of users' SQL: these may be of another run, or changed."""

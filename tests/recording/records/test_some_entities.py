@@ -1,0 +1,95 @@
+"""Records of some entities warn where an answer depends on the others."""
+
+from __future__ import annotations
+
+import warnings
+
+import pybullet
+import pytest
+
+import ssduck
+from ssduck import Recording
+
+SOME = ["table", "cup"]
+BOTH_TICKS = "FROM entities_history p JOIN entities_history q USING (tick)"
+OF_ALL = [
+    ("restsOn(lab{0.05}.table, lab{0.05}.cup);", False),
+    ("count(holds(supports(lab.table, lab.cup)));", 0),
+    ("count(holds(restsOn(lab.table, lab.cup)));", 0),
+    ("at(0.05, nextTo(lab.table, lab.cup));", False),
+    (
+        "SELECT id(a.this) FROM a=lab{0.05} WHERE NOT EXISTS "
+        "(SELECT b.this FROM b=lab{0.05} WHERE inContact(a.this, b.this)) AS list;",
+        ["table", "cup"],
+    ),
+    (f"SELECT count(*) = 0 {BOTH_TICKS} WHERE p.time < 0.09 AND restsOn(p, q)", True),
+]
+OF_SOME = ["on(lab{0.05}.table, lab{0.05}.cup);", "holds(z(lab.cup) > 5);", "SELECT id FROM lab;"]
+
+
+@pytest.fixture
+def lab():
+    """A cup on a plate on a table."""
+    client = pybullet.connect(pybullet.DIRECT)
+    pybullet.setGravity(0, 0, -9.81, physicsClientId=client)
+    names = {}
+    for name, sides, z, mass in (
+        ("table", [0.5, 0.5, 0.3], 0.3, 0),
+        ("plate", [0.1, 0.1, 0.01], 0.61, 0.3),
+        ("cup", [0.03, 0.03, 0.03], 0.65, 0.2),
+    ):
+        shape = pybullet.createCollisionShape(
+            pybullet.GEOM_BOX, halfExtents=sides, physicsClientId=client
+        )
+        body = pybullet.createMultiBody(mass, shape, -1, [0, 0, z], physicsClientId=client)
+        names[body] = name
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("lab", ssduck.World.attach(client, names=names))
+        yield ss
+    pybullet.disconnect(client)
+
+
+def _told(ss: ssduck.Interpreter, question: str) -> tuple[object, list[str]]:
+    """Returns the answer, and the warnings of entities that were not recorded."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        ask = ss.eval if question.endswith(";") else lambda sql: ss.sql(sql).fetchone()[0]
+        answer = ask(question)
+    return answer, [str(w.message) for w in caught if "were recorded" in str(w.message)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("question", "answer"), OF_ALL)
+def test_what_depends_on_all_is_told_of_once(lab, tmp_path, question, answer):
+    world = lab.call_variable("lab")
+    lab.record("lab", Recording(entities=SOME))
+    world.step(24)
+    lab.export(tmp_path / "some")
+    with ssduck.open(tmp_path / "some") as opened:
+        for ss in (lab, opened):
+            found, (told,) = _told(ss, question)
+            assert found == answer
+            assert "only table, cup were recorded" in told
+            assert _told(ss, question) == (answer, [])
+
+
+@pytest.mark.slow
+def test_what_depends_on_the_recorded_alone_is_not_told_of(lab, tmp_path):
+    world = lab.call_variable("lab")
+    lab.record("lab", Recording(entities=SOME))
+    world.step(24)
+    assert _told(lab, "restsOn(lab.table, lab.cup);") == (True, [])  # the present has all
+    lab.export(tmp_path / "some")
+    with ssduck.open(tmp_path / "some") as opened:
+        for ss in (lab, opened):
+            assert [_told(ss, question)[1] for question in OF_SOME] == [[]] * len(OF_SOME)
+        assert len(_told(opened, "restsOn(lab.table, lab.cup);")[1]) == 1
+
+
+@pytest.mark.slow
+def test_a_record_of_all_tells_nothing(lab, tmp_path):
+    lab.call_variable("lab").step(24)
+    lab.export(tmp_path / "all")
+    with ssduck.open(tmp_path / "all") as opened:
+        assert _told(opened, OF_ALL[0][0]) == (True, [])
+        assert [_told(opened, question)[1] for question, _ in OF_ALL] == [[]] * len(OF_ALL)
