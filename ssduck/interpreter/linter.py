@@ -28,8 +28,9 @@ from ssduck.interpreter.misread_relations import (
     has_volume,
     has_volume_in_sql,
     misread_calls,
-    of_shapes,
+    of_entities,
     same_rows,
+    unfit,
 )
 from ssduck.interpreter.suspect_values import VECTORS, Suspects, mistakes_in, suspects_of
 from ssduck.language.analysis import OVER_TIME, states
@@ -105,7 +106,7 @@ class StatementFacts:
         columns: bare names in GROUP BY, HAVING and ORDER BY that are also names of columns.
         suspects: comparisons, columns and ages to look at.
         as_conditions: what stands as a condition, and may be an entity or a list.
-        of_shapes: calls that ask for shapes, each with what may be an entity that has none.
+        of_entities: calls that ask for shapes or boxes, each with what may be an entity without.
         misread: calls of relations that read as something else, with what is told of each.
         same_rows: what is told of `this` beside the same row of a nested query by its name.
         has_volume: whether it names `volume`.
@@ -121,7 +122,7 @@ class StatementFacts:
     columns: list[tuple[str, SourceSpan]] = field(default_factory=list)
     suspects: Suspects = field(default_factory=Suspects)
     as_conditions: tuple[Node, ...] = ()
-    of_shapes: tuple[tuple[Call, Node], ...] = ()
+    of_entities: tuple[tuple[Call, Node], ...] = ()
     misread: tuple[tuple[Call, str], ...] = ()
     same_rows: tuple[tuple[str, SourceSpan], ...] = ()
     has_volume: bool = False
@@ -140,7 +141,7 @@ def facts_of(statement: Node) -> StatementFacts:
     facts = StatementFacts(
         suspects=suspects_of(statement),
         as_conditions=tuple(as_conditions(statement)),
-        of_shapes=tuple(of_shapes(statement)),
+        of_entities=tuple(of_entities(statement)),
         misread=tuple(misread_calls(statement)),
         same_rows=tuple(same_rows(statement)),
         has_volume=has_volume(statement),
@@ -354,7 +355,7 @@ class Linter:
             ),
             *(ArgumentError(message, span=span) for message, span in facts.same_rows),
             *self._always_true(facts),
-            *self._without_shapes(facts),
+            *self._unfit_entities(facts),
         ]
         if facts.has_volume and self._variable("volume") is None and self._is_relation("volume"):
             self._tell_of_volume()
@@ -412,19 +413,13 @@ class Linter:
                 )
         return ""
 
-    def _without_shapes(self, facts: StatementFacts) -> Iterator[SelectScriptError]:
-        """Yields an error for each entity without shapes in a relation of shapes."""
-        for call, node in facts.of_shapes:
+    def _unfit_entities(self, facts: StatementFacts) -> Iterator[SelectScriptError]:
+        """Yields an error for each entity in a relation that tells nothing of it."""
+        for call, node in facts.of_entities:
             named = self._entity(node) if self._is_relation(call.name) else None
-            body = named.info.body if named is not None else None
-            if named is not None and body is not None and not body.shapes:
-                name = name_path(named.world.name, named.name)
-                message = (
-                    f"{call.name} asks for the shapes of {name}, which has none that collides: it "
-                    "touches nothing, and is infinitely far from all; "
-                    f"distance({name}, …) is that of positions"
-                )
-                yield ArgumentError(message, span=node.span)
+            told = "" if named is None else unfit(call, node, named)
+            if told:
+                yield ArgumentError(told, span=node.span)
 
     def _entity(self, node: Node) -> Entity | None:
         """Returns the entity of a world that an expression names; None if it is none."""

@@ -6,7 +6,10 @@ import math
 import re
 from collections.abc import Iterator
 
+import numpy as np
+
 from ssduck.errors import SourceSpan
+from ssduck.formatting import name_path
 from ssduck.language.tree import (
     Binary,
     Branch,
@@ -24,6 +27,7 @@ from ssduck.language.tree import (
     Unary,
 )
 from ssduck.sql.relations.registry import RELATIONS
+from ssduck.world.entities import Entity
 
 # What to write in place of a number that holds of nearly everything as a condition.
 _AS_CONDITION = {
@@ -67,13 +71,36 @@ _OF_SHAPES = frozenset(
 )
 
 
-def of_shapes(statement: Node) -> Iterator[tuple[Call, Node]]:
-    """Yields the calls that ask for shapes, each with what may be an entity that has none."""
+# The relations that compare a position, or a box, with the axis-aligned box of an entity.
+_OF_BOXES = frozenset(("above", "below", "within", "overlaps"))
+
+
+def of_entities(statement: Node) -> Iterator[tuple[Call, Node]]:
+    """Yields the calls that ask for shapes or boxes, each with what may be an entity without."""
     for call in statement.walk():
-        if isinstance(call, Call) and call.name in _OF_SHAPES:
+        if isinstance(call, Call) and call.name in _OF_SHAPES | _OF_BOXES:
             for part in call.arguments:
                 if isinstance(part, QualifiedName | Index):
                     yield call, part
+
+
+def unfit(call: Call, part: Node, entity: Entity) -> str:
+    """Returns why a call tells nothing of an entity, one of its arguments; '' if it does."""
+    name = name_path(entity.world.name, entity.name)
+    body = entity.info.body
+    if call.name in _OF_SHAPES and body is not None and not body.shapes:
+        return (
+            f"{call.name} asks for the shapes of {name}, which has none that collides: it touches "
+            f"nothing, and is infinitely far from all; distance({name}, …) is that of positions"
+        )
+    has_box = call.name == "overlaps" or part is call.arguments[0]
+    if call.name in _OF_BOXES and has_box and np.isinf(entity.aabb).all():
+        return (
+            f"{call.name} compares the axis-aligned box of {name}, a tilted plane, which is "
+            f"infinite: of what is over the plane, penetration({name}, …) is 0, and clearance is "
+            "the height"
+        )
+    return ""
 
 
 def as_conditions(statement: Node) -> Iterator[Node]:

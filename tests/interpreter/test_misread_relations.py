@@ -161,3 +161,50 @@ def test_volume_is_told_of_once_and_stays_as_published(ss, program):
 
 def test_raw_sql_tells_of_volume_too(ss):
     assert len(told(ss.sql, "SELECT volume(e) FROM entities e")) == 1
+
+
+@pytest.fixture(scope="module")
+def slope():
+    """A ball 2 m over the origin of three planes: tilted, level and upright."""
+    client = pybullet.connect(pybullet.DIRECT)
+    here = {"physicsClientId": client}
+    names = {}
+    for name, normal in {"slope": [0, 0.6, 0.8], "floor": [0, 0, 1], "wall": [1, 0, 0]}.items():
+        shape = pybullet.createCollisionShape(pybullet.GEOM_PLANE, planeNormal=normal, **here)
+        names[pybullet.createMultiBody(0, shape, **here)] = name
+    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.2, **here)
+    names[pybullet.createMultiBody(1, ball, basePosition=[0, 0, 2], **here)] = "ball"
+    yield ssduck.World.attach(client, names=names), client
+    pybullet.disconnect(client)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("program", "planes"),
+    [
+        ("above(sim.slope, sim.ball);", ["sim.slope"]),
+        ("SELECT id FROM sim WHERE above(sim.slope, this);", ["sim.slope"]),
+        ("below(sim.slope, sim.ball);", ["sim.slope"]),
+        ("within(sim.slope, sim.ball);", ["sim.slope"]),
+        ("overlaps(sim.ball, sim.slope);", ["sim.slope"]),
+        ("above(sim.floor, sim.ball);", []),
+        ("above(sim.wall, sim.ball);", []),
+        ("above(sim.ball, sim.slope);", []),
+        ("overlaps(sim.floor, sim.ball);", []),
+        ("penetration(sim.slope, sim.ball);", []),
+    ],
+)
+def test_a_tilted_plane_in_a_relation_of_boxes_is_told_of(slope, program, planes):
+    world, client = slope
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("sim", world)
+        messages = told(ss.eval, program)
+        told_of = [message.partition("the axis-aligned box of ")[2] for message in messages]
+        assert [message.partition(", a tilted plane")[0] for message in told_of] == planes
+        assert told(ss.eval, program) == []
+        # What it is told to ask is what PyBullet has.
+        (gap,) = {
+            point[8] for point in pybullet.getClosestPoints(0, 3, 5.0, physicsClientId=client)
+        }
+        assert ss.eval("clearance(sim.slope, sim.ball);") == pytest.approx(gap)
+        assert ss.eval("penetration(sim.slope, sim.ball);") == 0.0

@@ -184,7 +184,8 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         f"{_FOOTPRINT} AND b.z >= a.zmax AND a.id <> b.id",
         "Checks if the position of b, the origin of its frame, is above the box of a: x and y are "
         "within the box, edges included, and z is at its top or higher. For what stands on a, "
-        "wherever its origin is, write on(a, b).",
+        "wherever its origin is, write on(a, b). The box of a tilted plane is infinite: nothing is "
+        "above it.",
         candidate_pairs=CandidatePairs(ABOVE),
     ),
     Relation(
