@@ -36,7 +36,7 @@ from benchmarks.random_scenes import (
 )
 from benchmarks.referee import may_touch, verdict
 from benchmarks.timing import Way, minima, print_table, text_of
-from ssduck.geometry.queries import Statistics
+from ssduck.geometry.distance import Statistics
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 
 SIZES = (50, 300, 1000, 3000, 10000)

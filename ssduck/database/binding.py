@@ -14,6 +14,7 @@ import numpy as np
 
 from ssduck.errors import EvaluationError, UnsupportedError, warn
 from ssduck.formatting import joined_names
+from ssduck.geometry.narrow_phase import MIN_FRACTION_INSIDE
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.replay.lookups import LOOKUPS
@@ -83,6 +84,7 @@ class BoundWorld:
     planned_margins: float = 0.0
     _poses: OrderedDict[tuple[int, EntityTable], Poses] = field(default_factory=OrderedDict)
     _changed_margins: set[str] = field(default_factory=set)
+    _checked_overlaps: set[int] = field(default_factory=set)
     _filled_meshes: set[int] = field(default_factory=set)
     _has_told_of_pairs: bool = False
 
@@ -272,8 +274,7 @@ class BoundWorld:
         filled = {entity_of(id) for id in shapes.filled_meshes(ids)} - self._filled_meshes
         if filled:
             self._filled_meshes |= filled
-            members = {member.id: member.name for member in self.world.snapshot.entities}
-            names = joined_names([members.get(id, f"entity {id}") for id in sorted(filled)])
+            names = joined_names([self._name(id) for id in sorted(filled)])
             warn(
                 f"{self.world.name!r}: a closed concave mesh of {names} is around something: for "
                 "PyBullet it is a surface with nothing inside, for ssduck a solid, so that "
@@ -289,6 +290,28 @@ class BoundWorld:
         """
         if tick != self.world.snapshot.number and self.history is not None:
             self.history.record.warn_of_missing_entities()
+
+    def warn_of_overlaps(self, shapes: ShapeQueries, id: int) -> None:
+        """Warns, once for each entity or link, of overlaps of its shapes, which are counted twice.
+
+        Args:
+            shapes: the shapes at a tick.
+            id: the id of what is partly inside of something.
+        """
+        if id in self._checked_overlaps:
+            return
+        self._checked_overlaps.add(id)
+        share = shapes.overlap_share(id)
+        if share > 1.0 - MIN_FRACTION_INSIDE:  # less may be a matter of how a form is cut
+            warn(
+                f"{self.world.name!r}: shapes of {self._name(id)} overlap, and inside counts "
+                f"{share:.0%} of their volume twice: the share inside may be off by as much"
+            )
+
+    def _name(self, id: int) -> str:
+        """Returns the present name of the entity of an id."""
+        members = (member for member in self.world.snapshot.entities if member.id == entity_of(id))
+        return next((member.name for member in members), f"entity {entity_of(id)}")
 
     def joints(self, tick: int, id: int) -> EntityJoints:
         """Returns the joints of an entity at a tick.

@@ -21,6 +21,7 @@ from ssduck.database.values import Converter, converter, is_exactly
 from ssduck.errors import EvaluationError, UnknownNameError, UnsupportedError, nearest
 from ssduck.geometry.id_pairs import IdPairs
 from ssduck.geometry.pair_batch import PairQuestion, QuestionKind
+from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.tick_shapes import depth
 from ssduck.language.builtins import Function
 from ssduck.language.memo import Memo
@@ -262,7 +263,10 @@ def _geometry_function(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Ca
         worlds[world].warn_of_filled_meshes(udf.function, shapes, ids)
         if udf.needs_whole_tick:
             worlds[world].warn_of_missing_entities(tick)
-        return udf.function(shapes, *ids, *arguments[id_count:])
+        answer = udf.function(shapes, *ids, *arguments[id_count:])
+        if udf.function is ShapeQueries.inside and answer is not None and 0.0 < answer < 1.0:
+            worlds[world].warn_of_overlaps(shapes, ids[1])
+        return answer
 
     return call
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 from typing import TypeAlias
 
 import numpy as np
@@ -123,6 +124,26 @@ def fraction_inside(hull: WorldHull | None, b: Sequence[PlacedSolid]) -> float |
     return min(1.0, max(0.0, inside / total))
 
 
+def overlap_share(b: Sequence[PlacedSolid]) -> float:
+    """Returns the sum of the common volumes of each two of some shapes, relative to that of all.
+
+    So much may `fraction_inside` be off at most, which counts them twice.
+    """
+    with_volume = [placed for placed in b if 0.0 < placed.solid.volume < math.inf]
+    if len(with_volume) < 2:
+        return 0.0
+    surfaces = [_closed_triangles(placed) for placed in with_volume]
+    corners = [triangles.reshape(-1, 3) for triangles in surfaces]
+    boxes = [(points.min(axis=0), points.max(axis=0)) for points in corners]
+    overlap = 0.0
+    for (first, (low, high)), (second, (lower, higher)) in combinations(
+        zip(surfaces, boxes, strict=True), 2
+    ):
+        if (low < higher).all() and (lower < high).all():
+            overlap += common_volume(first, np.ones(len(first)), second)
+    return overlap / sum(placed.solid.volume for placed in with_volume)
+
+
 def hull_bounds(a: Iterable[tuple[Solid, Box]]) -> Box:
     """Returns a box that contains the hull of shapes: by the solids, and the box of each."""
     boxes = np.array([_grow(solid, box) for solid, box in a]).reshape(-1, 6)
@@ -212,7 +233,7 @@ def _volume_inside(hull: WorldHull, crossing: Sequence[PlacedSolid]) -> float:
     parts, weights = [], []
     for placed in crossing:
         surface = placed.solid.closed_surface
-        parts.append((surface.vertices @ placed.matrix.T + placed.position)[surface.faces])
+        parts.append(_closed_triangles(placed))
         # The volume of a capsule differs slightly from that of its polyhedron.
         weights.append(np.full(len(surface.faces), placed.solid.volume / surface.volume))
     triangles = np.concatenate(parts)
@@ -220,6 +241,13 @@ def _volume_inside(hull: WorldHull, crossing: Sequence[PlacedSolid]) -> float:
     if not len(hull_box):
         hull_box = _half_space_cube(hull, triangles.reshape(-1, 3))
     return common_volume(triangles, np.concatenate(weights), hull_box)
+
+
+def _closed_triangles(placed: PlacedSolid) -> Array:
+    """Returns the surface (n, 3, 3) of a shape, or of the polyhedron that stands for it."""
+    surface = placed.solid.closed_surface
+    triangles: Array = (surface.vertices @ placed.matrix.T + placed.position)[surface.faces]
+    return triangles
 
 
 def _half_space_cube(hull: WorldHull, points: Array) -> Array:

@@ -340,19 +340,20 @@ class NarrowPhase:
             return None
         return sum(self._tick.solids[shape].volume for shape in self._shapes[e])
 
-    def surrounds(self, i: int, others: Iterable[int]) -> bool:
+    def surrounds(self, i: int, j: int) -> bool:
         """Checks whether a closed mesh of an entity surrounds another entity.
 
         The mesh contains the centre of the other's box, and the box of the mesh contains that box,
         but for `TOUCHING_DISTANCE`.
         """
-        meshes = [shape for shape in self._shapes[i] if self._tick.solids[shape].is_closed_mesh]
-        known = (e for e in others if e != i and self._shapes[e] and self._are_known[e])
-        return self._are_known[i] and any(
-            _contains_box(self._tick.corners[shape], self.box(e))
-            and self._winds_around(shape, self.box_centre(e))
-            for e in known
-            for shape in meshes
+        if not (self._are_known[i] and self._are_known[j] and self._shapes[j]):
+            return False
+        box, centre = self.box(j), self.box_centre(j)
+        return any(
+            self._tick.solids[shape].is_closed_mesh
+            and _contains_box(self._tick.corners[shape], box)
+            and self._winds_around(shape, centre)
+            for shape in self._shapes[i]
         )
 
     def _winds_around(self, shape: int, point: Point) -> bool:

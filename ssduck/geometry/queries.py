@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
+from itertools import permutations
 from threading import RLock
 
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.broad_phase import overlapping_pairs
+from ssduck.geometry.containment import overlap_share
 from ssduck.geometry.id_pairs import IdPairs, Ids, places_by_number
 from ssduck.geometry.narrow_phase import MIN_DEPTH, NarrowPhase
 from ssduck.geometry.neighbour_relations import NeighbourRelations, Orientation
@@ -33,23 +34,6 @@ MAX_LINK_QUERIES = 64
 _TOUCHING = PairPredicate("touching", TOUCHING_DISTANCE)
 # The rounding error of distances between boxes, m.
 BOX_TOLERANCE = 1e-9
-
-
-@dataclass(frozen=True)
-class Statistics:
-    """The work of geometric relations for one world, over all its ticks.
-
-    Attributes:
-        pairs: the number of pairs of entities that were compared; a pair counts once a tick. If all
-            pairs of a tick are compared at once, the candidate pairs count.
-        calls: the number of calls of FCL: one or two for two shapes that are near each other, more
-            for meshes that are deep in something, none for pairs that formulas decide, as they do
-            for nearly all pairs that are compared at once. Calls that only propose what formulas
-            then prove do not count.
-    """
-
-    pairs: int
-    calls: int
 
 
 class ShapeQueries:
@@ -557,6 +541,10 @@ class ShapeQueries:
         """Returns the sum of the volumes of an entity's shapes, m³."""
         return self._narrow.solid_volume(self._numbers[entity])
 
+    def overlap_share(self, entity: int) -> float:
+        """Returns the share of the volume of an entity's shapes that two of them have in common."""
+        return overlap_share(self._narrow.shapes_of(self._numbers[entity]))
+
     def filled_meshes(self, ids: Sequence[int] | None = None) -> list[int]:
         """Returns the entities with a closed mesh that surrounds another one.
 
@@ -566,9 +554,18 @@ class ShapeQueries:
         meshes = self._table.with_closed_meshes
         if not meshes:
             return []
-        numbers = {self._numbers[id]: id for id in (self._numbers if ids is None else ids)}
-        meshes = meshes.intersection(numbers)
-        return [numbers[mesh] for mesh in meshes if self._narrow.surrounds(mesh, numbers)]
+        pairs = self._in_boxes() if ids is None else permutations(ids, 2)
+        numbered = ((a, self._numbers[a], self._numbers[b]) for a, b in pairs)
+        return [a for a, i, j in numbered if i in meshes and self._narrow.surrounds(i, j)]
+
+    def _in_boxes(self) -> Iterator[tuple[int, int]]:
+        """Returns the ids of pairs of which the box of the first nearly contains the second's."""
+        met, room = self.all_meeting(0.0), TOUCHING_DISTANCE
+        outer, inner = self._boxes[:, met.first], self._boxes[:, met.second]
+        fits = (outer[:3] - room <= inner[:3]) & (inner[3:] <= outer[3:] + room)
+        chosen = fits.all(axis=0)
+        a, b = (met.ids[side[chosen]].tolist() for side in (met.first, met.second))
+        return zip(a, b, strict=True)
 
     def unknown(self, ids: Sequence[int]) -> list[int]:
         """Returns the entities whose poses are not finite, or whose shapes are not valid."""

@@ -37,7 +37,7 @@ from ssduck.adapters.table_view import MAX_ROWS, TableView
 from ssduck.database.database import Database
 from ssduck.errors import SqlError, UnknownNameError
 from ssduck.formatting import count_of, first_names
-from ssduck.geometry.queries import Statistics
+from ssduck.geometry.distance import Statistics
 from ssduck.interpreter.additions import AdditionMethods
 from ssduck.interpreter.eval_as import (
     Condition,

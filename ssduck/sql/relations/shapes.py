@@ -254,8 +254,8 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
         GeometryQuery(ShapeQueries.inside, otherwise=ZERO, over_ticks="inside"),
         "Returns the share of the volume of b inside the convex hull of a, the container, from 0 "
         "to 1; as a condition, contains is meant. It is 0 if b has no volume, as an open mesh (see "
-        "solidVolume). The hull of a table includes the space between its legs; enclosed requires "
-        "walls.",
+        "solidVolume). Where shapes of b overlap, what they share counts more than once. The hull "
+        "of a table includes the space between its legs; enclosed requires walls.",
     ),
     shape_relation(
         "contains",
