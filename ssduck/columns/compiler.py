@@ -234,8 +234,8 @@ class Compiler:
                 return self._element(sql)
             case exp.Coalesce():  # nothing is NULL
                 return self.expression(sql.this)
-            case exp.IsNan():  # so is no number NaN
-                self._number(sql.this, ("double",))
+            case exp.IsNan() | exp.Is(expression=exp.Null()):  # so is no number NaN
+                self.expression(sql.this)
                 return self._constant("boolean", value=False)
             case exp.Div():
                 a, b = self._number(sql.this, ("double",)), self._double(sql.expression)

@@ -105,7 +105,7 @@ class Judge:
         self.past_tables: frozenset[str] = frozenset()
         if any(self._are_temporal):
             read = frozenset().union(*map(tables_of, trees)).intersection(RECORDABLE)
-            self.past_tables = read | {"entities"}
+            self.past_tables = read | {"entities", "links"}
 
     def begin_episode(self) -> None:
         """Forgets the values of variables."""

@@ -69,9 +69,10 @@ def reads_present(program: Program) -> bool:
 
 def _reads_present(node: Node) -> bool:
     if isinstance(node, Call):
-        if node.name in TEMPORAL_FUNCTIONS:
+        form = TEMPORAL_FUNCTIONS.get(node.name)
+        if form is not None:
             _, other = parts_of(node)
-            return other is not None and _reads_present(other)
+            return form.expansion is not None or (other is not None and _reads_present(other))
         is_of_values = node.name in BUILTINS or node.name in RELATIONS_OF_INTERVALS
         if not is_of_values:
             return True
@@ -205,11 +206,11 @@ class BatchInterpreter:
         finally:
             self._execution.variables = before
 
-    def rows(self, key: Hashable, past: Past, rows_of: RowsOf) -> Rows:
+    def rows(self, key: Hashable | None, past: Past, rows_of: RowsOf) -> Rows:
         """Returns the rows of an expression over time, evaluated for all episodes at once."""
-        if key not in self._series:
+        if key is not None and key not in self._series:
             self._series[key] = self._rows_of_all(past, rows_of)
-        of_all = self._series[key]
+        of_all = None if key is None else self._series[key]
         if of_all is None:
             self._archive.show(self._present, self._present + 1)
             return rows_of(past)

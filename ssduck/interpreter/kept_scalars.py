@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ssduck.database.values import is_exactly
+from ssduck.errors import ArgumentError, EvaluationError
 from ssduck.interpreter.query_runner import PlannedQuery
 from ssduck.language.clauses import Rows, Selected, SelectedValue
 from ssduck.language.deferred import LazyList
@@ -118,7 +119,7 @@ class KeptScalars:
                 return None
         try:
             values = {key: read(frame) for key, read in self._readers.items()}
-        except _ChangedError:
+        except (_ChangedError, ArgumentError, EvaluationError):
             return None
         for (world, row), keys in self._columns.items():
             numbers = world.snapshot.doubles_in(row, tuple(keys))

@@ -15,7 +15,7 @@ from sqlglot import exp
 from ssduck.database.database import Database, Statement
 from ssduck.database.pair_rows import pair_rows
 from ssduck.database.values import to_sql
-from ssduck.errors import ArgumentError, SelectScriptError, SqlError, warn
+from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError, SqlError, warn
 from ssduck.interpreter.scalar_select import ScalarSelect
 from ssduck.interpreter.sources import all_elements, arrow_table, elements_of
 from ssduck.language.aggregates import check_one_group, is_aggregated, is_one_group
@@ -51,7 +51,7 @@ from ssduck.sql.history_windows import history_windows
 from ssduck.sql.name_resolution import ResolvedQuery
 from ssduck.sql.plan import OutputColumn, PathSearch, Plan, SourceType
 from ssduck.sql.relations.registry import RELATIONS
-from ssduck.sql.sql_values import with_values
+from ssduck.sql.sql_values import NotSqlError, with_values
 from ssduck.sql.types import SqlType
 
 # After MAX_FAILURES failures in SQL, only one run in RETRY_INTERVAL tries SQL; the others take the
@@ -248,7 +248,10 @@ class PlannedQuery:
 
     def _fetch(self, outer: Frame, sources: Mapping[str, Any]) -> list[tuple[Any, ...]]:
         """Executes the SQL and returns its rows."""
-        parameters = _parameter_values(self.plan, outer, sources)
+        try:
+            parameters = _parameter_values(self.plan, outer, sources)
+        except (ArgumentError, EvaluationError) as error:  # perhaps of a part that is not reached
+            raise NotSqlError from error
         windows = self._windows
         ticks = {(w.schema, w.view): (parameters[w.first], parameters[w.last]) for w in windows}
         if len(ticks) < len(windows):  # a table that is read twice

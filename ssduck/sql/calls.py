@@ -227,7 +227,8 @@ def _builtin(context: StatementContext, name: str, values: list[SqlValue]) -> Sq
             SqlValue(sql_type=SqlType(type="list", element=SqlType() as element)) as v
         ] if element.type in ("double", "integer", "string"):
             context.note_possible_failure()
-            return SqlValue(or_failure(_list_function(name, v), element), element, domain=v.domain)
+            found = or_failure(_where_all_are_known(v, _list_function(name, v)), element)
+            return SqlValue(found, element, domain=v.domain)
     return None
 
 
@@ -249,6 +250,15 @@ def _root(context: StatementContext, value: SqlValue) -> SqlValue:
         is_negative = exp.LT(this=wrapped(double_of(value)), expression=exp.Literal.number(0))
         root = exp.case().when(copied(is_negative), failure(DOUBLE)).else_(root)
     return SqlValue(root, DOUBLE, is_non_negative=True, domain=value.domain)
+
+
+def _where_all_are_known(value: SqlValue, sql: exp.Expr) -> exp.Expr:
+    """Returns a function of a list, NULL where an element is: SQL's own passes over NULL."""
+    elements = [part.sql for part in value.elements or () if not isinstance(part.sql, exp.Literal)]
+    if not elements:
+        return sql
+    are_known = [exp.not_(exp.Is(this=wrapped(copied(e)), expression=exp.null())) for e in elements]
+    return exp.case().when(exp.and_(*are_known), sql)
 
 
 def _list_function(function: str, value: SqlValue) -> exp.Expr:

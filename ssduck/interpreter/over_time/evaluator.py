@@ -21,7 +21,7 @@ from ssduck.errors import ArgumentError, LimitError, SelectScriptError, Unsuppor
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, parts_of
 from ssduck.interpreter.over_time.series import RowsOf, TickSeries
 from ssduck.language.analysis import free_aliases
-from ssduck.language.builtins import EXTREMES
+from ssduck.language.builtins import BUILTINS, EXTREMES
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import (
     Call,
@@ -40,6 +40,7 @@ from ssduck.recording.replay.pair_answers import PairQueries
 from ssduck.recording.replay.past import Past, common_moment, past_of
 from ssduck.recording.replay.record import Record
 from ssduck.recording.stores.base import PairRequest
+from ssduck.sql.relations.registry import RELATIONS
 from ssduck.world.handles import Handle
 from ssduck.world.world import World
 
@@ -48,17 +49,18 @@ _TICK = itemgetter(0)
 MOST_ROWS = 100_000
 # Returns the rows of a query, from the values of its placeholders.
 RunQuery: TypeAlias = Callable[[Query, dict[str, Any]], Sequence[Sequence[Any]]]
-_PLACES = (Name, This, Index, TimeIndex, Placeholder, UnresolvedName)
+_PLACES = (Name, This, TimeIndex, Placeholder, UnresolvedName)
 
 
 class SeriesReader(Protocol):
     """Reads the values of an expression at ticks, for several records at once."""
 
-    def rows(self, key: Hashable, past: Past, rows_of: RowsOf) -> Sequence[Sequence[Any]]:
+    def rows(self, key: Hashable | None, past: Past, rows_of: RowsOf) -> Sequence[Sequence[Any]]:
         """Returns the rows [tick, time, value] of some ticks.
 
         Args:
-            key: what identifies the expression, with its entities and values.
+            key: what identifies the expression, with its entities and values; None if it looks at
+                ticks itself, and so depends on the record.
             past: the ticks.
             rows_of: a function that returns the rows of any ticks.
         """
@@ -150,7 +152,10 @@ class TemporalEvaluator:
                 ]
 
             return TickSeries(record, rows_of, expression, least, now)
-        return TickSeries(record, lambda past: reader.rows(key, past, rows), expression, least, now)
+        shared = None if _reads_ticks(query, values, handles) else key
+        return TickSeries(
+            record, lambda past: reader.rows(shared, past, rows), expression, least, now
+        )
 
     def query_over_ticks(
         self, call: Call, frame: Frame, record_of: Callable[[World], Record]
@@ -315,6 +320,27 @@ def _of_entity(past: Past, entity: Handle) -> Past:
     return replace(past, is_window=True, id=entity.id, table=entity.TABLE)
 
 
+def _reads_ticks(query: Query, values: Sequence[Any], handles: Sequence[bool]) -> bool:
+    """Checks whether an expression has a function of time inside, or an entity at another tick."""
+    is_pinned = any(
+        isinstance(value, Handle) and not is_entity
+        for value, is_entity in zip(values, handles, strict=True)
+    )
+    return is_pinned or any(
+        isinstance(part, Call) and part.name in TEMPORAL_FUNCTIONS for part in query.walk()
+    )
+
+
+def _is_place(node: Node) -> bool:
+    """Checks whether a part may be an entity: position(e)[2] is no part of one, links(e)[0] is."""
+    if isinstance(node, Index) and isinstance(node.base, Call):
+        name = node.base.name
+        return not (name in RELATIONS or name in BUILTINS or name in TEMPORAL_FUNCTIONS)
+    if isinstance(node, Index):
+        return _is_place(node.base)
+    return isinstance(node, _PLACES)
+
+
 def _places(node: Node, call: Call) -> Iterator[Node]:
     """Yields the parts of an expression that may be entities."""
     if isinstance(node, Query):
@@ -322,7 +348,7 @@ def _places(node: Node, call: Call) -> Iterator[Node]:
             f"{call.name} takes an expression without a query; query FROM world{{}} instead",
             span=node.span,
         )
-    if isinstance(node, _PLACES):
+    if _is_place(node):
         yield node
         return
     for child in node.children():
@@ -348,7 +374,13 @@ def _query_of(
         replacements[place] = This(place.span, alias)
         sources.append(Source(place.span, alias, placeholder))
     first = This(span, sources[0].alias)
-    value = parts_of(call)[0].replaced(replacements.get)
+
+    def replaced(node: Node) -> Node | None:
+        if isinstance(node, Call) and node.name == "getTime" and not node.arguments:
+            return Call(node.span, "time", (first,), node.span)
+        return replacements.get(node)
+
+    value = parts_of(call)[0].replaced(replaced)
     of_row = () if number_of_row is None else (This(span, f"entity_{number_of_row}"),)
     items = (*(Call(span, name, (first,), span) for name in ("tick", "time")), value, *of_row)
     return Query(span, items, tuple(sources))
