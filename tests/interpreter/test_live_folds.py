@@ -5,8 +5,10 @@ A program with another text is another program, of which nothing is kept.
 
 from __future__ import annotations
 
+import gc
 from contextlib import contextmanager
 from itertools import count
+from weakref import ref
 
 import mujoco
 import pytest
@@ -17,6 +19,8 @@ import ssduck
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.over_time.evaluator import TemporalEvaluator
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS
+from ssduck.interpreter.over_time.live import LiveFolds
+from ssduck.language.builtins import EXTREMES
 from tests.support.cases import generated
 
 MODEL = """
@@ -165,3 +169,60 @@ def test_what_is_dropped_or_not_recorded_is_not_kept(scene, recording):
         for term in TERMS:
             assert outcome(ss, f"{term};") == fresh(ss, term)
     assert len(ss.sql("SELECT DISTINCT tick FROM sim.entities_history").fetchall()) < 20
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("entity", ["ball", "box"])
+def test_an_entity_that_is_not_recorded_has_no_value(scene, entity):
+    ss = scene[0]
+    ss.record("sim", ssduck.Recording(entities=[entity]))
+    for _ in range(3):
+        act(scene, "tick")
+        for term in TERMS:
+            assert outcome(ss, f"{term};") == fresh(ss, term)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("function", ["initially", "previous", "rate", "least", "greatest"])
+def test_who_changes_an_answer_changes_no_other(scene, function):
+    ss, value = scene[0], "z(sim.ball)" if function in EXTREMES else "position(sim.ball)"
+    for _ in range(3):
+        act(scene, "tick")
+        for _ in range(2):
+            answer = ss.eval(f"{function}({value});")
+            assert answer == fresh(ss, f"{function}({value})")
+            answer[0] = 99.0
+
+
+def test_a_step_that_ctrl_c_ends_is_not_in_the_state(monkeypatch, scene):
+    ss = scene[0]
+    for term in ("previous(z(sim.ball))", "rate(z(sim.ball))"):
+        ss.eval(f"{term};")
+        act(scene, "tick")
+        is_next = LiveFolds._is_next
+
+        def interrupted(folds, kept, fold, is_next=is_next):
+            before = kept.tick, kept.time
+            is_next(folds, kept, fold)
+            kept.tick, kept.time = before  # only the state has the step
+            raise KeyboardInterrupt
+
+        with monkeypatch.context() as patch:
+            patch.setattr(LiveFolds, "_is_next", interrupted)
+            with pytest.raises(KeyboardInterrupt):
+                ss.eval(f"{term};")
+        assert ss.eval(f"{term};") == fresh(ss, term)
+
+
+@pytest.mark.slow
+def test_states_do_not_keep_a_world_that_no_variable_has():
+    with ssduck.Interpreter() as ss:
+        worlds = []
+        for _ in range(2):
+            model = mujoco.MjModel.from_xml_string(MODEL)
+            world = ss.add_variable("sim", ssduck.World.attach(model, mujoco.MjData(model)))
+            worlds.append(ref(world))
+            ss.eval(f"previous(z(sim.ball)); # {len(worlds)}")
+            del world
+        gc.collect()
+        assert [world() is None for world in worlds] == [True, False]

@@ -229,10 +229,7 @@ def _extreme_fold(
         return [time, value]
 
     return Fold(
-        lambda time, value: step(None, time, value),
-        lambda series: make(series, None),
-        step,
-        lambda state, _: None if state is None else list(state),
+        lambda time, value: step(None, time, value), lambda series: make(series, None), step
     )
 
 

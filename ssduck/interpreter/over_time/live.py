@@ -37,7 +37,7 @@ class _Kept:
     Attributes:
         query: the SELECT that has the value of the expression at the present tick.
         names: the variables of the expression.
-        meaning: what it depends on besides the tick.
+        meaning: the values of its variables.
         layout: the entities of the world.
         series: the ticks.
         run: the number of the world's run.
@@ -75,7 +75,7 @@ class LiveFolds:
         tables_read: Callable[[Node], frozenset[str]],
     ) -> None:
         self._scope, self._planner, self._tables_read = scope, planner, tables_read
-        self._kept: WeakKeyDictionary[Call, _Kept] = WeakKeyDictionary()
+        self._kept: WeakKeyDictionary[Call, _Kept] = planner.states
         # Whether the expression of a call is the same at the present tick and in the record.
         self._are_simple: WeakKeyDictionary[Call, bool] = WeakKeyDictionary()
 
@@ -97,16 +97,14 @@ class LiveFolds:
         """
         fold = form.fold
         assert fold is not None
-        kept = self._kept.get(call)
-        if kept is not None and self._is_next(kept, fold):
-            return fold.value(kept.state, kept.time)
-        self._kept.pop(call, None)
-        series = series_of()
-        kept = self._made(call, series, fold)
-        if kept is None:
-            return form.make(series, None)
+        kept = self._kept.pop(call, None)  # so that Ctrl-C leaves no state of half a step
+        if kept is None or not self._is_next(kept, fold):
+            series = series_of()
+            kept = self._made(call, series, fold)
+            if kept is None:
+                return form.make(series, None)
         self._kept[call] = kept
-        return fold.value(kept.state, kept.time)
+        return _copied(fold.value(kept.state, kept.time))
 
     def _is_next(self, kept: _Kept, fold: Fold) -> bool:
         """Adds the present tick to a state, unless it has it; returns whether that is all."""
@@ -140,9 +138,12 @@ class LiveFolds:
         """Returns a state to keep.
 
         Returns:
-            None if the present tick is not recorded, or a variable is of a type that may change.
+            None if the present tick is not recorded, or not all of it, or if a variable is of a
+            type that may change.
         """
-        snapshot = series.record.world.snapshot
+        recording, snapshot = series.record.recording, series.record.world.snapshot
+        if recording is not None and recording.entities is not None:
+            return None
         numbers, times = series.ticks()
         expression, _ = parts_of(call)
         names = tuple(dict.fromkeys(n.name for n in expression.walk() if isinstance(n, Name)))
@@ -176,8 +177,11 @@ class LiveFolds:
         return MASSES not in self._tables_read(expression)
 
     def _meaning(self, names: tuple[str, ...]) -> tuple[Any, ...] | None:
-        """Returns what an expression depends on besides the tick; None if that is not known."""
-        meaning: list[Any] = [self._planner.generation]
+        """Returns what variables of an expression mean; None if that may change by itself.
+
+        What else it depends on, such as functions, has the planner forget all states.
+        """
+        meaning: list[Any] = []
         scope = self._scope
         for name in names:
             value = scope.variable(name) if scope.has_variable(name) else None
@@ -192,3 +196,8 @@ class LiveFolds:
 
 def _is_row(element: Any) -> bool:
     return isinstance(element, Handle)
+
+
+def _copied(value: Any) -> Any:
+    """Returns a value whose lists the caller may change."""
+    return list(map(_copied, value)) if type(value) is list else value
