@@ -59,6 +59,16 @@ def past_path(world: str, name: str) -> str:
     return f"{world}{{…}}{name_path(world, name).removeprefix(world)}"
 
 
+def past_query(world: str, name: str, time: float) -> str:
+    """Returns how a program asks about an entity at all ticks up to a time, s.
+
+    >>> past_query("lab", "cup", 0.25)
+    "SELECT greatest(z(this)) FROM lab{0.25} WHERE id(this) == 'cup' AS value"
+    """
+    source = f"{world}{{{round(max(time, 0.0), 6)}}}"
+    return f"SELECT greatest(z(this)) FROM {source} WHERE id(this) == {name!r} AS value"  # noqa: S608
+
+
 def short_repr(value: Any) -> str:
     """Returns the `repr` of a value, shortened if it is long.
 

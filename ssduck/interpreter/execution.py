@@ -49,7 +49,7 @@ from ssduck.sql.dialects import in_dialect
 from ssduck.sql.explain import explained
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.translator import unknown_function
-from ssduck.world.handles import Handle
+from ssduck.world.handles import Handle, removal_of
 from ssduck.world.links import Link
 from ssduck.world.world import World
 
@@ -580,10 +580,16 @@ def _check_tick(node: Call, values: Iterable[Any]) -> None:
     handles = [value for value in values if isinstance(value, Handle) and value.moment is not None]
     for first, second in pairwise(handles):
         if first.world is second.world and first.moment.tick != second.moment.tick:  # type: ignore[union-attr]
+            advice = (
+                f"for all of them at a time t write at(t, {node.name}(…)); of two ticks there are "
+                "positions: distance(a, b)"
+            )
+            removals = (
+                f"{handle.name}: {told}" for handle in handles if (told := removal_of(handle))
+            )
             raise ArgumentError(
                 f"{node.name} is of entities at one tick, and these are of {first.state.time:g} s "
-                f"and of {second.state.time:g} s: for all of them at a time t write "
-                f"at(t, {node.name}(…)); of two ticks there are positions: distance(a, b)",
+                f"and of {second.state.time:g} s: {next(removals, advice)}",
                 span=node.span,
             )
 

@@ -26,6 +26,12 @@ _FUNCTION = re.compile(r"Function with name \"?(\w+|=>|=<)\"? does not exist")
 _NUMBER = re.compile(r"Could not convert string '(.*)' to INT64")
 _GUESS = "\nDid you mean"
 _SYNTAX = re.compile(r'Parser Error: syntax error at or near "([^"]+)"')
+_AMBIGUOUS = re.compile(r'Ambiguous reference to column name "(\w+)"')
+_CHANGE = re.compile(r"Can only \w+( from)? base table|Catalog Error: \w+ is not an table")
+_READ_ONLY = (
+    "The tables of a world are read only: world['cup'].move([0, 0, 1]) moves an entity; set "
+    "joints, add and remove bodies by the simulator's own calls, and the next tick has it"
+)
 _NO_SOURCE = re.compile(r'Referenced table "(\w+)" not found')
 # The relations whose names are words of SQL, where they are called.
 _RESERVED = {
@@ -50,9 +56,24 @@ _LISTS = {
     "velocity": "the columns vx, vy and vz",
 }
 _YAW = "atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))"
+_ANGLES = {
+    "roll": "atan2(2 * (qw * qx + qy * qz), 1 - 2 * (qx * qx + qy * qy))",
+    "pitch": "asin(greatest(-1, least(1, 2 * (qw * qy - qz * qx))))",
+    "yaw": _YAW,
+}
+_OF_BODIES = (
+    "A body is a row of entities, with the columns id and name; the other tables have its id, in "
+    "the column entity, of contacts in a and b"
+)
 # What to write for columns that there are not.
 _COLUMNS = {name: f"The {name} of an entity is in {where}" for name, where in _LISTS.items()} | {
-    "yaw": f"The orientation is in the columns qw, qx, qy and qz: the yaw is {_YAW}",
+    **{
+        name: f"The orientation is in the columns qw, qx, qy and qz: the {name} is {angle}"
+        for name, angle in _ANGLES.items()
+    },
+    **dict.fromkeys(("body", "object", "obj"), _OF_BODIES),
+    "link": "Links are rows of the table of links, with the columns entity, link and name: "
+    "FROM links l JOIN entities e ON e.id = l.entity; contacts have link_a and link_b",
 }
 # What to write for functions that there are not: tables, and those of other libraries.
 _CALLS = {
@@ -60,7 +81,7 @@ _CALLS = {
     "clamp": "write least(greatest(x, low), high)",
     "dot": "write list_dot_product(a, b)",
     "norm": "write sqrt(list_dot_product(a, a))",
-    "yaw": f"write {_YAW}",
+    **{name: f"write {angle}" for name, angle in _ANGLES.items()},
     "gettime": "the simulated time is the column time",
     "under": "write below(a, b)",
     "=>": "write >=",
@@ -129,10 +150,14 @@ def _hint(message: str, sql: str, worlds: Mapping[str, World]) -> str:
         if any(column in world for world in worlds.values()):
             return f"A text is in single quotes: {column!r}"
         return _hint_of_column(column.lower())
+    if _CHANGE.search(message) and _OWN_TABLES.search(sql):
+        return _READ_ONLY
+    if (match := _AMBIGUOUS.search(message)) and f"'{match.group(1)}.{match.group(1)}'" in message:
+        return _hint_of_alias(match.group(1))
     if _POINT.search(message):
         return "A point is {x: 1, y: 2, z: 3} in SQL"
     if match := _FIELD.search(message):
-        return _hint_of_row(match.group(1))
+        return _hint_of_row(match.group(1), sql)
     if match := _FUNCTION.search(message):
         name = match.group(1).lower()
         return _CALLS.get(name, _IS_SELECTSCRIPT if name in _ONLY_PROGRAMS else "")
@@ -195,8 +220,17 @@ def _hint_of_column(name: str) -> str:
     return f"{alias} is a function of a row: write {alias}(e{rest}), with FROM entities e"
 
 
-def _hint_of_row(expression: str) -> str:
+def _hint_of_alias(name: str) -> str:
+    return (
+        f"{name} is an alias of a table here, and the name of a column, which DuckDB reads first: "
+        "take an alias that is no column's name, as in FROM entities p"
+    )
+
+
+def _hint_of_row(expression: str, sql: str) -> str:
     name = expression.lower()
+    if re.search(rf"\b\w+\s+(AS\s+)?{name}\s*(,|;|JOIN\b|WHERE\b|$)", sql, re.IGNORECASE):
+        return _hint_of_alias(expression)
     if name in _IDS:
         join = f"JOIN entities e ON e.id = {name}"
         return f"{name} is the id of an entity; a join has its columns: {join}"

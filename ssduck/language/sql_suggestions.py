@@ -6,6 +6,10 @@ _JOIN = "only JOIN … ON … is known; write FROM room a, room b WHERE above(a,
 _SETS = "lists are joined by +: (SELECT … AS list) + (SELECT … AS list)"
 _IF = "a choice is IF(condition; a; b)"
 _RAW = "only SQL has it: query the tables by ss.sql or ssduck query --sql"
+_CHANGE = (
+    "queries change no world: in Python, room['cup'].move([0, 0, 1]) moves an entity, and the rest "
+    "are the simulator's own calls; tables of your own are changed by ss.sql"
+)
 _LIMIT_ADVICE = "write LIMIT n behind ORDER BY"
 _CAST = "write int(x), float(x) or str(x)"
 _MISSING = "there is no NULL; write x IS NULL, or x IS NOT NULL"
@@ -37,7 +41,8 @@ _INSTEAD_OF: dict[tuple[str, ...], str] = {
     ("RANK", "DENSE_RANK", "ROW_NUMBER", "LAG", "LEAD", "NTILE", "GROUPING", "SETS"): _RAW,
     ("FILTER",): "write sum(CASE WHEN condition THEN 1 ELSE 0 END)",
     ("DATE", "TIMESTAMP", "INTERVAL", "EXTRACT"): _TIMES,
-    ("INSERT", "UPDATE", "DELETE", "CREATE", "DROP", "ALTER", "MERGE", "TRUNCATE"): _RAW,
+    ("INSERT", "UPDATE", "DELETE"): _CHANGE,
+    ("CREATE", "DROP", "ALTER", "MERGE", "TRUNCATE"): _RAW,
     ("COPY", "ATTACH", "PRAGMA", "SHOW", "DESCRIBE", "INSTALL"): _RAW,
     ("WITH",): "name the result of a query: rows = SELECT … AS list; SELECT … FROM rows",
     ("VALUES",): "write a list: FROM [[1, 2], [3, 4]]",

@@ -219,6 +219,18 @@ class Cursor:
                 return f"{found.group(1)}[{found.group(2)!r}]"
         return None
 
+    def _name_with_blanks(self) -> str:
+        """Returns how to write a name such as `room.red box` at the current token; "" if none."""
+        words, offset = [self.tokens[self.index - 1].text], 0
+        while (token := self.ahead(offset)) is not None and token.token_type == TokenType.VAR:
+            if is_word(token, *RESERVED_WORDS) or nearest(token.text, CLAUSES, 1):
+                break
+            words.append(token.text)
+            offset += 1
+        world = self.ahead(-3)
+        is_name = len(words) > 1 and is_kind(world, TokenType.VAR)
+        return f"{world.text}[{' '.join(words)!r}]" if is_name and world is not None else ""
+
     def is_followed(self) -> bool:
         """Checks whether a comma ends the part that comes next."""
         depth = offset = 0
@@ -266,11 +278,19 @@ class Cursor:
         if suggestion or before is None:
             return suggestion
         is_key = is_kind(self.ahead(-2), TokenType.DOT)  # the cube of room.cube
+        if is_word(token, "AT") and not is_key and before.token_type == TokenType.VAR:
+            numbers = (
+                later for later in map(self.ahead, (1, 2)) if is_kind(later, TokenType.NUMBER)
+            )
+            time = next((number.text for number in numbers if number is not None), "0.5")
+            return f"the world at a time is {before.text}{{{time}}}"
         if is_kind(token, TokenType.L_PAREN) and is_key:
             instead = suggestion_for_name(before.text)
             return instead or f"a function has no dot before it: write {before.text}(…)"
         if is_key and is_kind(token, TokenType.VAR) and is_kind(self.ahead(2), TokenType.DOT):
             return f"a relation stands before its entities: {token.text}(a, b)"
+        if is_key and (name := self._name_with_blanks()):
+            return f"a name with blanks is written {name}"
         neighbours = [None if is_key else before, self._called_name()]
         words = [t.text for t in neighbours if t is not None and t.token_type == TokenType.VAR]
         suggestion = next(filter(None, map(suggestion_for, words)), "")

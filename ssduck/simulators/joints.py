@@ -121,4 +121,6 @@ class EntityJoints:
         near = nearest(name, names)
         missing = f"no joint {name!r}" if names else "no joints"
         only = f", only {first_names(names)}" if names and not near else ""
+        if not names:
+            only = f"; leave out what has none: WHERE isRobot(this) AND joint(this, {name!r}) > 0"
         raise JointError(f"{self.entity} has {missing}{only}", suggestions=near)

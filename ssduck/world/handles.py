@@ -210,7 +210,7 @@ class Handle(PublicNames):
 
     def removed(self) -> RemovedEntityError:
         """Returns the error for an entity that is no longer in its world, or a link of it."""
-        told = self.world.removal_of(getattr(self, "owner", self.name))
+        told = removal_of(self)
         message = f"{self.full_name!r} is no longer in world {self.world.name!r}"
         return RemovedEntityError(f"{message}; {told}" if told else message)
 
@@ -231,3 +231,8 @@ class Handle(PublicNames):
     def __deepcopy__(self, _: dict[int, Any]) -> Self:
         """Returns the handle itself, as it is immutable."""
         return self
+
+
+def removal_of(handle: Handle) -> str:
+    """Returns when the entity of a handle was removed, for an error; '' if it is there."""
+    return handle.world.removal_of(getattr(handle, "owner", handle.name))

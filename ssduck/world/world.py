@@ -21,7 +21,7 @@ from ssduck.errors import (
     UnknownNameError,
     UnsupportedError,
 )
-from ssduck.formatting import contents_of, past_path, short_repr
+from ssduck.formatting import contents_of, past_path, past_query, short_repr
 from ssduck.geometry.arrays import Indices
 from ssduck.schema import (
     LINK_FACTOR,
@@ -410,7 +410,8 @@ class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicName
             return ""
         return (
             f"it was removed at {time:g} s; where it is recorded, "
-            f"{past_path(self.name, name)} is that of an earlier time"
+            f"{past_path(self.name, name)} is that of an earlier time, and functions of time take "
+            f"it from a query, as {past_query(self.name, name, time - self.timestep / 2)}"
         )
 
     def part_hint(self, name: str) -> str:

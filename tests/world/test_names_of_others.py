@@ -143,6 +143,31 @@ def test_a_removed_entity_is_told_of_with_its_time(client, ss, ball, tmp_path):
         assert record.eval(earlier) == z
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        "greatest(z(lab.ball));",
+        "at({t}, z(lab.ball));",
+        "greatest(z(lab{{{t}}}.ball));",
+        "holds(collides(lab.ball, lab{{{t}}}.ball));",
+    ],
+)
+def test_what_is_said_of_the_past_of_a_removed_entity_works(client, ss, ball, wrong):
+    lab = ss["lab"]
+    lab.step(5)
+    pybullet.removeBody(ball, client)
+    lab.step()
+    with pytest.raises(SelectScriptError) as caught:
+        ss.eval(wrong.format(t=lab.timestep))
+    advice = caught.value.message.rpartition(", as ")[2]
+    assert advice.startswith("SELECT greatest(z(this)) FROM lab{")
+    _, found = ss.eval(f"{advice};")
+    assert found == pytest.approx(5.0)  # where it was let fall
+    of_all = advice.replace("greatest(z(this))", "holds(z(this) > -9)")
+    assert ss.eval(f"{of_all};")[0][1] == pytest.approx(lab.time - lab.timestep)
+
+
 def test_a_removed_sensor_is_told_of(ss):
     lab = ss["lab"]
     lab.add_sensor("lidar", "ball", "eye", max_range=1.0)

@@ -41,7 +41,7 @@ from ssduck.recording.replay.past import Past, common_moment, past_of
 from ssduck.recording.replay.record import Record
 from ssduck.recording.stores.base import PairRequest
 from ssduck.sql.relations.registry import RELATIONS
-from ssduck.world.handles import Handle
+from ssduck.world.handles import Handle, removal_of
 from ssduck.world.world import World
 
 _TICK = itemgetter(0)
@@ -185,9 +185,11 @@ class TemporalEvaluator:
         )
         worlds = {v.world for v, is_entity in zip(values, handles, strict=True) if is_entity}
         if not worlds and any(isinstance(value, Handle) for value in values):
+            removals = (removal_of(value) for value in values if isinstance(value, Handle))
+            advice = next(filter(None, removals), "write it without {…}")
             raise ArgumentError(
-                f"{call.name} takes an entity at all ticks, and this one stays at its tick: write "
-                "it without {…}",
+                f"{call.name} takes an entity at all ticks, and this one stays at its tick: "
+                f"{advice}",
                 span=expression.span,
             )
         if not worlds:

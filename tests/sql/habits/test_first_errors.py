@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import ssduck
-from ssduck.errors import EvaluationError, ProgramWarning, SelectScriptError
+from ssduck.errors import EvaluationError, ProgramWarning, SelectScriptError, SqlError
 from ssduck.language.sql_suggestions import suggestion_for_name
 
 XML = """
@@ -71,6 +71,17 @@ OF_SQL = [
     ("SELECT clip(z, 0, 1) FROM entities", "write least(greatest(x, low), high)"),
     ("SELECT yaw(e) FROM entities e", f"write {YAW_OF_COLUMNS}"),
     ("SELECT yaw FROM entities", f"the yaw is {YAW_OF_COLUMNS}"),
+    ("SELECT roll FROM entities", "the roll is atan2("),
+    ("SELECT e.pitch FROM entities e", "the pitch is asin("),
+    ("SELECT body FROM entities", "A body is a row of entities, with the columns id and name"),
+    ("SELECT body FROM contacts", "of contacts in a and b"),
+    ("SELECT link FROM entities", "FROM links l JOIN entities e ON e.id = l.entity"),
+    ("SELECT link FROM contacts", "contacts have link_a and link_b"),
+    ("SELECT 1 FROM entities x, entities y WHERE near(x, y, 1)", "as in FROM entities p"),
+    ("SELECT speed(x) FROM entities AS x", "x is an alias of a table here, and the name of a"),
+    ("DELETE FROM entities WHERE name = 'cube'", "are read only: world['cup'].move("),
+    ("UPDATE sim.entities SET z = 1", "are read only: world['cup'].move("),
+    ("INSERT INTO entities VALUES (1)", "are read only: world['cup'].move("),
     ("SELECT dot([1], [2])", "write list_dot_product(a, b)"),
     ("SELECT getTime()", "the simulated time is the column time"),
     ("SELECT heldFor(z(e) > 0) FROM entities e", "This is SelectScript: ss.eval runs it"),
@@ -94,7 +105,15 @@ def test_raw_sql_says_what_to_write(ss, sql, told):
         ss.sql(sql)
 
 
-@pytest.mark.parametrize("sql", ["SELECT FROM WHERE", "SELECT nothing FROM entities"])
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "SELECT FROM WHERE",
+        "SELECT nothing FROM entities",
+        "SELECT x FROM entities a, entities b",
+        "SELECT speed(z) FROM entities",
+    ],
+)
 def test_other_errors_of_sql_have_no_such_hint(ss, sql):
     with pytest.raises(SelectScriptError) as caught:
         ss.sql(sql)
@@ -127,6 +146,16 @@ OF_PROGRAMS = [
     ("near(sim.cube, 'table', .1);", "the entity of a name is room['cup']"),
     ("SELECT id FROM sim.links;", "its links are FROM links(sim)"),
     ("SELECT id FORM sim;", "did you mean 'FROM'"),
+    ("sim.red box;", "a name with blanks is written sim['red box']"),
+    ("distance(sim.big red box, sim.cube);", "is written sim['big red box']"),
+    ("SELECT z FROM sim.cube WHRE z > 1;", "did you mean 'WHERE'"),
+    ("SELECT id FROM sim AT 3.0;", "the world at a time is sim{3.0}"),
+    ("SELECT id FROM sim AT TIME 2;", "the world at a time is sim{2}"),
+    ("UPDATE sim SET z = 1;", "queries change no world: in Python, room['cup'].move("),
+    (
+        "SELECT id FROM sim WHERE joint(this, 'hinge') > 1;",
+        "WHERE isRobot(this) AND joint(this, 'hinge')",
+    ),
     ("avg(SELECT position FROM sim AS list);", "write avg(SELECT x(this) FROM … AS list), …"),
     ("SELECT sum(position) FROM sim GROUP BY kind;", "write sum(x(this)) AS x, sum(y(this)) AS y"),
     ("sim.joints;", "SELECT * FROM sim.joints"),
@@ -333,6 +362,12 @@ def test_what_is_said_of_other_libraries_is_right():
             text = suggestion_for_name(column).removeprefix("write ").replace("(e)", "(sim.cube)")
             (stored,) = ss.sql(f"SELECT {column} FROM entities WHERE name = 'cube'").fetchone()
             assert ss.eval(f"{text};") == stored
+        for name, angle in (("yaw", yaw), ("pitch", pitch), ("roll", roll)):
+            with pytest.raises(SqlError) as caught:
+                ss.sql(f"SELECT {name} FROM entities")
+            formula = caught.value.message.partition(f"the {name} is ")[2]
+            (found,) = ss.sql(f"SELECT {formula} FROM entities WHERE name = 'cube'").fetchone()
+            assert found == pytest.approx(angle)
         row = f"SELECT {YAW_OF_COLUMNS} FROM entities WHERE name = 'cube'"
         assert ss.sql(row).fetchone()[0] == pytest.approx(yaw)
         assert ss.sql("SELECT least(greatest(7, 0), 1), list_dot_product([3], [4])").fetchall() == [
