@@ -59,13 +59,14 @@ def past_path(world: str, name: str) -> str:
     return f"{world}{{…}}{name_path(world, name).removeprefix(world)}"
 
 
-def past_query(world: str, name: str, time: float) -> str:
-    """Returns how a program asks about an entity at all ticks up to a time, s.
+def past_query(world: str, name: str, time: float | str) -> str:
+    """Returns how a program asks about an entity at all ticks up to a time, s, or its name.
 
     >>> past_query("lab", "cup", 0.25)
     "SELECT greatest(z(this)) FROM lab{0.25} WHERE id(this) == 'cup' AS value"
     """
-    source = f"{world}{{{round(max(time, 0.0), 6)}}}"
+    shown = time if isinstance(time, str) else round(max(time, 0.0), 6)
+    source = f"{world}{{{shown}}}"
     return f"SELECT greatest(z(this)) FROM {source} WHERE id(this) == {name!r} AS value"  # noqa: S608
 
 

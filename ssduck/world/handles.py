@@ -17,7 +17,7 @@ from typing import (
 
 from ssduck.errors import RemovedEntityError, UnknownNameError, nearest
 from ssduck.formatting import first_names, name_path, short_repr
-from ssduck.schema import MASSES, TABLES, EntityTable
+from ssduck.schema import MASSES, TABLES, EntityTable, entity_of
 from ssduck.world.public_names import HANDLE_INTERNALS, INSTEAD_IN_HANDLES, PublicNames
 
 if TYPE_CHECKING:
@@ -235,4 +235,6 @@ class Handle(PublicNames):
 
 def removal_of(handle: Handle) -> str:
     """Returns when the entity of a handle was removed, for an error; '' if it is there."""
+    if entity_of(handle.id) in handle.world.snapshot.rows:
+        return ""
     return handle.world.removal_of(getattr(handle, "owner", handle.name))

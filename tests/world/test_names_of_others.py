@@ -141,6 +141,13 @@ def test_a_removed_entity_is_told_of_with_its_time(client, ss, ball, tmp_path):
         with pytest.raises(UnknownNameError, match=r"at other ticks of the record: lab{…}\.ball"):
             record.eval("z(lab.ball);")
         assert record.eval(earlier) == z
+        with pytest.raises(ArgumentError, match=r"stays at its tick: it is there at other ticks"):
+            record.eval(earlier.replace("z(", "greatest(z(").replace(")", "))"))
+        last = lab.time - lab.timestep
+        with pytest.raises(UnknownNameError) as caught:
+            record.eval("greatest(z(lab.ball));")
+        advice = caught.value.message.rpartition(", as ")[2].replace("{t}", f"{{{last}}}")
+        assert record.eval(f"{advice};")[1] == pytest.approx(5.0)
 
 
 @pytest.mark.slow

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from ssduck.formatting import past_path
+from ssduck.formatting import past_path, past_query
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.schema import ON_DEMAND, TABLES
 from ssduck.simulators.interface import Simulator
@@ -57,7 +57,10 @@ class PastWorld(World):
         """Returns that an entity of a name is recorded at other ticks; '' if none is."""
         if all(member.name != name for member in self._record.members.values()):
             return ""
-        return f"it is there at other ticks of the record: {past_path(self.name, name)}"
+        return (
+            f"it is there at other ticks of the record: {past_path(self.name, name)}; functions of "
+            f"time take it from a query at its last time t, as {past_query(self.name, name, 't')}"
+        )
 
     def request_tables(self, tables: Iterable[str]) -> None:
         """Ensures that the tick includes tables; recorded ones are always there."""
