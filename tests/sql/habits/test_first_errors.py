@@ -156,7 +156,6 @@ OF_PROGRAMS = [
         "SELECT id FROM sim WHERE joint(this, 'hinge') > 1;",
         "WHERE isRobot(this) AND joint(this, 'hinge')",
     ),
-    ("avg(SELECT position FROM sim AS list);", "write avg(SELECT x(this) FROM … AS list), …"),
     ("SELECT sum(position) FROM sim GROUP BY kind;", "write sum(x(this)) AS x, sum(y(this)) AS y"),
     ("sim.joints;", "SELECT * FROM sim.joints"),
     ("sim.cube.position;", "position(sim.cube)"),
