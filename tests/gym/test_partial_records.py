@@ -18,7 +18,7 @@ TEXT = """
 </worldbody></mujoco>"""
 WEIGHT = 9.81
 NO_CONTACTS = "the table of contacts of 'sim' is not recorded"
-TOLD = "only box, world were recorded.*force and torque lack"
+TOLD = "only box, world were recorded.*as force, torque, restsOn"
 
 
 class Stack(gymnasium.Env):
