@@ -379,7 +379,7 @@ def test_views_of_an_earlier_session(client, tmp_path):
         "SELECT a.name FROM entities a, entities b WHERE collides(a, b, -1)",
         "SELECT a.name FROM entities a, entities b WHERE collides(a)",
         "SELECT a.nam FROM entities a, entities b WHERE collides(a, b)",
-        "SELECT a.name FROM entities x, entities b WHERE collides(x, b)",
+        "SELECT a.name FROM entities p, entities b WHERE collides(p, b)",
         "SELECT error('no') FROM entities a, entities b WHERE collides(a, b)",
         "SELECT 1 FROM entities a, entities b WHERE other.collides(a, b)",
         "SELECT name FROM entities WHERE name::DOUBLE > 0",
