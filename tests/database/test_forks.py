@@ -39,7 +39,7 @@ gc.collect()
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_child_frees_no_database_of_its_parent(tmp_path):
     files = [":memory:", str(tmp_path / "run.duckdb"), ":memory:"]
     command = [sys.executable, "-W", "ignore", "-c", SCRIPT, *files]

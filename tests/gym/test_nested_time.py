@@ -12,6 +12,7 @@ import pytest
 import ssduck
 from ssduck.errors import ArgumentError
 from ssduck.gym import QueryWrapper, score
+from tests.support.cases import sampled
 
 FALL = """
 <mujoco><worldbody>
@@ -82,7 +83,7 @@ def recorded(tmp_path_factory):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("reward", "value"), REWARDS)
+@sampled(("reward", "value"), REWARDS, every=2)
 def test_values_are_those_of_the_heights(recorded, reward, value):
     folder, heights = recorded
     env = QueryWrapper(Fall(), reward=reward, forward=False)

@@ -116,6 +116,7 @@ def test_the_answers_changes_are_found_and_jumped_to(page, record):
     page.wait("document.querySelector('#result td').textContent === 'false'")
 
 
+@pytest.mark.long
 def test_what_holds_when_is_a_bar_above_the_slider(page, record):
     query = f"holds(on(kitchen.table, kitchen.{CUP}));"
     with ssduck.open(record) as ss:
@@ -129,6 +130,7 @@ def test_what_holds_when_is_a_bar_above_the_slider(page, record):
     assert row <= page.value("document.getElementById('slider').getBoundingClientRect().top")
 
 
+@pytest.mark.long
 def test_the_past_of_a_column_is_plotted(page):
     page.value("__ss.seek(0); 0")
     page.click(*page.value(f"__ss.placeOf('{CUP}')"))

@@ -201,6 +201,7 @@ def test_several_statements_show_that_the_result_is_the_last_ones(page):
     assert page.value("document.getElementById('error').hidden")
 
 
+@pytest.mark.long
 def test_names_of_links_stand_out(page):
     """Those of one link, not of its whole robot."""
     orange = []

@@ -311,7 +311,7 @@ def test_duckdb_tells_what_functions_do(row):
     assert in_world == {relation.name for relation in RELATIONS.values() if relation.tables}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_kitchen():
     with ssduck.load("kitchen") as ss:
         kitchen = ss.call_variable("kitchen")

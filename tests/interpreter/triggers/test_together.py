@@ -354,7 +354,7 @@ def test_each_result_is_that_of_the_program(ss, boxes):
     programs = [p for p in PROGRAMS if "list(1)" not in p]
     for number, program in enumerate(programs):
         ss.add_trigger(str(number), program, 0, lambda _: None)
-    for _ in range(30):
+    for _ in range(generated(12)):
         boxes.step()
         for trigger in ss.triggers():
             assert plain(trigger.result) == plain(ss.eval(trigger.program))
