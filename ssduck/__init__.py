@@ -64,8 +64,10 @@ __all__ = [
     "write_record",
 ]
 
-# The page of `Interpreter.view` is a layer above interpreters, which it asks.
+# What a layer below makes: the page of `Interpreter.view`, terms of tasks, and batches of worlds.
 offer("page", "ssduck.view.view:view")
+offer("batch", "ssduck.world.batches.batch_world:batch_of")
+offer("terms", "ssduck.gym.batch_terms:BatchTerms")
 
 _HOMES = {
     "Changed": "interpreter.triggers.diff",

@@ -38,7 +38,7 @@ _WORDS = frozenset(name for form in VALUES for name in form.names)
 # The words of other tools for a form, in lower case.
 _OTHER_WORDS = {
     "list": ("array", "tuple", "set", "values", "names", "ids"),
-    "numpy": ("array", "np", "ndarray", "matrix", "tensor"),
+    "numpy": ("array", "np", "ndarray", "matrix"),
     "value": ("scalar", "number", "int", "float", "bool", "single", "one", "first"),
     "dict": ("dicts", "rows", "objects", "mapping"),
     "records": ("rows", "tuples", "namedtuples", "structs"),

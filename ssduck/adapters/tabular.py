@@ -184,9 +184,9 @@ TABULAR = (
         joins_groups=True,
     ),
     Adapter(
-        ("numpy",),
+        ("numpy", "tensor"),
         "A 2-D NumPy array if all columns are numbers, or lists of equally many numbers, side "
-        "by side; else a structured array.",
+        "by side; else a structured array. Over a batch, an array of the library of its states.",
         _numpy,
     ),
     Adapter(

@@ -8,7 +8,7 @@ of n rows is (n,), and the values are (k, n), or (1, n) where they are the same 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import count
 from typing import Any, Protocol, TypeAlias
@@ -18,11 +18,11 @@ import numpy.typing as npt
 from sqlglot import exp
 
 from ssduck.columns.compiler import PairCompiler, Parts
-from ssduck.columns.expressions import Compute, Expression, LeftToDuckDBError
+from ssduck.columns.expressions import Compute, Expression, Kind, LeftToDuckDBError
 from ssduck.geometry.arrays import Flags
 from ssduck.sql.relation_calls import PairCall
 from ssduck.sql.relations.geometry_query import MARGINS_UDF, GeometryUdf
-from ssduck.sql.relations.registry import GEOMETRY_UDFS
+from ssduck.sql.relations.registry import GEOMETRY_UDFS, RELATIONS
 
 # The values of an expression: (k, n), or what numpy broadcasts to that.
 Array: TypeAlias = npt.NDArray[Any]
@@ -41,6 +41,10 @@ class Calls(Protocol):
         """The largest distance, m, of shapes that touch by their margins."""
 
 
+# Returns the values of a function from those of its arguments.
+Kernel: TypeAlias = "Callable[[ArrayValues, Sequence[Array]], Array]"
+
+
 class ArrayValues(dict[Any, Array]):
     """The values of leaves by key, each read when it is first needed.
 
@@ -49,6 +53,8 @@ class ArrayValues(dict[Any, Array]):
         count: the number of rows.
         calls: the narrow phase.
         fixed: the values of parts that stay the same while the rows do; kept by the caller.
+        left: (n,), becomes True where a value is not known that matters; None if that is an error.
+        is_checked: whether numbers are checked; else the caller learns of NaN from numpy.
 
     Attributes:
         active: the places at which values matter, (k, n) or (1, n); None for all.
@@ -56,11 +62,19 @@ class ArrayValues(dict[Any, Array]):
     """
 
     def __init__(
-        self, read: Callable[[Any], Array], count: int, calls: Calls, fixed: dict[Any, Array]
+        self,
+        read: Callable[[Any], Array],
+        count: int,
+        calls: Calls,
+        fixed: dict[Any, Array],
+        left: Flags | None = None,
+        *,
+        is_checked: bool = True,
     ) -> None:
         super().__init__()
         self._read = read
         self.count, self.calls, self.fixed = count, calls, fixed
+        self.left, self.is_checked = left, is_checked
         self.active: Flags | None = None
         self.computed: dict[str, tuple[Flags | None, Array]] = {}
 
@@ -85,6 +99,19 @@ class ArrayValues(dict[Any, Array]):
             return False
         return self.active is None or bool(np.any(places & self.active))
 
+    def leave(self, places: Flags) -> None:
+        """Leaves the values at some places to others, if any of them matters.
+
+        Raises:
+            LeftToDuckDBError: one does, and all rows are evaluated in the same way.
+        """
+        if not self.needs(places):
+            return
+        if self.left is None:
+            raise LeftToDuckDBError
+        matter = places if self.active is None else places & self.active
+        self.left |= np.broadcast_to(matter, (len(np.atleast_2d(matter)), self.count)).any(axis=0)
+
 
 class ArrayOperations:
     """Operations on arrays of the rows of a world's table.
@@ -93,10 +120,17 @@ class ArrayOperations:
 
     Args:
         schema: the schema of the world.
+        kernels: functions of arrays besides those of shapes, by their names in SQL; those of two
+            ids by the names of the relations of contacts.
+        is_exact: whether functions have the last bit of the C library, which DuckDB uses; numpy's
+            are many times as fast, and may differ there.
     """
 
-    def __init__(self, schema: str) -> None:
-        self._schema = schema
+    def __init__(
+        self, schema: str, kernels: Mapping[str, Kernel] | None = None, *, is_exact: bool = True
+    ) -> None:
+        self._schema, self._kernels = schema, kernels or {}
+        self._apply = _by_c_library if is_exact else _by_numpy
         self._keys = (f"shared {number}" for number in count())
 
     def constant(self, value: Any) -> Compute:
@@ -134,8 +168,8 @@ class ArrayOperations:
     def quotient(self, a: Compute, b: Compute) -> Compute:
         def compute(values: ArrayValues) -> Array:
             divisor = b(values)
-            if values.needs(divisor == 0.0):
-                raise LeftToDuckDBError
+            if values.is_checked:
+                values.leave(divisor == 0.0)
             return _known(a(values) / divisor, values)
 
         return compute
@@ -153,13 +187,13 @@ class ArrayOperations:
         return lambda values: _known(np.sqrt(part(values)), values)
 
     def angle(self, y: Compute, x: Compute) -> Compute:
-        return lambda values: _by_c_library(math.atan2, y(values), x(values))
+        return lambda values: self._apply(values, math.atan2, y(values), x(values))
 
     def power(self, part: Compute, exponent: float) -> Compute:
-        return lambda values: _by_c_library(math.pow, part(values), exponent)
+        return lambda values: self._apply(values, math.pow, part(values), exponent)
 
     def real(self, function: Callable[[float], float], part: Compute) -> Compute:
-        return lambda values: _by_c_library(function, part(values))
+        return lambda values: self._apply(values, function, part(values))
 
     def is_finite(self, part: Compute) -> Compute:
         return lambda values: np.isfinite(part(values))
@@ -218,8 +252,7 @@ class ArrayOperations:
 
     def left(self) -> Compute:
         def compute(values: ArrayValues) -> Array:
-            if values.needs(np.ones((1, 1), np.bool_)):
-                raise LeftToDuckDBError
+            values.leave(np.ones((1, 1), np.bool_))
             return np.zeros((1, 1), np.bool_)
 
         return compute
@@ -238,6 +271,8 @@ class ArrayOperations:
         return lambda values: whole(values)[..., index]
 
     def knows(self, function: str, arguments: Sequence[exp.Expr]) -> bool:
+        if function in self._kernels:
+            return True
         world = arguments[0] if arguments else None
         if not (isinstance(world, exp.Literal) and world.name == self._schema):
             return False
@@ -245,6 +280,9 @@ class ArrayOperations:
         return function == MARGINS_UDF or (udf is not None and udf.entities > 0)
 
     def call(self, function: str, arguments: Parts) -> Compute:
+        if function in self._kernels:
+            kernel = self._kernels[function]
+            return lambda values: kernel(values, [part(values) for part in arguments])
         if function == MARGINS_UDF:
             return lambda values: np.array([[values.calls.margins]])
         udf = GEOMETRY_UDFS[function]
@@ -258,8 +296,12 @@ class ArrayOperations:
         return compute
 
     def pair(self, pair: PairCall, compiler: PairCompiler) -> Expression | None:
-        del pair, compiler
-        return None  # of many pairs, the boxes in the formula leave out most
+        kernel = self._kernels.get(pair.relation)
+        if kernel is None or pair.call is not None:
+            return None  # of many pairs, the boxes in the formula leave out most
+        ids = [compiler.integer(id) for id in pair.ids]
+        kind: Kind = "boolean" if RELATIONS[pair.relation].result == "boolean" else "double"
+        return Expression(kind, lambda values: kernel(values, [part(values) for part in ids]))
 
 
 def _known(result: Array, values: ArrayValues) -> Array:
@@ -268,23 +310,43 @@ def _known(result: Array, values: ArrayValues) -> Array:
     Raises:
         LeftToDuckDBError: one that matters is NaN.
     """
-    if values.needs(np.isnan(result)):
-        raise LeftToDuckDBError
+    if values.is_checked:
+        values.leave(np.isnan(result))
     return result
 
 
 def _chosen(holds: Flags, part: Compute, others: Array | None, values: ArrayValues) -> Array:
-    """Returns the values of a part where a condition holds, and others elsewhere."""
+    """Returns the values of a part where a condition holds, and others elsewhere.
+
+    Raises:
+        LeftToDuckDBError: they are lists of different lengths.
+    """
     with values.narrowed(holds):
         own = part(values)
-    return np.where(holds, own, np.zeros_like(own) if others is None else others)
+    if others is None:
+        others = np.zeros_like(own)
+    if own.ndim > 2 or others.ndim > 2:
+        if own.shape[-1] != others.shape[-1]:
+            raise LeftToDuckDBError
+        holds = holds[..., None]
+    return np.where(holds, own, others)
 
 
-def _by_c_library(function: Callable[..., float], *parts: Any) -> Array:
+def _by_c_library(values: ArrayValues, function: Callable[..., float], *parts: Any) -> Array:
     """Returns the values of a function as the C library computes them: rarely, numpy's differ."""
+    del values
     columns = np.broadcast_arrays(*(np.asarray(part, dtype=np.float64) for part in parts))
     try:
         numbers = list(map(function, *(column.ravel().tolist() for column in columns)))
     except (OverflowError, ValueError):
         raise LeftToDuckDBError from None
     return np.array(numbers).reshape(columns[0].shape)
+
+
+_OF_NUMPY: dict[Any, Callable[..., Any]] = {math.atan2: np.arctan2, math.pow: np.power}
+
+
+def _by_numpy(values: ArrayValues, function: Callable[..., float], *parts: Any) -> Array:
+    """Returns the values of a function as numpy computes them."""
+    compute = _OF_NUMPY.get(function) or getattr(np, function.__name__)
+    return _known(compute(*(np.asarray(part, dtype=np.float64) for part in parts)), values)

@@ -14,6 +14,7 @@ from dataclasses import replace
 from functools import reduce
 from typing import Any, Protocol, TypeAlias
 
+import numpy as np
 from sqlglot import exp
 
 from ssduck.columns.expressions import (
@@ -240,6 +241,10 @@ class Compiler:
             case exp.Div():
                 a, b = self._number(sql.this, ("double",)), self._double(sql.expression)
                 return _joined("double", self._operations.quotient(a.compute, b.compute), a, b)
+            case exp.Mod(expression=exp.Literal()) if sql.expression.name != "0":
+                parts = [self._number(part, ("integer",)) for part in (sql.this, sql.expression)]
+                compute = self._operations.arithmetic(np.fmod, *(part.compute for part in parts))
+                return _joined("integer", compute, *parts)
             case exp.And() | exp.Or() | exp.Not():
                 return self._logic(sql)
             case exp.Case() if sql.this is None:

@@ -149,7 +149,10 @@ class BoundingBoxes:
     def _group_boxes(self, positions: Array, matrices: Array) -> Array:
         if self._vectors is None:
             return self._empty.copy()
-        low, high = self._core_boxes(positions, matrices, self._vectors)
+        # Copied, because operations on strided arrays cost more than a copy.
+        rotations = matrices.reshape(-1, 9).take(self._frames, axis=0).T.copy().reshape(3, 3, -1)
+        origins = positions.take(self._frames, axis=0).T.copy()
+        low, high = self._core_boxes(origins, rotations, self._vectors)
         if len(self._groups) == len(self._frames):  # a core each
             boxes = np.concatenate((low, high))
         else:
@@ -158,14 +161,41 @@ class BoundingBoxes:
             np.maximum.reduceat(high, self._starts, axis=1, out=boxes[3:])
         return boxes if len(self._groups) == self._count else self._fill_groups(boxes)
 
-    def _core_boxes(self, positions: Array, matrices: Array, vectors: Array) -> tuple[Array, Array]:
-        """Returns the lower and the upper corners of the cores' boxes, (3, cores) each."""
-        # Copied, because operations on strided arrays cost more than a copy.
-        rotations = matrices.reshape(-1, 9).take(self._frames, axis=0).T.copy().reshape(3, 3, -1)
+    def over(self, positions: Array, matrices: Array) -> Array:
+        """Returns the boxes at n sets of poses, as `boxes` does of each, to the last bit.
+
+        Args:
+            positions: (n, frames, 3), metres.
+            matrices: (n, frames, 3, 3) rotations.
+
+        Returns:
+            (n, 6, groups).
+        """
+        if self._planes or self._vectors is None or len(self._groups) < self._count:
+            is_same = bool((positions == positions[0]).all() and (matrices == matrices[0]).all())
+            rows = range(1 if is_same else len(positions))  # a plane rarely moves
+            each = np.stack([self.boxes(positions[row], matrices[row]) for row in rows])
+            return np.broadcast_to(each, (len(positions), *each.shape[1:]))
+        rotations = matrices.take(self._frames, axis=1).transpose(2, 3, 0, 1).copy()
+        origins = positions.take(self._frames, axis=1).transpose(2, 0, 1).copy()
+        low, high = self._core_boxes(origins, rotations, self._vectors[:, :, None])
+        corners = (
+            np.minimum.reduceat(low, self._starts, axis=-1),
+            np.maximum.reduceat(high, self._starts, axis=-1),
+        )
+        return np.concatenate(corners).transpose(1, 0, 2)
+
+    def _core_boxes(self, origins: Array, rotations: Array, vectors: Array) -> tuple[Array, Array]:
+        """Returns the lower and the upper corners of the cores' boxes, (3, …, cores) each.
+
+        Args:
+            origins: (3, …, cores), the origins of the cores' frames.
+            rotations: (3, 3, …, cores), their orientations.
+            vectors: (3, points, …, cores), the points and half axes in the frames.
+        """
         rotated = rotations[:, 0, None] * vectors[0]
         rotated += rotations[:, 1, None] * vectors[1]
         rotated += rotations[:, 2, None] * vectors[2]
-        origins = positions.take(self._frames, axis=0).T.copy()
         points = rotated[:, :GROUP_SIZE]
         low = np.minimum.reduce(points, axis=1) + origins
         high = np.maximum.reduce(points, axis=1) + origins
@@ -174,7 +204,7 @@ class BoundingBoxes:
             # The extent of an ellipsoid along x is the length of the vector of its half axes' x.
             sides = rotated[:, GROUP_SIZE:]
             # Sums in one order, for one core as for several, which those of einsum are not.
-            squares = (sides * sides).transpose(1, 0, 2)
+            squares = (sides * sides).swapaxes(0, 1)
             radii = radii + np.sqrt(sum(squares[1:], squares[0]))
         return low - radii, high + radii
 

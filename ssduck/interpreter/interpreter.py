@@ -19,8 +19,8 @@ The steps of one query, `ss.eval("SELECT id(this) FROM kitchen WHERE above(this,
 
 `Execution` runs the program, and holds its variables and functions (`Namespace`). The base classes
 of `Interpreter` have the rest of its methods: `RecordingMethods` those on records, `TriggerMethods`
-those on triggers, and `EvalAsMethods` those for subclasses in the style of the published
-interpreters.
+those on triggers, `BatchMethods` those on batches, and `EvalAsMethods` those for subclasses in the
+style of the published interpreters.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ from ssduck.errors import SqlError, UnknownNameError
 from ssduck.formatting import count_of, first_names
 from ssduck.geometry.distance import Statistics
 from ssduck.interpreter.additions import AdditionMethods
+from ssduck.interpreter.batches.methods import BatchMethods
 from ssduck.interpreter.eval_as import (
     Condition,
     EvalAsMethods,
@@ -64,6 +65,7 @@ from ssduck.lazy import service
 from ssduck.limits import Limits
 from ssduck.recording.spec import Recording
 from ssduck.simulators.scenes import Camera
+from ssduck.world.batches.batch_world import BatchWorld
 from ssduck.world.public_names import INSTEAD_IN_INTERPRETERS, PublicNames
 from ssduck.world.running import run
 from ssduck.world.world import World
@@ -84,7 +86,9 @@ class ServedPage(Protocol):
     def __exit__(self, *_: object) -> None: ...
 
 
-class Interpreter(RecordingMethods, AdditionMethods, TriggerMethods, EvalAsMethods, PublicNames):
+class Interpreter(
+    RecordingMethods, AdditionMethods, TriggerMethods, BatchMethods, EvalAsMethods, PublicNames
+):
     """Runs SelectScript programs and raw SQL on worlds.
 
     Args:
@@ -254,6 +258,8 @@ class Interpreter(RecordingMethods, AdditionMethods, TriggerMethods, EvalAsMetho
             with self._execution.with_parameters(parameters):
                 return self.eval(program)
         compiled, execution = tree_of(program, self._limits), self._execution
+        if self._batches is not None and (batch := self._batches.batch_of(compiled)) is not None:
+            return self._batches.value(compiled, batch)
         if type(self).evalAs is Interpreter.evalAs and (row := execution.row_again(compiled)):
             return row
         with execution.transaction(compiled):
@@ -383,6 +389,8 @@ class Interpreter(RecordingMethods, AdditionMethods, TriggerMethods, EvalAsMetho
                 self._planner.forget()
                 self._execution.expire_histories()  # the time may be an earlier one now
             self._execution.bind(name, _plain(value))
+            if isinstance(value, BatchWorld):
+                self._begin_batches()
         if isinstance(value, World):
             self._triggers.rebound()
         return value

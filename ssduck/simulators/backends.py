@@ -15,6 +15,7 @@ from typing import Any, Protocol, TypeAlias, cast
 
 from ssduck.errors import UnknownNameError, nearest
 from ssduck.geometry.arrays import Array
+from ssduck.simulators.environments import EnvironmentSimulator
 from ssduck.simulators.interface import (
     DEFAULT_BACKEND,
     Body,
@@ -93,6 +94,9 @@ class Backend(Protocol):
         forward: bool = False,
     ) -> Simulator:
         """Wraps a simulation that the user made and goes on using; see `World.attach`."""
+
+    def environments(self, model: Any, count: int) -> EnvironmentSimulator:
+        """Returns many simulations of a model, in its initial state; see `World.batch`."""
 
     def excerpt(
         self, source: Simulator | None, originals: Sequence[BodyToCopy], tick: TickToCopy

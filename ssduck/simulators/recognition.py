@@ -53,6 +53,17 @@ def simulator_of(simulation: Any) -> str:
     )
 
 
+def simulator_of_model(model: Any) -> str:
+    """Returns the name of the simulator of a model without its data.
+
+    Raises:
+        SimulatorError: it is none that is known.
+    """
+    if _own(model, _NAMES[0]) is not None:
+        return MUJOCO
+    raise SimulatorError(f"batch: {short_repr(model)} is no MjModel of MuJoCo")
+
+
 def _hint(simulation: Any) -> str:
     """Returns what is missing or to be done with objects that are near to a model with its data."""
     parts = simulation if isinstance(simulation, tuple) else (simulation,)

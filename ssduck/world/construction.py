@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Self
 from ssduck import validation
 from ssduck.errors import ArgumentError, SceneError
 from ssduck.formatting import short_repr
+from ssduck.lazy import service
 from ssduck.simulators.backends import ShapesByBody, backend
 from ssduck.simulators.interface import Kind, Simulator
 from ssduck.simulators.recognition import simulator_of, simulator_of_scene
@@ -139,6 +140,35 @@ class ConstructibleWorld:
         options: dict[str, bool] = {"forward": forward} if forward else {}
         attached = backend(name_of_simulator).attach(client, names, kinds, shapes, **options)
         return cls(attached, name=name, camera=camera)
+
+    @staticmethod
+    def batch(model: Any, count: int, *, name: str = UNNAMED) -> Any:
+        """Returns many simulations of one model as one world, a `BatchWorld`, in its initial state.
+
+        Programs are evaluated over all of them, the *environments*, at once: `ss.eval` returns an
+        array with a value for each. `tick` takes their states, as arrays of any library.
+
+        Args:
+            model: a `mujoco.MjModel`; or a world whose bodies each environment has, for states
+                from any other simulator.
+            count: the number of environments, from 1 up.
+            name: the name until the world is bound to a variable.
+
+        Raises:
+            SimulatorError: the object is no model that is known.
+            UnsupportedError: MuJoCo is not installed.
+
+        >>> import mujoco
+        >>> import ssduck
+        >>> ball = "<body name='ball'><freejoint/><geom size='0.1'/></body>"
+        >>> text = f"<mujoco><worldbody>{ball}</worldbody></mujoco>"
+        >>> with ssduck.Interpreter() as ss:
+        ...     sim = ss["sim"] = ssduck.World.batch(mujoco.MjModel.from_xml_string(text), count=2)
+        ...     _ = sim.tick(qpos=[[0, 0, 0.5, 1, 0, 0, 0], [0, 0, 1.5, 1, 0, 0, 0]], time=0.0)
+        ...     ss.eval("z(sim.ball) > 1;").tolist()
+        [False, True]
+        """
+        return service("batch")(model, count, name)
 
 
 def _simulation(

@@ -144,7 +144,7 @@ class Handle(PublicNames):
         """The world at the tick of the handle."""
         moment = self.moment
         if moment is None or moment.tick == self.world.snapshot.number:
-            return self.world
+            return self.world.present
         return moment.record.at(moment.tick)
 
     @property

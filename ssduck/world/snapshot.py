@@ -87,6 +87,7 @@ class Snapshot(TickGeometry):
         calls: the number of narrow-phase calls over all ticks.
         masses: the masses of links, kg, by the id of the entity, as last read.
         geometries: the ids in the table of geometries, by the keys of the geometries.
+        warns_of_unknown: whether it warns of poses and velocities that are not numbers.
         run: the number of the run that the ticks belong to; a what-if world has its own.
     """
 
@@ -119,7 +120,7 @@ class Snapshot(TickGeometry):
         self._read_sensors: frozenset[int] = frozenset()
         # Whether a sensor was switched since the tick.
         self._is_switched = False
-        self._warned: set[int] = set()
+        self._warned, self.warns_of_unknown = set[int](), True
         # The layout that was looked through for forms that bend, and their names.
         self._checked: TableLayout | None = None
         self._bending: set[str] = set()
@@ -584,7 +585,7 @@ class Snapshot(TickGeometry):
 
     def _warn_of_unknown(self) -> None:
         """Warns, once for each entity, of poses and velocities that are not numbers."""
-        for info in self.entities_with_nan():
+        for info in self.entities_with_nan() if self.warns_of_unknown else ():
             if info.id not in self._warned:
                 self._warned.add(info.id)
                 warn(

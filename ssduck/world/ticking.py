@@ -133,6 +133,11 @@ class SteppedSimulation(Observable):
         return self.snapshot.number
 
     @property
+    def present(self) -> Self:
+        """The world itself, as the world of its last tick."""
+        return self
+
+    @property
     def is_restored(self) -> bool:
         """Whether the last tick is in memory: a record is opened without it."""
         return True

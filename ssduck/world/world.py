@@ -257,10 +257,24 @@ class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicName
                 for name, body, values in self._bodies_of(joints or {})
             }
             simulator, snapshot = what_if_tick(self.snapshot, body_poses, positions)
+        return World.of_tick(simulator, snapshot, self.camera, self.origin)
+
+    @staticmethod
+    def of_tick(
+        simulator: Simulator, snapshot: Snapshot, camera: Camera, origin: World | None = None
+    ) -> World:
+        """Returns the world of a single tick, which never changes.
+
+        Args:
+            simulator: a simulator in which nothing moves.
+            snapshot: the tick to be taken from it.
+            camera: the camera of the world.
+            origin: the world from which it derives.
+        """
         world = World.__new__(World)
-        world._begin(UNNAMED, self.camera)  # noqa: SLF001  # one class
+        world._begin(UNNAMED, camera)  # noqa: SLF001  # one class
         world._set_state(simulator, snapshot)  # noqa: SLF001
-        world._origin = self.origin  # noqa: SLF001
+        world._origin = origin  # noqa: SLF001
         return world.tick()
 
     def _bodies_of(self, by_entity: Mapping[str | Entity, T]) -> Iterator[tuple[str, Body, T]]:

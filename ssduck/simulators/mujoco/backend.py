@@ -22,6 +22,7 @@ from ssduck.simulators.interface import Body, Kind, Simulator, VisualShape
 from ssduck.simulators.mjcf import MODEL_FILE, STATE_KEY, mjcf_scene
 from ssduck.simulators.mujoco.bodies import body_names, kind_by_joints, kinds_in, roots_of
 from ssduck.simulators.mujoco.declared_sizes import check_declared_sizes, check_iterations
+from ssduck.simulators.mujoco.environments import environments_of as environments
 from ssduck.simulators.mujoco.flexes import entity_roots
 from ssduck.simulators.mujoco.interventions import add_spare_welds
 from ssduck.simulators.mujoco.library import mujoco
@@ -31,7 +32,7 @@ from ssduck.simulators.recognition import MUJOCO
 from ssduck.simulators.scene_bodies import MODEL_FILES, BodySpec
 from ssduck.simulators.scenes import Scene
 
-__all__ = ["attach", "excerpt", "load", "scene_of", "visual_shapes"]
+__all__ = ["attach", "environments", "excerpt", "load", "scene_of", "visual_shapes"]
 
 
 def load(scene: Scene) -> MuJoCoSimulator:

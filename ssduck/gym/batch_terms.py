@@ -1,0 +1,185 @@
+"""The terms of a task over all environments of a batch: `Interpreter.terms`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ssduck.columns.arrays import Array
+from ssduck.errors import ArgumentError, SelectScriptError
+from ssduck.formatting import first_names, short_repr
+from ssduck.geometry.arrays import Flags
+from ssduck.gym.terms import CONDITIONS, Reward, Term, Terms, WhereNaN
+from ssduck.language.tree import Name, Node
+from ssduck.world.batches.batch_world import BatchWorld
+
+if TYPE_CHECKING:
+    from ssduck.interpreter.interpreter import Interpreter
+
+
+@dataclass(frozen=True, eq=False)
+class BatchJudgement:
+    """The values of terms in n environments, as arrays of the library that the states came in.
+
+    Attributes:
+        success: (n,), whether the task is done; None without such a term.
+        failure: (n,), whether it has failed; None without such a term, and without NaN that is one.
+        stop: (n,), whether the episode ends; likewise.
+        reward: (n,), the sum of the parts; None without a reward.
+        parts: the parts of the reward by name, (n,) each.
+    """
+
+    success: Any
+    failure: Any
+    stop: Any
+    reward: Any
+    parts: Mapping[str, Any]
+
+
+class BatchTerms:
+    """The terms of a task over a batch; a call returns their values at its last tick.
+
+    Args:
+        interpreter: has the batch.
+        success: a condition: whether the task is done.
+        failure: a condition: whether it has failed.
+        reward: a number, or numbers by name, which are added.
+        stop_when: a condition that ends an episode. It may use `success` and `failure` by name, as
+            a reward may.
+        world: the name of the batch; None for the only one.
+        nan: what a term is in an environment in which it cannot be computed, since a number of the
+            state is NaN: `"error"`; `"failure"`, where the episode has failed and ends, and the
+            part of the reward is 0; or a number for the part of the reward, where a condition is
+            False.
+
+    Raises:
+        ArgumentError: a term is of the wrong type, or there is no batch of that name.
+        SelectScriptError: a term is wrong otherwise; the message begins with its key.
+    """
+
+    def __init__(
+        self,
+        interpreter: Interpreter,
+        success: str | None = None,
+        failure: str | None = None,
+        reward: Reward | None = None,
+        stop_when: str | None = None,
+        *,
+        world: str | None = None,
+        nan: WhereNaN = "error",
+    ) -> None:
+        self._terms = Terms.of(success, failure, reward, stop_when, nan=nan)
+        self._interpreter, self._world = interpreter, _batch(interpreter, world)
+        trees = {term.key: self._tree(term) for term in self._terms}
+        nodes = [self._expanded(term, trees) for term in self._terms]
+        for term, node in zip(self._terms, nodes, strict=True):
+            try:
+                interpreter.over_batch([node], self._world)
+            except SelectScriptError as error:
+                error.message = f"{term.key}: {error.message}"
+                raise
+        self._expressions = interpreter.over_batch(nodes, self._world)
+
+    def __call__(self) -> BatchJudgement:
+        """Returns the values of the terms at the last tick.
+
+        Raises:
+            ArgumentError: a value is of the wrong type, or unknown without `nan`.
+            SelectScriptError: a term failed in an environment, whose number the error has.
+        """
+        world, nan = self._world, self._terms.nan
+        with world.lock:
+            answers = self._expressions.answers()
+        values, failed = [], np.zeros(world.count, np.bool_)
+        for term, answer in zip(self._terms, answers, strict=True):
+            own, unknown = _typed(term, answer.values, answer.unknown)
+            if unknown.any():
+                if nan == "error":
+                    numbers = first_names([str(n) for n in np.flatnonzero(unknown)], 5)
+                    raise term.nan_error(f"a number that it reads is NaN in environment {numbers}")
+                fill = 0.0 if nan == "failure" or term.is_condition else nan
+                own = np.where(unknown, own.dtype.type(fill), own)
+                failed |= unknown
+            values.append(own)
+        left = iter(values)
+        flags = [
+            None if term is None else next(left)
+            for term in (self._terms.success, self._terms.failure, self._terms.stop_when)
+        ]
+        if nan == "failure" and failed.any():
+            flags[0] = None if flags[0] is None else flags[0] & ~failed
+            flags[1:] = [failed if flag is None else flag | failed for flag in flags[1:]]
+        parts = dict(zip(self._terms.parts, left, strict=True))
+        reward = np.sum(list(parts.values()), axis=0) if parts else None
+        success, failure, stop, reward = (
+            None if value is None else world.given_back(value) for value in (*flags, reward)
+        )
+        given = {name: world.given_back(value) for name, value in parts.items()}
+        return BatchJudgement(success, failure, stop, reward, given)
+
+    def _tree(self, term: Term) -> Node:
+        try:
+            program = self._interpreter.compile(f"{term.text};")
+        except SelectScriptError as error:
+            error.message = f"{term.key}: {error.message}"
+            raise
+        statements = program.tree.statements
+        if len(statements) != 1 or program.tree.explain:
+            raise ArgumentError(f"{term.key}: {term.text!r} is to be one expression")
+        return statements[0]
+
+    def _expanded(self, term: Term, trees: Mapping[str, Node]) -> Node:
+        """Returns a term with the conditions that it names."""
+
+        def visit(node: Node) -> Node | None:
+            if not (isinstance(node, Name) and node.name in CONDITIONS):
+                return None
+            if term.key in CONDITIONS:
+                raise ArgumentError(f"{term.key} cannot use {node.name}: write its term out")
+            if node.name not in trees:
+                raise ArgumentError(f"{term.key} uses {node.name}, and there is no such term")
+            return trees[node.name]
+
+        return trees[term.key].replaced(visit)
+
+
+def _batch(interpreter: Interpreter, name: str | None) -> BatchWorld:
+    """Returns the batch of a name, or the only one.
+
+    Raises:
+        ArgumentError: there is none.
+    """
+    batches = {w.name: w for w in interpreter.worlds if isinstance(w, BatchWorld)}
+    if name is not None:
+        world = interpreter[name]
+        if not isinstance(world, BatchWorld):
+            raise ArgumentError(
+                f"terms: {name!r} is {short_repr(world)}, no batch, which World.batch makes"
+            )
+        return world
+    if len(batches) != 1:
+        known = f" of {', '.join(batches)}" if batches else ": World.batch makes one"
+        raise ArgumentError(f"terms: name the batch by world=…{known}")
+    return next(iter(batches.values()))
+
+
+def _typed(term: Term, values: Array, unknown: Flags) -> tuple[Array, Flags]:
+    """Returns values of a term's type, and where they are unknown.
+
+    Raises:
+        ArgumentError: they are of another type.
+    """
+    kind = values.dtype.kind
+    if values.ndim == 1 and term.is_condition and kind == "b":
+        return values, unknown
+    if values.ndim == 1 and not term.is_condition and kind in "fiu":
+        numbers = values.astype(np.float64)
+        return numbers, unknown | np.isnan(numbers)
+    known = values[~unknown]
+    if not len(known):
+        return np.zeros(len(values), np.bool_ if term.is_condition else np.float64), unknown
+    term.check(known[0].tolist() if isinstance(known[0], np.ndarray | np.generic) else known[0])
+    raise ArgumentError(f"{term.key}: {term.text!r} is of several types")

@@ -1,0 +1,97 @@
+"""The columns of entities and links over the environments of a batch."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ssduck.columns.arrays import Array
+from ssduck.columns.expressions import LeftToDuckDBError
+from ssduck.geometry.bounds import BoundingBoxes
+from ssduck.geometry.poses import IDENTITY, rotation_matrices
+from ssduck.geometry.shapes import Geometry, PlacedGeometry
+from ssduck.schema import BOX, LINK_FACTOR, POSE, TWIST, entity_of, link_of
+from ssduck.simulators.interface import Body
+from ssduck.world.batches.batch_world import BatchWorld
+
+_POINT = Geometry.primitive("sphere", (0.0, 0.0, 0.0))
+
+
+class EnvironmentColumns:
+    """The numbers of entities and links at the last tick of a batch, each read when it is needed.
+
+    Args:
+        world: the batch.
+    """
+
+    def __init__(self, world: BatchWorld) -> None:
+        self._world = world
+        self._version = -1
+        self._known: dict[tuple[int, str], Array] = {}
+        # What computes the boxes of an entity or a link in all environments.
+        self._boxers: dict[int, BoundingBoxes] = {}
+
+    def column(self, id: int, name: str) -> Array:
+        """Returns a column of an entity or a link, by its id, (n,).
+
+        Raises:
+            LeftToDuckDBError: it is none of a body's pose, velocity or box.
+        """
+        self._update()
+        key = id, name
+        if key not in self._known:
+            body, link = self.body_of(id)
+            environments = self._world.environments
+            if name in POSE:
+                self._note(id, POSE, np.hstack(environments.frames(body, link)))
+            elif name in TWIST:
+                self._note(id, TWIST, environments.velocities(body, link))
+            elif name in BOX:
+                self._note(id, BOX, self._boxes(id, body, link))
+            else:
+                raise LeftToDuckDBError
+        return self._known[key]
+
+    def _update(self) -> None:
+        """Forgets the numbers of an earlier tick."""
+        if self._version != self._world.version:
+            self._version = self._world.version
+            self._known.clear()
+
+    def _note(self, id: int, names: tuple[str, ...], values: Array) -> None:
+        columns = np.ascontiguousarray(values.T)
+        self._known.update({(id, name): columns[place] for place, name in enumerate(names)})
+
+    def body_of(self, id: int) -> tuple[Body, int]:
+        """Returns the body of an entity or a link, and the number of its link there.
+
+        Raises:
+            LeftToDuckDBError: it is a sensor.
+        """
+        snapshot = self._world.snapshot
+        body = snapshot.entities[snapshot.rows[entity_of(id)]].body
+        if body is None:
+            raise LeftToDuckDBError
+        return body, link_of(id) if id >= LINK_FACTOR else 0
+
+    def poses(self, body: Body, link: int) -> tuple[Array, Array]:
+        """Returns the positions (n, 3) and the orientations (n, 4) of a link."""
+        return self._world.environments.frames(body, link)
+
+    def _boxes(self, id: int, body: Body, link: int) -> Array:
+        """Returns the boxes of an entity or a link, (n, 6)."""
+        shapes = [s for s in body.shapes if id < LINK_FACTOR or s.frame == link]
+        if not shapes:
+            region = body.links[link].region
+            shapes = [PlacedGeometry(link, region or _POINT, np.zeros(3), IDENTITY)]
+        links = sorted({shape.frame for shape in shapes})
+        if id not in self._boxers:
+            placed = [replace(shape, frame=links.index(shape.frame)) for shape in shapes]
+            self._boxers[id] = BoundingBoxes(placed, [0] * len(placed), 1)
+        frames = [self._world.environments.frames(body, number) for number in links]
+        positions, orientations = (np.stack(parts, axis=1) for parts in zip(*frames, strict=True))
+        with np.errstate(invalid="ignore"):
+            matrices = rotation_matrices(orientations.reshape(-1, 4))
+            boxer = self._boxers[id]
+            return boxer.over(positions, matrices.reshape(*positions.shape, 3))[..., 0]

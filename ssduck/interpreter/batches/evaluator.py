@@ -1,0 +1,363 @@
+"""Evaluates programs over a batch, each expression over all environments at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ssduck.columns.arrays import Array
+from ssduck.errors import (
+    ArgumentError,
+    ProgramWarning,
+    SelectScriptError,
+    UnsupportedError,
+    warn,
+)
+from ssduck.formatting import first_names, short_repr
+from ssduck.geometry.arrays import Flags, Indices
+from ssduck.interpreter.batches.expressions import Answers, CompiledExpressions, Engine
+from ssduck.interpreter.batches.folds import ArrayFold, fold_of
+from ssduck.interpreter.execution import Execution
+from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, parts_of
+from ssduck.language.analysis import variables_of
+from ssduck.language.evaluator import Frame
+from ssduck.language.tree import Call, Name, Node, Placeholder, TimeIndex
+from ssduck.language.value_keys import node_key
+from ssduck.simulators.environments import to_numpy
+from ssduck.world.batches.batch_world import BatchWorld
+from ssduck.world.handles import Handle
+from ssduck.world.world import World
+
+# The placeholder that has the simulated times.
+_TIME = "time of the environment"
+
+
+class BatchExpressions:
+    """Expressions over all environments of a batch, compiled when they are evaluated first.
+
+    Args:
+        execution: has the variables.
+        engine: reads the batch.
+        nodes: the expressions.
+
+    Attributes:
+        substituted: the expressions, with placeholders for what arrays provide.
+    """
+
+    def __init__(self, execution: Execution, engine: Engine, nodes: Sequence[Node]) -> None:
+        self._execution, self._engine = execution, engine
+        self._world = engine.world
+        self._folds: dict[str, _KeptFold] = {}
+        # The variables that have a value for each environment.
+        self._arrays: set[str] = set()
+        self._reads_time = False
+        self.substituted = [node.replaced(self._replacement) for node in nodes]
+        self._compiled: CompiledExpressions | None = None
+        self._generation: object = None
+        names = frozenset().union(*map(variables_of, nodes))
+        # The variables whose type may change.
+        self._names = names - {name for name in names if self._is_world(name)}
+
+    def _is_world(self, name: str) -> bool:
+        scope = self._execution
+        return scope.has_variable(name) and isinstance(scope.variable(name), BatchWorld)
+
+    def _replacement(self, node: Node) -> Node | None:
+        """Returns a placeholder for what arrays provide."""
+        match node:
+            case Call(name="getTime"):
+                self._reads_time = True
+                return Placeholder(node.span, _TIME)
+            case Call(name=name) if name in TEMPORAL_FUNCTIONS:
+                return self._fold(node)
+            case TimeIndex(name=name) if self._is_world(name):
+                raise UnsupportedError(
+                    f"{name}{{…}} is the past of one world, and a batch keeps none: previous, "
+                    "initially, heldFor and their like keep what they need",
+                    span=node.span,
+                )
+            case Name(name=name) if per_environment(self._execution, name, self._world.count):
+                self._arrays.add(name)
+                return Placeholder(node.span, name)
+        return None
+
+    def _fold(self, call: Call) -> Node:
+        """Returns the placeholder of a function of time."""
+        expansion = self._execution.temporal.expansion(call)
+        if expansion is not None:
+            return expansion.replaced(self._replacement)
+        expression, other = parts_of(call)
+        if other is not None:
+            raise UnsupportedError(
+                f"{call.name}(…) of another time needs a record, and a batch keeps none",
+                span=call.span,
+            )
+        try:
+            fold = fold_of(call.name)
+        except UnsupportedError as error:
+            error.span = call.span
+            raise
+        key = node_key(call)
+        if key not in self._folds:
+            inner = BatchExpressions(self._execution, self._engine, [expression])
+            kept = self._folds[key] = _KeptFold(call.name, fold, inner, self._world)
+            self._world.before_tick(kept.update)
+        return Placeholder(call.span, key)
+
+    def has_same_arrays(self) -> bool:
+        """Checks whether the same variables have a value for each environment as at first."""
+        count = self._world.count
+        return all(
+            per_environment(self._execution, name, count) == (name in self._arrays)
+            for name in self._names
+        )
+
+    # -- evaluation -------------------------------------------------------------------------
+
+    def answers(self) -> list[Answers]:
+        """Returns the values of the expressions; the caller has the lock of the batch.
+
+        Raises:
+            SelectScriptError: an expression fails in an environment, whose number the error has.
+        """
+        given, unknown = self.given()
+        compiled = self._current(given)
+        count = self._world.count
+        found, left = compiled.values(given, unknown, count)
+        rows = np.flatnonzero(left)
+        everywhere = np.arange(count)
+        one_by_one = {
+            place: everywhere if values is None else rows
+            for place, values in enumerate(found)
+            if values is None or len(rows)
+        }
+        single = self._one_by_one(one_by_one, given, unknown)
+        return [
+            _assembled(values, one_by_one.get(place, rows), single.get(place, []), count)
+            for place, values in enumerate(found)
+        ]
+
+    def given(self) -> tuple[dict[str, Array], dict[str, Flags]]:
+        """Returns the values of placeholders, and where they are unknown."""
+        given: dict[str, Array] = {}
+        unknown: dict[str, Flags] = {}
+        if self._reads_time:
+            given[_TIME] = self._world.times
+        for name in self._arrays:
+            given[name] = per_environment_values(self._execution, name, self._world.count)
+        for key, kept in self._folds.items():
+            kept.update()
+            answers = kept.fold.answers()
+            given[key] = answers.values
+            if answers.unknown.any():
+                unknown[key] = answers.unknown
+        return given, unknown
+
+    def _current(self, given: Mapping[str, Array]) -> CompiledExpressions:
+        """Returns the compiled expressions for the present types of variables."""
+        compiled, generation = self._compiled, self._execution.planner.generation
+        if compiled is not None and generation is not self._generation:
+            compiled = None
+        if compiled is not None and compiled.is_current(Frame(self._execution)):
+            return compiled
+        # Of an expression that fails everywhere, one environment tells.
+        samples = at_environment(given, {}, 0)
+        with self._world.at(0), self._execution.worlds_pinned(*self.substituted):
+            compiled = CompiledExpressions(self._engine, self._execution, self.substituted, samples)
+        self._compiled = compiled
+        self._generation = self._execution.planner.generation
+        return compiled
+
+    def _one_by_one(
+        self,
+        rows: Mapping[int, Indices],
+        given: Mapping[str, Array],
+        unknown: Mapping[str, Flags],
+    ) -> dict[int, list[Any]]:
+        """Returns the values of expressions in some environments, each computed by itself.
+
+        Args:
+            rows: the environments, by the place of the expression.
+            given: the values of placeholders.
+            unknown: where they are unknown.
+        """
+        values: dict[int, list[Any]] = {place: [] for place in rows}
+        chosen = {place: set(numbers.tolist()) for place, numbers in rows.items()}
+        for number in sorted(set().union(*chosen.values())):
+            places = [place for place, numbers in chosen.items() if number in numbers]
+            nodes = [self.substituted[place] for place in places]
+            samples = at_environment(given, unknown, number)
+            frame = Frame(self._execution, placeholders=samples)
+            with self._world.at(number), self._execution.worlds_pinned(*nodes):
+                for place, node in zip(places, nodes, strict=True):
+                    try:
+                        value = plain(frame.value(node), node)
+                    except SelectScriptError as error:
+                        has_nan = bool(self._world.snapshot.entities_with_nan())
+                        if not (isinstance(error, ArgumentError) and has_nan):
+                            error.message = f"environment {number}: {error.message}"
+                            raise
+                        value = None
+                    values[place].append(value)
+        return values
+
+    def check(self) -> None:
+        """Evaluates the expressions in the first environment, for their errors and warnings."""
+        given, unknown = self.given()
+        frame = Frame(self._execution, placeholders=at_environment(given, unknown, 0))
+        with self._world.at(0), self._execution.worlds_pinned(*self.substituted):
+            for node in self.substituted:
+                frame.value(node)
+
+
+def plain(value: Any, node: Node) -> Any:
+    """Returns a value that is no entity: a handle has one world, and no environment.
+
+    Raises:
+        UnsupportedError: it is one.
+    """
+    if isinstance(value, Handle | World):
+        raise UnsupportedError(
+            "an entity of a batch is in every environment: ask for its name or its numbers, such "
+            "as id(this), and for env",
+            span=node.span,
+        )
+    return value
+
+
+class _KeptFold:
+    """A function of time with the last version of the batch that is in its state.
+
+    Args:
+        name: the name of the function.
+        fold: its state.
+        expression: the expression.
+        world: the batch.
+    """
+
+    def __init__(
+        self, name: str, fold: ArrayFold, expression: BatchExpressions, world: BatchWorld
+    ) -> None:
+        self.fold, self._expression, self._world = fold, expression, world
+        self._name = name
+        self._version: int | None = None
+        if world.version > 1:
+            warn(
+                f"{name}: a batch keeps no record: its past begins now; ask first before the "
+                "first step",
+                ProgramWarning,
+            )
+
+    def update(self) -> None:
+        """Adds the present tick, unless the state has it."""
+        world = self._world
+        if self._version == world.version:
+            return
+        if world.version and not world.environments.has_times:
+            raise ArgumentError(
+                f"{self._name} needs the simulated time: give tick time=…, one number or one for "
+                "each environment, s"
+            )
+        (answers,) = self._expression.answers()
+        is_new = self._version is None
+        are_first = np.full(world.count, is_new) | (world.began > (self._version or 0))
+        self.fold.step(world.times, answers, are_first)
+        if world.version:  # before that, the state is that of the model
+            self._version = world.version
+
+
+def at_environment(
+    given: Mapping[str, Array], unknown: Mapping[str, Flags], environment: int
+) -> dict[str, Any]:
+    """Returns the values of placeholders in an environment as Python's; None for unknown ones."""
+    return {
+        name: None
+        if name in unknown and unknown[name][environment]
+        else array[environment].tolist()
+        if isinstance(array[environment], np.ndarray | np.generic)
+        else array[environment]
+        for name, array in given.items()
+    }
+
+
+def _assembled(values: Array | None, rows: Indices, single: Sequence[Any], count: int) -> Answers:
+    """Returns values of arrays, with those of some environments from elsewhere."""
+    unknown = np.zeros(count, np.bool_)
+    if not len(rows):
+        assert values is not None
+        return Answers(values, unknown)
+    are_none = np.array([value is None for value in single])
+    unknown[rows[are_none]] = True
+    if values is None:
+        known = next((value for value in single if value is not None), float("nan"))
+        filled = [known if value is None else value for value in single]
+        return Answers(_array(filled), unknown)
+    result = np.array(values)
+    for row, value in zip(
+        rows[~are_none].tolist(), (v for v in single if v is not None), strict=True
+    ):
+        result[row] = value
+    return Answers(result, unknown)
+
+
+def _array(values: list[Any]) -> Array:
+    """Returns values as an array: of numbers, truths or lists of these, or else of objects."""
+    types = set(map(type, values))
+    if types <= {bool} or types <= {int, float}:
+        return np.array(values)
+    if types == {list} and len(set(map(len, values))) == 1:
+        elements = {type(element) for value in values for element in value}
+        if elements <= {int, float} or elements <= {bool}:
+            return np.array(values)
+    result = np.zeros(len(values), object)
+    result[:] = values
+    return result
+
+
+def per_environment(execution: Execution, name: str, count: int) -> bool:
+    """Checks whether a variable is an array with a value for each environment."""
+    value = execution.variable(name) if execution.has_variable(name) else None
+    shape: Any = getattr(value, "shape", None)
+    if shape is None or isinstance(value, np.generic):
+        return False
+    return len(shape) in (1, 2) and int(shape[0]) == count
+
+
+def per_environment_values(execution: Execution, name: str, count: int) -> Array:
+    """Returns the values of such a variable, (n,) or (n, length).
+
+    Raises:
+        ArgumentError: it is none any more.
+    """
+    if not per_environment(execution, name, count):
+        raise ArgumentError(
+            f"{name} had a value for each of {count} environments, and is now "
+            f"{short_repr(execution.variable_or_none(name))}"
+        )
+    array = to_numpy(execution.variable(name), name)
+    return array.astype(np.float64) if array.dtype.kind == "f" else array
+
+
+def without_unknown(answers: Answers, what: str) -> Array:
+    """Returns values; unknown numbers are NaN.
+
+    Raises:
+        ArgumentError: it is unknown whether a condition holds.
+    """
+    values, unknown = answers.values, answers.unknown
+    if not unknown.any():
+        return values
+    if values.dtype.kind == "b":
+        numbers = first_names([str(number) for number in np.flatnonzero(unknown)], 5)
+        raise ArgumentError(
+            f"{what} is unknown in {int(unknown.sum())} environments ({numbers}): a "
+            "number that it reads is NaN there; ss.terms(…, nan=…) says what it is then"
+        )
+    if values.dtype.kind in "fiu":
+        condition = unknown if values.ndim == 1 else unknown[:, None]
+        return np.where(condition, np.nan, values)
+    result = values.astype(object)
+    result[unknown] = None
+    return result

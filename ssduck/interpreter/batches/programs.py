@@ -1,0 +1,105 @@
+"""Runs programs over a batch: an expression, or a query whose rows are environments or entities."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+from weakref import WeakKeyDictionary
+
+from ssduck.errors import UnsupportedError
+from ssduck.interpreter.batches.evaluator import BatchExpressions, without_unknown
+from ssduck.interpreter.batches.expressions import Engine
+from ssduck.interpreter.batches.queries import BatchQuery
+from ssduck.interpreter.execution import Execution
+from ssduck.language.analysis import variables_of
+from ssduck.language.tree import Node, Program, Query
+from ssduck.world.batches.batch_world import BatchWorld
+
+
+class BatchPrograms:
+    """Programs over batches, compiled when they are evaluated first.
+
+    Args:
+        execution: has the variables.
+    """
+
+    def __init__(self, execution: Execution) -> None:
+        self._execution = execution
+        self._engines: WeakKeyDictionary[BatchWorld, Engine] = WeakKeyDictionary()
+        self._compiled: WeakKeyDictionary[Program, _Compiled] = WeakKeyDictionary()
+
+    def batch_of(self, program: Program) -> BatchWorld | None:
+        """Returns the batch that a program reads; None if it reads none.
+
+        Raises:
+            UnsupportedError: it reads several.
+        """
+        names = frozenset().union(*map(variables_of, program.statements))
+        values = [self._execution.variable_or_none(name) for name in names]
+        batches = list({id(v): v for v in values if isinstance(v, BatchWorld)}.values())
+        if len(batches) > 1:
+            raise UnsupportedError("a program reads one batch: evaluate one for each")
+        return batches[0] if batches else None
+
+    def value(self, program: Program, world: BatchWorld) -> Any:
+        """Returns the value of a program over a batch.
+
+        Raises:
+            SelectScriptError: it fails in an environment, whose number the error has.
+        """
+        execution = self._execution
+        with world.lock, execution.transaction(program):
+            compiled = self._compiled.get(program)
+            if compiled is None or not compiled.is_current(execution):
+                compiled = self._compiled[program] = self._made(program, world)
+            if isinstance(compiled.value, BatchQuery):
+                return compiled.value.value()
+            (answers,) = compiled.value.answers()
+            return world.given_back(without_unknown(answers, repr(program.text.strip())))
+
+    def terms(self, nodes: Sequence[Node], world: BatchWorld) -> BatchExpressions:
+        """Returns expressions over all environments of a batch, checked in one."""
+        expressions = BatchExpressions(self._execution, self._engine(world), nodes)
+        expressions.check()
+        return expressions
+
+    def _engine(self, world: BatchWorld) -> Engine:
+        engine = self._engines.get(world)
+        schema = self._execution.database.schema_of(world)
+        assert schema is not None
+        if engine is None or engine.schema != schema:
+            engine = self._engines[world] = Engine(world, schema)
+        return engine
+
+    def _made(self, program: Program, world: BatchWorld) -> _Compiled:
+        """Compiles a program, which has to be one expression or query."""
+        execution = self._execution
+        read = execution.read(program)
+        if len(read.statements) != 1 or read.explain:
+            raise UnsupportedError(
+                "over a batch, a program is one expression or query: set variables with "
+                "add_variable, and ask environment(0) for an explanation"
+            )
+        (node,) = read.statements
+        with world.at(0):
+            execution.report(execution.linter.check(program.text, node, {}))
+        value: BatchQuery | BatchExpressions
+        if isinstance(node, Query):
+            value = BatchQuery(execution, self._engine(world), node)
+        else:
+            value = self.terms([node], world)
+        return _Compiled(value, execution.planner.generation)
+
+
+@dataclass(frozen=True)
+class _Compiled:
+    """A compiled program, and the object that is replaced when names get other meanings."""
+
+    value: BatchExpressions | BatchQuery
+    generation: object
+
+    def is_current(self, execution: Execution) -> bool:
+        """Checks whether names have the same meaning."""
+        is_same = self.generation is execution.planner.generation
+        return is_same and self.value.has_same_arrays()

@@ -1,0 +1,261 @@
+"""Makes functions of arrays of the parts of a tree that the translator leaves to Python."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from sqlglot import exp
+
+from ssduck.columns.arrays import Array, ArrayOperations, ArrayValues
+from ssduck.columns.compiler import Compiler
+from ssduck.columns.expressions import NUMBERS, Compute, Expression, Kind, LeftToDuckDBError
+from ssduck.language.tree import (
+    Binary,
+    Call,
+    If,
+    Index,
+    ListLiteral,
+    Literal,
+    Node,
+    OperatorChain,
+    Placeholder,
+    Unary,
+)
+
+_NUMBER_FUNCTIONS: dict[str, Callable[[float], float]] = {
+    function.__name__: function
+    for function in (
+        math.exp,
+        math.log,
+        math.sin,
+        math.cos,
+        math.tan,
+        math.asin,
+        math.acos,
+        math.atan,
+        math.tanh,
+        math.sqrt,
+    )
+}
+_COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
+    "=": operator.eq,
+    "==": operator.eq,
+    "!=": operator.ne,
+    "<>": operator.ne,
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+}
+_ARITHMETIC: dict[str, Callable[[Any, Any], Any]] = {
+    "+": operator.add,
+    "-": operator.sub,
+    "*": operator.mul,
+}
+_KINDS: dict[str, Kind] = {
+    "f": "double",
+    "i": "integer",
+    "u": "integer",
+    "b": "boolean",
+    "U": "string",
+    "O": "object",
+}
+
+
+def kind_of(value: Any) -> Kind:
+    """Returns the type of the elements of an array of such values.
+
+    Raises:
+        LeftToDuckDBError: there is none.
+    """
+    kind = _KINDS.get(np.asarray(value).dtype.kind)
+    if kind is None or np.ndim(value):
+        raise LeftToDuckDBError
+    return kind
+
+
+@dataclass(frozen=True)
+class TreeCompiler:
+    """Makes functions of the parts of a tree that the translator leaves to Python.
+
+    Attributes:
+        operations: operations on arrays.
+        compiler: compiles the SQL of parts; None if there is no such part.
+        sql: the SQL of the parts that have some.
+        given: returns a placeholder as an expression.
+    """
+
+    operations: ArrayOperations
+    compiler: Compiler | None
+    sql: Mapping[Node, exp.Expr]
+    given: Callable[[Placeholder], Expression]
+
+    def of(self, node: Node) -> Expression:
+        """Returns an expression as a function.
+
+        Raises:
+            LeftToDuckDBError: it has to be evaluated by itself in each environment.
+        """
+        if self.compiler is not None and node in self.sql:
+            return self.compiler.expression(self.sql[node])
+        match node:
+            case Placeholder():
+                return self.given(node)
+            case Literal(value=value):
+                return Expression(kind_of(value), self.operations.constant(value))
+            case ListLiteral(items=items):
+                parts = [self._double(item) for item in items]
+                return self._joined("list", self.operations.listed(self._computes(parts)), parts)
+            case Index(base=base, indices=(Literal(value=int() as index),)) if index >= 0:
+                whole = self._of_kind(base, "list")
+                return self._joined(
+                    "double", self.operations.element(whole.compute, index), [whole]
+                )
+            case Unary(operator=word, operand=operand) if word.lower() == "not":
+                part = self._of_kind(operand, "boolean")
+                return replace(part, compute=self.operations.inverted(part.compute))
+            case Unary(operator="-", operand=operand):
+                part = self._number(operand)
+                return replace(part, compute=self.operations.negated(part.compute))
+            case Binary(operator=word, left=left, right=right):
+                return self._binary(word.lower(), self.of(left), self.of(right))
+            case OperatorChain(operators=words, operands=operands):
+                result = self.of(operands[0])
+                for word, operand in zip(words, operands[1:], strict=True):
+                    result = self._binary(word.lower(), result, self.of(operand))
+                return result
+            case If(condition=condition, then=(then,), otherwise=(otherwise,), else_ifs=()):
+                return self._if(condition, then, otherwise)
+            case Call(name=name, arguments=arguments):
+                return self._call(name, arguments)
+        raise LeftToDuckDBError
+
+    def _of_kind(self, node: Node, kind: Kind) -> Expression:
+        part = self.of(node)
+        if part.kind != kind:
+            raise LeftToDuckDBError
+        return part
+
+    def _number(self, node: Node) -> Expression:
+        part = self.of(node)
+        if part.kind not in NUMBERS:
+            raise LeftToDuckDBError
+        return part
+
+    def _double(self, node: Node) -> Expression:
+        return self._as_double(self._number(node))
+
+    def _as_double(self, part: Expression) -> Expression:
+        if part.kind == "double":
+            return part
+        return replace(part, kind="double", compute=self.operations.double(part.compute))
+
+    def _binary(self, word: str, left: Expression, right: Expression) -> Expression:
+        operations, parts = self.operations, [left, right]
+        if word in ("and", "or"):
+            if {left.kind, right.kind} != {"boolean"}:
+                raise LeftToDuckDBError
+            combine = operations.both if word == "and" else operations.either
+            return self._joined("boolean", combine(left, right), parts)
+        if left.kind not in NUMBERS or right.kind not in NUMBERS:
+            raise LeftToDuckDBError
+        if word in _COMPARISONS:
+            compare = operations.compared(_COMPARISONS[word], left.compute, right.compute)
+            return self._joined("boolean", compare, parts)
+        if "double" not in (left.kind, right.kind):
+            raise LeftToDuckDBError
+        first, second = (self._as_double(part).compute for part in parts)
+        if word in _ARITHMETIC:
+            compute = operations.arithmetic(_ARITHMETIC[word], first, second)
+        elif word == "/":
+            compute = operations.quotient(first, second)
+        elif word in ("^", "**"):
+            compute = operations.arithmetic(np.power, first, second)
+        else:
+            raise LeftToDuckDBError
+        return self._joined("double", compute, parts)
+
+    def _if(self, condition: Node, then: Node, otherwise: Node) -> Expression:
+        holds = self._of_kind(condition, "boolean")
+        first, second = self.of(then), self.of(otherwise)
+        if first.kind != second.kind:
+            first, second = self._as_number(first), self._as_number(second)
+        compute = self.operations.case([(holds.compute, first.compute)], second.compute)
+        return replace(self._joined(first.kind, compute, [holds, first, second]), has_calls=True)
+
+    def _as_number(self, part: Expression) -> Expression:
+        if part.kind not in NUMBERS:
+            raise LeftToDuckDBError
+        return self._as_double(part)
+
+    def _call(self, name: str, arguments: Sequence[Node]) -> Expression:
+        """Returns a call of a function of numbers."""
+        operations = self.operations
+        if name in ("norm", "min", "max", "sum", "avg") and len(arguments) == 1:
+            return self._of_list(name, arguments[0])
+        if name == "int" and self.of(arguments[0]).kind == "boolean":
+            part = self.of(arguments[0])
+            compute = part.compute
+            return replace(
+                part, kind="integer", compute=lambda values: compute(values).astype(np.int64)
+            )
+        parts = [self._double(argument) for argument in arguments]
+        computes = self._computes(parts)
+        if name in _NUMBER_FUNCTIONS and len(parts) == 1:
+            compute = operations.real(_NUMBER_FUNCTIONS[name], computes[0])
+        elif name == "abs":
+            compute = operations.absolute(computes[0])
+        elif name == "float":
+            compute = computes[0]
+        elif name == "atan2":
+            compute = operations.angle(*computes)
+        elif name == "pow":
+            compute = operations.arithmetic(np.power, *computes)
+        elif name == "clip":
+            above = operations.extreme(operator.gt, computes[:2])
+            compute = operations.extreme(operator.lt, [above, computes[2]])
+        else:
+            raise LeftToDuckDBError
+        return self._joined("double", compute, parts)
+
+    def _of_list(self, name: str, argument: Node) -> Expression:
+        """Returns a function of the numbers in a list."""
+        if isinstance(argument, ListLiteral) and argument.items and name in ("min", "max"):
+            parts = [self._double(item) for item in argument.items]
+            compare = operator.lt if name == "min" else operator.gt
+            compute = self.operations.extreme(compare, self._computes(parts))
+            return self._joined("double", compute, parts)
+        part = self._of_kind(argument, "list")
+        whole = part.compute
+
+        def compute_list(values: ArrayValues) -> Array:
+            numbers = whole(values)
+            if numbers.shape[-1] == 0:
+                raise LeftToDuckDBError
+            match name:
+                case "norm":
+                    result = np.sqrt((numbers * numbers).sum(axis=-1))
+                case "min":
+                    result = numbers.min(axis=-1)
+                case "max":
+                    result = numbers.max(axis=-1)
+                case _:
+                    result = numbers.sum(axis=-1)
+                    if name == "avg":
+                        result = result / numbers.shape[-1]
+            return np.asarray(result)
+
+        return self._joined("double", compute_list, [part])
+
+    @staticmethod
+    def _computes(parts: Sequence[Expression]) -> list[Compute]:
+        return [part.compute for part in parts]
+
+    @staticmethod
+    def _joined(kind: Kind, compute: Compute, parts: Sequence[Expression]) -> Expression:
+        return Expression(kind, compute, has_calls=any(part.has_calls for part in parts))

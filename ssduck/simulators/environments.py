@@ -1,0 +1,244 @@
+"""The states of many simulations of one model, each an *environment*, in arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from ssduck.errors import ArgumentError
+from ssduck.formatting import short_repr
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.simulators.clock import Clock
+from ssduck.simulators.interface import Body, ContactPoints, LinkPoses
+from ssduck.simulators.partial import PartialSimulator, unsupported
+
+# By so much the lengths of quaternions of single precision may differ from 1.
+_LENGTH_TOLERANCE = 1e-3
+NO_CONTACTS = (
+    "the contacts of these environments are not known: give tick the data of MJX, or contact="
+    "{'geom': (n, m, 2), 'dist': (n, m), 'force': (n, m)}"
+)
+# Arrays of any library, by name, with the environments on the first axis; or an object that has
+# them as attributes, such as the data of MJX.
+States: TypeAlias = Any
+
+
+@dataclass(frozen=True, eq=False)
+class EnvironmentContacts:
+    """The contacts of all environments.
+
+    Attributes:
+        environments: (m,), the environment of each contact, ascending.
+        points: the contacts; the places where they are, and frictions, are NaN where not given.
+        has_forces: whether their forces are known.
+        has_normals: whether their normals are known.
+    """
+
+    environments: Indices
+    points: ContactPoints
+    has_forces: bool = True
+    has_normals: bool = True
+
+    def of(self, environment: int) -> ContactPoints:
+        """Returns the contacts of an environment."""
+        return self.points.only(self.environments == environment)
+
+
+class Environments(Protocol):
+    """The states of many simulations of one model.
+
+    Positions are metres, orientations quaternions w, x, y, z, in the world frame.
+
+    Attributes:
+        count: the number n of environments.
+        times: (n,), the simulated time of each, s.
+        has_times: whether the last states had times.
+    """
+
+    count: int
+    times: Array
+    has_times: bool
+
+    @property
+    def accepted(self) -> Sequence[str]:
+        """The names of the arrays of a state."""
+
+    def update(self, states: States, arrays: Mapping[str, Any]) -> None:
+        """Takes the states that are read from now on.
+
+        Raises:
+            ArgumentError: an array is of another name, shape or type, or one is missing.
+        """
+
+    def reset(self, environments: Indices) -> None:
+        """Notes that some environments begin a new episode, at the next states."""
+
+    def link_poses(self, bodies: tuple[Body, ...], environment: int) -> LinkPoses:
+        """Returns the poses of the links of some bodies in an environment, body after body."""
+
+    def frames(self, body: Body, link: int) -> tuple[Array, Array]:
+        """Returns the positions (n, 3) and the orientations (n, 4) of a link."""
+
+    def velocities(self, body: Body, link: int) -> Array:
+        """Returns the linear (m/s) and the angular (rad/s) velocities of a link's frame, (n, 6).
+
+        NaN where they are not known.
+        """
+
+    def joints(self, body: Body) -> Array:
+        """Returns positions, velocities and efforts of a body's joints, (n, joints, 3)."""
+
+    @property
+    def contacts(self) -> EnvironmentContacts | None:
+        """The contacts; None if they are not known."""
+
+
+class EnvironmentSimulator(PartialSimulator):
+    """The chosen one of many environments, as a `Simulator` that others run.
+
+    Args:
+        bodies: the bodies of the model.
+        environments: the states of the environments.
+        backend: the backend that makes running simulations of its bodies.
+        timestep: the length of a step, s.
+
+    Attributes:
+        chosen: the number of the environment, from 0.
+    """
+
+    is_external = True
+    keeps_time = True
+    disabled: frozenset[Body] = frozenset()
+    hidden: frozenset[Body] = frozenset()
+    step = unsupported("step", "step your simulations, then give tick their state")
+
+    def __init__(
+        self, bodies: Sequence[Body], environments: Environments, backend: str, timestep: float
+    ) -> None:
+        self.environments, self.chosen = environments, 0
+        self.backend, self.timestep = backend, timestep
+        self._new: list[Body] = list(bodies)
+
+    @property
+    def time(self) -> float:
+        """The simulated time of the environment, s."""
+        return float(self.environments.times[self.chosen])
+
+    @property
+    def clock(self) -> Clock:
+        """A clock at that time."""
+        return Clock(self.timestep, self.time)
+
+    def describe(self) -> tuple[list[Body], list[Body]] | None:
+        """Returns all bodies as new ones at first, and None later."""
+        new, self._new = self._new, []
+        return (new, []) if new else None
+
+    def read_link_poses(self, bodies: tuple[Body, ...], *, with_velocities: bool) -> LinkPoses:  # noqa: ARG002
+        """Returns the poses of the links of some bodies."""
+        return self.environments.link_poses(bodies, self.chosen)
+
+    def read_joints(self, bodies: Sequence[Body]) -> Array:
+        """Returns position, velocity and effort of the joints of some bodies, (joints, 3)."""
+        parts = [self.environments.joints(body)[self.chosen] for body in bodies]
+        return np.concatenate([np.zeros((0, 3)), *parts])
+
+    def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
+        """Returns the masses as described."""
+        return [body.masses for body in bodies]
+
+    def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
+        """Returns the margins as described."""
+        return [body.margins for body in bodies]
+
+    def read_contacts(self) -> ContactPoints:
+        """Returns the contacts of the environment."""
+        contacts = self.environments.contacts
+        return ContactPoints.none() if contacts is None else contacts.of(self.chosen)
+
+    def close(self) -> None:
+        """Does nothing: it holds no resources."""
+
+
+def to_numpy(value: Any, name: str) -> npt.NDArray[Any]:
+    """Returns an array of any library as one of NumPy; one on a device is copied to memory.
+
+    Args:
+        value: the array.
+        name: its name, for messages.
+
+    Raises:
+        ArgumentError: it is none, or not of numbers.
+    """
+    if isinstance(value, np.ndarray):
+        array = value
+    else:
+        detached = value.detach() if hasattr(value, "detach") else value  # torch's, with a gradient
+        on_host = detached.cpu() if hasattr(detached, "cpu") else detached
+        try:
+            array = np.asarray(on_host)
+        except (TypeError, ValueError, RuntimeError) as error:
+            raise ArgumentError(f"{name}: {short_repr(value)} is no array: {error}") from None
+    if array.dtype.kind not in "fiub":
+        raise ArgumentError(f"{name}: an array of numbers is expected, not of {array.dtype}")
+    return array
+
+
+def like(values: npt.NDArray[Any], sample: Any) -> Any:
+    """Returns an array of NumPy as one of the library and the device of another array."""
+    library = type(sample).__module__.partition(".")[0]
+    if library == "torch":
+        import torch
+
+        return torch.from_numpy(np.ascontiguousarray(values)).to(sample.device)
+    if library in ("jax", "jaxlib"):
+        import jax
+
+        return jax.device_put(values, next(iter(sample.devices())))
+    return values
+
+
+def checked(value: Any, name: str, shape: tuple[int | str, ...]) -> npt.NDArray[Any]:
+    """Returns an array as one of NumPy's.
+
+    Args:
+        value: the array.
+        name: its name, for messages.
+        shape: its shape; a text stands for any number.
+
+    Raises:
+        ArgumentError: it has another shape; the message says what each axis is.
+    """
+    array = to_numpy(value, name)
+    fits = array.ndim == len(shape) and all(
+        isinstance(expected, str) or actual == expected
+        for actual, expected in zip(array.shape, shape, strict=True)
+    )
+    if not fits:
+        expected = ", ".join(map(str, shape))
+        hint = ""
+        first, *others = shape
+        if array.shape == tuple(others) or (array.ndim and array.shape[0] != first):
+            hint = f": the first axis is the {first} environments"
+        raise ArgumentError(f"{name} is of shape {array.shape}, not ({expected}){hint}")
+    return array
+
+
+def check_lengths(orientations: npt.NDArray[Any], name: str) -> None:
+    """Checks that quaternions (n, m, 4) are of length 1; NaN is of a state that diverged.
+
+    Raises:
+        ArgumentError: one is not.
+    """
+    lengths = np.sqrt((orientations.astype(np.float64) ** 2).sum(axis=-1))
+    wrong = np.argwhere(np.abs(lengths - 1.0) > _LENGTH_TOLERANCE)
+    if len(wrong):
+        environment, place = wrong[0].tolist()
+        raise ArgumentError(
+            f"{name}: the quaternion w, x, y, z at ({environment}, {place}) is of length "
+            f"{lengths[environment, place]:.3g}, not 1"
+        )

@@ -1,0 +1,312 @@
+"""Many simulations of one MuJoCo model, from arrays as MJX and MuJoCo Warp have them, or `MjData`.
+
+The arrays have the names and the shapes of `mujoco.MjData`, behind an axis of environments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ssduck.errors import ArgumentError, StateError, nearest
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.poses import cross, multiply
+from ssduck.simulators.environments import (
+    EnvironmentContacts,
+    Environments,
+    EnvironmentSimulator,
+    States,
+    check_lengths,
+    checked,
+    to_numpy,
+)
+from ssduck.simulators.interface import SCALAR_JOINTS, Body, ContactPoints, LinkPoses
+from ssduck.simulators.mujoco.bodies import numbers_of, sites_on
+from ssduck.simulators.mujoco.contacts import MuJoCoContacts, Owners, SleepingContacts
+from ssduck.simulators.mujoco.library import mujoco
+from ssduck.simulators.mujoco.link_poses import LinkReader
+from ssduck.simulators.mujoco.simulator import MuJoCoSimulator
+
+# What a contact has: the numbers of its geoms, their distance, m, and what is known besides.
+_OF_CONTACTS = ("geom", "dist", "force", "frame")
+_DEFAULT_TIME = 0.0
+
+
+def environments_of(model: Any, count: int) -> EnvironmentSimulator:
+    """Returns environments of a model, all in its initial state.
+
+    Args:
+        model: the `mujoco.MjModel`.
+        count: the number of environments.
+    """
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    simulator = MuJoCoSimulator(lambda: (model, data), owned=False)
+    described = simulator.describe()
+    bodies = [] if described is None else described[0]
+    states = MuJoCoEnvironments(model, data, count, simulator)
+    return EnvironmentSimulator(bodies, states, simulator.backend, simulator.timestep)
+
+
+class MuJoCoEnvironments:
+    """The states of environments of a model; see `Environments`.
+
+    Args:
+        model: the model.
+        data: its initial state, with which kinematics are computed later.
+        count: the number of environments.
+        simulator: reads the model.
+
+    Attributes:
+        count: see above.
+        times: (n,), the simulated times, s.
+        has_times: whether the last states had times.
+    """
+
+    def __init__(self, model: Any, data: Any, count: int, simulator: MuJoCoSimulator) -> None:
+        self._model, self._data, self._simulator = model, data, simulator
+        self.count = count
+        self.times, self.has_times = np.full(count, _DEFAULT_TIME), False
+        self._shapes: dict[str, tuple[int, ...]] = {
+            "xpos": (model.nbody, 3),
+            "xquat": (model.nbody, 4),
+            "site_xpos": (model.nsite, 3),
+            "cvel": (model.nbody, 6),
+            "subtree_com": (model.nbody, 3),
+            "qpos": (model.nq,),
+            "qvel": (model.nv,),
+            "qfrc_actuator": (model.nv,),
+        }
+        self._arrays: dict[str, npt.NDArray[Any]] = {
+            name: np.broadcast_to(getattr(data, name), (count, *shape))
+            for name, shape in self._shapes.items()
+        }
+        self._contacts: EnvironmentContacts | None = None
+        # Reads the contacts of `MjData`, and whether anything has asked for any.
+        self._read_contacts: Callable[[], EnvironmentContacts] | None = None
+        self._wants_contacts = False
+        self._readers: list[LinkReader] = []
+        self._joint_numbers: dict[Body, Indices] = {}
+        self._owners: Owners | None = None
+
+    @property
+    def accepted(self) -> Sequence[str]:
+        """The names of the arrays of a state."""
+        return [*self._shapes, "time", "contact"]
+
+    def update(self, states: States, arrays: Mapping[str, Any]) -> None:
+        """Takes the states: arrays by name, an object that has them as attributes, or `MjData`."""
+        if isinstance(states, Sequence):
+            self._take(states)
+            return
+        self._read_contacts = None
+        given = {name: value for name, value in arrays.items() if value is not None}
+        for name in given:
+            if name not in self.accepted:
+                raise ArgumentError(
+                    f"tick: {name!r} is no array of a state of MuJoCo; there are "
+                    f"{', '.join(self.accepted)}",
+                    suggestions=nearest(name, self.accepted),
+                )
+        if states is not None:
+            found = {name: getattr(states, name, None) for name in self.accepted}
+            given = {n: value for n, value in found.items() if value is not None} | given
+        if "qpos" not in given and not {"xpos", "xquat"} <= given.keys():
+            raise ArgumentError(
+                "tick: give the poses of all bodies, xpos=… and xquat=…, or the joint positions "
+                "qpos=… (and qvel=…), from which MuJoCo computes them"
+            )
+        known = {
+            name: checked(given[name], f"tick: {name}", (self.count, *shape))
+            for name, shape in self._shapes.items()
+            if name in given
+        }
+        if "xquat" in known:
+            check_lengths(known["xquat"], "tick: xquat")
+        time = given.get("time")
+        self.has_times = time is not None
+        if time is not None:
+            times = np.broadcast_to(to_numpy(time, "tick: time"), (self.count,))
+            self.times = np.array(times, np.float64)
+        contact = given.get("contact")
+        contacts = None if contact is None else self._contacts_of(contact)
+        if "xpos" not in known:
+            known = self._forward(known)
+        missing = self._shapes.keys() - known.keys()
+        unknown = {n: np.full((self.count, *self._shapes[n]), np.nan) for n in missing}
+        self._arrays, self._contacts = known | unknown, contacts
+
+    def _take(self, states: Sequence[Any]) -> None:
+        """Takes the states of a list of `MjData`."""
+        if len(states) != self.count or not all(type(s).__name__ == "MjData" for s in states):
+            raise ArgumentError(
+                f"tick: give a list of {self.count} MjData, one for each environment"
+            )
+        stacked = {
+            name: np.stack([getattr(state, name) for state in states]).reshape(self.count, *shape)
+            for name, shape in self._shapes.items()
+        }
+        self._arrays, self._contacts = stacked, None
+        self.times = np.array([state.time for state in states])
+        self.has_times = True
+        self._read_contacts = partial(self._contacts_in, tuple(states), self.times.copy())
+        if self._wants_contacts:
+            self._contacts = self._read_contacts()
+
+    def _contacts_in(self, states: Sequence[Any], times: Array) -> EnvironmentContacts:
+        """Returns the contacts of a list of `MjData` at the tick.
+
+        Raises:
+            StateError: they have moved on.
+        """
+        if any(state.time != time for state, time in zip(states, times.tolist(), strict=True)):
+            raise StateError(
+                "the simulations have moved on since the last tick, whose contacts nothing had "
+                "asked for: call tick, then ask again"
+            )
+        self._wants_contacts = True
+        if self._owners is None:
+            self._owners = Owners.of(self._model)
+        owners, of_each = self._owners, []
+        for state in states:
+            contacts = SleepingContacts().complete(self._model, state, owners)
+            of_each.append(MuJoCoContacts(self._model, contacts, owners.roots, None).all())
+        counts = [len(points) for points in of_each]
+        columns = zip(*(vars(points).values() for points in of_each), strict=True)
+        joined = ContactPoints(*map(np.concatenate, columns))
+        return EnvironmentContacts(np.repeat(np.arange(self.count), counts), joined)
+
+    def reset(self, environments: Indices) -> None:
+        """Sets the times of some environments to 0; their states come with the next tick."""
+        self.times[environments] = _DEFAULT_TIME
+
+    def _forward(self, known: dict[str, Any]) -> dict[str, Any]:
+        """Adds the poses and velocities that follow from joint positions and velocities."""
+        model, data = self._model, self._data
+        names = ("xpos", "xquat", "site_xpos", "cvel", "subtree_com")
+        computed = {name: np.zeros((self.count, *self._shapes[name])) for name in names}
+        velocities = known.get("qvel")
+        for number, positions in enumerate(known["qpos"]):
+            data.qpos[:] = positions
+            data.qvel[:] = 0.0 if velocities is None else velocities[number]
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            mujoco.mj_comVel(model, data)
+            for name, values in computed.items():
+                values[number] = getattr(data, name)
+        if velocities is None:
+            computed["cvel"][:] = np.nan
+        return known | computed
+
+    # -- reading ----------------------------------------------------------------------------
+
+    def link_poses(self, bodies: tuple[Body, ...], environment: int) -> LinkPoses:
+        """Returns the poses of the links of some bodies in an environment, body after body."""
+        reader = next((one for one in self._readers if one.bodies is bodies), None)
+        if reader is None:
+            reader = LinkReader(self._model, bodies)
+            self._readers = [reader, *self._readers[:3]]
+        state = {
+            name: np.array(values[environment], np.float64) for name, values in self._arrays.items()
+        }
+        return reader.read(SimpleNamespace(**state))
+
+    def frames(self, body: Body, link: int) -> tuple[Array, Array]:
+        """Returns the positions (n, 3) and the orientations (n, 4) of a link."""
+        number = self._number(body, link)
+        orientations = self._column("xquat", number)
+        if body.links[link].region is None:
+            return self._column("xpos", number), orientations
+        site = self._site(body, link)
+        turn = np.broadcast_to(self._model.site_quat[site], orientations.shape)
+        return self._column("site_xpos", site), multiply(orientations, turn)
+
+    def velocities(self, body: Body, link: int) -> Array:
+        """Returns the velocities of a link's frame, linear, then angular, (n, 6)."""
+        number = self._number(body, link)
+        twists = self._column("cvel", number)
+        root = int(self._model.body_rootid[number])
+        arms = self.frames(body, link)[0] - self._column("subtree_com", root)
+        return np.hstack((twists[:, 3:] + cross(twists[:, :3], arms), twists[:, :3]))
+
+    def joints(self, body: Body) -> Array:
+        """Returns positions, velocities and efforts of a body's joints, (n, joints, 3)."""
+        if body not in self._joint_numbers:
+            self._joint_numbers[body] = self._simulator.joint_numbers([body])
+        numbers = self._joint_numbers[body]
+        positions = self._model.jnt_qposadr[numbers]
+        velocities = self._model.jnt_dofadr[numbers]
+        columns = [
+            self._column("qpos", positions),
+            self._column("qvel", velocities),
+            self._column("qfrc_actuator", velocities),
+        ]
+        values = np.stack(columns, axis=-1)
+        values[:, [joint.type not in SCALAR_JOINTS for joint in body.joints]] = np.nan
+        return values
+
+    @property
+    def contacts(self) -> EnvironmentContacts | None:
+        """The contacts; None if they are not known."""
+        if self._contacts is None and self._read_contacts is not None:
+            self._contacts = self._read_contacts()
+        return self._contacts
+
+    def _column(self, name: str, places: Any) -> Array:
+        return np.array(self._arrays[name][:, places], np.float64)
+
+    def _number(self, body: Body, link: int) -> int:
+        """Returns MuJoCo's number of a link's body, of a site that of its parent."""
+        is_site = body.links[link].region is not None
+        return body.handle + (body.links[link].parent if is_site else link)
+
+    def _site(self, body: Body, link: int) -> int:
+        sites: list[int] = list(sites_on(self._model, numbers_of(body)))
+        return sites[link - body.rigid_count]
+
+    def _contacts_of(self, contact: Any) -> EnvironmentContacts:
+        """Returns contacts from arrays (n, m, …), of which those beyond their margins are none."""
+        if not isinstance(contact, Mapping):
+            contact = {name: getattr(contact, name, None) for name in _OF_CONTACTS}
+        parts = {name: contact[name] for name in _OF_CONTACTS if contact.get(name) is not None}
+        if not {"geom", "dist"} <= parts.keys():
+            raise ArgumentError(
+                "tick: contact has geom (n, m, 2), the numbers of the geoms, and dist (n, m), m"
+            )
+        geoms = checked(parts["geom"], "tick: contact: geom", (self.count, "m", 2)).astype(np.intp)
+        distances = checked(parts["dist"], "tick: contact: dist", (self.count, geoms.shape[1]))
+        forces = np.full(distances.shape, np.nan)
+        if "force" in parts:
+            forces = checked(parts["force"], "tick: contact: force", distances.shape)
+        # A contact that margins allow counts if it presses, as those of a single simulation do.
+        are_there = (geoms >= 0).all(axis=-1) & ((distances <= 0.0) | (forces > 0.0))
+        environments, places = np.nonzero(are_there)
+        chosen = geoms[environments, places]
+        normals = np.full((len(chosen), 3), np.nan)
+        if "frame" in parts:
+            frames = to_numpy(parts["frame"], "tick: contact: frame")
+            frames = frames.reshape(*distances.shape, 3, 3)
+            normals = -frames[environments, places, 0].astype(np.float64)
+        if self._owners is None:
+            self._owners = Owners.of(self._model)
+        numbers = self._model.geom_bodyid[chosen]
+        handles = self._owners.roots[numbers]  # the first body of an entity
+        nothing = np.full((len(chosen), 3), np.nan)
+        points = ContactPoints(
+            handles,
+            numbers - handles,
+            np.stack((nothing, nothing), axis=1),
+            normals,
+            -distances[environments, places].astype(np.float64),
+            forces[environments, places].astype(np.float64),
+            nothing,
+        )
+        return EnvironmentContacts(environments, points, "force" in parts, "frame" in parts)
+
+
+_: type[Environments] = MuJoCoEnvironments

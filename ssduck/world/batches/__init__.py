@@ -1,0 +1,1 @@
+"""Many simulations of one model as one world: `BatchWorld`."""

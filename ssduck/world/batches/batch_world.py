@@ -1,0 +1,309 @@
+"""Many simulations of one model as one world: `BatchWorld`.
+
+Its programs are evaluated over all environments at once (`ssduck.interpreter.batches`). What only
+a single simulation has, a tick in tables, is that of one environment at a time.
+"""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any, Never, Self
+
+import numpy as np
+
+from ssduck import validation
+from ssduck.errors import ArgumentError, UnsupportedError
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.simulators.backends import backend
+from ssduck.simulators.body_environments import BodyEnvironments
+from ssduck.simulators.environments import (
+    NO_CONTACTS,
+    Environments,
+    EnvironmentSimulator,
+    States,
+    like,
+    to_numpy,
+)
+from ssduck.simulators.interface import Body
+from ssduck.simulators.recognition import simulator_of_model
+from ssduck.world.construction import UNNAMED
+from ssduck.world.what_if import copied_tick
+from ssduck.world.world import World
+
+
+class BatchWorld(World):
+    """Many simulations of one model, the *environments*, numbered from 0; see `World.batch`.
+
+    Args:
+        simulator: the environments.
+        name: the name until the world is bound to a variable.
+
+    Attributes:
+        version: is incremented with each tick and reset.
+        began: (n,), the version at which the episode of each environment began.
+    """
+
+    def __init__(self, simulator: EnvironmentSimulator, *, name: str = UNNAMED) -> None:
+        self._environments: Environments = simulator.environments
+        self._is_open = True  # for the first tick
+        self.version = 0
+        # One of the arrays of the last states.
+        self._sample: Any = None
+        self.began: Indices = np.zeros(self._environments.count, np.intp)
+        self._restarting = np.ones(self._environments.count, np.bool_)
+        # What reads the present states before the next ones.
+        self._before_tick: list[weakref.WeakMethod[Callable[[], None]]] = []
+        super().__init__(simulator, name=name)
+        self._is_open = False
+        self.snapshot.warns_of_unknown = False  # each answer tells of its own
+
+    # -- time -------------------------------------------------------------------------------
+
+    @property
+    def count(self) -> int:
+        """The number of environments."""
+        return self._environments.count
+
+    @property
+    def environments(self) -> Environments:
+        """The states of the environments at the last tick."""
+        return self._environments
+
+    @property
+    def times(self) -> Array:
+        """The simulated time of each environment, s, (n,)."""
+        return self._environments.times.copy()
+
+    @property
+    def is_final(self) -> bool:
+        """True: its ticks come from `tick`, and are not recorded."""
+        return True
+
+    def tick(  # type: ignore[override]
+        self, state: States = None, **arrays: Any
+    ) -> Self:
+        """Takes the states of all environments; each program is evaluated at these until the next.
+
+        Args:
+            state: an object with the arrays as attributes, such as batched data of MJX.
+            **arrays: the arrays by name, of NumPy, torch, JAX or another library, with the
+                environments on the first axis. Of a model of MuJoCo they have the names and shapes
+                of `MjData`: xpos (n, nbody, 3) and xquat (n, nbody, 4), or qpos (n, nq); time (n,)
+                or one number, s; site_xpos, cvel and subtree_com, qvel, qfrc_actuator and contact,
+                if anything reads them.
+
+        Returns:
+            The world itself.
+
+        Raises:
+            ArgumentError: an array is of another name, shape or type, or one is missing; the states
+                of the last tick remain.
+        """
+        with self.lock:
+            self._check_not_pinned()
+            self._before_tick = [one for one in self._before_tick if one() is not None]
+            for reference in self._before_tick if self.version else ():
+                if (read := reference()) is not None:
+                    read()
+            self._environments.update(state, arrays)
+            self._sample = next(iter(arrays.values()), None)
+            if state is not None:
+                self._sample = getattr(state, self._environments.accepted[0], None)
+            self.version += 1
+            self.began[self._restarting] = self.version
+            self._restarting[:] = False
+        return self
+
+    def before_tick(self, read: Callable[[], None]) -> None:
+        """Has a method called before each tick after the first: it reads the states until then.
+
+        Args:
+            read: a method of an object, which is not kept alive.
+        """
+        self._before_tick.append(weakref.WeakMethod(read))
+
+    def reset(self, environments: Any = None) -> Self:
+        """Begins new episodes: functions of time forget what was before the next tick.
+
+        Args:
+            environments: the numbers of the environments, or a mask (n,) of True and False; None
+                for all.
+
+        Returns:
+            The world itself.
+
+        Raises:
+            ArgumentError: there is no such environment.
+        """
+        with self.lock:
+            self._check_not_pinned()
+            chosen = self._numbers(environments)
+            self._environments.reset(chosen)
+            self._restarting[chosen] = True
+        return self
+
+    def _numbers(self, environments: Any) -> Indices:
+        """Returns the numbers of some environments.
+
+        Raises:
+            ArgumentError: there is no such environment.
+        """
+        if environments is None:
+            return np.arange(self.count)
+        given = to_numpy(environments, "reset: environments")
+        if given.dtype.kind == "b":
+            if given.shape != (self.count,):
+                raise ArgumentError(f"reset: a mask is of shape ({self.count},), not {given.shape}")
+            return np.flatnonzero(given)
+        numbers = np.atleast_1d(given)
+        if numbers.dtype.kind == "f" or ((numbers < 0) | (numbers >= self.count)).any():
+            raise ArgumentError(
+                f"reset: environments are numbers from 0 to {self.count - 1}, or a mask"
+            )
+        return numbers.astype(np.intp)
+
+    def step(self, count: int = 1, *, every: int | None = 1, **others: Never) -> Never:
+        """Raises `UnsupportedError`: the caller steps the simulations."""
+        del count, every, others
+        raise UnsupportedError(
+            f"{self.name!r} is a batch of {self.count} environments: step your simulations, then "
+            "give tick their state"
+        )
+
+    run = advance = begin_episode = step  # type: ignore[assignment]
+
+    def follow(self, *_: Any) -> Never:
+        """Raises `UnsupportedError`: a trigger is of one world."""
+        raise UnsupportedError(
+            f"{self.name!r} is a batch: a trigger would follow {self.count} environments; evaluate "
+            "the program after each tick"
+        )
+
+    def add_recorder(self, *_: Any) -> Never:
+        """Raises `UnsupportedError`: ticks of a batch are not recorded."""
+        raise UnsupportedError(f"{self.name!r} is a batch, whose ticks are not recorded")
+
+    # -- one environment ----------------------------------------------------------------------
+
+    @contextmanager
+    def at(self, environment: int) -> Iterator[None]:
+        """Lets queries read one of the environments in a context."""
+        with self.lock:
+            self._check_not_pinned()
+            before = self._is_open
+            self._choose(environment)
+            self._is_open = True
+            try:
+                yield
+            finally:
+                self._is_open = before
+
+    def _choose(self, environment: int) -> None:
+        """Takes the tick of an environment."""
+        simulator = self._simulator
+        assert isinstance(simulator, EnvironmentSimulator)
+        simulator.chosen = environment
+        self.snapshot.unavailable = self._unavailable()
+        self._take()
+
+    def _unavailable(self) -> dict[str, str]:
+        """Returns the tables that no state has, with the reason."""
+        return {"contacts": NO_CONTACTS} if self._environments.contacts is None else {}
+
+    def environment(self, number: int) -> World:
+        """Returns the world of an environment at the last tick, which never changes.
+
+        It is queried like any other world; see `what_if`.
+
+        Raises:
+            ArgumentError: there is no such environment.
+        """
+        number = validation.integer(number, "environment", minimum=0)
+        if number >= self.count:
+            raise ArgumentError(f"environment: there are those from 0 to {self.count - 1}")
+        tables = [
+            name for name in ("contacts", "links", "joints") if name not in self._unavailable()
+        ]
+        with self.at(number), self.pinned(tables):
+            simulator, snapshot = copied_tick(self.snapshot)
+            snapshot.unavailable = self._unavailable()
+        return World.of_tick(simulator, snapshot, self.camera)
+
+    def pin(
+        self, tables: Collection[str] = (), *, is_read: bool = True, is_settled: bool = True
+    ) -> None:
+        """Keeps the world at its tick, with tables included, while a query runs.
+
+        Raises:
+            UnsupportedError: the query reads a tick in tables, and none is chosen.
+        """
+        if is_read:
+            self._check_open()
+        super().pin(tables, is_read=is_read, is_settled=is_settled)
+
+    def _check_open(self) -> None:
+        """Checks that one of the environments is read.
+
+        Raises:
+            UnsupportedError: none is.
+        """
+        if not self._is_open:
+            raise UnsupportedError(
+                f"{self.name!r} is a batch of {self.count} environments, and this is a question to "
+                f"one world: ask {self.name}.environment(0), or write it as a program for eval"
+            )
+
+    @property
+    def present(self) -> Self:
+        """The world itself, while one of its environments is read."""
+        self._check_open()
+        return self
+
+    def render(self, *_: Any, **__: Any) -> Never:
+        """Raises `UnsupportedError`: the simulator of the states draws them."""
+        raise UnsupportedError(f"{self.name!r} is a batch: its simulator draws its environments")
+
+    segmentation = save = excerpt = what_if = render
+
+    def given_back(self, values: Array) -> Any:
+        """Returns values as an array of the library that the last states came in."""
+        return like(values, self._sample)
+
+    @property
+    def bodies(self) -> Sequence[tuple[int, Body]]:
+        """The ids and bodies of all entities but sensors."""
+        return self.snapshot.layout.bodies
+
+
+def batch_of(model: Any, count: int, name: str = UNNAMED) -> BatchWorld:
+    """Returns many simulations of one model; see `World.batch`."""
+    count = validation.integer(count, "batch: count", minimum=1)
+    if isinstance(model, World):
+        return BatchWorld(_copies_of(model, count), name=name)
+    return BatchWorld(backend(simulator_of_model(model)).environments(model, count), name=name)
+
+
+def _copies_of(world: World, count: int) -> EnvironmentSimulator:
+    """Returns environments that have the bodies of a world, all as it is at its tick."""
+    with world.pinned(("links", "joints")):
+        snapshot = world.snapshot
+        of_joints = snapshot.joints()
+        # Their names are those of the world, which may have others than its model.
+        named = {
+            one.body: replace(one.body, name=one.name) for one in snapshot.entities if one.body
+        }
+        states = {}
+        for group, poses in snapshot.body_groups:
+            for body, run in group.runs.items():
+                links = np.arange(run.start, run.stop)
+                states[named[body]] = poses.states_at(poses.positions[links], links)
+    joints = {copy: of_joints.get(body, np.zeros((0, 3))) for body, copy in named.items()}
+    bodies = {copy.name: copy for copy in named.values()}
+    environments = BodyEnvironments(bodies, states, joints, count)
+    simulator = world.simulator
+    return EnvironmentSimulator(
+        list(bodies.values()), environments, simulator.backend, simulator.timestep
+    )

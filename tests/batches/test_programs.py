@@ -1,0 +1,395 @@
+"""Programs over a batch are those over each of its simulations, attached as a world of its own."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import ssduck
+from ssduck.errors import (
+    ArgumentError,
+    ProgramWarning,
+    SelectScriptError,
+    UnknownNameError,
+    UnsupportedError,
+)
+from ssduck.geometry.narrow_phase import NarrowPhase
+from ssduck.interpreter.batches.evaluator import BatchExpressions
+from ssduck.sql.relations.registry import RELATIONS
+from tests.batches.conftest import COUNT, each, simulations
+from tests.support.cases import generated
+
+EXPRESSIONS = [
+    "z(sim.cube)",
+    "above(sim.cube, sim.table)",
+    "exp(-3 * distance(sim.cube, [0.1, 0, 0.5]))",
+    "norm(position(sim.cube)) + abs(x(sim.ball)) - sqrt(z(sim.ball))",
+    "max([z(sim.cube), 0.4]) + min([z(sim.cube), 0.4]) + clip(z(sim.ball), 0.36, 0.38)",
+    "tanh(x(sim.cube)) * cos(y(sim.cube)) / (1 + z(sim.cube)) ^ 2",
+    "IF(z(sim.cube) > 0.4; position(sim.cube); linearVelocity(sim.cube))",
+    "IF(on(sim.table, sim.cube); 1; 0.5)",
+    "rot(sim.cube)[0][1]",
+    "atan2(rot(sim.cube)[1][0], rot(sim.cube)[0][0])",
+    "distance(sim.cube.top, sim.ball)",
+    "speed(sim.cube)",
+    "upright(sim.cube, 0.2)",
+    "int(z(sim.cube) > 0.4) + 1.5",
+    "position(sim.ball)[2]",
+    "name(sim.cube)",
+    "1 + 1",
+    "z(sim.cube) > 0.4 AND touching(sim.cube, sim.table) OR NOT near(sim.cube, sim.ball, 0.1)",
+    "touching(sim.arm.hand, sim.cube)",
+    "inContact(sim.arm.hand, sim.cube)",
+    "clearance(sim.cube, sim.ball)",
+    "joint(sim.arm, 'elbow')",
+    "isOpen(sim.arm, 'elbow', 0.6) OR isClosed(sim.arm)",
+    "mass(sim.cube) * z(sim.cube)",
+    "str(z(sim.cube))",
+]
+# The relations of two entities, and of one.
+PAIRS = [
+    name
+    for name, relation in RELATIONS.items()
+    if [p.type for p in relation.parameters if not p.optional] == ["entity", "entity"]
+]
+SINGLES = [
+    name
+    for name, relation in RELATIONS.items()
+    if [p.type for p in relation.parameters if not p.optional] == ["entity"]
+    # Each attached world counts its own ticks; an entity is in every environment.
+    and name not in ("tick", "obj", "robot", "kinbody", "sensor")
+]
+
+
+def outcome(evaluate):
+    try:
+        return evaluate()
+    except SelectScriptError as error:
+        return type(error).__name__
+
+
+def agree(found, expected):
+    """Checks that values are equal; functions of numpy may differ in the last bit."""
+    if isinstance(found, str) or isinstance(expected, str):
+        return found == expected
+    found = found.tolist() if isinstance(found, np.ndarray) else [found] * len(expected)
+    return all(map(same, found, expected)) and len(found) == len(expected)
+
+
+def same(found, expected):
+    if isinstance(expected, list):
+        return len(found) == len(expected) and all(map(same, found, expected))
+    if isinstance(expected, float | int) and not isinstance(expected, bool):
+        return found == pytest.approx(expected, rel=1e-12)
+    return found == expected or (expected is None and str(found) in ("None", "nan"))
+
+
+@pytest.mark.parametrize("text", EXPRESSIONS)
+def test_expressions(batch, text):
+    ss, _, model, states = batch
+    assert agree(ss.eval(f"{text};"), each(model, states, f"{text};"))
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::ssduck.errors.ProgramWarning", "ignore:.*contacts")
+@pytest.mark.parametrize("name", PAIRS)
+def test_relations_of_two_entities(batch, name):
+    ss, _, model, states = batch
+    for a, b in (("cube", "table"), ("ball", "cube"), ("arm", "ball"), ("cube", "cube")):
+        text = f"{name}(sim.{a}, sim.{b});"
+        expected = outcome(lambda text=text: each(model, states, text))
+        assert agree(outcome(lambda text=text: ss.eval(text)), expected), text
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::ssduck.errors.ProgramWarning", "ignore:.*contacts")
+@pytest.mark.parametrize("name", SINGLES)
+def test_relations_of_one_entity(batch, name):
+    ss, _, model, states = batch
+    for entity in ("cube", "arm"):
+        text = f"{name}(sim.{entity});"
+        expected = outcome(lambda text=text: each(model, states, text))
+        assert agree(outcome(lambda text=text: ss.eval(text)), expected), text
+
+
+NUMBERS = st.sampled_from(
+    [
+        "z(sim.cube)",
+        "x(sim.ball)",
+        "distance(sim.cube, sim.ball)",
+        "clearance(sim.cube, sim.ball)",
+        "speed(sim.ball)",
+        "0.37",
+        "-1",
+        "goal[1]",
+        "height",
+    ]
+)
+TRUTHS = st.sampled_from(
+    ["on(sim.table, sim.cube)", "inContact(sim.cube, sim.ball)", "isOpen(sim.arm)", "True"]
+)
+EXPRESSION = st.recursive(
+    NUMBERS,
+    lambda part: st.one_of(
+        st.builds("({} {} {})".format, part, st.sampled_from("+-*/"), part),
+        st.builds("{}({})".format, st.sampled_from(["exp", "abs", "sqrt", "log"]), part),
+        st.builds("IF({}; {}; {})".format, TRUTHS, part, part),
+        st.builds("IF({} < {}; {}; {})".format, part, part, part, part),
+    ),
+    max_leaves=5,
+)
+
+
+@pytest.mark.slow
+@settings(max_examples=generated(8))
+@given(st.lists(st.builds("{} > {}".format, EXPRESSION, EXPRESSION) | EXPRESSION, max_size=3))
+def test_generated_programs(texts):
+    model, states = simulations(4)
+    draw = np.random.default_rng(1)
+    goal, height = draw.normal(size=(4, 3)), draw.normal(size=4)
+    given_values = {"goal": goal.tolist(), "height": height.tolist()}
+    with ssduck.Interpreter(recording=None) as ss:
+        ss.add_variable("sim", ssduck.World.batch(model, 4)).tick(states)
+        ss.add_variable("goal", goal)
+        ss.add_variable("height", height)
+        for text in texts:
+            program = f"{text} + 0 * z(sim.cube);" if "sim" not in text else f"{text};"
+            expected = outcome(lambda p=program: each(model, states, p, given_values))
+            assert agree(outcome(lambda p=program: ss.eval(p)), expected), program
+
+
+def test_shapes_of_all_environments_are_compared_at_once(batch, monkeypatch):
+    ss, made = batch[0], []
+    init = NarrowPhase.__init__
+    monkeypatch.setattr(NarrowPhase, "__init__", lambda *args: made.append(1) or init(*args))
+    ss.eval("on(sim.table, sim.cube);")
+    made.clear()
+    batch[1].tick(batch[3])
+    ss.eval("on(sim.table, sim.cube);")
+    assert len(made) == 1
+
+
+@pytest.mark.parametrize("text", [text for text in EXPRESSIONS if "str" not in text])
+def test_none_is_asked_of_an_environment_by_itself(batch, monkeypatch, text):
+    ss, sim, _, states = batch
+    ss.eval(f"{text};")
+    sim.tick(states)
+    asked = []
+    monkeypatch.setattr(type(sim), "_choose", lambda _, number: asked.append(number))
+    ss.eval(f"{text};")
+    assert asked == []
+
+
+@pytest.mark.filterwarnings("ignore:.*that is no number")
+def test_what_is_nan_is_unknown_there_alone(batch):
+    ss, sim, model, states = batch
+    states[2].xpos[2] = np.nan
+    sim.tick(states)
+    heights = ss.eval("z(sim.cube);")
+    assert np.flatnonzero(np.isnan(heights)).tolist() == [2]
+    assert agree(ss.eval("z(sim.ball) > 0.3 OR z(sim.cube) > 0;"), [True] * COUNT)
+    with pytest.raises(ArgumentError, match=r"unknown in 1 environments \(2\)"):
+        ss.eval("z(sim.cube) > 0.4;")
+    expected = each(model, states, "z(sim.ball) * 2;")
+    assert agree(ss.eval("z(sim.ball) * 2;"), expected)
+
+
+def test_an_error_has_the_number_of_its_environment(batch):
+    ss, sim, _, states = batch
+    states[3].xpos[2] = states[3].xpos[3]
+    sim.tick(states)
+    with pytest.raises(SelectScriptError, match=r"^environment 3: .*zero|^environment 3: .*0"):
+        ss.eval("1 / distance(sim.cube, sim.ball);")
+    # Of a branch that is not taken, it is none.
+    text = "IF(distance(sim.cube, sim.ball) == 0; 9.0; 1 / distance(sim.cube, sim.ball));"
+    assert ss.eval(text)[3] == 9.0
+
+
+def test_nothing_meets_across_environments():
+    model, states = simulations(4)
+    for number, data in enumerate(states):  # each cube is where only other balls are
+        data.xpos[2] = [number, 0, 5]
+        data.xpos[3] = [(number + 1) % 4, 0, 5]
+    with ssduck.Interpreter(recording=None) as ss:
+        ss.add_variable("sim", ssduck.World.batch(model, 4)).tick(states)
+        for condition in ("touching", "collides", "hasContact"):
+            assert not ss.eval(f"{condition}(sim.cube, sim.ball);").any()
+        program = "SELECT env, id(this) FROM sim WHERE touching(sim.cube, this);"
+        assert ss.eval(program) == []
+
+
+ROWS = [
+    "SELECT env, id(this) FROM sim WHERE z(this) > 0.35 AS list;",
+    "SELECT env, id(this), z(this) FROM sim WHERE touching(sim.table, this) AS records;",
+    "SELECT env, id(this), distance(this, sim.ball) FROM sim WHERE id(this) <> 'ball';",
+    "SELECT env, id(this) FROM sim WHERE inContact(this, sim.table) AS list;",
+    "SELECT env, count(*) AS n FROM sim WHERE above(this, sim.table);",
+    "SELECT env, a.id AS upper, b.id AS lower FROM a=sim, b=sim WHERE above(a.this, b.this) ORDER BY upper, lower;",
+    "SELECT id(this) FROM sim WHERE env = 3 AND z(this) > goal[2] AS list;",
+]
+
+
+@pytest.mark.parametrize("text", ROWS)
+def test_queries_have_the_rows_of_each_environment(batch, text):
+    ss, _, model, states = batch
+    goal = np.linspace(0.3, 0.4, COUNT)[:, None] * np.ones(3)
+    ss.add_variable("goal", goal)
+    parameters = {"env": list(range(COUNT)), "goal": goal.tolist()}
+    expected = [row for rows in each(model, states, text, parameters) for row in rows]
+    found = ss.eval(text)
+    assert [plain(row) for row in found] == [plain(row) for row in expected]
+    assert found
+
+
+def plain(row):
+    row = list(row.values()) if isinstance(row, dict) else row
+    is_single = isinstance(row, int | str)
+    return row if is_single else [pytest.approx(v) if isinstance(v, float) else v for v in row]
+
+
+def test_tensors(batch):
+    ss, _, model, states = batch
+    found = ss.eval("SELECT z(sim.cube), int(z(sim.cube) > 0.4) FROM [0] AS tensor;")
+    heights = np.array(each(model, states, "z(sim.cube);"))
+    assert np.array_equal(found, np.stack((heights, heights > 0.4), axis=1))
+    rows = ss.eval("SELECT z(sim.cube) AS height FROM [0];")
+    assert [row["height"] for row in rows] == heights.tolist()
+
+
+def test_variables_may_change(batch):
+    ss, _, model, states = batch
+    heights = np.array(each(model, states, "z(sim.cube);"))
+    program = ss.compile("z(sim.cube) > limit;")
+    for limit in (0.4, 0.35, 1, heights - 0.1, heights + 0.1, 0.4):
+        ss.add_variable("limit", limit)
+        assert np.array_equal(ss.eval(program), heights > limit)
+
+
+def test_an_environment_is_a_world(batch):
+    _, sim, model, states = batch
+    with ssduck.Interpreter(recording=None) as one:
+        one.add_variable("sim", sim.environment(5))
+        for text in ("contactForce(sim.cube, sim.table);", "joint(sim.arm, 'elbow');"):
+            assert one.eval(text) == each(model, states[5:6], text)[0]
+    with pytest.raises(ArgumentError, match="from 0 to 7"):
+        sim.environment(COUNT)
+
+
+def test_wrong_names_have_the_nearest_right_one(batch):
+    ss = batch[0]
+    with pytest.raises(UnknownNameError) as raised:
+        ss.eval("z(sim.cubr);")
+    assert "cube" in str(raised.value)
+    with pytest.raises(UnknownNameError, match="ouching"):
+        ss.eval("tuching(sim.cube, sim.table);")
+
+
+TICKS = [
+    ({"xpos": np.zeros((7, 6, 3))}, "qpos"),
+    (
+        {"xpos": np.zeros((7, 6, 3)), "xquat": np.zeros((8, 6, 4))},
+        r"\(7, 6, 3\), not \(8, 6, 3\).*first axis",
+    ),
+    ({"xpos": np.zeros((6, 3)), "xquat": np.zeros((8, 6, 4))}, "first axis"),
+    ({"xpos": np.zeros((8, 6, 3)), "xquat": np.zeros((8, 6, 4))}, "length 0, not 1"),
+    ({"xpos": [["a"]], "xquat": 1}, "array of numbers"),
+    ({"qpos": np.zeros((8, 15)), "xposs": 1}, "did you mean.*xpos|xpos"),
+    ({"qpos": np.zeros((8, 15)), "contact": {"geom": np.zeros((8, 2, 2), int)}}, "dist"),
+]
+
+
+@pytest.mark.parametrize(("arrays", "message"), TICKS)
+def test_wrong_states_are_errors_and_the_last_ones_remain(batch, arrays, message):
+    ss, sim, _, _ = batch
+    before = ss.eval("z(sim.cube);")
+    with pytest.raises(ArgumentError, match=message):
+        sim.tick(**arrays)
+    assert np.array_equal(ss.eval("z(sim.cube);"), before)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda ss, sim: sim.step(),
+        lambda ss, sim: sim.run(1.0),
+        lambda ss, sim: sim.render(),
+        lambda ss, sim: ss.sql("SELECT * FROM sim.entities"),
+        lambda ss, sim: sim["cube"].position,
+        lambda ss, sim: ss.eval("obj(sim.cube);"),
+        lambda ss, sim: ss.eval("SELECT this FROM sim AS list;"),
+        lambda ss, sim: ss.eval("SELECT this FROM sim AS environment;"),
+        lambda ss, sim: ss.eval("x = z(sim.cube); x > 1;"),
+        lambda ss, sim: ss.eval("holds(z(sim.cube) > 0.3);"),
+        lambda ss, sim: ss.eval("heldFor(z(sim{0.0}.cube) > 0.3);"),
+        lambda ss, sim: ss.add_trigger("t", "z(sim.cube);", 0.1, print),
+        lambda ss, sim: ss.record("sim", ssduck.Recording()),
+    ],
+)
+def test_what_only_one_world_can_says_so(batch, call):
+    with pytest.raises(UnsupportedError, match=r"batch|environment|every"):
+        call(*batch[:2])
+
+
+def test_contacts_that_are_not_known_are_an_error(batch):
+    ss, sim, _, states = batch
+    sim.tick(qpos=np.stack([data.qpos for data in states]))
+    with pytest.raises(SelectScriptError, match="contact="):
+        ss.eval("inContact(sim.cube, sim.table);")
+
+
+def test_contacts_in_arrays(batch):
+    ss, sim, model, states = batch
+    most = max(data.ncon for data in states)
+    geom, dist, force = (
+        np.full((COUNT, most, 2), -1),
+        np.zeros((COUNT, most)),
+        np.zeros((COUNT, most)),
+    )
+    frame = np.zeros((COUNT, most, 9))
+    for number, data in enumerate(states):
+        for place in range(data.ncon):
+            geom[number, place] = data.contact.geom[place]
+            dist[number, place] = data.contact.dist[place]
+            frame[number, place] = data.contact.frame[place]
+            wrench = np.zeros(6)
+            mujoco.mj_contactForce(model, data, place, wrench)
+            force[number, place] = wrench[0]
+    texts = [
+        f"{name}(sim.{a}, sim.{b});"
+        for name in ("hasContact", "inContact", "contactForce", "grasped")
+        for a, b in (("cube", "table"), ("ball", "cube"), ("ball", "table"))
+    ]
+    expected = [ss.eval(text) for text in texts]
+    arrays = {name: np.stack([getattr(d, name) for d in states]) for name in ("xpos", "xquat")}
+    contact = {"geom": geom, "dist": dist, "force": force, "frame": frame}
+    sim.tick(**arrays, contact=contact)
+    assert all(agree(ss.eval(text), list(e)) for text, e in zip(texts, expected, strict=True))
+    assert any(values.any() for values in expected)
+    sim.tick(**arrays, contact={"geom": geom, "dist": dist})
+    assert agree(ss.eval(texts[0]), list(expected[0]))
+    with pytest.raises(ArgumentError, match="no force"):
+        ss.eval(texts[3])
+
+
+def test_a_program_without_the_batch_is_one_value(batch):
+    assert batch[0].eval("1 + 1;") == 2
+
+
+def test_compiled_once(batch, monkeypatch):
+    ss, sim, _, states = batch
+    ss.eval("z(sim.cube) > 0.3;")
+    made = []
+    init = BatchExpressions.__init__
+    monkeypatch.setattr(BatchExpressions, "__init__", lambda *args: made.append(1) or init(*args))
+    for _ in range(3):
+        sim.tick(states)
+        ss.eval("z(sim.cube) > 0.3;")
+    assert made == []
+
+
+def test_a_warning_is_that_of_a_world(batch):
+    with pytest.warns(ProgramWarning, match="eighth"):
+        batch[0].eval("volume(sim.cube);")
