@@ -16,6 +16,8 @@ from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import Body, ContactPoints, LinkPoses
 from ssduck.simulators.partial import PartialSimulator, unsupported
 
+# The libraries whose arrays cannot change.
+_JAX = ("jax", "jaxlib")
 # By so much the lengths of quaternions of single precision may differ from 1.
 _LENGTH_TOLERANCE = 1e-3
 NO_CONTACTS = (
@@ -189,17 +191,28 @@ def to_numpy(value: Any, name: str) -> npt.NDArray[Any]:
 
 
 def like(values: npt.NDArray[Any], sample: Any) -> Any:
-    """Returns an array of NumPy as one of the library and the device of another array."""
-    library = type(sample).__module__.partition(".")[0]
-    if library == "torch":
+    """Returns a copy of an array of NumPy, of the library and on the device of another array."""
+    copied = np.array(values)
+    if _library_of(sample) == "torch":
         import torch
 
-        return torch.from_numpy(np.ascontiguousarray(values)).to(sample.device)
-    if library in ("jax", "jaxlib"):
-        import jax
+        return torch.from_numpy(copied).to(sample.device)
+    if isinstance(sample, np.ndarray) or not hasattr(sample, "__array_namespace__"):
+        return copied
+    return sample.__array_namespace__().asarray(copied, device=sample.device)
 
-        return jax.device_put(values, next(iter(sample.devices())))
-    return values
+
+def _library_of(array: Any) -> str:
+    return type(array).__module__.partition(".")[0]
+
+
+def kept(value: Any, name: str, shape: tuple[int | str, ...]) -> npt.NDArray[Any]:
+    """Returns a checked array that stays as it is: simulators write the next state into theirs.
+
+    The arguments and errors are those of `checked`.
+    """
+    array = checked(value, name, shape)
+    return array if _library_of(value) in _JAX else np.array(array)
 
 
 def checked(value: Any, name: str, shape: tuple[int | str, ...]) -> npt.NDArray[Any]:

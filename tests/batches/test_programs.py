@@ -333,6 +333,30 @@ def test_what_only_one_world_can_says_so(batch, call):
         call(*batch[:2])
 
 
+def test_a_tick_stays_as_it_is(batch):
+    ss, sim, _, states = batch
+    arrays = {name: np.stack([getattr(d, name) for d in states]) for name in ("xpos", "xquat")}
+    before = ss.eval("z(sim.cube);")
+    sim.tick(**arrays)
+    arrays["xpos"][:] = 7.0
+    answer = ss.eval("z(sim.cube);")
+    answer[:] = 8.0
+    assert np.array_equal(ss.eval("z(sim.cube);"), before)
+
+
+@pytest.mark.parametrize("library", ["array_api_strict", "torch", "jax.numpy"])
+def test_answers_are_of_the_library_of_the_states(batch, library):
+    xp = pytest.importorskip(library)
+    ss, sim, _, states = batch
+    arrays = {name: np.stack([getattr(d, name) for d in states]) for name in ("xpos", "xquat")}
+    before = {text: ss.eval(text) for text in ("z(sim.cube);", "touching(sim.cube, sim.table);")}
+    sim.tick(**{name: xp.asarray(array) for name, array in arrays.items()})
+    for text, expected in before.items():
+        answer = ss.eval(text)
+        assert type(answer) is type(xp.asarray(expected))
+        assert np.allclose(np.asarray(answer), expected, atol=1e-6)  # jax has single precision
+
+
 def test_contacts_that_are_not_known_are_an_error(batch):
     ss, sim, _, states = batch
     sim.tick(qpos=np.stack([data.qpos for data in states]))

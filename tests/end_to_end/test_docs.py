@@ -40,7 +40,12 @@ def blocks(language):
 
 
 # A part begins where a scene is loaded anew, or a command is run.
-BEGINNINGS = ("import ssduck\n\nss = ssduck.load(", "import subprocess\n")
+BEGINNINGS = (
+    "import ssduck\n\nss = ssduck.load(",
+    "import subprocess\n",
+    "import jax\n",
+    "import torch\n",
+)
 
 
 def parts():
@@ -62,8 +67,9 @@ def parts():
 @pytest.mark.slow
 @pytest.mark.parametrize(("texts", "shown"), [*parts()])
 def test_python_examples_run(texts, shown, request, tmp_path, monkeypatch, capsys):
-    if any("import mujoco" in text for text in texts):
-        pytest.importorskip("mujoco")
+    for library in ("mujoco", "jax", "torch"):
+        if any(f"import {library}\n" in text for text in texts):
+            pytest.importorskip(library)
     if any("ssduck.render" in text for text in texts):
         skip_without_opengl()
     monkeypatch.chdir(tmp_path)

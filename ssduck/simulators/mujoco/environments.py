@@ -23,6 +23,7 @@ from ssduck.simulators.environments import (
     States,
     check_lengths,
     checked,
+    kept,
     to_numpy,
 )
 from ssduck.simulators.interface import SCALAR_JOINTS, Body, ContactPoints, LinkPoses
@@ -33,7 +34,7 @@ from ssduck.simulators.mujoco.link_poses import LinkReader
 from ssduck.simulators.mujoco.simulator import MuJoCoSimulator
 
 # What a contact has: the numbers of its geoms, their distance, m, and what is known besides.
-_OF_CONTACTS = ("geom", "dist", "force", "frame")
+_OF_CONTACTS = ("geom", "dist", "force", "frame", "efc_address", "dim")
 _DEFAULT_TIME = 0.0
 
 
@@ -86,7 +87,9 @@ class MuJoCoEnvironments:
             name: np.broadcast_to(getattr(data, name), (count, *shape))
             for name, shape in self._shapes.items()
         }
-        self._contacts: EnvironmentContacts | None = None
+        # Before the first tick there are none, so that terms can be checked.
+        nothing = np.zeros(0, np.intp), ContactPoints.none()
+        self._contacts: EnvironmentContacts | None = EnvironmentContacts(*nothing)
         # Reads the contacts of `MjData`, and whether anything has asked for any.
         self._read_contacts: Callable[[], EnvironmentContacts] | None = None
         self._wants_contacts = False
@@ -97,7 +100,7 @@ class MuJoCoEnvironments:
     @property
     def accepted(self) -> Sequence[str]:
         """The names of the arrays of a state."""
-        return [*self._shapes, "time", "contact"]
+        return [*self._shapes, "time", "contact", "efc_force"]
 
     def update(self, states: States, arrays: Mapping[str, Any]) -> None:
         """Takes the states: arrays by name, an object that has them as attributes, or `MjData`."""
@@ -114,7 +117,7 @@ class MuJoCoEnvironments:
                     suggestions=nearest(name, self.accepted),
                 )
         if states is not None:
-            found = {name: getattr(states, name, None) for name in self.accepted}
+            found = {name: _attribute(states, name) for name in self.accepted}
             given = {n: value for n, value in found.items() if value is not None} | given
         if "qpos" not in given and not {"xpos", "xquat"} <= given.keys():
             raise ArgumentError(
@@ -122,7 +125,7 @@ class MuJoCoEnvironments:
                 "qpos=… (and qvel=…), from which MuJoCo computes them"
             )
         known = {
-            name: checked(given[name], f"tick: {name}", (self.count, *shape))
+            name: kept(given[name], f"tick: {name}", (self.count, *shape))
             for name, shape in self._shapes.items()
             if name in given
         }
@@ -134,7 +137,7 @@ class MuJoCoEnvironments:
             times = np.broadcast_to(to_numpy(time, "tick: time"), (self.count,))
             self.times = np.array(times, np.float64)
         contact = given.get("contact")
-        contacts = None if contact is None else self._contacts_of(contact)
+        contacts = None if contact is None else self._contacts_of(contact, given.get("efc_force"))
         if "xpos" not in known:
             known = self._forward(known)
         missing = self._shapes.keys() - known.keys()
@@ -269,8 +272,13 @@ class MuJoCoEnvironments:
         sites: list[int] = list(sites_on(self._model, numbers_of(body)))
         return sites[link - body.rigid_count]
 
-    def _contacts_of(self, contact: Any) -> EnvironmentContacts:
-        """Returns contacts from arrays (n, m, …), of which those beyond their margins are none."""
+    def _contacts_of(self, contact: Any, efc_forces: Any) -> EnvironmentContacts:
+        """Returns contacts from arrays (n, m, …), of which those that do not meet are none.
+
+        Args:
+            contact: the arrays by name, or an object that has them as attributes.
+            efc_forces: the forces of all constraints, (n, constraints), if they are known.
+        """
         if not isinstance(contact, Mapping):
             contact = {name: getattr(contact, name, None) for name in _OF_CONTACTS}
         parts = {name: contact[name] for name in _OF_CONTACTS if contact.get(name) is not None}
@@ -283,6 +291,10 @@ class MuJoCoEnvironments:
         forces = np.full(distances.shape, np.nan)
         if "force" in parts:
             forces = checked(parts["force"], "tick: contact: force", distances.shape)
+        elif efc_forces is not None and {"efc_address", "dim"} <= parts.keys():
+            rows = to_numpy(efc_forces, "tick: efc_force").astype(np.float64)
+            addresses, dims = (to_numpy(parts[name], name) for name in ("efc_address", "dim"))
+            forces = self._normal_forces(rows, addresses, dims, distances.shape)
         # A contact that margins allow counts if it presses, as those of a single simulation do.
         are_there = (geoms >= 0).all(axis=-1) & ((distances <= 0.0) | (forces > 0.0))
         environments, places = np.nonzero(are_there)
@@ -306,7 +318,34 @@ class MuJoCoEnvironments:
             forces[environments, places].astype(np.float64),
             nothing,
         )
-        return EnvironmentContacts(environments, points, "force" in parts, "frame" in parts)
+        has_forces = "force" in parts or efc_forces is not None
+        return EnvironmentContacts(environments, points, has_forces, "frame" in parts)
+
+    def _normal_forces(
+        self, rows: Array, addresses: Indices, dims: Indices, shape: tuple[int, ...]
+    ) -> Array:
+        """Returns the normal forces of contacts (n, m), N, from those of their constraints.
+
+        A pyramidal cone has a constraint for each of its edges, and the normal force is their sum
+        (MuJoCo's mju_decodePyramid); of an elliptic one, the first constraint is along the normal.
+        """
+        is_pyramidal = self._model.opt.cone == int(mujoco.mjtCone.mjCONE_PYRAMIDAL)
+        counts = np.where((dims > 1) & is_pyramidal, 2 * (dims - 1), 1)
+        addresses, counts = np.broadcast_to(addresses, shape), np.broadcast_to(counts, shape)
+        environments = np.arange(shape[0])[:, None]
+        forces = np.zeros(shape)
+        for edge in range(int(counts.max(initial=0))):
+            is_there = (edge < counts) & (addresses >= 0)
+            places = np.where(is_there, addresses + edge, 0)
+            forces += np.where(is_there, rows[environments, places], 0.0)
+        return forces
+
+
+def _attribute(states: States, name: str) -> Any:
+    """Returns an array of states; None if there is none. MJX has some in a part of its data."""
+    inner = getattr(states, "_impl", None)
+    own = getattr(inner, name, None)
+    return getattr(states, name, None) if own is None else own
 
 
 _: type[Environments] = MuJoCoEnvironments
