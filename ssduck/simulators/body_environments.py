@@ -38,9 +38,10 @@ class BodyEnvironments:
         count: see above.
         times: (n,), the simulated times, s.
         has_times: whether the last states had times.
-        contacts: None: contacts are not known.
+        knows_contacts, contacts: False and None: contacts are not known.
     """
 
+    knows_contacts = False
     contacts: EnvironmentContacts | None = None
 
     def __init__(

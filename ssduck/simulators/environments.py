@@ -95,6 +95,10 @@ class Environments(Protocol):
         """Returns positions, velocities and efforts of a body's joints, (n, joints, 3)."""
 
     @property
+    def knows_contacts(self) -> bool:
+        """Whether the contacts are known; they may be read when they are asked for."""
+
+    @property
     def contacts(self) -> EnvironmentContacts | None:
         """The contacts; None if they are not known."""
 

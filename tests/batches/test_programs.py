@@ -398,6 +398,18 @@ def test_contacts_in_arrays(batch):
         ss.eval(texts[3])
 
 
+def test_contacts_are_read_only_if_they_are_asked_for(batch, monkeypatch):
+    ss, sim, _, states = batch
+    read, environments = [], type(sim.environments)
+    contacts = environments._contacts_in
+    monkeypatch.setattr(environments, "_contacts_in", lambda *a: read.append(1) or contacts(*a))
+    for text, count in (("z(sim.cube) > 1;", 0), ("inContact(sim.cube, sim.table);", 2)):
+        for _ in range(2):
+            sim.tick(states)
+            ss.eval(text)
+        assert len(read) == count
+
+
 def test_a_program_without_the_batch_is_one_value(batch):
     assert batch[0].eval("1 + 1;") == 2
 

@@ -254,6 +254,11 @@ class MuJoCoEnvironments:
         return values
 
     @property
+    def knows_contacts(self) -> bool:
+        """Whether the contacts are known; they may be read when they are asked for."""
+        return self._contacts is not None or self._read_contacts is not None
+
+    @property
     def contacts(self) -> EnvironmentContacts | None:
         """The contacts; None if they are not known."""
         if self._contacts is None and self._read_contacts is not None:

@@ -59,6 +59,7 @@ class BatchWorld(World):
         super().__init__(simulator, name=name)
         self._is_open = False
         self.snapshot.warns_of_unknown = False  # each answer tells of its own
+        self.snapshot.recorded = frozenset()
 
     # -- time -------------------------------------------------------------------------------
 
@@ -211,7 +212,7 @@ class BatchWorld(World):
 
     def _unavailable(self) -> dict[str, str]:
         """Returns the tables that no state has, with the reason."""
-        return {"contacts": NO_CONTACTS} if self._environments.contacts is None else {}
+        return {} if self._environments.knows_contacts else {"contacts": NO_CONTACTS}
 
     def environment(self, number: int) -> World:
         """Returns the world of an environment at the last tick, which never changes.
