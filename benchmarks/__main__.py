@@ -2,8 +2,8 @@
 
 `python -m benchmarks [NAME ...]` runs the short ones, or those named: ticks, queries, triggers,
 language and adapters. All of them take some minutes, and so do the tables raw, strict,
-checksums, first and interchange. The table mujoco needs MuJoCo, gym gymnasium as well, and view
-websockets.
+checksums, first and interchange. The table mujoco needs MuJoCo, gym and batches gymnasium as well,
+and view websockets.
 `python -m benchmarks lake [FOLDER]` needs gymnasium and MuJoCo, and Ray and Spark for their rows.
 `python -m benchmarks pairs [OPTION ...]` and `python -m benchmarks time [OPTION ...]` take many
 minutes; `--help` lists their options.
@@ -16,6 +16,7 @@ import sys
 
 from benchmarks import (
     adapters,
+    batches,
     checksums,
     first_questions,
     gym_steps,
@@ -51,7 +52,7 @@ LONG_TABLES = {
     "interchange": interchange,
 }
 # Tables that need an extra.
-EXTRA_TABLES = {"gym": gym_steps, "mujoco": mujoco_ticks, "view": view}
+EXTRA_TABLES = {"batches": batches, "gym": gym_steps, "mujoco": mujoco_ticks, "view": view}
 LONG = {
     "lake": lake.main,
     "pairs": pairs.main,

@@ -12,7 +12,7 @@ from ssduck.view.view import view_record, view_scene
 from tools.browser import chromium
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.long,
     pytest.mark.skipif(chromium() is None, reason="there is no Chromium"),
 ]
 CUP = "cup_905a"
@@ -78,7 +78,6 @@ def test_the_slider_goes_through_a_record(page, heights):
         page.wait(f"Math.abs(__ss.poseOf('{CUP}')[2] - {heights[index]}) < 1e-5")
 
 
-@pytest.mark.long
 def test_scrubbing_asks_the_server_for_no_poses(page, heights):
     page.value("__ss.seek(0); 0")
     page.wait("__ss.local > 0")
@@ -99,7 +98,6 @@ def test_the_query_is_asked_again_as_the_slider_moves(page, heights):
     )
 
 
-@pytest.mark.long
 def test_the_answers_changes_are_found_and_jumped_to(page, record):
     query = f"on(kitchen.table, kitchen.{CUP});"
     with ssduck.open(record) as ss:
@@ -116,7 +114,6 @@ def test_the_answers_changes_are_found_and_jumped_to(page, record):
     page.wait("document.querySelector('#result td').textContent === 'false'")
 
 
-@pytest.mark.long
 def test_what_holds_when_is_a_bar_above_the_slider(page, record):
     query = f"holds(on(kitchen.table, kitchen.{CUP}));"
     with ssduck.open(record) as ss:
@@ -130,7 +127,6 @@ def test_what_holds_when_is_a_bar_above_the_slider(page, record):
     assert row <= page.value("document.getElementById('slider').getBoundingClientRect().top")
 
 
-@pytest.mark.long
 def test_the_past_of_a_column_is_plotted(page):
     page.value("__ss.seek(0); 0")
     page.click(*page.value(f"__ss.placeOf('{CUP}')"))
@@ -146,7 +142,6 @@ def test_the_past_of_a_column_is_plotted(page):
     )
 
 
-@pytest.mark.long
 def test_a_live_world_has_its_past_and_the_firings_of_its_triggers(browser):
     with ssduck.load("kitchen") as ss, ss.view() as served:
         page = browser.open(served.url)
@@ -175,7 +170,6 @@ def test_a_live_world_has_its_past_and_the_firings_of_its_triggers(browser):
         page.close()
 
 
-@pytest.mark.long
 def test_a_scene_plays_and_stops(browser):
     def load():
         from ssduck.simulators.scenes import find_scene
