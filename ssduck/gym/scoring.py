@@ -14,6 +14,7 @@ from ssduck.gym.judge import Judge
 from ssduck.gym.terms import Judgement, Reward, Terms, WhereNaN
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.opening import open_record
+from ssduck.lazy import service
 from ssduck.limits import Limits
 from ssduck.recording.episode_steps import EpisodeSteps, recorded_steps
 from ssduck.recording.paths import expand_path
@@ -92,7 +93,11 @@ def score(
             f"{folder} has no episode of an environment with the world {world!r}: record it by "
             "QueryWrapper(…, record_to=…)"
         )
-    return (_score(folder, world, number, terms, limits) for number in numbers)
+    scores = service("step scores")(folder, world, numbers, terms, limits)
+    return (
+        _score(folder, world, number, terms, limits) if known is None else known
+        for number, known in zip(numbers, scores, strict=True)
+    )
 
 
 def _score(

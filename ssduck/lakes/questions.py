@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -14,7 +14,7 @@ from ssduck.adapters.display import RowsOfColumns
 from ssduck.errors import ArgumentError, RecordError, UnknownNameError
 from ssduck.formatting import short_repr
 from ssduck.gym.judge import Judge
-from ssduck.gym.scoring import score_with
+from ssduck.gym.scoring import EpisodeScore, score_with
 from ssduck.gym.terms import Terms
 from ssduck.interpreter.episode_batches import reads_present
 from ssduck.interpreter.interpreter import Interpreter
@@ -203,15 +203,31 @@ class ScoreQuestion(Question):
         def answer(present: Interpreter, entry: EpisodeEntry) -> dict[str, Any]:
             steps = EpisodeSteps.read(expand_path(entry.path), entry.world, entry.episode)
             score = score_with(present, entry.world, entry.episode, steps, self.terms, judges)
-            return {
-                "return": score.total,
-                "success": score.succeeded,
-                "failure": None if score.failure is None else bool(score.failure[-1:] == (True,)),
-                "steps": len(score.rewards),
-                "seed": score.seed,
-            }
+            return self._told(score)
 
         return answer
+
+    def _told(self, score: EpisodeScore) -> dict[str, Any]:
+        """Returns what the answer has of a score."""
+        return {
+            "return": score.total,
+            "success": score.succeeded,
+            "failure": None if score.failure is None else bool(score.failure[-1:] == (True,)),
+            "steps": len(score.rewards),
+            "seed": score.seed,
+        }
+
+
+class StepsQuestion(ScoreQuestion):
+    """The terms of a task, of which the answer has the values after each step."""
+
+    @property
+    def key(self) -> str:
+        """What tells it from other questions."""
+        return f"steps {super().key}"
+
+    def _told(self, score: EpisodeScore) -> dict[str, Any]:
+        return asdict(score)
 
 
 def plain(value: Any) -> Any:
