@@ -171,9 +171,10 @@ class BoundingBoxes:
         Returns:
             (n, 6, groups).
         """
-        if self._planes or self._vectors is None or len(self._groups) < self._count:
-            is_same = bool((positions == positions[0]).all() and (matrices == matrices[0]).all())
-            rows = range(1 if is_same else len(positions))  # a plane rarely moves
+        # What stands still does so in all of them.
+        is_same = bool((positions == positions[0]).all() and (matrices == matrices[0]).all())
+        if is_same or self._planes or self._vectors is None or len(self._groups) < self._count:
+            rows = range(1 if is_same else len(positions))
             each = np.stack([self.boxes(positions[row], matrices[row]) for row in rows])
             return np.broadcast_to(each, (len(positions), *each.shape[1:]))
         rotations = matrices.take(self._frames, axis=1).transpose(2, 3, 0, 1).copy()

@@ -18,8 +18,8 @@ from ssduck.simulators.partial import PartialSimulator, unsupported
 
 # The libraries whose arrays cannot change.
 _JAX = ("jax", "jaxlib")
-# By so much the lengths of quaternions of single precision may differ from 1.
-_LENGTH_TOLERANCE = 1e-3
+# By so much the squares of the lengths of quaternions of single precision may differ from 1.
+_LENGTH_TOLERANCE = 2e-3
 NO_CONTACTS = (
     "the contacts of these environments are not known: give tick the data of MJX, or contact="
     "{'geom': (n, m, 2), 'dist': (n, m), 'force': (n, m)}"
@@ -251,11 +251,11 @@ def check_lengths(orientations: npt.NDArray[Any], name: str) -> None:
     Raises:
         ArgumentError: one is not.
     """
-    lengths = np.sqrt((orientations.astype(np.float64) ** 2).sum(axis=-1))
-    wrong = np.argwhere(np.abs(lengths - 1.0) > _LENGTH_TOLERANCE)
-    if len(wrong):
-        environment, place = wrong[0].tolist()
-        raise ArgumentError(
-            f"{name}: the quaternion w, x, y, z at ({environment}, {place}) is of length "
-            f"{lengths[environment, place]:.3g}, not 1"
-        )
+    w, x, y, z = (orientations[..., axis] for axis in range(4))
+    squares = w * w + x * x + y * y + z * z
+    if not (np.abs(squares - 1.0) <= _LENGTH_TOLERANCE).all():
+        for environment, place in np.argwhere(np.abs(squares - 1.0) > _LENGTH_TOLERANCE).tolist():
+            raise ArgumentError(
+                f"{name}: the quaternion w, x, y, z at ({environment}, {place}) is of length "
+                f"{np.sqrt(squares[environment, place]):.3g}, not 1"
+            )

@@ -44,7 +44,7 @@ class EnvironmentColumns:
             body, link = self.body_of(id)
             environments = self._world.environments
             if name in POSE:
-                self._note(id, POSE, np.hstack(environments.frames(body, link)))
+                self._note(id, POSE, *environments.frames(body, link))
             elif name in TWIST:
                 self._note(id, TWIST, environments.velocities(body, link))
             elif name in BOX:
@@ -59,9 +59,12 @@ class EnvironmentColumns:
             self._version = self._world.version
             self._known.clear()
 
-    def _note(self, id: int, names: tuple[str, ...], values: Array) -> None:
-        columns = np.ascontiguousarray(values.T)
-        self._known.update({(id, name): columns[place] for place, name in enumerate(names)})
+    def _note(self, id: int, names: tuple[str, ...], *parts: Array) -> None:
+        """Notes columns, from parts of their rows, (n, columns) each."""
+        columns = [column for part in parts for column in np.ascontiguousarray(part.T)]
+        self._known.update(
+            {(id, name): column for name, column in zip(names, columns, strict=True)}
+        )
 
     def body_of(self, id: int) -> tuple[Body, int]:
         """Returns the body of an entity or a link, and the number of its link there.

@@ -239,13 +239,13 @@ class TreeCompiler:
                 raise LeftToDuckDBError
             match name:
                 case "norm":
-                    result = np.sqrt((numbers * numbers).sum(axis=-1))
+                    result = np.sqrt(_sum(numbers * numbers))
                 case "min":
                     result = numbers.min(axis=-1)
                 case "max":
                     result = numbers.max(axis=-1)
                 case _:
-                    result = numbers.sum(axis=-1)
+                    result = _sum(numbers)
                     if name == "avg":
                         result = result / numbers.shape[-1]
             return np.asarray(result)
@@ -259,3 +259,11 @@ class TreeCompiler:
     @staticmethod
     def _joined(kind: Kind, compute: Compute, parts: Sequence[Expression]) -> Expression:
         return Expression(kind, compute, has_calls=any(part.has_calls for part in parts))
+
+
+def _sum(lists: Array) -> Array:
+    """Returns the sums of short lists, (…, length): over such an axis, numpy's take far longer."""
+    total: Array = lists[..., 0]
+    for place in range(1, lists.shape[-1]):
+        total = total + lists[..., place]
+    return total
