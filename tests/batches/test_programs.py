@@ -197,6 +197,22 @@ def test_what_is_nan_is_unknown_there_alone(batch):
     assert agree(ss.eval("z(sim.ball) * 2;"), expected)
 
 
+@pytest.mark.filterwarnings("ignore:.*that is no number")
+def test_a_number_of_what_is_nan_needs_no_second_look(batch, monkeypatch):
+    ss, sim, _, states = batch
+    states[2].xpos[2] = np.nan
+    sim.tick(states)
+    ss.eval("exp(-z(sim.cube)) + x(sim.ball);")
+    asked = []
+    choose = type(sim)._choose
+    monkeypatch.setattr(type(sim), "_choose", lambda *a: asked.append(a[1]) or choose(*a))
+    sim.tick(states)
+    assert np.flatnonzero(np.isnan(ss.eval("exp(-z(sim.cube)) + x(sim.ball);"))).tolist() == [2]
+    assert asked == []
+    assert ss.eval("z(sim.ball) > 0 OR z(sim.cube) > 0;").all()
+    assert 2 in asked
+
+
 def test_an_error_has_the_number_of_its_environment(batch):
     ss, sim, _, states = batch
     states[3].xpos[2] = states[3].xpos[3]
@@ -298,6 +314,13 @@ TICKS = [
     ({"xpos": [["a"]], "xquat": 1}, "array of numbers"),
     ({"qpos": np.zeros((8, 15)), "xposs": 1}, "did you mean.*xpos|xpos"),
     ({"qpos": np.zeros((8, 15)), "contact": {"geom": np.zeros((8, 2, 2), int)}}, "dist"),
+    (
+        {
+            "qpos": np.zeros((8, 15)),
+            "contact": {"geom": np.full((8, 2, 2), 9), "dist": np.zeros((8, 2))},
+        },
+        "9, and the model has 6 geoms",
+    ),
 ]
 
 

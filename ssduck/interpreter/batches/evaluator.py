@@ -125,19 +125,13 @@ class BatchExpressions:
         given, unknown = self.given()
         compiled = self._current(given)
         count = self._world.count
-        found, left = compiled.values(given, unknown, count)
-        rows = np.flatnonzero(left)
-        everywhere = np.arange(count)
-        one_by_one = {
-            place: everywhere if values is None else rows
-            for place, values in enumerate(found)
-            if values is None or len(rows)
-        }
-        single = self._one_by_one(one_by_one, given, unknown)
-        return [
-            _assembled(values, one_by_one.get(place, rows), single.get(place, []), count)
-            for place, values in enumerate(found)
+        found, lefts = compiled.values(given, unknown, count)
+        rows = [
+            np.arange(count) if values is None else np.flatnonzero(left)
+            for values, left in zip(found, lefts, strict=True)
         ]
+        single = self._one_by_one(rows, given, unknown)
+        return [_assembled(*parts, count) for parts in zip(found, rows, single, strict=True)]
 
     def given(self) -> tuple[dict[str, Array], dict[str, Flags]]:
         """Returns the values of placeholders, and where they are unknown."""
@@ -172,21 +166,21 @@ class BatchExpressions:
 
     def _one_by_one(
         self,
-        rows: Mapping[int, Indices],
+        rows: Sequence[Indices],
         given: Mapping[str, Array],
         unknown: Mapping[str, Flags],
-    ) -> dict[int, list[Any]]:
+    ) -> list[list[Any]]:
         """Returns the values of expressions in some environments, each computed by itself.
 
         Args:
-            rows: the environments, by the place of the expression.
+            rows: the environments of each expression.
             given: the values of placeholders.
             unknown: where they are unknown.
         """
-        values: dict[int, list[Any]] = {place: [] for place in rows}
-        chosen = {place: set(numbers.tolist()) for place, numbers in rows.items()}
-        for number in sorted(set().union(*chosen.values())):
-            places = [place for place, numbers in chosen.items() if number in numbers]
+        values: list[list[Any]] = [[] for _ in rows]
+        chosen = [set(numbers.tolist()) for numbers in rows]
+        for number in sorted(set().union(*chosen)):
+            places = [place for place, numbers in enumerate(chosen) if number in numbers]
             nodes = [self.substituted[place] for place in places]
             samples = at_environment(given, unknown, number)
             frame = Frame(self._execution, placeholders=samples)
@@ -285,20 +279,20 @@ def at_environment(
 def _assembled(values: Array | None, rows: Indices, single: Sequence[Any], count: int) -> Answers:
     """Returns values of arrays, with those of some environments from elsewhere."""
     unknown = np.zeros(count, np.bool_)
+    if values is not None and values.dtype.kind == "f" and values.ndim == 1:
+        unknown = np.isnan(values)
     if not len(rows):
         assert values is not None
         return Answers(values, unknown)
-    are_none = np.array([value is None for value in single])
-    unknown[rows[are_none]] = True
+    unknown[rows] = [value is None for value in single]
     if values is None:
         known = next((value for value in single if value is not None), float("nan"))
         filled = [known if value is None else value for value in single]
         return Answers(_array(filled), unknown)
     result = np.array(values)
-    for row, value in zip(
-        rows[~are_none].tolist(), (v for v in single if v is not None), strict=True
-    ):
-        result[row] = value
+    for row, value in zip(rows.tolist(), single, strict=True):
+        if value is not None:
+            result[row] = value
     return Answers(result, unknown)
 
 

@@ -317,7 +317,7 @@ class CompiledExpressions:
 
     def values(
         self, given: Mapping[str, Array], unknown: Mapping[str, Flags], count: int
-    ) -> tuple[list[Array | None], Flags]:
+    ) -> tuple[list[Array | None], list[Flags]]:
         """Returns the values of the expressions.
 
         Args:
@@ -327,13 +327,25 @@ class CompiledExpressions:
 
         Returns:
             The values, (count,) or (count, length), None of those that arrays cannot have; and
-            where all have to be evaluated by themselves, (count,).
+            where each has to be evaluated by itself, (count,).
         """
 
-        def evaluate(values: ArrayValues) -> list[Array | None]:
-            return [value_of(compute, values) for compute in self._computes]
+        def evaluate(values: ArrayValues) -> tuple[list[Array | None], bool]:
+            return [value_of(compute, values) for compute in self._computes], values.is_checked
 
-        return self._leaves.evaluated(evaluate, given, unknown, count)
+        (found, is_checked), left = self._leaves.evaluated(evaluate, given, unknown, count)
+        if is_checked or not left.any():
+            return found, [left] * len(found)
+        # Where no operation made a NaN, one in the result is that of an unknown number.
+        return found, [_still_left(values, left) for values in found]
+
+
+def _still_left(values: Array | None, left: Flags) -> Flags:
+    """Returns the rows that are left whose values are not the number NaN."""
+    if values is None or values.ndim > 1 or values.dtype.kind != "f":
+        return left
+    still: Flags = left & ~np.isnan(values)
+    return still
 
 
 def value_of(compute: Compute | None, values: ArrayValues) -> Array | None:

@@ -293,6 +293,11 @@ class MuJoCoEnvironments:
             )
         geoms = checked(parts["geom"], "tick: contact: geom", (self.count, "m", 2)).astype(np.intp)
         distances = checked(parts["dist"], "tick: contact: dist", (self.count, geoms.shape[1]))
+        if geoms.max(initial=-1) >= self._model.ngeom:
+            raise ArgumentError(
+                f"tick: contact: geom has the number {geoms.max()}, and the model has "
+                f"{self._model.ngeom} geoms, from 0"
+            )
         forces = np.full(distances.shape, np.nan)
         if "force" in parts:
             forces = checked(parts["force"], "tick: contact: force", distances.shape)
