@@ -24,10 +24,30 @@ MODEL = """
 COUNT = 8
 
 
+class States(list):
+    """Data of simulations, with a world that is attached to each from the first question on."""
+
+    singles = ()
+
+    def worlds(self, model):
+        """Yields the interpreters with the worlds, `sim`, at the present states."""
+        if not self.singles:
+            self.singles = [ssduck.Interpreter(recording=None) for _ in self]
+            for ss, data in zip(self.singles, self, strict=True):
+                ss.add_variable("sim", ssduck.World.attach(model, data))
+        for ss in self.singles:
+            ss["sim"].tick()
+            yield ss
+
+    def close(self):
+        for ss in self.singles:
+            ss.close()
+
+
 def simulations(count=COUNT, seed=0):
     """Returns a model, and data in random states near the table, stepped once."""
     model = mujoco.MjModel.from_xml_string(MODEL)
-    draw, states = np.random.default_rng(seed), []
+    draw, states = np.random.default_rng(seed), States()
     for number in range(count):
         data = mujoco.MjData(model)
         low = [-0.3, -0.3, 0.32] if number % 2 else [-0.05, -0.05, 0.345]
@@ -48,15 +68,14 @@ def batch():
         sim = ss.add_variable("sim", ssduck.World.batch(model, COUNT))
         sim.tick(states)
         yield ss, sim, model, states
+    states.close()
 
 
 def each(model, states, program, parameters=None):
     """Returns the values of a program in worlds that are attached to the simulations."""
     values = []
-    for number, data in enumerate(states):
-        with ssduck.Interpreter(recording=None) as ss:
-            ss.add_variable("sim", ssduck.World.attach(model, data))
-            for name, value in (parameters or {}).items():
-                ss.add_variable(name, value[number])
-            values.append(ss.eval(program))
+    for number, ss in enumerate(states.worlds(model)):
+        for name, value in (parameters or {}).items():
+            ss.add_variable(name, value[number])
+        values.append(ss.eval(program))
     return values

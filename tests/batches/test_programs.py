@@ -20,7 +20,7 @@ from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.interpreter.batches.evaluator import BatchExpressions
 from ssduck.sql.relations.registry import RELATIONS
 from tests.batches.conftest import COUNT, each, simulations
-from tests.support.cases import generated
+from tests.support.cases import generated, sampled
 
 EXPRESSIONS = [
     "z(sim.cube)",
@@ -95,7 +95,7 @@ def test_expressions(batch, text):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::ssduck.errors.ProgramWarning", "ignore:.*contacts")
-@pytest.mark.parametrize("name", PAIRS)
+@sampled("name", PAIRS, every=4)
 def test_relations_of_two_entities(batch, name):
     ss, _, model, states = batch
     for a, b in (("cube", "table"), ("ball", "cube"), ("arm", "ball"), ("cube", "cube")):
@@ -106,7 +106,7 @@ def test_relations_of_two_entities(batch, name):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::ssduck.errors.ProgramWarning", "ignore:.*contacts")
-@pytest.mark.parametrize("name", SINGLES)
+@sampled("name", SINGLES, every=4)
 def test_relations_of_one_entity(batch, name):
     ss, _, model, states = batch
     for entity in ("cube", "arm"):
@@ -159,6 +159,7 @@ def test_generated_programs(texts):
             program = f"{text} + 0 * z(sim.cube);" if "sim" not in text else f"{text};"
             expected = outcome(lambda p=program: each(model, states, p, given_values))
             assert agree(outcome(lambda p=program: ss.eval(p)), expected), program
+    states.close()
 
 
 def test_shapes_of_all_environments_are_compared_at_once(batch, monkeypatch):
@@ -289,7 +290,7 @@ def test_an_environment_is_a_world(batch):
     with ssduck.Interpreter(recording=None) as one:
         one.add_variable("sim", sim.environment(5))
         for text in ("contactForce(sim.cube, sim.table);", "joint(sim.arm, 'elbow');"):
-            assert one.eval(text) == each(model, states[5:6], text)[0]
+            assert one.eval(text) == each(model, states, text)[5]
     with pytest.raises(ArgumentError, match="from 0 to 7"):
         sim.environment(COUNT)
 

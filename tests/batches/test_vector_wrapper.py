@@ -9,8 +9,9 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from ssduck.errors import ArgumentError, SimulatorError
 from ssduck.gym import QueryWrapper, VectorQueryWrapper
+from tests.support.cases import generated, sampled
 
-COUNT, STEPS = 3, 60
+COUNT, STEPS = 3, generated(40)
 
 
 def make():
@@ -35,7 +36,9 @@ def terms():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mode", list(AutoresetMode))
+@sampled(
+    "mode", [AutoresetMode.SAME_STEP, AutoresetMode.DISABLED, AutoresetMode.NEXT_STEP], every=2
+)
 def test_it_is_that_of_each_by_itself(mode, terms):
     wrapped = VectorQueryWrapper(SyncVectorEnv([make] * COUNT, autoreset_mode=mode), **terms)
     each = SyncVectorEnv(
