@@ -16,6 +16,7 @@ from ssduck.simulators.environments import (
     States,
     check_lengths,
     checked,
+    times_of,
     to_numpy,
 )
 from ssduck.simulators.interface import SCALAR_JOINTS, Body, LinkPoses
@@ -38,6 +39,7 @@ class BodyEnvironments:
         count: see above.
         times: (n,), the simulated times, s.
         has_times: whether the last states had times.
+        sample: an array of the last states.
         knows_contacts, contacts: False and None: contacts are not known.
     """
 
@@ -53,6 +55,7 @@ class BodyEnvironments:
     ) -> None:
         self._bodies, self.count = bodies, count
         self.times, self.has_times = np.zeros(count), False
+        self.sample: Any = None
         self._states = {
             body: np.broadcast_to(own, (count, *own.shape)) for body, own in states.items()
         }
@@ -67,7 +70,7 @@ class BodyEnvironments:
 
     def update(self, states: States, arrays: Mapping[str, Any]) -> None:
         """Takes poses and joint positions by the names of entities; others stay as they are."""
-        given = dict(arrays) if states is None else {"poses": states, **arrays}
+        given = {**(states or {}), **arrays}
         for name in given:
             if name not in self.accepted:
                 raise ArgumentError(
@@ -83,10 +86,9 @@ class BodyEnvironments:
             body = self._bodies[name]
             new_joints[body] = self._joints_of(name, body, values)
         time = given.get("time")
-        self.has_times = time is not None
-        if time is not None:
-            times = np.broadcast_to(to_numpy(time, "tick: time"), (self.count,))
-            self.times = np.array(times, np.float64)
+        times = self.times if time is None else times_of(time, self.count)
+        self.times, self.has_times = times, time is not None
+        self.sample = next(iter((given.get("poses") or {}).values()), self.sample)
         self._states, self._joints = new_states, new_joints
 
     def _named(self, given: Mapping[str, Any], part: str) -> Sequence[tuple[str, Any]]:
@@ -107,7 +109,7 @@ class BodyEnvironments:
         key, links = f"tick: poses[{name!r}]", len(body.links)
         array = to_numpy(values, key)
         if array.ndim == 2:
-            if links > 1 and body.joints:
+            if links > 1 and any(joint.type != "fixed" for joint in body.joints):
                 raise ArgumentError(
                     f"{key}: {name} has {links} links, which joints move: give the poses of all, "
                     f"({self.count}, {links}, 7)"

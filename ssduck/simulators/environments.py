@@ -59,11 +59,13 @@ class Environments(Protocol):
         count: the number n of environments.
         times: (n,), the simulated time of each, s.
         has_times: whether the last states had times.
+        sample: an array of the last states as it was given, for the library of answers.
     """
 
     count: int
     times: Array
     has_times: bool
+    sample: Any
 
     @property
     def accepted(self) -> Sequence[str]:
@@ -243,6 +245,19 @@ def checked(value: Any, name: str, shape: tuple[int | str, ...]) -> npt.NDArray[
             hint = f": the first axis is the {first} environments"
         raise ArgumentError(f"{name} is of shape {array.shape}, not ({expected}){hint}")
     return array
+
+
+def times_of(time: Any, count: int) -> Array:
+    """Returns the simulated times of environments, s, (count,), from one number or an array.
+
+    Raises:
+        ArgumentError: there are other numbers of them, or one is not finite.
+    """
+    given = to_numpy(time, "tick: time")
+    times = checked(given, "tick: time", (count,)) if given.ndim else np.full(count, given)
+    if not np.isfinite(times).all():
+        raise ArgumentError("tick: time: simulated seconds are finite numbers")
+    return np.array(times, np.float64)
 
 
 def check_lengths(orientations: npt.NDArray[Any], name: str) -> None:

@@ -358,7 +358,7 @@ def test_a_tick_stays_as_it_is(batch):
     ss, sim, _, states = batch
     arrays = {name: np.stack([getattr(d, name) for d in states]) for name in ("xpos", "xquat")}
     before = ss.eval("z(sim.cube);")
-    sim.tick(**arrays)
+    sim.tick(arrays)
     arrays["xpos"][:] = 7.0
     answer = ss.eval("z(sim.cube);")
     answer[:] = 8.0

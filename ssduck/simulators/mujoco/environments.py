@@ -24,6 +24,7 @@ from ssduck.simulators.environments import (
     check_lengths,
     checked,
     kept,
+    times_of,
     to_numpy,
 )
 from ssduck.simulators.interface import SCALAR_JOINTS, Body, ContactPoints, LinkPoses
@@ -67,12 +68,14 @@ class MuJoCoEnvironments:
         count: see above.
         times: (n,), the simulated times, s.
         has_times: whether the last states had times.
+        sample: an array of the last states as it was given.
     """
 
     def __init__(self, model: Any, data: Any, count: int, simulator: MuJoCoSimulator) -> None:
         self._model, self._data, self._simulator = model, data, simulator
         self.count = count
         self.times, self.has_times = np.full(count, _DEFAULT_TIME), False
+        self.sample: Any = None
         self._shapes: dict[str, tuple[int, ...]] = {
             "xpos": (model.nbody, 3),
             "xquat": (model.nbody, 4),
@@ -107,7 +110,8 @@ class MuJoCoEnvironments:
         if isinstance(states, Sequence):
             self._take(states)
             return
-        self._read_contacts = None
+        if isinstance(states, Mapping):
+            states, arrays = None, {**states, **arrays}
         given = {name: value for name, value in arrays.items() if value is not None}
         for name in given:
             if name not in self.accepted:
@@ -132,17 +136,16 @@ class MuJoCoEnvironments:
         if "xquat" in known:
             check_lengths(known["xquat"], "tick: xquat")
         time = given.get("time")
-        self.has_times = time is not None
-        if time is not None:
-            times = np.broadcast_to(to_numpy(time, "tick: time"), (self.count,))
-            self.times = np.array(times, np.float64)
+        times = self.times if time is None else times_of(time, self.count)
         contact = given.get("contact")
         contacts = None if contact is None else self._contacts_of(contact, given.get("efc_force"))
-        if "xpos" not in known:
+        if not {"xpos", "xquat"} <= known.keys():
             known = self._forward(known)
         missing = self._shapes.keys() - known.keys()
         unknown = {n: np.full((self.count, *self._shapes[n]), np.nan) for n in missing}
-        self._arrays, self._contacts = known | unknown, contacts
+        self._arrays, self._contacts, self._read_contacts = known | unknown, contacts, None
+        self.times, self.has_times = times, time is not None
+        self.sample = given.get("xpos", given.get("qpos"))
 
     def _take(self, states: Sequence[Any]) -> None:
         """Takes the states of a list of `MjData`."""
@@ -154,7 +157,7 @@ class MuJoCoEnvironments:
             name: np.stack([getattr(state, name) for state in states]).reshape(self.count, *shape)
             for name, shape in self._shapes.items()
         }
-        self._arrays, self._contacts = stacked, None
+        self._arrays, self._contacts, self.sample = stacked, None, None
         self.times = np.array([state.time for state in states])
         self.has_times = True
         self._read_contacts = partial(self._contacts_in, tuple(states), self.times.copy())

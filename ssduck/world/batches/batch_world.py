@@ -50,8 +50,6 @@ class BatchWorld(World):
         self._environments: Environments = simulator.environments
         self._is_open = True  # for the first tick
         self.version = 0
-        # One of the arrays of the last states.
-        self._sample: Any = None
         self.began: Indices = np.zeros(self._environments.count, np.intp)
         self._restarting = np.ones(self._environments.count, np.bool_)
         # What reads the present states before the next ones.
@@ -110,9 +108,6 @@ class BatchWorld(World):
                 if (read := reference()) is not None:
                     read()
             self._environments.update(state, arrays)
-            self._sample = next(iter(arrays.values()), None)
-            if state is not None:
-                self._sample = getattr(state, self._environments.accepted[0], None)
             self.version += 1
             self.began[self._restarting] = self.version
             self._restarting[:] = False
@@ -271,7 +266,7 @@ class BatchWorld(World):
 
     def given_back(self, values: Array) -> Any:
         """Returns values as an array of the library that the last states came in."""
-        return like(values, self._sample)
+        return like(values, self._environments.sample)
 
     @property
     def bodies(self) -> Sequence[tuple[int, Body]]:
