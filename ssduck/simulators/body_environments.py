@@ -178,5 +178,8 @@ class BodyEnvironments:
         """Returns positions, velocities and efforts of a body's joints, (n, joints, 3)."""
         return self._joints[body]
 
+    def check_joints(self) -> None:
+        """Does nothing: joints are where they were at first, or where the states say."""
+
 
 _: type[Environments] = BodyEnvironments

@@ -94,7 +94,17 @@ class Environments(Protocol):
         """
 
     def joints(self, body: Body) -> Array:
-        """Returns positions, velocities and efforts of a body's joints, (n, joints, 3)."""
+        """Returns positions, velocities and efforts of a body's joints, (n, joints, 3).
+
+        NaN where they are not known.
+        """
+
+    def check_joints(self) -> None:
+        """Checks that the positions of joints are known.
+
+        Raises:
+            ArgumentError: they are not.
+        """
 
     @property
     def knows_contacts(self) -> bool:

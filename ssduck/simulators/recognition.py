@@ -61,7 +61,9 @@ def simulator_of_model(model: Any) -> str:
     """
     if _own(model, _NAMES[0]) is not None:
         return MUJOCO
-    raise SimulatorError(f"batch: {short_repr(model)} is no MjModel of MuJoCo")
+    raise SimulatorError(
+        f"batch: {short_repr(model)} is no MjModel of MuJoCo, and no loaded or attached world"
+    )
 
 
 def _hint(simulation: Any) -> str:

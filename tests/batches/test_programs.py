@@ -385,6 +385,22 @@ def test_contacts_that_are_not_known_are_an_error(batch):
         ss.eval("inContact(sim.cube, sim.table);")
 
 
+@pytest.mark.parametrize(
+    ("text", "array"),
+    [
+        ("speed(sim.cube) < 1;", "cvel="),
+        ("z(sim.cube.top);", "site_xpos="),
+        ("joint(sim.arm, 'elbow');", "qpos="),
+    ],
+)
+def test_arrays_that_are_not_known_are_an_error(batch, text, array):
+    ss, sim, _, states = batch
+    arrays = {name: np.stack([getattr(d, name) for d in states]) for name in ("xpos", "xquat")}
+    sim.tick(arrays)
+    with pytest.raises(ArgumentError, match=array):
+        ss.eval(text)
+
+
 def test_contacts_in_arrays(batch):
     ss, sim, model, states = batch
     most = max(data.ncon for data in states)

@@ -201,9 +201,13 @@ class BatchExpressions:
         """Evaluates the expressions in the first environment, for their errors and warnings."""
         given, unknown = self.given()
         frame = Frame(self._execution, placeholders=at_environment(given, unknown, 0))
-        with self._world.at(0), self._execution.worlds_pinned(*self.substituted):
-            for node in self.substituted:
-                frame.value(node)
+        try:
+            with self._world.at(0), self._execution.worlds_pinned(*self.substituted):
+                for node in self.substituted:
+                    frame.value(node)
+        except ArgumentError:
+            self.answers()  # it may tell of an array that the states lack
+            raise
 
 
 def plain(value: Any, node: Node) -> Any:
@@ -212,6 +216,8 @@ def plain(value: Any, node: Node) -> Any:
     Raises:
         UnsupportedError: it is one.
     """
+    for part in value if isinstance(value, list) else ():
+        plain(part, node)
     if isinstance(value, Handle | World):
         raise UnsupportedError(
             "an entity of a batch is in every environment: ask for its name or its numbers, such "
@@ -284,16 +290,21 @@ def _assembled(values: Array | None, rows: Indices, single: Sequence[Any], count
     if not len(rows):
         assert values is not None
         return Answers(values, unknown)
-    unknown[rows] = [value is None for value in single]
     if values is None:
-        known = next((value for value in single if value is not None), float("nan"))
-        filled = [known if value is None else value for value in single]
-        return Answers(_array(filled), unknown)
+        return answers_of(single)
+    unknown[rows] = [value is None for value in single]
     result = np.array(values)
     for row, value in zip(rows.tolist(), single, strict=True):
         if value is not None:
             result[row] = value
     return Answers(result, unknown)
+
+
+def answers_of(values: Sequence[Any]) -> Answers:
+    """Returns the values of all environments, None for unknown ones, as arrays."""
+    unknown = np.array([value is None for value in values], np.bool_)
+    known = next((value for value in values if value is not None), float("nan"))
+    return Answers(_array([known if value is None else value for value in values]), unknown)
 
 
 def _array(values: list[Any]) -> Array:

@@ -119,6 +119,9 @@ class Leaves:
             key = f"{value.id} {name}"
             if name in CHANGING:
                 self.note(key, "double", self._column(value.id, name))
+            elif name == "tick":
+                world = self.engine.world
+                self.note(key, "integer", lambda _: np.array([[world.version]]))
             else:
                 self._constant(key, value.id if name == "id" else value.column(name))
             return key

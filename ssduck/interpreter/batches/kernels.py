@@ -186,6 +186,7 @@ def _of_joints(
     body, link = columns.body_of(int(ids.item()))
     if link:
         raise LeftToDuckDBError
+    world.environments.check_joints()
     positions = world.environments.joints(body)[..., 0]
     wanted = {str(each.item()) for each in names} or {joint.name for joint in body.joints}
     found = [(place, joint) for place, joint in enumerate(body.joints) if joint.name in wanted]

@@ -12,7 +12,7 @@ from ssduck.interpreter.batches.evaluator import BatchExpressions, without_unkno
 from ssduck.interpreter.batches.expressions import Engine
 from ssduck.interpreter.batches.queries import BatchQuery
 from ssduck.interpreter.execution import Execution
-from ssduck.language.analysis import variables_of
+from ssduck.language.analysis import calls_of, variables_of
 from ssduck.language.tree import Node, Program, Query
 from ssduck.world.batches.batch_world import BatchWorld
 
@@ -37,6 +37,8 @@ class BatchPrograms:
         """
         names = frozenset().union(*map(variables_of, program.statements))
         values = [self._execution.variable_or_none(name) for name in names]
+        if any("getTime" in calls_of(statement) for statement in program.statements):
+            values += self._execution.worlds[:1]  # whose time it is
         batches = list({id(v): v for v in values if isinstance(v, BatchWorld)}.values())
         if len(batches) > 1:
             raise UnsupportedError("a program reads one batch: evaluate one for each")
@@ -50,6 +52,9 @@ class BatchPrograms:
         """
         execution = self._execution
         with world.lock, execution.transaction(program):
+            if program.explain:
+                with world.at(0):
+                    return execution.explanation(program)
             compiled = self._compiled.get(program)
             if compiled is None or not compiled.is_current(execution):
                 compiled = self._compiled[program] = self._made(program, world)
@@ -76,10 +81,10 @@ class BatchPrograms:
         """Compiles a program, which has to be one expression or query."""
         execution = self._execution
         read = execution.read(program)
-        if len(read.statements) != 1 or read.explain:
+        if len(read.statements) != 1:
             raise UnsupportedError(
                 "over a batch, a program is one expression or query: set variables with "
-                "add_variable, and ask environment(0) for an explanation"
+                "add_variable"
             )
         (node,) = read.statements
         with world.at(0):

@@ -15,13 +15,14 @@ from ssduck.errors import SelectScriptError, UnsupportedError
 from ssduck.geometry.arrays import Flags, Indices
 from ssduck.interpreter.batches.evaluator import (
     BatchExpressions,
+    answers_of,
     at_environment,
     plain,
     without_unknown,
 )
 from ssduck.interpreter.batches.expressions import CHANGING, PLAIN, Engine, Leaves, value_of
 from ssduck.interpreter.execution import Execution
-from ssduck.interpreter.output import as_clause_of
+from ssduck.interpreter.output import AsClause, as_clause_of
 from ssduck.language.clauses import PythonClauses, Rows, Selected, SelectedValue
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import Call, ListLiteral, Literal, Name, Node, Placeholder, Query
@@ -85,12 +86,29 @@ class BatchQuery:
         if "tensor" in form.adapter.names and self._columns is not None:
             columns = [without_unknown(one, "a column") for one in self._columns.answers()]
             return self._world.given_back(np.column_stack(columns))
+        if "value" in form.adapter.names:
+            return self._world.given_back(self._value_of_each(form))
         value = form.value(self._query, Frame(self._execution), self._run)
         return self._world.given_back(value) if isinstance(value, np.ndarray) else value
+
+    def _value_of_each(self, form: AsClause) -> Array:
+        """Returns the result of a form for the rows of each environment, (n,)."""
+        names, rows = self._rows(_accept_columns)
+        values = []
+        for number in range(self._world.count):
+            own = Rows(rows[number], names)
+            frame = Frame(self._execution)
+            values.append(form.value(self._query, frame, lambda *_, own=own: own))
+        return without_unknown(answers_of(values), "the query")
 
     def _run(self, query: Query, frame: Frame, check: Any) -> Selected:
         """Returns the rows of all environments; see `QueryRunner`."""
         del query, frame
+        names, rows = self._rows(check)
+        return Rows([row for number in sorted(rows) for row in rows[number]], names)
+
+    def _rows(self, check: Any) -> tuple[Any, _RowsByNumber]:
+        """Returns the names of the columns, and the rows of each environment."""
         given, unknown = self._outer.given()
         given[ENV] = np.arange(self._world.count)
         rows: _RowsByNumber = {}
@@ -103,7 +121,7 @@ class BatchQuery:
             if number not in rows:
                 selected = self._one(number, given, unknown, check)
                 rows[number], names = selected.values, selected.names
-        return Rows([row for number in sorted(rows) for row in rows[number]], names)
+        return names, rows
 
     def _one(
         self, number: int, given: Mapping[str, Array], unknown: Mapping[str, Flags], check: Any
@@ -177,7 +195,7 @@ class _OverEntities:
         for name, kind in _KINDS.items():
             if name in CHANGING:
                 self.leaves.note(f"column {name}", "double", self._changing(name))
-            elif kind in ("double", "integer", "string", "boolean"):
+            elif kind in ("double", "integer", "string", "boolean") and name != "run":
                 own = engine.world.snapshot.tables["entities"].values(name)
                 array = np.tile(np.array(own, object if kind == "string" else None), count)
                 if array.dtype.kind != "O" or kind == "string":
@@ -221,6 +239,10 @@ class _OverEntities:
         for number, row in zip(self._environments[places].tolist(), selected, strict=True):
             rows[number].append(row)
         return rows
+
+
+def _accept_columns(_: object) -> None:
+    """Accepts any columns."""
 
 
 def _is_row(query: Query) -> bool:

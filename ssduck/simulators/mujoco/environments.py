@@ -6,6 +6,7 @@ The arrays have the names and the shapes of `mujoco.MjData`, behind an axis of e
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -96,6 +97,8 @@ class MuJoCoEnvironments:
         # Reads the contacts of `MjData`, and whether anything has asked for any.
         self._read_contacts: Callable[[], EnvironmentContacts] | None = None
         self._wants_contacts = False
+        # The arrays that the last states did not have.
+        self._missing: AbstractSet[str] = frozenset()
         self._readers: list[LinkReader] = []
         self._joint_numbers: dict[Body, Indices] = {}
         self._owners: Owners | None = None
@@ -141,8 +144,8 @@ class MuJoCoEnvironments:
         contacts = None if contact is None else self._contacts_of(contact, given.get("efc_force"))
         if not {"xpos", "xquat"} <= known.keys():
             known = self._forward(known)
-        missing = self._shapes.keys() - known.keys()
-        unknown = {n: np.full((self.count, *self._shapes[n]), np.nan) for n in missing}
+        self._missing = self._shapes.keys() - known.keys()
+        unknown = {n: np.full((self.count, *self._shapes[n]), np.nan) for n in self._missing}
         self._arrays, self._contacts, self._read_contacts = known | unknown, contacts, None
         self.times, self.has_times = times, time is not None
         self.sample = given.get("xpos", given.get("qpos"))
@@ -158,6 +161,7 @@ class MuJoCoEnvironments:
             for name, shape in self._shapes.items()
         }
         self._arrays, self._contacts, self.sample = stacked, None, None
+        self._missing = frozenset()
         self.times = np.array([state.time for state in states])
         self.has_times = True
         self._read_contacts = partial(self._contacts_in, tuple(states), self.times.copy())
@@ -206,7 +210,7 @@ class MuJoCoEnvironments:
             for name, values in computed.items():
                 values[number] = getattr(data, name)
         if velocities is None:
-            computed["cvel"][:] = np.nan
+            del computed["cvel"]
         return known | computed
 
     # -- reading ----------------------------------------------------------------------------
@@ -228,12 +232,14 @@ class MuJoCoEnvironments:
         orientations = self._column("xquat", number)
         if body.links[link].region is None:
             return self._column("xpos", number), orientations
+        self._check_known("places of sites", "site_xpos")
         site = self._site(body, link)
         turn = np.broadcast_to(self._model.site_quat[site], orientations.shape)
         return self._column("site_xpos", site), multiply(orientations, turn)
 
     def velocities(self, body: Body, link: int) -> Array:
         """Returns the velocities of a link's frame, linear, then angular, (n, 6)."""
+        self._check_known("velocities", "cvel", "subtree_com")
         number = self._number(body, link)
         twists = self._column("cvel", number)
         root = int(self._model.body_rootid[number])
@@ -256,6 +262,10 @@ class MuJoCoEnvironments:
         values[:, [joint.type not in SCALAR_JOINTS for joint in body.joints]] = np.nan
         return values
 
+    def check_joints(self) -> None:
+        """Checks that the positions of joints are known."""
+        self._check_known("positions of joints", "qpos")
+
     @property
     def knows_contacts(self) -> bool:
         """Whether the contacts are known; they may be read when they are asked for."""
@@ -267,6 +277,19 @@ class MuJoCoEnvironments:
         if self._contacts is None and self._read_contacts is not None:
             self._contacts = self._read_contacts()
         return self._contacts
+
+    def _check_known(self, what: str, *names: str) -> None:
+        """Checks that the last states had some arrays.
+
+        Raises:
+            ArgumentError: they had not.
+        """
+        if not self._missing.isdisjoint(names):
+            arrays = " and ".join(f"{name}=…" for name in names)
+            raise ArgumentError(
+                f"the {what} of these environments are not known: give tick {arrays}, or the data "
+                "of MJX, or qpos=… and qvel=…"
+            )
 
     def _column(self, name: str, places: Any) -> Array:
         return np.array(self._arrays[name][:, places], np.float64)

@@ -16,6 +16,7 @@ import numpy as np
 
 from ssduck import validation
 from ssduck.errors import ArgumentError, UnsupportedError
+from ssduck.formatting import first_names
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.simulators.backends import backend
 from ssduck.simulators.body_environments import BodyEnvironments
@@ -58,6 +59,10 @@ class BatchWorld(World):
         self._is_open = False
         self.snapshot.warns_of_unknown = False  # each answer tells of its own
         self.snapshot.recorded = frozenset()
+
+    def __repr__(self) -> str:
+        names = first_names([info.name for info in self.snapshot.entities])
+        return f"<BatchWorld {self.name!r}: {self.count} environments of {names}>"
 
     # -- time -------------------------------------------------------------------------------
 
