@@ -174,6 +174,9 @@ class ArrayOperations:
 
         return compute
 
+    def remainder(self, part: Compute, divisor: int) -> Compute:
+        return lambda values: np.fmod(part(values), divisor)
+
     def double(self, part: Compute) -> Compute:
         return lambda values: np.asarray(part(values), dtype=np.float64)
 

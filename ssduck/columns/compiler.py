@@ -14,7 +14,6 @@ from dataclasses import replace
 from functools import reduce
 from typing import Any, Protocol, TypeAlias
 
-import numpy as np
 from sqlglot import exp
 
 from ssduck.columns.expressions import (
@@ -76,6 +75,9 @@ class Operations(Protocol):
 
     def quotient(self, a: Compute, b: Compute) -> Compute:
         """Returns a quotient of doubles; a division by zero is left to DuckDB."""
+
+    def remainder(self, part: Compute, divisor: int) -> Compute:
+        """Returns the remainder of an integer, which has its sign."""
 
     def double(self, part: Compute) -> Compute:
         """Returns a number as a double."""
@@ -242,9 +244,14 @@ class Compiler:
                 a, b = self._number(sql.this, ("double",)), self._double(sql.expression)
                 return _joined("double", self._operations.quotient(a.compute, b.compute), a, b)
             case exp.Mod(expression=exp.Literal()) if sql.expression.name != "0":
-                parts = [self._number(part, ("integer",)) for part in (sql.this, sql.expression)]
-                compute = self._operations.arithmetic(np.fmod, *(part.compute for part in parts))
-                return _joined("integer", compute, *parts)
+                part, (kind, divisor) = (
+                    self._number(sql.this, ("integer",)),
+                    literal_of(sql.expression),
+                )
+                if kind != "integer":
+                    raise LeftToDuckDBError
+                compute = self._operations.remainder(part.compute, divisor)
+                return _joined("integer", compute, part)
             case exp.And() | exp.Or() | exp.Not():
                 return self._logic(sql)
             case exp.Case() if sql.this is None:

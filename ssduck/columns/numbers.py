@@ -83,6 +83,13 @@ class NumberOperations:
     def quotient(self, a: Compute, b: Compute) -> Compute:
         return lambda values: finite(a(values) / b(values))
 
+    def remainder(self, part: Compute, divisor: int) -> Compute:
+        def compute(values: Values) -> int:
+            number: int = part(values)
+            return number % divisor if number >= 0 else -(-number % divisor)
+
+        return compute
+
     def double(self, part: Compute) -> Compute:
         return lambda values: float(part(values))
 

@@ -12,7 +12,7 @@ from typing import Any
 from ssduck.errors import ArgumentError, SelectScriptError
 from ssduck.formatting import type_in_words
 from ssduck.language.analysis import aliases_of, cached_by_node, free_aliases
-from ssduck.language.builtins import AGGREGATES
+from ssduck.language.builtins import AGGREGATES, NUMBER_FUNCTIONS
 from ssduck.language.evaluator import ExpressionCompiler, Frame, Thunk
 from ssduck.language.tree import (
     AdapterClause,
@@ -71,6 +71,8 @@ def _is_number(node: Node) -> bool:
             return _is_number(operand)
         case Binary(operator="+" | "-" | "*" | "/", left=left, right=right):
             return _is_number(left) and _is_number(right)
+        case Call(name=name, arguments=arguments) if name in NUMBER_FUNCTIONS:
+            return all(map(_is_number, arguments))
         case Query(adapter=AdapterClause(name="value", of_sql=True)):
             return True
     return False

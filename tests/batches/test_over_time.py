@@ -10,6 +10,7 @@ import ssduck
 from ssduck.errors import ArgumentError, ProgramWarning
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS
 from tests.batches.conftest import simulations
+from tests.support.cases import generated
 
 TERMS = [
     "heldFor(z(sim.ball) < 0.37)",
@@ -65,7 +66,7 @@ def test_they_are_those_of_recorded_worlds(both):
     for _, world in singles:
         world.begin_episode()
     sim.tick(states)
-    for step in range(14):
+    for step in range(generated(9)):
         for term, program in zip(TERMS, programs, strict=True):
             if step % 3 != 1:  # what is not asked at a tick counts nevertheless
                 found = ss.eval(program)

@@ -11,7 +11,7 @@ from ssduck.errors import ArgumentError, SimulatorError
 from ssduck.gym import QueryWrapper, VectorQueryWrapper
 from tests.support.cases import generated, sampled
 
-COUNT, STEPS = 3, generated(40)
+COUNT, STEPS = 3, generated(30)
 
 
 def make():
@@ -37,7 +37,7 @@ def terms():
 
 @pytest.mark.slow
 @sampled(
-    "mode", [AutoresetMode.SAME_STEP, AutoresetMode.DISABLED, AutoresetMode.NEXT_STEP], every=2
+    "mode", [AutoresetMode.SAME_STEP, AutoresetMode.DISABLED, AutoresetMode.NEXT_STEP], every=3
 )
 def test_it_is_that_of_each_by_itself(mode, terms):
     wrapped = VectorQueryWrapper(SyncVectorEnv([make] * COUNT, autoreset_mode=mode), **terms)

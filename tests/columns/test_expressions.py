@@ -143,6 +143,7 @@ def plain(value):
         "CASE WHEN a < b THEN a WHEN n = 3 THEN tanh(b) ELSE list_max([a, b, c]) END",
         "a BETWEEN b AND c AND NOT n IN (1, 2)",
         "atan2(abs(a), power(b, 3)) / c",
+        "n % 2 = 1 OR n % 524288 <> n",
     ],
 )
 def test_common_ones_are_computed_by_both(text):

@@ -31,6 +31,7 @@ PROGRAMS = [
     "SELECT time, z FROM sim WHERE name == 'b2';",
     "SELECT z > limit FROM sim WHERE name == who AS value;",
     "SELECT position FROM sim WHERE kind == 'kinbody' AND z + 2 * x < 3 AS list;",
+    "SELECT IF(z > 1; position; [0.5, x, y]) AS place FROM sim;",
     "SELECT this FROM sim WHERE isKinbody(this) AND z BETWEEN 0.5 AND 2 AS list;",
     "SELECT name FROM sim WHERE above(it, this) AS list;",
     "SELECT name FROM sim WHERE below(it, this) AND x < limit AS list;",

@@ -6,7 +6,6 @@ import os
 
 import pytest
 
-from tests.support.cases import sampled
 from tools import kill_work
 
 POSIX = pytest.mark.skipif(os.name != "posix", reason="SIGKILL")
@@ -17,10 +16,10 @@ def run(tmp_path_factory):
     return kill_work.Run(tuple(kill_work.WORK), tmp_path_factory.mktemp("records"))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @POSIX
 # Exports, closing and so on in turn; folders below the number of works, files from it on.
-@sampled("seed", [0, 7, 2, 9, 4, 11], every=6)
+@pytest.mark.parametrize("seed", [0, 7, 2, 9, 4, 11])
 def test_killed_work_leaves_whole_records(run, seed):
     """The short form of `python -m tools.kill_work`."""
     run.add(seed)
