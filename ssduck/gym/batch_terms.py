@@ -91,8 +91,7 @@ class BatchTerms:
             SelectScriptError: a term failed in an environment, whose number the error has.
         """
         world, nan = self._world, self._terms.nan
-        with world.lock:
-            answers = self._expressions.answers()
+        answers = self._expressions.answers()
         values, failed = [], np.zeros(world.count, np.bool_)
         for term, answer in zip(self._terms, answers, strict=True):
             own, unknown = _typed(term, answer.values, answer.unknown)

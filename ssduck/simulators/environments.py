@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeAlias
 
@@ -12,6 +12,7 @@ import numpy.typing as npt
 from ssduck.errors import ArgumentError
 from ssduck.formatting import short_repr
 from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.margins import Margins
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import Body, ContactPoints, LinkPoses
 from ssduck.simulators.partial import PartialSimulator, unsupported
@@ -123,6 +124,8 @@ class EnvironmentSimulator(PartialSimulator):
         environments: the states of the environments.
         backend: the backend that makes running simulations of its bodies.
         timestep: the length of a step, s.
+        margins: returns the margins of shapes, as `Simulator.read_margins` does; by default those
+            as described.
 
     Attributes:
         chosen: the number of the environment, from 0.
@@ -135,11 +138,17 @@ class EnvironmentSimulator(PartialSimulator):
     step = unsupported("step", "step your simulations, then give tick their state")
 
     def __init__(
-        self, bodies: Sequence[Body], environments: Environments, backend: str, timestep: float
+        self,
+        bodies: Sequence[Body],
+        environments: Environments,
+        backend: str,
+        timestep: float,
+        margins: Callable[[Sequence[Body]], list[list[float]] | Margins] | None = None,
     ) -> None:
         self.environments, self.chosen = environments, 0
         self.backend, self.timestep = backend, timestep
         self._new: list[Body] = list(bodies)
+        self._margins = margins
 
     @property
     def time(self) -> float:
@@ -169,9 +178,10 @@ class EnvironmentSimulator(PartialSimulator):
         """Returns the masses as described."""
         return [body.masses for body in bodies]
 
-    def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
-        """Returns the margins as described."""
-        return [body.margins for body in bodies]
+    def read_margins(self, bodies: Sequence[Body]) -> list[list[float]] | Margins:
+        """Returns the margins of the model."""
+        described = [body.margins for body in bodies]
+        return described if self._margins is None else self._margins(bodies)
 
     def read_contacts(self) -> ContactPoints:
         """Returns the contacts of the environment."""

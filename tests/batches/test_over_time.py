@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
+
 import mujoco
 import numpy as np
 import pytest
@@ -179,3 +182,35 @@ def test_terms_where_a_number_is_nan(both):
 def test_wrong_terms(both, terms, message):
     with pytest.raises(ssduck.SelectScriptError, match=message):
         both[0].terms(**terms)()
+
+
+def test_an_error_at_a_tick_is_told_when_somebody_asks(both):
+    ss, sim, _, states, _ = both
+    sim.tick(states)
+    program = ss.compile("heldFor(1 / z(sim.ball) > 0) >= 0;")
+    assert ss.eval(program).all()
+    height = states[1].xpos[3, 2]
+    states[1].xpos[3, 2] = 0.0
+    for _ in range(2):
+        sim.tick(states)
+    states[1].xpos[3, 2] = height
+    sim.tick(states)
+    with pytest.raises(ssduck.SelectScriptError, match="environment 1"):
+        ss.eval(program)
+    sim.reset()
+    sim.tick(states)
+    assert ss.eval(program).all()
+
+
+def test_a_batch_that_no_variable_has_is_gone():
+    model, states = simulations(2)
+    with ssduck.Interpreter(recording=None) as ss:
+        gone = []
+        for _ in range(3):
+            sim = ss.add_variable("sim", ssduck.World.batch(model, 2))
+            sim.tick(states)
+            ss.eval("heldFor(z(sim.ball) > 0) >= 0;")
+            gone.append(weakref.ref(sim))
+        del sim
+        gc.collect()
+        assert [one() is None for one in gone] == [True, True, False]

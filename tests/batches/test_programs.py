@@ -19,7 +19,7 @@ from ssduck.errors import (
 from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.interpreter.batches.evaluator import BatchExpressions
 from ssduck.sql.relations.registry import RELATIONS
-from tests.batches.conftest import COUNT, each, simulations
+from tests.batches.conftest import COUNT, MODEL, States, each, simulations
 from tests.support.cases import generated, sampled
 
 EXPRESSIONS = [
@@ -243,6 +243,7 @@ ROWS = [
     "SELECT env, count(*) AS n FROM sim WHERE above(this, sim.table);",
     "SELECT env, a.id AS upper, b.id AS lower FROM a=sim, b=sim WHERE above(a.this, b.this) ORDER BY upper, lower;",
     "SELECT id(this) FROM sim WHERE env = 3 AND z(this) > goal[2] AS list;",
+    "SELECT env, z(sim.cube) FROM [0] AS list;",
 ]
 
 
@@ -260,7 +261,7 @@ def test_queries_have_the_rows_of_each_environment(batch, text):
 
 def plain(row):
     row = list(row.values()) if isinstance(row, dict) else row
-    is_single = isinstance(row, int | str)
+    is_single = isinstance(row, int | str | float)
     return row if is_single else [pytest.approx(v) if isinstance(v, float) else v for v in row]
 
 
@@ -269,6 +270,9 @@ def test_tensors(batch):
     found = ss.eval("SELECT z(sim.cube), int(z(sim.cube) > 0.4) FROM [0] AS tensor;")
     heights = np.array(each(model, states, "z(sim.cube);"))
     assert np.array_equal(found, np.stack((heights, heights > 0.4), axis=1))
+    numbered = ss.eval("SELECT env, z(sim.cube) FROM [0] AS tensor;")
+    assert np.array_equal(numbered, np.stack((np.arange(COUNT), heights), axis=1))
+    assert np.array_equal(ss.eval("z(sim.cube) + 1.0 * env;"), heights + np.arange(COUNT))
     rows = ss.eval("SELECT z(sim.cube) AS height FROM [0];")
     assert [row["height"] for row in rows] == heights.tolist()
 
@@ -280,6 +284,43 @@ def test_variables_may_change(batch):
     for limit in (0.4, 0.35, 1, heights - 0.1, heights + 0.1, 0.4):
         ss.add_variable("limit", limit)
         assert np.array_equal(ss.eval(program), heights > limit)
+
+
+def test_a_variable_may_be_an_entity(batch):
+    ss, sim, model, states = batch
+    for name in ("cube", "ball"):
+        ss.add_variable("target", sim[name])
+        assert agree(ss.eval("z(target);"), each(model, states, f"z(sim.{name});"))
+
+
+def test_a_limit_in_a_function_is_no_cliff(batch, monkeypatch):
+    ss, sim, _, states = batch
+    heights = ss.eval("z(sim.cube);")
+    asked = []
+    for low, high in ((0.34, 0.37), (0.35, 0.38)):
+        ss.add_variable("low", low)
+        ss.add_variable("high", high)
+        assert np.array_equal(ss.eval("clip(z(sim.cube), low, high);"), heights.clip(low, high))
+        monkeypatch.setattr(type(sim), "_choose", lambda _, number: asked.append(number))
+        sim.tick(states)
+    assert asked == []
+
+
+def test_margins_are_those_of_the_model():
+    model = mujoco.MjModel.from_xml_string(
+        MODEL.replace('size="0.04" mass="0.1"', 'size="0.04" mass="0.1" margin="0.02"')
+    )
+    states = States(mujoco.MjData(model) for _ in range(4))
+    for number, data in enumerate(states):
+        data.qpos[7:10] = [0, 0, 0.36 + 0.008 * number]
+        mujoco.mj_forward(model, data)
+    with ssduck.Interpreter(recording=None) as ss:
+        ss.add_variable("sim", ssduck.World.batch(model, 4)).tick(states)
+        for text in ("touching(sim.ball, sim.table);", "on(sim.table, sim.ball);"):
+            expected = each(model, states, text)
+            assert agree(ss.eval(text), expected)
+            assert len(set(expected)) == 2
+    states.close()
 
 
 def test_an_environment_is_a_world(batch):

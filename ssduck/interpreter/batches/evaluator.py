@@ -32,6 +32,8 @@ from ssduck.world.world import World
 
 # The placeholder that has the simulated times.
 _TIME = "time of the environment"
+# The number of an environment in programs.
+ENV = "env"
 
 
 class BatchExpressions:
@@ -52,8 +54,9 @@ class BatchExpressions:
         self._folds: dict[str, _KeptFold] = {}
         # The variables that have a value for each environment.
         self._arrays: set[str] = set()
-        self._reads_time = False
         self.substituted = [node.replaced(self._replacement) for node in nodes]
+        parts = (part for node in self.substituted for part in node.walk())
+        self._read = {part.name for part in parts if isinstance(part, Placeholder)}
         self._compiled: CompiledExpressions | None = None
         self._generation: object = None
         names = frozenset().union(*map(variables_of, nodes))
@@ -68,8 +71,9 @@ class BatchExpressions:
         """Returns a placeholder for what arrays provide."""
         match node:
             case Call(name="getTime"):
-                self._reads_time = True
                 return Placeholder(node.span, _TIME)
+            case Name(name="env") if not self._execution.has_variable(ENV):
+                return Placeholder(node.span, ENV)
             case Call(name=name) if name in TEMPORAL_FUNCTIONS:
                 return self._fold(node)
             case TimeIndex(name=name) if self._is_world(name):
@@ -103,12 +107,14 @@ class BatchExpressions:
         if key not in self._folds:
             inner = BatchExpressions(self._execution, self._engine, [expression])
             kept = self._folds[key] = _KeptFold(call.name, fold, inner, self._world)
-            self._world.before_tick(kept.update)
+            self._world.before_tick(kept.settle)
         return Placeholder(call.span, key)
 
     def has_same_arrays(self) -> bool:
         """Checks whether the same variables have a value for each environment as at first."""
         count = self._world.count
+        if ENV in self._read and self._execution.has_variable(ENV):
+            return False
         return all(
             per_environment(self._execution, name, count) == (name in self._arrays)
             for name in self._names
@@ -117,11 +123,18 @@ class BatchExpressions:
     # -- evaluation -------------------------------------------------------------------------
 
     def answers(self) -> list[Answers]:
-        """Returns the values of the expressions; the caller has the lock of the batch.
+        """Returns the values of the expressions.
 
         Raises:
             SelectScriptError: an expression fails in an environment, whose number the error has.
         """
+        execution = self._execution
+        with execution.lock, self._world.lock:  # in this order, as other programs
+            if not execution.is_running:
+                execution.begin_meter()
+            return self._answers()
+
+    def _answers(self) -> list[Answers]:
         given, unknown = self.given()
         compiled = self._current(given)
         count = self._world.count
@@ -137,8 +150,10 @@ class BatchExpressions:
         """Returns the values of placeholders, and where they are unknown."""
         given: dict[str, Array] = {}
         unknown: dict[str, Flags] = {}
-        if self._reads_time:
+        if _TIME in self._read:
             given[_TIME] = self._world.times
+        if ENV in self._read:
+            given[ENV] = np.arange(self._world.count)
         for name in self._arrays:
             given[name] = per_environment_values(self._execution, name, self._world.count)
         for key, kept in self._folds.items():
@@ -243,6 +258,8 @@ class _KeptFold:
         self.fold, self._expression, self._world = fold, expression, world
         self._name = name
         self._version: int | None = None
+        # The error of the expression at an earlier tick, and the version of that.
+        self._failure: tuple[SelectScriptError, int] | None = None
         if world.version > 1:
             warn(
                 f"{name}: a batch keeps no record: its past begins now; ask first before the "
@@ -250,11 +267,28 @@ class _KeptFold:
                 ProgramWarning,
             )
 
+    def settle(self) -> None:
+        """Adds the present tick before the next one; an error waits until somebody asks."""
+        try:
+            self.update()
+        except SelectScriptError as error:
+            self._failure = error, self._world.version
+
     def update(self) -> None:
-        """Adds the present tick, unless the state has it."""
+        """Adds the present tick, unless the state has it.
+
+        Raises:
+            SelectScriptError: the expression failed, at this tick or at an earlier one of an
+                episode that goes on.
+        """
         world = self._world
         if self._version == world.version:
             return
+        if self._failure is not None:
+            error, version = self._failure
+            if not (world.began > version).all():
+                raise error
+            self._failure = self._version = None
         if world.version and not world.environments.has_times:
             raise ArgumentError(
                 f"{self._name} needs the simulated time: give tick time=…, one number or one for "

@@ -25,7 +25,7 @@ from ssduck.interpreter.batches.trees import TreeCompiler, kind_of
 from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.query_runner import PlannedQuery
 from ssduck.language.evaluator import Frame
-from ssduck.language.tree import ListLiteral, Literal, Node, Placeholder, Query, Source
+from ssduck.language.tree import ListLiteral, Literal, Name, Node, Placeholder, Query, Source
 from ssduck.schema import BOX, POSE, TWIST
 from ssduck.sql.plan import ParameterBinding
 from ssduck.sql.relation_calls import PAIR_CALL, PairCall
@@ -88,8 +88,10 @@ class Leaves:
         self._fixed: dict[Any, Array] = {}
         # Parts without columns, which the SQL takes as parameters.
         self._parts: dict[str, Expression] = {}
-        # Variables, whose values may be others at the next evaluation, by the keys of leaves.
+        # Variables, whose values may be others at the next evaluation, by the keys of leaves; and
+        # those that are entities.
         self._variables: dict[str, tuple[Node, type]] = {}
+        self._entities: list[tuple[Node, Handle]] = []
 
     # -- compilation ------------------------------------------------------------------------
 
@@ -109,10 +111,12 @@ class Leaves:
         assert node is not None
         if self.note_given(node, frame):
             key = f"{id(node)} given"
-            self._parts[key] = TreeCompiler(self.engine.operations, None, {}, self.given).of(node)
+            self._parts[key] = self.tree(frame).of(node)
             return key
         value = frame.value(node)
         if isinstance(value, Handle):
+            if isinstance(node, Name):
+                self._entities.append((node, value))
             if value.world is not self.engine.world or value.moment is not None:
                 raise LeftToDuckDBError
             name = name or "id"
@@ -127,10 +131,34 @@ class Leaves:
             return key
         if name is not None:
             raise LeftToDuckDBError
+        return self._variable(node, value)
+
+    def _variable(self, node: Node, value: Any) -> str:
+        """Notes an expression without columns, whose value may be another one later."""
         key = f"{id(node)} value"
         self._constant(key, value)
         self._variables[key] = node, type(value)
         return key
+
+    def tree(
+        self,
+        frame: Frame,
+        sql: Mapping[Node, exp.Expr] | None = None,
+        compiler: Compiler | None = None,
+    ) -> TreeCompiler:
+        """Returns what makes functions of a tree.
+
+        Args:
+            frame: the values of placeholders in one environment.
+            sql: the SQL of the parts of the tree that have some.
+            compiler: compiles it.
+        """
+
+        def variable(node: Name) -> Expression:
+            key = self._variable(node, frame.value(node))
+            return Expression(self._kinds[key], lambda values: values[key])
+
+        return TreeCompiler(self.engine.operations, compiler, sql or {}, self.given, variable)
 
     def note_given(self, node: Node, frame: Frame) -> bool:
         """Notes the placeholders in an expression; returns whether there are any."""
@@ -189,7 +217,7 @@ class Leaves:
                 self._constant(key, value)
             except LeftToDuckDBError:
                 return False
-        return True
+        return all(frame.value(node) == entity for node, entity in self._entities)
 
     def evaluated(
         self,
@@ -289,7 +317,7 @@ class CompiledExpressions:
         roots = [sql for plan in plans if plan is not None for sql in plan.values()]
         self._compiler = Compiler(engine.operations, self._leaves.expression, roots)
         self._computes = [
-            None if plan is None else self._computed(node, plan)
+            None if plan is None else self._computed(node, plan, frame)
             for node, plan in zip(nodes, plans, strict=True)
         ]
         self.is_current = self._leaves.is_current
@@ -310,11 +338,10 @@ class CompiledExpressions:
         except LeftToDuckDBError:
             return None
 
-    def _computed(self, node: Node, sql: Mapping[Node, exp.Expr]) -> Compute | None:
+    def _computed(self, node: Node, sql: Mapping[Node, exp.Expr], frame: Frame) -> Compute | None:
         """Returns an expression as a function; None if arrays cannot have its value."""
-        operations, leaves = self._leaves.engine.operations, self._leaves
         try:
-            return TreeCompiler(operations, self._compiler, sql, leaves.given).of(node).compute
+            return self._leaves.tree(frame, sql, self._compiler).of(node).compute
         except LeftToDuckDBError:
             return None
 

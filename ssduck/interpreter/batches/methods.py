@@ -33,10 +33,11 @@ class BatchMethods:
 
     def _begin_batches(self) -> None:
         """Prepares for programs over batches."""
-        if self._batches is None:
-            from ssduck.interpreter.batches.programs import BatchPrograms
+        from ssduck.interpreter.batches.programs import BatchPrograms
 
+        if self._batches is None:
             self._batches = BatchPrograms(self._execution)
+        self._batches.forget()
 
     def terms(
         self,

@@ -15,6 +15,7 @@ from ssduck.interpreter.execution import Execution
 from ssduck.language.analysis import calls_of, variables_of
 from ssduck.language.tree import Node, Program, Query
 from ssduck.world.batches.batch_world import BatchWorld
+from ssduck.world.handles import Handle
 
 
 class BatchPrograms:
@@ -26,7 +27,8 @@ class BatchPrograms:
 
     def __init__(self, execution: Execution) -> None:
         self._execution = execution
-        self._engines: WeakKeyDictionary[BatchWorld, Engine] = WeakKeyDictionary()
+        # By the schemas of their batches.
+        self._engines: dict[str, Engine] = {}
         self._compiled: WeakKeyDictionary[Program, _Compiled] = WeakKeyDictionary()
 
     def batch_of(self, program: Program) -> BatchWorld | None:
@@ -39,6 +41,7 @@ class BatchPrograms:
         values = [self._execution.variable_or_none(name) for name in names]
         if any("getTime" in calls_of(statement) for statement in program.statements):
             values += self._execution.worlds[:1]  # whose time it is
+        values = [value.world if isinstance(value, Handle) else value for value in values]
         batches = list({id(v): v for v in values if isinstance(v, BatchWorld)}.values())
         if len(batches) > 1:
             raise UnsupportedError("a program reads one batch: evaluate one for each")
@@ -51,7 +54,7 @@ class BatchPrograms:
             SelectScriptError: it fails in an environment, whose number the error has.
         """
         execution = self._execution
-        with world.lock, execution.transaction(program):
+        with execution.transaction(program), world.lock:
             if program.explain:
                 with world.at(0):
                     return execution.explanation(program)
@@ -65,16 +68,20 @@ class BatchPrograms:
 
     def terms(self, nodes: Sequence[Node], world: BatchWorld) -> BatchExpressions:
         """Returns expressions over all environments of a batch, checked in one."""
-        expressions = BatchExpressions(self._execution, self._engine(world), nodes)
+        expressions = BatchExpressions(self._execution, self._engine_of(world), nodes)
         expressions.check()
         return expressions
 
-    def _engine(self, world: BatchWorld) -> Engine:
-        engine = self._engines.get(world)
+    def forget(self) -> None:
+        """Forgets compiled programs: a name means another batch."""
+        self._engines.clear()
+        self._compiled.clear()
+
+    def _engine_of(self, world: BatchWorld) -> Engine:
         schema = self._execution.database.schema_of(world)
-        assert schema is not None
-        if engine is None or engine.schema != schema:
-            engine = self._engines[world] = Engine(world, schema)
+        engine = self._engines.get(schema)
+        if engine is None or engine.world is not world:
+            engine = self._engines[schema] = Engine(world, schema)
         return engine
 
     def _made(self, program: Program, world: BatchWorld) -> _Compiled:
@@ -91,7 +98,7 @@ class BatchPrograms:
             execution.report(execution.linter.check(program.text, node, {}))
         value: BatchQuery | BatchExpressions
         if isinstance(node, Query):
-            value = BatchQuery(execution, self._engine(world), node)
+            value = BatchQuery(execution, self._engine_of(world), node)
         else:
             value = self.terms([node], world)
         return _Compiled(value, execution.planner.generation)

@@ -14,6 +14,7 @@ from ssduck.columns.expressions import LeftToDuckDBError
 from ssduck.errors import SelectScriptError, UnsupportedError
 from ssduck.geometry.arrays import Flags, Indices
 from ssduck.interpreter.batches.evaluator import (
+    ENV,
     BatchExpressions,
     answers_of,
     at_environment,
@@ -25,12 +26,10 @@ from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.output import AsClause, as_clause_of
 from ssduck.language.clauses import PythonClauses, Rows, Selected, SelectedValue
 from ssduck.language.evaluator import Frame
-from ssduck.language.tree import Call, ListLiteral, Literal, Name, Node, Placeholder, Query
+from ssduck.language.tree import Call, ListLiteral, Literal, Name, Node, Query
 from ssduck.schema import STORED_TABLES
 from ssduck.sql.plan import Plan
 
-# The number of a row's environment in programs.
-ENV = "env"
 # The rows of each environment, by its number.
 _RowsByNumber: TypeAlias = dict[int, list[tuple[Any, ...]]]
 _CLAUSES = frozenset(("expressions", "from_", "where"))
@@ -48,11 +47,9 @@ class BatchQuery:
 
     def __init__(self, execution: Execution, engine: Engine, query: Query) -> None:
         self._execution, self._engine, self._world = execution, engine, engine.world
-        self._is_numbered = not execution.has_variable(ENV)
-        items = tuple(map(self._item, query.items))
-        numbered = replace(query, items=items).replaced(self._numbered)
         # What is of time, of the past, and of variables with a value for each environment.
-        self._outer = BatchExpressions(execution, engine, [numbered])
+        named = replace(query, items=tuple(map(self._item, query.items)))
+        self._outer = BatchExpressions(execution, engine, [named])
         (substituted,) = self._outer.substituted
         assert isinstance(substituted, Query)
         self._query = substituted
@@ -62,14 +59,9 @@ class BatchQuery:
 
     def _item(self, item: Node) -> Node:
         """Returns a selected value; the number of the environment keeps its name."""
-        if not (isinstance(item, Name) and item.name == ENV and self._is_numbered):
+        if not (isinstance(item, Name) and item.name == ENV):
             return item
-        name = Literal(item.span, ENV)
-        return Call(item.span, "to", (Placeholder(item.span, ENV), name), item.span)
-
-    def _numbered(self, node: Node) -> Node | None:
-        is_number = isinstance(node, Name) and node.name == ENV and self._is_numbered
-        return Placeholder(node.span, ENV) if is_number else None
+        return Call(item.span, "to", (item, Literal(item.span, ENV)), item.span)
 
     def value(self) -> Any:
         """Returns the result of the query in its form; the caller has the lock of the batch.
@@ -110,7 +102,6 @@ class BatchQuery:
     def _rows(self, check: Any) -> tuple[Any, _RowsByNumber]:
         """Returns the names of the columns, and the rows of each environment."""
         given, unknown = self._outer.given()
-        given[ENV] = np.arange(self._world.count)
         rows: _RowsByNumber = {}
         names: Any = ()
         over = None if unknown else self._over_entities(given)

@@ -21,6 +21,7 @@ from ssduck.language.tree import (
     Index,
     ListLiteral,
     Literal,
+    Name,
     Node,
     OperatorChain,
     Placeholder,
@@ -88,12 +89,14 @@ class TreeCompiler:
         compiler: compiles the SQL of parts; None if there is no such part.
         sql: the SQL of the parts that have some.
         given: returns a placeholder as an expression.
+        variable: returns a variable as an expression.
     """
 
     operations: ArrayOperations
     compiler: Compiler | None
     sql: Mapping[Node, exp.Expr]
     given: Callable[[Placeholder], Expression]
+    variable: Callable[[Name], Expression]
 
     def of(self, node: Node) -> Expression:
         """Returns an expression as a function.
@@ -106,6 +109,8 @@ class TreeCompiler:
         match node:
             case Placeholder():
                 return self.given(node)
+            case Name():
+                return self.variable(node)
             case Literal(value=value):
                 return Expression(kind_of(value), self.operations.constant(value))
             case ListLiteral(items=items):

@@ -53,7 +53,9 @@ def environments_of(model: Any, count: int) -> EnvironmentSimulator:
     described = simulator.describe()
     bodies = [] if described is None else described[0]
     states = MuJoCoEnvironments(model, data, count, simulator)
-    return EnvironmentSimulator(bodies, states, simulator.backend, simulator.timestep)
+    return EnvironmentSimulator(
+        bodies, states, simulator.backend, simulator.timestep, simulator.read_margins
+    )
 
 
 class MuJoCoEnvironments:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from ssduck import validation
-from ssduck.errors import ArgumentError, SelectScriptError, SimulatorError
+from ssduck.errors import ArgumentError, SelectScriptError, SimulatorError, UnsupportedError
 from ssduck.formatting import short_repr
 from ssduck.simulators.backends import BodyToCopy, ShapesByBody, TickToCopy
 from ssduck.simulators.interface import Body, Kind, Simulator, VisualShape
@@ -20,7 +20,7 @@ from ssduck.simulators.pybullet.user_shapes import user_shapes
 from ssduck.simulators.recognition import MUJOCO
 from ssduck.simulators.scenes import Scene
 
-__all__ = ["attach", "excerpt", "load", "scene_of", "visual_shapes"]
+__all__ = ["attach", "environments", "excerpt", "load", "scene_of", "visual_shapes"]
 
 
 def load(scene: Scene) -> PyBulletSimulator:
@@ -34,6 +34,14 @@ def load(scene: Scene) -> PyBulletSimulator:
         return PyBulletSimulator(
             client, owned=True, names=loaded.names, kinds=loaded.kinds, loaded=loaded
         )
+
+
+def environments(model: Any, count: int) -> NoReturn:
+    """Raises `UnsupportedError`: PyBullet has clients, not models."""
+    del model
+    raise UnsupportedError(
+        f"PyBullet has no models: World.batch(world, {count}) takes a loaded or attached world"
+    )
 
 
 def attach(

@@ -7,7 +7,7 @@ a single simulation has, a tick in tables, is that of one environment at a time.
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, Never, Self
@@ -28,7 +28,6 @@ from ssduck.simulators.environments import (
     like,
     to_numpy,
 )
-from ssduck.simulators.interface import Body
 from ssduck.simulators.recognition import simulator_of_model
 from ssduck.world.construction import UNNAMED
 from ssduck.world.what_if import copied_tick
@@ -59,6 +58,7 @@ class BatchWorld(World):
         self._is_open = False
         self.snapshot.warns_of_unknown = False  # each answer tells of its own
         self.snapshot.recorded = frozenset()
+        self.snapshot.read_margins(simulator)  # those of the model, which stay the same
 
     def __repr__(self) -> str:
         names = first_names([info.name for info in self.snapshot.entities])
@@ -77,6 +77,11 @@ class BatchWorld(World):
         return self._environments
 
     @property
+    def time(self) -> float:
+        """The latest simulated time of an environment, s; see `times`."""
+        return float(self._environments.times.max())
+
+    @property
     def times(self) -> Array:
         """The simulated time of each environment, s, (n,)."""
         return self._environments.times.copy()
@@ -92,7 +97,8 @@ class BatchWorld(World):
         """Takes the states of all environments; each program is evaluated at these until the next.
 
         Args:
-            state: an object with the arrays as attributes, such as batched data of MJX.
+            state: a dict of the arrays, an object with the arrays as attributes, such as batched
+                data of MJX, or a list of `MjData`.
             **arrays: the arrays by name, of NumPy, torch, JAX or another library, with the
                 environments on the first axis. Of a model of MuJoCo they have the names and shapes
                 of `MjData`: xpos (n, nbody, 3) and xquat (n, nbody, 4), or qpos (n, nq); time (n,)
@@ -106,12 +112,12 @@ class BatchWorld(World):
             ArgumentError: an array is of another name, shape or type, or one is missing; the states
                 of the last tick remain.
         """
+        self._before_tick = [one for one in self._before_tick if one() is not None]
+        for reference in self._before_tick if self.version else ():
+            if (read := reference()) is not None:
+                read()  # it locks its interpreter, and then this world
         with self.lock:
             self._check_not_pinned()
-            self._before_tick = [one for one in self._before_tick if one() is not None]
-            for reference in self._before_tick if self.version else ():
-                if (read := reference()) is not None:
-                    read()
             self._environments.update(state, arrays)
             self.version += 1
             self.began[self._restarting] = self.version
@@ -272,11 +278,6 @@ class BatchWorld(World):
     def given_back(self, values: Array) -> Any:
         """Returns values as an array of the library that the last states came in."""
         return like(values, self._environments.sample)
-
-    @property
-    def bodies(self) -> Sequence[tuple[int, Body]]:
-        """The ids and bodies of all entities but sensors."""
-        return self.snapshot.layout.bodies
 
 
 def batch_of(model: Any, count: int, name: str = UNNAMED) -> BatchWorld:
