@@ -8,7 +8,7 @@ worlds are looked up here before each statement runs.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from itertools import islice
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -106,7 +106,7 @@ class StatementFacts:
         columns: bare names in GROUP BY, HAVING and ORDER BY that are also names of columns.
         suspects: comparisons, columns and ages to look at.
         as_conditions: what stands as a condition, and may be an entity or a list.
-        of_entities: calls that ask for shapes or boxes, each with what may be an entity without.
+        of_entities: calls that ask for shapes or boxes.
         misread: calls of relations that read as something else, with what is told of each.
         same_rows: what is told of `this` beside the same row of a nested query by its name.
         has_volume: whether it names `volume`.
@@ -122,7 +122,7 @@ class StatementFacts:
     columns: list[tuple[str, SourceSpan]] = field(default_factory=list)
     suspects: Suspects = field(default_factory=Suspects)
     as_conditions: tuple[Node, ...] = ()
-    of_entities: tuple[tuple[Call, Node], ...] = ()
+    of_entities: tuple[Call, ...] = ()
     misread: tuple[tuple[Call, str], ...] = ()
     same_rows: tuple[tuple[str, SourceSpan], ...] = ()
     has_volume: bool = False
@@ -339,7 +339,7 @@ class Linter:
         try:
             facts = self._facts[statement]
         except KeyError:
-            found = facts_of(statement)
+            found = facts_of(replace(statement))  # a copy: facts do not keep their key alive
             facts = self._facts[statement] = None if found.is_empty else found
         if facts is None:
             return []
@@ -415,11 +415,10 @@ class Linter:
 
     def _unfit_entities(self, facts: StatementFacts) -> Iterator[SelectScriptError]:
         """Yields an error for each entity in a relation that tells nothing of it."""
-        for call, node in facts.of_entities:
-            named = self._entity(node) if self._is_relation(call.name) else None
-            told = "" if named is None else unfit(call, node, named)
-            if told:
-                yield ArgumentError(told, span=node.span)
+        for call in facts.of_entities:
+            if self._is_relation(call.name):
+                for told, span in unfit(call, [self._entity(part) for part in call.arguments]):
+                    yield ArgumentError(told, span=span)
 
     def _entity(self, node: Node) -> Entity | None:
         """Returns the entity of a world that an expression names; None if it is none."""

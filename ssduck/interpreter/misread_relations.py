@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -75,17 +75,40 @@ _OF_SHAPES = frozenset(
 _OF_BOXES = frozenset(("above", "below", "within", "overlaps"))
 
 
-def of_entities(statement: Node) -> Iterator[tuple[Call, Node]]:
-    """Yields the calls that ask for shapes or boxes, each with what may be an entity without."""
+# What a relation asks of its second argument, which the first one carries or contains.
+_CARRIED = {
+    **dict.fromkeys(("on", "onTop", "restsOn"), "is on"),
+    "supports": "is carried by",
+    **dict.fromkeys(("contains", "enclosed", "inside"), "is inside of"),
+}
+
+
+def of_entities(statement: Node) -> Iterator[Call]:
+    """Yields the calls that ask for shapes or boxes."""
     for call in statement.walk():
         if isinstance(call, Call) and call.name in _OF_SHAPES | _OF_BOXES:
-            for part in call.arguments:
-                if isinstance(part, QualifiedName | Index):
-                    yield call, part
+            yield call
 
 
-def unfit(call: Call, part: Node, entity: Entity) -> str:
-    """Returns why a call tells nothing of an entity, one of its arguments; '' if it does."""
+def unfit(call: Call, entities: Sequence[Entity | None]) -> Iterator[tuple[str, SourceSpan]]:
+    """Yields why a call tells nothing of entities, each with the place.
+
+    Args:
+        call: the call.
+        entities: its arguments; None for what names no entity.
+    """
+    for i, (part, entity) in enumerate(zip(call.arguments, entities, strict=True)):
+        told = "" if entity is None else _without_extent(call, entity, is_first=i == 0)
+        if told:
+            yield told, part.span
+    match call.name, entities:
+        case name, (Entity() as carrier, Entity() as carried, *_) if name in _CARRIED:
+            if _can_move(carrier) and not _can_move(carried):
+                yield _swapped(call, carrier, carried), call.span
+
+
+def _without_extent(call: Call, entity: Entity, *, is_first: bool) -> str:
+    """Returns why a call tells nothing of an entity, an argument; '' if it does."""
     name = name_path(entity.world.name, entity.name)
     body = entity.info.body
     if call.name in _OF_SHAPES and body is not None and not body.shapes:
@@ -93,7 +116,7 @@ def unfit(call: Call, part: Node, entity: Entity) -> str:
             f"{call.name} asks for the shapes of {name}, which has none that collides: it touches "
             f"nothing, and is infinitely far from all; distance({name}, …) is that of positions"
         )
-    has_box = call.name == "overlaps" or part is call.arguments[0]
+    has_box = call.name == "overlaps" or is_first
     if call.name in _OF_BOXES and has_box and np.isinf(entity.aabb).all():
         return (
             f"{call.name} compares the axis-aligned box of {name}, a tilted plane, which is "
@@ -101,6 +124,20 @@ def unfit(call: Call, part: Node, entity: Entity) -> str:
             "the height"
         )
     return ""
+
+
+def _can_move(entity: Entity) -> bool:
+    body = entity.info.body
+    return body is None or body.movable
+
+
+def _swapped(call: Call, carrier: Entity, carried: Entity) -> str:
+    first, second = (name_path(one.world.name, one.name) for one in (carrier, carried))
+    asks = _CARRIED[call.name]
+    return (
+        f"{call.name}({first}, {second}) asks whether {second}, which is immovable, {asks} "
+        f"{first}: write {call.name}({second}, {first}) to ask whether {first} {asks} {second}"
+    )
 
 
 def as_conditions(statement: Node) -> Iterator[Node]:

@@ -208,3 +208,15 @@ def test_a_tilted_plane_in_a_relation_of_boxes_is_told_of(slope, program, planes
         }
         assert ss.eval("clearance(sim.slope, sim.ball);") == pytest.approx(gap)
         assert ss.eval("penetration(sim.slope, sim.ball);") == 0.0
+
+
+@pytest.mark.parametrize("name", ["on", "onTop", "supports", "restsOn", "contains", "enclosed"])
+def test_an_immovable_thing_in_a_movable_one_is_told_of(ss, name):
+    (message,) = told(ss.eval, f"{name}(sim.ball, sim.bin);")
+    assert message.startswith(f"{name}(sim.ball, sim.bin) asks whether sim.bin, which is immovable")
+    assert f"write {name}(sim.bin, sim.ball)" in message
+    assert not told(ss.eval, f"{name}(sim.bin, sim.ball);")
+    assert not told(ss.eval, f"SELECT id FROM sim WHERE {name}(this, sim.bin);")
+    ss.strict = True
+    with pytest.raises(ArgumentError, match="immovable"):
+        ss.eval(f"heldFor({name}(sim.ball, sim.bin)) > 0.2;")
