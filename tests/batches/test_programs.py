@@ -18,6 +18,7 @@ from ssduck.errors import (
 )
 from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.interpreter.batches.evaluator import BatchExpressions
+from ssduck.interpreter.batches.queries import BatchQuery
 from ssduck.sql.relations.registry import RELATIONS
 from tests.batches.conftest import COUNT, MODEL, States, each, simulations
 from tests.support.cases import generated, sampled
@@ -87,7 +88,7 @@ def same(found, expected):
     return found == expected or (expected is None and str(found) in ("None", "nan"))
 
 
-@pytest.mark.parametrize("text", EXPRESSIONS)
+@sampled("text", EXPRESSIONS, every=2)
 def test_expressions(batch, monkeypatch, text):
     ss, sim, model, states = batch
     expected = each(model, states, f"{text};")
@@ -103,7 +104,7 @@ def test_expressions(batch, monkeypatch, text):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::ssduck.errors.ProgramWarning", "ignore:.*contacts")
-@sampled("name", PAIRS, every=4)
+@sampled("name", PAIRS, every=8)
 def test_relations_of_two_entities(batch, name):
     ss, _, model, states = batch
     for a, b in (("cube", "table"), ("ball", "cube"), ("arm", "ball"), ("cube", "cube")):
@@ -114,7 +115,7 @@ def test_relations_of_two_entities(batch, name):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::ssduck.errors.ProgramWarning", "ignore:.*contacts")
-@sampled("name", SINGLES, every=4)
+@sampled("name", SINGLES, every=8)
 def test_relations_of_one_entity(batch, name):
     ss, _, model, states = batch
     for entity in ("cube", "arm"):
@@ -254,6 +255,29 @@ def test_queries_have_the_rows_of_each_environment(batch, text):
     ss.add_variable("goal", goal)
     parameters = {"env": list(range(COUNT)), "goal": goal.tolist()}
     expected = [row for rows in each(model, states, text, parameters) for row in rows]
+    found = ss.eval(text)
+    assert [plain(row) for row in found] == [plain(row) for row in expected]
+    assert found
+
+
+OF_ENTITIES = [
+    "SELECT env, id(this), x(this) FROM sim WHERE env < 2 AND z(this) > 0.3 AS list;",
+    "SELECT env FROM sim WHERE touching(sim.table, this) AS list;",
+    "SELECT env + 0.5 AS shifted, 'a' AS text, id FROM sim WHERE z(this) > low AS list;",
+    "SELECT env, id, x, y, z FROM sim;",
+    "SELECT id, z(this) - goal[2] AS left FROM sim WHERE z(this) > low;",
+]
+
+
+@pytest.mark.parametrize("text", OF_ENTITIES)
+def test_rows_of_all_environments_are_computed_together(batch, monkeypatch, text):
+    ss, _, model, states = batch
+    goal = np.linspace(0.3, 0.4, COUNT)[:, None] * np.ones(3)
+    ss.add_variable("goal", goal)
+    ss.add_variable("low", 0.32)
+    parameters = {"env": list(range(COUNT)), "goal": goal.tolist(), "low": [0.32] * COUNT}
+    expected = [row for rows in each(model, states, text, parameters) for row in rows]
+    monkeypatch.setattr(BatchQuery, "_one", None)
     found = ss.eval(text)
     assert [plain(row) for row in found] == [plain(row) for row in expected]
     assert found

@@ -162,7 +162,7 @@ def drift(client, random, far):
 
 
 @pytest.mark.slow
-@sampled("condition", CONDITIONS, every=2)
+@sampled("condition", CONDITIONS, every=len(CONDITIONS))
 def test_a_world_that_drifts_answers_as_one_that_was_never_asked(client, condition):
     query = f"SELECT id(a.this), id(b.this) FROM a=w, b=w WHERE {condition} AS list;"
     fill(client, [*MIXED, "plane"], seed=8, side=0.8)

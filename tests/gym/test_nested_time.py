@@ -83,7 +83,7 @@ def recorded(tmp_path_factory):
 
 
 @pytest.mark.slow
-@sampled(("reward", "value"), REWARDS, every=2)
+@sampled(("reward", "value"), REWARDS, every=4)
 def test_values_are_those_of_the_heights(recorded, reward, value):
     folder, heights = recorded
     env = QueryWrapper(Fall(), reward=reward, forward=False)

@@ -310,7 +310,7 @@ REFUSED = [
 
 
 @pytest.mark.slow
-@sampled(("program", "kind", "words"), REFUSED, every=6)
+@sampled(("program", "kind", "words"), REFUSED, every=12)
 def test_a_program_is_refused_in_time(patient, program, kind, words):
     fails(patient, program, kind, words)
 

@@ -82,7 +82,7 @@ def is_interrupted(ss, call, question="SELECT id, z FROM kitchen AS list;") -> N
     assert ss.eval(question) == before
 
 
-@sampled("name", PROGRAMS, every=3)
+@sampled("name", PROGRAMS, every=len(PROGRAMS))
 def test_programs(kitchen, name):
     def again_and_again():
         while True:

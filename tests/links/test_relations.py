@@ -72,7 +72,7 @@ def late(cell):
 
 
 @pytest.mark.slow
-@sampled("relation", ONE, every=6, ids=lambda r: r.name)
+@sampled("relation", ONE, every=12, ids=lambda r: r.name)
 @sampled("name", LINKS, every=2)
 def test_of_one_link(cell, relation, name):
     owner, _, link = name.partition(".")
@@ -101,7 +101,7 @@ def test_of_one_link(cell, relation, name):
 
 
 @pytest.mark.slow
-@sampled("relation", TWO, every=6, ids=lambda r: r.name)
+@sampled("relation", TWO, every=12, ids=lambda r: r.name)
 def test_of_a_link_and_another(cell, relation):
     # Every relation with half of the pairs, and every pair with half of the relations.
     half = PAIRS[TWO.index(relation) % 2 :: 2]

@@ -17,6 +17,7 @@ from ssduck.errors import SceneError
 from ssduck.simulators.pybullet.ignored_parts import IGNORED
 from tests.support import urdf
 from tests.support.bodies import client_of
+from tests.support.cases import sampled
 from tests.support.models import mjcf_body, mjcf_of, sdf_link, sdf_model, sdf_of
 
 LIBRARY = Path(pybullet_data.getDataPath())
@@ -541,7 +542,7 @@ for path in sorted(Path(sys.argv[1]).iterdir()):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("format", TEXTS)
+@sampled("format", TEXTS, every=len(TEXTS))
 def test_no_damaged_file_crashes_the_process(tmp_path, format):
     ending = FILES[format].rpartition(".")[2]
     for number, text in enumerate(damaged(filled(format))):

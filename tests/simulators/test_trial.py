@@ -295,7 +295,7 @@ def test_memory_is_limited(folder: Path) -> None:
 
 
 @pytest.mark.slow
-@sampled("format", FORMATS, every=4)
+@sampled("format", FORMATS, every=len(FORMATS))
 def test_no_mutated_file_ends_the_process(format: str, tmp_path: Path) -> None:
     """The short form of `python -m tools.fuzz_scenes`."""
     if format == "mujoco":

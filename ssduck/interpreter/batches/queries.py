@@ -11,7 +11,7 @@ import numpy as np
 from ssduck.columns.arrays import Array, ArrayValues
 from ssduck.columns.compiler import Compiler
 from ssduck.columns.expressions import LeftToDuckDBError
-from ssduck.errors import SelectScriptError, UnsupportedError
+from ssduck.errors import SelectScriptError, SourceSpan, UnsupportedError
 from ssduck.geometry.arrays import Flags, Indices
 from ssduck.interpreter.batches.evaluator import (
     ENV,
@@ -26,13 +26,15 @@ from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.output import AsClause, as_clause_of
 from ssduck.language.clauses import PythonClauses, Rows, Selected, SelectedValue
 from ssduck.language.evaluator import Frame
-from ssduck.language.tree import Call, ListLiteral, Literal, Name, Node, Query
+from ssduck.language.tree import Call, ListLiteral, Literal, Name, Node, Placeholder, Query
 from ssduck.schema import STORED_TABLES
 from ssduck.sql.plan import Plan
 
 # The rows of each environment, by its number.
 _RowsByNumber: TypeAlias = dict[int, list[tuple[Any, ...]]]
-_CLAUSES = frozenset(("expressions", "from_", "where"))
+_CLAUSES = frozenset(("expressions", "from_", "where", "order"))
+# What is selected of a row if all selected values are those of its environment.
+_ID = Name(SourceSpan(0, 0), "id")
 _KINDS = {column.name: column.type for column in STORED_TABLES["entities"].columns}
 
 
@@ -172,13 +174,17 @@ class _OverEntities:
     """
 
     def __init__(self, execution: Execution, engine: Engine, query: Query, frame: Frame) -> None:
-        planned = execution.planner.planned(query, frame)
-        if planned is None or not _is_of_entities(planned.plan, engine.schema):
+        if query.order:
+            raise LeftToDuckDBError
+        whole = execution.planner.planned(query, frame)
+        of_rows = replace(query, items=tuple(i for i in query.items if not _is_given(i)) or (_ID,))
+        planned = execution.planner.planned(of_rows, frame)
+        if whole is None or planned is None or not _is_of_entities(planned.plan, engine.schema):
             raise LeftToDuckDBError
         plan = planned.plan
         assert plan.outputs is not None
         self._engine, self.leaves = engine, Leaves(engine)
-        self.columns: tuple[SelectedValue, ...] = planned.columns
+        self.columns: tuple[SelectedValue, ...] = whole.columns
         entities = engine.world.snapshot.entities
         count, size = engine.world.count, len(entities)
         self._size = size
@@ -193,12 +199,20 @@ class _OverEntities:
                     self.leaves.note(f"column {name}", kind, lambda _, array=array: array)  # type: ignore[misc]
         self.leaves.note_given(query, frame)
         where = plan.select.args.get("where")
-        parts = [] if where is None else [where.this]
-        parts += [plan.select.expressions[output.index] for output in plan.outputs]
+        parts = [plan.select.expressions[output.index] for output in plan.outputs]
+        parts += [] if where is None else [where.this]
         parts = [self.leaves.renamed(part, plan.bindings, frame) for part in parts]
         compiler = Compiler(engine.operations, self.leaves.expression, parts)
+        computes = iter([compiler.expression(part).compute for part in parts])
+        tree = self.leaves.tree(frame)
+        # The values of each row, then whether it is one.
+        self._computes = [
+            tree.of(_unnamed(item)).compute if _is_given(item) else next(computes)
+            for item in query.items
+        ]
         self._has_condition = where is not None
-        self._computes = [compiler.expression(part).compute for part in parts]
+        if self._has_condition:
+            self._computes.append([*computes][-1])
 
     def _changing(self, name: str) -> Any:
         columns, entities = self._engine.columns, self._engine.world.snapshot.entities
@@ -223,7 +237,7 @@ class _OverEntities:
         whole = left.reshape(-1, self._size).any(axis=1)
         known: list[Array] = [values for values in found if values is not None]
         is_known: Flags = ~np.repeat(whole, self._size)
-        chosen = known.pop(0).astype(np.bool_) & is_known if self._has_condition else is_known
+        chosen = known.pop().astype(np.bool_) & is_known if self._has_condition else is_known
         rows: _RowsByNumber = {number: [] for number in np.flatnonzero(~whole).tolist()}
         places = np.flatnonzero(chosen)
         selected = zip(*(values[places].tolist() for values in known), strict=True)
@@ -246,8 +260,23 @@ def _is_row(query: Query) -> bool:
     return isinstance(source.value, ListLiteral) and len(source.value.items) == 1
 
 
+def _unnamed(item: Node) -> Node:
+    """Returns a selected value without its name."""
+    is_named = isinstance(item, Call) and item.name == "to"
+    return item.arguments[0] if is_named else item  # type: ignore[attr-defined]
+
+
+def _is_given(item: Node) -> bool:
+    """Checks whether a selected value is the same for all rows of an environment."""
+    leaves = [part for part in _unnamed(item).walk() if not [*part.children()]]
+    return all(isinstance(leaf, Placeholder | Literal) for leaf in leaves)
+
+
 def _is_of_entities(plan: Plan, schema: str) -> bool:
-    """Checks whether a plan is of conditions on, and values of, single entities of a world."""
+    """Checks whether a plan is of conditions on, and values of, single entities of a world.
+
+    An order is that of the table, as the query has none.
+    """
     clauses = plan.python_clauses
     return (
         plan.outputs is not None
