@@ -67,6 +67,7 @@ __all__ = [
 # What a layer below makes: the page of `Interpreter.view`, terms of tasks, and batches of worlds.
 offer("page", "ssduck.view.view:view")
 offer("batch", "ssduck.world.batches.batch_world:batch_of")
+offer("export batch", "ssduck.interpreter.batches.records:export_batch")
 offer("step scores", "ssduck.lakes.step_scores:step_scores")
 offer("terms", "ssduck.gym.batch_terms:BatchTerms")
 

@@ -193,6 +193,12 @@ class EpisodeSteps:
         """
         file = steps_file(folder, world, number)
         check_inside(folder, file)
+        if not file.exists():
+            raise RecordError(
+                f"episode {number} of {world!r} has no steps of an environment, as "
+                "QueryWrapper(record=…) writes them, so that it has no score; lake.ask answers "
+                f"programs about any episode ({file} is not there)"
+            )
         content = read_description(file)
         check_description(content, _DESCRIPTION, str(file), "the steps of the episode")
         if content["version"] > VERSION:

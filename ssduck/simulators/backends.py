@@ -165,4 +165,6 @@ def drawn_shapes(simulator: Simulator, body: Body) -> list[VisualShape]:
     # A static simulator has the bodies of a what-if world, or of an older record.
     if body.visuals is not None or isinstance(simulator, StaticSimulator):
         return with_grounds(stored_visuals(body))
+    if isinstance(simulator, EnvironmentSimulator):
+        simulator = simulator.template
     return with_grounds(backend(simulator.backend).visual_shapes(simulator, body))

@@ -153,6 +153,7 @@ class BodyEnvironments:
 
     def reset(self, environments: Indices) -> None:
         """Sets the times of some environments to 0; their states come with the next tick."""
+        self.times = self.times.copy()  # earlier ones may be kept
         self.times[environments] = 0.0
 
     # -- reading ----------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from ssduck.formatting import short_repr
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.margins import Margins
 from ssduck.simulators.clock import Clock
-from ssduck.simulators.interface import Body, ContactPoints, LinkPoses
+from ssduck.simulators.interface import Body, ContactPoints, LinkPoses, Simulator
 from ssduck.simulators.partial import PartialSimulator, unsupported
 
 # The libraries whose arrays cannot change.
@@ -122,12 +122,12 @@ class EnvironmentSimulator(PartialSimulator):
     Args:
         bodies: the bodies of the model.
         environments: the states of the environments.
-        backend: the backend that makes running simulations of its bodies.
-        timestep: the length of a step, s.
+        template: a simulator that has the bodies, and draws those of each environment.
         margins: returns the margins of shapes, as `Simulator.read_margins` does; by default those
             as described.
 
     Attributes:
+        environments: see above; those of another tick may take their place.
         chosen: the number of the environment, from 0.
     """
 
@@ -141,14 +141,21 @@ class EnvironmentSimulator(PartialSimulator):
         self,
         bodies: Sequence[Body],
         environments: Environments,
-        backend: str,
-        timestep: float,
+        template: Simulator,
         margins: Callable[[Sequence[Body]], list[list[float]] | Margins] | None = None,
     ) -> None:
         self.environments, self.chosen = environments, 0
-        self.backend, self.timestep = backend, timestep
+        self.template = template
+        self.backend, self.timestep = template.backend, template.timestep
+        self._bodies = tuple(bodies)
         self._new: list[Body] = list(bodies)
         self._margins = margins
+
+    def of(self, environment: int, environments: Environments) -> EnvironmentSimulator:
+        """Returns one of the environments as a simulator of its own, with states of its own."""
+        own = EnvironmentSimulator(self._bodies, environments, self.template, self._margins)
+        own.chosen = environment
+        return own
 
     @property
     def time(self) -> float:

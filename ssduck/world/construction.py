@@ -142,7 +142,7 @@ class ConstructibleWorld:
         return cls(attached, name=name, camera=camera)
 
     @staticmethod
-    def batch(model: Any, count: int, *, name: str = UNNAMED) -> Any:
+    def batch(model: Any, count: int, *, name: str = UNNAMED, history: int = 0) -> Any:
         """Returns many simulations of one model as one world, a `BatchWorld`, in its initial state.
 
         Programs are evaluated over all of them, the *environments*, at once: `ss.eval` returns an
@@ -153,6 +153,8 @@ class ConstructibleWorld:
                 from any other simulator.
             count: the number of environments, from 1 up.
             name: the name until the world is bound to a variable.
+            history: the largest number of ticks whose states are kept in memory, for
+                `Interpreter.export_batch`; older ones are dropped.
 
         Raises:
             SimulatorError: the object is no model that is known.
@@ -168,7 +170,7 @@ class ConstructibleWorld:
         ...     ss.eval("z(sim.ball) > 1;").tolist()
         [False, True]
         """
-        return service("batch")(model, count, name)
+        return service("batch")(model, count, name, history)
 
 
 def _simulation(

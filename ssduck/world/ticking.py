@@ -23,6 +23,7 @@ from ssduck.errors import (
 from ssduck.formatting import short_repr
 from ssduck.schema import MARGINS, MASSES, MOMENTS
 from ssduck.simulators.clock import Clock
+from ssduck.simulators.environments import EnvironmentSimulator
 from ssduck.simulators.interface import Simulator
 from ssduck.simulators.static import StaticSimulator
 from ssduck.world import ctrl_c
@@ -126,6 +127,8 @@ class SteppedSimulation(Observable):
         self._registry = EntityRegistry(snapshot.load_order)
         if not isinstance(simulator, StaticSimulator):
             snapshot.drawn = DrawnBodies(simulator, self._registry)
+        # What the states of environments lack is told of where it is read.
+        snapshot.warns_of_unknown &= not isinstance(simulator, EnvironmentSimulator)
 
     @property
     def tick_number(self) -> int:

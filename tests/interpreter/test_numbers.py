@@ -114,6 +114,7 @@ CALLS = {
     "World.step(count)": ("steps", False, lambda t, v: t.sim.step(v)),
     "World.step(every)": ("above 0", True, lambda t, v: t.sim.step(0, every=v)),
     "World.batch(count)": ("above 0", False, lambda t, v: ssduck.World.batch(t.sim, v)),
+    "World.batch(history)": ("steps", False, lambda t, v: ssduck.World.batch(t.sim, 1, history=v)),
     "World.tick(steps)": ("steps", True, lambda t, v: t.sim.tick(steps=v)),
     "World.tick(time)": ("time", True, lambda t, v: t.sim.tick(time=v)),
     "World.run(seconds)": ("seconds", False, lambda t, v: t.sim.run(v)),

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
+from ssduck.errors import ArgumentError
+from ssduck.formatting import joined_names
 from ssduck.interpreter.execution import Execution
 from ssduck.language.tree import Node
 from ssduck.lazy import service
@@ -53,6 +56,54 @@ class BatchMethods:
         """
         made = service("terms")(self, success, failure, reward, stop_when, **options)
         return cast("BatchTerms", made)
+
+    def export_batch(
+        self,
+        path: str | Path,
+        world: str | BatchWorld | None = None,
+        environments: Any = None,
+        *,
+        tags: Mapping[str, Any] | None = None,
+    ) -> list[int]:
+        """Writes the kept ticks of a batch to a folder of Parquet files, for `ssduck.lake`.
+
+        Each episode of an environment is one of the record, from a reset to the next one. Contacts
+        are written if the states of all its ticks have them.
+
+        Args:
+            path: the folder; it is made if it does not exist, and may hold other episodes.
+            world: the batch, made with `World.batch(…, history=…)`, or the name of its variable;
+                None for the only one.
+            environments: the numbers of the environments, or a mask (n,) of True and False; None
+                for all.
+            tags: what you say of the episodes, by name: a value, or an array (n,) with one for each
+                environment. Each has the tag `environment`, too, its number.
+
+        Returns:
+            The numbers of the episodes there, environment after environment.
+
+        Raises:
+            ArgumentError: the world is no batch, keeps no ticks or has no simulated times, or there
+                is no such environment.
+            RecordError: the folder holds other files, or cannot be written.
+        """
+        with self._lock:
+            written = service("export batch")(self._batch(world), path, environments, tags)
+        return cast("list[int]", written)
+
+    def _batch(self, world: str | BatchWorld | None) -> BatchWorld:
+        """Returns a batch of the interpreter, by its name; the only one for None.
+
+        Raises:
+            ArgumentError: there is none, or several.
+        """
+        worlds = self._execution.worlds
+        batches = [one for one in worlds if isinstance(one, BatchWorld)]
+        found = batches if world is None else [b for b in batches if world in (b, b.name)]
+        if len(found) != 1:
+            known = joined_names([batch.name for batch in batches]) or "none"
+            raise ArgumentError(f"name a batch of this interpreter, of which there are: {known}")
+        return found[0]
 
     def over_batch(self, nodes: Sequence[Node], world: BatchWorld) -> BatchExpressions:
         """Returns parsed expressions as a function of all environments; `terms` are made of it."""

@@ -53,9 +53,7 @@ def environments_of(model: Any, count: int) -> EnvironmentSimulator:
     described = simulator.describe()
     bodies = [] if described is None else described[0]
     states = MuJoCoEnvironments(model, data, count, simulator)
-    return EnvironmentSimulator(
-        bodies, states, simulator.backend, simulator.timestep, simulator.read_margins
-    )
+    return EnvironmentSimulator(bodies, states, simulator, simulator.read_margins)
 
 
 class MuJoCoEnvironments:
@@ -195,6 +193,7 @@ class MuJoCoEnvironments:
 
     def reset(self, environments: Indices) -> None:
         """Sets the times of some environments to 0; their states come with the next tick."""
+        self.times = self.times.copy()  # earlier ones may be kept
         self.times[environments] = _DEFAULT_TIME
 
     def _forward(self, known: dict[str, Any]) -> dict[str, Any]:

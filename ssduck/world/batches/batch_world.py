@@ -7,9 +7,11 @@ a single simulation has, a tick in tables, is that of one environment at a time.
 from __future__ import annotations
 
 import weakref
+from collections import deque
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from copy import copy
+from dataclasses import dataclass, replace
 from typing import Any, Never, Self
 
 import numpy as np
@@ -33,6 +35,23 @@ from ssduck.world.construction import UNNAMED
 from ssduck.world.what_if import copied_tick
 from ssduck.world.world import World
 
+_MAX_HISTORY = 10**9
+
+
+@dataclass(frozen=True, eq=False)
+class PastEpisode:
+    """The kept ticks of an episode of an environment.
+
+    Attributes:
+        environment: its number.
+        states: the states of all environments at each of its ticks, the oldest first.
+        is_whole: whether the first tick of the episode is among them.
+    """
+
+    environment: int
+    states: tuple[Environments, ...]
+    is_whole: bool
+
 
 class BatchWorld(World):
     """Many simulations of one model, the *environments*, numbered from 0; see `World.batch`.
@@ -40,23 +59,27 @@ class BatchWorld(World):
     Args:
         simulator: the environments.
         name: the name until the world is bound to a variable.
+        history: the largest number of ticks that are kept, for `Interpreter.export_batch`.
 
     Attributes:
         version: is incremented with each tick and reset.
         began: (n,), the version at which the episode of each environment began.
     """
 
-    def __init__(self, simulator: EnvironmentSimulator, *, name: str = UNNAMED) -> None:
+    def __init__(
+        self, simulator: EnvironmentSimulator, *, name: str = UNNAMED, history: int = 0
+    ) -> None:
         self._environments: Environments = simulator.environments
         self._is_open = True  # for the first tick
         self.version = 0
         self.began: Indices = np.zeros(self._environments.count, np.intp)
         self._restarting = np.ones(self._environments.count, np.bool_)
+        # The states at the last ticks, each with `began` at it.
+        self._history: deque[tuple[Environments, Indices]] = deque(maxlen=history)
         # What reads the present states before the next ones.
         self._before_tick: list[weakref.WeakMethod[Callable[[], None]]] = []
         super().__init__(simulator, name=name)
         self._is_open = False
-        self.snapshot.warns_of_unknown = False  # each answer tells of its own
         self.snapshot.recorded = frozenset()
         self.snapshot.read_margins(simulator)  # those of the model, which stay the same
 
@@ -122,6 +145,9 @@ class BatchWorld(World):
             self.version += 1
             self.began[self._restarting] = self.version
             self._restarting[:] = False
+            if self._history.maxlen:
+                _ = self._environments.contacts  # those of `MjData` can be read now only
+                self._history.append((copy(self._environments), self.began.copy()))
         return self
 
     def before_tick(self, read: Callable[[], None]) -> None:
@@ -147,30 +173,70 @@ class BatchWorld(World):
         """
         with self.lock:
             self._check_not_pinned()
-            chosen = self._numbers(environments)
+            chosen = self.numbers(environments, "reset")
             self._environments.reset(chosen)
             self._restarting[chosen] = True
         return self
 
-    def _numbers(self, environments: Any) -> Indices:
+    def numbers(self, environments: Any, what: str) -> Indices:
         """Returns the numbers of some environments.
+
+        Args:
+            environments: the numbers, or a mask (n,) of True and False; None for all.
+            what: what takes them, for messages.
 
         Raises:
             ArgumentError: there is no such environment.
         """
         if environments is None:
             return np.arange(self.count)
-        given = to_numpy(environments, "reset: environments")
+        given = to_numpy(environments, f"{what}: environments")
         if given.dtype.kind == "b":
             if given.shape != (self.count,):
-                raise ArgumentError(f"reset: a mask is of shape ({self.count},), not {given.shape}")
+                raise ArgumentError(
+                    f"{what}: a mask is of shape ({self.count},), not {given.shape}"
+                )
             return np.flatnonzero(given)
         numbers = np.atleast_1d(given)
         if numbers.dtype.kind == "f" or ((numbers < 0) | (numbers >= self.count)).any():
             raise ArgumentError(
-                f"reset: environments are numbers from 0 to {self.count - 1}, or a mask"
+                f"{what}: environments are numbers from 0 to {self.count - 1}, or a mask"
             )
         return numbers.astype(np.intp)
+
+    # -- the past ---------------------------------------------------------------------------
+
+    def past_episodes(self, environment: int) -> list[PastEpisode]:
+        """Returns the kept ticks of an environment by episode, the oldest first.
+
+        Raises:
+            ArgumentError: no ticks are kept.
+        """
+        if not self._history.maxlen:
+            raise ArgumentError(
+                f"{self.name!r} keeps no ticks: make it with World.batch(…, history=1000), the "
+                "number of ticks that are kept"
+            )
+        by_beginning: dict[int, list[Environments]] = {}
+        for states, began in self._history:
+            by_beginning.setdefault(int(began[environment]), []).append(states)
+        oldest = self.version - len(self._history) + 1
+        return [
+            PastEpisode(environment, tuple(states), beginning >= oldest)
+            for beginning, states in by_beginning.items()
+        ]
+
+    def replay(self, episode: PastEpisode) -> Iterator[World]:
+        """Yields a world of its own at each tick of an episode."""
+        simulator = self._simulator
+        assert isinstance(simulator, EnvironmentSimulator)
+        first, *others = episode.states
+        own = simulator.of(episode.environment, first)
+        world = World(own, name=self.name)
+        yield world
+        for states in others:
+            own.environments = states
+            yield world.tick()
 
     def step(self, count: int = 1, *, every: int | None = 1, **others: Never) -> Never:
         """Raises `UnsupportedError`: the caller steps the simulations."""
@@ -190,8 +256,11 @@ class BatchWorld(World):
         )
 
     def add_recorder(self, *_: Any) -> Never:
-        """Raises `UnsupportedError`: ticks of a batch are not recorded."""
-        raise UnsupportedError(f"{self.name!r} is a batch, whose ticks are not recorded")
+        """Raises `UnsupportedError`: a recording is of one world."""
+        raise UnsupportedError(
+            f"{self.name!r} is a batch: World.batch(…, history=1000) keeps its ticks, and "
+            "export_batch writes them as episodes"
+        )
 
     # -- one environment ----------------------------------------------------------------------
 
@@ -280,12 +349,17 @@ class BatchWorld(World):
         return like(values, self._environments.sample)
 
 
-def batch_of(model: Any, count: int, name: str = UNNAMED) -> BatchWorld:
+def batch_of(model: Any, count: int, name: str = UNNAMED, history: int = 0) -> BatchWorld:
     """Returns many simulations of one model; see `World.batch`."""
     count = validation.integer(count, "batch: count", minimum=1)
+    history = validation.integer(
+        history, "batch: history, a number of ticks,", minimum=0, maximum=_MAX_HISTORY
+    )
     if isinstance(model, World):
-        return BatchWorld(_copies_of(model, count), name=name)
-    return BatchWorld(backend(simulator_of_model(model)).environments(model, count), name=name)
+        simulator = _copies_of(model, count)
+    else:
+        simulator = backend(simulator_of_model(model)).environments(model, count)
+    return BatchWorld(simulator, name=name, history=history)
 
 
 def _copies_of(world: World, count: int) -> EnvironmentSimulator:
@@ -305,7 +379,4 @@ def _copies_of(world: World, count: int) -> EnvironmentSimulator:
     joints = {copy: of_joints.get(body, np.zeros((0, 3))) for body, copy in named.items()}
     bodies = {copy.name: copy for copy in named.values()}
     environments = BodyEnvironments(bodies, states, joints, count)
-    simulator = world.simulator
-    return EnvironmentSimulator(
-        list(bodies.values()), environments, simulator.backend, simulator.timestep
-    )
+    return EnvironmentSimulator(list(bodies.values()), environments, world.simulator)
