@@ -9,7 +9,13 @@ from typing import Any, TypeAlias
 import gymnasium
 import numpy as np
 import numpy.typing as npt
-from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv, VectorWrapper
+from gymnasium.vector import (
+    AsyncVectorEnv,
+    AutoresetMode,
+    SyncVectorEnv,
+    VectorEnv,
+    VectorWrapper,
+)
 
 from ssduck import validation
 from ssduck.errors import ArgumentError, SimulatorError
@@ -38,8 +44,9 @@ class VectorQueryWrapper(VectorWrapper[Any, Any, Any, Any, Any]):
     Environments end, and are reset, as gymnasium's autoreset mode says, also if a term ends them.
 
     Args:
-        env: a `SyncVectorEnv` of environments that have a MuJoCo model with its data, or another
-            vector with `state` and `model`.
+        env: a `SyncVectorEnv` of environments that have a MuJoCo model with its data; an
+            `AsyncVectorEnv` of such, whose data are copied from their processes at each step; or
+            another vector with `state` and `model`.
         success: a condition: whether the task is done.
         failure: a condition: whether it has failed.
         reward: a number that replaces the reward of the environments, or numbers by name, which
@@ -52,7 +59,7 @@ class VectorQueryWrapper(VectorWrapper[Any, Any, Any, Any, Any]):
         state: a function of the vector of environments that returns their states, as
             `BatchWorld.tick` takes them: a dict of arrays, or an object that has these.
         model: the `mujoco.MjModel` of these states.
-        forward: of a `SyncVectorEnv`, whether terms see the poses that belong to `qpos`; see
+        forward: without `state`, whether terms see the poses that belong to `qpos`; see
             `QueryWrapper`.
         nan: what a term is in an environment in which it cannot be computed; see `QueryWrapper`.
         limits: the limits of terms; `Limits.strict()` for terms from elsewhere.
@@ -85,13 +92,18 @@ class VectorQueryWrapper(VectorWrapper[Any, Any, Any, Any, Any]):
         self._mode = env.metadata.get("autoreset_mode", AutoresetMode.DISABLED)
         self._variables = validation.mapping(variables, "variables: give a dict of functions")
         self._parts: list[_Prepared] = []
-        if state is None:
+        if state is None and isinstance(env.unwrapped, AsyncVectorEnv):
+            model = _model_in_process(env.unwrapped)
+            read = partial(_data_in_processes, env.unwrapped)
+        elif state is None:
             self._parts = _prepared(env)
             model = self._parts[0].find()[0]
-            state = partial(_forward_states if forward else _states, self._parts)
+            read = partial(_data_of, self._parts)
         elif model is None:
             raise ArgumentError("VectorQueryWrapper: give the model of the states: model=…")
-        else:
+        if state is None:
+            state = partial(_forward_states if forward else _states, read)
+        if not self._parts:
             self._check_mode(stops=stop_when is not None or nan == "failure")
         self._state = state
         self._ended: Flags = np.zeros(env.num_envs, np.bool_)
@@ -292,12 +304,35 @@ def _prepared(env: VectorEnv[Any, Any, Any]) -> list[_Prepared]:
     return parts
 
 
-def _states(parts: Sequence[_Prepared], _: object) -> list[Any]:
+def _data_of(parts: Sequence[_Prepared]) -> list[Any]:
     return [part.find()[1] for part in parts]
 
 
-def _forward_states(parts: Sequence[_Prepared], _: object) -> dict[str, npt.NDArray[np.float64]]:
-    data = _states(parts, _)
+def _model_in_process(vector: AsyncVectorEnv) -> Any:
+    """Returns the model of the environments of a vector whose simulations are in other processes.
+
+    Raises:
+        SimulatorError: they have no attributes `model` and `data`.
+    """
+    # To ask for what is not there ends the processes.
+    if not all(all(vector.call("has_wrapper_attr", name)) for name in ("model", "data")):
+        raise SimulatorError(
+            "VectorQueryWrapper: the environments of this AsyncVectorEnv have no MuJoCo model with "
+            "its data: wrap each of them by QueryWrapper, or give state=… and model=…"
+        )
+    return vector.get_attr("model")[0]
+
+
+def _data_in_processes(vector: AsyncVectorEnv) -> list[Any]:
+    return list(vector.get_attr("data"))
+
+
+def _states(read: Callable[[], list[Any]], _: object) -> list[Any]:
+    return read()
+
+
+def _forward_states(read: Callable[[], list[Any]], _: object) -> dict[str, npt.NDArray[np.float64]]:
+    data = read()
     return {
         "qpos": np.stack([one.qpos for one in data]),
         "qvel": np.stack([one.qvel for one in data]),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 
 from ssduck.errors import ArgumentError, SimulatorError
 from ssduck.gym import QueryWrapper, VectorQueryWrapper
@@ -68,6 +68,40 @@ def test_it_is_that_of_each_by_itself(mode, terms):
     assert ended > 3
     wrapped.close()
     each.close()
+
+
+@pytest.mark.slow
+@sampled("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED], every=2)
+def test_environments_in_other_processes_are_judged_alike(mode, terms):
+    terms = {name: term for name, term in terms.items() if name != "stop_when"}
+    options = {"autoreset_mode": mode}
+    both = [
+        VectorQueryWrapper(kind([make] * 2, **options), **terms)
+        for kind in (SyncVectorEnv, AsyncVectorEnv)
+    ]
+    for envs in both:
+        envs.reset(seed=3)
+    ended = 0
+    for step in range(30):
+        here, there = [envs.step(np.full((2, 1), np.sin(step), np.float32)) for envs in both]
+        for mine, other in zip(here[:4], there[:4], strict=True):
+            assert np.array_equal(mine, other)
+        assert here[4]["ssduck"]["success"].tolist() == there[4]["ssduck"]["success"].tolist()
+        done = here[2] | here[3]
+        ended += int(done.sum())
+        if mode == AutoresetMode.DISABLED and done.any():
+            for envs in both:
+                envs.reset(options={"reset_mask": done.copy()})
+    assert ended
+    for envs in both:
+        envs.close()
+
+
+def test_environments_in_other_processes_without_data_are_an_error():
+    envs = AsyncVectorEnv([lambda: gymnasium.make("CartPole-v1")])
+    with pytest.raises(SimulatorError, match="no MuJoCo model"):
+        VectorQueryWrapper(envs, reward="1")
+    envs.close()
 
 
 @pytest.mark.slow
