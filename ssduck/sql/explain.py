@@ -24,9 +24,11 @@ def explained(text: str, statement: Node, plan_of: PlanOf, stand_ins: StandIns) 
         plan_of: a function that returns the plan of a query; None if it runs row by row.
         stand_ins: the entities for which relations of shapes are not exact.
     """
+    queries = outermost([statement])
+    if not queries:
+        return "-- no query, but an expression of single values"
     return "\n\n".join(
-        _explained(text, query, plan, stand_ins)
-        for query, plan in _plans(outermost([statement]), plan_of)
+        _explained(text, query, plan, stand_ins) for query, plan in _plans(queries, plan_of)
     )
 
 

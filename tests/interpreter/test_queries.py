@@ -400,6 +400,9 @@ def test_explain_is_a_statement_too(ss):
     text = ss.eval("EXPLAIN SELECT id FROM kitchen WHERE above(table, this);")
     assert "$table_xmin" in text
     assert "FROM kitchen.entities AS kitchen" in text
+    assert (
+        ss.eval("EXPLAIN x(kitchen.can) + 1;") == "-- no query, but an expression of single values"
+    )
 
 
 def test_names_cannot_inject_sql(ss):

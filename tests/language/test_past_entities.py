@@ -247,7 +247,11 @@ def test_previous_at_ticks_that_are_not_recorded():
 @pytest.mark.parametrize(
     ("program", "error", "message"),
     [
-        ("at(-0.1, z(sim.ball));", ArgumentError, r"at\(getTime\(\) - 0.5, x\(cup\)\)"),
+        (
+            "at(-0.1, z(sim.ball));",
+            ArgumentError,
+            r"at\(max\(\[0, getTime\(\) - 0.5\]\), x\(cup\)\)",
+        ),
         ("at(9, z(sim.ball));", EvaluationError, "recorded from 0 s to 0.2 s"),
         ("at(z(sim.ball));", ArgumentError, "at takes 2 arguments"),
         ("previous(1);", ArgumentError, "takes an expression of entities"),

@@ -171,7 +171,7 @@ def _at(series: TickSeries, time: Any) -> Any:
     if time is None or time < 0:
         raise ArgumentError(
             "at takes a time from 0 s on, then an expression: at(0.5, x(cup)); for half a second "
-            "ago write at(getTime() - 0.5, x(cup))"
+            "ago, or the beginning until then, write at(max([0, getTime() - 0.5]), x(cup))"
         )
     return series.at(series.past(time))[1][-1]
 
