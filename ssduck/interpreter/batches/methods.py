@@ -65,7 +65,7 @@ class BatchMethods:
         *,
         tags: Mapping[str, Any] | None = None,
     ) -> list[int]:
-        """Writes the kept ticks of a batch to a folder of Parquet files, for `ssduck.lake`.
+        """Writes the history of a batch to a folder of Parquet files, for `ssduck.lake`.
 
         Each episode of an environment is one of the record, from a reset to the next one. Contacts
         are written if the states of all its ticks have them.

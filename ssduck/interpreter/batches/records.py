@@ -1,4 +1,4 @@
-"""Writes the kept ticks of a batch as episodes of a record, which a lake asks."""
+"""Writes the history of a batch as episodes of a record, which a lake asks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ENVIRONMENT = "environment"
 def export_batch(
     world: BatchWorld, path: str | Path, environments: Any, tags: Mapping[str, Any] | None
 ) -> list[int]:
-    """Writes the kept ticks of environments as episodes; see `BatchMethods.export_batch`."""
+    """Writes the history of environments as episodes; see `BatchMethods.export_batch`."""
     numbers = world.numbers(environments, "export_batch")
     of_each = _tags_of_each(world, tags, numbers)
     episodes = [episode for number in numbers.tolist() for episode in world.past_episodes(number)]

@@ -40,7 +40,7 @@ _MAX_HISTORY = 10**9
 
 @dataclass(frozen=True, eq=False)
 class PastEpisode:
-    """The kept ticks of an episode of an environment.
+    """The ticks in the history of an episode of an environment.
 
     Attributes:
         environment: its number.
@@ -207,7 +207,7 @@ class BatchWorld(World):
     # -- the past ---------------------------------------------------------------------------
 
     def past_episodes(self, environment: int) -> list[PastEpisode]:
-        """Returns the kept ticks of an environment by episode, the oldest first.
+        """Returns the ticks in the history of an environment by episode, the oldest first.
 
         Raises:
             ArgumentError: no ticks are kept.
