@@ -57,14 +57,15 @@ class ForwardCheck:
             parts = {name: part for name, part in judge.terms.parts.items() if is_compared[part]}
             terms = replace(judge.terms, parts=parts, nan=0.0)  # whose errors the other judge has
             self._judge = Judge(terms, self._interpreter, world, variables, if_unknown="")
-            if tables := self._judge.past_tables:
-                self._interpreter.record(world, Recording(tables=tuple(tables)))
+            if self._judge.needs_record:
+                self._interpreter.record(world, Recording(tables=tuple(self._judge.past_tables)))
 
     def begin_episode(self, values: Mapping[str, Any]) -> None:
         """Takes the first tick after a reset."""
         if self._left:
             self._simulation.begin_episode()
             self._judge.begin_tick(values, is_first=True)
+            self._judge.settle()
 
     def check(self, step: int, values: Mapping[str, Any], judgement: Judgement) -> None:
         """Takes a tick, and warns if a term differs, which ends the checks."""

@@ -12,6 +12,7 @@ from ssduck.gym.terms import CONDITIONS, Judgement, Term, Terms, is_nan
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.over_time.each_tick import ExpressionsAtTicks
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, parts_of
+from ssduck.interpreter.over_time.judged import JudgedFolds
 from ssduck.interpreter.program import CompiledProgram
 from ssduck.language.tree import (
     Call,
@@ -56,6 +57,7 @@ class Judge:
     Attributes:
         terms: the terms.
         past_tables: the tables to be recorded for terms that read the past; none if none does.
+        needs_record: whether these have to be recorded though each tick is judged.
         are_sensitive: of each term, whether it may change a lot within a step of the simulator: a
             condition, and a number that says how fast something moves or that reads the past.
     """
@@ -106,6 +108,8 @@ class Judge:
         if any(self._are_temporal):
             read = frozenset().union(*map(tables_of, trees)).intersection(RECORDABLE)
             self.past_tables = read | {"entities", "links"}
+        self._folds = JudgedFolds(interpreter, trees, self._whole)
+        self.needs_record = self._folds.need_record
 
     def begin_episode(self) -> None:
         """Forgets the values of variables."""
@@ -209,6 +213,17 @@ class Judge:
         Raises:
             SelectScriptError: a term failed, or its value is of the wrong type.
         """
+        try:
+            return self._judgement()
+        finally:
+            self.settle()
+
+    def settle(self) -> None:
+        """Adds the present tick to functions of time that no term has needed at it."""
+        self._folds.settle()
+
+    def _judgement(self) -> Judgement:
+        """Returns the values of the terms at the present tick."""
         try:
             values = self._interpreter.eval(self._program)
         except SelectScriptError as error:

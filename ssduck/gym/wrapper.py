@@ -300,8 +300,8 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
 
     def _record_past(self) -> None:
         """Records the ticks of the world in memory if a term reads them."""
-        if tables := self._judge.past_tables:
-            self._interpreter.record(self._world, Recording(tables=tuple(tables)))
+        if self._judge.needs_record:
+            self._interpreter.record(self._world, Recording(tables=tuple(self._judge.past_tables)))
 
     def _set_variables(self, *, is_first: bool) -> dict[str, Any]:
         """Sets the variables to their values now, and returns these.

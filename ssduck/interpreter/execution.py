@@ -128,7 +128,7 @@ class Execution(Namespace):
         )
         self.planner = Planner(database, self, limits, row_by_row=row_by_row)
         self.temporal = TemporalEvaluator()
-        self._folds = LiveFolds(self, self.planner, self.tables_read)
+        self.folds = LiveFolds(self, self.planner, self.tables_read, database.is_recorded)
         self._relation_queries: WeakKeyDictionary[Call, Query] = WeakKeyDictionary()
         self._program_texts: list[str] = []
         self._stamp: tuple[object, ...] = ()
@@ -382,10 +382,11 @@ class Execution(Namespace):
         age = None if other is None else frame.value(other)
         series = partial(self.series, node, frame)
         form = TEMPORAL_FUNCTIONS[node.name]
-        with self.worlds_pinned(node):
-            is_fold = form.fold is not None and other is None and self.temporal.reader is None
-            if is_fold and self._folds.takes(node, frame):
-                return self._folds.value(node, form, series)
+        is_fold = form.fold is not None and other is None and self.temporal.reader is None
+        is_fold = is_fold and self.folds.takes(node, frame)
+        with self.worlds_pinned(node, is_settled=not (is_fold and self.folds.need_no_tables(node))):
+            if is_fold:
+                return self.folds.value(node, form, series)
             return form.make(series(), None if age is None else validation.seconds(age))
 
     def series(self, node: Call, frame: Frame) -> TickSeries:

@@ -94,7 +94,8 @@ class RecordingMethods(ABC):
             try:
                 self._database.begin_episode(world)
             finally:
-                self._planner.forget()
+                if self._database.is_recorded(world):  # plans read the record before
+                    self._planner.forget()
         self._triggers.episode_began(world)
 
     def past(self, world: str | World, age: float | None = None) -> Past:

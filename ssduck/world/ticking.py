@@ -550,11 +550,16 @@ class SteppedSimulation(Observable):
             self._recorders = [r for r in self._recorders if r() not in (None, recorder)]
             self._read_recorded()
 
+    @property
+    def episode_start(self) -> float | None:
+        """The simulated time of the first tick of the present episode, s; None before that."""
+        return self._start
+
     def warn_of_unrecorded_start(self) -> None:
         """Warns, once, if the world had ticks of earlier times before it was recorded at all."""
         start, first = self._start, self._first_recorded
         if start is not None and first is not None and first > start:
-            self._start = None
+            self._first_recorded = start
             warn(
                 f"{self.name}: its ticks before {first:g} s were not recorded, since an "
                 "interpreter records a world from the moment it is bound to a variable; the past "

@@ -16,7 +16,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import ssduck
-from ssduck.errors import SelectScriptError
+from ssduck.errors import EvaluationError, SelectScriptError
 from ssduck.interpreter.over_time.evaluator import TemporalEvaluator
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS
 from ssduck.interpreter.over_time.live import LiveFolds
@@ -124,6 +124,75 @@ def test_they_are_those_of_the_record(steps):
             # Of some terms a state is a tick old, and of some several.
             for term in TERMS[number % 5 :: 4 + number % 2]:
                 assert outcome(made[0], f"{term};") == fresh(made[0], term), (step, term)
+
+
+@contextmanager
+def unrecorded(made):
+    """A world of the same simulation that is not recorded, asked at each tick."""
+    _, _, model, data = made
+    with ssduck.Interpreter(recording=None) as ss:
+        sim = ssduck.World.attach((model, data))
+        ss.add_variable("sim", sim)
+        ss.add_variable("limit", 0.25)
+        sim.begin_episode()
+        yield ss, sim
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:ball. the simulator gives a pose")
+@settings(max_examples=generated(2))
+@given(st.lists(st.sampled_from(sorted({*STEPS} - {"limit"})), max_size=15))
+@example(["tick"] * 12 + ["lift"] + ["tick"] * 8)
+@example(["tick", "same time", "same time", "tick", "nan", "tick", "reset", "same time", "tick"])
+def test_those_of_an_unrecorded_world_that_is_asked_at_each_tick_are_the_same(steps):
+    with opened() as made, unrecorded(made) as (ss, sim):
+        for step in ("reset", *steps):
+            act(made, step)
+            if step == "nan":
+                made[3].xpos[1, 2] = float("nan")
+            if step == "reset":
+                sim.begin_episode()
+            elif step != "ask":
+                sim.tick()
+            if step == "nan":
+                mujoco.mj_forward(made[2], made[3])
+            for term in TERMS:
+                assert outcome(ss, f"{term};") == fresh(made[0], term), (step, term)
+
+
+def test_a_tick_that_an_unrecorded_world_was_not_asked_at_is_an_error(scene):
+    with unrecorded(scene) as (ss, sim):
+        assert ss.eval("heldFor(z(sim.ball) < limit);") == 0.0
+        for step in ("tick", "tick"):
+            act(scene, step)
+            sim.tick()
+        with pytest.raises(EvaluationError, match=r"not recorded.* heldFor.* at each tick"):
+            ss.eval("heldFor(z(sim.ball) < limit);")
+        with pytest.raises(EvaluationError, match="not recorded"):
+            ss.eval("previous(sim.ball);")
+        act(scene, "reset")
+        sim.begin_episode()
+        assert ss.eval("heldFor(z(sim.ball) > 0);") == 0.0
+        act(scene, "tick")
+        sim.tick()
+        assert ss.eval("heldFor(z(sim.ball) > 0);") == pytest.approx(0.02)
+        with pytest.raises(EvaluationError, match="not recorded"):
+            ss.eval("holds(z(sim.ball) > 0);")
+
+
+def test_the_error_of_a_tick_stays_until_the_episode_ends(scene):
+    term = "heldFor(1 / (z(sim.ball) - start) > 0);"
+    with unrecorded(scene) as (ss, sim):
+        ss.add_variable("start", ss.eval("z(sim.ball);"))
+        for number, _ in enumerate(range(3)):
+            with pytest.raises(SelectScriptError, match="zero") as caught:
+                ss.eval(term)
+            assert caught.value.message.count("zero") == 1, number
+            act(scene, "tick")
+            sim.tick()
+        ss.add_variable("start", -1.0)
+        sim.begin_episode()
+        assert ss.eval(term) == 0.0
 
 
 @pytest.mark.parametrize("term", TERMS)

@@ -16,12 +16,18 @@ from weakref import WeakKeyDictionary
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.over_time.functions import Fold, TemporalFunction, parts_of
 from ssduck.interpreter.over_time.series import TickSeries
+from ssduck.interpreter.over_time.unrecorded import (
+    UnrecordedFolds,
+    copied,
+    names_in,
+    select_of,
+)
 from ssduck.interpreter.planner import Planner
 from ssduck.language.analysis import free_aliases
 from ssduck.language.builtins import BUILTINS
 from ssduck.language.clauses import formed
 from ssduck.language.evaluator import EvaluationScope, Frame
-from ssduck.language.tree import Call, ListLiteral, Literal, Name, Node, Query, Source, TimeIndex
+from ssduck.language.tree import Call, Node, Query, TimeIndex
 from ssduck.language.value_keys import ATOMS
 from ssduck.schema import MASSES
 from ssduck.sql.relations.registry import RELATIONS
@@ -66,6 +72,7 @@ class LiveFolds:
         scope: the variables.
         planner: runs queries.
         tables_read: returns the data that an expression reads.
+        is_recorded: checks whether a world is recorded.
     """
 
     def __init__(
@@ -73,8 +80,11 @@ class LiveFolds:
         scope: EvaluationScope,
         planner: Planner,
         tables_read: Callable[[Node], frozenset[str]],
+        is_recorded: Callable[[World], bool],
     ) -> None:
         self._scope, self._planner, self._tables_read = scope, planner, tables_read
+        self._is_recorded = is_recorded
+        self._unrecorded = UnrecordedFolds(scope, planner)
         self._kept: WeakKeyDictionary[Call, _Kept] = planner.states
         # Whether the expression of a call is the same at the present tick and in the record.
         self._are_simple: WeakKeyDictionary[Call, bool] = WeakKeyDictionary()
@@ -86,6 +96,20 @@ class LiveFolds:
         if call not in self._are_simple:
             self._are_simple[call] = not free_aliases(call) and self._is_simple(parts_of(call)[0])
         return self._are_simple[call]
+
+    def misses(self, call: Call) -> bool:
+        """Checks whether the present tick would be lost to a call: its world is not recorded."""
+        world = self._unrecorded_world(call)
+        return world is not None and self._unrecorded.misses(call, world)
+
+    def need_no_tables(self, call: Call) -> bool:
+        """Checks whether the value of a call needs no table that DuckDB reads."""
+        return self._unrecorded_world(call) is not None and self._unrecorded.is_planned(call)
+
+    def _unrecorded_world(self, call: Call) -> World | None:
+        """Returns the only world of a call, if it is not recorded."""
+        world = self._unrecorded.world_of(call)
+        return None if world is None or self._is_recorded(world) else world
 
     def value(self, call: Call, form: TemporalFunction, series_of: Callable[[], TickSeries]) -> Any:
         """Returns the value of a call at the present tick; the caller pins the worlds.
@@ -99,12 +123,15 @@ class LiveFolds:
         assert fold is not None
         kept = self._kept.pop(call, None)  # so that Ctrl-C leaves no state of half a step
         if kept is None or not self._is_next(kept, fold):
+            world = self._unrecorded_world(call)
+            if world is not None:
+                return self._unrecorded.value(call, world)
             series = series_of()
             kept = self._made(call, series, fold)
             if kept is None:
                 return form.make(series, None)
         self._kept[call] = kept
-        return _copied(fold.value(kept.state, kept.time))
+        return copied(fold.value(kept.state, kept.time))
 
     def _is_next(self, kept: _Kept, fold: Fold) -> bool:
         """Adds the present tick to a state, unless it has it; returns whether that is all."""
@@ -146,13 +173,12 @@ class LiveFolds:
             return None
         numbers, times = series.ticks()
         expression, _ = parts_of(call)
-        names = tuple(dict.fromkeys(n.name for n in expression.walk() if isinstance(n, Name)))
+        names = names_in(expression)
         meaning = self._meaning(names)
         if meaning is None or not len(numbers) or numbers[-1] != snapshot.number:
             return None
-        zero = ListLiteral(call.span, (Literal(call.span, 0),))
         return _Kept(
-            Query(call.span, (expression,), (Source(call.span, None, zero),)),
+            select_of(expression),
             names,
             meaning,
             snapshot.layout,
@@ -196,8 +222,3 @@ class LiveFolds:
 
 def _is_row(element: Any) -> bool:
     return isinstance(element, Handle)
-
-
-def _copied(value: Any) -> Any:
-    """Returns a value whose lists the caller may change."""
-    return list(map(_copied, value)) if type(value) is list else value

@@ -93,9 +93,7 @@ class TickSeries:
 
     def is_true(self, value: Any) -> bool:
         """Returns whether the expression is true where it has a value."""
-        return value is True or (
-            value is not None and value is not False and truth(value, self.node)
-        )
+        return is_true(value, self.node)
 
     def backwards(self) -> Iterator[Past]:
         """Yields all ticks in pieces, the last ones first, each twice as long as the one before."""
@@ -106,3 +104,8 @@ class TickSeries:
             start = int(np.searchsorted(all_times, all_times[max(end - size, 0)]))
             yield Past(self.record, int(numbers[start]), int(numbers[end - 1]), is_window=True)
             end, size = start, size * 2
+
+
+def is_true(value: Any, node: Node) -> bool:
+    """Returns whether a condition is true where it has a value."""
+    return value is True or (value is not None and value is not False and truth(value, node))
