@@ -335,10 +335,10 @@ class Compiler:
         return _joined("double", operations.power(part.compute, float(exponent.name)), part)
 
     def _comparison(self, sql: exp.Expr) -> Expression:
-        """Returns a comparison of doubles or of integers, or whether texts are equal."""
+        """Returns a comparison of doubles, of integers, or of texts, by their code points."""
         left, right = self.expression(sql.this), self.expression(sql.expression)
         kinds = {left.kind, right.kind}
-        are_texts = kinds == {"string"} and isinstance(sql, exp.EQ | exp.NEQ)
+        are_texts = kinds == {"string"}
         are_decimal = "decimal" in kinds and "double" not in kinds
         if not are_texts and (are_decimal or not kinds <= set(NUMBERS)):
             raise LeftToDuckDBError

@@ -193,7 +193,7 @@ class Leaves:
         """Returns a parameter, or a column of a row, as an expression."""
         if isinstance(sql, exp.Parameter) and sql.name in self._parts:
             return self._parts[sql.name]
-        key = f"column {sql.name}" if isinstance(sql, exp.Column) else sql.name
+        key = f"column {sql.table}.{sql.name}" if isinstance(sql, exp.Column) else sql.name
         if key not in self._kinds:
             return None
         return Expression(self._kinds[key], lambda values: values[key])

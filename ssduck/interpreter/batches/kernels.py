@@ -309,11 +309,28 @@ def _of_contacts(
         return of_all[rows_of][None, :]
     kind = np.float64 if function is _contact_force else np.bool_
     result: Array = np.zeros((1, values.count), kind)
-    for first, second in np.unique(np.stack((a, b), axis=1), axis=0).tolist():
-        rows = np.flatnonzero((a == first) & (b == second))
+    touching = np.flatnonzero(_are_in_contact(world, contacts, rows_of, a, b))
+    for first, second in np.unique(np.stack((a, b))[:, touching], axis=1).T.tolist():
+        rows = touching[(a[touching] == first) & (b[touching] == second)]
         own = function(_between(world, contacts, first, second))
         result[0, rows] = own[rows_of[rows]]
     return result
+
+
+def _are_in_contact(
+    world: BatchWorld, contacts: EnvironmentContacts, environments: Indices, a: Indices, b: Indices
+) -> Flags:
+    """Checks which pairs of rows are of entities that have contacts in their environments."""
+    layout = world.snapshot.layout
+    touching = layout.ids_of_handles[contacts.points.bodies.T]
+    own, given = (
+        (where * LINK_FACTOR + np.minimum(*pair)) * LINK_FACTOR + np.maximum(*pair)
+        for where, pair in (
+            (contacts.environments, touching),
+            (environments, (a % LINK_FACTOR, b % LINK_FACTOR)),
+        )
+    )
+    return np.isin(given, own)
 
 
 def _between(world: BatchWorld, contacts: EnvironmentContacts, a: int, b: int) -> _Between:

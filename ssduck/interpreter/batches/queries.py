@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
-from ssduck.columns.arrays import Array, ArrayValues
-from ssduck.columns.compiler import Compiler
+from ssduck.columns.arrays import Array
 from ssduck.columns.expressions import LeftToDuckDBError
-from ssduck.errors import SelectScriptError, SourceSpan, UnsupportedError
-from ssduck.geometry.arrays import Flags, Indices
+from ssduck.errors import SelectScriptError, UnsupportedError
+from ssduck.geometry.arrays import Flags
 from ssduck.interpreter.batches.evaluator import (
     ENV,
     BatchExpressions,
@@ -21,21 +20,13 @@ from ssduck.interpreter.batches.evaluator import (
     plain,
     without_unknown,
 )
-from ssduck.interpreter.batches.expressions import CHANGING, PLAIN, Engine, Leaves, value_of
+from ssduck.interpreter.batches.expressions import Engine
+from ssduck.interpreter.batches.rows import BatchRows
 from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.output import AsClause, as_clause_of
-from ssduck.language.clauses import PythonClauses, Rows, Selected, SelectedValue
+from ssduck.language.clauses import Groups, Paths, Rows, Selected
 from ssduck.language.evaluator import Frame
-from ssduck.language.tree import Call, ListLiteral, Literal, Name, Node, Placeholder, Query
-from ssduck.schema import STORED_TABLES
-from ssduck.sql.plan import Plan
-
-# The rows of each environment, by its number.
-_RowsByNumber: TypeAlias = dict[int, list[tuple[Any, ...]]]
-_CLAUSES = frozenset(("expressions", "from_", "where", "order"))
-# What is selected of a row if all selected values are those of its environment.
-_ID = Name(SourceSpan(0, 0), "id")
-_KINDS = {column.name: column.type for column in STORED_TABLES["entities"].columns}
+from ssduck.language.tree import Call, ListLiteral, Literal, Name, Node, Query
 
 
 class BatchQuery:
@@ -56,7 +47,7 @@ class BatchQuery:
         assert isinstance(substituted, Query)
         self._query = substituted
         self._columns = BatchExpressions(execution, engine, query.items) if _is_row(query) else None
-        self._over: tuple[object, _OverEntities | None] | None = None
+        self._over: tuple[object, BatchRows | None] | None = None
         self.has_same_arrays = self._outer.has_same_arrays
 
     def _item(self, item: Node) -> Node:
@@ -87,10 +78,8 @@ class BatchQuery:
 
     def _value_of_each(self, form: AsClause) -> Array:
         """Returns the result of a form for the rows of each environment, (n,)."""
-        names, rows = self._rows(_accept_columns)
         values = []
-        for number in range(self._world.count):
-            own = Rows(rows[number], names)
+        for own in self._selected(_accept_columns):
             frame = Frame(self._execution)
             values.append(form.value(self._query, frame, lambda *_, own=own: own))
         return without_unknown(answers_of(values), "the query")
@@ -98,46 +87,80 @@ class BatchQuery:
     def _run(self, query: Query, frame: Frame, check: Any) -> Selected:
         """Returns the rows of all environments; see `QueryRunner`."""
         del query, frame
-        names, rows = self._rows(check)
-        return Rows([row for number in sorted(rows) for row in rows[number]], names)
+        return _together(self._selected(check))
 
-    def _rows(self, check: Any) -> tuple[Any, _RowsByNumber]:
-        """Returns the names of the columns, and the rows of each environment."""
+    def _selected(self, check: Any) -> list[Rows | Groups]:
+        """Returns the rows, or the groups, of each environment."""
         given, unknown = self._outer.given()
-        rows: _RowsByNumber = {}
-        names: Any = ()
-        over = None if unknown else self._over_entities(given)
+        over = self._over_entities(given)
+        selected: list[Rows | Groups | None] = [None] * self._world.count
         if over is not None:
-            check(over.columns)
-            rows, names = over.rows(given), tuple(column.name for column in over.columns)
-        for number in range(self._world.count):
-            if number not in rows:
-                selected = self._one(number, given, unknown, check)
-                rows[number], names = selected.values, selected.names
-        return names, rows
+            check(over.planned.columns)
+            selected = self._of_arrays(over, given, unknown)
+
+        def run(frame: Frame) -> Selected:
+            return self._execution.planner.run(self._query, frame, check)
+
+        return [
+            self._one(number, given, unknown, run) if own is None else own
+            for number, own in enumerate(selected)
+        ]
+
+    def _of_arrays(
+        self, over: BatchRows, given: Mapping[str, Array], unknown: Mapping[str, Flags]
+    ) -> list[Rows | Groups | None]:
+        """Returns the rows, or the groups, of the environments whose rows arrays have."""
+        found = over.found(given, unknown, self._execution.meter.step)
+        planned, numbers = over.planned, range(self._world.count)
+        selected = over.selected(found, given, unknown)
+        if selected is not None:
+            return [None if found.left[number] else selected[number] for number in numbers]
+        ends = np.searchsorted(found.environments, [*numbers, self._world.count]).tolist()
+        fetched = list(zip(*(column.tolist() for column in found.columns), strict=True))
+
+        def of(number: int) -> Rows | Groups:
+            def run(frame: Frame) -> Selected:
+                return planned.selected(fetched[ends[number] : ends[number + 1]], frame, {})
+
+            return self._one(number, given, unknown, run)
+
+        return [None if found.left[number] else of(number) for number in numbers]
 
     def _one(
-        self, number: int, given: Mapping[str, Array], unknown: Mapping[str, Flags], check: Any
-    ) -> Rows:
-        """Returns the rows of an environment, for which the query runs by itself."""
+        self,
+        number: int,
+        given: Mapping[str, Array],
+        unknown: Mapping[str, Flags],
+        run: Callable[[Frame], Selected],
+    ) -> Rows | Groups:
+        """Returns the rows, or the groups, of an environment.
+
+        Args:
+            number: the environment.
+            given: the values of placeholders.
+            unknown: where they are unknown.
+            run: selects them, at the tick of the environment.
+        """
         samples = at_environment(given, unknown, number)
         frame = Frame(self._execution, placeholders=samples)
         with self._world.at(number), self._execution.worlds_pinned(self._query):
             try:
-                selected = self._execution.planner.run(self._query, frame, check)
+                selected = run(frame)
             except SelectScriptError as error:
                 error.message = f"environment {number}: {error.message}"
                 raise
-        if not isinstance(selected, Rows):
-            raise UnsupportedError(
-                "over a batch, a query has rows, not groups or paths", span=self._query.span
-            )
-        for row in selected.values:
-            for value in row:
-                plain(value, self._query)
+        for rows in selected.groups.values() if isinstance(selected, Groups) else (selected,):
+            if not isinstance(rows, Rows):
+                raise UnsupportedError(
+                    "over a batch, a query has rows or groups, not paths", span=self._query.span
+                )
+            for row in rows.values:
+                for value in row:
+                    plain(value, self._query)
+        assert not isinstance(selected, Paths)
         return selected
 
-    def _over_entities(self, given: Mapping[str, Array]) -> _OverEntities | None:
+    def _over_entities(self, given: Mapping[str, Array]) -> BatchRows | None:
         """Returns the query as functions of arrays; None if it is none."""
         generation = self._execution.planner.generation
         if self._over is None or self._over[0] is not generation:
@@ -145,105 +168,37 @@ class BatchQuery:
             frame = Frame(self._execution, placeholders=samples)
             with self._world.at(0), self._execution.worlds_pinned(self._query):
                 try:
-                    over = _OverEntities(self._execution, self._engine, self._query, frame)
+                    over = BatchRows(self._execution, self._engine, self._query, frame)
                 except LeftToDuckDBError:
                     over = None
             self._over = self._execution.planner.generation, over
         over = self._over[1]
-        if over is not None and not over.leaves.is_current(Frame(self._execution)):
+        if over is not None and not over.is_current(Frame(self._execution)):
             self._over = None
             return self._over_entities(given)
         return over
 
 
-class _OverEntities:
-    """A condition on, and values of, each entity of each environment.
+def _together(parts: Sequence[Rows | Groups]) -> Rows | Groups:
+    """Returns the rows of all environments, those of a group by its key."""
+    if not isinstance(parts[0], Groups):
+        return _joined([part for part in parts if isinstance(part, Rows)])
+    groups: dict[str, list[Rows]] = {}
+    for part in parts:
+        assert isinstance(part, Groups)
+        for key, rows in part.groups.items():
+            assert isinstance(rows, Rows)
+            groups.setdefault(key, []).append(rows)
+    return Groups({key: _joined(rows) for key, rows in groups.items()}, parts[0].empty)
 
-    Args:
-        execution: plans the query.
-        engine: reads the batch.
-        query: the query.
-        frame: its placeholders in one environment.
 
-    Attributes:
-        columns: the selected values.
-        leaves: what the expressions read.
-
-    Raises:
-        LeftToDuckDBError: it is another query.
-    """
-
-    def __init__(self, execution: Execution, engine: Engine, query: Query, frame: Frame) -> None:
-        if query.order:
-            raise LeftToDuckDBError
-        whole = execution.planner.planned(query, frame)
-        of_rows = replace(query, items=tuple(i for i in query.items if not _is_given(i)) or (_ID,))
-        planned = execution.planner.planned(of_rows, frame)
-        if whole is None or planned is None or not _is_of_entities(planned.plan, engine.schema):
-            raise LeftToDuckDBError
-        plan = planned.plan
-        assert plan.outputs is not None
-        self._engine, self.leaves = engine, Leaves(engine)
-        self.columns: tuple[SelectedValue, ...] = whole.columns
-        entities = engine.world.snapshot.entities
-        count, size = engine.world.count, len(entities)
-        self._size = size
-        self._environments: Indices = np.repeat(np.arange(count), size)
-        for name, kind in _KINDS.items():
-            if name in CHANGING:
-                self.leaves.note(f"column {name}", "double", self._changing(name))
-            elif kind in ("double", "integer", "string", "boolean") and name != "run":
-                own = engine.world.snapshot.tables["entities"].values(name)
-                array = np.tile(np.array(own, object if kind == "string" else None), count)
-                if array.dtype.kind != "O" or kind == "string":
-                    self.leaves.note(f"column {name}", kind, lambda _, array=array: array)  # type: ignore[misc]
-        self.leaves.note_given(query, frame)
-        where = plan.select.args.get("where")
-        parts = [plan.select.expressions[output.index] for output in plan.outputs]
-        parts += [] if where is None else [where.this]
-        parts = [self.leaves.renamed(part, plan.bindings, frame) for part in parts]
-        compiler = Compiler(engine.operations, self.leaves.expression, parts)
-        computes = iter([compiler.expression(part).compute for part in parts])
-        tree = self.leaves.tree(frame)
-        # The values of each row, then whether it is one.
-        self._computes = [
-            tree.of(_unnamed(item)).compute if _is_given(item) else next(computes)
-            for item in query.items
-        ]
-        self._has_condition = where is not None
-        if self._has_condition:
-            self._computes.append([*computes][-1])
-
-    def _changing(self, name: str) -> Any:
-        columns, entities = self._engine.columns, self._engine.world.snapshot.entities
-
-        def read(_: Mapping[str, Array]) -> Array:
-            return np.stack([columns.column(one.id, name) for one in entities], axis=1).ravel()
-
-        return read
-
-    def rows(self, given: Mapping[str, Array]) -> _RowsByNumber:
-        """Returns the rows of the environments of which arrays have all values."""
-        of_rows = {name: values[self._environments] for name, values in given.items()}
-
-        def evaluate(values: ArrayValues) -> list[Array | None]:
-            return [value_of(compute, values) for compute in self._computes]
-
-        with self._engine.shapes.with_rows(self._environments):
-            count = len(self._environments)
-            found, left = self.leaves.evaluated(evaluate, of_rows, {}, count)
-        if any(values is None for values in found):
-            return {}
-        whole = left.reshape(-1, self._size).any(axis=1)
-        known: list[Array] = [values for values in found if values is not None]
-        is_known: Flags = ~np.repeat(whole, self._size)
-        chosen = known.pop().astype(np.bool_) & is_known if self._has_condition else is_known
-        rows: _RowsByNumber = {number: [] for number in np.flatnonzero(~whole).tolist()}
-        places = np.flatnonzero(chosen)
-        selected = zip(*(values[places].tolist() for values in known), strict=True)
-        for number, row in zip(self._environments[places].tolist(), selected, strict=True):
-            rows[number].append(row)
-        return rows
+def _joined(parts: Sequence[Rows]) -> Rows:
+    """Returns rows one after the other; the names of columns may differ from row to row."""
+    values = [row for part in parts for row in part.values]
+    if not any(isinstance(part.names, list) for part in parts):
+        return Rows(values, parts[0].names)
+    names = (p.names if isinstance(p.names, list) else [p.names] * len(p.values) for p in parts)
+    return Rows(values, [each for part in names for each in part])
 
 
 def _accept_columns(_: object) -> None:
@@ -258,34 +213,3 @@ def _is_row(query: Query) -> bool:
         return False
     (source,) = query.sources
     return isinstance(source.value, ListLiteral) and len(source.value.items) == 1
-
-
-def _unnamed(item: Node) -> Node:
-    """Returns a selected value without its name."""
-    is_named = isinstance(item, Call) and item.name == "to"
-    return item.arguments[0] if is_named else item  # type: ignore[attr-defined]
-
-
-def _is_given(item: Node) -> bool:
-    """Checks whether a selected value is the same for all rows of an environment."""
-    leaves = [part for part in _unnamed(item).walk() if not [*part.children()]]
-    return all(isinstance(leaf, Placeholder | Literal) for leaf in leaves)
-
-
-def _is_of_entities(plan: Plan, schema: str) -> bool:
-    """Checks whether a plan is of conditions on, and values of, single entities of a world.
-
-    An order is that of the table, as the query has none.
-    """
-    clauses = plan.python_clauses
-    return (
-        plan.outputs is not None
-        and all(output.sql_type.type in PLAIN for output in plan.outputs)
-        and clauses == PythonClauses(clauses.columns)
-        and not plan.paths
-        and not any(value for name, value in plan.select.args.items() if name not in _CLAUSES)
-        and len(plan.source_types) == 1
-        and plan.source_types[0].schema == schema
-        and plan.source_types[0].table == "entities"
-        and not plan.source_types[0].past_kind
-    )

@@ -1,0 +1,187 @@
+"""Groups of the rows of all environments, and aggregates over them; see `language.aggregates`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ssduck.columns.arrays import Array
+from ssduck.columns.expressions import LeftToDuckDBError
+from ssduck.geometry.arrays import Indices
+from ssduck.language.aggregates import over_rows
+from ssduck.language.clauses import Groups, PythonClauses, Rows, printed
+from ssduck.language.tree import Call, Literal, Node
+from ssduck.sql.plan import Plan
+
+# The values over no rows.
+_EMPTY = {"count": 0, "sum": 0, "avg": None, "min": None, "max": None}
+
+
+@dataclass(frozen=True)
+class _Aggregate:
+    """An aggregate over a column; over None it counts the rows."""
+
+    name: str
+    column: int | None
+
+
+class Grouping:
+    """GROUP BY, and aggregates, of the rows of all environments.
+
+    Args:
+        plan: the plan of the query.
+
+    Attributes:
+        constants: the selected values and keys that are the same for all rows of an environment.
+
+    Raises:
+        LeftToDuckDBError: the clauses of the query are applied environment by environment.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        clauses = plan.python_clauses
+        same = PythonClauses(
+            clauses.columns,
+            group=clauses.group,
+            having=clauses.having,
+            is_one_group=clauses.is_one_group,
+            is_aggregated=True,
+        )
+        holds = clauses.having is None or getattr(clauses.having, "value", None) is True
+        if clauses != same or not holds or len(plan.names) < len(clauses.columns):
+            raise LeftToDuckDBError
+        self.constants: list[Node] = []
+        self._plan, self._group = plan, clauses.group
+        self._items = [self._item(column.node) for column in clauses.columns]
+        self._keys = [self._value(node) for node in clauses.group]
+
+    def _item(self, node: Node) -> Node | int | _Aggregate:
+        """Returns a selected value: an aggregate, or that of the first row of each group."""
+        if not over_rows(node):
+            return self._value(node)
+        match node:
+            case Call(name="count", arguments=(Literal(value=int()),)):
+                return _Aggregate("count", None)
+            case Call(name=name, arguments=(argument,)) if name in _EMPTY:
+                column = self._value(argument)
+                if isinstance(column, int):
+                    return _Aggregate(name, column)
+        raise LeftToDuckDBError
+
+    def _value(self, node: Node) -> Node | int:
+        """Returns the column of a value, or itself if it is the same for all rows."""
+        output = self._plan.known.get(node)
+        if output is None:
+            self.constants.append(node)
+            return node
+        if output.sql_type.type == "entity":
+            raise LeftToDuckDBError
+        return output.index
+
+    def selected(
+        self,
+        environments: Indices,
+        columns: Sequence[Array],
+        constants: Mapping[Node, list[Any]],
+        count: int,
+    ) -> list[Rows | Groups] | None:
+        """Returns the rows, or the groups, of each environment; None if a column may lack values.
+
+        Args:
+            environments: (rows,), the environment of each row, ascending.
+            columns: the columns of the rows, (rows,) or (rows, length).
+            constants: the values of `constants` in each environment.
+            count: the number of environments.
+        """
+        over = [
+            columns[item.column]
+            for item in self._items
+            if isinstance(item, _Aggregate) and item.column is not None
+        ]
+        keys = [columns[key] for key in self._keys if isinstance(key, int)]
+        are_numbers = all(column.dtype.kind in "fib" for column in over)
+        if not are_numbers or any(column.ndim > 1 for column in (*over, *keys)):
+            return None
+        groups = _GroupNumbers(environments, keys)
+        numbers: list[int] = environments[groups.first].tolist()
+
+        def values_of(item: Node | int | _Aggregate) -> list[Any]:
+            if isinstance(item, _Aggregate):
+                column = environments if item.column is None else columns[item.column]
+                return groups.aggregated(item.name, column)
+            if isinstance(item, int):
+                return list(columns[item][groups.first].tolist())
+            return [constants[item][number] for number in numbers]
+
+        names = self._plan.names
+        rows = [Rows([row], names) for row in zip(*map(values_of, self._items), strict=True)]
+        if not self._group:
+            by_number = dict(zip(numbers, rows, strict=True))
+            return [by_number.get(n) or self._empty(n, constants) for n in range(count)]
+        of_each: list[dict[str, Any]] = [{} for _ in range(count)]
+        texts = zip(*map(values_of, self._keys), strict=True)
+        for number, values, row in zip(numbers, texts, rows, strict=True):
+            key = ", ".join(map(printed, values, self._group))
+            of_each[number][key] = row
+        return [Groups(own, Rows([], names)) for own in of_each]
+
+    def _empty(self, number: int, constants: Mapping[Node, list[Any]]) -> Rows:
+        """Returns the row of an environment without rows."""
+        values = [
+            _EMPTY[item.name] if isinstance(item, _Aggregate) else constants[item][number]
+            for item in self._items
+            if not isinstance(item, int)
+        ]
+        return Rows([tuple(values)], self._plan.names)
+
+
+class _GroupNumbers:
+    """The groups of rows, numbered as they appear; each is of one environment.
+
+    Args:
+        environments: (rows,), ascending.
+        keys: (rows,) each.
+
+    Attributes:
+        first: (groups,), the first row of each.
+    """
+
+    def __init__(self, environments: Indices, keys: Sequence[Array]) -> None:
+        codes = environments
+        for key in keys:
+            own = _codes(key)
+            codes = codes * (own.max(initial=0) + 1) + own
+        _, first, of_rows, counts = np.unique(
+            codes, return_index=True, return_inverse=True, return_counts=True
+        )
+        order = np.argsort(first)
+        self.first, self._counts = first[order], counts[order]
+        # The group of each row, the rows by group, and the first of each among these.
+        self._of_rows = np.argsort(order)[of_rows]
+        self._rows = np.argsort(self._of_rows, kind="stable")
+        self._starts = np.cumsum(self._counts) - self._counts
+
+    def aggregated(self, name: str, column: Array) -> list[Any]:
+        """Returns an aggregate over a column in each group; a sum adds row after row."""
+        if name == "count" or not len(column):
+            return list(self._counts.tolist())
+        if name in ("min", "max"):
+            extreme = np.minimum if name == "min" else np.maximum
+            return list(extreme.reduceat(column[self._rows], self._starts).tolist())
+        sums = (
+            np.bincount(self._of_rows, column)
+            if column.dtype.kind == "f"
+            else np.add.reduceat(column[self._rows].astype(np.int64), self._starts)
+        )
+        return list((sums / self._counts if name == "avg" else sums).tolist())
+
+
+def _codes(key: Array) -> Indices:
+    """Returns the number of each value among the different ones."""
+    if key.dtype.kind in "fib":
+        return np.unique(key, return_inverse=True)[1].astype(np.intp)
+    known: dict[Any, int] = {}
+    return np.array([known.setdefault(value, len(known)) for value in key.tolist()], np.intp)

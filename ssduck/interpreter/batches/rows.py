@@ -1,0 +1,357 @@
+"""The rows of a query in all environments: its sources are combined within each of them alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from sqlglot import exp
+
+from ssduck.columns.arrays import Array, ArrayValues
+from ssduck.columns.compiler import Compiler
+from ssduck.columns.expressions import Compute, LeftToDuckDBError
+from ssduck.geometry.arrays import Flags, Indices
+from ssduck.interpreter.batches.expressions import (
+    CHANGING,
+    PLAIN,
+    CompiledExpressions,
+    Engine,
+    Leaves,
+    value_of,
+)
+from ssduck.interpreter.batches.grouping import Grouping
+from ssduck.interpreter.execution import Execution
+from ssduck.language.clauses import Groups, PythonClauses, Rows
+from ssduck.language.evaluator import Frame
+from ssduck.language.tree import Binary, Call, Literal, Node, Query
+from ssduck.schema import STORED_TABLES
+from ssduck.sql.pair_joins import sides_of
+from ssduck.sql.plan import Plan
+from ssduck.sql.relation_calls import PAIR_CALL, PairCall
+
+# So many rows are computed at a time.
+MAX_ROWS = 1 << 19
+_KINDS = {column.name: column.type for column in STORED_TABLES["entities"].columns}
+_CLAUSES = frozenset(("expressions", "from_", "joins", "where", "order", "limit", "offset"))
+
+
+@dataclass(frozen=True, eq=False)
+class FoundRows:
+    """The rows that SQL would give in each environment.
+
+    Attributes:
+        environments: (rows,), the environment of each, ascending.
+        columns: the columns of the SELECT, (rows,) or (rows, length) each.
+        left: (n,), the environments that have to be evaluated by themselves; they have no rows.
+    """
+
+    environments: Indices
+    columns: list[Array]
+    left: Flags
+
+    def __len__(self) -> int:
+        return len(self.environments)
+
+
+class BatchRows:
+    """The rows of a query of a batch's entities, or of combinations of them, as arrays.
+
+    Args:
+        execution: plans the query.
+        engine: reads the batch.
+        query: the query.
+        frame: its placeholders in one environment.
+
+    Attributes:
+        planned: the query with its plan, whose clauses Python applies to the rows.
+        leaves: what the expressions read.
+
+    Raises:
+        LeftToDuckDBError: it is another query.
+    """
+
+    def __init__(self, execution: Execution, engine: Engine, query: Query, frame: Frame) -> None:
+        planned = execution.planner.planned(_without_searches(query), frame)
+        if planned is None or not _is_of_entities(planned.plan, engine.schema):
+            raise LeftToDuckDBError
+        self.planned, plan = planned, planned.plan
+        self._engine, self.leaves = engine, Leaves(engine)
+        select = plan.select
+        tables = [
+            select.args["from_"].this,
+            *(join.this for join in select.args.get("joins") or ()),
+        ]
+        self._size, self._sources = len(engine.world.snapshot.entities), len(tables)
+        # The environments and the entities of the rows that are computed, (1 + sources, rows).
+        self._rows: npt.NDArray[np.intp] = np.zeros((1 + len(tables), 0), np.intp)
+        for place, table in enumerate(tables, 1):
+            self._note_columns(table.alias_or_name, place)
+        self.leaves.note_given(query, frame)
+        is_ordered = query.order and not plan.python_clauses.order
+        keys: list[exp.Ordered] = select.args["order"].expressions if is_ordered else []
+        self._descending = [bool(key.args.get("desc")) for key in keys]
+        where = select.args.get("where")
+        parts = [*select.expressions, *(key.this for key in keys)]
+        self._width = len(select.expressions)
+        conditions = [] if where is None else list(_conjuncts(where.this))
+        renamed = [
+            self.leaves.renamed(part, plan.bindings, frame) for part in (*conditions, *parts)
+        ]
+        compiler = Compiler(engine.operations, self.leaves.expression, renamed)
+        computes = [compiler.expression(part).compute for part in renamed]
+        self._conditions, self._computes = computes[: len(conditions)], computes[len(conditions) :]
+        self._items, self._grouping = _items(plan), _grouping(plan)
+        nodes = [item for item in self._items or () if isinstance(item, Node)]
+        self._constants = nodes if self._grouping is None else self._grouping.constants
+        self._constant_values = CompiledExpressions(
+            engine, execution, self._constants, frame.placeholders
+        )
+        self._offset, self._limit = (_number(select.args.get(name)) for name in ("offset", "limit"))
+
+    def _note_columns(self, table: str, place: int) -> None:
+        """Notes the columns of a source.
+
+        Args:
+            table: its name in SQL.
+            place: the place of its entities in the rows.
+        """
+        entities = self._engine.world.snapshot.tables["entities"]
+        for name, kind in _KINDS.items():
+            key = f"column {table}.{name}"
+            if name in CHANGING:
+                self.leaves.note(key, "double", self._changing(name, place))
+            elif kind in ("double", "integer", "string", "boolean") and name != "run":
+                listed = entities.values(name)
+                own = np.array(listed, object if kind == "string" else None)
+                if not any(value is None for value in listed):
+                    self.leaves.note(key, kind, self._constant(own, place))
+
+    def _changing(self, name: str, place: int) -> Callable[[Mapping[str, Array]], Array]:
+        columns, entities = self._engine.columns, self._engine.world.snapshot.entities
+
+        def read(_: Mapping[str, Array]) -> Array:
+            table: Array = np.stack([columns.column(one.id, name) for one in entities], axis=1)
+            values: Array = table.ravel()[self._rows[0] * self._size + self._rows[place]]
+            return values
+
+        return read
+
+    def _constant(self, own: Array, place: int) -> Callable[[Mapping[str, Array]], Array]:
+        return lambda _: own[self._rows[place]]
+
+    def is_current(self, frame: Frame) -> bool:
+        """Takes the present values of variables; returns whether they have the same types."""
+        return self.leaves.is_current(frame) and self._constant_values.is_current(frame)
+
+    # -- evaluation -------------------------------------------------------------------------
+
+    def found(
+        self,
+        given: Mapping[str, Array],
+        unknown: Mapping[str, Flags],
+        step: Callable[[], object],
+    ) -> FoundRows:
+        """Returns the rows of all environments.
+
+        Args:
+            given: the values of placeholders, (n,) or (n, length).
+            unknown: where they are unknown.
+            step: is called before each part of the environments.
+        """
+        left = np.zeros(self._engine.world.count, np.bool_)
+        left[:] = np.any([left, *unknown.values()], axis=0)
+        asked, parts = np.flatnonzero(~left), []
+        at_once = max(1, MAX_ROWS // self._size**self._sources)
+        for start in range(0, len(asked), at_once):
+            step()
+            numbers = asked[start : start + at_once]
+            part = self._part(numbers, given, left)
+            if part is None:
+                left[numbers] = True
+            elif len(part[0]):
+                parts.append(part)
+        columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+        environments, *others = columns or [np.zeros(0, np.intp)] * (1 + self._width)
+        known = ~left[environments]
+        return FoundRows(environments[known], [column[known] for column in others], left)
+
+    def selected(
+        self, found: FoundRows, given: Mapping[str, Array], unknown: Mapping[str, Flags]
+    ) -> list[Rows | Groups] | None:
+        """Returns the selected rows, or their groups, of each environment.
+
+        Args:
+            found: the rows; environments whose values arrays lack become left.
+            given: the values of placeholders.
+            unknown: where they are unknown.
+
+        Returns:
+            None if the clauses of the query are applied environment by environment.
+        """
+        if self._items is None and self._grouping is None:
+            return None
+        count = self._engine.world.count
+        values, unknowns = self._constant_values.values(given, unknown, count)
+        known = {
+            node: own for node, own in zip(self._constants, values, strict=True) if own is not None
+        }
+        if len(known) < len({*self._constants}):
+            return None
+        for unknown_there in unknowns:
+            np.logical_or(found.left, unknown_there, out=found.left)
+        environments = found.environments
+        if self._grouping is not None:
+            constants = {node: own.tolist() for node, own in known.items()}
+            return self._grouping.selected(environments, found.columns, constants, count)
+        columns = [
+            found.columns[item] if isinstance(item, int) else known[item][environments]
+            for item in self._items or ()
+        ]
+        rows = list(zip(*(column.tolist() for column in columns), strict=True))
+        ends = np.searchsorted(environments, np.arange(count + 1)).tolist()
+        return [Rows(rows[start:end], self.planned.plan.names) for start, end in pairwise(ends)]
+
+    def _part(
+        self, numbers: Indices, given: Mapping[str, Array], left: Flags
+    ) -> list[Array] | None:
+        """Returns the environments and the columns of the rows in some environments.
+
+        Args:
+            numbers: the environments.
+            given: the values of placeholders.
+            left: becomes True for those that have to be evaluated by themselves.
+
+        Returns:
+            None if arrays cannot have the values.
+        """
+        shape = (len(numbers), *[self._size] * self._sources)
+        rows = np.array(np.unravel_index(np.arange(np.prod(shape)), shape))
+        rows[0] = numbers[rows[0]]
+        for condition in self._conditions:
+            found = self._evaluated(rows, [condition], given, left)
+            if found is None:
+                return None
+            rows = rows[:, found[0] & ~left[rows[0]]]
+        values = self._evaluated(rows, self._computes, given, left)
+        return None if values is None else self._arranged([rows[0], *values])
+
+    def _evaluated(
+        self,
+        rows: npt.NDArray[np.intp],
+        computes: Sequence[Compute],
+        given: Mapping[str, Array],
+        left: Flags,
+    ) -> list[Array] | None:
+        """Returns the values of expressions in some rows; None if arrays cannot have them."""
+        self._rows, (environments, *_) = rows, rows
+        if not len(environments):
+            return [np.zeros(0, np.bool_) for _ in computes]
+        of_rows = {name: values[environments] for name, values in given.items()}
+
+        def evaluate(values: ArrayValues) -> list[Array | None]:
+            return [value_of(compute, values) for compute in computes]
+
+        with self._engine.shapes.with_rows(environments):
+            found, unknown = self.leaves.evaluated(evaluate, of_rows, {}, len(environments))
+        left[environments[unknown]] = True
+        known = [values for values in found if values is not None]
+        return known if len(known) == len(found) else None
+
+    def _arranged(self, columns: list[Array]) -> list[Array]:
+        """Returns columns in the order of the query, without keys, as many rows as it limits to."""
+        keys = columns[1 + self._width :]
+        columns = columns[: 1 + self._width]
+        if keys:
+            ranked = map(_ranks, keys, self._descending)
+            order = np.lexsort([*reversed([columns[0], *ranked])])
+            columns = [column[order] for column in columns]
+        if self._limit is not None or self._offset is not None:
+            environments = columns[0]
+            places = np.arange(len(environments)) - np.searchsorted(environments, environments)
+            start = self._offset or 0
+            end = np.inf if self._limit is None else start + self._limit
+            columns = [column[(places >= start) & (places < end)] for column in columns]
+        return columns
+
+
+def _ranks(key: Array, descending: bool) -> Array:
+    """Returns numbers that are in the order of a key."""
+    if key.dtype.kind not in "fi":
+        key = np.unique(key, return_inverse=True)[1]
+    return -key if descending else key
+
+
+def _items(plan: Plan) -> list[int | Node] | None:
+    """Returns the column of each selected value, or itself if it is the same for all rows.
+
+    None if they are aggregates, or Python's clauses choose rows.
+    """
+    clauses = plan.python_clauses
+    nodes = [column.node for column in clauses.columns]
+    known = {n: o.index for n, o in plan.known.items() if o.sql_type.type in PLAIN}
+    is_left = any(node not in known and node not in plan.python_constants for node in nodes)
+    if clauses != PythonClauses(clauses.columns) or len(plan.names) < len(nodes) or is_left:
+        return None
+    return [known.get(node, node) for node in nodes]
+
+
+def _grouping(plan: Plan) -> Grouping | None:
+    try:
+        return Grouping(plan)
+    except LeftToDuckDBError:
+        return None
+
+
+def _number(clause: exp.Expr | None) -> int | None:
+    """Returns the number of LIMIT or OFFSET."""
+    return None if clause is None else int(clause.expression.name)
+
+
+def _without_searches(query: Query) -> Query:
+    """Returns a query with conditions on pairs in place of searches, which are of one tick."""
+
+    def asked(node: Node) -> Node | None:
+        if not isinstance(node, Call) or sides_of(node) is None:
+            return None
+        return Binary(node.span, "OR", node, Literal(node.span, value=False))
+
+    return query if query.where is None else replace(query, where=query.where.replaced(asked))
+
+
+def _conjuncts(sql: exp.Expr) -> Iterator[exp.Expr]:
+    """Yields the conditions that AND joins; each is computed where those before it hold."""
+    pair = sql.meta.get(PAIR_CALL)
+    is_call = isinstance(pair, PairCall) and pair.call is None
+    match sql:
+        case exp.Paren() if not is_call:
+            yield from _conjuncts(sql.this)
+        case exp.And() if not is_call:
+            yield from _conjuncts(sql.this)
+            yield from _conjuncts(sql.expression)
+        case exp.Or(expression=exp.Boolean(this=False)):
+            yield from _conjuncts(sql.this)
+        case _:
+            yield sql
+
+
+def _is_of_entities(plan: Plan, schema: str) -> bool:
+    """Checks whether the SQL of a plan is of entities of a world, and of nothing else."""
+    outputs = (*plan.known.values(), *(plan.outputs or ()))
+    joins: list[Any] = plan.select.args.get("joins") or []
+    return (
+        all(output.sql_type.type in (*PLAIN, "entity") for output in outputs)
+        and not plan.paths
+        and not any(value for name, value in plan.select.args.items() if name not in _CLAUSES)
+        and len(joins) == len(plan.source_types) - 1
+        and all(
+            isinstance(join.this, exp.Table) and join.args.get("kind") == "CROSS" for join in joins
+        )
+        and all(
+            (source.schema, source.table, source.past_kind) == (schema, "entities", "")
+            for source in plan.source_types
+        )
+    )
