@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
+from ssduck.database.batches import BatchStatement, BatchTable
 from ssduck.database.binding import BoundWorld, WorldHistory
 from ssduck.database.connection import Connection, Parameters
 from ssduck.database.fetched_rows import FetchedRows
@@ -103,6 +104,8 @@ class Database:
         # The folders of records, which ssduck's own views read.
         self._record_folders: list[Path] = []
         self._is_sealed = False
+        # What makes the tables of batches, once there is one.
+        self.batch_table: BatchTable | None = None
         # The names of the frames that users have registered.
         self._registered: set[str] = set()
         self._has_bounded_texts = False
@@ -145,6 +148,9 @@ class Database:
             SqlError: DuckDB cannot run it.
         """
         with self._lock:
+            over_batches = self._raw_sql.over_batches(sql)
+            if over_batches is not None:
+                return self._batch_rows(sql, over_batches, parameters)
             statement = None if parameters else self._raw_sql.ready(sql)
             if statement is not None and statement.reads is not None:
                 with PinnedWorlds(self._lock, self._worlds, statement.reads, is_settled=False):
@@ -153,7 +159,7 @@ class Database:
             self._confine(sql)
             words = words_of(sql)
             tables = self._references.tables(words) - self._raw_sql.unread(sql)
-            reads = ReadData(tables, self._references.worlds(words, self._worlds.bound))
+            reads = ReadData(tables, self._read_worlds(words))
             with PinnedWorlds(self._lock, self._worlds, reads):
                 if self._names_all(sql, words):
                     self._describe(words, is_all=False)
@@ -166,6 +172,33 @@ class Database:
                 else:
                     self._describe(words)
                 return self._raw_sql.rows(sql, parameters, words, reads)
+
+    def _batch_rows(self, sql: str, query: BatchStatement, parameters: Parameters) -> pa.Table:
+        """Returns the rows of a user's query that reads batches, and perhaps other worlds."""
+        self._confine(sql)
+        assert self.batch_table is not None, "a batch is bound"
+        tables = {name: self.batch_table(*table) for name, table in query.tables.items()}
+        reads = ReadData(words_of(sql).tables, self._worlds.single_worlds())
+        try:
+            for name, table in tables.items():
+                self.connection.register(name, table)
+            with PinnedWorlds(self._lock, self._worlds, reads):
+                return self.connection.table(query.text, parameters)
+        finally:
+            for name in tables:
+                self.connection.unregister(name)
+
+    def _read_worlds(self, words: StatementWords) -> list[int] | None:
+        """Returns the serial numbers of the worlds that a statement may read; None for all.
+
+        No query is stored that reads a batch, so that a statement that reads one names it.
+        """
+        bound = self._worlds.bound
+        worlds = self._references.worlds(words, bound)
+        is_certain = worlds is not None or not self._worlds.has_batches
+        if is_certain or self._raw_sql.has_stored_queries:
+            return worlds
+        return [*self._worlds.single_worlds(), *self._references.named_worlds(words, bound)]
 
     def _confine(self, sql: str) -> None:
         """Checks a user's statement, and switches files off before the first one.

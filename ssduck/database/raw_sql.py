@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pyarrow as pa
 
+from ssduck.database.batches import BatchStatement, over_batches
 from ssduck.database.connection import NO_RANGE_JOINS, Connection, Parameters
 from ssduck.database.fetched_rows import FetchedRows
 from ssduck.database.instances import NO_IE_JOINS
@@ -135,6 +136,12 @@ class RawSql:
         """Checks whether a text is a single query."""
         self._names()
         return self.statements.statement(sql, words.tables) is not None
+
+    def over_batches(self, sql: str) -> BatchStatement | None:
+        """Returns a query that reads batches; None for any other statement."""
+        if not self._worlds.has_batches:
+            return None
+        return over_batches(sql, self._names(), self._worlds.by_schema)
 
     def unread(self, sql: str) -> frozenset[str]:
         """Returns the data of a simulator that a text refers to and is known not to read."""

@@ -199,13 +199,17 @@ class ReferencedTables:
         return words.tables | self.persistent if self.persistent else words.tables
 
     def worlds(self, words: StatementWords, bound: Sequence[BoundWorld]) -> list[int] | None:
-        """Returns the serial numbers of the worlds that a statement may read; None for all.
-
-        The schema of the first world may be omitted: it is read if a table has no schema.
-        """
+        """Returns the serial numbers of the worlds that a statement may read; None for all."""
         self.search_path_changes |= words.changes_search_path
         if self.persistent or self.search_path_changes or words.stores_a_query:
             return None
+        return self.named_worlds(words, bound)
+
+    def named_worlds(self, words: StatementWords, bound: Sequence[BoundWorld]) -> list[int]:
+        """Returns the serial numbers of the worlds whose tables a statement may name.
+
+        The schema of the first world may be omitted: it is read if a table has no schema.
+        """
         return [
             world.serial
             for number, entry in enumerate(bound)

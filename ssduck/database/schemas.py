@@ -254,7 +254,7 @@ class Schemas:
                 view = (
                     rows
                     if table is None
-                    else _with_view_columns(table, rows, schema, "entities_history")
+                    else with_view_columns(table, rows, schema, "entities_history")
                 )
                 _make_view(self._connection, schema, name, view)
             else:
@@ -286,7 +286,7 @@ def _make_live_view(schema: str, bound: BoundWorld, table: Table, connection: Co
         connection.on_demand.make((schema, "entities"), connection)
     _register(connection, bound, bound.live_buffers(), [bound.live_view(table.source)])
     rows = _live_rows(bound, table, bound.world.snapshot.unavailable.get(table.source))
-    _make_view(connection, schema, table.name, _with_view_columns(table, rows, schema))
+    _make_view(connection, schema, table.name, with_view_columns(table, rows, schema))
 
 
 def _make_history_view(
@@ -325,7 +325,7 @@ def _define_history_view(
     if rows is None:
         _register(connection, bound, bound.live_buffers(), [bound.live_view(table.source)])
         rows = _live_rows(bound, table, _not_recorded(table, schema, history))
-    columns = _with_view_columns(table, rows, schema, TABLES["entities"].history_view)
+    columns = with_view_columns(table, rows, schema, TABLES["entities"].history_view)
     _make_view(connection, schema, table.history_view, columns)
 
 
@@ -362,7 +362,7 @@ def _not_recorded(table: Table, world: str, history: WorldHistory | None) -> str
     return not_recorded_message(table.source, world, recording, is_live=is_live)
 
 
-def _with_view_columns(table: Table, rows: str, schema: str, entities: str = "entities") -> str:
+def with_view_columns(table: Table, rows: str, schema: str, entities: str = "entities") -> str:
     """Returns the SELECT of a table's rows, with the columns that only views have at the end.
 
     Args:

@@ -21,6 +21,7 @@ from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.model_tables import ABOUT, RUN_SCHEMA
 from ssduck.recording.tags import Tags
+from ssduck.world.batches.batch_world import BatchWorld
 from ssduck.world.construction import UNNAMED
 from ssduck.world.observers import EpisodeObserver
 from ssduck.world.snapshot import Snapshot
@@ -186,6 +187,16 @@ class WorldRegistry:
             self.bound.remove(bound)
             raise
         return bound
+
+    @property
+    def has_batches(self) -> bool:
+        """Whether any of the worlds is a batch."""
+        return any(isinstance(bound.reference(), BatchWorld) for bound in self.bound)
+
+    def single_worlds(self) -> list[int]:
+        """Returns the serial numbers of the worlds that are no batches."""
+        worlds = (bound.reference() for bound in self.bound)
+        return [w.serial for w in worlds if w is not None and not isinstance(w, BatchWorld)]
 
     def settle(self, columns: frozenset[str] | None = None) -> None:
         """Writes what the ticks left for later, for DuckDB to read.

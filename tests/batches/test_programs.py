@@ -402,7 +402,7 @@ def test_wrong_states_are_errors_and_the_last_ones_remain(batch, arrays, message
         lambda ss, sim: sim.step(),
         lambda ss, sim: sim.run(1.0),
         lambda ss, sim: sim.render(),
-        lambda ss, sim: ss.sql("SELECT * FROM sim.entities"),
+        lambda ss, sim: ss.sql("SELECT * FROM sim.links"),
         lambda ss, sim: sim["cube"].position,
         lambda ss, sim: ss.eval("obj(sim.cube);"),
         lambda ss, sim: ss.eval("SELECT this FROM sim AS list;"),

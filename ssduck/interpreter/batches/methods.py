@@ -37,9 +37,11 @@ class BatchMethods:
     def _begin_batches(self) -> None:
         """Prepares for programs over batches."""
         from ssduck.interpreter.batches.programs import BatchPrograms
+        from ssduck.interpreter.batches.tables import batch_table
 
         if self._batches is None:
             self._batches = BatchPrograms(self._execution)
+            self._execution.database.batch_table = batch_table
         self._batches.forget()
 
     def terms(
