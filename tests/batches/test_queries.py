@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ssduck
-from ssduck.errors import SelectScriptError, UnsupportedError
+from ssduck.errors import LimitError, SelectScriptError, UnsupportedError
 from ssduck.interpreter.batches.queries import BatchQuery
 from tests.batches.conftest import simulations
 from tests.support.cases import generated
@@ -212,3 +212,21 @@ def test_an_error_in_a_group_has_the_number_of_its_environment(many):
             "SELECT id(this) FROM sim START WITH p = sim.table CONNECT BY p = this "
             "STOP WITH p == sim.table;"
         )
+
+
+def test_without_contacts_no_pair_has_one():
+    model, states = simulations(4)
+    arrays = {name: np.stack([getattr(d, name) for d in states]) for name in ("xpos", "xquat")}
+    with ssduck.Interpreter(recording=None) as ss:
+        sim = ss.add_variable("sim", ssduck.World.batch(model, 4))
+        sim.tick(**arrays, contact={"geom": np.zeros((4, 0, 2), int), "dist": np.zeros((4, 0))})
+        assert ss.eval(f"SELECT env {PAIRS} WHERE hasContact(a.this, b.this) AS list;") == []
+
+
+def test_limits_are_of_the_rows_of_an_environment():
+    model, states = simulations(6)
+    with ssduck.Interpreter(recording=None, limits=ssduck.Limits(rows=10)) as ss:
+        ss.add_variable("sim", ssduck.World.batch(model, 6)).tick(states)
+        assert len(ss.eval("SELECT env, z FROM sim;")) == 30
+        with pytest.raises(LimitError, match="more than 10 rows"):
+            ss.eval(f"SELECT env, a.id AS a {PAIRS};")

@@ -153,7 +153,7 @@ class _GroupNumbers:
         codes = environments
         for key in keys:
             own = _codes(key)
-            codes = codes * (own.max(initial=0) + 1) + own
+            codes = _codes(codes * (own.max(initial=0) + 1) + own)
         _, first, of_rows, counts = np.unique(
             codes, return_index=True, return_inverse=True, return_counts=True
         )

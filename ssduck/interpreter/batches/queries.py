@@ -110,7 +110,10 @@ class BatchQuery:
         self, over: BatchRows, given: Mapping[str, Array], unknown: Mapping[str, Flags]
     ) -> list[Rows | Groups | None]:
         """Returns the rows, or the groups, of the environments whose rows arrays have."""
-        found = over.found(given, unknown, self._execution.meter.step)
+        meter = self._execution.meter
+        found = over.found(given, unknown, meter.step)
+        meter.check_rows(int(np.bincount(found.environments).max(initial=0)))
+        meter.charge(sum(column.nbytes for column in found.columns))
         planned, numbers = over.planned, range(self._world.count)
         selected = over.selected(found, given, unknown)
         if selected is not None:
