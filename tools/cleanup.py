@@ -1,6 +1,6 @@
 """Checks how often the robot clears a table with cups in random places.
 
-`python -m tools.cleanup COUNT [--seed N]` runs the demonstration `cleanup` once for each seed from
+`python -m tools.cleanup COUNT [--seed N]` runs the example `cleanup` once for each seed from
 N on; the exit status is 1 if a table was not cleared. A table takes minutes.
 """
 
@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 import ssduck
-from ssduck.demos.cleanup import ALLOWED, Outcome, clean
+from examples.cleanup.program import clean
+from ssduck.demos.cleanup import ALLOWED, Outcome
 from ssduck.world.world import World
 
 CUPS = ("cup_905a", "cup_58a2", "cup_b6af", "cup_d441")

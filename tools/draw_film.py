@@ -1,6 +1,6 @@
 """Draws the picture and the film of the kitchen in the README.
 
-`python tools/draw_film.py [FOLDER]` writes kitchen.png and cleanup.gif to docs/images or to another
+`python -m tools.draw_film [FOLDER]` writes kitchen.png and cleanup.gif to docs/images or to another
 folder, in some two minutes. It needs the extra `render`.
 """
 
@@ -12,7 +12,7 @@ from pathlib import Path
 from PIL import Image
 
 import ssduck
-from ssduck.demos.cleanup import clean
+from examples.cleanup.program import clean
 from ssduck.render import Film, filmed, render
 from ssduck.simulators.scenes import Camera
 

@@ -13,8 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from importlib import import_module
-from pathlib import Path
-from typing import Protocol
 
 # The modules of the demonstrations, in the order of `ssduck demo --list`.
 NAMES = (
@@ -29,20 +27,9 @@ NAMES = (
 )
 
 
-class DemoFunction(Protocol):
-    """The function that runs a demonstration."""
-
-    def __call__(self, folder: Path, say: Callable[[str], None], *, seed: int) -> bool:
-        """Runs the demonstration; returns whether its results are as expected."""
-
-
-def run_of(name: str) -> DemoFunction:
-    """Returns the function that runs a demonstration.
-
-    Args:
-        name: one of `NAMES`.
-    """
-    run: DemoFunction = import_module(f"{__name__}.{name}").run
+def run_of(name: str) -> Callable[..., bool]:
+    """Returns the function `run` of a demonstration, one of `NAMES`."""
+    run: Callable[..., bool] = import_module(f"{__name__}.{name}").run
     return run
 
 

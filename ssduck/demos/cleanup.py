@@ -2,30 +2,30 @@
 
 The job is that of SelectScript's tutorial: everything that is on the table, and less than 1.3 m
 away from the robot, belongs in the sink. A query selects these cups, and another checks the result.
-The robot drives on its wheels, spreads its fingers in a cup, and drops it over the sink, by motors
-and gravity of the running simulation. A constraint holds a cup that the fingers touch.
+`run` asks a recorded run, which comes with ssduck; the program that plans and drives is
+`examples/cleanup`, which asks the same questions while it works.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ssduck.demos.kitchen import on
-from ssduck.demos.motion import Cleaner, Failed
-from ssduck.demos.results import keep_picture
-from ssduck.geometry.arrays import Array
+from ssduck.demos.results import Say, keep_picture
+from ssduck.errors import ArgumentError
+from ssduck.interpreter.archives import episodes
 from ssduck.interpreter.interpreter import Interpreter
-from ssduck.interpreter.opening import load
-from ssduck.recording.spec import Recording
+from ssduck.interpreter.opening import load, open_record
+from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.simulators.scenes import Camera
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
+RUN = Path(str(files("ssduck.demos") / "cleanup_run"))
+PROGRAM = "python -m examples.cleanup"
 ROBOT = "barrett_4918"
 JOB = """\
 barrett = SELECT obj FROM kitchen WHERE id(this) == 'barrett_4918' AS value;
@@ -37,23 +37,12 @@ cleanUp = SELECT obj FROM kitchen
 ON_TABLE = "SELECT obj FROM kitchen WHERE isCup(this) AND onX(table, this) AS list;"
 IN_SINK = "SELECT obj FROM kitchen WHERE isCup(this) AND onX(sink, this) AS list;"
 DEEPEST = """\
-SELECT coalesce(max(kitchen.penetration(a, b)), 0.0)
+SELECT kitchen.penetration(a, b) AS depth, tick
 FROM entities_history a JOIN entities_history b USING (tick)
-WHERE a.name = ? AND b.mass = 0"""
+WHERE a.name = ? AND b.mass = 0 ORDER BY depth DESC NULLS LAST LIMIT 1"""
 # The allowed penetration of robot and furniture, m: wheels on the floor, a finger that slips.
 ALLOWED = 1e-3
-# The number of attempts for each cup.
-ATTEMPTS = 3
 VIEW = Camera(eye=(2.6, -0.6, 2.7), target=(0.6, 1.1, 0.8), fov=50.0)
-# The number of ticks for each recorded one.
-EVERY = 8
-# The spots for cups in the sink, m from its middle: in two rows, to leave room for others, or
-# anywhere if these are out of reach; and the least distance of two cups.
-ROWS = [(x, y) for y in (-0.15, -0.03) for x in (-0.14, 0.0, 0.14)]
-ANYWHERE = [
-    (x, y) for y in (-0.16, -0.1, -0.03) for x in (-0.15, -0.1, -0.05, 0.0, 0.05, 0.1, 0.15)
-]
-CUP_DISTANCE = 0.1
 
 
 @dataclass
@@ -67,14 +56,17 @@ class Outcome:
         washed: the names of the cups in the sink.
         deepest: the largest penetration of robot and furniture at a recorded tick, m.
         seconds: the simulated time.
+        events: numbers of ticks: when the robot held a cup and when it had dropped it, by
+            `"holding "` or `"dropped "` and the name of the cup, and when it was `"deepest"`.
     """
 
-    cups: list[str]
+    cups: list[str] = field(default_factory=list)
     trouble: dict[str, list[str]] = field(default_factory=dict)
     left: list[str] = field(default_factory=list)
     washed: list[str] = field(default_factory=list)
     deepest: float = 0.0
     seconds: float = 0.0
+    events: dict[str, int] = field(default_factory=dict)
 
     @property
     def succeeded(self) -> bool:
@@ -82,87 +74,68 @@ class Outcome:
         return not self.left and set(self.cups) <= set(self.washed) and self.deepest <= ALLOWED
 
 
-def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:
-    """Cleans up the table of the kitchen, and writes pictures.
-
-    Args:
-        folder: the folder for the pictures.
-        say: writes lines of the report.
-        seed: the seed of the planners' random numbers.
+def run(folder: Path, say: Say, *, seed: int) -> bool:
+    """Asks the recorded run what happened, and writes pictures.
 
     Returns:
-        Whether all cups are in the sink.
+        Whether all cups are in the sink, and the robot ran into nothing.
+
+    Raises:
+        ArgumentError: the seed is not that of the run.
     """
-    with load("kitchen") as ss:
-        return clean(ss, folder, say, seed=seed).succeeded
+    (episode,) = episodes(RUN)
+    if seed != episode.tags["seed"]:
+        raise ArgumentError(
+            f"the recorded run has the seed {episode.tags['seed']}, not {seed}; in a checkout of "
+            f"ssduck, {PROGRAM} --seed {seed} makes another run"
+        )
+    with open_record(RUN) as ss, load("kitchen", recording=None) as drawn:
+        report = Report(ss, folder, say, drawn.call_variable("kitchen"))
+        world: ReplayedWorld = ss.call_variable("kitchen")
+        world.seek(0.0)
+        report.begin()
+        for event, tick in sorted(episode.tags.items(), key=lambda item: item[1]):
+            what, _, name = event.partition(" ")
+            if what == "holding":
+                report.approaches(name)
+                report.holds(world.seek_tick(int(tick))[name])
+            elif what == "dropped":
+                report.has_dropped(world.seek_tick(int(tick))[name])
+        world.seek_tick(int(episode.last_tick or 0))
+        outcome = report.conclude()
+    say(f"This was a recorded run. {PROGRAM} in a checkout of ssduck plans and simulates one.")
+    return outcome.succeeded
 
 
-def clean(
-    ss: Interpreter, folder: Path | None, say: Callable[[str], None], *, seed: int
-) -> Outcome:
-    """Cleans up the table of a running kitchen.
+class Report:
+    """Reports on a run, live or recorded: its questions, their answers, and pictures.
 
     Args:
         ss: an interpreter with the world `kitchen`.
         folder: the folder for pictures; None for none.
         say: writes lines of the report.
-        seed: the seed of the planners' random numbers.
+        drawn: a running kitchen in which the pictures are drawn, for a run that is recorded.
     """
-    report = _Report(ss, folder, say)
-    report.picture("before")
-    cups = report.requested_cups()
-    outcome = Outcome([cup.name for cup in cups])
-    rng = np.random.default_rng(seed)
-    start_time = report.world.time
-    cleaner = Cleaner(report.world[ROBOT], rng, lambda: None)
-    try:
-        cleaner.prepare()
-        _take_away(report, cleaner, cups, outcome)
-    except Failed as failure:
-        say(f"The robot cannot go on: {failure}.")
-    report.picture("after")
-    outcome.seconds = report.world.time - start_time
-    report.conclude(outcome)
-    return outcome
 
-
-def _take_away(report: _Report, cleaner: Cleaner, cups: list[Entity], outcome: Outcome) -> None:
-    """Takes the cups away, the nearest first; failed ones are tried again later."""
-    for _ in range(ATTEMPTS):
-        waiting = [cup for cup in cups if cup in report.select(ON_TABLE)]
-        while waiting:
-            robot_position = np.array(report.world[ROBOT].position[:2])
-            distances = [
-                float(np.linalg.norm(robot_position - cup.position[:2])) for cup in waiting
-            ]
-            cup = waiting.pop(int(np.argmin(distances)))
-            try:
-                report.take(cleaner, cup)
-            except Failed as failure:
-                outcome.trouble.setdefault(cup.name, []).append(str(failure))
-                report.say(f"{cup.name}: {failure}; it is at {_coordinates(cup.position)}.")
-                cleaner.recover()
-
-
-class _Report:
-    """The queries, the report and the pictures of a run."""
-
-    def __init__(self, ss: Interpreter, folder: Path | None, say: Callable[[str], None]) -> None:
-        self.ss, self.folder, self.say = ss, folder, say
-        world = ss.call_variable("kitchen")
-        assert isinstance(world, World)
-        self.world = world
+    def __init__(
+        self, ss: Interpreter, folder: Path | None, say: Say, drawn: World | None = None
+    ) -> None:
+        self.ss, self.folder, self.say, self._drawn = ss, folder, say, drawn
+        self.world: World = ss.call_variable("kitchen")
+        self.outcome = Outcome()
         self._pictures = 0
-        ss.record(world, Recording(every=EVERY))
         ss.add_function("onX", on, "onX(o1, o2): whether the position of o2 is over o1")
         ss.add_function("isCup", _is_cup, "isCup(object): whether it is a cup, by its name")
 
-    def requested_cups(self) -> list[Entity]:
-        """Returns the cups to be cleaned up."""
+    def begin(self) -> list[Entity]:
+        """Reports the task at the start of a run, and returns the cups to be cleaned up."""
+        self._start = self.world.time
+        self._draw("before")
         self.say(JOB)
         self.ss.eval(JOB)
         cups: list[Entity] = self.ss.call_variable("cleanUp")
-        self.say(f"To be taken to the sink: {', '.join(cup.name for cup in cups) or 'nothing'}.")
+        self.outcome.cups = [cup.name for cup in cups]
+        self.say(f"To be taken to the sink: {', '.join(self.outcome.cups) or 'nothing'}.")
         return cups
 
     def select(self, program: str) -> list[Entity]:
@@ -170,66 +143,73 @@ class _Report:
         entities: list[Entity] = self.ss.eval(program)
         return entities
 
-    def take(self, cleaner: Cleaner, cup: Entity) -> None:
-        """Takes a cup from the table to the sink."""
-        self.say(f"{cup.name}: the robot drives to it, and takes it.")
-        for spots in map(self._free_spots, (ROWS, ANYWHERE)):
-            if spots and cleaner.can_drop(cup, spots):
-                break
-        else:
-            raise Failed("there is no spot in the sink that the arm reaches")
-        cleaner.pick(cup)
-        self.picture(f"holding_{cup.name}")
-        cleaner.drop(spots)
-        if cup not in self.select(IN_SINK):
-            raise Failed("it did not fall into the sink")
-        self.say(f"{cup.name}: is in the sink, at {_coordinates(cup.position)}.")
+    def approaches(self, cup: str) -> None:
+        """Reports that the robot begins with a cup."""
+        self.say(f"{cup}: the robot drives to it, and takes it.")
 
-    def _free_spots(self, spots: Sequence[tuple[float, float]]) -> list[Array]:
-        """Returns the free ones of some spots in the sink, (3,) each, m."""
-        low, high = (np.array(corner) for corner in self.world["sink"].aabb)
-        centre = np.array([*((low + high) / 2)[:2], high[2]])
-        occupied = [np.array(cup.position[:2]) for cup in self.select(IN_SINK)]
-        spots_in_world = [centre + np.array([x, y, 0.0]) for x, y in spots]
-        return [
-            spot
-            for spot in spots_in_world
-            if all(np.linalg.norm(spot[:2] - other) > CUP_DISTANCE for other in occupied)
-        ]
+    def holds(self, cup: Entity) -> None:
+        """Reports that the robot has a cup in its hand."""
+        self._note("holding", cup)
+        self._draw(f"holding_{cup.name}")
 
-    def picture(self, name: str) -> None:
-        """Writes a picture of the current state."""
-        if self.folder is None:
-            return
-        self.folder.mkdir(parents=True, exist_ok=True)
-        picture = self.world.render(800, 600, VIEW)
-        path = keep_picture(picture, self.folder / f"cleanup_{self._pictures}_{name}.png")
-        self._pictures += 1
-        self.say(f"picture: {path}")
+    def has_dropped(self, cup: Entity) -> bool:
+        """Reports that the robot has dropped a cup; returns whether it is in the sink."""
+        self._note("dropped", cup)
+        is_in_sink = cup in self.select(IN_SINK)
+        if is_in_sink:
+            self.say(f"{cup.name}: is in the sink, at {coordinates(cup)}.")
+        return is_in_sink
 
-    def conclude(self, outcome: Outcome) -> None:
-        """Queries and reports the outcome."""
-        left, washed = self.select(ON_TABLE), self.select(IN_SINK)
-        outcome.left = [cup.name for cup in left]
-        outcome.washed = [cup.name for cup in washed]
-        outcome.deepest = float(self.ss.sql(DEEPEST, [ROBOT]).fetchall()[0][0])
+    def conclude(self) -> Outcome:
+        """Queries and reports the outcome, and returns it."""
+        self._draw("after")
+        outcome = self.outcome
+        outcome.seconds = self.world.time - self._start
+        outcome.left = [cup.name for cup in self.select(ON_TABLE)]
+        outcome.washed = [cup.name for cup in self.select(IN_SINK)]
+        ((depth, tick),) = self.ss.sql(DEEPEST, [ROBOT]).fetchall()
+        outcome.deepest, outcome.events["deepest"] = depth or 0.0, tick
         self.say(ON_TABLE)
         self.say(f"On the table: {', '.join(outcome.left) or 'no cup'}.")
         self.say(f"In the sink: {', '.join(outcome.washed) or 'no cup'}.")
         for name in outcome.cups:
             if name not in outcome.washed:
-                place = _coordinates(self.world[name].position)
                 reasons = "; ".join(outcome.trouble.get(name, ["nobody tried"]))
+                place = coordinates(self.world[name])
                 self.say(f"{name} is not in the sink, but at {place}: {reasons}.")
         self.say(
             f"{outcome.seconds:.0f} s of simulation; the robot was at most "
             f"{1000 * outcome.deepest:.2f} mm deep in furniture or floor."
         )
+        return outcome
+
+    def _note(self, what: str, cup: Entity) -> None:
+        self.outcome.events[f"{what} {cup.name}"] = self.world.tick_number
+
+    def _draw(self, name: str) -> None:
+        """Writes a picture of the current tick."""
+        if self.folder is None:
+            return
+        self.folder.mkdir(parents=True, exist_ok=True)
+        drawn = self.world if self._drawn is None else _posed(self._drawn, self.world)
+        picture = drawn.render(800, 600, VIEW)
+        path = keep_picture(picture, self.folder / f"cleanup_{self._pictures}_{name}.png")
+        self._pictures += 1
+        self.say(f"picture: {path}")
+
+
+def _posed(drawn: World, recorded: World) -> World:
+    """Moves the bodies of a world, and their joints, to where they are in a recorded one."""
+    for entity in recorded:
+        joints = {joint.name: joint.position for joint in entity.joints if joint.type != "fixed"}
+        drawn[entity.name].move(entity.position, wxyz=entity.orientation, joints=joints)
+    return drawn
 
 
 def _is_cup(thing: Any) -> bool:
     return bool(thing.name.startswith("cup"))
 
 
-def _coordinates(position: list[float]) -> str:
-    return "(" + ", ".join(f"{number:.2f}" for number in position) + ")"
+def coordinates(entity: Entity) -> str:
+    """Returns the position of an entity, m, as text."""
+    return "(" + ", ".join(f"{number:.2f}" for number in entity.position) + ")"

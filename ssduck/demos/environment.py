@@ -7,17 +7,14 @@ formula of gravity, and a copy of the whole kitchen against the kitchen.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ssduck.demos.results import keep, keep_picture
+from ssduck.demos.results import Say, keep, keep_picture
+from ssduck.interpreter.opening import load
 from ssduck.simulators.scenes import Camera
-
-if TYPE_CHECKING:
-    from ssduck.world.world import World
+from ssduck.world.world import World
 
 NEAR = """\
 roomba = SELECT obj FROM kitchen WHERE id(this) == 'roomba_625x' AS value;
@@ -33,10 +30,8 @@ SETTLING = 2e-3
 CAMERA = Camera(eye=(2.9, -1.9, 1.9), target=(1.0, 0.0, 0.3), fov=45)
 
 
-def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa: ARG001
+def run(folder: Path, say: Say, *, seed: int) -> bool:  # noqa: ARG001
     """Cuts out the world, simulates both, compares them, and draws a picture."""
-    from ssduck.interpreter.opening import load
-
     with load("kitchen") as ss:
         kitchen: World = ss.call_variable("kitchen")
         say(NEAR)
@@ -50,8 +45,18 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa
             world.step(steps)
         # The sum of the distances of the steps.
         expected = 9.81 * kitchen.timestep**2 * steps * (steps + 1) / 2
-        succeeded = _falls_freely(heights_before, _heights(near), expected, say)
-        succeeded &= _are_alike(kitchen, copy, say)
+        falls = {name: heights_before[name] - z for name, z in _heights(near).items()}
+        fall = falls.pop("roomba_625x")
+        farthest = max(map(abs, falls.values()))
+        say(
+            f"After {SECONDS:g} s the vacuum cleaner is {fall:.3f} m deeper (free fall: "
+            f"{expected:.3f} m), all else has moved by at most {1000 * farthest:.1f} mm"
+        )
+        deviation = max(
+            float(np.abs(np.subtract(entity.position, copy[entity.name].position)).max())
+            for entity in kitchen
+        )
+        say(f"A copy of all of it went on alike: at most {deviation:.1g} m apart")
         saved = keep(folder / "near_roomba", near.save)
         reloaded = load(saved / "scene.toml").call_variable("kitchen")
         heights = _heights(reloaded)
@@ -61,36 +66,10 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa
             world.close()
         kitchen.step()
     say(f"What was cut out: {picture}")
-    return succeeded and is_same
+    is_free_fall = abs(fall - expected) < DAMPING_SHARE * expected and farthest < SETTLING
+    return is_free_fall and deviation < TOLERANCE and is_same
 
 
 def _heights(world: World) -> dict[str, float]:
     """Returns the heights of the link frames of all bodies, m."""
     return {entity.name: entity.position[2] for entity in world if entity.kind != "sensor"}
-
-
-def _falls_freely(
-    heights_before: Mapping[str, float],
-    after: Mapping[str, float],
-    expected: float,
-    say: Callable[[str], None],
-) -> bool:
-    """Checks whether the vacuum cleaner fell freely and everything else stayed."""
-    falls = {name: heights_before[name] - after[name] for name in heights_before}
-    fall = falls.pop("roomba_625x")
-    farthest = max(map(abs, falls.values()))
-    say(
-        f"After {SECONDS:g} s the vacuum cleaner is {fall:.3f} m deeper (free fall: "
-        f"{expected:.3f} m), all else has moved by at most {1000 * farthest:.1f} mm"
-    )
-    return abs(fall - expected) < DAMPING_SHARE * expected and farthest < SETTLING
-
-
-def _are_alike(kitchen: World, copy: World, say: Callable[[str], None]) -> bool:
-    """Checks whether a copy of the kitchen moved like the kitchen."""
-    deviation = max(
-        float(np.abs(np.subtract(entity.position, copy[entity.name].position)).max())
-        for entity in kitchen
-    )
-    say(f"A copy of all of it went on alike: at most {deviation:.1g} m apart")
-    return deviation < TOLERANCE

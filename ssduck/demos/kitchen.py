@@ -12,39 +12,23 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
 from ssduck.adapters.display import display_table, fitted_table, plain_console, readable
-from ssduck.demos.drawing import save
-from ssduck.demos.results import keep_picture
+from ssduck.demos.results import Say, keep_picture, save
 from ssduck.errors import ProgramWarning, UnsupportedError
+from ssduck.interpreter.interpreter import Interpreter
+from ssduck.interpreter.opening import load
 from ssduck.simulators.scenes import Scene, find_scene, shipped_scenes
-
-if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.text import Text
-
-    from ssduck.interpreter.interpreter import Interpreter
 
 # Keywords of SelectScript, SQL and Python that the demonstration highlights.
 _KEYWORDS = (
     r"(?i)\b(SELECT|FROM|WHERE|ORDER BY|LIMIT|DESC|AS|AND|OR|NOT|TRUE|FALSE|def|if|return)\b"
 )
-
-
-@dataclass(frozen=True)
-class Addition:
-    """A Python function that is added to the language.
-
-    Attributes:
-        name: the name in programs.
-        function: the function.
-        help: the text that `help('name')` shows.
-    """
-
-    name: str
-    function: Callable[..., Any]
-    help: str
 
 
 @dataclass(frozen=True)
@@ -55,13 +39,13 @@ class DemoQuestion:
         asks: the question in plain words.
         program: the question in SelectScript or SQL.
         sql: whether the program is SQL.
-        addition: a function that is added to the language first.
+        addition: a function that is added to the language first: name, function, help.
     """
 
     asks: str
     program: str
     sql: bool = False
-    addition: Addition | None = None
+    addition: tuple[str, Callable[..., Any], str] | None = None
 
 
 def on(o1: Any, o2: Any) -> bool:
@@ -73,11 +57,7 @@ def on(o1: Any, o2: Any) -> bool:
     return bool(low[0] <= x <= high[0] and low[1] <= y <= high[1] and z >= high[2])
 
 
-_ON = Addition(
-    "onX",
-    on,
-    "Checks if the position of an object (o2) is above object (o1).\nUsage: onX(o1, o2) -> bool",
-)
+_ON = "Checks if the position of an object (o2) is above object (o1).\nUsage: onX(o1, o2) -> bool"
 
 _ABOVE_EACH_OTHER = """\
 SELECT a.name AS lower, b.name AS upper
@@ -112,7 +92,7 @@ SELECT obj, position FROM kitchen WHERE within(microwave, this) AS list;""",
     DemoQuestion(
         "Can a Python function be a relation, too? This one is added as onX, with a help text.",
         "help('onX');",
-        addition=_ON,
+        addition=("onX", on, _ON),
     ),
     DemoQuestion(
         "What is on the table, and less than 1.3 m away from the robot that is to clean up?",
@@ -152,7 +132,7 @@ def questions(scene: Scene) -> tuple[DemoQuestion, ...]:
     )
 
 
-def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa: ARG001
+def run(folder: Path, say: Say, *, seed: int) -> bool:  # noqa: ARG001
     """Asks the kitchen the tutorial's questions and draws it; uses no random numbers."""
     ask(find_scene("kitchen"), say, folder=folder)
     return True
@@ -160,7 +140,7 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa
 
 def ask(
     scene: Scene,
-    say: Callable[[str], None],
+    say: Say,
     *,
     folder: Path | None = None,
     picture: Path | None = None,
@@ -172,15 +152,12 @@ def ask(
         scene: the scene.
         say: writes lines.
         folder: the folder for a picture named like the scene; existing files stay. None for none.
-        picture: the file for the picture instead, in the format of its suffix; an existing file
-            is replaced.
+        picture: the file for the picture instead, which is replaced if it exists.
         with_sql: whether to show the SQL of the programs.
 
     Raises:
         SelectScriptError: the scene cannot be loaded, or the picture cannot be written.
     """
-    from ssduck.interpreter.opening import load
-
     console = plain_console()
     scene_questions = questions(scene)
     with load(scene.path) as ss, warnings.catch_warnings():
@@ -213,11 +190,9 @@ def _demonstrate(
     ss: Interpreter, question: DemoQuestion, console: Console, with_sql: bool
 ) -> float:
     """Asks a question and shows it with its answer; returns the time of the answer, s."""
-    from rich.table import Table
-
     addition = question.addition
     if addition is not None:
-        ss.add_function(addition.name, addition.function, addition.help)
+        ss.add_function(*addition)
     start = time.perf_counter()
     value = ss.sql(question.program) if question.sql else ss.eval(question.program)
     seconds = time.perf_counter() - start
@@ -227,7 +202,7 @@ def _demonstrate(
     grid.add_column(style="dim", min_width=9)
     grid.add_column(overflow="fold")
     if addition is not None:
-        grid.add_row("  Python", _highlighted(inspect.getsource(addition.function)))
+        grid.add_row("  Python", _highlighted(inspect.getsource(addition[1])))
     grid.add_row("  SQL" if question.sql else "  program", _highlighted(question.program))
     if with_sql and not question.sql and (sql := ss.explain(question.program)):
         grid.add_row("  as SQL", _compact(sql), style="dim")
@@ -237,8 +212,6 @@ def _demonstrate(
 
 
 def _highlighted(code: str) -> Text:
-    from rich.text import Text
-
     text = Text(code.strip())
     text.highlight_regex(_KEYWORDS, "cyan")
     text.highlight_regex(r"'[^']*'|\"[^\"]*\"", "green")

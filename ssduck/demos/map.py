@@ -7,16 +7,15 @@ table are counted.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from scipy.ndimage import label
 
-from ssduck.demos.results import keep, keep_picture
-
-if TYPE_CHECKING:
-    from ssduck.adapters.grid_values import OccupancyGrid
+from ssduck.adapters.grid_values import OccupancyGrid
+from ssduck.demos.results import Say, keep, keep_picture
+from ssduck.interpreter.opening import load
 
 ALL = "SELECT obj FROM kitchen AS roombaGrid;"
 NEAR = """\
@@ -26,10 +25,8 @@ SELECT obj FROM kitchen WHERE distance(roomba, this) <= 1.5 AS roombaGrid;"""
 LEGS_REGION = ((0.0, -1.6), (1.6, 0.95))
 
 
-def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa: ARG001
+def run(folder: Path, say: Say, *, seed: int) -> bool:  # noqa: ARG001
     """Makes, saves, loads and checks the maps."""
-    from ssduck.interpreter.opening import load
-
     succeeded, pictures = True, []
     with load("kitchen") as ss:
         for name, program in (("kitchen", ALL), ("near_roomba", NEAR)):
@@ -55,10 +52,8 @@ def _description(grid: OccupancyGrid) -> str:
     )
 
 
-def _has_legs(grid: OccupancyGrid, say: Callable[[str], None]) -> bool:
+def _has_legs(grid: OccupancyGrid, say: Say) -> bool:
     """Checks whether the map shows as many legs as the table and the chairs have."""
-    from scipy.ndimage import label
-
     (left, low), (right, high) = LEGS_REGION
     x, y = grid.centres(0), grid.centres(1)
     inside: Any = np.asarray(grid)[np.ix_((x > left) & (x < right), (y > low) & (y < high))]

@@ -13,14 +13,13 @@ import warnings
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
-from ssduck.demos.results import keep
+from ssduck.demos.results import Say, keep
 from ssduck.errors import ProgramWarning, SelectScriptError
 from ssduck.formatting import error_text
-
-if TYPE_CHECKING:
-    from ssduck.interpreter.interpreter import Interpreter
+from ssduck.interpreter.interpreter import Interpreter
+from ssduck.interpreter.opening import load
 
 Question: TypeAlias = tuple[str, str, str, str]
 Engine: TypeAlias = "Callable[[Interpreter, Path, Question], Sequence[str]]"
@@ -57,10 +56,8 @@ QUESTIONS: tuple[Question, ...] = (
 SCALE = 1_000_000
 
 
-def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa: ARG001
+def run(folder: Path, say: Say, *, seed: int) -> bool:  # noqa: ARG001
     """Writes the clauses and compares the answers; without an engine, only SelectScript answers."""
-    from ssduck.interpreter.opening import load
-
     with load("kitchen") as ss, warnings.catch_warnings():
         warnings.simplefilter("ignore", ProgramWarning)  # of volume, which is as published
         say(CLAUSES.format("prolog"))
@@ -81,7 +78,7 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa
     return succeeded
 
 
-def _engine(say: Callable[[str], None]) -> Engine | None:
+def _engine(say: Say) -> Engine | None:
     """Returns the installed engine; None, with a hint on what to install, if there is none."""
     if shutil.which("swipl"):
         say("The questions are put to SWI-Prolog")
@@ -97,11 +94,7 @@ def _engine(say: Callable[[str], None]) -> Engine | None:
 
 
 def _prolog(_: Interpreter, target: Path, question: Question) -> Sequence[str]:
-    """Returns the answers of SWI-Prolog, which reads the file.
-
-    Raises:
-        SelectScriptError: SWI-Prolog fails.
-    """
+    """Returns the answers of SWI-Prolog, which reads the file."""
     query, variable, *_others = question
     goal = f"forall(({query}), (write({variable}), nl)), halt"
     command = ["swipl", "-q", "-g", goal, "-t", "halt(1)", str(target)]
@@ -123,10 +116,5 @@ def _clingo(ss: Interpreter, _: Path, question: Question) -> Sequence[str]:
     control = clingo.Control(["--warn=none"])
     control.add("base", [], "\n".join([*facts, question[2], "#show found/1."]))
     control.ground([("base", [])])
-    answers: list[str] = []
-    control.solve(
-        on_model=lambda model: answers.extend(
-            str(symbol.arguments[0]) for symbol in model.symbols(shown=True)
-        )
-    )
-    return answers
+    with control.solve(yield_=True) as models:
+        return [str(each.arguments[0]) for model in models for each in model.symbols(shown=True)]

@@ -1,33 +1,23 @@
 """A robot's way through a cluttered hall, found by one hierarchical query.
 
-The places are the cells of a grid. A query moves from cell to cell, and stops where the robot would
-be too near to something. A function finds such obstacles by the exact shapes, in a what-if world
-with the robot in the cell. `MEMORIZE` makes a graph of the reached cells and returns the shortest
-path.
-
-Two checks do not use that query. The robot tries the same cells in a recording, one query selects
-the free ones, and scipy finds the shortest path over them. And the robot drives along the path, and
-may not collide at any tick.
+The query moves from cell to cell of a grid, and stops where the robot would be too near to
+something in a what-if world. The path is checked against the shortest one over the cells that are
+free in a recording, and by driving along it.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from ssduck.demos.drawing import Colour, TopView
-from ssduck.demos.grid import Cell, SearchGrid, free_cells, shortest_path
-from ssduck.demos.placing import Placing
-from ssduck.demos.results import keep_picture
-
-if TYPE_CHECKING:
-    from ssduck.interpreter.interpreter import Interpreter
-    from ssduck.world.entities import Entity
+from ssduck.demos.floor import Cell, Colour, SearchGrid, TopView, free_cells, shortest_path, strides
+from ssduck.demos.results import Say, keep_picture
+from ssduck.interpreter.interpreter import Interpreter
+from ssduck.interpreter.opening import load
+from ssduck.world.entities import Entity
 
 GRID = SearchGrid(first=(0.6, 0.6), side=0.4, counts=(28, 18))
 # The robot lies within RADIUS of its axis. Between two cells a disc that moves straight comes
@@ -55,10 +45,8 @@ SELECT time(this), id FROM hall{}
 WHERE collides(rover, this) AND id(this) != 'floor' AND id(this) != 'goal';"""
 
 
-def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa: ARG001
+def run(folder: Path, say: Say, *, seed: int) -> bool:  # noqa: ARG001
     """Finds, checks and draws the path; uses no random numbers."""
-    from ssduck.interpreter.opening import load
-
     with load("hall") as ss:
         hall = ss.call_variable("hall")
         start, goal = (GRID.cell(hall[name].position) for name in ("rover", "goal"))
@@ -85,53 +73,58 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa
     return bool(path) and len(path) == least and set(path) <= free and hits == []
 
 
-def query_path(ss: Interpreter, start: Cell, goal: Cell, say: Callable[[str], None]) -> list[Cell]:
+def query_path(ss: Interpreter, start: Cell, goal: Cell, say: Say) -> list[Cell]:
     """Returns the cells of the path that the query finds, without the first one."""
-    hall = ss.call_variable("hall")
-    placing = Placing(hall, hall["rover"], CLEARANCE, ignored=GROUND)
+    near_at = cache(obstacles_of(ss.call_variable("hall")["rover"], CLEARANCE, GROUND))
 
     def after(at: list[int], move: list[int]) -> list[int]:
         return [at[0] + move[0], at[1] + move[1]]
 
-    @cache
-    def near(x: int, y: int) -> list[str]:
-        return placing.near(*GRID.place((x, y)))
-
     def in_the_way(cell: list[int]) -> list[str]:
-        if cell not in GRID:
-            return ["the edge of the grid"]
-        return near(*cell)
+        return near_at(*GRID.place(cell)) if cell in GRID else ["the edge of the grid"]
 
-    ss.add_function("after", after, "Returns the cell after a move.\nUsage: after(at, move)")
-    ss.add_function(
-        "inTheWay",
-        in_the_way,
-        "Returns what the robot would be too near to in a cell.\nUsage: inTheWay(cell)",
-    )
+    ss.add_function("after", after, "after(at, move): the cell after a move")
+    ss.add_function("inTheWay", in_the_way, "inTheWay(cell): what the robot would be too near to")
     ss.add_variable("start", list(start))
     ss.add_variable("goal", list(goal))
     start_time = time.perf_counter()
     paths = ss.eval(PROGRAM)
-    seconds = time.perf_counter() - start_time
+    seconds, tried = time.perf_counter() - start_time, near_at.cache_info().misses
     path: list[Cell] = [(row[0][0], row[0][1]) for row in paths[0]] if paths else []
     outcome = f"a way of {len(path)} steps, {len(path) * GRID.side:g} m" if path else "no way"
-    say(f"The query found {outcome}, in {seconds:.1f} s; it looked at {placing.count} places")
+    say(f"The query found {outcome}, in {seconds:.1f} s; it looked at {tried} places")
     return path
+
+
+def obstacles_of(
+    robot: Entity, clearance: float, ignored: Collection[str]
+) -> Callable[[float, float], list[str]]:
+    """Returns a function of x and y, m, that names what a robot there would be too near to.
+
+    Args:
+        robot: the robot, whose height and orientation stay.
+        clearance: the required distance to everything, m.
+        ignored: names of entities that may be near.
+    """
+    world, orientation, height = robot.world, robot.orientation, robot.position[2]
+    others = [e for e in world if e.kind != "sensor" and e.name not in {robot.name, *ignored}]
+
+    def near_at(x: float, y: float) -> list[str]:
+        what_if = world.what_if({robot: [*orientation, x, y, height]})
+        what_if.request_tables(["shapes"])
+        shapes = what_if.snapshot.shapes()
+        return [other.name for other in others if shapes.near(robot.id, other.id, clearance)]
+
+    return near_at
 
 
 def drive(ss: Interpreter, path: Sequence[Cell]) -> tuple[int, list[dict[str, object]]]:
     """Drives along cells; returns the number of ticks, and the collisions at them."""
     hall = ss.call_variable("hall")
     rover: Entity = ss.add_variable("rover", hall["rover"])
-    height, first = rover.position[2], hall.snapshot.number
-    strides = round(GRID.side / STRIDE)
-    for before, after in pairwise(map(GRID.place, path)):
-        yaw = math.atan2(after[1] - before[1], after[0] - before[0])
-        for stride in range(1, strides + 1):
-            share = stride / strides
-            x, y = (b + share * (a - b) for b, a in zip(before, after, strict=True))
-            rover.move([x, y, height], wxyz=[math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)])
-            hall.step(12, every=12)
+    first = hall.snapshot.number
+    for _ in strides(rover, map(GRID.place, path), STRIDE, round):
+        hall.step(12, every=12)
     return hall.snapshot.number - first, ss.eval(COLLISIONS)
 
 

@@ -1,37 +1,36 @@
 """Two robots drive about in the kitchen, and a trigger reports which sensors see which robot.
 
 As in the second demonstration of SelectScript's tutorial: the arm on its base and the vacuum
-cleaner go to random places in turns. A second simulation tries all places for each of them, and one
-query over its ticks selects the free ones; paths are the shortest ones over free places. The arm's
-base moves in any direction without turning; the vacuum cleaner turns.
-
-The robots are placed anew every tenth of a second: nothing is pushed and nothing falls. So the
-kitchen has no gravity here, a step takes a tenth of a second, and the robots are a millimetre above
-the floor.
-
-In the end the history is checked: no robot may collide with anything at any tick, and the results
-of the trigger must be those of the history.
+cleaner go to random places in turns, on shortest paths over places that a second simulation found
+to be free. They are placed anew every tenth of a second, a millimetre above the floor, without
+gravity. The history has to be without collisions, and to agree with the trigger.
 """
 
 from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 from ssduck.adapters.display import DisplayTable, text_lines
-from ssduck.demos.drawing import Colour, TopView
-from ssduck.demos.grid import Cell, Place, SearchGrid, free_cells, shortest_path
-from ssduck.demos.results import keep_picture
-
-if TYPE_CHECKING:
-    from ssduck.interpreter.interpreter import Interpreter
-    from ssduck.world.entities import Entity
-    from ssduck.world.world import World
+from ssduck.demos.floor import (
+    Cell,
+    Colour,
+    Place,
+    SearchGrid,
+    TopView,
+    free_cells,
+    shortest_path,
+    strides,
+)
+from ssduck.demos.results import Say, keep_picture
+from ssduck.interpreter.interpreter import Interpreter
+from ssduck.recording.spec import Recording
+from ssduck.simulators.scenes import find_scene
+from ssduck.world.entities import Entity
+from ssduck.world.world import World
 
 Sight: TypeAlias = tuple[str, str]
 
@@ -89,10 +88,8 @@ class Watch:
         return sorted(spans)
 
 
-def run(folder: Path, say: Callable[[str], None], *, seed: int, trips: int = TRIPS) -> bool:
+def run(folder: Path, say: Say, *, seed: int, trips: int = TRIPS) -> bool:
     """Lets both robots drive, reports what sensors see, checks the history, draws the paths."""
-    from ssduck.recording.spec import Recording
-
     free = reachable_cells()
     for name, cells in free.items():
         say(f"{name} can be in {len(cells)} of {len(GRID.cells())} places")
@@ -118,10 +115,6 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int, trips: int = TRI
 
 def still_kitchen() -> Interpreter:
     """Returns an interpreter with a kitchen without gravity, the robots just above the floor."""
-    from ssduck.interpreter.interpreter import Interpreter
-    from ssduck.simulators.scenes import find_scene
-    from ssduck.world.world import World
-
     scene = replace(find_scene("kitchen"), gravity=(0.0, 0.0, 0.0), timestep=STEP)
     ss = Interpreter()
     kitchen = ss.add_variable("kitchen", World.load(scene))
@@ -149,33 +142,32 @@ def drive_about(
     free: dict[str, set[Cell]],
     rng: random.Random,
     trips: int,
-    say: Callable[[str], None],
+    say: Say,
 ) -> dict[str, list[list[Place]]]:
     """Drives the robots to random places in turns; returns the paths of each."""
     drives: dict[str, list[list[Place]]] = {name: [] for name in ROBOTS}
     for _ in range(trips):
         for name in ROBOTS:
             robot = kitchen[name]
-            others = [kitchen[other] for other in ROBOTS if other != name]
-            path = random_path(robot, clear_cells(others, robot, free[name]), rng)
+            (other,) = (kitchen[other] for other in ROBOTS if other != name)
+            path = random_path(robot, clear_cells(robot, other, free[name]), rng)
             if path is None:
                 say(f"{kitchen.time:6.1f} s  {name} is shut in")
                 continue
             x, y = path[-1]
             say(f"{kitchen.time:6.1f} s  {name} drives to ({x:.2f}, {y:.2f})")
-            drive(robot, path)
+            turns = name == "roomba_625x"
+            for _ in strides(robot, path, SPEED * STEP, math.ceil, turns=turns):
+                kitchen.step()
             drives[name].append(path)
     return drives
 
 
-def clear_cells(others: Iterable[Entity], robot: Entity, cells: set[Cell]) -> set[Cell]:
-    """Returns the cells where the robot keeps clear of others at any orientation."""
-    for other in others:
-        distance = horizontal_radius(robot) + horizontal_radius(other) + CLEARANCE
-        cells = {
-            cell for cell in cells if math.dist(GRID.place(cell), other.position[:2]) > distance
-        }
-    return cells
+def clear_cells(robot: Entity, other: Entity, cells: set[Cell]) -> set[Cell]:
+    """Returns the cells where a robot keeps clear of another one at any orientation."""
+    distance = horizontal_radius(robot) + horizontal_radius(other) + CLEARANCE
+    x, y, _ = other.position
+    return {cell for cell in cells if math.dist(GRID.place(cell), (x, y)) > distance}
 
 
 def horizontal_radius(robot: Entity) -> float:
@@ -192,27 +184,12 @@ def random_path(robot: Entity, free: set[Cell], rng: random.Random) -> list[Plac
     goals = [cell for cell in sorted(free) if math.dist(GRID.place(cell), here) >= MIN_TRIP]
     rng.shuffle(goals)
     for goal in goals:
-        path = shortest_path(free, start, goal, diagonal=True)
-        if path:
+        if path := shortest_path(free, start, goal, diagonal=True):
             return [here, *map(GRID.place, path[1:])]
     return None
 
 
-def drive(robot: Entity, path: Sequence[Place]) -> None:
-    """Moves a robot along a path while the simulation runs."""
-    world, height = robot.world, robot.position[2]
-    for before, after in pairwise(path):
-        dx, dy = after[0] - before[0], after[1] - before[1]
-        yaw = math.atan2(dy, dx) if robot.name == "roomba_625x" else 0.0
-        strides = math.ceil(math.hypot(dx, dy) / (SPEED * STEP))
-        for number in range(1, strides + 1):
-            share = number / strides
-            place = [before[0] + share * dx, before[1] + share * dy, height]
-            robot.move(place, wxyz=[math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)])
-            world.step()
-
-
-def collisions(ss: Interpreter, say: Callable[[str], None]) -> list[dict[str, Any]]:
+def collisions(ss: Interpreter, say: Say) -> list[dict[str, Any]]:
     """Returns the collisions of the robots at all ticks of the history."""
     say(COLLISIONS)
     all_hits: list[dict[str, Any]] = []
@@ -238,12 +215,11 @@ def draw(kitchen: World, drives: dict[str, list[list[Place]]], target: Path) -> 
     """Draws the kitchen from above with the paths of the robots; returns the file."""
     view = TopView(kitchen, (-1.8, -2.6), (2.6, 2.7), floor=FLOOR, width=700)
     for name, paths in drives.items():
-        colour = ROBOTS[name]
         for path in paths:
-            view.path(path, colour, 4)
-            view.dot(path[0], colour, 4)
+            view.path(path, ROBOTS[name], 4)
+            view.dot(path[0], ROBOTS[name], 4)
         if paths:
-            view.dot(paths[-1][-1], colour, 7)
-            view.text(paths[-1][-1], name, colour)
-    legend = [(colour, f"path of {name}") for name, colour in ROBOTS.items() if name in drives]
+            view.dot(paths[-1][-1], ROBOTS[name], 7)
+            view.text(paths[-1][-1], name, ROBOTS[name])
+    legend = [(colour, f"path of {name}") for name, colour in ROBOTS.items()]
     return keep_picture(view.with_axes(legend), target)

@@ -11,6 +11,7 @@ import sys
 from collections import deque
 from itertools import pairwise
 
+import duckdb
 import pytest
 from PIL import Image
 from typer.testing import CliRunner
@@ -20,16 +21,15 @@ from ssduck.cli.app import app
 from ssduck.demos import (
     NAMES,
     chaos,
+    cleanup,
     description_of,
-    drawing,
     environment,
     prolog,
     reasoning,
     robots,
     run_of,
 )
-from ssduck.demos.grid import SearchGrid, free_cells, shortest_path
-from ssduck.demos.placing import Placing
+from ssduck.demos.floor import SearchGrid, TopView, free_cells, shortest_path
 from ssduck.demos.results import keep
 from ssduck.errors import SelectScriptError
 
@@ -114,7 +114,7 @@ def hall():
 
 def test_what_is_drawn_lies_where_it_is_seen(hall):
     """The mark of the goal is red, and its edge is 0.3 m from its middle."""
-    view = drawing.TopView(hall, (0, 0), (12, 8), width=600)
+    view = TopView(hall, (0, 0), (12, 8), width=600)
     x, y, _ = hall["goal"].position
 
     def is_red(at):
@@ -170,21 +170,20 @@ def test_free_cells_are_those_where_nothing_is_near():
     grid = SearchGrid((0.7, 3.3), 0.7, (6, 4))
     with ssduck.load("hall") as ss:
         hall = ss.call_variable("hall")
-        placing = Placing(hall, hall["rover"], 0.1, ignored=("floor", "goal"))
-        expected = {cell for cell in grid.cells() if not placing.near(*grid.place(cell))}
-        assert placing.count == 24
+        near_at = reasoning.obstacles_of(hall["rover"], 0.1, ("floor", "goal"))
+        expected = {cell for cell in grid.cells() if not near_at(*grid.place(cell))}
         assert free_cells(ss, hall["rover"], grid, 0.1, ("floor", "goal")) == expected
         assert 4 < len(expected) < 20
 
 
 def test_what_is_in_the_way_is_named(hall):
-    placing = Placing(hall, hall["rover"], 0.1, ignored=("floor", "goal"))
+    near_at = reasoning.obstacles_of(hall["rover"], 0.1, ("floor", "goal"))
     x, y, _ = hall["pillar_1"].position
-    assert placing.near(x, y) == ["pillar_1"]
-    assert placing.near(x + 0.24 + 0.2 + 0.099, y) == ["pillar_1"]
-    assert placing.near(x + 0.24 + 0.2 + 0.101, y) == []
+    assert near_at(x, y) == ["pillar_1"]
+    assert near_at(x + 0.24 + 0.2 + 0.099, y) == ["pillar_1"]
+    assert near_at(x + 0.24 + 0.2 + 0.101, y) == []
     x, y, _ = hall["table_1"].position
-    assert placing.near(x, y) == []  # it fits under a table
+    assert near_at(x, y) == []  # it fits under a table
 
 
 @pytest.mark.parametrize(("place", "cell"), [((0.6, 0.6), (0, 0)), ((0.99, 0.2), (1, -1))])
@@ -270,6 +269,49 @@ def test_spans_of_sights():
         (5, 5.0, frozenset({a, b})),
     ]
     assert watch.spans() == [(1.0, 4.0, *a), (2.0, 9.0, *b), (5.0, 9.0, *a)]
+
+
+# -- cleanup ---------------------------------------------------------------------------------
+
+
+def test_the_recorded_run_is_asked(tmp_path):
+    said = []
+    assert cleanup.run(tmp_path, said.append, seed=0)
+    assert said[1] == cleanup.JOB
+    assert said[2] == "To be taken to the sink: cup_905a, cup_58a2, cup_b6af, cup_d441."
+    assert "cup_905a: is in the sink, at (0.24, 2.13, 0.80)." in said
+    assert said[-5:-3] == [
+        "On the table: no cup.",
+        "In the sink: cup_905a, cup_58a2, cup_b6af, cup_d441.",
+    ]
+    assert "python -m examples.cleanup" in said[-1]
+    assert len([*tmp_path.glob("cleanup_?_*.png")]) == 6
+    held = (tmp_path / "cleanup_1_holding_cup_b6af.png").read_bytes()
+    assert held != (tmp_path / "cleanup_0_before.png").read_bytes()
+
+
+def test_the_answers_are_those_of_the_record(monkeypatch, tmp_path):
+    """By DuckDB alone: where the cups are, when the run ends, and how deep the narrow phase finds the robot."""
+    entities = f"read_parquet('{cleanup.RUN}/entities/**/*.parquet')"
+    last = duckdb.sql(
+        f"""SELECT c.name FROM {entities} c JOIN {entities} s USING (tick)
+        WHERE c.name LIKE 'cup%' AND s.name = 'sink' AND c.x BETWEEN s.xmin AND s.xmax
+        AND c.y BETWEEN s.ymin AND s.ymax AND c.z >= s.zmax
+        AND tick = (SELECT max(tick) FROM {entities}) ORDER BY c.id"""
+    ).fetchall()
+    ((seconds,),) = duckdb.sql(f"SELECT max(time) - min(time) FROM {entities}").fetchall()
+    said = []
+    monkeypatch.setattr(cleanup, "ALLOWED", 5e-5)  # the robot was deeper than that
+    assert not cleanup.run(tmp_path, said.append, seed=0)
+    assert f"In the sink: {', '.join(name for (name,) in last)}." in said
+    assert said[-2].startswith(f"{seconds:.0f} s of simulation; the robot was at most 0.09 mm deep")
+
+
+def test_a_run_of_another_seed_is_not_there(tmp_path):
+    result = ssduck_("demo", "cleanup", "--seed", "1", "--out", str(tmp_path))
+    assert result.exit_code == 1
+    assert "has the seed 0, not 1" in result.stderr
+    assert "python -m examples.cleanup --seed 1" in result.stderr
 
 
 # -- chaos -----------------------------------------------------------------------------------

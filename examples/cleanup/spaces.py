@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssduck.demos.motion.kinematics import KinematicChain
-from ssduck.demos.motion.obstacles import Obstacles
+from examples.cleanup.kinematics import KinematicChain
+from examples.cleanup.obstacles import Obstacles
 from ssduck.geometry.arrays import Array, Flags, Indices
 
 # For an arm: the largest motion between two postures of a path, and the clearances, m.

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssduck.demos.motion.kinematics import KinematicChain, poses
+from examples.cleanup.kinematics import KinematicChain, poses
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.broad_phase import Pairs
 from ssduck.geometry.proofs.cores import ConvexCores, PlacedCores

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
-from ssduck.demos.motion.kinematics import KinematicChain
-from ssduck.demos.motion.spaces import BaseSpace, wrapped
+from examples.cleanup.kinematics import KinematicChain
+from examples.cleanup.spaces import BaseSpace, wrapped
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.world.entities import Entity
 
@@ -40,7 +39,6 @@ class Mover:
         wheels: the names of the joints of the left and the right wheel.
         radius: the radius of a wheel, m.
         track: the distance of the wheels, m.
-        on_step: a callback after the steps of each command.
     """
 
     robot: Entity
@@ -49,13 +47,11 @@ class Mover:
     wheels: tuple[str, str]
     radius: float
     track: float
-    on_step: Callable[[], object]
 
     def run(self, steps: int) -> None:
         """Runs the simulation."""
         for _ in range(0, steps, EVERY):
             self.robot.world.step(EVERY, every=EVERY)
-            self.on_step()
 
     def pose(self, postures: dict[str, float], effort: float | None = None) -> None:
         """Sets target positions of joints, which the motors approach from the next step on."""

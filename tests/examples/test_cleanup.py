@@ -1,4 +1,4 @@
-"""The demo that cleans up the table, and what it is made of: reaching, keeping clear, planning."""
+"""The example that cleans up the table: reaching, keeping clear, planning, and the whole."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 
 import ssduck
-from ssduck.demos.cleanup import ALLOWED, clean
-from ssduck.demos.motion import cleaner as cleaner_module
-from ssduck.demos.motion.cleaner import ARM, FALLS, GRIP, Cleaner, Failed
-from ssduck.demos.motion.driving import MAX_ACCELERATION, MAX_VELOCITY, legs, timed
-from ssduck.demos.motion.kinematics import KinematicChain
-from ssduck.demos.motion.obstacles import Obstacles, walls_of
-from ssduck.demos.motion.planning import length, plan, shortened
-from ssduck.demos.motion.spaces import wrapped
+from examples.cleanup import cleaner as cleaner_module
+from examples.cleanup.cleaner import ARM, FALLS, GRIP, Cleaner, Failed
+from examples.cleanup.driving import MAX_ACCELERATION, MAX_VELOCITY, legs, timed
+from examples.cleanup.kinematics import KinematicChain
+from examples.cleanup.obstacles import Obstacles, walls_of
+from examples.cleanup.planning import length, plan, shortened
+from examples.cleanup.program import clean
+from examples.cleanup.spaces import wrapped
+from ssduck.demos.cleanup import ALLOWED
 from ssduck.simulators.scenes import find_scene
 from ssduck.world.world import World
 
@@ -256,7 +257,7 @@ def test_wrapped(angle, same):
     assert wrapped(angle) == pytest.approx(same)
 
 
-# -- the demo ------------------------------------------------------------------------------------
+# -- the whole -----------------------------------------------------------------------------------
 
 
 @pytest.mark.long
@@ -294,7 +295,7 @@ def test_a_cup_that_cannot_be_dropped_is_put_back():
     world = kitchen_of(FEW)
     cup = world["cup_58a2"]
     before = np.array(cup.position)
-    cleaner = Cleaner(world["barrett_4918"], np.random.default_rng(1), lambda: None)
+    cleaner = Cleaner(world["barrett_4918"], np.random.default_rng(1))
     cleaner.prepare()
     far = np.array([0.35, 3.5, 0.8])  # behind the wall
     assert not cleaner.can_drop(cup, [far])

@@ -8,11 +8,11 @@ from typing import TypeVar
 
 import numpy as np
 
-from ssduck.demos.motion.driving import Mover
-from ssduck.demos.motion.kinematics import KinematicChain
-from ssduck.demos.motion.obstacles import HeldEntity, Obstacles, Wall, hull_in, walls_of
-from ssduck.demos.motion.planning import plan, shortened
-from ssduck.demos.motion.spaces import (
+from examples.cleanup.driving import Mover
+from examples.cleanup.kinematics import KinematicChain
+from examples.cleanup.obstacles import HeldEntity, Obstacles, Wall, hull_in, walls_of
+from examples.cleanup.planning import plan, shortened
+from examples.cleanup.spaces import (
     ARM_CLEARANCE,
     ARM_SPACING,
     BASE_CLEARANCE,
@@ -110,21 +110,15 @@ class Cleaner:
     Args:
         robot: the robot, with its arm clear of obstacles.
         rng: the random numbers of the planners.
-        on_step: a callback after each command to the motors.
     """
 
-    def __init__(
-        self,
-        robot: Entity,
-        rng: np.random.Generator,
-        on_step: Callable[[], object],
-    ) -> None:
+    def __init__(self, robot: Entity, rng: np.random.Generator) -> None:
         self.robot, self.rng = robot, rng
         self.world: World = robot.world
         self.chain = KinematicChain.of(robot)
         self.arm = self.chain.columns(ARM)
         self.hand = self.chain.link("arm7")
-        self.mover = Mover(robot, self.chain, self.arm, WHEELS, RADIUS, TRACK, on_step)
+        self.mover = Mover(robot, self.chain, self.arm, WHEELS, RADIUS, TRACK)
         self.held: HeldEntity | None = None
         self._fixed: dict[int, list[Wall]] = {}
         self._pick_spot = np.zeros(3)  # where the bottom of the held cup was
