@@ -53,7 +53,7 @@ def clean(
 def _take_away(report: Report, cleaner: Cleaner, cups: list[Entity]) -> None:
     """Takes the cups away, the nearest first; failed ones are tried again later."""
     for _ in range(ATTEMPTS):
-        waiting = [cup for cup in cups if cup in report.select(ON_TABLE)]
+        waiting = [cup for cup in cups if cup in report.ss.eval(ON_TABLE)]
         while waiting:
             robot_position = np.array(report.world[ROBOT].position[:2])
             distances = [
@@ -87,7 +87,7 @@ def _free_spots(report: Report, spots: Sequence[tuple[float, float]]) -> list[Ar
     """Returns the free ones of some spots in the sink, (3,) each, m."""
     low, high = (np.array(corner) for corner in report.world["sink"].aabb)
     centre = np.array([*((low + high) / 2)[:2], high[2]])
-    occupied = [np.array(cup.position[:2]) for cup in report.select(IN_SINK)]
+    occupied = [np.array(cup.position[:2]) for cup in report.ss.eval(IN_SINK)]
     return [
         spot
         for spot in (centre + np.array([x, y, 0.0]) for x, y in spots)

@@ -101,10 +101,8 @@ def run(folder: Path, say: Say, *, seed: int, seconds: int = SECONDS) -> bool:
         say(f"Out of the box: {', '.join(escaped) or 'nobody'}")
         drift = max(abs(value / energies[0] - 1) for value in energies.values())
         say(f"The energy is never farther than {drift:.1%} from what it was")
-        bars = _bars(rows)
-        end = ImageOps.expand(
-            Image.fromarray(chaos.render(720, 540)), (0, 0, 0, bars.height), WHITE
-        )
+        picture, bars = Image.fromarray(chaos.render(720, 540)), _bars(rows)
+        end = ImageOps.expand(picture, (0, 0, 0, bars.height), WHITE)
         end.paste(bars, (0, 540))
     say(f"The end, and collisions by second: {keep_picture(end, folder / 'chaos.png')}")
     return agree and not escaped and drift < MAX_ENERGY_CHANGE
@@ -173,10 +171,7 @@ def energy(ss: Interpreter, scene: Scene) -> dict[int, float]:
 
 
 # The two kinds of collisions in the chart, with their colours.
-_COLLISIONS = {
-    "collisions of two bodies": (230, 120, 30),
-    "of a body with a side": (130, 190, 210),
-}
+_COLLISIONS = {"collisions of two bodies": (230, 120, 30), "of a body with a side": (130, 190, 210)}
 # The size of the area of the chart, pixels, and the part of a second that its bar takes.
 _CHART = 480, 120
 _BAR = 0.7

@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 from ssduck.demos.kitchen import on
 from ssduck.demos.results import Say, keep_picture
@@ -75,13 +74,10 @@ class Outcome:
 
 
 def run(folder: Path, say: Say, *, seed: int) -> bool:
-    """Asks the recorded run what happened, and writes pictures.
-
-    Returns:
-        Whether all cups are in the sink, and the robot ran into nothing.
+    """Asks the recorded run what happened, and draws pictures of it.
 
     Raises:
-        ArgumentError: the seed is not that of the run.
+        ArgumentError: the run has another seed.
     """
     (episode,) = episodes(RUN)
     if seed != episode.tags["seed"]:
@@ -125,7 +121,7 @@ class Report:
         self.outcome = Outcome()
         self._pictures = 0
         ss.add_function("onX", on, "onX(o1, o2): whether the position of o2 is over o1")
-        ss.add_function("isCup", _is_cup, "isCup(object): whether it is a cup, by its name")
+        ss.add_function("isCup", lambda e: e.name.startswith("cup"), "isCup(e): by its name")
 
     def begin(self) -> list[Entity]:
         """Reports the task at the start of a run, and returns the cups to be cleaned up."""
@@ -137,11 +133,6 @@ class Report:
         self.outcome.cups = [cup.name for cup in cups]
         self.say(f"To be taken to the sink: {', '.join(self.outcome.cups) or 'nothing'}.")
         return cups
-
-    def select(self, program: str) -> list[Entity]:
-        """Returns the entities that a program selects."""
-        entities: list[Entity] = self.ss.eval(program)
-        return entities
 
     def approaches(self, cup: str) -> None:
         """Reports that the robot begins with a cup."""
@@ -155,18 +146,18 @@ class Report:
     def has_dropped(self, cup: Entity) -> bool:
         """Reports that the robot has dropped a cup; returns whether it is in the sink."""
         self._note("dropped", cup)
-        is_in_sink = cup in self.select(IN_SINK)
-        if is_in_sink:
-            self.say(f"{cup.name}: is in the sink, at {coordinates(cup)}.")
-        return is_in_sink
+        if cup not in self.ss.eval(IN_SINK):
+            return False
+        self.say(f"{cup.name}: is in the sink, at {coordinates(cup)}.")
+        return True
 
     def conclude(self) -> Outcome:
         """Queries and reports the outcome, and returns it."""
         self._draw("after")
         outcome = self.outcome
         outcome.seconds = self.world.time - self._start
-        outcome.left = [cup.name for cup in self.select(ON_TABLE)]
-        outcome.washed = [cup.name for cup in self.select(IN_SINK)]
+        outcome.left = [cup.name for cup in self.ss.eval(ON_TABLE)]
+        outcome.washed = [cup.name for cup in self.ss.eval(IN_SINK)]
         ((depth, tick),) = self.ss.sql(DEEPEST, [ROBOT]).fetchall()
         outcome.deepest, outcome.events["deepest"] = depth or 0.0, tick
         self.say(ON_TABLE)
@@ -204,10 +195,6 @@ def _posed(drawn: World, recorded: World) -> World:
         joints = {joint.name: joint.position for joint in entity.joints if joint.type != "fixed"}
         drawn[entity.name].move(entity.position, wxyz=entity.orientation, joints=joints)
     return drawn
-
-
-def _is_cup(thing: Any) -> bool:
-    return bool(thing.name.startswith("cup"))
 
 
 def coordinates(entity: Entity) -> str:

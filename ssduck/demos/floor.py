@@ -145,9 +145,7 @@ def strides(
 
 
 class TopView:
-    """A picture of a world from above, for drawing in metres.
-
-    x points right, y up. Drawings lie on a plane at the height of the floor.
+    """A picture of a world from above, for drawing in metres; x points right, y up.
 
     Args:
         world: the world.

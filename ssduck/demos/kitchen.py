@@ -10,9 +10,9 @@ import re
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rich.console import Console
 from rich.table import Table
@@ -31,20 +31,13 @@ _KEYWORDS = (
 )
 
 
-@dataclass(frozen=True)
-class DemoQuestion:
-    """A question of the demonstration; variables persist between questions.
-
-    Attributes:
-        asks: the question in plain words.
-        program: the question in SelectScript or SQL.
-        sql: whether the program is SQL.
-        addition: a function that is added to the language first: name, function, help.
-    """
+class DemoQuestion(NamedTuple):
+    """A question of the demonstration; variables persist between questions."""
 
     asks: str
-    program: str
+    program: str  # in SelectScript or SQL
     sql: bool = False
+    # A function that is added to the language first: its name, itself, its help.
     addition: tuple[str, Callable[..., Any], str] | None = None
 
 
@@ -126,8 +119,8 @@ def questions(scene: Scene) -> tuple[DemoQuestion, ...]:
         ),
         DemoQuestion(
             "What is above what? The first ten pairs, in SQL.",
-            _ABOVE_EACH_OTHER + " LIMIT 10;",
-            sql=True,
+            f"{_ABOVE_EACH_OTHER} LIMIT 10;",
+            True,
         ),
     )
 

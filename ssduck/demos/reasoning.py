@@ -60,17 +60,17 @@ def run(folder: Path, say: Say, *, seed: int) -> bool:  # noqa: ARG001
             f"{len(free)} of {len(GRID.cells())} cells are free; the shortest way by scipy's "
             f"Dijkstra: {'none' if least < 0 else f'{least} steps, {least * GRID.side:g} m'}"
         )
-    hits = None
+    hits: list[dict[str, object]] = []
     if path:
         with load("hall") as ss:
             ticks, hits = drive(ss, [start, *path])
-        rover_hits = "no collision" if not hits else f"collisions: {hits[:5]}"
-        say(f"Driven in {ticks} recorded ticks: {rover_hits}")
+        outcome = f"collisions: {hits[:5]}" if hits else "no collision"
+        say(f"Driven in {ticks} recorded ticks: {outcome}")
     draw(view, free, [start, *path])
     legend = [(FREE, "a free cell"), (WAY, "the shortest way")]
     target = keep_picture(view.with_axes(legend), folder / "reasoning.png")
     say(f"Cells that are free, and the way: {target}")
-    return bool(path) and len(path) == least and set(path) <= free and hits == []
+    return bool(path) and len(path) == least and set(path) <= free and not hits
 
 
 def query_path(ss: Interpreter, start: Cell, goal: Cell, say: Say) -> list[Cell]:
@@ -99,13 +99,7 @@ def query_path(ss: Interpreter, start: Cell, goal: Cell, say: Say) -> list[Cell]
 def obstacles_of(
     robot: Entity, clearance: float, ignored: Collection[str]
 ) -> Callable[[float, float], list[str]]:
-    """Returns a function of x and y, m, that names what a robot there would be too near to.
-
-    Args:
-        robot: the robot, whose height and orientation stay.
-        clearance: the required distance to everything, m.
-        ignored: names of entities that may be near.
-    """
+    """Returns a function that names what a robot would be too near to at x and y, m."""
     world, orientation, height = robot.world, robot.orientation, robot.position[2]
     others = [e for e in world if e.kind != "sensor" and e.name not in {robot.name, *ignored}]
 

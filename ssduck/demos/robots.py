@@ -15,16 +15,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from ssduck.adapters.display import DisplayTable, text_lines
-from ssduck.demos.floor import (
-    Cell,
-    Colour,
-    Place,
-    SearchGrid,
-    TopView,
-    free_cells,
-    shortest_path,
-    strides,
-)
+from ssduck.demos.floor import Cell, Place, SearchGrid, TopView, free_cells, shortest_path, strides
 from ssduck.demos.results import Say, keep_picture
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.recording.spec import Recording
@@ -33,11 +24,13 @@ from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
 Sight: TypeAlias = tuple[str, str]
+Cells: TypeAlias = dict[str, set[Cell]]
+Paths: TypeAlias = dict[str, list[list[Place]]]
 
 # The number of trips of each robot.
 TRIPS = 3
 # The colours of the robots in pictures.
-ROBOTS: dict[str, Colour] = {"barrett_4918": (190, 40, 140), "roomba_625x": (20, 110, 200)}
+ROBOTS = {"barrett_4918": (190, 40, 140), "roomba_625x": (20, 110, 200)}
 # The floor between the cabinets, metres.
 GRID = SearchGrid(first=(-1.05, -2.05), side=0.15, counts=(21, 25))
 # Half a diagonal step, and a margin for turning the vacuum cleaner, which is not quite round.
@@ -125,7 +118,7 @@ def still_kitchen() -> Interpreter:
     return ss
 
 
-def reachable_cells() -> dict[str, set[Cell]]:
+def reachable_cells() -> Cells:
     """Returns, for each robot, the cells where only the other robot may be near."""
     free = {}
     for name in ROBOTS:
@@ -137,15 +130,9 @@ def reachable_cells() -> dict[str, set[Cell]]:
     return free
 
 
-def drive_about(
-    kitchen: World,
-    free: dict[str, set[Cell]],
-    rng: random.Random,
-    trips: int,
-    say: Say,
-) -> dict[str, list[list[Place]]]:
+def drive_about(kitchen: World, free: Cells, rng: random.Random, trips: int, say: Say) -> Paths:
     """Drives the robots to random places in turns; returns the paths of each."""
-    drives: dict[str, list[list[Place]]] = {name: [] for name in ROBOTS}
+    drives: Paths = {name: [] for name in ROBOTS}
     for _ in range(trips):
         for name in ROBOTS:
             robot = kitchen[name]
@@ -197,7 +184,7 @@ def collisions(ss: Interpreter, say: Say) -> list[dict[str, Any]]:
         ss.add_variable("mover", ss.call_variable("kitchen")[name])
         hits = ss.eval(COLLISIONS)
         ((ticks,),) = ss.sql("SELECT count(*) FROM ticks_history").fetchall()
-        outcome = "with nothing" if not hits else f"with others: {hits[:3]}"
+        outcome = f"with others: {hits[:3]}" if hits else "with nothing"
         say(f"In {ticks} ticks {name} collides {outcome}")
         all_hits += hits
     return all_hits
@@ -211,7 +198,7 @@ def history_agrees(ss: Interpreter, watch: Watch) -> bool:
     return all(recorded[tick] == sights for tick, _, sights in watch.callbacks)
 
 
-def draw(kitchen: World, drives: dict[str, list[list[Place]]], target: Path) -> Path:
+def draw(kitchen: World, drives: Paths, target: Path) -> Path:
     """Draws the kitchen from above with the paths of the robots; returns the file."""
     view = TopView(kitchen, (-1.8, -2.6), (2.6, 2.7), floor=FLOOR, width=700)
     for name, paths in drives.items():
