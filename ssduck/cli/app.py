@@ -262,7 +262,7 @@ def _demonstrate_scene(
     folder = None
     if with_picture and output is None:
         folder = _created_folder(out or _DEMO_FOLDER / scene.name)
-    ask(scene, print_line, folder=folder, picture=output, with_sql=with_sql)
+    ask(scene, print_line, folder, picture=output, with_sql=with_sql)
 
 
 def _created_folder(folder: Path) -> Path:

@@ -15,16 +15,7 @@ from collections.abc import Callable
 from importlib import import_module
 
 # The modules of the demonstrations, in the order of `ssduck demo --list`.
-NAMES = (
-    "kitchen",
-    "robots",
-    "cleanup",
-    "reasoning",
-    "chaos",
-    "environment",
-    "map",
-    "prolog",
-)
+NAMES = ("kitchen", "robots", "cleanup", "reasoning", "chaos", "environment", "map", "prolog")
 
 
 def run_of(name: str) -> Callable[..., bool]:

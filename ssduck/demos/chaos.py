@@ -1,9 +1,8 @@
 """Bodies fly about in a closed box, and queries over the record count how often they collide.
 
 As in SelectScript's demonstration of its dialect for ODE: boxes, spheres, cylinders and capsules
-without gravity, which lose no energy. The exact narrow phase has to find the pairs of the solver's
-contacts, which come in the step after an overlap. No body may leave the box, and the energy must
-be constant: finite steps change that of long bodies that spin fast.
+without gravity, which lose no energy. The solver finds a contact in the step after the tick at
+which shapes overlap. Finite steps change the energy of long bodies that spin fast.
 """
 
 from __future__ import annotations
@@ -27,10 +26,8 @@ from ssduck.recording.spec import Recording
 from ssduck.simulators.scenes import Scene, find_scene
 from ssduck.world.world import World
 
-Second: TypeAlias = tuple[int, int, int, float]
 Overlap: TypeAlias = tuple[int, int, int]
 
-SECONDS = 10
 # The largest initial velocity along and about each axis, m/s and rad/s.
 MAX_SPEED = 2.0
 # The largest allowed relative change of the energy.
@@ -73,7 +70,7 @@ SELECT id FROM chaos{}
 WHERE mass(this) > 0 AND NOT fitsBox(this, [-2.05, -2.05, -2.05], [2.05, 2.05, 2.05]) AS list;"""
 
 
-def run(folder: Path, say: Say, *, seed: int, seconds: int = SECONDS) -> bool:
+def run(folder: Path, say: Say, *, seed: int, seconds: int = 10) -> bool:
     """Simulates the bodies, counts collisions, checks them against the shapes, draws a picture."""
     scene = scene_of(random.Random(seed))  # noqa: S311  # no secret
     visible_counts: list[int] = []
@@ -120,11 +117,8 @@ def scene_of(rng: random.Random) -> Scene:
 
 
 def shapes_agree(ss: Interpreter, say: Say) -> bool:
-    """Checks whether shapes and solver find the same pairs in the last second, deeper than 1 mm.
-
-    Its last tick is left out: its step is yet to come.
-    """
-    chaos: World = ss.call_variable("chaos")
+    """Checks whether shapes and solver find the same pairs in the last second but its last tick."""
+    chaos = ss.call_variable("chaos")
     say(COLLIDING)
     shapes = {
         (row["tick"], row["a"], row["b"]): row["depth"]
@@ -160,7 +154,7 @@ def energy(ss: Interpreter, scene: Scene) -> dict[int, float]:
         element = ET.parse(str(body.model)).find(".//inertia")  # noqa: S314
         assert element is not None
         moments[str(body.name)] = np.array(
-            [float(element.attrib[a]) for a in ("ixx", "iyy", "izz")]
+            [element.attrib[a] for a in ("ixx", "iyy", "izz")], float
         )
     energies: dict[int, float] = {}
     for second, name, mass, velocity, spin, orientation in ss.sql(MOTION).fetchall():
@@ -173,11 +167,10 @@ def energy(ss: Interpreter, scene: Scene) -> dict[int, float]:
 # The two kinds of collisions in the chart, with their colours.
 _COLLISIONS = {"collisions of two bodies": (230, 120, 30), "of a body with a side": (130, 190, 210)}
 # The size of the area of the chart, pixels, and the part of a second that its bar takes.
-_CHART = 480, 120
-_BAR = 0.7
+_CHART, _BAR = (480, 120), 0.7
 
 
-def _bars(rows: Sequence[Second]) -> Image.Image:
+def _bars(rows: Sequence[tuple[int, int, int, float]]) -> Image.Image:
     """Draws a bar in each second, with the number of each kind above it."""
     seconds = 1 + max((second for second, *_ in rows), default=0)
     # The numbers above the tallest bar have their place, too.
@@ -195,5 +188,6 @@ def _bars(rows: Sequence[Second]) -> Image.Image:
         middle = (left + right) / 2
         draw.text((middle, top - 2), f"{bodies} + {sides}", fill=INK, font=face, anchor="mb")
     entries = [(colour, name) for name, colour in _COLLISIONS.items()]
-    labels = "time [s]", "collisions in 1 s"
-    return chart(area, ((0, 0), (seconds, most)), labels, entries=entries)
+    return chart(
+        area, ((0, 0), (seconds, most)), ("time [s]", "collisions in 1 s"), entries=entries
+    )

@@ -1,15 +1,13 @@
 """A robot takes the cups from the kitchen's table to the sink, on paths that it plans itself.
 
-The job is that of SelectScript's tutorial: everything that is on the table, and less than 1.3 m
-away from the robot, belongs in the sink. A query selects these cups, and another checks the result.
-`run` asks a recorded run, which comes with ssduck; the program that plans and drives is
-`examples/cleanup`, which asks the same questions while it works.
+As in SelectScript's tutorial: a query selects the cups that are less than 1.3 m away from the
+robot, and another checks the result. `run` asks a recorded run, which comes with ssduck; the
+program `examples/cleanup` plans and drives, and asks the same while it works.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from importlib.resources import files
 from pathlib import Path
 
 from ssduck.demos.kitchen import on
@@ -23,7 +21,7 @@ from ssduck.simulators.scenes import Camera
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
-RUN = Path(str(files("ssduck.demos") / "cleanup_run"))
+RUN = Path(__file__).with_name("cleanup_run")
 PROGRAM = "python -m examples.cleanup"
 ROBOT = "barrett_4918"
 JOB = """\
@@ -74,16 +72,13 @@ class Outcome:
 
 
 def run(folder: Path, say: Say, *, seed: int) -> bool:
-    """Asks the recorded run what happened, and draws pictures of it.
-
-    Raises:
-        ArgumentError: the run has another seed.
-    """
+    """Asks the recorded run, which has one seed, what happened, and draws pictures of it."""
     (episode,) = episodes(RUN)
-    if seed != episode.tags["seed"]:
+    recorded = episode.tags["seed"]
+    if seed != recorded:
         raise ArgumentError(
-            f"the recorded run has the seed {episode.tags['seed']}, not {seed}; in a checkout of "
-            f"ssduck, {PROGRAM} --seed {seed} makes another run"
+            f"the recorded run has the seed {recorded}, not {seed}; in a checkout of ssduck, "
+            f"{PROGRAM} --seed {seed} makes another"
         )
     with open_record(RUN) as ss, load("kitchen", recording=None) as drawn:
         report = Report(ss, folder, say, drawn.call_variable("kitchen"))
@@ -140,12 +135,12 @@ class Report:
 
     def holds(self, cup: Entity) -> None:
         """Reports that the robot has a cup in its hand."""
-        self._note("holding", cup)
+        self.outcome.events[f"holding {cup.name}"] = self.world.tick_number
         self._draw(f"holding_{cup.name}")
 
     def has_dropped(self, cup: Entity) -> bool:
         """Reports that the robot has dropped a cup; returns whether it is in the sink."""
-        self._note("dropped", cup)
+        self.outcome.events[f"dropped {cup.name}"] = self.world.tick_number
         if cup not in self.ss.eval(IN_SINK):
             return False
         self.say(f"{cup.name}: is in the sink, at {coordinates(cup)}.")
@@ -173,9 +168,6 @@ class Report:
             f"{1000 * outcome.deepest:.2f} mm deep in furniture or floor."
         )
         return outcome
-
-    def _note(self, what: str, cup: Entity) -> None:
-        self.outcome.events[f"{what} {cup.name}"] = self.world.tick_number
 
     def _draw(self, name: str) -> None:
         """Writes a picture of the current tick."""

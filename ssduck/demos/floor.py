@@ -23,7 +23,6 @@ Cell: TypeAlias = tuple[int, int]
 Place: TypeAlias = tuple[float, float]
 Colour: TypeAlias = tuple[int, int, int]
 
-_STRAIGHT, _DIAGONAL = ((1, 0), (0, 1)), ((1, 1), (1, -1))
 # The height of the camera in widths of the picture: the higher, the less things lean outwards.
 _HEIGHT = 4.0
 _INK: Colour = (20, 22, 26)
@@ -102,10 +101,11 @@ def shortest_path(
     """
     cells = sorted({*free, start, goal})
     numbers = {cell: number for number, cell in enumerate(cells)}
+    moves = [(1, 0), (0, 1), *([(1, 1), (1, -1)] if diagonal else [])]
     steps = [
         (number, numbers[x + dx, y + dy], math.hypot(dx, dy))
         for (x, y), number in numbers.items()
-        for dx, dy in (*_STRAIGHT, *(_DIAGONAL if diagonal else ()))
+        for dx, dy in moves
         if (x + dx, y + dy) in numbers
     ]
     first, second, lengths = np.array(steps).reshape(-1, 3).T
@@ -126,13 +126,9 @@ def strides(
     path: Iterable[Place],
     length: float,
     rounded: Callable[[float], int],
-    *,
-    turns: bool = True,
+    turns: bool,
 ) -> Iterator[None]:
-    """Moves a robot along a path in strides of about a length, m, and yields after each.
-
-    The number of strides from place to place is rounded; the robot looks ahead if it turns.
-    """
+    """Moves a robot along a path in strides of about a length, m, and yields after each."""
     height = robot.position[2]
     for before, after in pairwise(path):
         dx, dy = after[0] - before[0], after[1] - before[1]

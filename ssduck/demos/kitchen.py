@@ -52,7 +52,7 @@ def on(o1: Any, o2: Any) -> bool:
 
 _ON = "Checks if the position of an object (o2) is above object (o1).\nUsage: onX(o1, o2) -> bool"
 
-_ABOVE_EACH_OTHER = """\
+_ABOVE = """\
 SELECT a.name AS lower, b.name AS upper
 FROM entities a, entities b
 WHERE above(a, b) AND a.kind <> 'sensor' AND b.kind <> 'sensor'
@@ -95,10 +95,19 @@ cleanUp = SELECT obj FROM kitchen
           WHERE onX(table, this) AND distance(barrett, this) < 1.3
           AS list;""",
     ),
+    DemoQuestion("What is above what? The same database, asked in SQL.", f"{_ABOVE};", sql=True),
+)
+# For other scenes, whose name is put into them.
+GENERAL = (
     DemoQuestion(
-        "What is above what? The same database, asked in SQL.",
-        _ABOVE_EACH_OTHER + ";",
-        sql=True,
+        "Which robots are there, and where?",
+        "SELECT id, position, type FROM {} WHERE isRobot(this);",
+    ),
+    DemoQuestion(
+        "What are the ten highest things?", "SELECT id, type, z FROM {} ORDER BY z DESC LIMIT 10;"
+    ),
+    DemoQuestion(
+        "What is above what? The first ten pairs, in SQL.", f"{_ABOVE} LIMIT 10;", sql=True
     ),
 )
 
@@ -108,36 +117,17 @@ def questions(scene: Scene) -> tuple[DemoQuestion, ...]:
     if scene.path == shipped_scenes().get("kitchen"):
         return KITCHEN
     # The name of a scene is an identifier: nothing can be injected.
-    return (
-        DemoQuestion(
-            "Which robots are there, and where?",
-            f"SELECT id, position, type FROM {scene.name} WHERE isRobot(this);",  # noqa: S608
-        ),
-        DemoQuestion(
-            "What are the ten highest things?",
-            f"SELECT id, type, z FROM {scene.name} ORDER BY z DESC LIMIT 10;",  # noqa: S608
-        ),
-        DemoQuestion(
-            "What is above what? The first ten pairs, in SQL.",
-            f"{_ABOVE_EACH_OTHER} LIMIT 10;",
-            True,
-        ),
-    )
+    return tuple(each._replace(program=each.program.format(scene.name)) for each in GENERAL)
 
 
 def run(folder: Path, say: Say, *, seed: int) -> bool:  # noqa: ARG001
     """Asks the kitchen the tutorial's questions and draws it; uses no random numbers."""
-    ask(find_scene("kitchen"), say, folder=folder)
+    ask(find_scene("kitchen"), say, folder)
     return True
 
 
 def ask(
-    scene: Scene,
-    say: Say,
-    *,
-    folder: Path | None = None,
-    picture: Path | None = None,
-    with_sql: bool = True,
+    scene: Scene, say: Say, folder: Path | None, picture: Path | None = None, with_sql: bool = True
 ) -> None:
     """Asks the questions about a scene and draws the scene.
 
@@ -147,9 +137,6 @@ def ask(
         folder: the folder for a picture named like the scene; existing files stay. None for none.
         picture: the file for the picture instead, which is replaced if it exists.
         with_sql: whether to show the SQL of the programs.
-
-    Raises:
-        SelectScriptError: the scene cannot be loaded, or the picture cannot be written.
     """
     console = plain_console()
     scene_questions = questions(scene)

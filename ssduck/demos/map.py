@@ -1,8 +1,7 @@
 """Maps of the kitchen for its vacuum cleaner: of everything, and of everything near it.
 
 As in the tutorial's section 10.2, a map contains the cells of 2.5 cm that something occupies 22 cm
-above the floor. The maps are saved for ROS's map_server and loaded again, and the legs around the
-table are counted.
+above the floor.
 """
 
 from __future__ import annotations
@@ -32,24 +31,18 @@ def run(folder: Path, say: Say, *, seed: int) -> bool:  # noqa: ARG001
         for name, program in (("kitchen", ALL), ("near_roomba", NEAR)):
             say(program)
             grid: OccupancyGrid = ss.eval(program)
-            say(_description(grid))
+            cells, origin = np.asarray(grid), ", ".join(f"{c:g}" for c in grid.origin)
+            size = f"{cells.shape[0]} x {cells.shape[1]} cells of {grid.resolution:g} m"
+            say(f"{size} from {origin}: {cells.sum():,} occupied")
             target = keep(folder / f"{name}.yaml", grid.save)
             is_same = type(grid).load(target) == grid
             verdict = "the same" if is_same else "another one"
             say(f"Saved as {target} and its picture; loaded again it is {verdict}")
             pictures.append(str(keep_picture(grid.chart(), folder / f"{name}.png")))
-            succeeded &= is_same and bool(np.asarray(grid).any()) and not np.asarray(grid).all()
+            succeeded &= is_same and bool(cells.any()) and not cells.all()
         succeeded &= _has_legs(ss.eval(ALL), say)
     say(f"The maps: {', '.join(pictures)}")
     return succeeded
-
-
-def _description(grid: OccupancyGrid) -> str:
-    cells = np.asarray(grid)
-    return (
-        f"{cells.shape[0]} x {cells.shape[1]} cells of {grid.resolution:g} m from "
-        f"{', '.join(f'{c:g}' for c in grid.origin)}: {cells.sum():,} occupied"
-    )
 
 
 def _has_legs(grid: OccupancyGrid, say: Say) -> bool:

@@ -1,8 +1,7 @@
 """The kitchen as clauses, asked in Prolog, or in answer sets where there is no SWI-Prolog.
 
-As in the tutorial's section 10.3, one query becomes clauses such as `above(table,cup_58a2)`, and
-SWI-Prolog (`swipl`) or clingo (from PyPI) answers the three questions that are printed there. The
-answers must be those of the same questions in SelectScript.
+As in the tutorial's section 10.3. SWI-Prolog (`swipl`) or clingo (from PyPI) answers its three
+questions; the answers must be those of the same questions in SelectScript.
 """
 
 from __future__ import annotations

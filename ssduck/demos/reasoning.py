@@ -67,9 +67,8 @@ def run(folder: Path, say: Say, *, seed: int) -> bool:  # noqa: ARG001
         outcome = f"collisions: {hits[:5]}" if hits else "no collision"
         say(f"Driven in {ticks} recorded ticks: {outcome}")
     draw(view, free, [start, *path])
-    legend = [(FREE, "a free cell"), (WAY, "the shortest way")]
-    target = keep_picture(view.with_axes(legend), folder / "reasoning.png")
-    say(f"Cells that are free, and the way: {target}")
+    picture = view.with_axes([(FREE, "a free cell"), (WAY, "the shortest way")])
+    say(f"Cells that are free, and the way: {keep_picture(picture, folder / 'reasoning.png')}")
     return bool(path) and len(path) == least and set(path) <= free and not hits
 
 
@@ -117,7 +116,7 @@ def drive(ss: Interpreter, path: Sequence[Cell]) -> tuple[int, list[dict[str, ob
     hall = ss.call_variable("hall")
     rover: Entity = ss.add_variable("rover", hall["rover"])
     first = hall.snapshot.number
-    for _ in strides(rover, map(GRID.place, path), STRIDE, round):
+    for _ in strides(rover, map(GRID.place, path), STRIDE, round, turns=True):
         hall.step(12, every=12)
     return hall.snapshot.number - first, ss.eval(COLLISIONS)
 

@@ -15,17 +15,12 @@ from PIL import Image
 
 from ssduck.errors import SelectScriptError
 
-# Writes one or several lines.
-Say: TypeAlias = Callable[[str], None]
+Say: TypeAlias = Callable[[str], None]  # writes one or several lines
 Picture: TypeAlias = "npt.NDArray[np.uint8] | Image.Image"
 
 
 def save(picture: Picture, target: Path) -> None:
-    """Writes a picture in the format of the suffix.
-
-    Raises:
-        SelectScriptError: the file cannot be written.
-    """
+    """Writes a picture in the format of the suffix."""
     image = picture if isinstance(picture, Image.Image) else Image.fromarray(picture)
     try:
         image.save(target, optimize=True)
@@ -47,9 +42,6 @@ def keep(target: Path, write: Callable[[Path], object]) -> Path:
     Args:
         target: the path, in an existing folder.
         write: writes a file or a folder to a path, and possibly files of the same stem beside it.
-
-    Raises:
-        SelectScriptError: the files cannot be written.
     """
     numbered = (target.with_stem(f"{target.stem}_{number}") for number in count(2))
     for path in chain([target], numbered):

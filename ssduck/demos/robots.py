@@ -27,8 +27,6 @@ Sight: TypeAlias = tuple[str, str]
 Cells: TypeAlias = dict[str, set[Cell]]
 Paths: TypeAlias = dict[str, list[list[Place]]]
 
-# The number of trips of each robot.
-TRIPS = 3
 # The colours of the robots in pictures.
 ROBOTS = {"barrett_4918": (190, 40, 140), "roomba_625x": (20, 110, 200)}
 # The floor between the cabinets, metres.
@@ -81,7 +79,7 @@ class Watch:
         return sorted(spans)
 
 
-def run(folder: Path, say: Say, *, seed: int, trips: int = TRIPS) -> bool:
+def run(folder: Path, say: Say, *, seed: int, trips: int = 3) -> bool:
     """Lets both robots drive, reports what sensors see, checks the history, draws the paths."""
     free = reachable_cells()
     for name, cells in free.items():
