@@ -16,6 +16,7 @@ from ssduck.demos.cleanup import Outcome
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.recording.spec import Recording
+from ssduck.recording.stores.checksums import write_json, write_parquet
 
 # Of the ticks of the history, which are 0.27 s apart, each fourth one is kept.
 THINNED = 4
@@ -62,8 +63,6 @@ def record(
 def thin(whole: Path, target: Path, ticks: Collection[int]) -> None:
     """Writes some ticks of a record to another folder, each table as one part.
 
-    Labels and checksums are optional in the format of records; a thinned record has none.
-
     Args:
         whole: the record, of one episode.
         target: the new folder.
@@ -73,8 +72,6 @@ def thin(whole: Path, target: Path, ticks: Collection[int]) -> None:
     (target / "ssduck.json").write_bytes((whole / "ssduck.json").read_bytes())
     (description,) = (whole / "episodes").iterdir()
     episode = json.loads(description.read_text(encoding="utf-8"))
-    for key in ("key", "checksums", "crc32"):
-        episode.pop(key, None)
     episode["parts"] = {"ticks": 1, "models": 1}
     for folder in sorted({file.parent for file in whole.rglob("part-*.parquet")}):
         if folder.relative_to(whole).parts[0] == "index":
@@ -84,7 +81,7 @@ def thin(whole: Path, target: Path, ticks: Collection[int]) -> None:
         place.parent.mkdir(parents=True)
         _write(rows, place, ticks)
     (target / "episodes").mkdir()
-    (target / "episodes" / description.name).write_text(json.dumps(episode, indent=1) + "\n")
+    write_json(episode, target / "episodes" / description.name)
 
 
 def _write(rows: pa.Table, place: Path, ticks: Collection[int]) -> None:
@@ -93,5 +90,6 @@ def _write(rows: pa.Table, place: Path, ticks: Collection[int]) -> None:
     for name in set(UNNEEDED) & set(rows.column_names):
         index = rows.column_names.index(name)
         rows = rows.set_column(index, name, pa.nulls(len(rows), pa.float64()))
-    rows = rows.replace_schema_metadata(None)
-    pq.write_table(rows, place, compression="zstd", compression_level=19, write_statistics=False)
+    label = {key: text for key, text in rows.schema.metadata.items() if key == b"ssduck record"}
+    rows = rows.replace_schema_metadata(label)
+    write_parquet(rows, place, compression="zstd", compression_level=19, write_statistics=False)
