@@ -1,4 +1,4 @@
-"""Runs the examples in the docstrings of every module of ssduck."""
+"""Runs the examples in the docstrings of every module of ssduck and of its example programs."""
 
 import doctest
 import pkgutil
@@ -6,12 +6,14 @@ from importlib import import_module
 
 import pytest
 
+import examples.cleanup
 import ssduck
 from ssduck.adapters import registry
 
 MODULES = sorted(
     module.name
-    for module in pkgutil.walk_packages(ssduck.__path__, "ssduck.")
+    for package in (ssduck, examples.cleanup)
+    for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
     if not module.name.endswith("__main__")
 )
 OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
