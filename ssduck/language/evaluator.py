@@ -413,12 +413,15 @@ class ExpressionCompiler:
 
         return _with_span(node, value)
 
+    def is_relation(self, node: Node) -> bool:
+        """Checks whether a part is a call of a relation."""
+        return isinstance(node, Call) and self._scope.function(node.name) is None
+
     def _call(self, node: Call) -> Thunk:
         self._scope.check_call(node)
         if node.name in OVER_TIME:
             return _with_span(node, lambda frame: frame.scope.over_time(node, frame))
         thunks = [self.thunk(argument) for argument in node.arguments]
-
         function = self._scope.builtin(node.name)
         check = argument_check(node, self._query)
         if self.calls_once(node):  # the meaning of a name does not change while a query runs

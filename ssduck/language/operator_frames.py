@@ -37,12 +37,23 @@ class OperandCompiler(Protocol):
     def condition(self, node: Node) -> Callable[[Frame], bool]:
         """Returns a part as a condition."""
 
+    def is_relation(self, node: Node) -> bool:
+        """Checks whether a part is a call of a relation."""
+
     def constant_value(self, node: ListLiteral) -> Any:
         """Returns a list that is written out, made once."""
 
 
 def unary(compiler: OperandCompiler, node: Unary) -> Thunk:
     """Compiles `-x`, `+x`, `NOT x` or `x IS NULL`."""
+    if node.operator == "NOT" and compiler.is_relation(node.operand):
+        relation = compiler.thunk(node.operand)
+
+        def negated(frame: Frame) -> bool | None:
+            value = relation(frame)
+            return None if value is None else not truth(value, node.operand)  # of what is unknown
+
+        return negated
     if node.operator == "NOT":
         holds = compiler.condition(node.operand)
         return lambda frame: not holds(frame)

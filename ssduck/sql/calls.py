@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from sqlglot import exp
@@ -81,7 +82,9 @@ def _relation(sql: ExpressionScope, relation: Relation, node: Call) -> SqlValue:
         parameter.name: _argument(sql, relation, parameter, argument)
         for parameter, argument in zip(relation.parameters, node.arguments, strict=False)
     }
+    arguments = dict(values)
     sql.ticks.join_entities(values, at_one_tick=bool(relation.tables))
+    joined = [value for name, value in values.items() if value is not arguments[name]]
     over_ticks = sql.ticks.over_all_ticks(relation, values, count)
     if over_ticks is not None:
         return over_ticks
@@ -101,6 +104,8 @@ def _relation(sql: ExpressionScope, relation: Relation, node: Call) -> SqlValue:
             sql.context.note_possible_failure()
         formula = in_world(relation, formula, values, ticks)
     result = expanded(formula, values, relation.link_name if has_links else None)
+    if relation.tables:
+        result = _unless_missing(result, joined)
     decides_alone = relation.geometry is not None and relation.geometry.decides_alone
     if relation.of_contacts is not None or (decides_alone and not has_links):
         note_pair(result, relation, values)
@@ -114,6 +119,17 @@ def _relation(sql: ExpressionScope, relation: Relation, node: Call) -> SqlValue:
             "list", SqlType("list", DOUBLE) if relation.element == "list" else element
         )
     return SqlValue(result, sql_type, is_non_negative=relation.name == "tick", domain=domain)
+
+
+def _unless_missing(result: exp.Expr, entities: Sequence[SqlValue]) -> exp.Expr:
+    """Returns what depends on rows of other tables, NULL where an entity was not there."""
+    ids = [entity.column("id") for entity in entities if entity.column is not None]
+    if not ids or isinstance(result, exp.Array):
+        return result
+    case = exp.case()
+    for id in ids:
+        case = case.when(exp.Is(this=id, expression=exp.null()), exp.null())
+    return case.else_(result)
 
 
 def _array(array: exp.Array, domain: FloatDomain) -> SqlValue:

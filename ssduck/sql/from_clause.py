@@ -157,7 +157,7 @@ def pairs_over_ticks(
         distance: the distance or the depth, m.
         row: the range of ticks, and the tick of the row.
         ids: the ids of the entities; columns if they differ from row to row.
-        columns: the ids of the entities at the row.
+        columns: the ids of the entities at the row; NULL where one was not there.
         name: the name of the table of pairs.
     """
     geometry = relation.geometry
@@ -182,9 +182,8 @@ def pairs_over_ticks(
     on = exp.and_(*(exp.EQ(this=column_of(name, c), expression=e.copy()) for c, e in equal))
     join = exp.Join(this=table, side="LEFT", on=on)
     value, holds = column_of(name, "value"), exp.case()
-    if not geometry.is_predicate:
-        for column in columns:
-            holds = holds.when(_is_null(column), exp.null())
+    for column in columns:
+        holds = holds.when(_is_null(column), exp.null())
     is_missing = _is_null(column_of(name, "tick"))
     if relation.result == "double":
         zero = exp.cast(exp.Literal.number(0), "DOUBLE")

@@ -131,9 +131,7 @@ class QueryTicks:
         key = (relation.name, distance.sql(), span.tick.sql(), *(id.sql() for id in ids))
         if key not in self.joined_entities:
             name = self._context.alias("pairs then")
-            # A predicate needs no row of a handle, whose id is the same at all rows.
-            id_at_row = self._id_at_row if geometry.is_predicate else _id_column
-            columns = id_at_row(a), id_at_row(b)
+            columns = a.column("id"), b.column("id")
             self.joined_entities[key] = pairs_over_ticks(
                 relation, distance, span, ids, columns, name
             )
@@ -190,15 +188,6 @@ class QueryTicks:
         span = self.tick_ranges.get(value.column("tick").sql())
         return value.column("id") if span is None or span.id is None else span.id
 
-    def _id_at_row(self, value: SqlValue) -> exp.Expr:
-        """Returns the id of an entity at a row, for a table of pairs of those that were there.
-
-        The id of a handle is the same at all rows, so that its own row is not needed.
-        """
-        assert value.column is not None
-        is_handle = any(known.value is value for known in self.joined_entities.values())
-        return self._id_of(value) if is_handle else value.column("id")
-
     @property
     def has_past(self) -> bool:
         """Whether a source has rows of recorded ticks."""
@@ -232,9 +221,3 @@ class QueryTicks:
 def _is_fixed(value: SqlValue) -> bool:
     """Checks whether an entity at a recorded tick is that of a variable, not that of a row."""
     return value.column is not None and isinstance(value.column("tick"), exp.Parameter)
-
-
-def _id_column(value: SqlValue) -> exp.Expr:
-    """Returns the id of an entity at a row, NULL where it was not there."""
-    assert value.column is not None
-    return value.column("id")

@@ -106,12 +106,11 @@ def test_the_remainder_of_what_may_be_below_0_has_the_sign_of_the_divisor(
 
 
 CONDITIONS = {
-    "near({0}, this, 0.12)": 1,
-    "collides({0}, this)": 1,
-    "NOT near({0}, this, 0.12)": 1,
-    "near({0}, this, 0.12) AND z({0}) > 0.55": 2,
-    "near({0}, this, 0.12) OR above({0}, this)": 2,
-    "near({0}, board, 0.12) AND near({0}, this, 5)": 1,
+    "near({0}, this, 0.12)": 2,
+    "collides({0}, this)": 2,
+    "near({0}, this, 0.12) AND z({0}) > 0.55": 3,
+    "near({0}, this, 0.12) OR above({0}, this)": 3,
+    "near({0}, board, 0.12) AND near({0}, this, 5)": 3,
 }
 
 
@@ -126,8 +125,8 @@ def test_a_handles_row_is_read_where_a_column_of_it_is(
     program = f"SELECT tick(this) FROM lab{{}} WHERE this == ball AND {asked} AS list;"
     found, told = _told(comings, program, long)
     (sql,) = [sql for sql in told if re.search(r"^(PREPARE|SELECT).*entities_history", sql)]
-    # Of the row itself once, of the handle where more than its id is asked for. What it is now is
-    # asked for, too, so that Python tells the latter of one that is gone.
+    # Of the row itself once, and of each handle, which may not have been there. What it is now is
+    # asked for, too, so that Python tells of one that is gone.
     if handle == "board":
         assert len(re.findall("entities_history", sql)) == CONDITIONS[condition]
     rows = ssduck.Interpreter(row_by_row=True, recording=None)
@@ -145,6 +144,26 @@ def test_no_plan_is_looked_for_where_none_reads_what_is_new(comings: ssduck.Inte
     comings.call_variable("lab").step()
     _, told = _told(comings, "SELECT z(this) FROM lab{} WHERE this == ball AS list;", 10)
     assert not [sql for sql in told if "duckdb_prepared_statements" in sql or "DEALLOCATE" in sql]
+
+
+@pytest.mark.parametrize(
+    "relation",
+    [
+        *("near({0}, {1}, 5)", "near({0}, {1}, 0.01)", "collides({0}, {1})", "on({0}, {1})"),
+        *("above({0}, {1})", "inContact({0}, {1})", "hasContact({1}, {0})", "touching({0}, {1})"),
+        "enclosed({1}, {0})",
+    ],
+)
+def test_neither_a_relation_nor_its_negation_holds_before_an_entity_came(
+    comings: ssduck.Interpreter, relation: str
+) -> None:
+    past = "SELECT tick(this) FROM lab{{}} WHERE this == board AND {} AS list;"
+    guest = comings["guest"].id
+    there = [e.moment.tick for e in comings.past("lab") if e.id == guest]
+    assert 0 < len(there) < len(comings.past("lab").ticks)
+    asked = relation.format("this", "guest")
+    holds, fails = (comings.eval(past.format(c)) for c in (asked, f"NOT ({asked})"))
+    assert sorted(holds + fails) == there
 
 
 # -- two entities in memory ---------------------------------------------------------------------
