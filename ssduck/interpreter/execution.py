@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
 from typing import Any, TypeAlias
 from weakref import ReferenceType, WeakKeyDictionary, ref
 
@@ -26,7 +25,7 @@ from ssduck.errors import (
     SelectScriptError,
     warn,
 )
-from ssduck.interpreter.linter import Linter
+from ssduck.interpreter.lint.linter import Linter
 from ssduck.interpreter.namespace import Namespace
 from ssduck.interpreter.output import is_list
 from ssduck.interpreter.over_time.evaluator import TemporalEvaluator
@@ -34,6 +33,7 @@ from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, parts_of
 from ssduck.interpreter.over_time.live import LiveFolds
 from ssduck.interpreter.over_time.series import TickSeries
 from ssduck.interpreter.planner import Planner
+from ssduck.interpreter.sources import check_tick
 from ssduck.language.analysis import calls_of, is_impure, variables_of
 from ssduck.language.clauses import formed
 from ssduck.language.deferred import LazyList
@@ -49,7 +49,7 @@ from ssduck.sql.dialects import in_dialect
 from ssduck.sql.explain import explained
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.translator import unknown_function
-from ssduck.world.handles import Handle, removal_of
+from ssduck.world.handles import Handle
 from ssduck.world.links import Link
 from ssduck.world.world import World
 
@@ -125,6 +125,7 @@ class Execution(Namespace):
             lambda: self.worlds,
             self._recorded_names,
             self.type_of_relation,
+            self._finds,
         )
         self.planner = Planner(database, self, limits, row_by_row=row_by_row)
         self.temporal = TemporalEvaluator()
@@ -255,7 +256,10 @@ class Execution(Namespace):
         # What calls functions of the user, or prints, is evaluated once, by `run`.
         is_known = not (is_impure(query) or any(map(self.is_users, calls_of(query))))
         is_row = is_known and not query.group and query.recursion is None
-        if not is_row or self.linter.check(program.text, query, {}):
+        if not is_row:
+            return None
+        self.begin_meter()
+        if self.linter.check(program.text, query, {}):
             return None
         self._last_row = whole, self.stamp, query
         return query
@@ -295,6 +299,15 @@ class Execution(Namespace):
                 self._new_doubts += 1
                 if self._new_doubts <= MAX_WARNINGS:
                     warn(str(suspicion), ProgramWarning)
+
+    def _finds(self, query: Query) -> bool | None:
+        """Checks whether a query has a row; None if it fails."""
+        try:
+            return bool(self._value_of_query(query, Frame(self)))
+        except LimitError:
+            raise
+        except SelectScriptError:
+            return None
 
     def _recorded_names(self, world: World) -> set[str]:
         """Returns the names of all entities in the record of a world."""
@@ -433,7 +446,7 @@ class Execution(Namespace):
             return None
         values_by_name = {f"argument_{index}": value for index, value in enumerate(pinned)}
         worlds = [value.world for value in values if isinstance(value, Handle)]
-        _check_tick(node, pinned)
+        check_tick(node, pinned)
         tables = RELATIONS[node.name].inputs
         if any(isinstance(value, Link) for value in values):
             tables |= {"links"}
@@ -568,31 +581,6 @@ def _is_short_plain_list(value: object) -> bool:
 def _is_vector(value: Any) -> bool:
     """Checks whether a value is an array of numbers, which relations take as a list."""
     return isinstance(value, np.ndarray) and value.ndim == 1 and value.dtype.kind in "iuf"
-
-
-def _check_tick(node: Call, values: Iterable[Any]) -> None:
-    """Checks that entities whose shapes, contacts or joints are compared are of one tick.
-
-    Raises:
-        ArgumentError: they are of several.
-    """
-    if not RELATIONS[node.name].tables:
-        return
-    handles = [value for value in values if isinstance(value, Handle) and value.moment is not None]
-    for first, second in pairwise(handles):
-        if first.world is second.world and first.moment.tick != second.moment.tick:  # type: ignore[union-attr]
-            advice = (
-                f"for all of them at a time t write at(t, {node.name}(…)); of two ticks there are "
-                "positions: distance(a, b)"
-            )
-            removals = (
-                f"{handle.name}: {told}" for handle in handles if (told := removal_of(handle))
-            )
-            raise ArgumentError(
-                f"{node.name} is of entities at one tick, and these are of {first.state.time:g} s "
-                f"and of {second.state.time:g} s: {next(removals, advice)}",
-                span=node.span,
-            )
 
 
 def _accept_columns(_: object) -> None:

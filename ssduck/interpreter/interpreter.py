@@ -6,7 +6,7 @@ The steps of one query, `ss.eval("SELECT id(this) FROM kitchen WHERE above(this,
    transaction (`Execution.transaction`): if it fails, the variables are restored.
 2. `Execution.run` reads the spellings of SQL (`ssduck.language.sql_readings`), and takes the
    statements in order. Before each, the linter reports probable mistakes
-   (`ssduck.interpreter.linter`). The evaluator (`ssduck.language.evaluator`) computes the value of
+   (`ssduck.interpreter.lint`). The evaluator (`ssduck.language.evaluator`) computes the value of
    the statement, and calls `Interpreter._value_of_query` for a query.
 3. `Interpreter._value_of_query` finds the result form behind AS (`ssduck.interpreter.output`), and
    holds the worlds at their current tick while the query runs.

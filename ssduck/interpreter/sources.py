@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, cast
 
 import numpy as np
@@ -16,13 +17,14 @@ from ssduck.database.values import SchemaOf, common_sql_type, to_sql
 from ssduck.errors import ArgumentError
 from ssduck.language.analysis import aliases_of
 from ssduck.language.clauses import LockstepSource
-from ssduck.language.tree import Query
+from ssduck.language.tree import Call, Query
 from ssduck.recording.replay.past import Past, PresentTick
 from ssduck.recording.replay.record import Record
 from ssduck.schema import EntityTable
 from ssduck.sql.plan import PastKind, SourceType
+from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.types import ANY, INTEGER, SqlType
-from ssduck.world.handles import Handle
+from ssduck.world.handles import Handle, removal_of
 from ssduck.world.links import Links
 from ssduck.world.world import World
 
@@ -275,3 +277,28 @@ def worlds_in(value: Any) -> list[World] | None:
                 else [world for inner in element_worlds for world in inner or ()]
             )
     return None
+
+
+def check_tick(node: Call, values: Iterable[Any]) -> None:
+    """Checks that entities whose shapes, contacts or joints are compared are of one tick.
+
+    Raises:
+        ArgumentError: they are of several.
+    """
+    if not RELATIONS[node.name].tables:
+        return
+    handles = [value for value in values if isinstance(value, Handle) and value.moment is not None]
+    for first, second in pairwise(handles):
+        if first.world is second.world and first.moment.tick != second.moment.tick:  # type: ignore[union-attr]
+            advice = (
+                f"for all of them at a time t write at(t, {node.name}(…)); of two ticks there are "
+                "positions: distance(a, b)"
+            )
+            removals = (
+                f"{handle.name}: {told}" for handle in handles if (told := removal_of(handle))
+            )
+            raise ArgumentError(
+                f"{node.name} is of entities at one tick, and these are of {first.state.time:g} s "
+                f"and of {second.state.time:g} s: {next(removals, advice)}",
+                span=node.span,
+            )

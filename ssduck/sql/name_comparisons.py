@@ -34,12 +34,14 @@ class NameComparison:
         kind: what the name is of.
         value: the text; or the parameter in its place, `name` of `$name` and 1 of `$1`.
         span: its place in the statement.
+        relations: the relations of other rows, and of the row that the name selects.
     """
 
     schema: str | None
     kind: NameKind
     value: str | _Parameter
     span: SourceSpan
+    relations: tuple[RelationOfRows, ...] = ()
 
     def text(self, parameters: Sequence[Any] | Mapping[str, Any] | None) -> str | None:
         """Returns the text that the name is compared with; None for no text."""
@@ -59,6 +61,23 @@ class _Parameter:
     """A parameter of a statement, by its name or its number from 1."""
 
     name: str
+
+
+@dataclass(frozen=True)
+class RelationOfRows:
+    """A call of a relation of two rows.
+
+    Attributes:
+        name: the relation, as it is written.
+        rows: the aliases of the rows.
+        is_past: whether they are of recorded ticks.
+        span: the place of its name.
+    """
+
+    name: str
+    rows: tuple[str, str]
+    is_past: bool
+    span: SourceSpan
 
 
 @lru_cache(maxsize=256)
@@ -101,7 +120,28 @@ def _comparisons_in(select: exp.Select, sql: str) -> Iterator[NameComparison]:
             for side in sides:
                 value = _value_of(side, sql)
                 if value is not None:
-                    yield NameComparison(table.db or None, kind, *value)
+                    row = column.table if isinstance(node, exp.EQ) else ""
+                    relations = tuple(_relations_of(row, node, select, sql)) if row else ()
+                    yield NameComparison(table.db or None, kind, *value, relations)
+
+
+def _relations_of(
+    row: str, condition: exp.Expr, select: exp.Select, sql: str
+) -> Iterator[RelationOfRows]:
+    """Yields the calls in a SELECT of relations of other rows and of one that it selects."""
+    if condition.find_ancestor(exp.Or, exp.Not) is not None:
+        return
+    tables = _tables_of(select)
+    for call in select.find_all(exp.Anonymous, exp.Contains):
+        is_text = isinstance(call, exp.Contains)
+        sides = [call.this, call.expression] if is_text else call.expressions[:2]
+        match [side.name for side in sides if isinstance(side, exp.Column) and not side.table]:
+            case [first, second] if second.lower() == row.lower():
+                found = tables.get(first.lower()), tables.get(second.lower())
+                is_past = any(one and one.name.lower().endswith("_history") for one in found)
+                name = "contains" if is_text else call.name
+                if None not in found:
+                    yield RelationOfRows(name, (first, second), is_past, _span_of(name, sql))
 
 
 def _value_of(side: exp.Expr | None, sql: str) -> tuple[str | _Parameter, SourceSpan] | None:

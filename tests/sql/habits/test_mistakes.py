@@ -18,7 +18,7 @@ from ssduck.errors import (
     UnknownNameError,
 )
 from ssduck.interpreter import query_runner as queries
-from ssduck.interpreter.linter import MAX_UNKNOWN
+from ssduck.interpreter.lint.linter import MAX_UNKNOWN
 from tests.support.cases import generated, sampled
 from tests.support.habits import _interpreter
 

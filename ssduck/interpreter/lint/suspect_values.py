@@ -15,7 +15,7 @@ from typing import Literal as OneOf
 from ssduck import validation
 from ssduck.errors import ArgumentError, SelectScriptError, SourceSpan
 from ssduck.formatting import argument_in_words
-from ssduck.interpreter.known_names import handle_of, spelled, spelled_id
+from ssduck.interpreter.lint.known_names import handle_of, spelled, spelled_id
 from ssduck.language.aggregates import is_grouped, over_rows
 from ssduck.language.analysis import free_aliases, states
 from ssduck.language.builtins import EXTREMES

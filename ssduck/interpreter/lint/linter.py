@@ -8,7 +8,7 @@ worlds are looked up here before each statement runs.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import replace
 from itertools import islice
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -17,50 +17,34 @@ from ssduck.errors import (
     ArgumentError,
     ProgramWarning,
     SelectScriptError,
-    SourceSpan,
     warn,
 )
 from ssduck.formatting import name_path, short_repr
-from ssduck.interpreter.known_names import KnownNames, handle_of
-from ssduck.interpreter.misread_relations import (
-    VOLUME_NOTE,
-    as_conditions,
-    has_volume,
-    has_volume_in_sql,
-    misread_calls,
-    of_entities,
-    same_rows,
-    unfit,
-)
-from ssduck.interpreter.suspect_values import VECTORS, Suspects, mistakes_in, suspects_of
-from ssduck.language.analysis import OVER_TIME, states
+from ssduck.interpreter.lint.known_names import KnownNames, handle_of
+from ssduck.interpreter.lint.misread_relations import VOLUME_NOTE, has_volume_in_sql, unfit
+from ssduck.interpreter.lint.statement_facts import NameSite, StatementFacts, facts_of
+from ssduck.interpreter.lint.suspect_values import VECTORS, mistakes_in
+from ssduck.interpreter.lint.swapped_roles import CARRIED, SwappedRoles, spelled_relation, swapped
+from ssduck.language.analysis import OVER_TIME
 from ssduck.language.tree import (
-    Assignment,
-    Binary,
     Call,
     Index,
-    ListLiteral,
     Literal,
     Name,
     Node,
-    OperatorChain,
     QualifiedName,
     Query,
-    Source,
-    This,
     TimeIndex,
-    Unary,
 )
 from ssduck.recording.replay.past import Past
-from ssduck.sql.name_comparisons import NameKind, name_comparisons
+from ssduck.sql.name_comparisons import NameKind, RelationOfRows, name_comparisons
 from ssduck.world.entities import Entity
 from ssduck.world.handles import Handle
 from ssduck.world.links import Link, Links
 from ssduck.world.world import World
 
-# The functions that return the name or the kind of an entity.
-_NAME_FUNCTIONS = ("id", "name", "kind", "type")
-_KIND_FUNCTIONS = _NAME_FUNCTIONS[2:]
+# The functions that return the kind of an entity.
+_KIND_FUNCTIONS = ("kind", "type")
 # The functions that SQL's users know as columns; so common as variables that they may hide them.
 _COLUMNS = frozenset(("name", "kind"))
 
@@ -70,230 +54,6 @@ _NO_CONDITIONS = {
     **dict.fromkeys(("id", "name", "type", "kind"), "a text"),
     **dict.fromkeys(VECTORS, "a list"),
 }
-
-
-@dataclass(frozen=True)
-class NameSite:
-    """A place where the name or the kind of an entity is compared with a text or a variable.
-
-    Attributes:
-        source: the source of the entity; None if it is not known.
-        function: the function whose value is compared: `id`, `name`, `kind` or `type`.
-        value: the text or the variable.
-        is_bare: whether the name is a bare one, which may be a key of a dict.
-        element: the argument of the function if it is no element of a source; None if it is one.
-    """
-
-    source: Source | None
-    function: str
-    value: Literal | Name
-    is_bare: bool
-    element: Node | None = None
-
-
-@dataclass
-class StatementFacts:
-    """The parts of a statement to look up.
-
-    Attributes:
-        names: the places where names of entities are compared.
-        assigned: the variables that the statement sets.
-        texts: texts in the place of a name.
-        sources: texts behind FROM.
-        aliases: bare names in a query that are also aliases of its sources.
-        bare: names that are selected, or keys.
-        conditions: names that are conditions, or are compared with a constant in one.
-        columns: bare names in GROUP BY, HAVING and ORDER BY that are also names of columns.
-        suspects: comparisons, columns and ages to look at.
-        as_conditions: what stands as a condition, and may be an entity or a list.
-        of_entities: calls that ask for shapes or boxes.
-        misread: calls of relations that read as something else, with what is told of each.
-        same_rows: what is told of `this` beside the same row of a nested query by its name.
-        has_volume: whether it names `volume`.
-    """
-
-    names: list[NameSite] = field(default_factory=list)
-    assigned: list[tuple[str, SourceSpan]] = field(default_factory=list)
-    texts: list[tuple[str, SourceSpan]] = field(default_factory=list)
-    sources: list[tuple[str, SourceSpan]] = field(default_factory=list)
-    aliases: list[tuple[str, SourceSpan]] = field(default_factory=list)
-    bare: list[tuple[str, SourceSpan]] = field(default_factory=list)
-    conditions: list[tuple[str, SourceSpan]] = field(default_factory=list)
-    columns: list[tuple[str, SourceSpan]] = field(default_factory=list)
-    suspects: Suspects = field(default_factory=Suspects)
-    as_conditions: tuple[Node, ...] = ()
-    of_entities: tuple[Call, ...] = ()
-    misread: tuple[tuple[Call, str], ...] = ()
-    same_rows: tuple[tuple[str, SourceSpan], ...] = ()
-    has_volume: bool = False
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether there is nothing to look up."""
-        return not any(getattr(self, kind.name) for kind in fields(self))
-
-
-_OuterSources = Mapping[str, Source]
-
-
-def facts_of(statement: Node) -> StatementFacts:
-    """Returns the parts of a statement to look up."""
-    facts = StatementFacts(
-        suspects=suspects_of(statement),
-        as_conditions=tuple(as_conditions(statement)),
-        of_entities=tuple(of_entities(statement)),
-        misread=tuple(misread_calls(statement)),
-        same_rows=tuple(same_rows(statement)),
-        has_volume=has_volume(statement),
-    )
-    _collect(statement, {}, None, facts)
-    return facts
-
-
-def _collect(
-    node: Node, outer_sources: _OuterSources, only_source: Source | None, facts: StatementFacts
-) -> None:
-    match node:
-        case Query():
-            _collect_from_query(node, outer_sources, facts)
-            return
-        case Assignment(name=name, span=span, is_bare=False):
-            if len(name) > 1:  # shorter names are checked where they are used
-                facts.assigned.append((name, SourceSpan(span.start, span.start + len(name))))
-        case Binary(operator="==" | "!=", left=left, right=right):
-            for side, other in ((left, right), (right, left)):
-                _collect_name_site(side, (other,), outer_sources, only_source, facts)
-        case Binary(operator="IN", left=left, right=right):
-            values = right.items if isinstance(right, ListLiteral) else (right,)
-            if not isinstance(right, Literal):  # any text may be a part of a text
-                _collect_name_site(left, values, outer_sources, only_source, facts)
-            if isinstance(right, Query):
-                _collect_from_list(left, right, outer_sources, facts)
-            for item in right.items if isinstance(right, ListLiteral) else ():
-                _collect_name_site(item, (left,), outer_sources, only_source, facts)
-    for child in node.children():
-        _collect(child, outer_sources, only_source, facts)
-
-
-def _collect_from_query(query: Query, outer_sources: _OuterSources, facts: StatementFacts) -> None:
-    sources = {source.alias: source for source in query.sources if source.alias is not None}
-    only_source = query.sources[0] if len(query.sources) == 1 else None
-    for source in query.sources:
-        _collect(source.value, outer_sources, None, facts)
-        if isinstance(source.value, Literal) and isinstance(source.value.value, str):
-            facts.sources.append((source.value.value, source.value.span))
-    visible_sources = {**outer_sources, **sources}
-    for child in query.children():
-        if not isinstance(child, Source):
-            _collect(child, visible_sources, only_source, facts)
-    keys = [*query.items, *query.group, *(key.value for key in query.order)]
-    facts.texts += [
-        (node.value, node.span)
-        for node in keys
-        if isinstance(node, Literal) and isinstance(node.value, str)
-    ]
-    state_names = states(query)
-    column_names = {
-        part.arguments[-1].value
-        for part in query.items
-        if isinstance(part, Call) and part.name == "to" and isinstance(part.arguments[-1], Literal)
-    }
-    column_nodes = [*query.group, *(key.value for key in query.order)]
-    column_nodes += [] if query.having is None else [query.having]
-    facts.columns += [
-        (node.name, node.span)
-        for node in _bare_names(column_nodes)
-        if node.name in column_names - state_names
-    ]
-    facts.bare += [
-        (node.name, node.span)
-        for node in keys
-        if isinstance(node, Name) and node.name not in state_names
-    ]
-    conditions = [part for part in (query.where, query.having) if part is not None]
-    facts.conditions += [
-        (name.name, name.span)
-        for name in _condition_names(conditions)
-        if name.name not in state_names
-    ]
-    hidden_aliases = {
-        s.alias for s in query.sources if not isinstance(s.value, Name | TimeIndex)
-    } - {None}
-    hidden_aliases |= {
-        s.alias for s in query.sources if isinstance(s.value, Name) and s.value.name != s.alias
-    }
-    hidden_aliases -= state_names
-    parts = (child for child in query.children() if not isinstance(child, Source))
-    facts.aliases += [(n.name, n.span) for n in _bare_names(parts) if n.name in hidden_aliases]
-
-
-def _collect_from_list(
-    value: Node, query: Query, outer_sources: _OuterSources, facts: StatementFacts
-) -> None:
-    """Collects a text that is looked for in the names that a nested query has as a list."""
-    is_list = query.adapter is not None and query.adapter.name == "list"
-    if is_list and len(query.items) == 1 and query.recursion is None:
-        sources = {source.alias: source for source in query.sources if source.alias is not None}
-        only_source = query.sources[0] if len(query.sources) == 1 else None
-        visible_sources = {**outer_sources, **sources}
-        _collect_name_site(query.items[0], (value,), visible_sources, only_source, facts)
-
-
-def _condition_names(nodes: Iterable[Node]) -> Iterator[Name]:
-    """Yields bare names that are conditions themselves, or are compared with a constant."""
-    for node in nodes:
-        match node:
-            case Name():
-                yield node
-            case Binary(operator="AND" | "OR" | "XOR", left=left, right=right):
-                yield from _condition_names((left, right))
-            case OperatorChain(operators=("AND" | "OR" | "XOR", *_), operands=operands):
-                yield from _condition_names(operands)
-            case Unary(operator="NOT", operand=operand):
-                yield from _condition_names((operand,))
-            case Binary(left=Name() as name, right=other) if _is_constant(other):
-                yield name
-            case Binary(left=other, right=Name() as name) if _is_constant(other):
-                yield name
-
-
-def _is_constant(node: Node) -> bool:
-    """Checks whether a value is a literal, or arithmetic of literals."""
-    return isinstance(node, Literal | Unary | Binary | OperatorChain) and all(
-        map(_is_constant, node.children())
-    )
-
-
-def _bare_names(nodes: Iterable[Node]) -> Iterator[Name]:
-    for node in nodes:
-        if isinstance(node, Name):
-            yield node
-        if not isinstance(node, Query):
-            yield from _bare_names(node.children())
-
-
-def _collect_name_site(
-    side: Node,
-    values: Iterable[Node],
-    outer_sources: _OuterSources,
-    only_source: Source | None,
-    facts: StatementFacts,
-) -> None:
-    element: Node | None = None
-    match side:
-        case Call(name=name, arguments=(This(alias=alias),)) if name in _NAME_FUNCTIONS:
-            source, is_bare = only_source if alias is None else outer_sources.get(alias), False
-        case Call(name=name, arguments=(element,)) if name in _NAME_FUNCTIONS:
-            source, is_bare = None, False
-        case QualifiedName(alias=alias, key=name) if name in _NAME_FUNCTIONS:
-            source, is_bare = outer_sources.get(alias), True
-        case Name(name=name) if name in _NAME_FUNCTIONS and only_source is not None:
-            source, is_bare = only_source, True
-        case _:
-            return
-    for value in values:
-        if isinstance(value, Name) or (isinstance(value, Literal) and type(value.value) is str):
-            facts.names.append(NameSite(source, name, value, is_bare, element))
 
 
 class Linter:
@@ -306,6 +66,7 @@ class Linter:
         recorded: a function that returns the names of all entities in a world's record.
         type_of_relation: a function that returns the type of a relation's result; None if a name
             is no relation.
+        finds: a function that checks whether a query has a row; None if it cannot run.
     """
 
     def __init__(
@@ -315,12 +76,14 @@ class Linter:
         worlds: Callable[[], Iterable[World]],
         recorded: Callable[[World], Iterable[str]],
         type_of_relation: Callable[[str], str | None],
+        finds: Callable[[Query], bool | None],
     ) -> None:
         self._variable = variable
         self._type_of_relation = type_of_relation
         self._is_function = is_function
         self._worlds = worlds
         self._names = KnownNames(recorded)
+        self._roles = SwappedRoles(finds)
         # The parts to look up in each statement; None if there are none.
         self._facts: WeakKeyDictionary[Node, StatementFacts | None] = WeakKeyDictionary()
         self._reported: set[tuple[str | None, str]] = set()
@@ -357,6 +120,11 @@ class Linter:
             *self._always_true(facts),
             *self._unfit_entities(facts),
         ]
+        for error, is_sure in self._swapped_roles(facts):
+            if is_sure:
+                mistakes.append(error)
+            else:
+                self._warn_of(error, text)
         if facts.has_volume and self._variable("volume") is None and self._is_relation("volume"):
             self._tell_of_volume()
         for error in mistakes:
@@ -379,6 +147,10 @@ class Linter:
             owners = [w for w in worlds if w.name == schema] if schema else worlds[:1]
             if text is not None and owners and not self._is_name(text, owners, [comparison.kind]):
                 mistakes.append(self._names.error(text, owners, [comparison.kind], comparison.span))
+            elif text is not None and owners and comparison.kind == "entity":
+                mistakes += self._swapped_rows(
+                    comparison.relations, _entity_of(owners[0], text), sql
+                )
         for error in mistakes:
             error.locate(sql)
         return mistakes[:MAX_UNKNOWN]
@@ -420,17 +192,61 @@ class Linter:
                 for told, span in unfit(call, [self._entity(part) for part in call.arguments]):
                     yield ArgumentError(told, span=span)
 
+    def _swapped_roles(self, facts: StatementFacts) -> Iterator[tuple[SelectScriptError, bool]]:
+        """Yields the relations of rows whose arguments are swapped, and whether that is sure."""
+        for site in facts.row_roles:
+            worlds = _worlds_of(rows := self._variable(site.source.name))
+            if isinstance(rows, list) and isinstance(rows[0] if rows else None, Entity):
+                worlds = [rows[0].world]
+            named = site.value.value if isinstance(site.value, Literal) else None
+            for world in worlds:
+                entity = self._entity(site.value) if named is None else _entity_of(world, named)
+                if entity is None or entity.world is not world:
+                    continue
+                is_past = isinstance(site.source, TimeIndex) or isinstance(rows, Past)
+                is_known = self._variable(world.name) is world and self._is_relation(site.name)
+                if is_known and self._roles.are_swapped(site.name, entity, is_past=is_past):
+                    path = name_path(world.name, entity.name)
+                    other = (site.other, path) if site.other else (path,)
+                    error = ArgumentError(swapped(site.name, site.row, *other), span=site.span)
+                    yield error, site.name in CARRIED
+
+    def _swapped_rows(
+        self, relations: Iterable[RelationOfRows], entity: Entity | None, sql: str
+    ) -> Iterator[SelectScriptError]:
+        """Yields an error for each relation in raw SQL of rows and an entity that is swapped."""
+        for call in relations:
+            name = spelled_relation(call.name)
+            if (
+                name
+                and entity is not None
+                and self._roles.are_swapped(name, entity, is_past=call.is_past)
+            ):
+                path = name_path(entity.world.name, entity.name)
+                error = ArgumentError(swapped(call.name, *call.rows, path), span=call.span)
+                if name in CARRIED:
+                    yield error
+                else:
+                    self._warn_of(error, sql)
+
     def _entity(self, node: Node) -> Entity | None:
         """Returns the entity of a world that an expression names; None if it is none."""
         match node:
+            case Name(name=name):
+                value = self._variable(name)
+                return value if isinstance(value, Entity) and value.is_there else None
             case (
                 QualifiedName(alias=alias, key=key)
                 | Index(base=Name(name=alias), indices=(Literal(value=str() as key),))
             ):
-                world = self._variable(alias)
-                found = world[key] if isinstance(world, World) and key in world else None
-                return found if isinstance(found, Entity) else None
+                return _entity_of(self._variable(alias), key)
         return None
+
+    def _warn_of(self, error: SelectScriptError, text: str) -> None:
+        """Warns, once, of what may well be meant, so that it is an error nowhere."""
+        error.locate(text)
+        if self.is_new(error):
+            warn(str(error), ProgramWarning)
 
     def _tell_of_volume(self) -> None:
         """Warns, once, of what `volume` is: published programs use it, so it is no mistake."""
@@ -556,6 +372,11 @@ class Linter:
 
 
 _NAMED = (Name, TimeIndex)
+
+
+def _entity_of(world: Any, name: Any) -> Entity | None:
+    """Returns the entity of a world that has a name; None if it is no world, or has none."""
+    return world[name] if isinstance(world, World) and name in world else None
 
 
 def _worlds_of(variable: Any) -> list[World]:

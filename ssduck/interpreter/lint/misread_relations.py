@@ -10,6 +10,7 @@ import numpy as np
 
 from ssduck.errors import SourceSpan
 from ssduck.formatting import name_path
+from ssduck.interpreter.lint.swapped_roles import CARRIED, can_move, swapped
 from ssduck.language.tree import (
     Binary,
     Branch,
@@ -75,14 +76,6 @@ _OF_SHAPES = frozenset(
 _OF_BOXES = frozenset(("above", "below", "within", "overlaps"))
 
 
-# What a relation asks of its second argument, which the first one carries or contains.
-_CARRIED = {
-    **dict.fromkeys(("on", "onTop", "restsOn"), "is on"),
-    "supports": "is carried by",
-    **dict.fromkeys(("contains", "enclosed", "inside"), "is inside of"),
-}
-
-
 def of_entities(statement: Node) -> Iterator[Call]:
     """Yields the calls that ask for shapes or boxes."""
     for call in statement.walk():
@@ -102,9 +95,10 @@ def unfit(call: Call, entities: Sequence[Entity | None]) -> Iterator[tuple[str, 
         if told:
             yield told, part.span
     match call.name, entities:
-        case name, (Entity() as carrier, Entity() as carried, *_) if name in _CARRIED:
-            if _can_move(carrier) and not _can_move(carried):
-                yield _swapped(call, carrier, carried), call.span
+        case name, (Entity() as carrier, Entity() as carried, *_) if name in CARRIED:
+            if can_move(carrier) and not can_move(carried):
+                paths = (name_path(one.world.name, one.name) for one in (carrier, carried))
+                yield swapped(name, *paths), call.span
 
 
 def _without_extent(call: Call, entity: Entity, *, is_first: bool) -> str:
@@ -124,20 +118,6 @@ def _without_extent(call: Call, entity: Entity, *, is_first: bool) -> str:
             "the height"
         )
     return ""
-
-
-def _can_move(entity: Entity) -> bool:
-    body = entity.info.body
-    return body is None or body.movable
-
-
-def _swapped(call: Call, carrier: Entity, carried: Entity) -> str:
-    first, second = (name_path(one.world.name, one.name) for one in (carrier, carried))
-    asks = _CARRIED[call.name]
-    return (
-        f"{call.name}({first}, {second}) asks whether {second}, which is immovable, {asks} "
-        f"{first}: write {call.name}({second}, {first}) to ask whether {first} {asks} {second}"
-    )
 
 
 def as_conditions(statement: Node) -> Iterator[Node]:
