@@ -136,14 +136,7 @@ class BatchQuery:
         unknown: Mapping[str, Flags],
         run: Callable[[Frame], Selected],
     ) -> Rows | Groups:
-        """Returns the rows, or the groups, of an environment.
-
-        Args:
-            number: the environment.
-            given: the values of placeholders.
-            unknown: where they are unknown.
-            run: selects them, at the tick of the environment.
-        """
+        """Returns the rows, or the groups, of an environment, selected at its tick."""
         samples = at_environment(given, unknown, number)
         frame = Frame(self._execution, placeholders=samples)
         with self._world.at(number), self._execution.worlds_pinned(self._query):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -23,9 +22,9 @@ from ssduck.interpreter.batches.expressions import (
     Leaves,
     value_of,
 )
-from ssduck.interpreter.batches.grouping import Grouping
+from ssduck.interpreter.batches.selection import Selection
 from ssduck.interpreter.execution import Execution
-from ssduck.language.clauses import Groups, PythonClauses, Rows
+from ssduck.language.clauses import Groups, Rows
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import Binary, Call, Literal, Node, Query
 from ssduck.schema import STORED_TABLES
@@ -53,9 +52,6 @@ class FoundRows:
     columns: list[Array]
     left: Flags
 
-    def __len__(self) -> int:
-        return len(self.environments)
-
 
 class BatchRows:
     """The rows of a query of a batch's entities, or of combinations of them, as arrays.
@@ -81,10 +77,8 @@ class BatchRows:
         self.planned, plan = planned, planned.plan
         self._engine, self.leaves = engine, Leaves(engine)
         select = plan.select
-        tables = [
-            select.args["from_"].this,
-            *(join.this for join in select.args.get("joins") or ()),
-        ]
+        joins = select.args.get("joins") or ()
+        tables = [select.args["from_"].this, *(join.this for join in joins)]
         self._size, self._sources = len(engine.world.snapshot.entities), len(tables)
         # The environments and the entities of the rows that are computed, (1 + sources, rows).
         self._rows: npt.NDArray[np.intp] = np.zeros((1 + len(tables), 0), np.intp)
@@ -102,23 +96,20 @@ class BatchRows:
             self.leaves.renamed(part, plan.bindings, frame) for part in (*conditions, *parts)
         ]
         compiler = Compiler(engine.operations, self.leaves.expression, renamed)
-        computes = [compiler.expression(part).compute for part in renamed]
-        self._conditions, self._computes = computes[: len(conditions)], computes[len(conditions) :]
-        self._items, self._grouping = _items(plan), _grouping(plan)
-        nodes = [item for item in self._items or () if isinstance(item, Node)]
-        self._constants = nodes if self._grouping is None else self._grouping.constants
+        expressions = [compiler.expression(part) for part in renamed]
+        self._computes = [part.compute for part in expressions[len(conditions) :]]
+        # The narrow phase has the last word.
+        chosen = sorted(expressions[: len(conditions)], key=lambda part: part.has_calls)
+        self._conditions = [part.compute for part in chosen]
+        self._selection = _selection(plan)
+        self._constants = [] if self._selection is None else self._selection.constants
         self._constant_values = CompiledExpressions(
             engine, execution, self._constants, frame.placeholders
         )
         self._offset, self._limit = (_number(select.args.get(name)) for name in ("offset", "limit"))
 
     def _note_columns(self, table: str, place: int) -> None:
-        """Notes the columns of a source.
-
-        Args:
-            table: its name in SQL.
-            place: the place of its entities in the rows.
-        """
+        """Notes the columns of a table in SQL, whose entities have a place in the rows."""
         entities = self._engine.world.snapshot.tables["entities"]
         for name, kind in _KINDS.items():
             key = f"column {table}.{name}"
@@ -162,8 +153,8 @@ class BatchRows:
             unknown: where they are unknown.
             step: is called before each part of the environments.
         """
-        left = np.zeros(self._engine.world.count, np.bool_)
-        left[:] = np.any([left, *unknown.values()], axis=0)
+        nowhere = np.zeros(self._engine.world.count, np.bool_)
+        left = np.any([nowhere, *unknown.values()], axis=0)
         asked, parts = np.flatnonzero(~left), []
         at_once = max(1, MAX_ROWS // self._size**self._sources)
         for start in range(0, len(asked), at_once):
@@ -184,50 +175,29 @@ class BatchRows:
     ) -> list[Rows | Groups] | None:
         """Returns the selected rows, or their groups, of each environment.
 
+        None if the clauses of the query are applied environment by environment.
+
         Args:
             found: the rows; environments whose values arrays lack become left.
             given: the values of placeholders.
             unknown: where they are unknown.
-
-        Returns:
-            None if the clauses of the query are applied environment by environment.
         """
-        if self._items is None and self._grouping is None:
-            return None
         count = self._engine.world.count
         values, unknowns = self._constant_values.values(given, unknown, count)
-        known = {
-            node: own for node, own in zip(self._constants, values, strict=True) if own is not None
+        constants = {
+            node: own.tolist()
+            for node, own in zip(self._constants, values, strict=True)
+            if own is not None
         }
-        if len(known) < len({*self._constants}):
+        if self._selection is None or len(constants) < len({*self._constants}):
             return None
-        for unknown_there in unknowns:
-            np.logical_or(found.left, unknown_there, out=found.left)
-        environments = found.environments
-        if self._grouping is not None:
-            constants = {node: own.tolist() for node, own in known.items()}
-            return self._grouping.selected(environments, found.columns, constants, count)
-        columns = [
-            found.columns[item] if isinstance(item, int) else known[item][environments]
-            for item in self._items or ()
-        ]
-        rows = list(zip(*(column.tolist() for column in columns), strict=True))
-        ends = np.searchsorted(environments, np.arange(count + 1)).tolist()
-        return [Rows(rows[start:end], self.planned.plan.names) for start, end in pairwise(ends)]
+        np.any([found.left, *unknowns], axis=0, out=found.left)
+        return self._selection.selected(found.environments, found.columns, constants, count)
 
     def _part(
         self, numbers: Indices, given: Mapping[str, Array], left: Flags
     ) -> list[Array] | None:
-        """Returns the environments and the columns of the rows in some environments.
-
-        Args:
-            numbers: the environments.
-            given: the values of placeholders.
-            left: becomes True for those that have to be evaluated by themselves.
-
-        Returns:
-            None if arrays cannot have the values.
-        """
+        """Returns the environments and the columns of the rows in some; None if arrays cannot."""
         shape = (len(numbers), *[self._size] * self._sources)
         rows = np.array(np.unravel_index(np.arange(np.prod(shape)), shape))
         rows[0] = numbers[rows[0]]
@@ -285,23 +255,9 @@ def _ranks(key: Array, descending: bool) -> Array:
     return -key if descending else key
 
 
-def _items(plan: Plan) -> list[int | Node] | None:
-    """Returns the column of each selected value, or itself if it is the same for all rows.
-
-    None if they are aggregates, or Python's clauses choose rows.
-    """
-    clauses = plan.python_clauses
-    nodes = [column.node for column in clauses.columns]
-    known = {n: o.index for n, o in plan.known.items() if o.sql_type.type in PLAIN}
-    is_left = any(node not in known and node not in plan.python_constants for node in nodes)
-    if clauses != PythonClauses(clauses.columns) or len(plan.names) < len(nodes) or is_left:
-        return None
-    return [known.get(node, node) for node in nodes]
-
-
-def _grouping(plan: Plan) -> Grouping | None:
+def _selection(plan: Plan) -> Selection | None:
     try:
-        return Grouping(plan)
+        return Selection(plan)
     except LeftToDuckDBError:
         return None
 

@@ -1,9 +1,10 @@
-"""Groups of the rows of all environments, and aggregates over them; see `language.aggregates`."""
+"""The selected values of the rows of all environments, and aggregates over groups of them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -28,8 +29,8 @@ class _Aggregate:
     column: int | None
 
 
-class Grouping:
-    """GROUP BY, and aggregates, of the rows of all environments.
+class Selection:
+    """SELECT and GROUP BY of the rows of all environments; see `ssduck.language.aggregates`.
 
     Args:
         plan: the plan of the query.
@@ -43,24 +44,21 @@ class Grouping:
 
     def __init__(self, plan: Plan) -> None:
         clauses = plan.python_clauses
-        same = PythonClauses(
-            clauses.columns,
-            group=clauses.group,
-            having=clauses.having,
-            is_one_group=clauses.is_one_group,
-            is_aggregated=True,
-        )
+        same = PythonClauses(clauses.columns)
+        if clauses.is_aggregated:
+            grouped = clauses.group, clauses.having, None, clauses.is_one_group, True
+            same = PythonClauses(clauses.columns, (), (), *grouped)
         holds = clauses.having is None or getattr(clauses.having, "value", None) is True
         if clauses != same or not holds or len(plan.names) < len(clauses.columns):
             raise LeftToDuckDBError
         self.constants: list[Node] = []
-        self._plan, self._group = plan, clauses.group
+        self._plan, self._clauses = plan, clauses
         self._items = [self._item(column.node) for column in clauses.columns]
         self._keys = [self._value(node) for node in clauses.group]
 
     def _item(self, node: Node) -> Node | int | _Aggregate:
         """Returns a selected value: an aggregate, or that of the first row of each group."""
-        if not over_rows(node):
+        if not self._clauses.is_aggregated or not over_rows(node):
             return self._value(node)
         match node:
             case Call(name="count", arguments=(Literal(value=int()),)):
@@ -74,12 +72,12 @@ class Grouping:
     def _value(self, node: Node) -> Node | int:
         """Returns the column of a value, or itself if it is the same for all rows."""
         output = self._plan.known.get(node)
-        if output is None:
-            self.constants.append(node)
-            return node
-        if output.sql_type.type == "entity":
+        if output is not None and output.sql_type.type != "entity":
+            return output.index
+        if output is not None or node not in self._plan.python_constants:
             raise LeftToDuckDBError
-        return output.index
+        self.constants.append(node)
+        return node
 
     def selected(
         self,
@@ -96,40 +94,49 @@ class Grouping:
             constants: the values of `constants` in each environment.
             count: the number of environments.
         """
-        over = [
-            columns[item.column]
-            for item in self._items
-            if isinstance(item, _Aggregate) and item.column is not None
-        ]
-        keys = [columns[key] for key in self._keys if isinstance(key, int)]
-        are_numbers = all(column.dtype.kind in "fib" for column in over)
-        if not are_numbers or any(column.ndim > 1 for column in (*over, *keys)):
-            return None
-        groups = _GroupNumbers(environments, keys)
-        numbers: list[int] = environments[groups.first].tolist()
+        names, numbers = self._plan.names, environments
+        groups: _GroupNumbers | None = None
+        if self._clauses.is_aggregated:
+            over = [item.column for item in self._items if isinstance(item, _Aggregate)]
+            keys = [columns[key] for key in self._keys if isinstance(key, int)]
+            used = [columns[place] for place in over if place is not None]
+            is_number = all(column.dtype.kind in "fib" for column in used)
+            if not is_number or any(column.ndim > 1 for column in (*used, *keys)):
+                return None
+            groups = _GroupNumbers(environments, keys)
+            numbers = environments[groups.first]
 
         def values_of(item: Node | int | _Aggregate) -> list[Any]:
             if isinstance(item, _Aggregate):
-                column = environments if item.column is None else columns[item.column]
-                return groups.aggregated(item.name, column)
+                assert groups is not None
+                own = environments if item.column is None else columns[item.column]
+                return groups.aggregated(item.name, own)
             if isinstance(item, int):
-                return list(columns[item][groups.first].tolist())
-            return [constants[item][number] for number in numbers]
+                first = slice(None) if groups is None else groups.first
+                return list(columns[item][first].tolist())
+            return [constants[item][number] for number in numbers.tolist()]
 
-        names = self._plan.names
-        rows = [Rows([row], names) for row in zip(*map(values_of, self._items), strict=True)]
-        if not self._group:
-            by_number = dict(zip(numbers, rows, strict=True))
-            return [by_number.get(n) or self._empty(n, constants) for n in range(count)]
-        of_each: list[dict[str, Any]] = [{} for _ in range(count)]
-        texts = zip(*map(values_of, self._keys), strict=True)
-        for number, values, row in zip(numbers, texts, rows, strict=True):
-            key = ", ".join(map(printed, values, self._group))
-            of_each[number][key] = row
-        return [Groups(own, Rows([], names)) for own in of_each]
+        rows = list(zip(*map(values_of, self._items), strict=True))
+        ends = np.searchsorted(numbers, np.arange(count + 1)).tolist()
+        if not self._clauses.group:
+            of_each = [Rows(rows[start:end], names) for start, end in pairwise(ends)]
+            if groups is None:
+                return [*of_each]
+            return [
+                own if own.values else self._empty(n, constants) for n, own in enumerate(of_each)
+            ]
+        texts = [
+            ", ".join(map(printed, values, self._clauses.group))
+            for values in zip(*map(values_of, self._keys), strict=True)
+        ]
+        alone: list[Rows] = [Rows([row], names) for row in rows]
+        return [
+            Groups(dict(zip(texts[start:end], alone[start:end], strict=True)), Rows([], names))
+            for start, end in pairwise(ends)
+        ]
 
     def _empty(self, number: int, constants: Mapping[Node, list[Any]]) -> Rows:
-        """Returns the row of an environment without rows."""
+        """Returns the row of an environment without rows, which has no value of a row."""
         values = [
             _EMPTY[item.name] if isinstance(item, _Aggregate) else constants[item][number]
             for item in self._items
@@ -139,15 +146,7 @@ class Grouping:
 
 
 class _GroupNumbers:
-    """The groups of rows, numbered as they appear; each is of one environment.
-
-    Args:
-        environments: (rows,), ascending.
-        keys: (rows,) each.
-
-    Attributes:
-        first: (groups,), the first row of each.
-    """
+    """The groups of rows by environment and keys, numbered as they appear; `first` rows of each."""
 
     def __init__(self, environments: Indices, keys: Sequence[Array]) -> None:
         codes = environments
