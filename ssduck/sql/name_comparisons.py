@@ -39,28 +39,32 @@ class NameComparison:
 
     schema: str | None
     kind: NameKind
-    value: str | _Parameter
+    value: str | Parameter
     span: SourceSpan
     relations: tuple[RelationOfRows, ...] = ()
 
     def text(self, parameters: Sequence[Any] | Mapping[str, Any] | None) -> str | None:
         """Returns the text that the name is compared with; None for no text."""
-        if isinstance(self.value, str):
-            return self.value
-        if isinstance(parameters, Mapping):
-            found = parameters.get(self.value.name)
-        else:
-            place = int(self.value.name) if self.value.name.isdecimal() else 0
-            is_there = parameters is not None and 1 <= place <= len(parameters)
-            found = parameters[place - 1] if is_there else None  # type: ignore[index]
+        found = bound_value(self.value, parameters)
         return found if isinstance(found, str) else None
 
 
 @dataclass(frozen=True)
-class _Parameter:
+class Parameter:
     """A parameter of a statement, by its name or its number from 1."""
 
     name: str
+
+
+def bound_value(value: Any, parameters: Sequence[Any] | Mapping[str, Any] | None) -> Any:
+    """Returns a value, or that of a parameter; None if a parameter has none."""
+    if not isinstance(value, Parameter):
+        return value
+    if isinstance(parameters, Mapping):
+        return parameters.get(value.name)
+    place = int(value.name) if value.name.isdecimal() else 0
+    is_there = isinstance(parameters, Sequence) and 1 <= place <= len(parameters)
+    return parameters[place - 1] if is_there else None  # type: ignore[index]
 
 
 @dataclass(frozen=True)
@@ -141,19 +145,28 @@ def _relations_of(
                 is_past = any(one and one.name.lower().endswith("_history") for one in found)
                 name = "contains" if is_text else call.name
                 if None not in found:
-                    yield RelationOfRows(name, (first, second), is_past, _span_of(name, sql))
+                    yield RelationOfRows(name, (first, second), is_past, span_of(name, sql))
 
 
-def _value_of(side: exp.Expr | None, sql: str) -> tuple[str | _Parameter, SourceSpan] | None:
+def _value_of(side: exp.Expr | None, sql: str) -> tuple[str | Parameter, SourceSpan] | None:
     """Returns a text or a parameter, and its place; None for another side of a comparison."""
     if isinstance(side, exp.Literal) and side.is_string:
-        return side.name, _span_of("'" + side.name.replace("'", "''") + "'", sql)
-    if not isinstance(side, exp.Placeholder):
+        return side.name, span_of("'" + side.name.replace("'", "''") + "'", sql)
+    parameter = parameter_of(side, sql)
+    if parameter is None:
+        return None
+    is_named = isinstance(side, exp.Placeholder) and side.this
+    return parameter, span_of(f"${parameter.name}" if is_named else "?", sql)
+
+
+def parameter_of(side: exp.Expr | None, sql: str) -> Parameter | None:
+    """Returns the parameter that a part of a statement is; None for another part."""
+    if not isinstance(side, exp.Placeholder | exp.Parameter):
         return None
     if side.this:
-        return _Parameter(str(side.this)), _span_of(f"${side.this}", sql)
+        return Parameter(side.name)
     # The tree does not tell which one of several `?` it is.
-    return (_Parameter("1"), _span_of("?", sql)) if sql.count("?") == 1 else None
+    return Parameter("1") if sql.count("?") == 1 else None
 
 
 def _tables_of(select: exp.Select) -> dict[str, exp.Table | None]:
@@ -172,7 +185,7 @@ def _columns_of(table: exp.Table) -> Mapping[str, NameKind]:
     return _COLUMNS.get(table.name.lower().removesuffix("_history"), {})
 
 
-def _span_of(part: str, sql: str) -> SourceSpan:
+def span_of(part: str, sql: str) -> SourceSpan:
     """Returns the place where a part first stands in a statement."""
     start = max(sql.find(part), 0)
     return SourceSpan(start, start + len(part))

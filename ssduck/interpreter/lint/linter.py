@@ -20,6 +20,7 @@ from ssduck.errors import (
     warn,
 )
 from ssduck.formatting import name_path, short_repr
+from ssduck.interpreter.lint.angles import degrees_in, degrees_in_sql
 from ssduck.interpreter.lint.known_names import KnownNames, handle_of
 from ssduck.interpreter.lint.misread_relations import VOLUME_NOTE, has_volume_in_sql, unfit
 from ssduck.interpreter.lint.statement_facts import NameSite, StatementFacts, facts_of
@@ -116,6 +117,7 @@ class Linter:
                 for call, message in facts.misread
                 if self._is_relation(call.name)
             ),
+            *degrees_in(facts.angles, self._variable, self._type_of_relation),
             *(ArgumentError(message, span=span) for message, span in facts.same_rows),
             *self._always_true(facts),
             *self._unfit_entities(facts),
@@ -138,10 +140,8 @@ class Linter:
         if has_volume_in_sql(sql):
             self._tell_of_volume()
         comparisons = name_comparisons(sql)
-        if not comparisons:
-            return []
         worlds = list(self._worlds())
-        mistakes: list[SelectScriptError] = []
+        mistakes: list[SelectScriptError] = list(degrees_in_sql(sql, parameters))
         for comparison in comparisons if worlds else ():
             schema, text = comparison.schema, comparison.text(parameters)
             owners = [w for w in worlds if w.name == schema] if schema else worlds[:1]

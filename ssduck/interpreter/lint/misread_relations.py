@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator, Sequence
 
@@ -17,7 +16,6 @@ from ssduck.language.tree import (
     Call,
     If,
     Index,
-    Literal,
     Name,
     Node,
     OperatorChain,
@@ -37,9 +35,6 @@ _AS_CONDITION = {
     "distance": "it is a number: write distance(a, b) < 0.1, say",
     "clearance": "it is a number: write near(a, b, 0.1), or clearance(a, b) < 0.1",
 }
-_IN_DEGREES = (
-    "the angle of {0} is in radians, from 0 to 3.14: {1} degrees are {1} * 3.141592653589793 / 180"
-)
 _CONDITIONS_OVER_TIME = frozenset(("since", "heldFor", "holds"))
 VOLUME_NOTE = (
     "volume is an eighth of the volume of the box, as published; solidVolume is that of the "
@@ -49,19 +44,12 @@ _VOLUME_IN_SQL = re.compile(r"\bvolume\s*\(", re.IGNORECASE)
 
 
 def misread_calls(statement: Node) -> Iterator[tuple[Call, str]]:
-    """Yields the calls of relations that read as something else, with what is told of them.
-
-    These are conditions that are such a number and are not compared, and angles in degrees.
-    """
+    """Yields the conditions that are such a number and are not compared, with what is told."""
     for node in statement.walk():
         for part in _conditions(node):
             if isinstance(part, Call) and part.name in _AS_CONDITION:
                 told = _AS_CONDITION[part.name]
                 yield part, f"{part.name} as a condition holds of any number but 0; {told}"
-        for call, angle in _angles(node):
-            value = angle.value if isinstance(angle, Literal) else None
-            if isinstance(value, int | float) and value > math.pi:
-                yield call, _IN_DEGREES.format(call.name, value)
 
 
 # The relations of two whose answer needs the shapes of both, or a region that one of them is.
@@ -126,17 +114,6 @@ def as_conditions(statement: Node) -> Iterator[Node]:
         for part in _conditions(node):
             if isinstance(part, Call | Name | QualifiedName | Index):
                 yield part
-
-
-def _angles(node: Node) -> Iterator[tuple[Call, Node]]:
-    """Yields the calls in a part that take or give an angle, with what is to be an angle, too."""
-    match node:
-        case Call(name="upright", arguments=(_, angle)):
-            yield node, angle
-        case Binary(operator="<" | "<=" | ">" | ">=", left=left, right=right):
-            for side, other in ((left, right), (right, left)):
-                if isinstance(side, Call) and side.name == "tilt":
-                    yield side, other
 
 
 def has_volume(statement: Node) -> bool:

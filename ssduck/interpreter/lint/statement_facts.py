@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 
 from ssduck.errors import SourceSpan
+from ssduck.interpreter.lint.angles import AngleSite, angle_sites
 from ssduck.interpreter.lint.misread_relations import (
     as_conditions,
     has_volume,
@@ -76,6 +77,7 @@ class StatementFacts:
         as_conditions: what stands as a condition, and may be an entity or a list.
         of_entities: calls that ask for shapes or boxes.
         misread: calls of relations that read as something else, with what is told of each.
+        angles: angles that are compared with values.
         same_rows: what is told of `this` beside the same row of a nested query by its name.
         row_roles: relations of each row of a query whose arguments may be swapped.
         has_volume: whether it names `volume`.
@@ -93,6 +95,7 @@ class StatementFacts:
     as_conditions: tuple[Node, ...] = ()
     of_entities: tuple[Call, ...] = ()
     misread: tuple[tuple[Call, str], ...] = ()
+    angles: tuple[AngleSite, ...] = ()
     same_rows: tuple[tuple[str, SourceSpan], ...] = ()
     row_roles: tuple[RowRole, ...] = ()
     has_volume: bool = False
@@ -113,6 +116,7 @@ def facts_of(statement: Node) -> StatementFacts:
         as_conditions=tuple(as_conditions(statement)),
         of_entities=tuple(of_entities(statement)),
         misread=tuple(misread_calls(statement)),
+        angles=tuple(angle_sites(statement)),
         same_rows=tuple(same_rows(statement)),
         row_roles=tuple(row_roles(statement)),
         has_volume=has_volume(statement),

@@ -224,12 +224,12 @@ def _in_condition(
             holds = holds or (operator == "IN" and negated)
             sides = [(left, right)] if operator == "IN" else [(left, right), (right, left)]
             for side, other in sides:
-                site = _site(side, query, _values(other, operator, states(query)), node.span)
+                site = site_of(side, query, _values(other, operator, states(query)), node.span)
                 if site is not None and (site.values or holds):
                     is_missing = holds and site.column not in present
                     yield replace(site, holds_of_missing=is_missing)
             if operator != "IN":
-                first, second = (_site(side, query, (), node.span) for side in (left, right))
+                first, second = (site_of(side, query, (), node.span) for side in (left, right))
                 if first is not None and second is not None:
                     yield replace(first, other=second)
             return
@@ -241,7 +241,7 @@ def _in_condition(
         yield from _in_condition(child, query, present, negated=negated)
 
 
-def _site(
+def site_of(
     node: Node, query: Query, values: tuple[Node, ...], span: SourceSpan
 ) -> Comparison | None:
     """Returns the place of a column in a comparison; None for another value."""
@@ -369,10 +369,10 @@ def mistakes_in(
             is no relation.
     """
     for site in suspects.comparisons:
-        if _is_hidden(site, variable):
+        if is_hidden(site, variable):
             continue
         if site.other is not None:
-            if not _is_hidden(site.other, variable):
+            if not is_hidden(site.other, variable):
                 yield from _different_columns(site, site.other, variable, type_of_relation)
             continue
         yield from _mistakes_at(site, variable, type_of_relation)
@@ -463,7 +463,8 @@ def _is_vector(
     return type_of_relation(_vector_of(node)) is not None
 
 
-def _is_hidden(site: Comparison, variable: Callable[[str], Any]) -> bool:
+def is_hidden(site: Comparison, variable: Callable[[str], Any]) -> bool:
+    """Checks whether a bare name is a variable, and not the column."""
     return site.is_bare and variable(site.column) is not None
 
 
@@ -474,8 +475,8 @@ def _different_columns(
     type_of_relation: Callable[[str], str | None],
 ) -> Iterator[SelectScriptError]:
     """Yields the mistake that two columns of entities can never be equal."""
-    first = _kind_of_relation(site, variable, type_of_relation)
-    second = _kind_of_relation(other, variable, type_of_relation)
+    first = kind_of_relation(site, variable, type_of_relation)
+    second = kind_of_relation(other, variable, type_of_relation)
     if first is None or second is None or {first, second} == {"boolean", "number"}:
         return
     if first != second:
@@ -493,7 +494,7 @@ def _mistakes_at(
 ) -> Iterator[SelectScriptError]:
     cells = _cells(site, variable)
     if cells is None:
-        kind = _kind_of_relation(site, variable, type_of_relation)
+        kind = kind_of_relation(site, variable, type_of_relation)
         kinds = set() if kind is None else {kind}
     else:
         types = set(map(type, cells))
@@ -565,7 +566,7 @@ def _cells(site: Comparison, variable: Callable[[str], Any]) -> list[Any] | None
     return [row[site.column] for row in dicts if site.column in row] if dicts else None
 
 
-def _kind_of_relation(
+def kind_of_relation(
     site: Comparison,
     variable: Callable[[str], Any],
     type_of_relation: Callable[[str], str | None],

@@ -1,0 +1,201 @@
+"""Finds angles that are compared with degrees: the language's angles are in radians."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from typing import Any
+
+from sqlglot import exp
+
+from ssduck import validation
+from ssduck.errors import ArgumentError, SourceSpan
+from ssduck.interpreter.lint.suspect_values import (
+    Comparison,
+    is_hidden,
+    kind_of_relation,
+    site_of,
+)
+from ssduck.language.builtins import BUILTINS
+from ssduck.language.tree import (
+    Binary,
+    Call,
+    Index,
+    ListLiteral,
+    Literal,
+    Name,
+    Node,
+    QualifiedName,
+    Query,
+    Unary,
+)
+from ssduck.sql.name_comparisons import bound_value, parameter_of, span_of
+from ssduck.sql.statement_trees import statement_trees
+
+_COMPARISONS = frozenset(("<", "<=", ">", ">=", "==", "!=", "IN"))
+# The functions whose values are angles, with the least one.
+_ANGLES = {"tilt": "0", "acos": "0", "asin": "-1.57", "atan": "-1.57", "atan2": "-3.14"}
+_GREATEST = {"asin": "1.57", "atan": "1.57"}
+# The functions whose values are angles if those of an argument are.
+_KEEPING = frozenset(("min", "max", "avg", "median", "abs", "round", "previous", "at", "clip"))
+_KEEPING_IN_SQL = (exp.Max, exp.Min, exp.Avg, exp.Median, exp.Abs, exp.Round, exp.Paren)
+_COMPARED_IN_SQL = (
+    *(exp.GT, exp.GTE, exp.LT, exp.LTE, exp.EQ, exp.NEQ, exp.Between, exp.In),
+    exp.Anonymous,  # upright
+)
+_CALL = re.compile(r"\b(tilt|upright)\s*\(", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class AngleSite:
+    """An angle that is compared with values, or the angle that `upright` takes.
+
+    Attributes:
+        name: the function whose value the angle is.
+        column: the column that it is; None for the value of a call.
+        values: the values.
+        span: its place.
+    """
+
+    name: str
+    column: Comparison | None
+    values: tuple[Node, ...]
+    span: SourceSpan
+
+
+def angle_sites(node: Node, query: Query | None = None) -> Iterator[AngleSite]:
+    """Yields the comparisons of angles in a part of a statement; `query` is around it."""
+    match node:
+        case Query():
+            query = node
+        case Call(name="upright", arguments=(_, angle)):
+            yield AngleSite("upright", None, (angle,), node.span)
+        case Binary(operator=operator, left=left, right=right) if operator in _COMPARISONS:
+            for side, other in ((left, right), (right, left)):
+                values = other.items if isinstance(other, ListLiteral) else (other,)
+                for part, name, column in _angles_in(side, query):
+                    yield AngleSite(name, column, values, part.span)
+    for child in node.children():
+        yield from angle_sites(child, query)
+
+
+def _angles_in(node: Node, query: Query | None) -> Iterator[tuple[Node, str, Comparison | None]]:
+    """Yields the angles that a value may be: each with its function, and the column that it is."""
+    parts: tuple[Node, ...] = ()
+    match node:
+        case Name(name=name) | QualifiedName(key=name) if name in _ANGLES and query is not None:
+            column = site_of(node, query, (), node.span)
+            if column is not None:
+                yield node, name, column
+        case Call(name=name) if name in _ANGLES:
+            yield node, name, None
+        case Index(
+            base=Call(name="least" | "greatest", arguments=extremes), indices=(Literal(value=1),)
+        ):
+            parts = extremes[:1]
+        case Call(name=name, arguments=arguments) if name in _KEEPING:
+            parts = arguments
+        case ListLiteral(items=items):
+            parts = items
+        case Query(items=items):
+            parts, query = items, node
+        case Binary(operator="+" | "-", left=left, right=right):
+            parts = left, right
+    for part in parts:
+        yield from _angles_in(part, query)
+
+
+def degrees_in(
+    sites: Sequence[AngleSite],
+    variable: Callable[[str], Any],
+    type_of_relation: Callable[[str], str | None],
+) -> Iterator[ArgumentError]:
+    """Yields an error for each angle that is compared with degrees, of BETWEEN for one of two.
+
+    Args:
+        sites: the comparisons.
+        variable: a function that returns the value of a variable; None if there is none.
+        type_of_relation: a function that returns the type of a relation's result; None if a name
+            is no relation.
+    """
+    told: set[SourceSpan] = set()
+    for site in sites:
+        column = site.column
+        if column is not None:
+            is_angle = not is_hidden(column, variable)
+            is_angle = is_angle and kind_of_relation(column, variable, type_of_relation) is not None
+        else:
+            is_angle = site.name in BUILTINS or type_of_relation(site.name) is not None
+        values = [_number(value, variable) for value in site.values] if is_angle else []
+        for value in values:
+            if abs(value) > math.pi and site.span not in told:
+                told.add(site.span)
+                yield ArgumentError(_in_degrees(site.name, value), span=site.span)
+
+
+def _number(node: Node, variable: Callable[[str], Any]) -> float:
+    """Returns a number that is a literal or a variable's value; 0 for another value."""
+    value: Any = None
+    match node:
+        case Unary(operator="-", operand=operand):
+            return -_number(operand, variable)
+        case Literal(value=value):
+            pass
+        case Name(name=name):
+            value = variable(name)
+    return value if validation.is_number(value) else 0
+
+
+def _in_degrees(name: str, value: float) -> str:
+    low, high = _ANGLES.get(name, "0"), _GREATEST.get(name, "3.14")
+    return (
+        f"the angle of {name} is in radians, from {low} to {high}: {value} degrees are "
+        f"{value} * 3.141592653589793 / 180"
+    )
+
+
+def degrees_in_sql(
+    sql: str, parameters: Sequence[Any] | Mapping[str, Any] | None
+) -> Iterator[ArgumentError]:
+    """Yields an error for each angle of a relation in raw SQL that is compared with degrees."""
+    for name, bounds, span in _angles_in_sql(sql):
+        values = [bound_value(bound, parameters) for bound in bounds]
+        degrees = [v for v in values if validation.is_number(v) and abs(v) > math.pi]
+        for value in degrees[:1]:
+            yield ArgumentError(_in_degrees(name, value), span=span)
+
+
+@lru_cache(maxsize=256)
+def _angles_in_sql(sql: str) -> tuple[tuple[str, tuple[Any, ...], SourceSpan], ...]:
+    """Returns the relations of angles in raw SQL, with what each is compared with, and places."""
+    found: list[tuple[str, tuple[Any, ...], SourceSpan]] = []
+    for tree in statement_trees(sql) if _CALL.search(sql) else ():
+        for node in tree.find_all(*_COMPARED_IN_SQL):
+            parts = [node.this, node.args.get("expression"), *node.expressions]
+            parts += [node.args.get("low"), node.args.get("high")]
+            if isinstance(node, exp.Anonymous):
+                parts = node.expressions[1:] if node.name.lower() == "upright" else []
+                names = [node.name] * len(parts[:1])
+            else:
+                names = [name for part in parts if (name := _angle_in_sql(part))]
+            values = tuple(map(partial(_bound, sql), parts))
+            found += [(name, values, span_of(name, sql)) for name in names]
+    return tuple(found)
+
+
+def _angle_in_sql(part: exp.Expr | None) -> str:
+    """Returns the relation whose value an angle in raw SQL is; "" for other parts."""
+    while isinstance(part, _KEEPING_IN_SQL):
+        part = part.this
+    is_angle = isinstance(part, exp.Anonymous) and part.name.lower() == "tilt"
+    return part.name if is_angle else ""  # type: ignore[union-attr]
+
+
+def _bound(sql: str, part: exp.Expr | None) -> Any:
+    """Returns a number, or the parameter for one; None for other parts."""
+    if isinstance(part, exp.Literal) and not part.is_string:
+        return float(part.name) if "." in part.name else int(part.name)
+    return parameter_of(part, sql)
