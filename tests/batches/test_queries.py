@@ -139,7 +139,7 @@ CONDITION = st.one_of(
     st.builds("{} < {}".format, NUMBER, NUMBER),
     st.builds(
         "{}({}, {})".format,
-        st.sampled_from(["touching", "above", "inContact", "hasContact", "leftOf", "on"]),
+        st.sampled_from(["touching", "above", "inContact", "hasContact", "collides", "on"]),
         ENTITY,
         ENTITY,
     ),
