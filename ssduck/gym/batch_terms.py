@@ -97,8 +97,7 @@ class BatchTerms:
             own, unknown = _typed(term, answer.values, answer.unknown)
             if unknown.any():
                 if nan == "error":
-                    numbers = first_names([str(n) for n in np.flatnonzero(unknown)], 5)
-                    raise term.nan_error(f"a number that it reads is NaN in environment {numbers}")
+                    raise self._unknown_error(term, unknown)
                 fill = 0.0 if nan == "failure" or term.is_condition else nan
                 own = np.where(unknown, own.dtype.type(fill), own)
                 failed |= unknown
@@ -118,6 +117,20 @@ class BatchTerms:
         )
         given = {name: world.given_back(value) for name, value in parts.items()}
         return BatchJudgement(success, failure, stop, reward, given)
+
+    def _unknown_error(self, term: Term, unknown: Flags) -> ArgumentError:
+        """Returns the error of a term that has no value in some environments."""
+        numbers = np.flatnonzero(unknown)
+        named = first_names([str(number) for number in numbers], 5)
+        with self._world.at(int(numbers[0])):
+            has_nan = bool(self._world.snapshot.entities_with_nan())
+        if not has_nan:
+            return ArgumentError(
+                f"{term.key}: {term.text!r} has no value in environment {named}, where no pose is "
+                "NaN: the states lack a number that it reads, such as a velocity, or a part is "
+                "nothing there, as since is where its condition does not hold: heldFor is 0 there"
+            )
+        return term.nan_error(f"a number that it reads is NaN in environment {named}")
 
     def _tree(self, term: Term) -> Node:
         try:

@@ -15,10 +15,12 @@ import numpy.typing as npt
 
 from ssduck.errors import (
     ArgumentError,
+    ProgramWarning,
     SceneError,
     SelectScriptError,
     UnknownNameError,
     nearest,
+    warn,
 )
 from ssduck.gym.judge import Judge
 from ssduck.gym.terms import Judgement, Terms
@@ -36,6 +38,8 @@ from ssduck.simulators.trial import Trial
 from ssduck.world.world import World
 
 WORLD = "sim"
+# The default step of a task, s, which is rounded to steps of the simulator.
+_STEP_TIME = 0.02
 # The largest number of steps of the simulator, or of parts of these, in a step of a task.
 MAX_STEPS = 100_000
 # The keys of a task file.
@@ -160,9 +164,14 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
         super().reset(seed=seed, options=options)
         self._load()
         self._record_past()
-        for start in self.task.starts:
+        for number, start in enumerate(self.task.starts):
             position = self.np_random.uniform(start.low, start.high)
-            self._world[start.entity].move(position.tolist())
+            try:
+                self._world[start.entity].move(position.tolist())
+            except SelectScriptError as error:
+                error.message = f"starts[{number}]: {error.message}"
+                self._name_file(error)
+                raise
         self._steps = 0
         judgement, observation = self._judged(is_first=True)
         return observation, {INFO: described(judgement)}
@@ -208,13 +217,24 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
             before.close()
 
     def _check_steps(self) -> None:
-        """Checks that a step of the task is not a run without end.
+        """Checks that a step of the task is some steps of the simulator, and not too many.
 
         Raises:
-            SceneError: the simulator makes too many steps in it.
+            SceneError: it is none, or has too many.
         """
         substeps = self.task.scene.engine.substeps or 1
-        count = max(1.0, self.task.step_time / self._world.timestep) * substeps
+        steps, timestep = self.task.step_time / self._world.timestep, self._world.timestep
+        place = f"{self.task.path}: step_time: {self.task.step_time:g} s"
+        if round(steps) < 1:
+            raise SceneError(f"{place} is less than the simulator's time step, {timestep:g} s")
+        is_given = self.task.step_time != _STEP_TIME
+        if is_given and abs(steps - round(steps)) > 1e-6 * steps:
+            warn(
+                f"{place} is no multiple of the simulator's time step, {timestep:g} s: a step "
+                f"takes {round(steps) * timestep:g} s",
+                ProgramWarning,
+            )
+        count = steps * substeps
         if count > MAX_STEPS:
             parts = f" ({substeps:,} substeps each)" if substeps > 1 else ""
             raise SceneError(
@@ -340,7 +360,7 @@ def _task(table: TomlTable, file: Path, limits: Limits) -> Task:
         tuple(map(_start, table.tables("starts"))),
         tuple(seeds),
         table.whole("steps", at_least=1) or 1000,
-        table.number("step_time", 0.02, above=0.0, at_most=60.0),
+        table.number("step_time", _STEP_TIME, above=0.0, at_most=60.0),
     )
 
 

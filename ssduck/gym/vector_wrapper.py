@@ -18,7 +18,7 @@ from gymnasium.vector import (
 )
 
 from ssduck import validation
-from ssduck.errors import ArgumentError, SimulatorError
+from ssduck.errors import ArgumentError, ProgramWarning, SimulatorError, warn
 from ssduck.formatting import short_repr
 from ssduck.geometry.arrays import Flags
 from ssduck.gym.batch_terms import BatchJudgement, BatchTerms
@@ -34,6 +34,13 @@ from ssduck.world.world import World
 
 # Returns an array with a value for each environment, from the vector of environments.
 ArrayReader: TypeAlias = Callable[[Any], Any]
+
+
+# What terms read of a model, which is that of environment 0 for all.
+_OF_MODEL = (
+    *("body_mass", "body_pos", "body_quat", "body_ipos", "geom_size", "geom_pos", "geom_quat"),
+    *("geom_dataid", "geom_margin", "jnt_range", "site_size", "mesh_vert"),
+)
 
 
 class VectorQueryWrapper(VectorWrapper[Any, Any, Any, Any, Any]):
@@ -107,7 +114,7 @@ class VectorQueryWrapper(VectorWrapper[Any, Any, Any, Any, Any]):
             self._check_mode(stops=stop_when is not None or nan == "failure")
         self._state = state
         self._ended: Flags = np.zeros(env.num_envs, np.bool_)
-        self._is_closed = False
+        self._is_closed = self._has_told_of_models = False
         self._interpreter = Interpreter(recording=None, limits=limits, strict=True)
         try:
             self._batch: BatchWorld = World.batch(model, env.num_envs)
@@ -221,6 +228,7 @@ class VectorQueryWrapper(VectorWrapper[Any, Any, Any, Any, Any]):
         """Takes a tick of all environments, some of which were reset; returns the terms' values."""
         if are_reset.any():
             self._batch.reset(are_reset)
+            self._warn_of_models(np.flatnonzero(are_reset).tolist())
         state = self._state(self.env)
         if isinstance(state, Mapping):
             self._batch.tick(**state)
@@ -231,6 +239,21 @@ class VectorQueryWrapper(VectorWrapper[Any, Any, Any, Any, Any]):
         if self._terms is None:
             self._terms = self._terms_of()
         return self._terms()
+
+    def _warn_of_models(self, numbers: Sequence[int]) -> None:
+        """Warns, once, if the models of environments that were reset differ from others."""
+        for number in numbers if self._parts and not self._has_told_of_models else ():
+            other = (number + 1) % self.num_envs
+            name = _difference(*(self._parts[place].find()[0] for place in (number, other)))
+            if name is not None:
+                self._has_told_of_models = True
+                warn(
+                    f"VectorQueryWrapper: the models of environments {number} and {other} differ "
+                    f"in {name}: terms take shapes, masses and joints of environment 0 for all; "
+                    "QueryWrapper around each environment takes its own",
+                    ProgramWarning,
+                )
+                return
 
 
 class _Prepared(gymnasium.Wrapper[Any, Any, Any, Any]):
@@ -302,6 +325,12 @@ def _prepared(env: VectorEnv[Any, Any, Any]) -> list[_Prepared]:
         raise SimulatorError("VectorQueryWrapper: the environments have different models")
     vector.envs = list(parts)
     return parts
+
+
+def _difference(a: Any, b: Any) -> str | None:
+    """Returns an array that differs between two models; None if none does that terms read."""
+    names = () if a is b else _OF_MODEL
+    return next((n for n in names if not np.array_equal(getattr(a, n), getattr(b, n))), None)
 
 
 def _data_of(parts: Sequence[_Prepared]) -> list[Any]:

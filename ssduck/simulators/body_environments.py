@@ -62,6 +62,8 @@ class BodyEnvironments:
         self._joints = {
             body: np.broadcast_to(own, (count, *own.shape)) for body, own in joints.items()
         }
+        # The bodies with joints whose poses were given without these.
+        self._moved: frozenset[Body] = frozenset()
 
     @property
     def accepted(self) -> Sequence[str]:
@@ -90,6 +92,9 @@ class BodyEnvironments:
         self.times, self.has_times = times, time is not None
         self.sample = next(iter((given.get("poses") or {}).values()), self.sample)
         self._states, self._joints = new_states, new_joints
+        of_joints = frozenset(self._bodies[name] for name, _ in self._named(given, "joints"))
+        posed = frozenset(self._bodies[name] for name, _ in self._named(given, "poses"))
+        self._moved = (self._moved | {body for body in posed if body.joints}) - of_joints
 
     def _named(self, given: Mapping[str, Any], part: str) -> Sequence[tuple[str, Any]]:
         """Returns the names and arrays of a part of a state."""
@@ -109,7 +114,9 @@ class BodyEnvironments:
         key, links = f"tick: poses[{name!r}]", len(body.links)
         array = to_numpy(values, key)
         if array.ndim == 2:
-            if links > 1 and any(joint.type != "fixed" for joint in body.joints):
+            if any(link.region is None for link in body.links[1:]) and any(
+                joint.type != "fixed" for joint in body.joints
+            ):
                 raise ArgumentError(
                     f"{key}: {name} has {links} links, which joints move: give the poses of all, "
                     f"({self.count}, {links}, 7)"
@@ -179,8 +186,14 @@ class BodyEnvironments:
         """Returns positions, velocities and efforts of a body's joints, (n, joints, 3)."""
         return self._joints[body]
 
-    def check_joints(self) -> None:
-        """Does nothing: joints are where they were at first, or where the states say."""
+    def check_joints(self, body: Body) -> None:
+        """Checks that the positions of a body's joints are known."""
+        if body in self._moved:
+            name = next(name for name, one in self._bodies.items() if one is body)
+            raise ArgumentError(
+                f"the positions of the joints of {name} are not known: give tick "
+                f"joints={{{name!r}: (n, joints)}} with its poses"
+            )
 
 
 _: type[Environments] = BodyEnvironments

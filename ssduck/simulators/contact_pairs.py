@@ -87,7 +87,7 @@ def are_of(sides: Sides, a: int, b: int) -> Flags:
 
     A contact of two links of an entity is none of the entity and one of these.
     """
-    (a1, a2), (b1, b2) = _are_at(sides, a), _are_at(sides, b)
+    (a1, a2), (b1, b2) = are_at(sides, a), are_at(sides, b)
     are_of: Flags = a1 & b2 | a2 & b1
     if (a < LINK_FACTOR) != (b < LINK_FACTOR):
         first, second = sides[0]
@@ -95,7 +95,7 @@ def are_of(sides: Sides, a: int, b: int) -> Flags:
     return are_of
 
 
-def _are_at(sides: Sides, id: int) -> Flags:
+def are_at(sides: Sides, id: int) -> Flags:
     """Checks which sides of contacts are those of an entity or a link, (2, n)."""
     entities, links = sides
     are_there: Flags = entities == entity_of(id)

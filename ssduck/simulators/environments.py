@@ -39,12 +39,14 @@ class EnvironmentContacts:
         points: the contacts; the places where they are, and frictions, are NaN where not given.
         has_forces: whether their forces are known.
         has_normals: whether their normals are known.
+        is_whole: whether their places and frictions are known.
     """
 
     environments: Indices
     points: ContactPoints
     has_forces: bool = True
     has_normals: bool = True
+    is_whole: bool = True
 
     def of(self, environment: int) -> ContactPoints:
         """Returns the contacts of an environment."""
@@ -100,8 +102,8 @@ class Environments(Protocol):
         NaN where they are not known.
         """
 
-    def check_joints(self) -> None:
-        """Checks that the positions of joints are known.
+    def check_joints(self, body: Body) -> None:
+        """Checks that the positions of a body's joints are known.
 
         Raises:
             ArgumentError: they are not.

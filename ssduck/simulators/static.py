@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NoReturn
 
 import numpy as np
@@ -26,6 +26,7 @@ class StaticSimulator:
         joints: position, velocity and effort of each body's joints, (joints, 3).
         disabled: the bodies that take no part in collisions.
         hidden: the bodies that are not drawn.
+        contacts: the contacts of the tick.
         description: the noun for the world in errors.
         backend: the backend that makes running simulations of its bodies.
         timestep: 0, since there are no steps.
@@ -38,6 +39,7 @@ class StaticSimulator:
     joints: Mapping[Body, Array]
     disabled: frozenset[Body]
     hidden: frozenset[Body]
+    contacts: ContactPoints = field(default_factory=ContactPoints.none)
     description: str = "a what-if world"
     is_external: bool = False
     backend: str = DEFAULT_BACKEND
@@ -74,8 +76,8 @@ class StaticSimulator:
         return False
 
     def read_contacts(self) -> ContactPoints:
-        """Returns no contacts: they come from a physics solver."""
-        return ContactPoints.none()
+        """Returns the contacts that a physics solver found at this tick; none elsewhere."""
+        return self.contacts
 
     def step(self, count: int) -> None:  # noqa: ARG002
         """Raises `UnsupportedError`."""

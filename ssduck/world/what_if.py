@@ -71,6 +71,7 @@ def copied_tick(snapshot: Snapshot) -> tuple[StaticSimulator, Snapshot]:
         joints=snapshot.joints(),
         disabled=snapshot.disabled,
         hidden=snapshot.hidden,
+        contacts=snapshot.contact_points.all(),
         description="a copy of a tick",
     )
     return simulator, snapshot.clone({}, snapshot.run)

@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from ssduck.errors import ArgumentError, SceneError, SelectScriptError
+from ssduck.errors import ArgumentError, ProgramWarning, SceneError, SelectScriptError
 from ssduck.gym import make_task
 from ssduck.gym.tasks import MAX_BYTES
 from tests.support.cases import sampled
@@ -66,6 +66,28 @@ def test_the_ends_of_the_action_space_are_those_of_the_range(folder):
     env.reset(seed=1)
     for action in (env.action_space.high, env.action_space.low, [9.0]):
         env.step(action)
+    env.close()
+
+
+def test_a_step_that_is_no_steps_of_the_simulator_is_told_of(folder):
+    """Its time step is 0.002 s."""
+    for step_time in ("0.005", "0.0005"):
+        (folder / "task.toml").write_text(TASK.replace("= 0.02\n\n", f"= {step_time}\n\n"))
+        if step_time == "0.0005":
+            with pytest.raises(
+                SceneError, match=r"0\.0005 s is less than the simulator's time step"
+            ):
+                make_task(folder / "task.toml")
+        else:
+            with pytest.warns(ProgramWarning, match="a step takes 0.004 s"):
+                make_task(folder / "task.toml").close()
+
+
+def test_a_start_that_cannot_be_has_its_file_and_key(folder):
+    (folder / "task.toml").write_text(TASK.replace('entity = "ball"', 'entity = "pusher"'))
+    env = make_task(folder / "task.toml")
+    with pytest.raises(SelectScriptError, match=r"task.toml: starts\[0\]: .* moves by its joints"):
+        env.reset(seed=0)
     env.close()
 
 

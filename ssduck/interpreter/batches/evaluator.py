@@ -21,7 +21,7 @@ from ssduck.interpreter.batches.expressions import Answers, CompiledExpressions,
 from ssduck.interpreter.batches.folds import ArrayFold, fold_of
 from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, parts_of
-from ssduck.language.analysis import variables_of
+from ssduck.language.analysis import calls_of, variables_of
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import Call, Name, Node, Placeholder, TimeIndex
 from ssduck.language.value_keys import node_key
@@ -57,6 +57,8 @@ class BatchExpressions:
         self.substituted = [node.replaced(self._replacement) for node in nodes]
         parts = (part for node in self.substituted for part in node.walk())
         self._read = {part.name for part in parts if isinstance(part, Placeholder)}
+        # The sums of whole forces over the contacts of an entity.
+        self._sums = sorted(frozenset().union(*map(calls_of, nodes)) & {"force", "torque"})
         self._compiled: CompiledExpressions | None = None
         self._generation: object = None
         names = frozenset().union(*map(variables_of, nodes))
@@ -132,9 +134,31 @@ class BatchExpressions:
         with execution.lock, self._world.lock:  # in this order, as other programs
             if not execution.is_running:
                 execution.begin_meter()
-            return self._answers()
+            try:
+                return self._answers()
+            except SelectScriptError as error:
+                about = self._about_arrays()
+                error.message += "" if error.message.endswith(about) else about
+                raise
+
+    def _about_arrays(self) -> str:
+        """Returns what arrays of users may have to do with an error."""
+        count, parts = self._world.count, []
+        for name in sorted(self._names):
+            value = self._execution.variable_or_none(name)
+            shape = getattr(value, "shape", ())
+            if name in self._arrays:
+                parts.append(f"{name} has a value for each of {count} environments")
+                if len(shape) == 1:
+                    parts[-1] += f" (for one list of all, give {name}.tolist())"
+            elif len(shape) > 1:
+                parts.append(
+                    f"{name} is of shape {tuple(shape)}, and there are {count} environments"
+                )
+        return "".join(f"; {part}" for part in parts)
 
     def _answers(self) -> list[Answers]:
+        self._check_contacts()
         given, unknown = self.given()
         compiled = self._current(given)
         count = self._world.count
@@ -145,6 +169,20 @@ class BatchExpressions:
         ]
         single = self._one_by_one(rows, given, unknown)
         return [_assembled(*parts, count) for parts in zip(found, rows, single, strict=True)]
+
+    def _check_contacts(self) -> None:
+        """Checks that contacts have what sums of whole forces need.
+
+        Raises:
+            ArgumentError: they have not.
+        """
+        contacts = self._world.environments.contacts if self._sums else None
+        if contacts is not None and not contacts.is_whole:
+            raise ArgumentError(
+                f"{self._sums[0]} needs the places and the frictions of contacts, which arrays do "
+                "not have: contactForce has the normal force; tick takes a list of MjData, too, "
+                "which has all"
+            )
 
     def given(self) -> tuple[dict[str, Array], dict[str, Flags]]:
         """Returns the values of placeholders, and where they are unknown."""

@@ -23,7 +23,7 @@ from ssduck.geometry.tick_shapes import depth
 from ssduck.interpreter.batches.columns import EnvironmentColumns
 from ssduck.recording.replay.batch_queries import EntityShapes, LinkPosesOverTicks, PairSide
 from ssduck.schema import LINK_FACTOR, entity_of
-from ssduck.simulators.contact_pairs import OPPOSING, are_of
+from ssduck.simulators.contact_pairs import OPPOSING, are_at, are_of
 from ssduck.simulators.environments import NO_CONTACTS, EnvironmentContacts
 from ssduck.simulators.interface import SCALAR_JOINTS, Joint
 from ssduck.simulators.joints import openness
@@ -186,7 +186,7 @@ def _of_joints(
     body, link = columns.body_of(int(ids.item()))
     if link:
         raise LeftToDuckDBError
-    world.environments.check_joints()
+    world.environments.check_joints(body)
     positions = world.environments.joints(body)[..., 0]
     wanted = {str(each.item()) for each in names} or {joint.name for joint in body.joints}
     found = [(place, joint) for place, joint in enumerate(body.joints) if joint.name in wanted]
@@ -235,7 +235,7 @@ class _Between:
         count: n.
         environments: (m,), ascending.
         forces: (m,), N.
-        normals: (3, m).
+        normals: (3, m), each of which points from the second of the two to the first.
     """
 
     count: int
@@ -337,8 +337,9 @@ def _between(world: BatchWorld, contacts: EnvironmentContacts, a: int, b: int) -
     """Returns the contacts of two entities or links; one has none with itself."""
     points = contacts.points
     entities = world.snapshot.layout.ids_of_handles[points.bodies.T]
-    is_chosen = are_of((entities, points.links.T), a, b) & (a != b)
-    rows = np.flatnonzero(is_chosen)
-    return _Between(
-        world.count, contacts.environments[rows], points.forces[rows], points.normals[rows].T
-    )
+    sides = entities, points.links.T
+    rows = np.flatnonzero(are_of(sides, a, b) & (a != b))
+    # Contacts have their sides in the order of the geoms.
+    signs = np.where(are_at(sides, a)[0][rows], 1.0, -1.0)
+    normals = signs * points.normals[rows].T
+    return _Between(world.count, contacts.environments[rows], points.forces[rows], normals)

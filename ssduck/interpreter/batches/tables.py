@@ -64,8 +64,9 @@ def _entities(world: BatchWorld) -> pa.Table:
 
 def _joints(world: BatchWorld) -> pa.Table:
     environments = world.environments
-    environments.check_joints()
     bodies = [body for _, body in world.snapshot.layout.bodies]
+    for body in bodies:
+        environments.check_joints(body)
     parts = [np.zeros((world.count, 0, 3)), *map(environments.joints, bodies)]
     numbers = np.concatenate(parts, axis=1)
     names = ("position", "velocity", "effort")

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.errors import ArgumentError, StateError, nearest
+from ssduck.errors import ArgumentError, ProgramWarning, StateError, nearest, warn
+from ssduck.formatting import joined_names, short_repr
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.poses import cross, multiply
 from ssduck.simulators.environments import (
@@ -37,7 +38,10 @@ from ssduck.simulators.mujoco.simulator import MuJoCoSimulator
 
 # What a contact has: the numbers of its geoms, their distance, m, and what is known besides.
 _OF_CONTACTS = ("geom", "dist", "force", "frame", "efc_address", "dim")
+_MOCAP = frozenset(("mocap_pos", "mocap_quat"))
 _DEFAULT_TIME = 0.0
+# The world may be off its place by rounding, m.
+_WORLD_TOLERANCE = 1e-3
 
 
 def environments_of(model: Any, count: int) -> EnvironmentSimulator:
@@ -86,6 +90,8 @@ class MuJoCoEnvironments:
             "qpos": (model.nq,),
             "qvel": (model.nv,),
             "qfrc_actuator": (model.nv,),
+            "mocap_pos": (model.nmocap, 3),
+            "mocap_quat": (model.nmocap, 4),
         }
         self._arrays: dict[str, npt.NDArray[Any]] = {
             name: np.broadcast_to(getattr(data, name), (count, *shape))
@@ -102,6 +108,7 @@ class MuJoCoEnvironments:
         self._readers: list[LinkReader] = []
         self._joint_numbers: dict[Body, Indices] = {}
         self._owners: Owners | None = None
+        self._has_told_of_mocap = False
 
     @property
     def accepted(self) -> Sequence[str]:
@@ -138,6 +145,7 @@ class MuJoCoEnvironments:
         }
         if "xquat" in known:
             check_lengths(known["xquat"], "tick: xquat")
+        _check_world(known)
         time = given.get("time")
         times = self.times if time is None else times_of(time, self.count)
         contact = given.get("contact")
@@ -200,11 +208,14 @@ class MuJoCoEnvironments:
         """Adds the poses and velocities that follow from joint positions and velocities."""
         model, data = self._model, self._data
         names = ("xpos", "xquat", "site_xpos", "cvel", "subtree_com")
+        self._warn_of_mocap(known)
         computed = {name: np.zeros((self.count, *self._shapes[name])) for name in names}
         velocities = known.get("qvel")
         for number, positions in enumerate(known["qpos"]):
             data.qpos[:] = positions
             data.qvel[:] = 0.0 if velocities is None else velocities[number]
+            for name in _MOCAP & known.keys():
+                getattr(data, name)[:] = known[name][number]
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
             mujoco.mj_comVel(model, data)
@@ -213,6 +224,19 @@ class MuJoCoEnvironments:
         if velocities is None:
             del computed["cvel"]
         return known | computed
+
+    def _warn_of_mocap(self, known: Mapping[str, Any]) -> None:
+        """Warns, once, of bodies that no joint moves, and that are taken to be at their places."""
+        if self._has_told_of_mocap or not self._model.nmocap or "mocap_pos" in known:
+            return
+        self._has_told_of_mocap = True
+        numbers = np.flatnonzero(self._model.body_mocapid >= 0).tolist()
+        names = joined_names([self._model.body(number).name for number in numbers])
+        warn(
+            f"tick: {names}: no joint moves what is a mocap body, and qpos does not say where it "
+            "is: it is taken to be where the model has it; give mocap_pos=… and mocap_quat=…, too",
+            ProgramWarning,
+        )
 
     # -- reading ----------------------------------------------------------------------------
 
@@ -263,8 +287,8 @@ class MuJoCoEnvironments:
         values[:, [joint.type not in SCALAR_JOINTS for joint in body.joints]] = np.nan
         return values
 
-    def check_joints(self) -> None:
-        """Checks that the positions of joints are known."""
+    def check_joints(self, body: Body) -> None:  # noqa: ARG002  # the states have all
+        """Checks that the positions of a body's joints are known."""
         self._check_known("positions of joints", "qpos")
 
     @property
@@ -356,7 +380,9 @@ class MuJoCoEnvironments:
             nothing,
         )
         has_forces = "force" in parts or efc_forces is not None
-        return EnvironmentContacts(environments, points, has_forces, "frame" in parts)
+        return EnvironmentContacts(
+            environments, points, has_forces, has_normals="frame" in parts, is_whole=False
+        )
 
     def _normal_forces(
         self, rows: Array, addresses: Indices, dims: Indices, shape: tuple[int, ...]
@@ -376,6 +402,25 @@ class MuJoCoEnvironments:
             places = np.where(is_there, addresses + edge, 0)
             forces += np.where(is_there, rows[environments, places], 0.0)
         return forces
+
+
+def _check_world(known: Mapping[str, npt.NDArray[Any]]) -> None:
+    """Checks that the world, the first body, is where it always is.
+
+    Raises:
+        ArgumentError: it is not: the arrays are in another order, or of another frame.
+    """
+    for name, place in (("xpos", (0.0, 0.0, 0.0)), ("xquat", (1.0, 0.0, 0.0, 0.0))):
+        if name not in known or not known[name].shape[1]:
+            continue
+        own = known[name][:, 0]
+        if (np.abs(own - np.array(place)) > _WORLD_TOLERANCE).any():
+            first = own[np.abs(own - np.array(place)).max(axis=1).argmax()].tolist()
+            raise ArgumentError(
+                f"tick: {name}: the first body is the world, at {list(place)}, and it is at "
+                f"{short_repr(first)}: the bodies are in the order of the model, quaternions are "
+                "w, x, y, z, and positions in the world frame"
+            )
 
 
 def _attribute(states: States, name: str) -> Any:

@@ -17,9 +17,9 @@ from typing import Any, Never, Self
 import numpy as np
 
 from ssduck import validation
-from ssduck.errors import ArgumentError, UnsupportedError
-from ssduck.formatting import first_names
-from ssduck.geometry.arrays import Array, Indices
+from ssduck.errors import ArgumentError, ProgramWarning, UnsupportedError, warn
+from ssduck.formatting import first_names, short_repr
+from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.simulators.backends import backend
 from ssduck.simulators.body_environments import BodyEnvironments
 from ssduck.simulators.environments import (
@@ -72,6 +72,7 @@ class BatchWorld(World):
         self._environments: Environments = simulator.environments
         self._is_open = True  # for the first tick
         self.version = 0
+        self._is_told_of_resets = self._has_told_of_fall = False
         self.began: Indices = np.zeros(self._environments.count, np.intp)
         self._restarting = np.ones(self._environments.count, np.bool_)
         # The states at the last ticks, each with `began` at it.
@@ -119,6 +120,9 @@ class BatchWorld(World):
     ) -> Self:
         """Takes the states of all environments; each program is evaluated at these until the next.
 
+        Where the time of an environment has fallen, you have reset it: a new episode begins there,
+        as `reset` begins one.
+
         Args:
             state: a dict of the arrays, an object with the arrays as attributes, such as batched
                 data of MJX, or a list of `MjData`.
@@ -141,14 +145,29 @@ class BatchWorld(World):
                 read()  # it locks its interpreter, and then this world
         with self.lock:
             self._check_not_pinned()
+            before = self._environments.times
             self._environments.update(state, arrays)
             self.version += 1
+            self._restarting |= self._fallen(before)
             self.began[self._restarting] = self.version
             self._restarting[:] = False
             if self._history.maxlen:
                 _ = self._environments.contacts  # those of `MjData` can be read now only
                 self._history.append((copy(self._environments), self.began.copy()))
         return self
+
+    def _fallen(self, before: Array) -> Flags:
+        """Returns where the time has fallen; warns, once, if `reset` tells of resets elsewhere."""
+        are_fallen: Flags = self._environments.times < before
+        if self._is_told_of_resets and not self._has_told_of_fall and are_fallen.any():
+            self._has_told_of_fall = True
+            numbers = first_names([str(number) for number in np.flatnonzero(are_fallen)], 5)
+            warn(
+                f"{self.name}: the time has fallen in environment {numbers} without reset: an "
+                "episode begins there; MuJoCo itself resets a simulation that has become unstable",
+                ProgramWarning,
+            )
+        return are_fallen
 
     def before_tick(self, read: Callable[[], None]) -> None:
         """Has a method called before each tick after the first: it reads the states until then.
@@ -176,6 +195,7 @@ class BatchWorld(World):
             chosen = self.numbers(environments, "reset")
             self._environments.reset(chosen)
             self._restarting[chosen] = True
+            self._is_told_of_resets |= self.version > 0
         return self
 
     def numbers(self, environments: Any, what: str) -> Indices:
@@ -198,6 +218,14 @@ class BatchWorld(World):
                 )
             return np.flatnonzero(given)
         numbers = np.atleast_1d(given)
+        if not numbers.size:
+            return np.zeros(0, np.intp)
+        is_mask = numbers.size == self.count > len(np.unique(numbers)) and (numbers <= 1).all()
+        if is_mask and numbers.dtype.kind != "f":
+            raise ArgumentError(
+                f"{what}: {short_repr(environments)} names an environment more than once: a mask "
+                "has True and False, as mask.astype(bool)"
+            )
         if numbers.dtype.kind == "f" or ((numbers < 0) | (numbers >= self.count)).any():
             raise ArgumentError(
                 f"{what}: environments are numbers from 0 to {self.count - 1}, or a mask"
@@ -315,9 +343,13 @@ class BatchWorld(World):
 
         Raises:
             UnsupportedError: the query reads a tick in tables, and none is chosen.
+            ArgumentError: the states have not what is in a table.
         """
         if is_read:
             self._check_open()
+        for table, reason in self._unavailable().items():
+            if table in tables:
+                raise ArgumentError(reason)
         super().pin(tables, is_read=is_read, is_settled=is_settled)
 
     def _check_open(self) -> None:
