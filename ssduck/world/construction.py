@@ -131,11 +131,13 @@ class ConstructibleWorld:
                 known.
             SelectScriptError: no body has a number, or a kind is invalid.
             UnknownNameError: no body has a name; with the nearest names.
-            ArgumentError: no shape has a key of `shapes`, or a value is no mesh.
+            ArgumentError: no shape has a key of `shapes`, or a value is no mesh; or two bodies have
+                one name.
             UnsupportedError: MuJoCo is not installed.
         """
         forward = validation.boolean(forward, "attach: forward")
         client, (names, kinds) = _simulation(client, data_names_kinds, names, kinds)
+        _check_distinct(names)
         name_of_simulator = simulator_of(client) if simulator is None else simulator
         options: dict[str, bool] = {"forward": forward} if forward else {}
         attached = backend(name_of_simulator).attach(client, names, kinds, shapes, **options)
@@ -171,6 +173,21 @@ class ConstructibleWorld:
         [False, True]
         """
         return service("batch")(model, count, name, history)
+
+
+def _check_distinct(names: Any) -> None:
+    """Checks that no two bodies have one name.
+
+    Raises:
+        ArgumentError: two have; the error names both.
+    """
+    bodies: dict[str, Any] = {}
+    for body, name in names.items() if isinstance(names, Mapping) else ():
+        if isinstance(name, str) and bodies.setdefault(name, body) is not body:
+            raise ArgumentError(
+                f"attach: names: the bodies {short_repr(bodies[name])} and {short_repr(body)} "
+                f"both have the name {short_repr(name)}: a name is that of one entity"
+            )
 
 
 def _simulation(

@@ -13,6 +13,7 @@ from sqlglot import exp
 
 from ssduck import validation
 from ssduck.errors import ArgumentError, SourceSpan
+from ssduck.interpreter.lint.columns import is_comparison
 from ssduck.interpreter.lint.suspect_values import (
     Comparison,
     is_hidden,
@@ -35,7 +36,6 @@ from ssduck.language.tree import (
 from ssduck.sql.name_comparisons import bound_value, parameter_of, span_of
 from ssduck.sql.statement_trees import statement_trees
 
-_COMPARISONS = frozenset(("<", "<=", ">", ">=", "==", "!=", "IN"))
 # The functions whose values are angles, with the least one.
 _ANGLES = {"tilt": "0", "acos": "0", "asin": "-1.57", "atan": "-1.57", "atan2": "-3.14"}
 _GREATEST = {"asin": "1.57", "atan": "1.57"}
@@ -73,7 +73,7 @@ def angle_sites(node: Node, query: Query | None = None) -> Iterator[AngleSite]:
             query = node
         case Call(name="upright", arguments=(_, angle)):
             yield AngleSite("upright", None, (angle,), node.span)
-        case Binary(operator=operator, left=left, right=right) if operator in _COMPARISONS:
+        case Binary(left=left, right=right) if is_comparison(node):
             for side, other in ((left, right), (right, left)):
                 values = other.items if isinstance(other, ListLiteral) else (other,)
                 for part, name, column in _angles_in(side, query):

@@ -7,6 +7,8 @@ worlds are looked up here before each statement runs.
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
@@ -17,6 +19,7 @@ from ssduck.errors import (
     ArgumentError,
     ProgramWarning,
     SelectScriptError,
+    SourceSpan,
     warn,
 )
 from ssduck.formatting import name_path, short_repr
@@ -120,6 +123,11 @@ class Linter:
             *degrees_in(facts.angles, self._variable, self._type_of_relation),
             *(ArgumentError(message, span=span) for message, span in facts.same_rows),
             *self._always_true(facts),
+            *(
+                ArgumentError(_NAN.format(name.name), span=name.span)
+                for name in facts.compared
+                if _is_nan(self._variable(name.name))
+            ),
             *self._unfit_entities(facts),
         ]
         for error, is_sure in self._swapped_roles(facts):
@@ -142,6 +150,10 @@ class Linter:
         comparisons = name_comparisons(sql)
         worlds = list(self._worlds())
         mistakes: list[SelectScriptError] = list(degrees_in_sql(sql, parameters))
+        if parameters and (place := _COMPARED_PARAMETER.search(sql)):
+            values = parameters.values() if isinstance(parameters, Mapping) else parameters
+            if any(map(_is_nan, values)):
+                mistakes.append(ArgumentError(_NAN_IN_SQL, span=SourceSpan(*place.span())))
         for comparison in comparisons if worlds else ():
             schema, text = comparison.schema, comparison.text(parameters)
             owners = [w for w in worlds if w.name == schema] if schema else worlds[:1]
@@ -271,10 +283,11 @@ class Linter:
             if self._variable(name) is not None:
                 message = f"{name} is the variable here, and not the column of that name"
                 yield ArgumentError(message, span=span)
-        for name, span in (*facts.bare, *facts.conditions):
-            is_hidden = self._is_function(name) and self._variable(name) is not None
-            may_hide = OVER_TIME if (name, span) in facts.conditions else _COLUMNS | OVER_TIME
-            if is_hidden and name not in may_hide:
+        bare = [(name, span, (), _COLUMNS | OVER_TIME) for name, span in facts.bare]
+        conditions = [(*condition, OVER_TIME) for condition in facts.conditions]
+        for name, span, others, may_hide in (*bare, *conditions):
+            is_hidden = self._is_function(name) and name not in may_hide
+            if is_hidden and all(self._variable(one) is not None for one in (name, *others)):
                 yield ArgumentError(hiding_message(name), span=span)
         for name, span in facts.aliases:
             if self._is_function(name) and self._variable(name) is None:
@@ -384,6 +397,17 @@ def _worlds_of(variable: Any) -> list[World]:
     if isinstance(variable, Past | Links):
         return [variable.world]
     return [variable] if isinstance(variable, World) else []
+
+
+# What is told of a number that is compared.
+_NAN = "{} is NaN, no number: no comparison with it holds but !="
+
+_NAN_IN_SQL = "a parameter is NaN, no number: DuckDB takes it for greater than all numbers"
+_COMPARED_PARAMETER = re.compile(r"[<>=]\s*(\?|\$\w+)|(\?|\$\w+)\s*[<>=]")
+
+
+def _is_nan(value: Any) -> bool:
+    return isinstance(value, float) and math.isnan(value)
 
 
 # The largest number of reported mistakes that are remembered.

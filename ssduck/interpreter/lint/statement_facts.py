@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, fields
 
 from ssduck.errors import SourceSpan
 from ssduck.interpreter.lint.angles import AngleSite, angle_sites
+from ssduck.interpreter.lint.columns import is_comparison, unnamed
 from ssduck.interpreter.lint.misread_relations import (
     as_conditions,
     has_volume,
@@ -71,7 +72,8 @@ class StatementFacts:
         sources: texts behind FROM.
         aliases: bare names in a query that are also aliases of its sources.
         bare: names that are selected, or keys.
-        conditions: names that are conditions, or are compared with a constant in one.
+        conditions: names that are conditions, or are compared with constants and other names in
+            one, which each has.
         columns: bare names in GROUP BY, HAVING and ORDER BY that are also names of columns.
         suspects: comparisons, columns and ages to look at.
         as_conditions: what stands as a condition, and may be an entity or a list.
@@ -79,6 +81,7 @@ class StatementFacts:
         misread: calls of relations that read as something else, with what is told of each.
         angles: angles that are compared with values.
         same_rows: what is told of `this` beside the same row of a nested query by its name.
+        compared: names that are compared, each with something else.
         row_roles: relations of each row of a query whose arguments may be swapped.
         has_volume: whether it names `volume`.
     """
@@ -89,7 +92,7 @@ class StatementFacts:
     sources: list[tuple[str, SourceSpan]] = field(default_factory=list)
     aliases: list[tuple[str, SourceSpan]] = field(default_factory=list)
     bare: list[tuple[str, SourceSpan]] = field(default_factory=list)
-    conditions: list[tuple[str, SourceSpan]] = field(default_factory=list)
+    conditions: list[tuple[str, SourceSpan, tuple[str, ...]]] = field(default_factory=list)
     columns: list[tuple[str, SourceSpan]] = field(default_factory=list)
     suspects: Suspects = field(default_factory=Suspects)
     as_conditions: tuple[Node, ...] = ()
@@ -97,6 +100,7 @@ class StatementFacts:
     misread: tuple[tuple[Call, str], ...] = ()
     angles: tuple[AngleSite, ...] = ()
     same_rows: tuple[tuple[str, SourceSpan], ...] = ()
+    compared: tuple[Name, ...] = ()
     row_roles: tuple[RowRole, ...] = ()
     has_volume: bool = False
 
@@ -118,11 +122,21 @@ def facts_of(statement: Node) -> StatementFacts:
         misread=tuple(misread_calls(statement)),
         angles=tuple(angle_sites(statement)),
         same_rows=tuple(same_rows(statement)),
+        compared=tuple(_compared_names(statement)),
         row_roles=tuple(row_roles(statement)),
         has_volume=has_volume(statement),
     )
     _collect(statement, {}, None, facts)
     return facts
+
+
+def _compared_names(statement: Node) -> Iterator[Name]:
+    """Yields the names that are compared; x != x asks for what is no number."""
+    for node in statement.walk():
+        if isinstance(node, Binary) and is_comparison(node):
+            names = [side for side in (node.left, node.right) if isinstance(side, Name)]
+            if len({name.name for name in names}) == len(names):
+                yield from names
 
 
 def _collect(
@@ -186,10 +200,11 @@ def _collect_from_query(query: Query, outer_sources: _OuterSources, facts: State
         if isinstance(node, Name) and node.name not in state_names
     ]
     conditions = [part for part in (query.where, query.having) if part is not None]
+    conditions += [item for item in map(unnamed, query.items) if is_comparison(item)]
     facts.conditions += [
-        (name.name, name.span)
-        for name in _condition_names(conditions)
-        if name.name not in state_names
+        (name.name, name.span, others)
+        for name, others in _condition_names(conditions)
+        if state_names.isdisjoint((name.name, *others))
     ]
     hidden_aliases = {
         s.alias for s in query.sources if not isinstance(s.value, Name | TimeIndex)
@@ -214,29 +229,36 @@ def _collect_from_list(
         _collect_name_site(query.items[0], (value,), visible_sources, only_source, facts)
 
 
-def _condition_names(nodes: Iterable[Node]) -> Iterator[Name]:
-    """Yields bare names that are conditions themselves, or are compared with a constant."""
+def _condition_names(nodes: Iterable[Node]) -> Iterator[tuple[Name, tuple[str, ...]]]:
+    """Yields bare names that are conditions, or are compared with constants and other names.
+
+    Each has the names that it is compared with: where all are variables, no row has a part in it.
+    """
     for node in nodes:
         match node:
             case Name():
-                yield node
+                yield node, ()
             case Binary(operator="AND" | "OR" | "XOR", left=left, right=right):
                 yield from _condition_names((left, right))
             case OperatorChain(operators=("AND" | "OR" | "XOR", *_), operands=operands):
                 yield from _condition_names(operands)
             case Unary(operator="NOT", operand=operand):
                 yield from _condition_names((operand,))
-            case Binary(left=Name() as name, right=other) if _is_constant(other):
-                yield name
-            case Binary(left=other, right=Name() as name) if _is_constant(other):
-                yield name
+            case Binary(left=left, right=right):
+                for side, other in ((left, right), (right, left)):
+                    names = _names_in(other)
+                    if isinstance(side, Name) and names is not None:
+                        yield side, names
 
 
-def _is_constant(node: Node) -> bool:
-    """Checks whether a value is a literal, or arithmetic of literals."""
-    return isinstance(node, Literal | Unary | Binary | OperatorChain) and all(
-        map(_is_constant, node.children())
-    )
+def _names_in(node: Node) -> tuple[str, ...] | None:
+    """Returns the names in a value of literals and names; None for another value."""
+    if isinstance(node, Name):
+        return (node.name,)
+    if not isinstance(node, Literal | Unary | Binary | OperatorChain | ListLiteral):
+        return None
+    parts = [_names_in(child) for child in node.children()]
+    return None if None in parts else tuple(name for part in parts if part for name in part)
 
 
 def _bare_names(nodes: Iterable[Node]) -> Iterator[Name]:

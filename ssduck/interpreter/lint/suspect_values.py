@@ -15,9 +15,10 @@ from typing import Literal as OneOf
 from ssduck import validation
 from ssduck.errors import ArgumentError, SelectScriptError, SourceSpan
 from ssduck.formatting import argument_in_words
+from ssduck.interpreter.lint.columns import column_of, first_rows, unnamed
 from ssduck.interpreter.lint.known_names import handle_of, spelled, spelled_id
 from ssduck.language.aggregates import is_grouped, over_rows
-from ssduck.language.analysis import free_aliases, states
+from ssduck.language.analysis import states
 from ssduck.language.builtins import EXTREMES
 from ssduck.language.operator_chains import conjuncts
 from ssduck.language.tree import (
@@ -41,6 +42,14 @@ from ssduck.sql.relations.registry import RELATIONS
 from ssduck.world.links import Links
 from ssduck.world.world import World
 
+
+@dataclass(frozen=True, eq=False)
+class _Elements(Node):
+    """The elements of a list that a variable may be."""
+
+    name: str
+
+
 Kind = OneOf["number", "text", "boolean", "entity", "list"]
 # The largest number of rows of a variable that are looked at.
 MAX_ROWS = 1000
@@ -52,8 +61,6 @@ _WORDS: dict[Kind, str] = {
     "list": "a list",
 }
 _KIND_OF_TYPE: dict[type, Kind] = {int: "number", float: "number", str: "text", bool: "boolean"}
-# Two names of one relation.
-_SYNONYMS = {"name": "id", "kind": "type"}
 # The relations whose values are lists of numbers.
 VECTORS = frozenset(
     name for name, one in RELATIONS.items() if one.result == "list" and one.element == "double"
@@ -66,8 +73,6 @@ _INSTEAD_OF_AGE = {
     "changes": "the value at a time is at(0.2, expression)",
 }
 _ORDERINGS = ("<", "<=", ">", ">=")
-# Keys that only one entity has.
-_UNIQUE = frozenset(("id", "obj", "this"))
 
 
 @dataclass(frozen=True)
@@ -128,7 +133,7 @@ def suspects_of(statement: Node) -> Suspects:
         tuple(site for query in queries for site in _comparisons(query)),
         tuple(pair for part in statement.walk() for pair in _compared_with_values(part, names)),
         tuple(_ages(statement)),
-        tuple(site for query in queries for site in _first_rows(query)),
+        tuple(site for query in queries for site in first_rows(query)),
         tuple(table for query in queries for table in _tables(query)),
         tuple(
             part
@@ -164,7 +169,7 @@ def _vector_of(node: Node) -> str:
 
 def _tables(query: Query) -> Iterator[Query]:
     """Yields the nested queries of one column that SELECT has as lists of dicts."""
-    for node in map(_unnamed, query.items):
+    for node in map(unnamed, query.items):
         if not isinstance(node, Query) or node.adapter is not None or node.recursion is not None:
             continue
         if len(node.items) == 1:
@@ -205,7 +210,7 @@ def _compared_with_values(node: Node, names: set[str]) -> Iterator[tuple[Node, N
 
 def _columns_of_null_test(node: Node) -> Iterator[str]:
     if isinstance(node, Unary) and node.operator == "IS NULL":
-        column = _column(node.operand)
+        column = column_of(node.operand)
         if column is not None:
             yield column[1]
 
@@ -245,7 +250,7 @@ def site_of(
     node: Node, query: Query, values: tuple[Node, ...], span: SourceSpan
 ) -> Comparison | None:
     """Returns the place of a column in a comparison; None for another value."""
-    column = (node.alias, "this", False) if isinstance(node, This) else _column(node)
+    column = (node.alias, "this", False) if isinstance(node, This) else column_of(node)
     if column is None:
         return None
     alias, name, is_bare = column
@@ -255,22 +260,10 @@ def site_of(
     return Comparison(source, name, is_bare, values, holds_of_missing=False, span=span)
 
 
-def _column(node: Node) -> tuple[str | None, str, bool] | None:
-    """Returns the alias and the name of a column, and whether a variable may hide it."""
-    match node:
-        case Name(name=name):
-            return None, name, True
-        case QualifiedName(alias=alias, key=name):
-            return alias, name, False
-        case Call(name=name, arguments=(This(alias=alias),)):
-            return alias, name, False
-        case Index(base=This(alias=alias), indices=(Literal(value=str() as name),)):
-            return alias, name, False
-    return None
-
-
 def _values(node: Node, operator: str, names: AbstractSet[str]) -> tuple[Node, ...]:
     """Returns the literals, and what may be an entity, on a side of a comparison."""
+    if operator == "IN" and isinstance(node, Name) and node.name not in names:
+        return (_Elements(node.span, node.name),)
     items = (node,) if operator != "IN" else node.items if isinstance(node, ListLiteral) else ()
     return tuple(
         item
@@ -283,63 +276,6 @@ def _source(query: Query, alias: str | None) -> Source | None:
     if alias is None:
         return query.sources[0] if len(query.sources) == 1 else None
     return next((source for source in query.sources if source.alias == alias), None)
-
-
-# -- aggregates -----------------------------------------------------------------------------------
-
-
-def _first_rows(query: Query) -> Iterator[tuple[str, SourceSpan]]:
-    """Yields the columns beside an aggregate of a group that are of the group's first row."""
-    if not query.group or query.recursion is not None or not any(map(over_rows, query.items)):
-        return
-    columns = [_unnamed(item) for item in query.items]
-    names = {name: value for name, value in map(_named, query.items) if name}
-    keys = {_printed(key, query) for key in query.group}
-    keys |= {_printed(value, query) for name, value in names.items() if name in keys}
-    if keys & _UNIQUE:
-        return
-    for value in columns:
-        is_of_row = isinstance(value, Name) or bool(free_aliases(value))
-        if is_of_row and not over_rows(value) and not _is_of_keys(value, keys, query):
-            yield value.name if isinstance(value, Name) else "", value.span
-
-
-def _unnamed(item: Node) -> Node:
-    """Returns the value of a column that AS or `to` names."""
-    is_named = isinstance(item, Call) and item.name == "to" and item.arguments
-    return item.arguments[0] if is_named else item  # type: ignore[attr-defined]
-
-
-def _named(item: Node) -> tuple[str, Node]:
-    match item:
-        case Call(name="to", arguments=(value, Literal(value=str() as name))):
-            return name, value
-    return "", item
-
-
-def _is_of_keys(node: Node, keys: set[str], query: Query) -> bool:
-    """Checks whether a value follows from the keys of its group."""
-    if _printed(node, query) in keys:
-        return True
-    column = _column(node)
-    if column is not None:
-        return not keys.isdisjoint((f"{column[0]}.id", f"{column[0]}.this"))
-    if isinstance(node, Query | This):
-        return False
-    return all(_is_of_keys(child, keys, query) for child in node.children())
-
-
-def _printed(node: Node, query: Query) -> str:
-    """Returns a column as one word, `a.z`; another value as its outline."""
-    is_only = len(query.sources) == 1
-    if isinstance(node, This):
-        return "this" if is_only or node.alias is None else f"{node.alias}.this"
-    column = _column(node)
-    if column is None:
-        return node.outline()
-    alias, name, _ = column
-    name = _SYNONYMS.get(name, name)
-    return name if is_only or alias is None else f"{alias}.{name}"
 
 
 def _ages(node: Node) -> Iterator[Call]:
@@ -379,7 +315,7 @@ def mistakes_in(
     for node, value in suspects.others:
         if handle_of(node, variable) is not None:
             yield from _unequal("this", {"entity"}, [value], variable)
-        elif isinstance(node, Call) and _column(node) is None:
+        elif isinstance(node, Call) and column_of(node) is None:
             kind = _KIND_OF_RESULT.get(type_of_relation(node.name) or "")
             yield from _unequal(node.name, {kind} if kind else set(), [value], variable)
     for call in suspects.ages:
@@ -534,11 +470,12 @@ def _unequal(
     """
     words = " or ".join(_WORDS[kind] for kind in sorted(kinds))
     for value in values if kinds else ():
-        if isinstance(value, Literal):
-            is_truth_value = kinds == {"boolean"} and value.value in (0, 1)
-            is_equal = is_truth_value or _KIND_OF_TYPE[type(value.value)] in kinds
-            told = argument_in_words(value.value)
-            advice = "; compare its id: id(…)" if isinstance(value.value, str) else ""
+        plain = _plain_values(value, variable)
+        if plain:
+            is_truth_value = kinds == {"boolean"} and any(one in (0, 1) for one in plain)
+            is_equal = is_truth_value or any(_KIND_OF_TYPE[type(one)] in kinds for one in plain)
+            told = argument_in_words(plain[0])
+            advice = "; compare its id: id(…)" if isinstance(plain[0], str) else ""
             advice = advice if "entity" in kinds else ""
         else:
             is_equal = "entity" in kinds or handle_of(value, variable) is None
@@ -554,6 +491,20 @@ def _unequal(
             yield ArgumentError(
                 f"{what} is {words}, and never equals {told}{advice}", span=value.span
             )
+
+
+def _plain_values(node: Node, variable: Callable[[str], Any]) -> list[Any]:
+    """Returns the numbers and texts that a part of a comparison is; none if it is another."""
+    values: list[Any] = []
+    match node:
+        case Literal(value=value):
+            values = [value]
+        case Name(name=name):
+            values = [variable(name)]
+        case _Elements(name=name):
+            found = variable(name)
+            values = found if type(found) is list else []
+    return values if all(type(value) in _KIND_OF_TYPE for value in values) else []
 
 
 def _cells(site: Comparison, variable: Callable[[str], Any]) -> list[Any] | None:

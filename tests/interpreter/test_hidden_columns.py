@@ -1,0 +1,120 @@
+"""Parameters that have the name of a column, are of another kind than it, or are NaN."""
+
+from __future__ import annotations
+
+import math
+import warnings
+
+import pybullet
+import pytest
+
+import ssduck
+from ssduck.errors import ArgumentError, ProgramWarning
+
+
+@pytest.fixture(scope="module")
+def world():
+    """A light and a heavy box."""
+    client = pybullet.connect(pybullet.DIRECT)
+    here = {"physicsClientId": client}
+    shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.1] * 3, **here)
+    names = {
+        pybullet.createMultiBody(mass, shape, basePosition=[mass, 0, 1], **here): name
+        for mass, name in ((0.3, "light"), (2, "heavy"))
+    }
+    yield ssduck.World.attach(client, names=names)
+    pybullet.disconnect(client)
+
+
+@pytest.fixture(params=[False, True])
+def ss(world, request):
+    with ssduck.Interpreter(row_by_row=request.param) as ss:
+        ss.add_variable("sim", world)
+        yield ss
+
+
+def told(ask, *arguments):
+    """The warnings of a call."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        ask(*arguments)
+    assert all(one.category is ProgramWarning for one in caught)
+    return [str(one.message) for one in caught]
+
+
+# (condition, parameters, the words of the messages)
+TOLD = [
+    ("mass > mass", {"mass": 1}, ["mass hides the function mass"]),
+    ("speed <= speed AND z > 0", {"speed": 9}, ["speed hides"]),
+    ("name = name", {"name": "light"}, ["name hides"]),
+    ("NOT mass > limit", {"mass": 1, "limit": 2}, ["mass hides"]),
+    ("mass IN masses", {"mass": 1, "masses": [1]}, ["mass hides"]),
+    ("mass > 2 * limit + 1", {"mass": 1, "limit": 2}, ["mass hides"]),
+    (
+        "this = target",
+        {"target": "light"},
+        ["this is an entity, and never equals 'light'"],
+    ),
+    ("this != target", {"target": "light"}, ["compare its id"]),
+    ("this IN names", {"names": ["light", "heavy"]}, ["this is an entity, and never equals"]),
+    ("NOT this IN names", {"names": ["light"]}, ["this is an entity, and never equals"]),
+    ("mass = label", {"label": "1"}, ["mass is a number, and never equals '1'"]),
+    ("id = number", {"number": 1}, ["id is a text, and never equals 1"]),
+    ("kind(this) IN numbers", {"numbers": [1, 2]}, ["kind is a text, and never equals"]),
+    ("sim.light = target", {"target": "light"}, ["this is an entity, and never equals"]),
+    ("mass > most", {"most": math.nan}, ["most is NaN, no number"]),
+    ("most <= mass(this)", {"most": math.nan}, ["most is NaN, no number"]),
+]
+NOT_TOLD = [
+    ("mass(this) > mass", {"mass": 1}),
+    ("z > mass", {"mass": 1}),
+    ("id = name", {"name": "light"}),
+    ("name(this) = name", {"name": "light"}),
+    ("this = target", {"target": None}),
+    ("this IN some", {"some": []}),
+    ("this IN some", {"some": ["light", None]}),
+    ("id IN names", {"names": ["light"]}),
+    ("mass = most", {"most": 2}),
+    ("most != most", {"most": math.nan}),
+    ("mass > limit", {"limit": 1.0}),
+]
+
+
+@pytest.mark.parametrize(("condition", "parameters", "expected"), TOLD)
+def test_a_parameter_that_makes_a_condition_say_nothing_is_told_of(
+    ss, condition, parameters, expected
+):
+    program = f"SELECT id FROM sim WHERE {condition} AS list;"
+    messages = told(ss.eval, program, parameters)
+    assert len(messages) == len(expected)
+    assert all(words in message for words, message in zip(expected, messages, strict=True))
+    ss.strict = True
+    with pytest.raises(ArgumentError):
+        ss.eval(program, parameters)
+
+
+@pytest.mark.parametrize(("condition", "parameters"), NOT_TOLD)
+def test_others_are_not(ss, condition, parameters):
+    ss.strict = True
+    assert told(ss.eval, f"SELECT id FROM sim WHERE {condition} AS list;", parameters) == []
+
+
+def test_entities_among_the_values_are_found(ss):
+    light = ss["sim"]["light"]
+    ss.strict = True
+    assert ss.eval("SELECT id FROM sim WHERE this IN some AS list;", {"some": [light]}) == ["light"]
+    assert ss.eval("SELECT id FROM sim WHERE this = one AS list;", {"one": light}) == ["light"]
+
+
+def test_the_columns_of_a_result_are_looked_at(ss):
+    assert len(told(ss.eval, "SELECT id, mass > mass AS more FROM sim;", {"mass": 1})) == 1
+    assert told(ss.eval, "SELECT id, x + y AS more FROM sim;", {"x": 1, "y": 2}) == []
+
+
+def test_raw_sql_tells_of_nan(ss):
+    question = "SELECT name FROM entities WHERE z < ?"
+    (message,) = told(ss.sql, question, [math.nan])
+    assert "a parameter is NaN" in message
+    assert len(ss.sql(question, [math.nan]).fetchall()) == 2  # DuckDB: NaN is the greatest
+    assert told(ss.sql, "SELECT ? AS x", [math.nan]) == []
+    assert told(ss.sql, "SELECT name FROM entities WHERE z < $most", {"most": 1.0}) == []
