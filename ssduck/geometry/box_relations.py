@@ -78,8 +78,10 @@ def _is_above(boxes: Array, positions: Array, first: Indices, second: Indices) -
 
 @np.errstate(invalid="ignore")  # boxes of planes are infinite
 def _is_below(boxes: Array, positions: Array, first: Indices, second: Indices) -> Flags:
-    sums = np.where(boxes[5] < np.inf, boxes[2] + boxes[5], -np.inf)
-    return np.asarray(2 * positions[2, second] < sums[first])
+    # The box of a level plane has no centre, but a surface.
+    high = np.where(boxes[5] == np.inf, boxes[2], boxes[5])
+    low = np.where(boxes[2] == -np.inf, high, boxes[2])
+    return np.asarray(2 * positions[2, second] < (low + high)[first])
 
 
 def _is_inside(boxes: Array, positions: Array, first: Indices, second: Indices) -> Flags:

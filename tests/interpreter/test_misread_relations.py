@@ -210,6 +210,52 @@ def test_a_tilted_plane_in_a_relation_of_boxes_is_told_of(slope, program, planes
         assert ss.eval("penetration(sim.slope, sim.ball);") == 0.0
 
 
+@pytest.fixture(scope="module")
+def planes():
+    """Balls over and under a floor, a ceiling, an upright and a tilted plane."""
+    client = pybullet.connect(pybullet.DIRECT)
+    here = {"physicsClientId": client}
+    names = {}
+    for name, normal, z in (
+        ("floor", [0, 0, 1], 0.5),
+        ("ceiling", [0, 0, -1], 3),
+        ("wall", [1, 0, 0], 0),
+        ("slope", [0, 0.6, 0.8], 0),
+    ):
+        shape = pybullet.createCollisionShape(pybullet.GEOM_PLANE, planeNormal=normal, **here)
+        names[pybullet.createMultiBody(0, shape, basePosition=[0, 0, z], **here)] = name
+    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, **here)
+    for n, z in enumerate((-5, 0.2, 2, 4)):
+        body = pybullet.createMultiBody(1, ball, basePosition=[-1, 0, z], **here)
+        names[body] = f"ball_{n}"
+    yield ssduck.World.attach(client, names=names)
+    pybullet.disconnect(client)
+
+
+@pytest.mark.filterwarnings("ignore:.*a tilted plane:ssduck.errors.ProgramWarning")
+@pytest.mark.parametrize("row_by_row", [False, True])
+def test_what_is_below_the_surface_of_a_level_plane_is_below_it(planes, row_by_row):
+    with ssduck.Interpreter(row_by_row=row_by_row) as ss:
+        ss.add_variable("sim", planes)
+        heights = {f"ball_{n}": z for n, z in enumerate((-5, 0.2, 2, 4))}
+        below = {
+            **{("floor", ball): z < 0.5 for ball, z in heights.items()},
+            **{("ceiling", ball): z < 3 for ball, z in heights.items()},
+            **{(plane, ball): False for plane in ("wall", "slope") for ball in heights},
+        }
+        for (plane, ball), expected in below.items():
+            assert ss.eval(f"below(sim.{plane}, sim.{ball});") is expected
+        pairs = "SELECT a.name, b.name FROM entities a, entities b WHERE below(a, b)"
+        every = "SELECT a.id AS a, b.id AS b FROM a=sim, b=sim WHERE below(a.this, b.this);"
+        expected_pairs = sorted(pair for pair, is_below in below.items() if is_below)
+        for found in (ss.sql(pairs).fetchall(), [tuple(row.values()) for row in ss.eval(every)]):
+            known = sorted(pair for pair in found if pair in below)
+            assert known == expected_pairs
+        level = "SELECT id FROM sim WHERE {}(sim.floor, this) AND mass > 0 AS list;"
+        assert ss.eval(level.format("below")) == ["ball_0", "ball_1"]
+        assert ss.eval(level.format("above")) == ["ball_2", "ball_3"]
+
+
 @pytest.mark.parametrize("name", ["on", "onTop", "supports", "restsOn", "contains", "enclosed"])
 def test_an_immovable_thing_in_a_movable_one_is_told_of(ss, name):
     (message,) = told(ss.eval, f"{name}(sim.ball, sim.bin);")

@@ -192,10 +192,13 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         "below",
         A_B,
         "boolean",
-        f"{_FOOTPRINT} AND 2 * b.z < a.zmin + a.zmax AND a.zmax < 'infinity'::DOUBLE "
-        "AND a.id <> b.id",
+        f"{_FOOTPRINT} AND CASE WHEN a.zmax = 'infinity'::DOUBLE THEN b.z < a.zmin "
+        "WHEN a.zmin = '-infinity'::DOUBLE THEN b.z < a.zmax "
+        "ELSE 2 * b.z < a.zmin + a.zmax END AND a.id <> b.id",
         "Checks if the position of b is below the centre of the box of a: x and y are within "
-        "the box, edges included, and z is lower than the centre.",
+        "the box, edges included, and z is lower than the centre. The box of a level plane has no "
+        "centre: what is below its surface is below it. That of a tilted plane is infinite: "
+        "nothing is below it.",
         candidate_pairs=CandidatePairs(BELOW),
     ),
     Relation(
