@@ -16,7 +16,7 @@ from ssduck.adapters.registry import all_adapters, tables_read_by
 from ssduck.adapters.sizes import made_bytes
 from ssduck.database.database import Database
 from ssduck.errors import ArgumentError, LimitError, UnknownNameError, nearest, warn
-from ssduck.formatting import short_repr
+from ssduck.formatting import name_path, short_repr
 from ssduck.interpreter.link_functions import LINK_FUNCTIONS, mentions_links
 from ssduck.interpreter.output import help_of_result_form, help_of_result_forms
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS
@@ -132,10 +132,20 @@ class Namespace:
         if name in RELATIONS or name in self.functions:
             told = f"; {_CALLS[name]}" if name in RELATIONS and name in _CALLS else ""
             raise UnknownNameError(
-                f"there is no variable {name!r}; {name} is a function: write {name}(this), say"
-                + told
+                f"there is no variable {name!r}; {name} is a function: write {self._call(name)}, "
+                f"say{told}"
             )
         raise self._unknown_variable(name)
+
+    def _call(self, name: str) -> str:
+        """Returns a call of a function of the rows of a query, as an example."""
+        relation = RELATIONS.get(name)
+        if relation is None or relation.required_count == 1:
+            return f"{name}(this)"
+        if [part.type for part in relation.parameters[: relation.required_count]] == ["entity"] * 2:
+            names = ((w.name, e.name) for w in self.worlds for e in w.snapshot.entities)
+            return f"{name}({name_path(*next(names, ('room', 'cup')))}, this)"
+        return relation.usage.partition(" -> ")[0]
 
     def _unknown_variable(self, name: str) -> UnknownNameError:
         """Returns the error for an unknown variable; it says what the name may stand for."""

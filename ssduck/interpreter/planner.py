@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 from weakref import WeakKeyDictionary
@@ -192,10 +193,12 @@ class Planner:
             lacking += "name an entity, as in room['panda']"
             whole = "; a world is no entity: of anything in it, EXISTS (SELECT this FROM room "
             whole += f"WHERE {call.name}(cup, this))"
+            nan = "; a number of the list is NaN"
             raise ArgumentError(
                 f"{call.name} does not take ({types_text}): {RELATIONS[call.name].usage}"
                 + lacking * any(value is None for value in values)
-                + whole * (len(values) > 1 and any(isinstance(v, World) for v in values)),
+                + whole * (len(values) > 1 and any(isinstance(v, World) for v in values))
+                + nan * any(map(_has_nan, values)),
                 span=query.span,
             )
         (row,) = planned.run(types.frame(), ()).values  # type: ignore[union-attr]
@@ -489,3 +492,8 @@ class InterpreterTypes:
             and all(self.sql_type(node) == sql_type for node, sql_type in plan.constants.items())
             and all(self.world(node) == schema for node, schema in plan.worlds.items())
         )
+
+
+def _has_nan(value: Any) -> bool:
+    """Checks whether a value is a list with a number that is NaN."""
+    return isinstance(value, list) and any(isinstance(v, float) and math.isnan(v) for v in value)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 _JOIN = "only JOIN … ON … is known; write FROM room a, room b WHERE above(a, b)"
 _SETS = "lists are joined by +: (SELECT … AS list) + (SELECT … AS list)"
 _IF = "a choice is IF(condition; a; b)"
@@ -173,16 +175,48 @@ _OF_LIBRARIES: dict[tuple[str, ...], str] = {
     ("YAW", "HEADING"): "write atan2(rot(e)[1][0], rot(e)[0][0])",
     ("PITCH",): "write asin(-rot(e)[2][0]); the angle to the vertical is tilt(e)",
     ("ROLL",): "write atan2(rot(e)[2][1], rot(e)[2][2]); the angle to the vertical is tilt(e)",
-    ("EULER", "RPY"): "write [atan2(rot(e)[2][1], rot(e)[2][2]), asin(-rot(e)[2][0]), "
+    (
+        "EULER",
+        "RPY",
+        "EULERFROMQUATERNION",
+    ): "write [atan2(rot(e)[2][1], rot(e)[2][2]), asin(-rot(e)[2][0]), "
     "atan2(rot(e)[1][0], rot(e)[0][0])] for roll, pitch and yaw",
     ("XPOS",): "write position(e)",
     ("ROTATION", "XQUAT", "QUATERNION"): "write orientation(e), which is w, x, y, z, or rot(e), "
     "the matrix",
     ("XMAT",): "write rot(e)",
     ("HEIGHT",): "the height is z(e), the top is aabb(e)[5]; the extent is aabb(e)[5] - aabb(e)[4]",
+    ("BBOX", "BOUNDINGBOX"): "aabb(e) is the bounding box [xmin, xmax, ymin, ymax, zmin, zmax]",
     ("SIZE", "EXTENT", "EXTENTS", "DIMENSIONS", "WIDTH"): _BOX.format(1, 0),
-    ("QPOS", "JOINTPOSITION", "JOINTANGLE", "JOINTPOS", "JOINTSTATE"): f"{_JOINT}, that of a body "
-    "position(entity)",
+    ("BASEPOSITIONANDORIENTATION", "POSITIONANDORIENTATION", "TRANSFORM"): "write position(e) and "
+    "orientation(e), which is w, x, y, z; pose(e) is both in one list",
+    (
+        "BASEVELOCITY",
+        "LINEARVEL",
+        "LINVEL",
+        "VEL",
+    ): "write velocity(e); angularVelocity(e) is that of the turn",
+    ("ANGVEL", "ANGULARVEL", "OMEGA", "SPIN"): "write angularVelocity(e)",
+    ("LINKSTATE", "LINKSTATES", "LINKPOSITION", "LINKPOSE", "EEPOSITION"): "a link is written by "
+    "its names: position(room.panda.hand), and likewise orientation and velocity",
+    ("DYNAMICSINFO", "BODYMASS"): "write mass(e)",
+    ("NUMBODIES", "NUMLINKS"): "write count(SELECT this FROM room), or count(links(e))",
+    ("NUMJOINTS", "JOINTINFO"): f"{_JOINT}; its range {_JOINT_TABLE.format('lower, upper')}",
+    (
+        "CONTACTPOINTS",
+        "CONTACTPOINT",
+    ): "inContact(a, b) asks for contacts that press, hasContact(a, "
+    "b) for any; the points are a table of ss.sql: SELECT * FROM contacts",
+    ("MATRIXFROMQUATERNION",): "write rot(e)",
+    ("STEPSIMULATION", "RESETBASEPOSITIONANDORIENTATION", "APPLYEXTERNALFORCE"): _CHANGE,
+    (
+        "QPOS",
+        "JOINTPOSITION",
+        "JOINTANGLE",
+        "JOINTPOS",
+        "JOINTSTATE",
+        "JOINTSTATES",
+    ): f"{_JOINT}, that of a body position(entity)",
     ("QVEL", "JOINTVELOCITY", "JOINTVEL", "JOINTSPEED"): "the velocity of a joint is "
     f"rate(joint(entity, 'name')), and {_JOINT_TABLE.format('velocity')}; that of a body is "
     "velocity(entity)",
@@ -199,7 +233,27 @@ _OF_LIBRARIES: dict[tuple[str, ...], str] = {
     ("REACHED", "ARRIVED"): "write distance(a, b) < 0.05",
     ("DISTANCEXY", "DISTANCE2D", "HYPOT"): "write norm([x(a) - x(b), y(a) - y(b)])",
     (
+        "STACKED",
+        "STACKEDON",
+        "ONTOPOF",
+        "STACKEDONTOPOF",
+        "PLACEDON",
+        "SITSON",
+        "STANDSON",
+    ): "write on(support, thing), or restsOn(support, thing) for a stack: what carries comes first",
+    ("TOUCHES", "TOUCHED"): "write touching(a, b), or inContact(a, b) for contacts that press",
+    ("UPSIDEDOWN", "INVERTED"): "write tilt(e) > 2.8",
+    ("GAP", "SEPARATION"): "write clearance(a, b)",
+    ("CLOSESTTO", "NEAREST", "NEARESTTO"): "write SELECT id FROM room WHERE this != room.cup "
+    "ORDER BY distance(this, room.cup) LIMIT 1",
+    ("CANSEE", "SEES", "SEEN", "LOOKSAT"): "write isSensing(sensor, entity)",
+    ("ATTACHED", "WELDED", "CONSTRAINT"): "what a gripper holds is grasped(a, b); the constraints "
+    "of the simulator are not kept",
+    ("BETWEEN",): "write x BETWEEN a AND b",
+    ("RANGE", "ARANGE", "LINSPACE"): "a list is written [0, 1, 2]",
+    (
         "CLOSEST",
+        "CLOSESTPOINTS",
     ): "the closest points of two are nearestPoints(a, b), and the gap is clearance(a, b)",
     ("ANGLE", "ANGLEBETWEEN", "ANGULARDISTANCE", "ROTATIONDISTANCE"): _ANGLE,
     ("ORIENTATIONDISTANCE", "ALIGNED", "PARALLEL"): _ANGLE,
@@ -270,10 +324,25 @@ _OWN_NAMES = {
 }
 
 
+# What names of functions begin with in other libraries: getJointState, is_holding.
+_PREFIX = re.compile(r"^(GET|IS|HAS|COMPUTE|CHECK)(?=[A-Z]{2})")
+
+
+def plain_names(name: str) -> tuple[str, ...]:
+    """Returns a name in upper case, without underscores, and without get or is in front.
+
+    >>> plain_names("get_joint_state")
+    ('GET_JOINT_STATE', 'GETJOINTSTATE', 'JOINTSTATE')
+    """
+    word = name.upper().replace("_", "")
+    return name.upper(), word, _PREFIX.sub("", word)
+
+
 def suggestion_for_name(name: str) -> str:
     """Returns the suggestion for an unknown name; empty if it is no word of SQL."""
-    if name.upper() in _OWN_NAMES:
-        return _OWN_NAMES[name.upper()]
+    for word in plain_names(name):
+        if word in _OWN_NAMES:
+            return _OWN_NAMES[word]
     return HABITS[name.upper()] if name.upper() in _NAMES else ""
 
 

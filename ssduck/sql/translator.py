@@ -21,7 +21,7 @@ from ssduck.language.aggregates import check_one_group, is_aggregated, is_one_gr
 from ssduck.language.analysis import OVER_TIME, changing, free_aliases, is_impure
 from ssduck.language.clauses import PythonClauses
 from ssduck.language.operator_chains import conjuncts
-from ssduck.language.sql_suggestions import suggestion_for_call
+from ssduck.language.sql_suggestions import plain_names, suggestion_for_call
 from ssduck.language.tree import Binary, Call, Node, OrderKey, Query, This
 from ssduck.sql import subqueries
 from ssduck.sql.expressions import Expressions
@@ -48,6 +48,8 @@ from ssduck.sql.sql_values import FloatDomain, NotSqlError, SqlValue, StatementC
 from ssduck.sql.types import INTEGER, SqlType
 
 _MAX_ROWS = 2**62
+# The least similarity of a function that is suggested for another name.
+_FUNCTION_LIKENESS = 0.7
 _ENDS: tuple[Literal["first", "last"], ...] = ("first", "last")
 
 
@@ -536,11 +538,12 @@ def _parts(node: Node) -> Iterator[Node]:
 
 def unknown_function(node: Call, known: Sequence[str]) -> UnknownNameError:
     """Returns the error for an unknown function."""
+    plain = plain_names(node.name)
+    same = tuple(name for name in known if name.upper() in plain)
     instead = suggestion_for_call(node.name)
-    near = nearest(node.name, known)
-    is_same = any(name.casefold() == node.name.casefold() for name in near)
+    near = same or nearest(node.name, known, least=_FUNCTION_LIKENESS)
     return UnknownNameError(
         f"there is no function {short_repr(node.name)}" + (f"; {instead}" if instead else ""),
         span=node.name_span,
-        suggestions=near if is_same or not instead else (),
+        suggestions=near if same or not instead else (),
     )
