@@ -80,11 +80,12 @@ class KnownNames:
         owners = " or ".join(dict.fromkeys(_OWNERS[kind] for kind in kinds))
         world_names = " or ".join(world.name for world in worlds[:3])
         verb = "is of the kind" if _KINDS.keys() & kinds else "has the name"
-        return UnknownNameError(
-            f"no {owners} of {world_names} {verb} {short_repr(name)}",
-            span=span,
-            suggestions=nearest(name, names),
-        )
+        message = f"no {owners} of {world_names} {verb} {short_repr(name)}"
+        parts = [world.part_hint(name) for world in worlds] if kinds == ["entity"] else []
+        told = next(filter(None, parts), "")
+        if told:
+            return UnknownNameError(f"{message}; {told}", span=span)
+        return UnknownNameError(message, span=span, suggestions=nearest(name, names))
 
 
 @dataclass(frozen=True)

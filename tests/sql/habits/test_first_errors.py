@@ -276,6 +276,7 @@ OF_PROGRAMS = [
     ("sim.arm.cube;", "for the entity, write sim.cube"),
     ("sim.cube.hand;", "write sim.arm.hand"),
     ("z(hand);", "no variable 'hand'; a part of another one has that name: write sim.arm.hand"),
+    ("z(sim['arm.hand']);", "it is a link: write sim.arm.hand; all links are FROM links(sim)"),
     ("sim.angle_of_hinge > 0;", "data.sensor('angle_of_hinge').data.tolist()"),
     ("angle_of_hinge > 0;", "it is a sensor of the model, which a world does not read"),
     ("sim.arm.angle_of_hinge > 0;", "it is a sensor of the model"),
@@ -295,6 +296,20 @@ OF_PROGRAMS = [
     ("sim.cube.links;", "links(sim.cube)"),
     ("z(sim.qwerty);", "has no entity 'qwerty', only world, table, cube, duplo2x4/, arm"),
 ]
+
+
+@pytest.mark.parametrize("name", ["arm.hand", "hand", "hinge"])
+def test_a_part_that_is_no_entity_says_what_it_is(ss, name):
+    known = {"arm.hand": "it is a link: write sim.arm.hand", "hinge": "it is a joint: write joint("}
+    told = known.get(name, "a part of another one has that name: write sim.arm.hand")
+    for ask, question in (
+        (ss.eval, f"SELECT z FROM sim WHERE id = '{name}';"),
+        (ss.sql, f"SELECT z FROM entities WHERE name = '{name}'"),
+    ):
+        with pytest.warns(ProgramWarning, match=re.escape(f"{name!r}; {told}")):
+            ask(question)
+    with pytest.raises(SelectScriptError, match=re.escape(told)):
+        ss["sim"][name]
 
 
 def test_what_follows_names_that_mean_other_things_has_no_hint(ss):
