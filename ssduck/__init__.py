@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from ssduck.interpreter.record_check import check
     from ssduck.interpreter.triggers.diff import Changed
     from ssduck.interpreter.triggers.trigger import TriggerWarning
-    from ssduck.interpreter.upgrading import upgrade
     from ssduck.lakes.lake import Lake
     from ssduck.lakes.lake import open_lake as lake
     from ssduck.limits import Limits
@@ -60,7 +59,6 @@ __all__ = [
     "lake",
     "load",
     "open",
-    "upgrade",
     "write_record",
 ]
 
@@ -100,7 +98,6 @@ _HOMES = {
     "import_poses": "interchange.conversion",
     "load": "interpreter.opening",
     "open": "interpreter.opening",
-    "upgrade": "interpreter.upgrading",
     "write_record": "interchange.record_writer",
 }
 # Names that differ in their module, as Python or the package has others of that name.

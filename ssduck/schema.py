@@ -518,13 +518,6 @@ MODELS: Mapping[str, Table] = {
 }
 # The recorded poses of links, where the table of links is not recorded.
 FRAMES = _FRAMES.name
-# The columns that records have since a later version; older ones lack them.
-LATER_COLUMNS = frozenset(
-    (
-        *("run", "margin", "exact", "joints", "joint", "anchor_x", "anchor_y", "anchor_z"),
-        *("reference", "region", "region_x", "region_y", "region_z", "visuals"),
-    )
-)
 
 
 def link_id(entity: int, link: int) -> int:

@@ -2,13 +2,13 @@
 
 `python -m tools.kill_work [COUNT] [--seed N] [--work NAME]` kills COUNT processes in the middle of
 their work, in turn: while they export a record, close a recording, open a record and ask it, begin
-another episode in a record, repair one, upgrade one of two episodes, and import an MCAP file (extra
+another episode in a record, repair one, and import an MCAP file (extra
 `mcap`). 500 take about ten minutes on two busy cores. The exit status is 1 if there are faults.
 `python -m tools.kill` kills recorders while they record and flush.
 
 Records are folders and DuckDB files, in turn. A process is killed at a random moment of the time
 that its work takes. After that, every tick that was stored before must be there with the same rows,
-an export, an import and an upgraded record must be whole or not there at all, only an episode with
+an export and an import must be whole or not there at all, only an episode with
 all its ticks may be `complete`, and the same work must succeed when it is done again.
 """
 
@@ -231,27 +231,6 @@ def _after_repair(case: Case, _: list[str]) -> Iterator[str]:
         yield "the repaired record has rows that were not there"
 
 
-def _upgrade(case: Case, report: Report) -> None:
-    _record(case.path, seed=2)
-    report("begun")
-    ssduck.upgrade(case.path, case.folder / "upgraded")
-
-
-def _after_upgrade(case: Case, _: list[str]) -> Iterator[str]:
-    target = case.folder / "upgraded"
-    yield from case.unharmed()
-    expected = [case.before, _contents(case.path, 1)]
-    try:
-        made = _complete(target)
-    except RecordError:  # it is no record
-        ssduck.upgrade(case.path, target)
-        made = _complete(target)
-    if made != {0: True, 1: True}:
-        yield f"of two complete episodes, the upgraded record has {made}"
-    elif [_contents(target, number) for number in made] != expected:
-        yield "the upgraded record has other rows"
-
-
 def _import(case: Case, report: Report) -> None:
     source = case.folder / "poses.mcap"
     if not source.exists():
@@ -324,7 +303,6 @@ WORK = {
     "open": Work(_open, _after_open),
     "begin": Work(_begin, _after_begin),
     "repair": Work(_repair, _after_repair),
-    "upgrade": Work(_upgrade, _after_upgrade),
     "import": Work(_import, _after_import),
 }
 

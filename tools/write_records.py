@@ -1,9 +1,8 @@
-"""Writes the records that `tests/recording/test_old_records.py` opens, in the present format.
+"""Writes the records that `tests/recording/test_stored_records.py` opens.
 
 `python -m tools.write_records FILE.tar.xz` records a small world in a folder and in a DuckDB file,
 and copies the folder while its last rows are still in the log. What PyBullet itself says of each
-tick is written beside the records, so that a later ssduck is compared with it. Add such a file to
-`tests/data` when the format changes, and keep the older ones.
+tick is written beside the records, so that a later ssduck is compared with it.
 """
 
 from __future__ import annotations

@@ -40,7 +40,6 @@ from ssduck.cli.records import (
     export,
     open_or_load,
     record,
-    upgrade,
 )
 from ssduck.cli.rendering import render
 from ssduck.cli.viewing import view
@@ -359,7 +358,7 @@ def query(
     write(value)
 
 
-for command in (record, export, episodes, check, lake, ask, tag, upgrade, macros):
+for command in (record, export, episodes, check, lake, ask, tag, macros):
     app.command()(command)
 app.command("import")(import_)
 

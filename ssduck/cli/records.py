@@ -261,21 +261,6 @@ def check(
         raise typer.Exit(1)
 
 
-@signals.raised()
-def upgrade(
-    path: Annotated[Path, typer.Argument(metavar="RECORD", help="The record.")],
-    output: Annotated[
-        Path,
-        typer.Option("--output", "-o", metavar="PATH", help="A new folder."),
-    ],
-) -> None:
-    """Write a record of an older release to a new folder in the present format."""
-    from ssduck.interpreter.upgrading import upgrade as upgraded
-
-    for one in upgraded(path, output):
-        print_line(f"{count_of(one.ticks, 'tick')} of {one.world!r}: episode {one.number}")
-
-
 def _episodes(path: Path) -> list[Episode]:
     from ssduck.interpreter.archives import episodes as episodes_of
 

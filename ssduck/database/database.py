@@ -8,7 +8,7 @@ they read. Each world is a schema of views on its buffers. Nothing outside this 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -475,7 +475,6 @@ class Database:
         time_range: tuple[float | None, float | None],
         begun: list[BegunEpisode],
         tags: Tags | None = None,
-        about: Mapping[str, str | int] | None = None,
     ) -> Path:
         """Writes the record of a world to a folder as a new episode; returns its ticks' folder.
 
@@ -496,8 +495,7 @@ class Database:
             recording = bound.history.store.recording
             name = self.schema_of(world)
             order = bound.number if record.order is None else record.order
-            about = {"order": order} | dict(about or {})
-            return export(record, recording, name, path, names, time_range, begun, tags, about)
+            return export(record, recording, name, path, names, time_range, begun, tags, order)
 
     def flush(self) -> dict[str, int]:
         """Stores waiting ticks; returns the last tick of each world, by its schema."""

@@ -213,7 +213,7 @@ def _seek(replayed: ReplayedWorld, steps: EpisodeSteps, index: int, *, is_by_tim
         RecordError: there is none.
     """
     time = steps.times[index]
-    if is_by_time or steps.ticks is None:
+    if is_by_time:
         replayed.seek(time)
     else:  # a simulation whose time stands still has several ticks of one time
         replayed.seek_tick(steps.ticks[index])

@@ -12,14 +12,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import pyarrow.parquet as pq
 import sqlglot
 from sqlglot import exp
 
 from ssduck.errors import UnknownNameError, nearest
 from ssduck.interchange.pairs import COLUMNS, pairs_of
 from ssduck.language.intervals import INTERVALS, RELATIONS_OF_INTERVALS
-from ssduck.recording.stores.history_sql import known
+from ssduck.recording.stores.history_sql import all_columns
 from ssduck.recording.stores.parquet_layout import PAIRS, FolderRun
 from ssduck.recording.stores.stored_columns import part_columns
 from ssduck.schema import LINK_FACTOR, MAX_LINKS, MODELS, RECORDED, TABLES, Column
@@ -308,15 +307,10 @@ def _view(name: str, rows: str) -> str:
 
 
 def _scan(name: str, files: Sequence[Path]) -> str:
-    """Returns a SELECT of the rows of files, with NULL for columns that an older record lacks."""
-    present = set(pq.read_schema(files[0]).names)
+    """Returns a SELECT of the rows of files."""
     paths = ", ".join(exp.Literal.string(_exact(file)).sql("duckdb") for file in files)
-    types = {column.name: column.sql for column in _columns(name)}
-    columns = [
-        known(column, type) if column in present else f"NULL::{type} AS {_quoted(column)}"
-        for column, type in types.items()
-    ]
-    return f"SELECT {', '.join(columns)} FROM read_parquet([{paths}], hive_partitioning = false)"  # noqa: S608
+    rows = f"read_parquet([{paths}], hive_partitioning = false)"
+    return all_columns(rows, {column.name: column.sql for column in _columns(name)})
 
 
 def _columns(name: str) -> Sequence[Column]:

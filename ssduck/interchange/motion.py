@@ -11,7 +11,7 @@ import pyarrow as pa
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.recording.episode_steps import EpisodeSteps, recorded_steps
 from ssduck.recording.model_checks import check_models
-from ssduck.recording.static_tables import members_of, with_joint_numbers
+from ssduck.recording.static_tables import members_of
 from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.recording.tags import Tags
 from ssduck.schema import FRAMES, MODELS, POSE
@@ -113,10 +113,9 @@ def _rows(
 ) -> Iterator[tuple[Indices, list[Indices], Array]]:
     """Yields the ticks, keys and values of the rows of each part of a table, and of its log."""
     for rows in (*run.parts_of(table), *([run.log[table]] if run.log else [])):
-        complete = with_joint_numbers(table, rows)
-        numbers = [complete[key].to_numpy() for key in keys]
-        columns = [complete[name].to_numpy() for name in values]
-        yield complete["tick"].to_numpy(), numbers, np.column_stack(columns)
+        numbers = [rows[key].to_numpy() for key in keys]
+        columns = [rows[name].to_numpy() for name in values]
+        yield rows["tick"].to_numpy(), numbers, np.column_stack(columns)
 
 
 def _fill(

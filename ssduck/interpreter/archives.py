@@ -127,8 +127,8 @@ def select_runs(
 ) -> list[RecordedRun]:
     """Returns one run of each world, or of one: the run of a number, or the last one with ticks.
 
-    They are in the order in which the worlds were added, or that of their names where the record,
-    as one of an older ssduck, does not have it.
+    They are in the order in which the worlds were added, or that of their names where the record
+    does not have it.
 
     Raises:
         RecordError: there is no such run.
@@ -203,14 +203,11 @@ def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
         archive = run.history(database.connection.reader(OpenedRecord(run.path)))
         ticks, models = archive.ticks(), archive.model_rows()
     try:
-        description = run_of(models)
+        run_number = run_of(models)
     except RecordError as error:
         raise RecordError(
             f"{run.path}: episode {run.number} of {run.world!r}: {error.message}"
         ) from error
-    if description is None and models["entities"].num_rows:  # older rows lack the run
-        archive.unrecorded_run = new_run()
-    number = description or archive.unrecorded_run or new_run()
     members = members_of(models)
     rows = CheckedRows(archive, members, ticks, str(run.path))
     record = Record(
@@ -221,7 +218,7 @@ def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
         rows.fetch,
         rows.near_pairs,
         geometries_of(models),
-        number,
+        run_number or new_run(),
         source=rows.source,
         tags=run.tags,
         stored=rows,
@@ -301,8 +298,8 @@ class StoredRun:
             every=history.recording.every,
             entities=history.recording.entities,
             ticks=history.ticks(),
-            complete=self.description.get("complete"),
-            id=self.description.get("id"),
+            complete=self.description["complete"],
+            id=self.description["id"],
             tags=self.tags,
         )
 

@@ -58,13 +58,9 @@ class EpisodeGroup:
         self._described = _described(self.run, entry)
         self.models = {table: self.run.read(f"models/{table}") for table in MODELS}
         check_models(self.models, lambda table: str(self.run.place(f"models/{table}")))
-        number = run_of(self.models)
-        if number is None:
-            raise RecordError(f"{self.run.about_file} is of a record without the number of its run")
-        self.number = number
+        self.number = run_of(self.models) or 0
         self._checks = RowChecks(members_of(self.models))
         self._repeated = RepeatedColumns(self.models)
-        assert self.run.key is not None  # its parts have labels
         files = EntryFiles(entry, self.run.key)
         self._parts = _model_parts(files)
         self._present = present_at_end(_last_rows(files, ReadParts()))
@@ -98,7 +94,6 @@ class EpisodeGroup:
         run = FolderRun(expand_path(entry.path), entry.world, entry.episode)
         if _described(run, entry) != self._described:
             raise RecordError(f"{run.about_file} describes another recording than its group has")
-        assert run.key is not None  # its parts have labels
         files = EntryFiles(entry, run.key)
         for model in MODELS:
             yield
@@ -158,7 +153,7 @@ def _described(run: FolderRun, entry: EpisodeEntry) -> tuple[object, ...]:
         RecordError: the episode cannot be asked together with others.
     """
     has_log = any(file.name.startswith(f"{LOG}/") for file in entry.files)
-    if has_log or run.removed_parts or not run.has_checksums or run.key is None:
+    if has_log or run.removed_parts or not run.has_checksums:
         raise RecordError(f"{run.about_file} is of an episode that is asked by itself")
     return run.world, run.tables, run.recording, run.description.get("camera")
 

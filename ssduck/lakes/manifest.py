@@ -88,7 +88,7 @@ class EpisodeEntry:
         path: the folder or the DuckDB file of the record, absolute.
         world: the name of the world.
         episode: the number of the episode of that world.
-        id: the UUID of the run; None for a record of an older ssduck.
+        id: the UUID of the run; None if that is unknown.
         started: the date and time of the start, in ISO 8601.
         complete: whether the recording was closed; None if that is unknown.
         version: the version of the format of the record.

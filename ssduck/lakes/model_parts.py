@@ -82,7 +82,7 @@ class ModelPart:
 
     @property
     def run(self) -> pa.Table:
-        """The numbers of the runs of the rows; no column if it has none."""
+        """The numbers of the runs of the rows."""
         return self._part.rows(["run"])
 
     @cached_property
@@ -187,8 +187,7 @@ def _run_bytes(part: ReadPart, footer: _Footer) -> _RunBytes | None:
 
 def _only_run(part: ReadPart) -> int | None:
     """Returns the number of the run of all rows; None if it may be the bytes of anything else."""
-    runs = part.rows(["run"])
-    numbers = runs["run"].unique().to_pylist() if runs.column_names else []
+    numbers = part.rows(["run"])["run"].unique().to_pylist()
     is_one = len(numbers) == 1 and isinstance(numbers[0], int) and numbers[0] >= _LEAST_RUN
     return numbers[0] if is_one else None
 

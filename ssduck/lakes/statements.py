@@ -143,7 +143,7 @@ def _read_episodes(entries: Sequence[EpisodeEntry]) -> tuple[list[_Entries], _En
             if name in groups and not _is_of(groups[name][0], own, parts):
                 name = f"{number}"
             group, members = groups.get(name) or (EpisodeGroup(own), {})
-            group.check_rows(EntryFiles(own, run.key or ""), starts, ticks, parts)
+            group.check_rows(EntryFiles(own, run.key), starts, ticks, parts)
             if number in errors:
                 raise errors[number]
         except UNREADABLE as error:

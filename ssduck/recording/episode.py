@@ -33,9 +33,8 @@ class Episode:
         last_tick: the number of the last stored tick; None if there is none.
         start: the simulated time of the first stored tick, s; None if there is none.
         end: the simulated time of the last stored tick, s; None if there is none.
-        complete: whether the recording was closed, and not killed; None for a record of an older
-            ssduck, which does not say so.
-        id: a UUID of the run, which no other episode has; None for a record of an older ssduck.
+        complete: whether the recording was closed, and not killed.
+        id: a UUID of the run, which no other episode has.
         tags: what the user says of the run: texts, True, False or numbers, by name.
     """
 
@@ -51,8 +50,8 @@ class Episode:
     last_tick: int | None
     start: float | None
     end: float | None
-    complete: bool | None = None
-    id: str | None = None
+    complete: bool
+    id: str
     tags: Tags = field(default_factory=dict[str, Tag], hash=False)
 
     @classmethod
@@ -67,8 +66,8 @@ class Episode:
         every: int,
         entities: tuple[str, ...] | None,
         ticks: TickBuffer,
-        complete: bool | None,
-        id: str | None,
+        complete: bool,
+        id: str,
         tags: Mapping[str, Tag],
     ) -> Episode:
         """Makes the description of an episode with these ticks; sorts the tables."""

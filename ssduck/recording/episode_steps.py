@@ -76,7 +76,7 @@ _DESCRIPTION = {
     "seed": Value("an integer or null", _is_seed, is_required=False),
     "terms": Value("an object", lambda value: isinstance(value, dict)),
     "times": Value("a list of finite times, in order", _are_times),
-    "ticks": Value("a list of ticks, in order", _are_ticks, is_required=False),
+    "ticks": Value("a list of ticks, in order", _are_ticks),
     "variables": Value(
         "an object of lists",
         lambda value: isinstance(value, dict) and all(map(_is_list, value.values())),
@@ -101,7 +101,7 @@ class EpisodeSteps:
         seed: the seed of the reset.
         options: the options of the reset, as values of JSON; None if they are none.
         times: the simulated time of the tick at the reset and after each step, s.
-        ticks: the numbers of these ticks; None if an older ssduck recorded the episode.
+        ticks: the numbers of these ticks.
         variables: the values of each variable at those ticks.
         rewards: the reward of each step.
         actions: the action of each step, as numbers; None if they are others, or not recorded.
@@ -112,7 +112,7 @@ class EpisodeSteps:
     seed: int | None = None
     options: Any = None
     times: list[float] = field(default_factory=list)
-    ticks: list[int] | None = field(default_factory=list)
+    ticks: list[int] = field(default_factory=list)
     variables: dict[str, list[Any]] = field(default_factory=dict)
     rewards: list[float] = field(default_factory=list)
     actions: list[list[float]] | None = field(default_factory=list)
@@ -120,7 +120,6 @@ class EpisodeSteps:
 
     def add_tick(self, number: int, time: float, variables: Mapping[str, Any]) -> None:
         """Adds a tick at a simulated time, s, with the values of the variables."""
-        assert self.ticks is not None
         self.ticks.append(number)
         self.times.append(time)
         for name, value in variables.items():
@@ -207,10 +206,9 @@ class EpisodeSteps:
                 f"{VERSION}: install a newer one"
             )
         times, variables, rewards = content["times"], content["variables"], content["rewards"]
-        actions, ticks = content.get("actions"), content.get("ticks")
-        lengths = {len(times), len(rewards) + 1, *map(len, variables.values())}
+        actions, ticks = content.get("actions"), content["ticks"]
+        lengths = {len(times), len(ticks), len(rewards) + 1, *map(len, variables.values())}
         lengths |= set() if actions is None else {len(actions) + 1}
-        lengths |= set() if ticks is None else {len(ticks)}
         if len(lengths) != 1:
             raise RecordError(f"{file} is damaged: its lists have different lengths")
         try:

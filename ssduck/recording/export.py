@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +30,7 @@ def export(
     between: tuple[float | None, float | None],
     begun: list[BegunEpisode],
     tags: Tags | None = None,
-    about: Mapping[str, str | int] | None = None,
+    order: int = 0,
 ) -> Path:
     """Writes recorded ticks of a world as a new episode, and returns the folder of its ticks.
 
@@ -45,7 +44,7 @@ def export(
         begun: gets the episode as it begins; the caller discards it if anything fails, as a part of
             an episode would pass for all of it.
         tags: what the user says of the run, added to the tags of the record.
-        about: what the episode says of itself, in place of a new id and the time of now.
+        order: a number that is less than those of the worlds that were added later.
 
     Raises:
         RecordError: the folder has something else in it, or cannot be written.
@@ -71,7 +70,7 @@ def export(
             is_export=True,
             tags={**record.tags, **(tags or {})},
             camera=record.world.camera,
-            about=about,
+            order=order,
         )
         begun.append(store)
     store.add_members(selected, record.world.snapshot)

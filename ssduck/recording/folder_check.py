@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from ssduck.errors import RecordError, RecordPermissionError, warn
+from ssduck.recording.episode import new_id
 from ssduck.recording.episode_steps import (
     FOLDER,
     EpisodeSteps,
@@ -219,7 +220,7 @@ def _derived_files(run: FolderRun) -> tuple[Path, Path]:
 
 def _log_damages(run: FolderRun) -> Iterator[_RunDamage]:
     for number, file in enumerate(log_files(run.place(LOG))[: run.log_end]):
-        problem = log_file_problem(file, run.key or "", has_checksums=run.has_checksums)
+        problem = log_file_problem(file, run.key, has_checksums=run.has_checksums)
         if problem is not None:
             loss = "ticks from there to the end of the log"
             yield _RunDamage(file, problem, loss, run=run, log=number)
@@ -328,6 +329,7 @@ def _description_of(run: FolderRun) -> dict[str, object] | None:
             return {
                 "world": run.world,
                 "episode": run.number,
+                "id": new_id(),
                 "key": json.loads(b'"%s"' % match.group(1)),
                 "checksums": "crc32",
                 "tables": tables,

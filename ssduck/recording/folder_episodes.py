@@ -50,12 +50,11 @@ class BegunEpisode(Protocol):
 
 
 @contextmanager
-def whole_record(path: Path, *, is_private: bool = False) -> Iterator[list[BegunEpisode]]:
+def whole_record(path: Path) -> Iterator[list[BegunEpisode]]:
     """Lets episodes be added to a folder, all or none.
 
     Args:
         path: the folder; one that is made in the context goes, too, if the context fails.
-        is_private: whether nobody else knows of the folder, so that all in it goes.
 
     Yields:
         The episodes, which are appended as they begin, so that Ctrl-C finds each of them.
@@ -65,12 +64,9 @@ def whole_record(path: Path, *, is_private: bool = False) -> Iterator[list[Begun
         yield begun
     except BaseException:
         with ctrl_c.deferred():
-            if is_private:
-                remove_tree(path)
-            else:
-                for episode in begun:
-                    episode.discard()
-            if made is not None and (is_private or path.exists()):
+            for episode in begun:
+                episode.discard()
+            if made is not None and path.exists():
                 remove_empty(path, made)
         raise
 

@@ -62,7 +62,7 @@ class ParquetRecording:
             recording,
             tags=self._tags,
             camera=world.camera,
-            about={"order": self._order},
+            order=self._order,
         )
         self._recorder = Recorder(recording, self._folder, self._part_ticks, recording.flush_every)
         self._recorders.append(self._recorder)

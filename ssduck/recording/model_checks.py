@@ -16,7 +16,6 @@ from ssduck.errors import RecordError, SceneError
 from ssduck.formatting import short_repr
 from ssduck.geometry.shapes import GeometryType
 from ssduck.recording.recorded_visuals import check_visuals
-from ssduck.recording.static_tables import with_joint_numbers
 from ssduck.recording.stores.descriptions import parse_description
 from ssduck.schema import LINK_FACTOR
 from ssduck.simulators.interface import JointType, Kind
@@ -83,7 +82,7 @@ def _check_values(table: str, rows: pa.Table) -> None:
         if name not in _OPTIONAL[table] and rows[name].null_count:
             _fail(f"its column {name!r} lacks a value")
     for name in _FINITE.get(table, ()):
-        if name in rows.column_names and not np.isfinite(rows[name].to_numpy()).all():
+        if not np.isfinite(rows[name].to_numpy()).all():
             _fail(f"its column {name!r} has a number that is not finite")
 
 
@@ -102,7 +101,7 @@ def _check_entities(models: Mapping[str, pa.Table]) -> None:
             _check_sensor(row, links)
         elif row["movable"] is None:
             _fail(f"it is unknown whether the body {short_repr(row['name'])} can move")
-        elif row.get("visuals") is not None:
+        elif row["visuals"] is not None:
             drawn[row["visuals"], links[row["id"]]] = None
     for text, count in drawn:
         _check_visuals(text, count, geometries)
@@ -181,9 +180,8 @@ def _check_links(models: Mapping[str, pa.Table]) -> None:
     numbers = rows["link"].to_numpy()
     if not ((parents >= -1) & (parents < numbers)).all() or (parents[numbers > 0] < 0).any():
         _fail("the parent of a link does not come before it")
-    if "region" in rows.column_names:
-        for region, *size in zip(*(rows[name].to_pylist() for name in _REGION), strict=True):
-            _check_region(region, size)
+    for region, *size in zip(*(rows[name].to_pylist() for name in _REGION), strict=True):
+        _check_region(region, size)
 
 
 def _check_region(region: str | None, size: list[float | None]) -> None:
@@ -196,7 +194,7 @@ def _check_region(region: str | None, size: list[float | None]) -> None:
 
 
 def _check_joints(models: Mapping[str, pa.Table]) -> None:
-    rows = with_joint_numbers("joints", models["joints"])
+    rows = models["joints"]
     _check_numbers("joints", rows, "joint", _joint_counts(models["entities"]), first=0)
     _check_links_of("joints", rows, _link_counts(models["entities"]))
     _check_known("type", rows["type"].to_pylist(), get_args(JointType))
@@ -215,7 +213,7 @@ def _check_shapes(models: Mapping[str, pa.Table]) -> None:
     turns = np.column_stack([rows[name].to_numpy() for name in ("qw", "qx", "qy", "qz")])
     if len(turns) and not np.linalg.norm(turns, axis=1).min() > _SHORTEST:
         _fail("the orientation of a shape has the length 0")
-    if "margin" in rows.column_names and len(rows) and min(rows["margin"].to_pylist()) < 0.0:
+    if len(rows) and min(rows["margin"].to_pylist()) < 0.0:
         _fail("the margin of a shape is negative")
 
 
@@ -229,10 +227,8 @@ def _link_counts(entities: pa.Table) -> dict[int, int]:
 
 
 def _joint_counts(entities: pa.Table) -> dict[int, int]:
-    """Returns the number of joints of each body; in old records each link but the base has one."""
+    """Returns the number of joints of each body."""
     links = _link_counts(entities)
-    if "joints" not in entities.column_names:
-        return {id: count - 1 for id, count in links.items()}
     counts = zip(entities["id"].to_pylist(), entities["joints"].to_pylist(), strict=True)
     return {id: count for id, count in counts if id in links}
 

@@ -13,7 +13,7 @@ from ssduck.recording.stores.descriptions import read_description
 from ssduck.recording.stores.file_lists import pattern_of
 from ssduck.recording.stores.object_store import ObjectPath
 
-# What a description says of an episode that no other one has; older ones lack the first.
+# What a description says of an episode that no other one has.
 _OWN_KEYS = ("id", "started")
 # The path of a part in a record, as ssduck names it.
 _PART = re.compile(r"[\w=./\\-]*")

@@ -56,7 +56,7 @@ def _shares(colour: Sequence[float] | None) -> list[float]:
 def visuals_of(
     text: str | None, geometries: Mapping[int, Geometry]
 ) -> tuple[VisualShape, ...] | None:
-    """Returns the visual shapes of a text that was checked; None for an older record."""
+    """Returns the visual shapes of a text that was checked; None if they are unknown."""
     if text is None:
         return None
     return tuple(

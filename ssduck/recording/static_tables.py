@@ -19,11 +19,6 @@ from ssduck.simulators.scenes import SensorSpec
 from ssduck.world.layout import EntityInfo
 from ssduck.world.live_tables import ARROW_TYPES
 
-# The margins of shapes in old records, which lack them, m: PyBullet's margin of hulls.
-UNRECORDED_MARGINS = {"hull": 1e-3}
-# The numbers of joints in old records, which lack them, in SQL: each link but the base had one.
-JOINT_OF_LINK = "link - 1"
-
 
 class IdProvider(Protocol):
     """Gives the numbers of a run and of its geometries: a snapshot of the world."""
@@ -139,22 +134,19 @@ def members_of(models: Mapping[str, pa.Table]) -> dict[int, EntityInfo]:
             links=tuple(map(_link, links.get(id, ()))),
             joints=tuple(map(_joint, joints.get(id, ()))),
             shapes=tuple(_shape(shape, geometries) for shape in shapes.get(id, ())),
-            visuals=visuals_of(row.get("visuals"), geometries),
+            visuals=visuals_of(row["visuals"], geometries),
         )
         members[id] = EntityInfo(id, row["name"], row["kind"], row["parent"], body=body)
     return members
 
 
 def run_of(models: Mapping[str, pa.Table]) -> int | None:
-    """Returns the number of the run of the rows of models; None for old records, which lack it.
+    """Returns the number of the run of the rows of models; None if there are no entities.
 
     Raises:
         RecordError: the rows have several runs.
     """
-    entities = models["entities"]
-    if "run" not in entities.column_names:
-        return None
-    runs = np.unique(entities["run"].to_numpy()).tolist()
+    runs = np.unique(models["entities"]["run"].to_numpy()).tolist()
     if len(runs) > 1:
         raise RecordError("it is damaged: its entities are of several runs")
     return runs[0] if runs else None
@@ -165,38 +157,10 @@ def geometries_of(models: Mapping[str, pa.Table]) -> dict[str, int]:
     return {_geometry(row).key: row["id"] for row in models["geometries"].to_pylist()}
 
 
-def default_values(run: int | None, geometries: str) -> dict[str, str]:
-    """Returns the SQL of the values of columns that older records lack; the others are unknown.
-
-    Args:
-        run: the number of the run for rows that lack it; None if it is unknown.
-        geometries: the table of the geometries, in SQL.
-    """
-    cases = " ".join(
-        f"WHEN '{type}' THEN {margin!r}" for type, margin in UNRECORDED_MARGINS.items()
-    )
-    margin = (
-        f"SELECT CASE types.type {cases} ELSE 0 END "  # noqa: S608
-        f"FROM {geometries} AS types WHERE types.id = geometry"
-    )
-    anchors = dict.fromkeys(("anchor_x", "anchor_y", "anchor_z", "reference"), "0.0")
-    anchors["joints"] = "greatest(links - 1, 0)"
-    return {"margin": margin, "joint": JOINT_OF_LINK, **anchors} | (
-        {} if run is None else {"run": f"{run:d}"}
-    )
-
-
-def with_joint_numbers(table: str, rows: pa.Table) -> pa.Table:
-    """Returns rows of a table; those of joints in old records with the numbers that they lack."""
-    if table != "joints" or "joint" in rows.column_names:
-        return rows
-    return rows.append_column("joint", pa.array(rows["link"].to_numpy() - 1))
-
-
 def _by_entity(table: pa.Table, *keys: str) -> dict[int, list[dict[str, Any]]]:
-    """Returns the rows of each entity, sorted by the keys, of which old records may lack some."""
+    """Returns the rows of each entity, sorted by the keys."""
     rows: dict[int, list[dict[str, Any]]] = {}
-    for row in sorted(table.to_pylist(), key=lambda row: [row.get(key, 0) for key in keys]):
+    for row in sorted(table.to_pylist(), key=lambda row: [row[key] for key in keys]):
         rows.setdefault(row["entity"], []).append(row)
     return rows
 
@@ -211,7 +175,7 @@ def _sensor(row: Mapping[str, Any]) -> EntityInfo:
 
 
 def _link(row: Mapping[str, Any]) -> Link:
-    parent, type = row["parent"], row.get("region")
+    parent, type = row["parent"], row["region"]
     region = None
     if type is not None:
         region = Geometry.primitive(type, [row[f"region_{axis}"] for axis in "xyz"])
@@ -222,16 +186,15 @@ def _joint(row: Mapping[str, Any]) -> Joint:
     names = ("name", "type", "link", "lower", "upper", "max_effort", "max_velocity")
     values = {name: row[name] for name in names}
     axis = (row["axis_x"], row["axis_y"], row["axis_z"])
-    anchor = tuple(row.get(f"anchor_{letter}", 0.0) for letter in "xyz")
-    return Joint(**values, axis=axis, anchor=anchor, reference=row.get("reference", 0.0))
+    anchor = (row["anchor_x"], row["anchor_y"], row["anchor_z"])
+    return Joint(**values, axis=axis, anchor=anchor, reference=row["reference"])
 
 
 def _shape(row: Mapping[str, Any], geometries: Mapping[int, Geometry]) -> PlacedGeometry:
     position = np.array([row[axis] for axis in ("x", "y", "z")])
     orientation = np.array([row[axis] for axis in ("qw", "qx", "qy", "qz")])
-    geometry = geometries[row["geometry"]]
-    margin = row["margin"] if "margin" in row else UNRECORDED_MARGINS.get(geometry.type, 0.0)
-    return PlacedGeometry(row["link"], geometry, position, orientation, margin, row.get("exact"))
+    geometry, details = geometries[row["geometry"]], (row["margin"], row["exact"])
+    return PlacedGeometry(row["link"], geometry, position, orientation, *details)
 
 
 def _geometry(row: Mapping[str, Any]) -> Geometry:
@@ -266,10 +229,7 @@ def join_model(table: str, rows: pa.Table, model: pa.Table, names: Iterable[str]
     def column(name: str) -> Any:
         if name in rows.column_names:
             return rows[name]
-        if name in model.column_names:
-            return model[name].take(model_rows)
-        types = {column.name: column.type for column in MODELS[table].model}
-        return pa.nulls(rows.num_rows, ARROW_TYPES[types[name]])  # an older record lacks it
+        return model[name].take(model_rows)
 
     return pa.table(list(map(column, names)), names=list(names))
 

@@ -141,7 +141,7 @@ def test_examples_of_the_manual(tmp_path, monkeypatch, line, shown):
     monkeypatch.chdir(tmp_path)
     words = shlex.split(line)
     piped = words[1] if words[0] == "echo" else None
-    if {"check", "upgrade", "macros"} & set(words):
+    if {"check", "macros"} & set(words):
         ssduck_("record", "kitchen", "--seconds", "0.1", "-o", "run", "--tables", "entities")
     result = ssduck_(*words[words.index("ssduck") + 1 :], input=piped)
     assert result.stdout + result.stderr == shown

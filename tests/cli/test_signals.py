@@ -66,7 +66,6 @@ def test_signals_that_are_ignored_stay_so(handlers, number):
 COMMANDS = {
     "a record": ["export", "run", "-o", "out"],
     "another format": ["export", "run", "-o", "out", "--format", "mcap"],
-    "an upgrade": ["upgrade", "run", "-o", "out"],
 }
 
 

@@ -41,7 +41,6 @@ DOORS = {
     "partial": lambda file: ssduck.open(file, partial=True),
     "strict": lambda file: ssduck.open(file, limits=ssduck.Limits.strict()),
     "episodes": ssduck.episodes,
-    "upgrade": lambda file: ssduck.upgrade(file, file.parent / "upgraded"),
     "check": ssduck.check,
     "repair": lambda file: ssduck.check(file, repair=True),
 }

@@ -1,4 +1,4 @@
-"""A failed export or upgrade leaves nothing, and takes nothing of others away."""
+"""A failed export leaves nothing, and takes nothing of others away."""
 
 from __future__ import annotations
 
@@ -6,18 +6,15 @@ import errno
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
 import pytest
 
 import ssduck
 from ssduck.database import database
 from ssduck.errors import ArgumentError, RecordError
-from ssduck.interpreter import recording, upgrading
+from ssduck.interpreter import recording
 from ssduck.recording import folder_check, folder_episodes
-from ssduck.recording.episode_steps import EpisodeSteps
 from ssduck.recording.stores import parquet
 from ssduck.recording.stores.parquet import ParquetStore
-from tests.support.forged import rewrite, without_checksums
 
 
 def recorded(place: Path, episodes: int = 1) -> Path:
@@ -27,72 +24,8 @@ def recorded(place: Path, episodes: int = 1) -> Path:
     return place
 
 
-@pytest.fixture
-def damaged(tmp_path: Path) -> Path:
-    """Two episodes; the second one has rows twice."""
-    record = recorded(tmp_path / "record", 2)
-    wrong = record / "entities/world=lab/episode=1/part-000000.parquet"
-    rewrite(wrong, lambda rows: pa.concat_tables([rows, rows]).combine_chunks())
-    without_checksums(record)
-    return record
-
-
 def files_in(place: Path) -> dict[Path, bytes]:
     return {file: file.read_bytes() for file in place.rglob("*") if file.is_file()}
-
-
-@pytest.mark.slow
-def test_an_upgraded_record_appears_when_it_is_whole(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A process that is killed meanwhile leaves no record, and nothing that a lake finds."""
-    record, new = recorded(tmp_path / "record", 2), tmp_path / "new"
-    real, seen = upgrading._upgrade, []
-
-    def watched(*args: Any) -> None:
-        real(*args)
-        seen.append((list(new.iterdir()), len(ssduck.lake(tmp_path).episodes)))
-
-    monkeypatch.setattr(upgrading, "_upgrade", watched)
-    new.mkdir()  # an empty folder may be there
-    assert len(ssduck.upgrade(record, new)) == 2
-    assert seen == [([], 2), ([], 2)]
-    assert {place.name for place in tmp_path.iterdir() if place.is_dir()} == {"new", "record"}
-    assert len(ssduck.lake(tmp_path).episodes) == 4
-
-
-@pytest.mark.slow
-def test_an_upgrade_that_fails_leaves_nothing(damaged: Path, tmp_path: Path) -> None:
-    """The first episode was written already."""
-    with pytest.raises(RecordError, match="a row is twice there"):
-        ssduck.upgrade(damaged, tmp_path / "a" / "b")
-    assert not (tmp_path / "a").exists()
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(RecordError, match="a row is twice there"):
-        ssduck.upgrade(damaged, tmp_path / "empty")
-    assert not list((tmp_path / "empty").iterdir())
-
-
-@pytest.mark.slow
-def test_steps_that_cannot_be_written_leave_no_episode(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    record = recorded(tmp_path / "record", 2)
-    for number in range(2):
-        EpisodeSteps({}, times=[0.0], ticks=[0]).write(record, "lab", number)
-    write, written = EpisodeSteps.write, []
-
-    def second_fails(self, folder: Path, world: str, number: int) -> None:
-        written.append(number)
-        if len(written) == 2:
-            raise RecordError("the disk is full")
-        write(self, folder, world, number)
-
-    monkeypatch.setattr(EpisodeSteps, "write", second_fails)
-    with pytest.raises(RecordError, match="the disk is full"):
-        ssduck.upgrade(record, tmp_path / "new")
-    assert written == [0, 1]
-    assert not (tmp_path / "new").exists()
 
 
 @pytest.mark.slow

@@ -379,7 +379,7 @@ LOG_ATTACKS: list[tuple[str, Callable[[Any], Any], str]] = [
     ("an unknown entity", _change("entities", with_column("id", lambda v: [77] * len(v))),
      "a row of (entities|shapes|links|joints) is of an unknown entity"),
     ("another tick", _change("ticks", with_column("tick", lambda v: [2**62] * len(v))), "out of bounds"),
-    ("a joint of another", _change("joints", with_column("link", lambda v: [9] * len(v))),
+    ("a joint of another", _change("joints", with_column("joint", lambda v: [9] * len(v))),
      "a row of joints is of an unknown entity"),
 ]  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Ctrl-C in a call of `export`, `upgrade` or `write_record`: nothing is left, or the whole."""
+"""Ctrl-C in a call of `export` or `write_record`: nothing is left, or the whole."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import pytest
 import ssduck
 from ssduck.database import database
 from ssduck.interchange import record_writer
-from ssduck.interpreter import recording, upgrading
+from ssduck.interpreter import recording
 from ssduck.recording import export as exporting
 from ssduck.recording.stores import parquet
 from tests.support.cases import sampled
@@ -23,7 +23,7 @@ from tests.support.presser import Presser
 
 POSES = {"cup": [[0, 0, 1], [0, 0, 2]]}
 # The modules at lines of which Ctrl-C is pressed: those that begin and end an episode.
-MODULES: tuple[ModuleType, ...] = (exporting, record_writer, recording, upgrading)
+MODULES: tuple[ModuleType, ...] = (exporting, record_writer, recording)
 # At so many lines, spread over a call, and at the last ones.
 SPREAD, LAST = 6, 8
 PLACES = tuple(inspect.getfile(module) for module in MODULES)
@@ -55,10 +55,6 @@ def _export(record: Path, folder: Path) -> None:
         ss.export(folder)
 
 
-def _upgrade(record: Path, folder: Path) -> None:
-    ssduck.upgrade(record, folder)
-
-
 def _write(_: Path, folder: Path) -> None:
     write(folder, world="lab")
 
@@ -79,13 +75,11 @@ def pressed(call: Call, record: Path, folder: Path, line: float) -> int:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("call", [_export, _upgrade, _write])
+@pytest.mark.parametrize("call", [_export, _write])
 @sampled("has_others", [False, True], ids=["a new folder", "a record"], every=2)
 def test_nothing_is_left_or_the_whole(
     record: Path, tmp_path: Path, call: Call, has_others: bool
 ) -> None:
-    if call is _upgrade and has_others:
-        pytest.skip("an upgrade makes a new folder")
     count = pressed(call, record, tmp_path / "whole", math.inf)
     whole = ssduck.episodes(tmp_path / "whole")
     assert count > 50
@@ -117,15 +111,13 @@ def then_pressed(function: Callable[..., Any]) -> Callable[..., Any]:
     return called
 
 
-@pytest.mark.parametrize("call", [_export, _upgrade, _write])
+@pytest.mark.parametrize("call", [_export, _write])
 def test_an_episode_that_has_just_begun_is_removed(
     record: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: Call
 ) -> None:
     monkeypatch.setattr(parquet, "begin_episode", then_pressed(parquet.begin_episode))
     before = files_in(tmp_path)
     for folder in (tmp_path / "new", tmp_path / "record"):
-        if call is _upgrade and folder.exists():
-            continue
         with pytest.raises(KeyboardInterrupt):
             call(record, folder)
         assert files_in(tmp_path) == before

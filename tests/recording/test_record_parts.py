@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import warnings
 from collections.abc import Callable
 from pathlib import Path
 
-import duckdb
 import pybullet
 import pytest
 
@@ -165,28 +163,3 @@ def test_a_record_that_was_not_closed_ends_where_it_ends(run: Path) -> None:
     without(run, PARTS - 1)
     with ssduck.open(run) as ss:
         assert len(ss.past("lab").ticks) == 1 + 2 * (PARTS - 1)
-
-
-def older(run: Path) -> None:
-    """Make it a record as they were before parts told which they are."""
-    for file in run.glob(f"*/{PLACE.format(1)}/*.parquet"):
-        duckdb.sql(f"CREATE OR REPLACE TEMP TABLE rows AS FROM '{file}'")
-        duckdb.sql(f"COPY rows TO '{file}' (FORMAT parquet)")
-    about = run / "episodes" / "lab-1.json"
-    told = read_description(about)
-    del told["parts"], told["key"], told["checksums"]
-    about.write_text(json.dumps(told))
-
-
-@pytest.mark.slow
-def test_an_older_record_is_opened_if_its_ticks_ascend(run: Path) -> None:
-    older(run)
-    with ssduck.open(run) as ss:
-        assert len(ss.past("lab").ticks) == 1 + 2 * PARTS
-    swap(part(run, "ticks", 1), part(run, "ticks", 2))
-    with pytest.raises(RecordError, match="its ticks do not ascend"):
-        ssduck.open(run)
-    swap(part(run, "ticks", 1), part(run, "ticks", 2))
-    without(run, 1)
-    with pytest.raises(RecordError, match="is missing, and parts after it"):
-        ssduck.open(run)

@@ -179,7 +179,6 @@ DOORS = {
     "open partial": lambda run: ssduck.open(run, partial=True),
     "episodes": ssduck.episodes,
     "check": ssduck.check,
-    "upgrade": lambda run: ssduck.upgrade(run, run.parent / "upgraded"),
     "write": lambda run: ssduck.write_record(run, ["cup"], {"cup": [0, 0, 1]}, [0.0]),
     "import": lambda run: ssduck.import_poses(run, run.parent / "imported", world="kitchen"),
 }

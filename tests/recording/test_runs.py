@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from pathlib import Path
 
-import duckdb
 import pybullet
 import pytest
 
 import ssduck
 from ssduck import Recording
-from ssduck.errors import EvaluationError, SelectScriptError, SqlError
-from ssduck.recording.stores.descriptions import read_description
+from ssduck.errors import EvaluationError, RecordError, SelectScriptError, SqlError
 from ssduck.schema import RECORDABLE
+from tests.support.forged import rewrite, without_checksums
 
 ALL = Recording(tables=RECORDABLE)
 # Of episode 0 and 1: how far the centres of two balls of radius 0.5 are apart, and the gap.
@@ -218,20 +216,11 @@ def test_a_run_is_the_same_wherever_it_is_kept(tmp_path: Path, client: int) -> N
 
 
 @pytest.mark.slow
-def test_a_record_that_does_not_tell_runs_is_opened(folder: Path, tmp_path: Path) -> None:
-    """As records were before the column: its rows get a number when they are opened."""
-    old = tmp_path / "old"
-    shutil.copytree(folder, old)
-    for file in (*old.glob("entities/**/*.parquet"), *old.glob("models/entities/**/*.parquet")):
-        duckdb.sql(f"CREATE OR REPLACE TEMP TABLE rows AS SELECT * EXCLUDE (run) FROM '{file}'")
-        duckdb.sql(f"COPY rows TO '{file}' (FORMAT parquet)")
-    for file in old.glob("episodes/*.json"):
-        told = read_description(file)
-        del told["key"], told["parts"], told["checksums"]
-        file.write_text(json.dumps(told))
-    with ssduck.open(old) as ss:
-        pairs = "FROM entities_history a JOIN entities_history b USING (tick) WHERE a.id < b.id"
-        assert ss.sql(f"SELECT clearance(a, b) {pairs}").fetchall() == [(pytest.approx(0.3),)] * 2
-        assert ss.sql("SELECT count(DISTINCT run) FROM entities_model").fetchone() == (1,)
-        with pytest.raises(SqlError, match="whole rows of entities"):
-            asked(ss, "clearance(a, b)", rows_of(old, 1).replace("FROM", "SELECT * FROM", 1))
+def test_a_record_that_does_not_tell_runs_is_an_error(folder: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    shutil.copytree(folder, other)
+    without_checksums(other)
+    for file in other.glob("entities/**/*.parquet"):
+        rewrite(file, lambda rows: rows.drop_columns(["run"]))
+    with pytest.raises(RecordError, match="it lacks the column 'run'"):
+        ssduck.open(other)

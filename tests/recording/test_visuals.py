@@ -9,7 +9,6 @@ from ssduck.simulators.backends import drawn_shapes
 from ssduck.simulators.scenes import Camera
 from ssduck.world.framing import framing_camera
 from ssduck.world.world import World
-from tests.recording.test_old_records import DATA
 
 
 def drawn(world):
@@ -78,11 +77,10 @@ def test_a_colour_that_is_not_finite_is_none(tmp_path):
 
 
 @pytest.mark.slow
-def test_an_old_record_is_drawn_by_its_shapes_without_colours(tmp_path):
-    import tarfile
-
-    with tarfile.open(DATA / "records-1.tar.xz") as packed:
-        packed.extractall(tmp_path, filter="data")
+def test_a_record_without_visuals_is_drawn_by_its_shapes_without_colours(tmp_path):
+    entities = {"table": {"box": [1, 1, 0.1]}, "cup": {"sphere": 0.05}}
+    poses = {"table": [0, 0, 0], "cup": [0, 0, 1]}
+    ssduck.write_record(tmp_path / "run", entities, poses, [0.0])
     with ssduck.open(tmp_path / "run") as ss:
         world = ss.worlds[0]
         assert world.camera == framing_camera(world.snapshot)

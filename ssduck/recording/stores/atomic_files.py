@@ -109,34 +109,6 @@ def create_file(place: Path, text: str) -> bool:
     return True
 
 
-def unfinished_folder(folder: Path) -> Path:
-    """Returns the path of a new folder until it is complete; the same in an object store."""
-    if isinstance(folder, ObjectPath):
-        return folder
-    return temporary_path(folder)
-
-
-def finish_folder(place: Path, folder: Path) -> None:
-    """Gives a folder that is complete its own name.
-
-    Args:
-        place: where it is, by `unfinished_folder`.
-        folder: its path, where an empty folder may be.
-
-    Raises:
-        RecordError: there are files, or it cannot be renamed.
-    """
-    if place == folder:
-        return
-    try:
-        if folder.exists():
-            folder.rmdir()
-        place.rename(folder)
-        sync_folder(folder.parent)
-    except OSError as error:
-        raise RecordError(f"{folder} cannot be written: {error.strerror}") from error
-
-
 def sync_folder(folder: Path) -> None:
     """Writes the names in a folder to the disk, where the system supports it."""
     if os.name != "posix" or isinstance(folder, ObjectPath):

@@ -187,7 +187,6 @@ class TickArchive(ABC):
     Attributes:
         recording: what was recorded of each tick.
         tables: the tables that have rows, `ticks` among them.
-        unrecorded_run: the number of the run for an old record, whose rows lack it.
         visible_rows: the stored rows that DuckDB reads from memory, by table.
         has_single_links: whether bodies of one link have rows in the table of links.
     """
@@ -195,7 +194,6 @@ class TickArchive(ABC):
     has_single_links: bool = False
     recording: Recording
     tables: tuple[str, ...]
-    unrecorded_run: int | None = None
     visible_rows: tuple[Mapping[str, VisibleRows], ...] = ()
 
     @abstractmethod

@@ -32,7 +32,6 @@ from ssduck.recording.stores.row_checks import RowChecks, key_types, other_model
 from ssduck.recording.stores.stored_columns import checked_parquet, part_columns
 from ssduck.schema import TABLES
 
-OLDER = "a part of an older record is read by itself"
 # The largest number of bytes of the parts of a batch, as they are and decoded, and that of the
 # columns that are kept for the next question.
 MOST_READ = 1 << 27
@@ -154,7 +153,7 @@ class ReadPart:
         return len(self.content) + values * _VALUE_BYTES
 
     def rows(self, names: Sequence[str] | None = None) -> pa.Table:
-        """Returns the rows, of some columns or of all; columns that it lacks are left out.
+        """Returns the rows, of some columns or of all.
 
         Args:
             names: the names of the columns; None for all.
@@ -168,7 +167,7 @@ class ReadPart:
             # The threads of the library take longer to wake up than most parts to read.
             read = self.parquet.read(missing, use_threads=False)
             self.columns.update(zip(read.column_names, read.columns, strict=True))
-        return pa.table({name: self.columns[name] for name in names if name in self.columns})
+        return pa.table({name: self.columns[name] for name in names})
 
     def decoded_size(self) -> int:
         """Returns the number of bytes of the columns that were decoded."""
@@ -177,16 +176,8 @@ class ReadPart:
         return sum(self.sizes.values())
 
     def keys(self) -> pa.Table:
-        """Returns the columns of the rows that are checked.
-
-        Raises:
-            RecordError: an older record lacks some of them.
-        """
-        names = key_types(self.file.table).names
-        rows = self.rows(names)
-        if rows.column_names != names:
-            raise RecordError(OLDER)
-        return rows
+        """Returns the columns of the rows that are checked."""
+        return self.rows(key_types(self.file.table).names)
 
     def check(self, checks: RowChecks, ticks: TickBuffer, between: tuple[int, int]) -> None:
         """Checks the rows, except that the bodies with parts are those that are there.

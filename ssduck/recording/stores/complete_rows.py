@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import pyarrow as pa
 
-from ssduck.recording.static_tables import join_model, with_joint_numbers
+from ssduck.recording.static_tables import join_model
 from ssduck.schema import TABLES
 
 
@@ -25,7 +25,6 @@ def complete_rows(
     if table not in TABLES:  # the poses of links are internal
         return rows
     names = TABLES[table].names
-    rows = with_joint_numbers(table, rows)
     if not TABLES[table].model:
         return rows.select(names)
     if table == "links":
@@ -34,7 +33,7 @@ def complete_rows(
     for name in TABLES[table].tick_columns.booleans:
         place = rows.column_names.index(name)
         rows = rows.set_column(place, name, rows[name].cast(pa.bool_()))
-    return join_model(table, rows, with_joint_numbers(table, models[table]), names)
+    return join_model(table, rows, models[table], names)
 
 
 def _links_of_single_link_bodies(links: pa.Table, entities: pa.Table, model: pa.Table) -> pa.Table:

@@ -77,9 +77,8 @@ def _is_tables(value: Any) -> bool:
 
 _TEXT = Value("a text", lambda value: isinstance(value, str))
 _OBJECT = Value("an object", lambda value: isinstance(value, dict))
-# Of a record of an older ssduck, neither is known.
 _IDENTITY = {
-    "id": Value("a UUID", _is_id, is_required=False),
+    "id": Value("a UUID", _is_id),
     "tags": Value("an object of texts and numbers", are_tags, is_required=False),
 }
 _ORDER = Value("a number", lambda value: _is_whole(value, 0), is_required=False)
@@ -89,7 +88,7 @@ _COUNT = Value("a number of parts", lambda value: _is_whole(value, 0), is_requir
 EPISODE: Description = {
     "world": Value("a name", lambda value: isinstance(value, str), is_required=False),
     "episode": Value("a number", lambda value: _is_whole(value, 0), is_required=False),
-    "key": Value("a text", lambda value: isinstance(value, str), is_required=False),
+    "key": _TEXT,
     "tables": Value("a list of recorded tables, with ticks and entities", _is_tables),
     "started": _TEXT,
     "recording": _OBJECT,
@@ -116,6 +115,7 @@ DATABASE_EPISODE: Description = {
     "world": _TEXT,
     "started": _TEXT,
     "recording": _OBJECT,
+    "complete": Value("true or false", lambda value: isinstance(value, bool)),
     **_IDENTITY,
     "camera": _CAMERA,
     "order": _ORDER,

@@ -20,7 +20,7 @@ import pyarrow as pa
 from ssduck.recording.background_writer import NO_LOCK, CommitLock
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.spec import RETENTION_PARTS, Recording, bytes_before_dropping
-from ssduck.recording.static_tables import JOINT_OF_LINK, IdProvider
+from ssduck.recording.static_tables import IdProvider
 from ssduck.recording.stores.base import (
     BufferViews,
     PairRequest,
@@ -265,7 +265,7 @@ class DuckDBStore(TickStore, TickArchive):
 
     def model_source(self, table: str) -> str:
         """Returns the rows of a model, in SQL."""
-        return self._models.source(table, self.unrecorded_run)
+        return self._models.source(table)
 
     def _all_rows(self, table: str, buffer_views: BufferViews | None) -> str:
         """Returns a SELECT of all rows of a table, buffered ones included."""
@@ -292,22 +292,15 @@ class DuckDBStore(TickStore, TickArchive):
         )
 
     def _source_of_slot(self, table: str, slot: int) -> str:
-        """Returns the stored rows of a slot, in SQL, after a check of those of a file.
-
-        Columns that older records lack are added, and a stranger's NaN is NULL.
-        """
+        """Returns the stored rows of a slot, in SQL; those of a file checked, with NULL for NaN."""
         place = self._slot(table, slot)
         if self._file is None:
             return place
-        types = tick_types(table)
+        types, columns = tick_types(table), RECORDED[table].tick_columns.sql
         if self._has_changes_only(table):
-            types["until"] = "integer"
-        name = f"{table} {slot}"
-        present = self._file.columns(self._connection, self._models.schema, name, types)
-        stored = RECORDED[table].tick_columns
-        columns = stored.sql | ({"until": "BIGINT"} if "until" in types else {})
-        missing = {"joint": JOINT_OF_LINK}
-        return f"({all_columns(place, columns, present, missing)})"
+            types["until"], columns = "integer", columns | {"until": "BIGINT"}
+        self._file.check(self._connection, self._models.schema, f"{table} {slot}", types)
+        return f"({all_columns(place, columns)})"
 
 
 def _changed_rows(table: str, rows: pa.Table) -> pa.Table:

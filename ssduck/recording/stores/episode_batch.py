@@ -22,7 +22,6 @@ from ssduck.recording.spec import Recording
 from ssduck.recording.static_tables import members_of
 from ssduck.recording.stores.base import BufferViews, PairRequest, StoreConnection, TickArchive
 from ssduck.recording.stores.batched_parts import (
-    OLDER,
     RUN,
     BatchedFile,
     PartsDataset,
@@ -254,7 +253,6 @@ class EpisodeBatch(TickArchive):
 
         Raises:
             DamagedEpisodeError: a file of an episode is missing or damaged.
-            RecordError: a part is of an older record.
         """
         files = [episode.files[table] for episode in self._episodes]
         if not all(file in self.parts for own in files for file in own):
@@ -277,8 +275,6 @@ class EpisodeBatch(TickArchive):
             for number in range(len(self._episodes[index].files[table])):
                 part = self._part(table, number, index)
                 rows = part.rows(stored)
-                if rows.column_names != stored:
-                    raise RecordError(OLDER)
                 if table in self._models:
                     self._repeated.check(part, stored)
                 yield self._in_batch(rows, self._episodes[index].offset, columns)
@@ -320,9 +316,10 @@ class EpisodeBatch(TickArchive):
             ]
             if table == "ticks"
             else [
-                _rows(self._part(table, number, index), types, episode.offset, first, last)
+                _moved(part.rows(types.names), types, episode.offset, first, last)
                 for index, episode in enumerate(self._episodes[begin:end], begin)
                 for number in range(len(episode.files[table]))
+                for part in [self._part(table, number, index)]
             ]
         )
         rows = parts[0] if len(parts) == 1 else pa.concat_tables([types.empty_table(), *parts])
@@ -370,22 +367,6 @@ def model_table(table: str) -> str:
 def _rows_name(table: str) -> str:
     """Returns the name under which the rows of a table are registered with the connection."""
     return f"batch: {table}"
-
-
-def _rows(part: ReadPart, types: pa.Schema, offset: int, first: int, last: int) -> pa.Table:
-    """Returns the columns of a part that change with the tick, its ticks moved by an offset.
-
-    Args:
-        part: the part.
-        types: the columns.
-        offset: the offset.
-        first: the first tick whose rows are returned, with the offset.
-        last: the last of them.
-    """
-    rows = part.rows(types.names)
-    if rows.column_names != types.names:
-        raise RecordError(OLDER)
-    return _moved(rows, types, offset, first, last)
 
 
 def _moved(rows: pa.Table, types: pa.Schema, offset: int, first: int, last: int) -> pa.Table:

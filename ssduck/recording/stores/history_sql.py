@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import lru_cache
+from itertools import starmap
 
 import pyarrow as pa
 from sqlglot import exp
@@ -55,27 +56,14 @@ def known(name: str, type: str) -> str:
     return f"CASE {cases} END AS {column}"
 
 
-def all_columns(
-    rows: str,
-    columns: Mapping[str, str],
-    present: Collection[str],
-    missing: Mapping[str, str],
-) -> str:
-    """Returns a SELECT of all columns of a stored table, whose older records may lack some.
+def all_columns(rows: str, columns: Mapping[str, str]) -> str:
+    """Returns a SELECT of all columns of a stored table.
 
     Args:
         rows: the rows, in SQL.
         columns: the types of the columns, by name.
-        present: the names of the columns that the rows have.
-        missing: the values of columns that they lack, in SQL; NULL for others.
     """
-    listed = ", ".join(
-        known(name, type)
-        if name in present
-        else f"({missing.get(name, 'NULL')})::{type} AS {quoted(name)}"
-        for name, type in columns.items()
-    )
-    return f"SELECT {listed} FROM {rows}"  # noqa: S608
+    return f"SELECT {', '.join(starmap(known, columns.items()))} FROM {rows}"  # noqa: S608
 
 
 def buffered_rows(table: str, view: str) -> str:

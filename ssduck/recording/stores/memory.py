@@ -207,7 +207,7 @@ class MemoryStore(TickStore, TickArchive):
         }
 
     def _model_source(self, table: str) -> str:
-        return self._models.source(table, None)
+        return self._models.source(table)
 
 
 def _last_rows(rows: BufferedRows) -> int:

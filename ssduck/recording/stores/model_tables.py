@@ -15,7 +15,7 @@ from ssduck.recording.episode import new_id
 from ssduck.recording.model_checks import check_models
 from ssduck.recording.recorded_visuals import camera_text
 from ssduck.recording.spec import Recording, description_of
-from ssduck.recording.static_tables import IdProvider, default_values, model_rows
+from ssduck.recording.static_tables import IdProvider, model_rows
 from ssduck.recording.stores.base import StoreConnection
 from ssduck.recording.stores.history_sql import all_columns, create_table, quoted
 from ssduck.recording.stores.record_file import RecordFile
@@ -49,8 +49,6 @@ class ModelTables:
         self.connection = connection
         self._geometries: set[int] = set()
         self._about: dict[str, Any] = {}
-        # A SELECT of all columns of each model of an older record.
-        self._completed: dict[str, str] = {}
 
     def create(
         self,
@@ -136,7 +134,7 @@ class ModelTables:
         self._geometries |= set(models["geometries"]["id"].to_pylist())
 
     def rows(self) -> dict[str, pa.Table]:
-        """Returns the stored rows of each model in a file, with the columns that they have.
+        """Returns the stored rows of each model in a file.
 
         Raises:
             RecordError: a table is missing or damaged.
@@ -152,29 +150,13 @@ class ModelTables:
         check_models(models, lambda table: f"{file.path}: {self.schema}.'{table} model'")
         return models
 
-    def source(self, table: str, run: int | None) -> str:
-        """Returns the rows of a model with all its columns, in SQL.
-
-        Args:
-            table: the table of the model.
-            run: the number of the run for an older record, which lacks it.
-        """
-        place = self._model_place(table)
+    def source(self, table: str) -> str:
+        """Returns the rows of the model of a table, in SQL, after a check of those of a file."""
+        place, model = self._model_place(table), MODELS[table].model
         if self._file is None:
             return place
-        if table not in self._completed:
-            present = self._columns(table)
-            self._columns("geometries")
-            missing = default_values(run, self._model_place("geometries"))
-            columns = {column.name: column.sql for column in MODELS[table].model}
-            self._completed[table] = f"({all_columns(place, columns, present, missing)})"
-        return self._completed[table]
-
-    def _columns(self, table: str) -> frozenset[str]:
-        """Returns the columns that a model of a file has, after a check of it."""
-        assert self._file is not None
-        types = types_of(MODELS[table].model)
-        return self._file.columns(self.connection, self.schema, f"{table} model", types)
+        self._file.check(self.connection, self.schema, f"{table} model", types_of(model))
+        return f"({all_columns(place, {column.name: column.sql for column in model})})"
 
     def close(self, *, forget: bool) -> None:
         """Closes the connection; drops the schema first if `forget` is set."""

@@ -65,7 +65,7 @@ class ParquetStore(TickStore):
         is_export: whether the episode exists only when it is finished.
         tags: what the user says of the run.
         camera: the camera of the world; None if it is not stored.
-        about: what the episode says of itself, in place of a new id and the time of now.
+        order: a number that is less than those of the worlds that were added later.
 
     Raises:
         RecordError: the path is that of a file, or of a folder with something else in it, or it
@@ -81,17 +81,27 @@ class ParquetStore(TickStore):
         is_export: bool = False,
         tags: Tags | None = None,
         camera: Camera | None = None,
-        about: Mapping[str, str | int] | None = None,
+        order: int = 0,
     ) -> None:
         self.path = expand_path(path)
         self.recording = recording
         self.tables = recorded_tables(recording.tables)
-        described = _description(world, self.tables, recording, tags or {}, is_export=is_export)
-        if camera is not None:
-            described["camera"] = camera_text(camera)
+        about = {
+            "world": world,
+            "id": new_id(),
+            "key": secrets.token_hex(8),
+            "checksums": "crc32",
+            "tables": list(self.tables),
+            "started": datetime.now(UTC).isoformat(timespec="seconds"),
+            "recording": {"every": recording.every, "entities": recording.entities},
+            "tags": dict(tags or {}),
+            "order": order,
+        }
+        about |= {} if camera is None else {"camera": camera_text(camera)}
+        about |= {"exporting": True} if is_export else {}
         self._made = missing_folders(self.path)
         try:
-            self.run = begin_episode(self.path, world, described | dict(about or {}))
+            self.run = begin_episode(self.path, world, about)
         except BaseException:
             if self._made:
                 remove_empty(self.path, self._made)
@@ -100,7 +110,6 @@ class ParquetStore(TickStore):
         self._geometries: set[int] = set()
         # The numbers of parts of the tables and of the models.
         self._part_count = self._model_count = 0
-        assert self.run.key is not None
         # Where the files are: those of an export get their places when all of them are there.
         self._staged = self.run
         if is_export and not isinstance(self.path, ObjectPath):
@@ -221,9 +230,7 @@ class ParquetStore(TickStore):
 
     def _write(self, table: str, number: int, rows: pa.Table) -> None:
         place = self._staged.place(table)
-        label = self.run.label(table, number)
-        assert label is not None
-        labelled = rows.replace_schema_metadata({FORMAT: label})
+        labelled = rows.replace_schema_metadata({FORMAT: self.run.label(table, number)})
         with _writing(place):
             place.mkdir(parents=True, exist_ok=True)
             file = part_name(number)
@@ -277,23 +284,6 @@ class _NoIds:
     def geometry_id(self, geometry: Geometry) -> int:
         """Fails: there are no geometries."""
         raise AssertionError(geometry)
-
-
-def _description(
-    world: str, tables: Collection[str], recording: Recording, tags: Tags, *, is_export: bool
-) -> dict[str, Any]:
-    """Returns what a new episode says of itself, but for its number."""
-    about = {
-        "world": world,
-        "id": new_id(),
-        "key": secrets.token_hex(8),
-        "checksums": "crc32",
-        "tables": list(tables),
-        "started": datetime.now(UTC).isoformat(timespec="seconds"),
-        "recording": {"every": recording.every, "entities": recording.entities},
-        "tags": dict(tags),
-    }
-    return about | {"exporting": True} if is_export else about
 
 
 def _options(rows: pa.Table) -> dict[str, Any]:

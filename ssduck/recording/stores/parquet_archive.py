@@ -18,7 +18,6 @@ from ssduck.errors import RecordError
 from ssduck.recording.model_checks import check_models
 from ssduck.recording.opened_record import OpenedRecord
 from ssduck.recording.spec import Recording
-from ssduck.recording.static_tables import default_values, with_joint_numbers
 from ssduck.recording.stores.base import (
     BufferViews,
     PairRequest,
@@ -35,7 +34,7 @@ from ssduck.recording.stores.history_sql import (
     near_pair_rows,
     quoted,
 )
-from ssduck.recording.stores.object_store import ObjectPath, parquet_source
+from ssduck.recording.stores.object_store import parquet_source
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun
 from ssduck.recording.stores.part_names import part_number
 from ssduck.recording.stores.part_statistics import Values, add_values, check_statistics
@@ -85,16 +84,13 @@ class ParquetArchive(TickArchive):
         exact_path(run.path)
         # The working directory may change.
         self._files = {t: [file.absolute() for file in run.listed_files(t)] for t in run.tables}
-        self._columns: dict[str, list[str]] = {}
         # The files whose bytes were checked. The footers of all files are checked here, unless they
         # are many.
         self._checked: set[Path] = set()
         # The files whose footers were found to say of their values what is so.
         self._compared: set[Path] = set()
         for table, files in self._files.items() if len(self._starts) < MANY_PARTS else ():
-            footers = self._run.check(table, map(part_number, files))
-            if footers:
-                self._columns[table] = footers[0].schema.to_arrow_schema().names
+            self._run.check(table, map(part_number, files))
         self._models = {table: run.read(f"models/{table}") for table in MODELS}
         check_models(self._models, lambda table: str(run.place(f"models/{table}")))
         self._linked = multi_link_bodies(self._models["entities"])
@@ -172,7 +168,7 @@ class ParquetArchive(TickArchive):
     def models(self) -> dict[str, str]:
         """Returns the SELECT of the view of each model, by the name of the view."""
         return {
-            table.model_view: self._select_all(files, _columns_in(files[0]), table.model)
+            table.model_view: _select_all(files, table.model)
             for table in MODELS.values()
             if (files := self._files_for_sql(f"models/{table.name}"))
         }
@@ -186,24 +182,11 @@ class ParquetArchive(TickArchive):
     def _select_parts(self, table: str, parts: range) -> str:
         """Returns a SELECT of all columns of some parts of a table."""
         files = self._files[table]
-        if table not in self._columns:
-            self._columns[table] = _columns_in(files[0])
-        selected = files[parts.start : parts.stop]
-        rows = self._select_all(selected, self._columns[table], TABLES[table].columns)
+        rows = _select_all(files[parts.start : parts.stop], TABLES[table].columns)
         if len(parts) == len(files):
             return rows
         first, last = self._ticks_of(parts)
         return f"{rows} WHERE tick BETWEEN {first} AND {last}"
-
-    def _select_all(
-        self, files: Sequence[Path], present: Sequence[str], columns: Sequence[Column]
-    ) -> str:
-        """Returns a SELECT of all columns of a table from its files, which may lack some."""
-        types, missing = {column.name: column.sql for column in columns}, {}
-        if not types.keys() <= set(present):
-            geometries = _scan(self._files_for_sql("models/geometries"))
-            missing = default_values(self.unrecorded_run, geometries)
-        return all_columns(_scan(files), types, present, missing)
 
     def _check(self, table: str, parts: range) -> None:
         """Checks the files of parts that were not checked yet.
@@ -252,7 +235,7 @@ class ParquetArchive(TickArchive):
         found = self._parts_with(table, first, last)
         self._check(table, found)
         types, files = arrow_types(table), self._files[table][found.start : found.stop]
-        parts = [_rows_of_ticks(file, types, first, last) for file in files]
+        parts = [_between(_rows_of_part(file, types)[0], first, last) for file in files]
         if self._log:
             logged = self._log[table].arrow.select(types.names).cast(types)
             parts.append(_between(logged, first, last))
@@ -349,44 +332,18 @@ def arrow_types(table: str) -> pa.Schema:
     )
 
 
-def _rows_of_ticks(file: Path, types: pa.Schema, first: int, last: int) -> pa.Table:
-    """Returns the rows of a part at the ticks from first to last, with NULL for missing columns.
-
-    Raises:
-        RecordError: the file is damaged or missing.
-    """
-    return _between(_rows_of_part(file, types)[0], first, last)
-
-
 def _rows_of_part(
     file: Path, types: pa.Schema, repeated: Sequence[str] = (), numbered: Sequence[str] = ()
 ) -> tuple[pa.Table, pa.Table]:
-    """Returns some columns of the rows of a part, with NULL for missing ones; and others.
-
-    Args:
-        file: the part.
-        types: the columns, and their types.
-        repeated: the others, which are returned as far as the part has them.
-        numbered: those of them that have texts, which are returned by their numbers.
-
-    Raises:
-        RecordError: the file is damaged or missing.
-    """
+    """Returns columns of a part by their types, and others, texts of some of them by numbers."""
     try:
         part = pq.ParquetFile(parquet_source(file), read_dictionary=numbered)
-        present = set(part.schema_arrow.names)
-        needed = {*types.names, *repeated} | ({"link"} if "joint" in types.names else set())
-        names = [name for name in part.schema_arrow.names if name in needed]
-        rows = part.read(columns=names, use_threads=False)  # to wake threads up takes longer
-        others = rows.select([name for name in repeated if name in present])
+        needed = list(dict.fromkeys((*types.names, *repeated)))
+        rows = part.read(columns=needed, use_threads=False)  # to wake threads up takes longer
+        others = rows.select(repeated)
         others.validate(full=True)  # a text may have any bytes
     except (pa.ArrowException, OSError) as error:
         raise unreadable(file, error) from error
-    if "joint" in types.names:
-        rows, present = with_joint_numbers("joints", rows), present | {"joint"}
-    missing = [types.field(name) for name in types.names if name not in present]
-    for field in missing:
-        rows = rows.append_column(field, pa.nulls(rows.num_rows, field.type))
     return rows.select(types.names).cast(types), others
 
 
@@ -407,13 +364,7 @@ def _between(rows: pa.Table, first: int, last: int) -> pa.Table:
     return rows.filter(pa.array((ticks >= first) & (ticks <= last)))
 
 
-def _columns_in(file: Path) -> list[str]:
-    """Returns the columns of a part, and of all others: one version of ssduck wrote them."""
-    source = file.open("rb") if isinstance(file, ObjectPath) else file.absolute()
-    names: list[str] = pq.read_schema(source).names
-    return names
-
-
-def _scan(files: Sequence[Path]) -> str:
-    """Returns the rows of files of a folder, in SQL."""
-    return f"read_parquet({file_list(files)}, hive_partitioning = false)"
+def _select_all(files: Sequence[Path], columns: Sequence[Column]) -> str:
+    """Returns a SELECT of all columns of a table from its files."""
+    rows = f"read_parquet({file_list(files)}, hive_partitioning = false)"
+    return all_columns(rows, {column.name: column.sql for column in columns})

@@ -33,7 +33,6 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError, record_errors
 from ssduck.recording.buffers import TickBuffer
@@ -156,13 +155,13 @@ class FolderRun:
 
     @property
     def has_checksums(self) -> bool:
-        """Whether the files have checksums, which those of older records lack."""
+        """Whether the files have checksums."""
         return "checksums" in self.description
 
     @property
-    def is_complete(self) -> bool | None:
-        """Whether the recording was closed; None for an older record, which does not say so."""
-        return None if self.key is None else "parts" in self.description
+    def is_complete(self) -> bool:
+        """Whether the recording was closed."""
+        return "parts" in self.description
 
     @property
     def removed_parts(self) -> frozenset[int]:
@@ -189,7 +188,7 @@ class FolderRun:
     def _parts_and_log(self) -> tuple[list[int], dict[str, pa.Table]]:
         check_inside(self.path, self.place(LOG))
         files = read_log(
-            self.place(LOG), self.key or "", has_checksums=self.has_checksums, end=self.log_end
+            self.place(LOG), self.key, has_checksums=self.has_checksums, end=self.log_end
         )
         # In this order: the files of a log are removed when their part is complete.
         parts = part_numbers(self.place("ticks"))
@@ -199,9 +198,9 @@ class FolderRun:
         return [part for part in parts if part not in self.removed_parts], log
 
     @property
-    def id(self) -> str | None:
-        """The UUID of the run; None for an older record."""
-        id: str | None = self.description.get("id")
+    def id(self) -> str:
+        """The UUID of the run."""
+        id: str = self.description["id"]
         return id
 
     @property
@@ -211,9 +210,9 @@ class FolderRun:
         return tags
 
     @property
-    def key(self) -> str | None:
-        """The random text that identifies the episode in its files; None for an older record."""
-        key: str | None = self.description.get("key")
+    def key(self) -> str:
+        """The random text that identifies the episode in its files."""
+        key: str = self.description["key"]
         return key
 
     @cached_property
@@ -313,27 +312,21 @@ class FolderRun:
                 raise self._error_of(table, number, MISSING)
         return [place / part_name(number) for number in numbers]
 
-    def label(self, table: str, number: int) -> bytes | None:
-        """Returns the label in the footer of a part's file; None for an older record."""
-        key = self.description.get("key")
-        return None if key is None else label_of(key, table, number)
+    def label(self, table: str, number: int) -> bytes:
+        """Returns the label in the footer of a part's file."""
+        return label_of(self.key, table, number)
 
-    def check(self, table: str, numbers: Iterable[int]) -> list[pq.FileMetaData]:
+    def check(self, table: str, numbers: Iterable[int]) -> None:
         """Checks that the files of parts are there and complete, with right footers.
-
-        Returns:
-            The footers.
 
         Raises:
             RecordError: a file is missing or damaged.
         """
-        checked = []
         for number in numbers:
             footer, problem = self._footer_of(table, number)
             if footer is None or problem is not None:
                 raise self._error_of(table, number, problem or MISSING)
-            checked.append(check_parquet(str(self.place(table) / part_name(number)), footer, table))
-        return checked
+            check_parquet(str(self.place(table) / part_name(number)), footer, table)
 
     def check_data(self, table: str, numbers: Iterable[int]) -> None:
         """Checks all bytes of the files of parts.
@@ -393,8 +386,7 @@ class FolderRun:
 
     def _problem_of_label(self, table: str, number: int, footer: bytes | None) -> str | None:
         """Returns that the footer of a part has the label of another; None if it has not."""
-        label = self.label(table, number)
-        return OTHER_PART if label is not None and label not in (footer or b"") else None
+        return None if self.label(table, number) in (footer or b"") else OTHER_PART
 
     def _error_of(self, table: str, number: int, problem: str) -> RecordError:
         """Returns the error that there is a problem with a part."""
@@ -402,7 +394,7 @@ class FolderRun:
         return RecordError(f"{self.place(table) / part_name(number)} {problem}{hint}")
 
     def read(self, table: str) -> pa.Table:
-        """Returns all rows of a table: NULL for NaN, and for columns that older parts lack.
+        """Returns all rows of a table, with NULL for NaN.
 
         Raises:
             RecordError: a file is missing or damaged, or there is none.
@@ -410,7 +402,7 @@ class FolderRun:
         files = self.listed_files(table)
         if not files:
             raise RecordError(f"{self.place(table)} has no complete part: nothing was stored")
-        return with_nulls(pa.concat_tables(self._rows(table, files), promote_options="default"))
+        return with_nulls(pa.concat_tables(self._rows(table, files)))
 
     def parts_of(self, table: str) -> Iterator[pa.Table]:
         """Yields the rows of each complete part of a table, checked.
@@ -436,7 +428,7 @@ class FolderRun:
         parts = []
         if not self.removed_parts:
             parts = indexed_ticks(
-                self.place(INDEX), self.key or "", len(files), has_checksums=self.has_checksums
+                self.place(INDEX), self.key, len(files), has_checksums=self.has_checksums
             )
         rest = self._rows("ticks", files[len(parts) :])
         parts += [rows.select(["tick", "time"]) for rows in rest]

@@ -49,7 +49,7 @@ class RecordFile:
     path: Path
     catalog: str
     rows: Mapping[tuple[str, str], int]
-    _columns: dict[tuple[str, str], frozenset[str]] = field(default_factory=dict)
+    _checked: set[tuple[str, str]] = field(default_factory=set)
 
     @classmethod
     def of(cls, path: Path, catalog: str, connection: StoreConnection) -> RecordFile:
@@ -74,14 +74,14 @@ class RecordFile:
         """Returns a table in SQL."""
         return ".".join(map(quoted, (self.catalog, schema, table)))
 
-    def columns(
+    def check(
         self,
         connection: StoreConnection,
         schema: str,
         table: str,
         expected: Mapping[str, ColumnType],
-    ) -> frozenset[str]:
-        """Returns the names of a table's columns, after a check of the table.
+    ) -> None:
+        """Checks a table, once.
 
         Args:
             connection: reads the file.
@@ -93,7 +93,7 @@ class RecordFile:
             RecordError: it is no base table, lacks columns, or has too many values to be read.
         """
         key = schema, table
-        if key not in self._columns:
+        if key not in self._checked:
             check_opening()
             place, source = self.place(schema, table), f"{self.path}: {schema}.{table!r}"
             if key not in self.rows:
@@ -106,8 +106,7 @@ class RecordFile:
             check_columns(source, types.items(), expected)
             if "until" in expected:
                 self._check_repeated(connection, place, source)
-            self._columns[key] = frozenset(types)
-        return self._columns[key]
+            self._checked.add(key)
 
     def read(
         self,
@@ -119,19 +118,18 @@ class RecordFile:
         """Returns the rows of a table with the columns that it is to have.
 
         Raises:
-            RecordError: see `columns`; or it has too many values to be read.
+            RecordError: see `check`; or it has too many values to be read.
         """
-        present = self.columns(connection, schema, table, expected)
+        self.check(connection, schema, table, expected)
         place = self.place(schema, table)
-        names = [name for name in expected if name in present]
-        values = self.rows[schema, table] * len(names)
-        lists = [quoted(name) for name in names if expected[name] in ("points", "triples")]
+        values = self.rows[schema, table] * len(expected)
+        lists = [quoted(name) for name in expected if expected[name] in ("points", "triples")]
         if lists and values <= MAX_VALUES:
             lengths = " + ".join(f"coalesce(sum(len({name})), 0)" for name in lists)
             ((count,),) = connection.fetchall(f"SELECT {lengths} FROM {place}")  # noqa: S608
             values += 3 * count
         self.check_size(f"{self.path}: {schema}.{table!r}", values)
-        listed = ", ".join(map(quoted, names))
+        listed = ", ".join(map(quoted, expected))
         return connection.rows(f"SELECT {listed} FROM {place}")  # noqa: S608
 
     def check_size(self, source: str, values: int) -> None:

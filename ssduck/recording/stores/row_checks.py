@@ -18,10 +18,10 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from ssduck.recording.buffers import TickBuffer
-from ssduck.recording.static_tables import join_model, with_joint_numbers
+from ssduck.recording.static_tables import join_model
 from ssduck.recording.stores.base import RowBlock
 from ssduck.recording.stores.tick_checks import stray_row
-from ssduck.schema import FRAMES, LATER_COLUMNS, MODELS, RECORDED, TABLES
+from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES
 from ssduck.world.layout import EntityInfo
 
 Integers = npt.NDArray[np.int64]
@@ -60,8 +60,8 @@ def repeated_columns(table: str) -> tuple[str, ...]:
 
 @cache
 def repeated_texts(table: str) -> tuple[str, ...]:
-    """Returns those of the repeated columns that have texts, and that records always had."""
-    names = set(repeated_columns(table)) - LATER_COLUMNS
+    """Returns those of the repeated columns that have texts."""
+    names = repeated_columns(table)
     columns = RECORDED[table].columns
     return tuple(one.name for one in columns if one.name in names and one.type == "string")
 
@@ -82,7 +82,6 @@ def other_model(table: str, rows: pa.Table, model: pa.Table) -> str | None:
         rows: some of `model_columns`, of known entities and links.
         model: the rows of the model.
     """
-    model, rows = (with_joint_numbers(table, one) for one in (model, rows))
     keys = TABLES[table].key
     names = [name for name in rows.column_names if name in model.column_names or name in keys]
     distinct = rows.select(names).group_by(names, use_threads=False).aggregate([])
@@ -209,7 +208,7 @@ class RowChecks:
         """Returns the model of a table, which is the same for all parts."""
         if table not in self._models or self._models[table].rows is not rows:
             places = np.full(int(self._parts(table).sum()), -1, dtype=np.int64)
-            numbers = self._numbers(table, with_joint_numbers(table, rows))
+            numbers = self._numbers(table, rows)
             places[numbers] = np.arange(len(rows))
             self._models[table] = _Model(rows, places)
         return self._models[table]

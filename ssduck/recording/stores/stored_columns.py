@@ -15,7 +15,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError, RecordPermissionError
-from ssduck.schema import LATER_COLUMNS, MODELS, RECORDED, TABLES, Column, ColumnType
+from ssduck.schema import MODELS, RECORDED, TABLES, Column, ColumnType
 from ssduck.world.live_tables import ARROW_TYPES
 
 # The largest number of values that a file is read with: 1 GiB of doubles. A part that ssduck writes
@@ -75,13 +75,10 @@ def check_columns(
         if name in found and name in expected:
             raise RecordError(f"{source} is damaged: it has two columns {name!r}")
         found[name] = type
-    if "joint" in expected and "joint" not in found:  # an old record: the link numbers the joint
-        expected = {**expected, "link": "integer"}
     for name, type in expected.items():
         if name not in found:
-            if name not in LATER_COLUMNS:
-                raise RecordError(f"{source} is damaged: it lacks the column {name!r}")
-        elif found[name] != type:
+            raise RecordError(f"{source} is damaged: it lacks the column {name!r}")
+        if found[name] != type:
             raise RecordError(
                 f"{source} is damaged: its column {name!r} has the type {found[name]}; it is to "
                 f"have values of the type {type}"
@@ -147,10 +144,8 @@ def rows_of_part(file: Path, table: str, content: bytes) -> pa.Table:
     part = checked_parquet(str(file), content, table)
     try:
         # The threads of the library take longer to wake up than most of these files to read.
-        present = set(part.schema_arrow.names)
-        names = [name for name in types if name in present]
-        rows = part.read(columns=names, use_threads=False).replace_schema_metadata()
-        rows = rows.cast(pa.schema([(name, types[name]) for name in rows.column_names]))
+        rows = part.read(columns=list(types), use_threads=False).select(list(types))
+        rows = rows.cast(pa.schema(types))
         rows.validate(full=True)
     except (pa.ArrowException, OSError) as error:
         raise unreadable(file, error) from error

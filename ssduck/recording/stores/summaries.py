@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,7 @@ from ssduck.recording.stores.object_store import ObjectPath, file_system, readin
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun
 from ssduck.recording.stores.part_names import part_number
 from ssduck.recording.stores.tick_index import INDEX
-from ssduck.schema import MODELS, RECORDED, TABLES
+from ssduck.schema import MODELS
 
 # The size of each file, bytes, and the time of its last change, ns since 1970, by its name in the
 # record.
@@ -133,11 +133,8 @@ def _group_of(run: FolderRun, models: Mapping[str, pa.Table]) -> str | None:
     if run.log or run.removed_parts or not run.has_checksums:
         return None
     parts = {table: run.listed_files(table) for table in run.tables}
-    footers = {table: run.check(table, map(part_number, files)) for table, files in parts.items()}
-    if not all(_has_current_columns(table, found) for table, found in footers.items()):
-        return None
-    if "run" not in models["entities"].column_names:
-        return None
+    for table, files in parts.items():
+        run.check(table, map(part_number, files))
     every, entities = run.recording.get("every", 1), run.recording["entities"]
     described = run.world, run.tables, every, entities, run.description.get("camera")
     sink = hashlib.sha256(repr(described).encode())
@@ -156,12 +153,6 @@ def present_at_end(rows: pa.Table) -> npt.NDArray[np.int64]:
     ticks = rows["tick"].to_numpy()
     present: npt.NDArray[np.int64] = np.sort(rows["id"].to_numpy()[ticks == ticks.max(initial=0)])
     return present
-
-
-def _has_current_columns(table: str, footers: Sequence[pq.FileMetaData]) -> bool:
-    """Checks whether the first part of a table has all columns that one of this version has."""
-    columns = TABLES[table].names if table in TABLES else RECORDED[table].tick_columns.names
-    return all(set(footer.schema.to_arrow_schema().names) >= set(columns) for footer in footers[:1])
 
 
 # -- files ------------------------------------------------------------------------------------
