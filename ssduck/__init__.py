@@ -66,7 +66,7 @@ __all__ = [
 offer("page", "ssduck.view.view:view")
 offer("batch", "ssduck.world.batches.batch_world:batch_of")
 offer("export batch", "ssduck.interpreter.batches.records:export_batch")
-offer("step scores", "ssduck.lakes.step_scores:step_scores")
+offer("step scores", "ssduck.lakes.workers:step_scores")
 offer("terms", "ssduck.gym.batch_terms:BatchTerms")
 
 _HOMES = {

@@ -78,7 +78,7 @@ def export_as(
     from ssduck.interchange.conversion import write_runs
     from ssduck.interpreter.archives import episodes
     from ssduck.interpreter.opening import open_record
-    from ssduck.recording.folder_listing import runs_in
+    from ssduck.recording.folder_episodes import runs_in
 
     is_part = entities is not None or between != (None, None)
     with tempfile.TemporaryDirectory() as folder:

@@ -52,8 +52,7 @@ from ssduck.errors import (
 from ssduck.limits import Limits
 from ssduck.recording.opened_record import OpenedRecord
 from ssduck.recording.recorder import Recorder
-from ssduck.recording.stores.file_lists import exact_path
-from ssduck.recording.stores.history_sql import quoted
+from ssduck.recording.stores.history_sql import exact_path, quoted
 from ssduck.recording.stores.object_store import ObjectPath
 
 T = TypeVar("T")

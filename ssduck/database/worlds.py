@@ -16,8 +16,7 @@ from ssduck.database.recorders import Recorders
 from ssduck.database.schemas import Schemas, register_rows
 from ssduck.database.statement import PreparedPlans
 from ssduck.errors import ArgumentError
-from ssduck.recording.replay.mirrored_world import MirroredWorld
-from ssduck.recording.replay.replayed_world import ReplayedWorld
+from ssduck.recording.replay.replayed_world import MirroredWorld, ReplayedWorld
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.model_tables import ABOUT, RUN_SCHEMA
 from ssduck.recording.tags import Tags

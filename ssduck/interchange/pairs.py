@@ -16,10 +16,9 @@ import pyarrow.parquet as pq
 
 from ssduck import validation
 from ssduck.errors import NumberError, RecordError
+from ssduck.recording.paths import FORMAT, check_inside, part_name
 from ssduck.recording.stores.checksums import verified_parquet, write_parquet
-from ssduck.recording.stores.links import check_inside
 from ssduck.recording.stores.parquet_layout import PAIRS, FolderRun
-from ssduck.recording.stores.part_names import FORMAT, part_name
 
 _WITHIN = b"ssduck pairs"
 COLUMNS = pa.schema(

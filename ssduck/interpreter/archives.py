@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, TypeAlias
 
 from ssduck.database.database import Database
 from ssduck.errors import RecordError, nearest, record_errors
 from ssduck.recording.episode import Episode
-from ssduck.recording.folder_listing import runs_in
+from ssduck.recording.folder_episodes import runs_in
 from ssduck.recording.opened_record import OpenedRecord
 from ssduck.recording.paths import expand_path
 from ssduck.recording.recorded_visuals import camera_of
@@ -42,42 +42,6 @@ from ssduck.world.run_numbers import new_run
 _NUMBER = re.compile("0|[1-9][0-9]{0,8}")
 # So many episodes an error names.
 _MOST_NAMED = 20
-
-
-class RecordedRun(Protocol):
-    """A recorded run of a world."""
-
-    @property
-    def path(self) -> Path:
-        """The folder or the file."""
-
-    @property
-    def world(self) -> str:
-        """The name of the world."""
-
-    @property
-    def number(self) -> int:
-        """The number of the episode, from 0."""
-
-    @property
-    def has_begun(self) -> bool:
-        """Whether it is said what is recorded."""
-
-    @property
-    def has_ticks(self) -> bool:
-        """Whether ticks were stored."""
-
-    @property
-    def tags(self) -> Tags:
-        """What the user says of the run, by name."""
-
-    @property
-    def description(self) -> Mapping[str, Any]:
-        """The description of the run, which was checked."""
-
-    @property
-    def episode(self) -> Episode:
-        """The contents of the run."""
 
 
 @record_errors()
@@ -199,7 +163,6 @@ def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
         archive = ParquetArchive(run, recording, database.connection.reader(opened), opened)
         ticks, models = archive.ticks, archive.model_rows()
     else:
-        assert isinstance(run, StoredRun)
         archive = run.history(database.connection.reader(OpenedRecord(run.path)))
         ticks, models = archive.ticks(), archive.model_rows()
     try:
@@ -274,10 +237,8 @@ class StoredRun:
         """Whether ticks were stored."""
         return self.history(self.reader).has_ticks
 
-    @property
-    def has_begun(self) -> bool:
-        """Whether it is said what is recorded, as it is from the beginning."""
-        return True
+    # It is said from the beginning what is recorded.
+    has_begun = True
 
     @property
     def tags(self) -> Tags:
@@ -302,6 +263,10 @@ class StoredRun:
             id=self.description["id"],
             tags=self.tags,
         )
+
+
+# A recorded run of a world.
+RecordedRun: TypeAlias = FolderRun | StoredRun
 
 
 def _runs_in_file(path: Path, catalog: str, reader: StoreConnection) -> list[StoredRun]:

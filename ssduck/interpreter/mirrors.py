@@ -17,9 +17,8 @@ from ssduck.errors import UnsupportedError
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.limits import Limits
 from ssduck.recording.buffers import TickBuffer
-from ssduck.recording.replay.mirrored_world import MirroredWorld
 from ssduck.recording.replay.record import Record
-from ssduck.recording.replay.replayed_world import ReplayedWorld
+from ssduck.recording.replay.replayed_world import MirroredWorld, ReplayedWorld
 from ssduck.recording.stores.base import TickArchive
 from ssduck.recording.stores.memory import MemoryStore
 from ssduck.world.entities import Sensor

@@ -4,14 +4,3 @@
 question (`questions`) goes to batches of episodes, on one of the `engines`; each of their processes
 answers batches (`workers`).
 """
-
-from typing import TYPE_CHECKING
-
-from ssduck.lazy import exports
-
-if TYPE_CHECKING:
-    from ssduck.lakes.lake import Lake
-
-__all__ = ["Lake"]
-
-__getattr__, __dir__ = exports(__name__, {"lake": ("Lake",)})

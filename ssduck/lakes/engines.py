@@ -104,18 +104,11 @@ def _answers_of_pool(
 
 
 def _send_answers(question: Question, batch: Batch, folder: Path) -> bytes | Path:
-    """Returns the answers of a batch as a message that comes whole or not at all.
-
-    Pipes write a message of some kilobytes at once. Of a longer one, half may be there when the
-    process is killed, and the pool would wait for the other half forever. So long answers, and long
-    errors, go to a file, and the message is its path.
-
-    Raises:
-        EvaluationError: the file cannot be written.
-    """
+    """Returns the answers of a batch as a message that comes whole or not at all."""
     content = _pickled_answers(question, batch)
     if len(content) <= _MAX_MESSAGE:
         return content
+    # Pipes write some kilobytes at once: of a longer message half may be there when a process ends.
     try:
         handle, name = mkstemp(dir=folder)
         with os.fdopen(handle, "wb") as file:
@@ -195,14 +188,7 @@ def answer_on_ray(
 
 
 def _where_ssduck_is(python: str) -> dict[str, str]:
-    """Returns the variable that lets workers find ssduck, wherever this process has found it.
-
-    Its folder may have all that is installed. The standard library comes before it, as in this
-    process: what is installed must not take the place of one of its modules.
-
-    Args:
-        python: the program of the workers; one that is not this one has its own library.
-    """
+    """Returns the variable by which workers find ssduck, after their own standard library."""
     name = "PYTHONPATH"
     library = Path(sysconfig.get_path("stdlib"))
     standard = {str(library), str(library / "lib-dynload"), str(Path(sys.base_prefix, "DLLs"))}

@@ -165,21 +165,14 @@ class Lake:
         return f"<Lake {self.path!r}: {len(self)} episodes>"
 
     def _selected(self, where: str | None) -> list[EpisodeEntry]:
-        """Returns the episodes for which a condition holds; all if there is none.
-
-        A warning tells that there are no such episodes.
-        """
+        """Returns the episodes for which a condition holds; all if there is none."""
         entries = [self._entries[place] for place in self._places(where)]
         if where is not None and not entries:
             warn(no_episode(where, self.episodes))
         return entries
 
     def _places(self, where: str | None) -> Sequence[int]:
-        """Returns the rows of the episodes for which a condition holds; all if there is none.
-
-        Raises:
-            ArgumentError: it is no condition on the columns of `episodes`.
-        """
+        """Returns the rows of the episodes for which a condition holds; all if there is none."""
         if where is None:
             return range(len(self._entries))
         rows = self.episodes
@@ -331,10 +324,7 @@ class Lake:
         progress: bool,
         engines: dict[str, Any],
     ) -> Iterator[AnsweredEpisode]:
-        """Returns the answers of the selected episodes, in order, which are asked one by one.
-
-        The arguments are checked at once.
-        """
+        """Returns the answers of the selected episodes, in order, which are asked one by one."""
         progress = validation.boolean(progress, "ask: progress")
         if batch is not None:
             batch = validation.integer(batch, "ask: batch", minimum=1)
@@ -524,16 +514,7 @@ def _in_order(
     size: int,
     progress: bool,
 ) -> Iterator[AnsweredEpisode]:
-    """Yields the answers of episodes in order; those that are kept are not asked again.
-
-    Args:
-        question: the question.
-        entries: the episodes.
-        answer: asks batches of them.
-        kept: the answers that are kept.
-        size: the number of episodes of a batch.
-        progress: whether to show the progress.
-    """
+    """Yields the answers of episodes in order; those that are kept are not asked again."""
     warned: set[str] = set()
     ready = {
         index: known
@@ -557,12 +538,7 @@ def _in_order(
 
 
 def _warn_of(answered: AnsweredEpisode, warned: set[str]) -> None:
-    """Warns of the probable mistakes in a question that no episode before had.
-
-    Args:
-        answered: the episode.
-        warned: the mistakes of those before; at most some are told of.
-    """
+    """Warns of the probable mistakes in a question that no episode before had."""
     for doubt in answered.doubts:
         if doubt not in warned and len(warned) <= MAX_DOUBTS:
             warned.add(doubt)

@@ -21,6 +21,7 @@ from ssduck.recording.paths import expand_path
 from ssduck.recording.stores.checksums import verified_parquet, write_parquet
 from ssduck.recording.stores.object_store import ObjectPath
 from ssduck.recording.stores.stored_columns import MAX_VALUES
+from ssduck.recording.stores.summaries import StoredFile
 from ssduck.recording.tags import Tag, are_tags
 
 VERSION = 1
@@ -61,23 +62,6 @@ SCHEMA = pa.schema(
     ],
     metadata={_LABEL: str(VERSION).encode()},
 )
-
-
-@dataclass(frozen=True)
-class FileEntry:
-    """A file of an episode.
-
-    Attributes:
-        name: its path in the record, with slashes.
-        size: its size, bytes.
-        modified: when it was last changed, ns since 1970.
-        checksum: the CRC-32 of its bytes.
-    """
-
-    name: str
-    size: int
-    modified: int
-    checksum: int
 
 
 @dataclass(frozen=True)
@@ -125,7 +109,7 @@ class EpisodeEntry:
     tags: dict[str, Tag] = field(default_factory=dict)
     group: str | None = None
     error: str | None = None
-    files: tuple[FileEntry, ...] = ()
+    files: tuple[StoredFile, ...] = ()
 
     @property
     def key(self) -> tuple[str, str, int]:
@@ -166,7 +150,7 @@ def _entry(row: dict[str, Any]) -> EpisodeEntry:
             "tables": None if row["tables"] is None else tuple(row["tables"]),
             "entities": None if row["entities"] is None else tuple(row["entities"]),
             "tags": json.loads(row["tags"]),
-            "files": tuple(FileEntry(**file) for file in row["files"]),
+            "files": tuple(StoredFile(**file) for file in row["files"]),
         }
     )
 

@@ -33,14 +33,7 @@ IDLE = 300.0
 
 @dataclass(frozen=True)
 class _Kept:
-    """Processes that answer nothing now.
-
-    Attributes:
-        count: their number.
-        setting: what they have from their start.
-        executor: the processes.
-        timer: what ends them when they were idle for long.
-    """
+    """Processes that answer nothing now."""
 
     count: int
     setting: tuple[Any, ...]

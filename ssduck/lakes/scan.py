@@ -15,13 +15,12 @@ import pyarrow as pa
 
 from ssduck.errors import RecordError, SelectScriptError, warn
 from ssduck.interpreter.archives import episodes
-from ssduck.lakes.manifest import EpisodeEntry, FileEntry, are_sizes
+from ssduck.lakes.manifest import EpisodeEntry, are_sizes
 from ssduck.recording.episode_steps import FOLDER as STEPS
-from ssduck.recording.folder_listing import ABOUT, VERSION, check_about, lost_runs, runs_named
-from ssduck.recording.paths import expand_path
+from ssduck.recording.folder_episodes import ABOUT, VERSION, check_about, lost_runs, runs_named
+from ssduck.recording.paths import check_inside, expand_path
 from ssduck.recording.stores.atomic_files import is_temporary
 from ssduck.recording.stores.checksums import checksum_of, content_of, content_problem
-from ssduck.recording.stores.links import check_inside
 from ssduck.recording.stores.object_store import ObjectPath, file_system, reading
 from ssduck.recording.stores.parquet_layout import LOG, PAIRS, FolderRun
 from ssduck.recording.stores.summaries import (
@@ -203,11 +202,7 @@ def _keys(record: Path) -> list[tuple[str, int]]:
 
 
 def _listing(run: FolderRun) -> dict[str, tuple[int, int]]:
-    """Returns the files of an episode in a folder; pipes and devices are none.
-
-    Raises:
-        RecordError: a link leaves the folder.
-    """
+    """Returns the files of an episode in a folder; pipes and devices are none."""
     files: dict[str, tuple[int, int]] = {}
     single = (ABOUT, f"episodes/{run.about_file.name}", f"gym/{run.about_file.name}")
     for name in single:
@@ -256,7 +251,7 @@ def _found_in_file(file: Path) -> list[FoundEpisode]:
     listing = _listing_of_file(file)
     try:
         files = tuple(
-            FileEntry(name, size, modified, checksum_of(file.with_name(name)))
+            StoredFile(name, size, modified, checksum_of(file.with_name(name)))
             for name, (size, modified) in sorted(listing.items())
         )
     except OSError as error:
@@ -366,7 +361,7 @@ def _entry_of(run: FolderRun, entry: EpisodeEntry, listing: Listing) -> EpisodeE
     for name, (size, modified) in sorted(listing.items()):
         file = summary.files.get(name)
         checksum = zlib.crc32(content_of(run.path / name)) if file is None else file.checksum
-        files.append(FileEntry(name, size, modified, checksum))
+        files.append(StoredFile(name, size, modified, checksum))
     return replace(
         entry,
         id=run.id,
@@ -392,7 +387,7 @@ def _computed(run: FolderRun, listing: Listing) -> EpisodeSummary:
     files, are_whole = {}, True
     for name, (size, modified) in parts_in(run, listing).items():
         content = content_of(run.path / name)
-        files[name] = StoredFile(size, modified, zlib.crc32(content))
+        files[name] = StoredFile(name, size, modified, zlib.crc32(content))
         if not name.startswith("models/"):  # those are checked when they are read
             are_whole &= content_problem(content, has_checksums=True) is None
     return summary_of(run, files, are_whole=are_whole)

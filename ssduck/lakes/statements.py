@@ -13,31 +13,34 @@ answer it without ssduck. Its parts, from the inside out:
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias, TypeVar, get_args
 
 import sqlglot
 from sqlglot import exp
 
+from ssduck.database.database import Database
 from ssduck.errors import ArgumentError, UnknownNameError, UnsupportedError, nearest
 from ssduck.formatting import short_repr
 from ssduck.interpreter.opening import open_record
 from ssduck.interpreter.plans_over_ticks import SelectedSql, TickPlan, plan_over_ticks
 from ssduck.lakes.answers import ERROR, KEYS
-from ssduck.lakes.entry_files import EntryFiles
-from ssduck.lakes.footers import footer_errors
-from ssduck.lakes.groups import EpisodeGroup
+from ssduck.lakes.groups import EntryFiles, EpisodeGroup
 from ssduck.lakes.manifest import EpisodeEntry, named_errors
 from ssduck.lakes.questions import add_hint_of_episode
 from ssduck.lakes.workers import UNREADABLE
 from ssduck.language.parser import parse
 from ssduck.limits import Limits
 from ssduck.recording.buffers import TickBuffer
+from ssduck.recording.opened_record import OpenedRecord
 from ssduck.recording.paths import expand_path
 from ssduck.recording.replay.record import TIME_TOLERANCE
+from ssduck.recording.stores.base import StoreConnection
 from ssduck.recording.stores.batched_parts import ReadParts
 from ssduck.recording.stores.parquet_layout import FolderRun
+from ssduck.recording.stores.part_statistics import check_statistics
 from ssduck.recording.stores.stored_columns import part_columns
 from ssduck.schema import RECORDED
 from ssduck.sql.sql_values import literal
@@ -111,13 +114,7 @@ _Entries: TypeAlias = dict[int, EpisodeEntry]
 
 
 def _read_episodes(entries: Sequence[EpisodeEntry]) -> tuple[list[_Entries], _Entries]:
-    """Returns the episodes by number, in groups with the same entities, and those with errors.
-
-    A manifest may come from a stranger: the ticks and the entities are those of the files.
-
-    Raises:
-        UnsupportedError: an episode is not in Parquet files.
-    """
+    """Returns the episodes by number, in groups with the same entities, and those with errors."""
     groups: dict[str, tuple[EpisodeGroup, _Entries]] = {}
     failed: _Entries = {}
     runs = {
@@ -209,13 +206,7 @@ def _is_range_of_ticks(part: exp.Expr | None) -> bool:
 
 @dataclass(frozen=True)
 class _Files:
-    """The files of the episodes with one plan.
-
-    Attributes:
-        entries: the episodes by number.
-        dialect: the dialect.
-        age: which of their ticks are in question; see `TickPlan`.
-    """
+    """The files of the episodes with one plan."""
 
     entries: Mapping[int, EpisodeEntry]
     dialect: str
@@ -313,11 +304,7 @@ def _answers(plan: TickPlan, files: _Files) -> tuple[dict[str, exp.Expr], exp.Se
 
 
 def _of_all_episodes(plan: TickPlan) -> tuple[exp.Select, list[str]]:
-    """Returns a program's SQL over the ticks of all episodes, and the columns that it reads.
-
-    Raises:
-        UnsupportedError: it reads what the files do not have.
-    """
+    """Returns a program's SQL over the ticks of all episodes, and the columns that it reads."""
     select = plan.select.copy()
     if not plan.is_query:
         select.set("order", None)  # the series has one
@@ -440,13 +427,7 @@ _VALUES = _TRUTH | _NUMBERS | {"string"}
 
 @dataclass(frozen=True)
 class _Function:
-    """A function over time in SQL.
-
-    Attributes:
-        types: the types of the values that it takes.
-        parts: the parts of the statement after the series, by name.
-        answer: the answer, from the last part and from the episode.
-    """
+    """A function over time in SQL."""
 
     types: frozenset[str]
     parts: Mapping[str, str]
@@ -471,11 +452,7 @@ _FUNCTIONS: dict[str | None, _Function] = {
 
 
 def _over_time(plan: TickPlan) -> tuple[dict[str, exp.Expr], exp.Expr]:
-    """Returns the parts of a function over time, the series first, and the answer.
-
-    Raises:
-        UnsupportedError: it does not take values of that type.
-    """
+    """Returns the parts of a function over time, the series first, and the answer."""
     function, type = _FUNCTIONS[plan.function], plan.columns[-1].sql_type.type
     if type not in function.types:
         raise UnsupportedError(f"{plan.function or 'a value'} of the type {type} is not {_WRITTEN}")
@@ -545,3 +522,50 @@ def _as_double(part: exp.Expr) -> exp.Expr:
     if is_fraction and "e" not in part.name.lower():
         return exp.Literal.number(f"{part.name}e0")
     return part
+
+
+# -- the footers of the files, by which whoever runs a statement leaves rows out --------------
+
+# The tables that statements read.
+_TABLES = ("ticks", "entities")
+
+
+def footer_errors(runs: Mapping[int, FolderRun]) -> dict[int, Exception]:
+    """Returns why the footers of episodes cannot be relied on, of those whose cannot.
+
+    Args:
+        runs: the episodes, by any numbers.
+    """
+    errors: dict[int, Exception] = {}
+    records: dict[tuple[str, str], dict[int, FolderRun]] = {}
+    for number, run in runs.items():
+        records.setdefault((str(run.path), run.world), {})[number] = run
+    with closing(Database(":memory:", None)) as database:
+        for own in records.values():
+            connection = database.connection.reader(OpenedRecord(next(iter(own.values())).path))
+            with closing(connection):
+                errors |= _errors_of_record(connection, own)
+    return errors
+
+
+def _errors_of_record(
+    connection: StoreConnection, runs: Mapping[int, FolderRun]
+) -> dict[int, Exception]:
+    """Returns the errors of episodes of one world in a record."""
+    errors: dict[int, Exception] = {}
+    try:
+        _compare(connection, runs.values())
+    except UNREADABLE:
+        for number, run in runs.items():
+            try:
+                _compare(connection, [run])
+            except UNREADABLE as error:
+                errors[number] = error
+    return errors
+
+
+def _compare(connection: StoreConnection, runs: Iterable[FolderRun]) -> None:
+    for table in _TABLES:
+        files = [file for run in runs for file in run.listed_files(table)]
+        if files:
+            check_statistics(connection, files, table)

@@ -90,11 +90,7 @@ def condition(text: str, columns: Collection[str]) -> exp.Expr:
 
 
 def _column(part: exp.Column, columns: Collection[str]) -> str:
-    """Returns the column that a condition names, in letters of any case if only one has them.
-
-    Raises:
-        ArgumentError: there is none, or there are several.
-    """
+    """Returns the column that a condition names, in letters of any case if only one has them."""
     if part.name in columns and not part.table:
         return part.name
     found = [name for name in columns if name.casefold() == part.name.casefold()]

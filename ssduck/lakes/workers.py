@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -19,13 +20,16 @@ import numpy as np
 import pyarrow as pa
 
 from ssduck.errors import RecordError, SelectScriptError, record_errors
+from ssduck.gym.scoring import EpisodeScore
+from ssduck.gym.terms import Terms
 from ssduck.interpreter.episode_batches import BatchInterpreter, collected_doubts
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.opening import open_record
 from ssduck.lakes.groups import EpisodeGroup, Steps
 from ssduck.lakes.manifest import EpisodeEntry
 from ssduck.lakes.pool import pools
-from ssduck.lakes.questions import Answering, Question, to_text
+from ssduck.lakes.questions import Answering, Question, StepsQuestion, from_text, to_text
+from ssduck.lakes.scan import entries_of_records
 from ssduck.limits import Limits
 from ssduck.recording.paths import expand_path
 from ssduck.recording.recorded_visuals import camera_of
@@ -67,15 +71,7 @@ class _EpisodeRows(NamedTuple):
 
 
 class _Reader:
-    """Asks episodes of one group.
-
-    Args:
-        entry: one of them.
-        limits: the limits of programs.
-
-    Raises:
-        RecordError: its models cannot be read.
-    """
+    """Asks episodes of one group."""
 
     def __init__(self, entry: EpisodeEntry, limits: Limits | None) -> None:
         self._group = EpisodeGroup(entry)
@@ -164,13 +160,9 @@ class _Reader:
 
 
 def _in_turns(works: Sequence[Steps[T]]) -> dict[int, T]:
-    """Does a step of each work, then the next step of each; returns the values by their indices.
-
-    Those that fail are left out. One kind of file after the other is read faster than one episode
-    after the other: what a step needs stays in the caches of the processor.
-    """
+    """Does a step of each work, then the next step of each; returns the values by their indices."""
     values: dict[int, T] = {}
-    going = dict(enumerate(works))
+    going = dict(enumerate(works))  # what a step needs stays in the caches of the processor
     while going:
         for index, work in list(going.items()):
             try:
@@ -250,24 +242,14 @@ def answer_by_itself(question: Question, entry: EpisodeEntry) -> Answer:
 
 
 def _answer(answering: Answering, interpreter: Interpreter, entry: EpisodeEntry) -> Answer:
-    """Returns the answer of an episode, with the doubts that would be warnings of an interpreter.
-
-    They are for the process that asks, which warns once.
-    """
+    """Returns the answer of an episode, with what would be warnings of an interpreter."""
     with collected_doubts(interpreter) as doubts:
         text = to_text(answering(interpreter, entry))
     return Answer(text, doubts=tuple(doubts))
 
 
 def _check_database_file(entry: EpisodeEntry) -> None:
-    """Checks the bytes of a DuckDB file that was not written since the manifest was made.
-
-    One that was written is read as it is now, as folders are.
-
-    Raises:
-        RecordError: its checksum is another.
-        OSError: it cannot be read.
-    """
+    """Checks the bytes of a DuckDB file that was not written since the manifest was made."""
     record = expand_path(entry.path)
     if isinstance(record, ObjectPath) or not record.is_file():
         return
@@ -293,3 +275,44 @@ def forget_readers() -> None:
     with _lock:
         while _readers:
             _readers.popitem()[1].close()
+
+
+# -- scores, step by step, for `ssduck.gym.score` ---------------------------------------------
+
+# So many episodes are read at a time.
+_PORTION = 64
+
+
+def step_scores(
+    folder: Path, world: str, numbers: Sequence[int], terms: Terms, limits: Limits | None
+) -> Iterator[EpisodeScore | None]:
+    """Yields the score of each episode; None of one that has to be opened by itself.
+
+    Args:
+        folder: the record.
+        world: the name of the world.
+        numbers: the numbers of the episodes.
+        terms: the terms.
+        limits: the limits of the terms.
+    """
+    entries = {one.episode: one for one in entries_of_records([folder], {}) if one.world == world}
+    question, left = StepsQuestion(terms, limits), iter(numbers)
+    while portion := list(islice(left, _PORTION)):
+        known = [entries[number] for number in portion if number in entries]
+        answers = zip(known, answer_episodes(question, known), strict=True)
+        scores = {entry.episode: answer.text for entry, answer in answers}
+        for number in portion:
+            text = scores.get(number)
+            yield None if text is None else _score_of(from_text(text))
+
+
+def _score_of(told: dict[str, object]) -> EpisodeScore:
+    """Returns the score that an answer has; series are tuples again."""
+    parts = told.pop("parts")
+    assert isinstance(parts, dict)
+    series = {
+        name: tuple(value) if isinstance(value, list) and name != "options" else value
+        for name, value in told.items()
+    }
+    own = {name: tuple(values) for name, values in parts.items()}
+    return EpisodeScore(parts=own, **series)  # type: ignore[arg-type]

@@ -20,10 +20,10 @@ import numpy as np
 from ssduck import validation
 from ssduck.errors import ArgumentError, RecordError
 from ssduck.formatting import short_repr
+from ssduck.recording.paths import check_inside
 from ssduck.recording.stores.atomic_files import write_atomically
 from ssduck.recording.stores.checksums import write_json
 from ssduck.recording.stores.descriptions import Value, check_description, read_description
-from ssduck.recording.stores.links import check_inside
 from ssduck.recording.tags import Tag
 
 # The folder of these files in a record.

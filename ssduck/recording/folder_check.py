@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -19,7 +19,8 @@ from ssduck.recording.episode_steps import (
     recorded_steps,
     steps_file,
 )
-from ssduck.recording.folder_listing import ABOUT, DESCRIPTION, check_about, lost_runs, runs_named
+from ssduck.recording.folder_episodes import ABOUT, DESCRIPTION, check_about, lost_runs, runs_named
+from ssduck.recording.paths import check_inside, part_name
 from ssduck.recording.stores.atomic_files import create_file, write_atomically
 from ssduck.recording.stores.checksums import (
     footer_of,
@@ -29,10 +30,8 @@ from ssduck.recording.stores.checksums import (
     write_json,
 )
 from ssduck.recording.stores.descriptions import read_description
-from ssduck.recording.stores.links import check_inside
 from ssduck.recording.stores.parquet_layout import LOG, PAIRS, FolderRun
 from ssduck.recording.stores.part_log import log_file_problem, log_files
-from ssduck.recording.stores.part_names import part_name
 from ssduck.recording.stores.stored_columns import MISSING
 from ssduck.recording.stores.tick_index import INDEX, index_file
 from ssduck.schema import MODELS, RECORDED
@@ -61,17 +60,11 @@ class Damage:
 
 @dataclass(frozen=True)
 class _RunDamage(Damage):
-    """A damaged file of an episode.
-
-    Attributes:
-        run: the episode.
-        part: the number of the part of its tables; None for another file.
-        log: the number of files of the log before it; None for another file.
-    """
+    """A damaged file of an episode."""
 
     run: FolderRun | None = None
-    part: int | None = None
-    log: int | None = None
+    part: int | None = None  # the number of the part of its tables
+    log: int | None = None  # the number of files of the log before it
 
 
 def check_folder(path: Path, *, repair: bool = False) -> list[Damage]:
@@ -103,8 +96,10 @@ def _checked_folder(path: Path, *, repair: bool) -> list[Damage]:
         if not (path / "episodes").is_dir() or (about.exists() and "damaged" not in error.message):
             raise
         problem = _problem_of(error, about) if about.exists() else MISSING
-        damage = Damage(about, problem, "the whole record")
-        damages.append(_repaired(damage, lambda: _write_about(about)) if repair else damage)
+        damages.append(Damage(about, problem, "the whole record", is_repaired=repair))
+        if repair:
+            set_aside(about)
+            create_file(about, json_text(DESCRIPTION))
     runs = runs_named(path)
     runs += lost_runs(path, [(run.world, run.number) for run in runs])
     for run in runs:
@@ -251,12 +246,9 @@ def _problem_of(error: RecordError, file: Path) -> str:
 
 
 def _repair_run(run: FolderRun, damages: Sequence[_RunDamage]) -> list[Damage]:
-    """Takes the damaged files of an episode out of the record; returns what was done.
-
-    The description of the episode comes first, so that a repair that is interrupted leaves no gap.
-    """
+    """Takes the damaged files of an episode out of the record; returns what was done."""
     parts = sorted({damage.part for damage in damages if damage.part is not None})
-    if parts:
+    if parts:  # the description comes first: an interrupted repair leaves no gap
         about = read_description(run.about_file)
         removed = sorted({*about.get("removed", ()), *parts})
         content = about | {"removed": removed}
@@ -303,16 +295,6 @@ def set_aside(file: Path) -> None:
 def _is_there(file: Path) -> bool:
     """Checks whether there is a file, perhaps a link to nothing."""
     return file.exists() or file.is_symlink()
-
-
-def _write_about(about: Path) -> None:
-    set_aside(about)
-    create_file(about, json_text(DESCRIPTION))
-
-
-def _repaired(damage: Damage, repair: Callable[[], None]) -> Damage:
-    repair()
-    return replace(damage, is_repaired=True)
 
 
 def _description_of(run: FolderRun) -> dict[str, object] | None:

@@ -1,10 +1,12 @@
-"""Begins episodes in folders of Parquet files, all or none, and removes them."""
+"""Lists the episodes of folders of Parquet files, begins them, all or none, and removes them."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from typing import Any, Protocol
@@ -12,13 +14,13 @@ from typing import Any, Protocol
 from ssduck.errors import RecordError
 from ssduck.formatting import short_repr
 from ssduck.recording.episode_steps import FOLDER as STEPS
-from ssduck.recording.folder_listing import ABOUT, DESCRIPTION, check_about
+from ssduck.recording.paths import FORMAT, check_inside, episode_numbers, names_in
 from ssduck.recording.stores.atomic_files import (
     create_file,
     is_temporary,
 )
 from ssduck.recording.stores.checksums import json_text
-from ssduck.recording.stores.links import check_inside
+from ssduck.recording.stores.descriptions import read_description
 from ssduck.recording.stores.object_store import ObjectPath, remove_tree
 from ssduck.recording.stores.parquet_layout import LOG, PAIRS, FolderRun
 from ssduck.recording.stores.tick_index import INDEX
@@ -136,11 +138,7 @@ def begin_episode(path: Path, world: str, about: Mapping[str, Any]) -> FolderRun
 
 
 def _check_name_length(path: Path, world: str) -> None:
-    """Checks that the name of a world is short enough for the names of files.
-
-    Raises:
-        RecordError: it is too long for the system.
-    """
+    """Checks that the name of a world is short enough for the names of files."""
     maximum = _NAME_MAX
     if hasattr(os, "pathconf"):
         with suppress(OSError, ValueError):
@@ -159,11 +157,7 @@ def _check_name_length(path: Path, world: str) -> None:
 
 
 def _claim_episode(path: Path, world: str, about: Mapping[str, Any]) -> FolderRun:
-    """Creates the file of an episode under a number that is free, after those that are not.
-
-    Raises:
-        RecordError: a link leads a folder of the episode out of the record.
-    """
+    """Creates the file of an episode under a number that is free, after those that are not."""
     numbers = count(_free_number(path, world))
     while True:
         run = FolderRun(path, world, next(numbers))
@@ -174,10 +168,7 @@ def _claim_episode(path: Path, world: str, about: Mapping[str, Any]) -> FolderRu
 
 
 def _free_number(path: Path, world: str) -> int:
-    """Returns the number of an episode that is not there, after one that is.
-
-    It looks at few of them, so that beginning an episode does not take longer with each.
-    """
+    """Returns the number of an episode that is not there, after one that is."""
     step = 1
     while FolderRun(path, world, step - 1).about_file.exists():
         step *= 2
@@ -190,3 +181,96 @@ def _free_number(path: Path, world: str) -> int:
         else:
             free = middle
     return free
+
+
+# -- listing them -----------------------------------------------------------------------------
+
+VERSION = 1
+UNITS = {
+    "position": "m",
+    "angle": "rad",
+    "time": "s",
+    "mass": "kg",
+    "force": "N",
+    "frame": "world, z up as the scene has it",
+    "quaternion": "w, x, y, z",
+}
+ABOUT = "ssduck.json"
+# The contents of that file.
+DESCRIPTION = {"format": FORMAT, "version": VERSION, "units": UNITS}
+_EPISODE = re.compile(r"(.+)-(0|[1-9][0-9]{0,8})\.json")
+
+
+def runs_in(path: Path) -> list[FolderRun]:
+    """Returns the runs in a folder, sorted by world and number; looks at none of their files.
+
+    Of a record with any number of episodes, those without rows are found by two listings a world.
+
+    Raises:
+        RecordError: the folder is no record, a damaged one, or one of a newer version; or it has
+            ticks of an episode, and not the file that describes it.
+    """
+    check_about(path)
+    runs = runs_named(path)
+    for lost in lost_runs(path, [(run.world, run.number) for run in runs]):
+        raise RecordError(
+            f"{lost.about_file} is missing, and ticks of its episode are there: put it back, or "
+            f"move {lost.place('ticks')} elsewhere"
+        )
+    with_rows = {world: _numbers_with_rows(path, world) for world in {run.world for run in runs}}
+    return [replace(run, is_empty=run.number not in with_rows[run.world]) for run in runs]
+
+
+def runs_named(path: Path) -> list[FolderRun]:
+    """Returns the episodes of a folder that have a file, sorted by world and number."""
+    place = path / "episodes"
+    check_inside(path, place)
+    matches = map(_EPISODE.fullmatch, names_in(place))
+    keys = sorted((match.group(1), int(match.group(2))) for match in matches if match)
+    return [FolderRun(path, world, number) for world, number in keys]
+
+
+def lost_runs(path: Path, keys: Iterable[tuple[str, int]]) -> Iterator[FolderRun]:
+    """Yields episodes that have ticks, and no file that describes them.
+
+    Args:
+        path: the folder.
+        keys: the worlds and numbers of the files that are there.
+    """
+    numbers: dict[str, set[int]] = {}
+    for world, number in keys:
+        numbers.setdefault(world, set()).add(number)
+    folders = {folder for table in ("ticks", LOG) for folder in names_in(path / table)}
+    for folder in sorted(folders):
+        world = folder.removeprefix("world=")
+        for number in sorted(_numbers_with_rows(path, world) - numbers.get(world, set())):
+            yield FolderRun(path, world, number)
+
+
+def _numbers_with_rows(path: Path, world: str) -> set[int]:
+    """Returns the numbers of the episodes of a world that have folders of ticks or of a log."""
+    places = (path / table / f"world={world}" for table in ("ticks", LOG))
+    return set().union(*map(episode_numbers, places))
+
+
+def check_about(folder: Path) -> None:
+    """Checks that a folder is a record of a known version.
+
+    Raises:
+        RecordError: it is not.
+    """
+    about_file = folder / ABOUT
+    if not about_file.is_file():
+        raise RecordError(f"{folder} is no record of ssduck: it has no {ABOUT}")
+    check_inside(folder, about_file)
+    about = read_description(about_file)
+    if about.get("format") != FORMAT:
+        raise RecordError(f"{folder} is no record of ssduck: {about_file} is of another format")
+    version = about.get("version")
+    if type(version) is not int or version < 1:
+        raise RecordError(f"{about_file} is damaged: it has no version")
+    if version > VERSION:
+        raise RecordError(
+            f"{folder} is a record of version {version}; this ssduck reads those up to {VERSION}: "
+            "install a newer one"
+        )

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 
 from ssduck.errors import RecordError, RecordPermissionError, record_error
 from ssduck.recording.stores.descriptions import read_description
-from ssduck.recording.stores.file_lists import pattern_of
+from ssduck.recording.stores.history_sql import pattern_of
 from ssduck.recording.stores.object_store import ObjectPath
 
 # What a description says of an episode that no other one has.

@@ -1,9 +1,15 @@
-"""Recognizes records, and expands the paths of them that callers pass."""
+"""The paths of records: as callers pass them, and the names of the files and folders in one."""
 
 from __future__ import annotations
 
+import json
+import os
+import re
+from functools import lru_cache
+from itertools import accumulate
 from pathlib import Path
 
+from ssduck.errors import RecordError
 from ssduck.recording.stores.object_store import ObjectPath, is_address
 
 # The position and value of the mark in DuckDB files.
@@ -38,3 +44,97 @@ def is_record(location: str | Path) -> bool:
     position, magic = _MAGIC
     with path.open("rb") as file:
         return file.read(position.stop)[position] == magic
+
+
+# -- the names of parts and episodes ----------------------------------------------------------
+
+# The name of the format: footers have the labels of their files under it.
+FORMAT = "ssduck record"
+# The largest number of digits of a part and of an episode keeps them below 10**9.
+_PART = re.compile(r"part-([0-9]{6}|[1-9][0-9]{6,8})\.parquet")
+_FOLDER = re.compile(r"episode=(0|[1-9][0-9]{0,8})")
+
+
+def part_numbers(place: Path) -> list[int]:
+    """Returns the numbers of the files of parts in a folder, ascending."""
+    matches = map(_PART.fullmatch, names_in(place))
+    return sorted(int(match.group(1)) for match in matches if match)
+
+
+def part_name(number: int) -> str:
+    """Returns the file name of a part."""
+    return f"part-{number:06d}.parquet"
+
+
+def part_number(file: Path) -> int:
+    """Returns the number of a part from its file."""
+    match = _PART.fullmatch(file.name)
+    assert match is not None
+    return int(match.group(1))
+
+
+def episode_number(place: Path) -> int:
+    """Returns the number of an episode from a folder of its files, such as `ticks/…/episode=0`."""
+    match = _FOLDER.fullmatch(place.name)
+    assert match is not None
+    return int(match.group(1))
+
+
+def label_of(key: str, table: str, number: int | str) -> bytes:
+    """Returns the label of a part of a table, of the episode with a key."""
+    return b'{"episode": %s, %s' % (json.dumps(key).encode(), _end_of_label(table, number))
+
+
+@lru_cache(maxsize=1024)
+def _end_of_label(table: str, number: int | str) -> bytes:
+    return json.dumps({"table": table, "part": number}).encode()[1:]
+
+
+def episode_numbers(place: Path) -> set[int]:
+    """Returns the numbers of the episodes that have a folder in a folder of a world."""
+    matches = map(_FOLDER.fullmatch, names_in(place))
+    return {int(match.group(1)) for match in matches if match}
+
+
+def names_in(place: Path) -> list[str]:
+    """Returns the names in a folder, or nothing if there is none."""
+    return [entry.name for entry in place.iterdir()] if place.is_dir() else []
+
+
+# -- links ------------------------------------------------------------------------------------
+
+
+def files_in(folder: Path, place: Path) -> set[str]:
+    """Returns the names of the files in a folder of a record.
+
+    Raises:
+        RecordError: a link leaves the folder of the record.
+    """
+    if isinstance(place, ObjectPath):
+        return {entry.name for entry in place.iterdir()}
+    entries = list(os.scandir(place))
+    for entry in entries:
+        if entry.is_symlink():
+            check_inside(folder, place / entry.name)
+    return {entry.name for entry in entries if entry.is_file()}
+
+
+def check_inside(folder: Path, place: Path) -> None:
+    """Checks that no symbolic link leads out of a record's folder.
+
+    Raises:
+        RecordError: one does, or leads back to itself.
+    """
+    if isinstance(place, ObjectPath):
+        return
+    names = place.parts[len(folder.parts) :]
+    below = accumulate(names, os.path.join, initial=str(folder))
+    next(below)  # the folder itself may be reached by a link
+    if not any(map(os.path.islink, below)):
+        return
+    try:
+        if place.resolve().is_relative_to(folder.resolve()):
+            return
+    except (OSError, RuntimeError):  # a link to itself
+        pass
+    raise RecordError(f"{place} is a symbolic link that leaves {folder}: put a copy in its place")

@@ -5,7 +5,7 @@ full, the rows of all of them go to a store, so that the stored rows end with a 
 on a disk gets them in a background thread (`ssduck.recording.background_writer`), while the buffers
 fill again. It gets the first tick at once, and the others at the latest when half of the time is
 over after which they have to be there (`Recording.flush_every`), so that writing them takes the
-other half at most. If no tick comes then, a timer sees to it (`ssduck.recording.flush_timer`).
+other half at most. If no tick comes then, a timer sees to it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 import pyarrow as pa
 
 from ssduck.errors import RecordError
-from ssduck.recording import flush_timer
+from ssduck.recording import background_writer
 from ssduck.recording.background_writer import BackgroundWriter, BufferedRows
 from ssduck.recording.buffers import MAX_BUFFERED_ROWS, RowBuffer, TickBuffer, new_buffer
 from ssduck.recording.mass_changes import MassChanges
@@ -98,7 +98,7 @@ class Recorder:
     @property
     def is_writer_thread(self) -> bool:
         """Whether the calling thread is one that stores rows in the background."""
-        return self._writer.is_writer_thread or flush_timer.is_timer_thread()
+        return self._writer.is_writer_thread or background_writer.is_timer_thread()
 
     def record(self, snapshot: Snapshot) -> None:
         """Records a tick if it is due; the caller holds its world.
@@ -147,13 +147,7 @@ class Recorder:
             raise error
 
     def _ticks_per_buffer(self, counts: Mapping[str, int]) -> int:
-        """Returns the number of ticks for which the buffers have room.
-
-        The rows of the largest table limit it: memory for further rows of the others would be lost.
-
-        Args:
-            counts: the number of rows of a tick, by table.
-        """
+        """Returns the number of ticks for which the buffers have room."""
         ticks = min(self._max_ticks, MAX_BUFFERED_ROWS // max(counts.values()))
         max_bytes = self.recording.max_bytes
         if isinstance(max_bytes, int):
@@ -163,10 +157,7 @@ class Recorder:
 
     @staticmethod
     def _error_of(store: Callable[[], None]) -> BaseException | None:
-        """Calls a function that stores or waits; returns its error, or None if it succeeds.
-
-        The tick is buffered first, whatever the error: a signal may raise any.
-        """
+        """Calls a function that stores or waits; returns its error, or None if it succeeds."""
         try:
             store()
         except BaseException as failure:  # noqa: BLE001  # `_record` raises it
@@ -200,7 +191,7 @@ class Recorder:
             return
         is_first = len(self.ticks) == 1
         self.flush_at = monotonic() + (0.0 if is_first else self._flush_every / 2)
-        flush_timer.start_watching(self)
+        background_writer.start_watching(self)
 
     def _flush_if_due(self) -> None:
         """Starts storing the buffered rows if it is time, unless earlier ones are being stored."""
@@ -304,11 +295,7 @@ class Recorder:
 
     @property
     def _archive(self) -> TickArchive:
-        """The store as an archive.
-
-        Raises:
-            RecordError: it is a folder, which has to be opened to be read.
-        """
+        """The store as an archive."""
         if not isinstance(self._store, TickArchive):
             raise RecordError("a folder that is being recorded is read by opening it")
         return self._store

@@ -137,17 +137,11 @@ class RecordedRows:
 
 @dataclass(frozen=True, eq=False)
 class _LinkSelection:
-    """The recorded links of a body group: those of bodies with several links.
+    """The recorded links of a body group: those of bodies with several links."""
 
-    Attributes:
-        indices: the place of each link in the link poses of the group, (n,).
-        entities: the id of the entity of each link, (n,).
-        links: the number of each link in its body, (n,).
-    """
-
-    indices: Indices
-    entities: Indices
-    links: Indices
+    indices: Indices  # (n,), their places in the link poses of the group
+    entities: Indices  # (n,), the ids of their entities
+    links: Indices  # (n,), their numbers in their bodies
 
 
 def _select_links(part: Any, layout: TableLayout, ids: Collection[int]) -> _LinkSelection:

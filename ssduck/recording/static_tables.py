@@ -13,7 +13,7 @@ import pyarrow as pa
 from ssduck.errors import RecordError
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.recording.recorded_visuals import visuals_of, visuals_text
-from ssduck.schema import MODELS, RECORDED
+from ssduck.schema import MODELS, RECORDED, TABLES
 from ssduck.simulators.interface import Body, Joint, Link, VisualShape
 from ssduck.simulators.scenes import SensorSpec
 from ssduck.world.layout import EntityInfo
@@ -218,12 +218,12 @@ def join_model(table: str, rows: pa.Table, model: pa.Table, names: Iterable[str]
     Raises:
         RecordError: a row is of an entity without a model.
     """
-    sorted_keys, keys = _sorted_keys(table, model, rows)
-    place = np.searchsorted(sorted_keys, keys)
-    is_known = len(sorted_keys) > 0 and (sorted_keys.take(place, mode="clip") == keys).all()
+    known, keys = _keys(table, model), _keys(table, rows)
+    order = np.argsort(known, kind="stable")
+    place = np.searchsorted(known, keys, sorter=order)
+    is_known = len(known) > 0 and (known[order].take(place, mode="clip") == keys).all()
     if len(keys) and not is_known:
         raise RecordError(f"a row of {table} is of an unknown entity, or an unknown part of one")
-    order = _order(table, model)
     model_rows = pa.array(order[place])
 
     def column(name: str) -> Any:
@@ -240,10 +240,41 @@ def _keys(table: str, rows: pa.Table) -> Any:
     return first if not others else first * 2**20 + others[0]
 
 
-def _order(table: str, model: pa.Table) -> Any:
-    return np.argsort(_keys(table, model), kind="stable")
+def complete_rows(
+    table: str, rows: pa.Table, entities: pa.Table, models: Mapping[str, pa.Table]
+) -> pa.Table:
+    """Returns rows with all columns of their table, as the parts of a folder have them.
+
+    Args:
+        table: the name of the table.
+        rows: the columns that differ from tick to tick.
+        entities: the same of the entities, at the same ticks.
+        models: the rows of each model.
+    """
+    if table not in TABLES:  # the poses of links are internal
+        return rows
+    names = TABLES[table].names
+    if not TABLES[table].model:
+        return rows.select(names)
+    if table == "links":
+        single = _links_of_single_link_bodies(rows, entities, models["entities"])
+        rows = _sorted_links(pa.concat_tables([rows, single]))
+    for name in TABLES[table].tick_columns.booleans:
+        place = rows.column_names.index(name)
+        rows = rows.set_column(place, name, rows[name].cast(pa.bool_()))
+    return join_model(table, rows, models[table], names)
 
 
-def _sorted_keys(table: str, model: pa.Table, rows: pa.Table) -> tuple[Any, Any]:
-    keys = _keys(table, model)
-    return keys[_order(table, model)], _keys(table, rows)
+def _links_of_single_link_bodies(links: pa.Table, entities: pa.Table, model: pa.Table) -> pa.Table:
+    """Returns the rows of the links of bodies with one link, which has the pose of the body."""
+    single = model.filter(pa.array(model["links"].to_numpy() == 1))["id"].to_numpy()
+    bodies = entities.filter(pa.array(np.isin(entities["id"].to_numpy(), single)))
+    number = pa.array(np.zeros(bodies.num_rows, dtype=np.int64))
+    renamed = bodies.rename_columns({"id": "entity"}).append_column("link", number)
+    return renamed.select(links.column_names)
+
+
+def _sorted_links(links: pa.Table) -> pa.Table:
+    """Returns rows of links sorted by tick, entity and link, so that sums are reproducible."""
+    keys = [links[name].to_numpy() for name in ("link", "entity", "tick")]
+    return links.take(np.lexsort(keys))

@@ -71,7 +71,7 @@ COMMANDS = {
 
 @pytest.mark.slow
 @sampled("number", ENDING, every=3)
-@sampled("name", COMMANDS, every=3)
+@sampled("name", COMMANDS, every=2)
 def test_an_export_that_a_signal_ends_leaves_nothing(tmp_path, name, number):
     count = 20_000
     poses = {f"cup {i}": [[i, 0, t / count] for t in range(count)] for i in range(4)}

@@ -11,7 +11,7 @@ from ssduck.errors import ArgumentError, RecordError
 from ssduck.gym import QueryWrapper
 from ssduck.interchange.conversion import write_runs
 from ssduck.recording.episode_steps import EpisodeSteps, action_numbers
-from ssduck.recording.folder_listing import runs_in
+from ssduck.recording.folder_episodes import runs_in
 from tests.support.lake_episodes import SUCCESS, Push
 
 STEPS = 6

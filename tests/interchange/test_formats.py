@@ -26,7 +26,7 @@ from ssduck.interchange.mcap import METADATA
 from ssduck.interchange.mcap import TICKS as TICKS_TOPIC
 from ssduck.interchange.motion import motion_of
 from ssduck.interpreter.archives import folder_run
-from ssduck.recording.folder_listing import runs_in
+from ssduck.recording.folder_episodes import runs_in
 from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.schema import POSE
 from tests.support.command_line import answer, ssduck_

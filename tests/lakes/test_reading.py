@@ -11,7 +11,7 @@ import pytest
 
 import ssduck
 from ssduck.lakes import workers
-from ssduck.lakes.entry_files import EntryFiles
+from ssduck.lakes.groups import EntryFiles
 from ssduck.lakes.questions import ProgramQuestion
 from ssduck.recording.stores import batched_parts
 from ssduck.recording.stores.batched_parts import BatchedFile, ReadParts

@@ -112,7 +112,7 @@ USES = (
 
 
 @pytest.mark.slow
-@sampled("door", DOORS, every=8)
+@sampled("door", DOORS, every=7)
 def test_a_file_in_use(door, recorded, tmp_path):
     """Its log stays where it is, though the path says that it is damaged."""
     (tmp_path / "damaged").mkdir()

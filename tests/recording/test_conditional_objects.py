@@ -10,9 +10,8 @@ import pytest
 import ssduck
 from ssduck.errors import RecordError
 from ssduck.recording import folder_episodes
-from ssduck.recording.stores import conditional_objects, descriptions
-from ssduck.recording.stores.conditional_objects import change_object, create_object
-from ssduck.recording.stores.object_store import ObjectPath
+from ssduck.recording.stores import descriptions, object_store
+from ssduck.recording.stores.object_store import ObjectPath, change_object, create_object
 from ssduck.recording.stores.parquet import write_tags
 from ssduck.recording.stores.parquet_layout import FolderRun
 from tests.support.s3_server import s3_server
@@ -31,7 +30,7 @@ def server():
 
 @pytest.fixture(autouse=True)
 def _no_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(conditional_objects, "_PAUSE", 0.0)
+    monkeypatch.setattr(object_store, "_PAUSE", 0.0)
 
 
 def episode(place: str) -> FolderRun:
@@ -74,7 +73,7 @@ def test_an_object_that_others_change_each_time_is_an_error(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     run = episode("s3://lake/busy")
-    monkeypatch.setattr(conditional_objects, "ATTEMPTS", 3)
+    monkeypatch.setattr(object_store, "ATTEMPTS", 3)
     others_write(monkeypatch, run, ["a", "b", "c"])
     with pytest.raises(RecordError, match="was changed by others 3 times"):
         write_tags(run, {"own": 1.5})

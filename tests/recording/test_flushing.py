@@ -17,7 +17,7 @@ import pytest
 import ssduck
 from ssduck import Recording
 from ssduck.errors import ArgumentError, RecordError
-from ssduck.recording import flush_timer
+from ssduck.recording import background_writer
 from ssduck.recording import recorder as recorders
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.stores import checksums, parquet, part_log
@@ -57,7 +57,7 @@ class Clock:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 1000.0
         monkeypatch.setattr(recorders, "monotonic", lambda: self.now)
-        monkeypatch.setattr(flush_timer, "start_watching", lambda _: None)
+        monkeypatch.setattr(background_writer, "start_watching", lambda _: None)
 
 
 @pytest.fixture

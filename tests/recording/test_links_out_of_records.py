@@ -16,7 +16,7 @@ from ssduck.interchange.conversion import write_runs
 from ssduck.interchange.pairs import COLUMNS, write_pairs
 from ssduck.recording import episode_steps, folder_check
 from ssduck.recording.episode_steps import EpisodeSteps
-from ssduck.recording.folder_listing import runs_in
+from ssduck.recording.folder_episodes import runs_in
 from ssduck.recording.stores import descriptions
 from ssduck.recording.stores.atomic_files import write_atomically
 from ssduck.recording.stores.parquet_layout import FolderRun

@@ -12,7 +12,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import RecordError
-from ssduck.recording.folder_listing import runs_in
+from ssduck.recording.folder_episodes import runs_in
 from ssduck.recording.paths import expand_path, is_record
 from ssduck.recording.stores import object_store
 from ssduck.recording.stores.object_store import ObjectPath

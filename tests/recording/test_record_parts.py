@@ -13,9 +13,9 @@ import pytest
 import ssduck
 from ssduck import Recording
 from ssduck.errors import RecordError
+from ssduck.recording.paths import part_name
 from ssduck.recording.stores.checksums import write_json
 from ssduck.recording.stores.descriptions import read_description
-from ssduck.recording.stores.part_names import part_name
 from tests.support.recorded import end_part
 
 PARTS = 4

@@ -43,22 +43,13 @@ MAX_BATCH_SIZE = 1 << 15
 
 @dataclass(frozen=True, eq=False)
 class _ShapeModel:
-    """The n shapes of an entity.
+    """The n shapes of an entity."""
 
-    Attributes:
-        solid_indices: (n,), the index of each shape's solid.
-        margins: (n,), the collision margins, m.
-        links: (n,), the number of each shape's link.
-        positions: (n, 3), in the frames of the links, m.
-        orientations: (n, 4), quaternions w, x, y, z, in the frames of the links.
-        boxes: computes the boxes of the shapes.
-    """
-
-    solid_indices: Indices
-    margins: Array
-    links: Indices
-    positions: Array
-    orientations: Array
+    solid_indices: Indices  # (n,)
+    margins: Array  # (n,), m
+    links: Indices  # (n,), the number of each shape's link
+    positions: Array  # (n, 3), in the frames of the links, m
+    orientations: Array  # (n, 4), w, x, y, z, in the frames of the links
     boxes: BoundingBoxes
 
     @property
@@ -251,11 +242,7 @@ class EntityShapes:
         calls: CallCounter,
         step: Callable[[], object],
     ) -> Array:
-        """Returns the answers about some pairs, each computed by the narrow phase.
-
-        An entity is placed once for each of its poses, and two poses are compared once: a fridge
-        that stands still has one hull, and one drawer in it one share.
-        """
+        """Returns the answers about some pairs; two poses of two entities are compared once."""
         places = _Places()
         numbers = [self._place(side, rows, places) for side in (first, second)]
         models = [self._shape_model(id) for id in places.ids]
@@ -330,16 +317,7 @@ class EntityShapes:
     def _place_shapes(
         self, side: PairSide, rows: Indices, start: int
     ) -> list[tuple[Indices, Indices, Array, Array, Array]]:
-        """Places the shapes of one side of some pairs.
-
-        Args:
-            side: the first or the second entities of pairs.
-            rows: the pairs.
-            start: the number of the first of their entities.
-
-        Returns:
-            Parts of owners, solid indices, margins, positions and orientations.
-        """
+        """Returns owners, solid indices, margins and poses of the shapes of one side of pairs."""
         parts = []
         ids = side.ids[rows]
         for id in _unique_ids(ids):
@@ -392,12 +370,7 @@ def _links_of(member: EntityInfo) -> tuple[Link, ...]:
 
 @dataclass
 class _Places:
-    """Entities at some of their poses, numbered from 0.
-
-    Attributes:
-        ids: the entity of each number.
-        poses: the positions and orientations of its links, (links, 7).
-    """
+    """Entities at some of their poses, (links, 7), numbered from 0."""
 
     ids: list[int] = field(default_factory=list)
     poses: list[Array] = field(default_factory=list)
@@ -439,13 +412,7 @@ def _unique_ids(ids: Ids) -> list[int]:
 def _compose_fixed(
     frames: LinkPosesOverTicks, position: Array, orientation: Array
 ) -> LinkPosesOverTicks:
-    """Returns the poses of something that is fixed to each of n frames.
-
-    Args:
-        frames: the frames.
-        position: (3,), in a frame.
-        orientation: (4,), w, x, y, z, in a frame.
-    """
+    """Returns the poses of something at a pose, (3,) and (4,), in each of n frames."""
     if not position.any() and np.array_equal(orientation, _IDENTITY):
         return frames
     count = len(frames.positions)
@@ -457,14 +424,7 @@ _IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 def _cross_pairs(first: Indices, counts: Indices, second: Indices, others: Indices) -> Pairs:
-    """Returns all pairs of a shape of a run and a shape of the corresponding other run.
-
-    Args:
-        first: the starts of the runs.
-        counts: the lengths of the runs.
-        second: the starts of the other runs.
-        others: the lengths of the other runs.
-    """
+    """Returns all pairs of a shape of a run and a shape of the corresponding other run."""
     sizes = counts * others
     pair = np.repeat(np.arange(len(sizes)), sizes)
     place = np.arange(len(pair)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
@@ -473,13 +433,7 @@ def _cross_pairs(first: Indices, counts: Indices, second: Indices, others: Indic
 
 
 def _tick_shapes(table: ShapeTable, positions: Array, orientations: Array) -> TickShapes:
-    """Returns shapes at poses, without boxes.
-
-    Args:
-        table: the properties of the shapes.
-        positions: (n, 3), in the world.
-        orientations: (n, 4), quaternions w, x, y, z; their lengths do not matter.
-    """
+    """Returns n shapes at poses, (n, 3) and (n, 4), in the world, without boxes."""
     unit = unit_quaternions(orientations)
     with np.errstate(invalid="ignore"):
         finite = np.isfinite(positions).all(axis=1) & np.isfinite(unit).all(axis=1)

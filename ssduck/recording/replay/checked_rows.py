@@ -101,14 +101,7 @@ class CheckedRows:
         *,
         bodies: bool = True,
     ) -> None:
-        """Checks the blocks that a function returns of a table, and those that these depend on.
-
-        Args:
-            table: the table.
-            blocks_of: returns the blocks of a table.
-            checked: the tables whose blocks were checked, to which the table is added.
-            bodies: as for `check_rows`.
-        """
+        """Checks the blocks that a function returns of a table, and those that these depend on."""
         if bodies and table in TABLES_OF_BODIES and "entities" in self.archive.tables:
             for block, entities in zip(blocks_of(table), blocks_of("entities"), strict=True):
                 if "entities" not in checked | self._checked:

@@ -13,8 +13,8 @@ import pyarrow as pa
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.pair_batch import PairQuestion
 from ssduck.limits import UsageMeter
-from ssduck.recording.replay.answer_cache import Ticks
 from ssduck.recording.replay.batch_queries import Ids, LinkPosesOverTicks, PairSide
+from ssduck.recording.replay.caches import Ticks
 from ssduck.recording.replay.progress import task
 from ssduck.recording.replay.record import Record
 from ssduck.recording.stores.base import PairRequest
@@ -122,14 +122,10 @@ class PairQueries:
         return found
 
     def _sides(self, rows: pa.Table, question: PairQuestion) -> tuple[PairSide, PairSide]:
-        """Returns the two entities of each of some rows of near pairs.
-
-        If their order does not matter, the one with the lower id is the first, as at the current
-        tick: rounding errors would depend on the order.
-        """
+        """Returns the two entities of each of some rows of near pairs."""
         ticks, ids = rows["tick"].to_numpy(), [rows[side].to_numpy() for side in "ab"]
         poses = [_columns(rows, side, POSE) for side in "ab"]
-        if question.is_symmetric:
+        if question.is_symmetric:  # as at the current tick: rounding errors depend on the order
             is_turned = ids[0] > ids[1]
             ids = [np.where(is_turned, *order) for order in (ids[::-1], ids)]
             turned = is_turned[:, np.newaxis]
@@ -171,11 +167,7 @@ class PairQueries:
         return float("nan") if answer is None else float(answer)
 
     def _are_resting(self, ticks: Ticks, a: int, b: int) -> Flags:
-        """Returns whether b rests on a, at some ticks: on it, or on something that rests on it.
-
-        The search goes down from b, with all ticks at which b rests on an entity together. At each
-        step, it compares the entity with a first, and with others only where it is not on a.
-        """
+        """Returns whether b rests on a, at some ticks, by a search down from b."""
         resting: set[int] = set()
         pending = {b: set(ticks.tolist())}
         seen = {(tick, b) for tick in pending[b]}

@@ -5,10 +5,9 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TypeAlias
 
 from ssduck.limits import UsageMeter
 
@@ -18,19 +17,7 @@ DELAY = 1.0
 INTERVAL = 0.1
 
 
-class Display(ABC):
-    """Something that shows how much of a task is done."""
-
-    @abstractmethod
-    def show(self, description: str, done: int, total: int) -> None:
-        """Shows that `done` of `total` parts are done."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """Removes what was shown."""
-
-
-class TerminalDisplay(Display):
+class TerminalDisplay:
     """A bar on a terminal, which disappears at the end.
 
     Args:
@@ -57,7 +44,7 @@ class TerminalDisplay(Display):
         self._bar.stop()
 
 
-class NotebookDisplay(Display):
+class NotebookDisplay:
     """A line of text below a notebook's cell."""
 
     def __init__(self) -> None:
@@ -73,6 +60,10 @@ class NotebookDisplay(Display):
     def close(self) -> None:
         """Empties the line."""
         self._handle.update({"text/plain": ""}, raw=True)
+
+
+# Shows how much of a task is done.
+Display: TypeAlias = TerminalDisplay | NotebookDisplay
 
 
 def find_display() -> Display | None:

@@ -21,12 +21,11 @@ from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.mass_changes import MassChanges
-from ssduck.recording.replay.answer_cache import AnswerCache
 from ssduck.recording.replay.batch_queries import EntityShapes, LinkPosesOverTicks
+from ssduck.recording.replay.caches import AnswerCache, RowCache
 from ssduck.recording.replay.checked_rows import CheckedRows
 from ssduck.recording.replay.past_world import PastWorld
 from ssduck.recording.replay.restore import SnapshotRestorer, links_of
-from ssduck.recording.replay.row_cache import RowCache
 from ssduck.recording.spec import Recording, longer_recording_message, not_recorded_message
 from ssduck.recording.stores.base import PairRequest
 from ssduck.recording.tags import Tags
@@ -309,14 +308,7 @@ class Record:
         return LinkPosesOverTicks(poses[:, :3], poses[:, 3:])
 
     def _pose(self, table: str, tick: int, id: int, link: int) -> Array:
-        """Returns the pose of a link of an entity at a tick, (7,); NaN if it is not there.
-
-        Args:
-            table: the table of entities, where `link` is 0, or of links.
-            tick: the number of the tick.
-            id: the id of the entity.
-            link: the number of the link.
-        """
+        """Returns the pose of a link of an entity at a tick, (7,); NaN if it is not there."""
         rows = self.rows(table, tick)
         matches = rows["id"] == id if table == "entities" else rows["entity"] == id
         if table != "entities":

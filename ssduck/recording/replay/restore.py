@@ -10,7 +10,7 @@ import numpy as np
 from ssduck.errors import RecordError
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.poses import rotation_matrices
-from ssduck.recording.replay.row_cache import RowCache
+from ssduck.recording.replay.caches import RowCache
 from ssduck.schema import FRAMES, ON_DEMAND, POSE, TABLES
 from ssduck.simulators.interface import Body, LinkPoses
 from ssduck.simulators.static import StaticSimulator
@@ -26,20 +26,12 @@ _ENTITY_DOUBLES = TABLES["entities"].tick_columns.doubles
 
 @dataclass(frozen=True, eq=False)
 class _Template:
-    """What ticks with the same entities share.
-
-    Attributes:
-        snapshot: a snapshot with these entities.
-        sources: the rows of the link poses of each body group: of entities, then of links.
-        bases: the row of the base of each body with several links, and the row of its entity,
-            which has the velocity, (n, 2).
-        link_owners: the ids of the bodies with several links, once for each link, ascending.
-    """
+    """What ticks with the same entities share."""
 
     snapshot: Snapshot
-    sources: tuple[tuple[BodyGroup, Indices], ...]
-    bases: Indices
-    link_owners: Indices
+    sources: tuple[tuple[BodyGroup, Indices], ...]  # rows of link poses: of entities, then links
+    bases: Indices  # (n, 2), the row of the base of each body with links, and of its entity
+    link_owners: Indices  # the ids of these bodies, once for each link, ascending
 
 
 class SnapshotRestorer:
@@ -166,15 +158,7 @@ class SnapshotRestorer:
         return RecordError(f"{self._rows.source} is damaged: {reason}")
 
     def _states_of_links(self, tick: int, owners: Indices) -> Array:
-        """Returns the poses and velocities of the links of bodies with several links, (n, 13).
-
-        Args:
-            tick: the number of the tick.
-            owners: the ids of these bodies, once for each link, ascending.
-
-        Raises:
-            RecordError: the links are those of other bodies.
-        """
+        """Returns the poses and velocities of the links of bodies with several links, (n, 13)."""
         rows = self._rows.rows(self._links, tick)
         if not np.array_equal(np.sort(rows["entity"]), owners):
             raise self._damage(f"at tick {tick}, the links are not those of the entities")

@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ssduck.errors import RecordError
-from ssduck.recording.stores.conditional_objects import create_object
-from ssduck.recording.stores.object_store import ObjectPath, written
+from ssduck.recording.stores.object_store import ObjectPath, create_object, written
 
 _fcntl: Any = import_module("fcntl") if os.name == "posix" else None
 _lock = threading.Lock()

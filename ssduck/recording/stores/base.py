@@ -153,8 +153,7 @@ class TickStore(ABC):
             SqlError: a database cannot be written.
         """
 
-    @abstractmethod
-    def drop_before(self, tick: int) -> int:
+    def drop_before(self, tick: int) -> int:  # noqa: ARG002  # a folder keeps all ticks
         """Drops rows of ticks before a number, as far as whole parts are older.
 
         Drops the oldest parts as well while the rows exceed `recording.max_bytes`.
@@ -162,6 +161,7 @@ class TickStore(ABC):
         Returns:
             The first tick that is still stored, or any before it: 0 if nothing is ever dropped.
         """
+        return 0
 
 
 @dataclass(frozen=True)
@@ -195,6 +195,7 @@ class TickArchive(ABC):
     recording: Recording
     tables: tuple[str, ...]
     visible_rows: tuple[Mapping[str, VisibleRows], ...] = ()
+    _connection: StoreConnection
 
     @abstractmethod
     def select(self, table: str, buffer_views: BufferViews | None) -> str | None:
@@ -260,9 +261,9 @@ class TickArchive(ABC):
             `PAIR_COLUMNS`, sorted by tick; each pair in both orders unless the request selects one.
         """
 
-    @abstractmethod
-    def close(self, *, forget: bool) -> None:
+    def close(self, *, forget: bool) -> None:  # noqa: ARG002  # files are kept
         """Closes the connection; drops the stored ticks first if `forget` is set."""
+        self._connection.close()
 
 
 class StoreConnection(Protocol):

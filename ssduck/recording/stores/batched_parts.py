@@ -37,7 +37,6 @@ from ssduck.schema import TABLES
 MOST_READ = 1 << 27
 MOST_KEPT = 1 << 26
 _VALUE_BYTES = 8
-_NUMBERS = frozenset((pa.int64(), pa.float64()))
 # The column in which the parts have the number of the run.
 RUN = "run"
 # Columns by name.
@@ -89,19 +88,12 @@ class BatchedFile:
 
 
 def _content(path: str) -> memoryview:
-    """Returns the bytes of a file of this machine.
-
-    They are in memory that Arrow uses again: the system clears each page of what it gives anew,
-    which takes longer than to read a part.
-
-    Raises:
-        OSError: it cannot be read.
-        RecordError: it has more bytes than it can have.
-    """
+    """Returns the bytes of a file of this machine."""
     with open(path, "rb", buffering=0) as file:  # noqa: PTH123  # faster than a Path
         size = os.fstat(file.fileno()).st_size
         if (problem := size_problem(path, size)) is not None:
             raise RecordError(f"{path} {problem}")
+        # Arrow uses its memory again: new pages take longer to clear than a part to read.
         content = memoryview(pa.allocate_buffer(size)).cast("B")
         end = 0
         while end < size and (count := file.readinto(content[end:])):
@@ -117,13 +109,11 @@ class ReadPart:
         file: the file.
         content: its bytes.
         columns: those that were decoded.
-        sizes: the numbers of bytes of some of those.
     """
 
     file: BatchedFile
     content: bytes | memoryview
     columns: Columns = field(default_factory=dict)
-    sizes: dict[str, int] = field(default_factory=dict)
 
     @cached_property
     def parquet(self) -> pq.ParquetFile:
@@ -171,9 +161,7 @@ class ReadPart:
 
     def decoded_size(self) -> int:
         """Returns the number of bytes of the columns that were decoded."""
-        for name in self.columns.keys() - self.sizes.keys():
-            self.sizes[name] = _size_of(self.columns[name])
-        return sum(self.sizes.values())
+        return sum(column.nbytes for column in self.columns.values())
 
     def keys(self) -> pa.Table:
         """Returns the columns of the rows that are checked."""
@@ -198,12 +186,6 @@ class ReadPart:
         if problem is not None:
             about = f"of the rows of {self.file.table}, {problem}"
             raise RecordError(f"{self.file.path} is damaged: {about}")
-
-
-def _size_of(column: pa.ChunkedArray) -> int:
-    """Returns the number of bytes of a column; Arrow takes longer to sum up its buffers."""
-    size: int = column.nbytes if column.type not in _NUMBERS else len(column) * _VALUE_BYTES
-    return size
 
 
 class RepeatedColumns:
@@ -249,7 +231,7 @@ class ReadParts:
         self._parts: dict[BatchedFile, ReadPart] = {}
         self._size = 0
         # The columns of earlier batches, those that were read last at the end, and their sizes.
-        self._kept: OrderedDict[BatchedFile, tuple[Columns, dict[str, int]]] = OrderedDict()
+        self._kept: OrderedDict[BatchedFile, tuple[Columns, int]] = OrderedDict()
         self._kept_size = 0
 
     def read(self, file: BatchedFile) -> ReadPart:
@@ -262,9 +244,9 @@ class ReadParts:
         part = self._parts.get(file)
         if part is None:
             content = file.content()
-            columns, sizes = self._kept.pop(file, ({}, {}))
-            self._kept_size -= sum(sizes.values())
-            part = ReadPart(file, content, columns, sizes)
+            columns, kept_size = self._kept.pop(file, ({}, 0))
+            self._kept_size -= kept_size
+            part = ReadPart(file, content, columns)
             size = self._size + part.size
             if size <= MOST_READ:
                 self._parts[file], self._size = part, size
@@ -277,11 +259,10 @@ class ReadParts:
     def clear(self) -> None:
         """Forgets the batch, and keeps the last columns that were decoded."""
         for file, part in self._parts.items():
-            self._kept_size += part.decoded_size()
-            self._kept[file] = part.columns, part.sizes
+            self._kept[file] = part.columns, part.decoded_size()
+            self._kept_size += self._kept[file][1]
         while self._kept_size > MOST_KEPT:
-            _, sizes = self._kept.popitem(last=False)[1]
-            self._kept_size -= sum(sizes.values())
+            self._kept_size -= self._kept.popitem(last=False)[1][1]
         self._parts.clear()
         self._size = 0
 

@@ -7,7 +7,6 @@ what follows. A file of a log has one, of all its bytes, and a JSON file has tha
 
 from __future__ import annotations
 
-import io
 import json
 import re
 import zlib
@@ -121,7 +120,7 @@ def footer_problem(footer: bytes | None, *, has_checksums: bool) -> str | None:
 
     Args:
         footer: the footer; None if the file does not end in one.
-        has_checksums: whether it must have checksums, which older records lack.
+        has_checksums: whether it must have checksums.
     """
     if footer is None:
         return NOT_COMPLETE
@@ -141,7 +140,7 @@ def parquet_problem(file: Path, *, has_checksums: bool, footer: bytes | None = N
 
     Args:
         file: the file.
-        has_checksums: whether it must have checksums, which older records lack.
+        has_checksums: whether it must have checksums.
         footer: its footer, if that was read and has no problem.
 
     Raises:
@@ -290,43 +289,23 @@ def _last(pattern: re.Pattern[bytes], content: bytes | bytearray) -> re.Match[by
 
 # -- files of a log ---------------------------------------------------------------------------
 
-# Metadata of a file that is to have a checksum.
+# Metadata of a file that is to have a checksum in its place.
 UNSEALED = {_KEY: b"crc32 of file " + _NONE}
 
 
-class SealedFile(io.FileIO):
-    """A file that is written once, with its checksum in the place of the metadata `UNSEALED`.
+def write_sealed(content: memoryview, place: Path) -> None:
+    """Writes a file with its checksum in the place of the metadata `UNSEALED`.
 
-    Args:
-        place: the path of the file.
+    Raises:
+        OSError: it cannot be written.
     """
-
-    def __init__(self, place: Path) -> None:
-        super().__init__(place, "wb")
-        self._sum = self._length = 0
-        # Where the checksum is to stand; None until the metadata were written.
-        self._start: int | None = None
-
-    def write(self, content: Any) -> int:
-        """Appends all bytes of an object; returns their number."""
-        view = memoryview(content).cast("B")
-        if self._start is None:
-            match = _FILE_SUM.search(view)
-            self._start = None if match is None else self._length + match.start(1)
-        self._sum = zlib.crc32(view, self._sum)
-        self._length += len(view)
-        self._write_all(view)
-        return len(view)
-
-    def seal(self) -> None:
-        """Writes the checksum, when all else was written."""
-        assert self._start is not None
-        self.seek(self._start)
-        self._write_all(memoryview(_hex(self._sum)))
-
-    def _write_all(self, content: memoryview) -> None:
-        while content:
-            content = content[super().write(content) :]
+    match = _FILE_SUM.search(content)
+    assert match is not None
+    start, end = match.span(1)
+    checksum = memoryview(_hex(zlib.crc32(content)))
+    with place.open("wb", buffering=0) as stream:
+        for part in (content[:start], checksum, content[end:]):
+            _write_all(stream, part)
 
 
 def log_problem(content: bytes, *, has_checksums: bool) -> str | None:

@@ -24,8 +24,7 @@ from ssduck.recording.stores.checksums import (
     pop_checksum,
     write_json,
 )
-from ssduck.recording.stores.conditional_objects import change_object
-from ssduck.recording.stores.object_store import ObjectPath
+from ssduck.recording.stores.object_store import ObjectPath, change_object
 from ssduck.recording.tags import are_tags
 from ssduck.schema import RECORDED
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -128,8 +127,6 @@ class EpisodeBatch(TickArchive):
         self._linked = multi_link_bodies(models["entities"])
         self._checks = RowChecks(members_of(models))
         self._repeated = RepeatedColumns(models)
-        # What decided that the last rows of each table were right: that of most episodes is equal.
-        self._right: dict[str, list[npt.NDArray[Any]]] = {}
         self._connection, self._register = connection, register
         self._episodes: Sequence[BatchedEpisode] = ()
         self._starts = np.zeros(0, dtype=np.int64)
@@ -170,18 +167,7 @@ class EpisodeBatch(TickArchive):
                 self._part(table, number, index)
 
     def _part(self, table: str, number: int, index: int) -> ReadPart:
-        """Returns a part of an episode, whose rows are right.
-
-        Moved by its offset, a row of another tick might be one of another episode.
-
-        Args:
-            table: the table.
-            number: the number of the part.
-            index: the index of the episode.
-
-        Raises:
-            DamagedEpisodeError: the file is missing or damaged, or a row is wrong.
-        """
+        """Returns a part of an episode, whose rows are right: a wrong one may be another's."""
         episode = self._episodes[index]
         file = episode.files[table][number]
         try:
@@ -202,26 +188,11 @@ class EpisodeBatch(TickArchive):
     def _check_rows(
         self, part: ReadPart, episode: BatchedEpisode, number: int, bodies: pa.Table | None
     ) -> None:
-        """Checks the rows of a part of an episode.
-
-        Args:
-            part: the part.
-            episode: the episode.
-            number: the number of the part.
-            bodies: the entities of the part; None unless the rows are of parts of bodies.
-
-        Raises:
-            RecordError: a row is wrong.
-        """
-        table, between = part.file.table, episode.ticks_of_parts[number]
-        deciding = _deciding(episode, between, (part.keys(), bodies))
-        right = self._right.get(table, [])
-        if len(right) == len(deciding) and all(map(np.array_equal, right, deciding)):
-            return
-        part.check(self._checks, episode.tick_buffer, between)
+        """Checks the rows of a part of an episode."""
+        part.check(self._checks, episode.tick_buffer, episode.ticks_of_parts[number])
         if bodies is not None:
-            part.require(self._checks.problem_of_bodies(table, part.keys(), bodies, single=True))
-        self._right[table] = deciding
+            table, rows = part.file.table, part.keys()
+            part.require(self._checks.problem_of_bodies(table, rows, bodies, single=True))
 
     def forget(self) -> None:
         """Forgets the rows of the batch, which is not asked any more."""
@@ -249,11 +220,7 @@ class EpisodeBatch(TickArchive):
         return PartsDataset(schema, lambda columns: self._rows_of(table, indices(), columns))
 
     def _rows_of(self, table: str, indices: range, columns: Sequence[str]) -> Iterator[pa.Table]:
-        """Yields the rows of episodes: all at once if their parts are kept, or part by part.
-
-        Raises:
-            DamagedEpisodeError: a file of an episode is missing or damaged.
-        """
+        """Yields the rows of episodes: all at once if their parts are kept, or part by part."""
         files = [episode.files[table] for episode in self._episodes]
         if not all(file in self.parts for own in files for file in own):
             yield from map(with_nulls, self._pieces(table, indices, columns))
@@ -333,30 +300,6 @@ class EpisodeBatch(TickArchive):
         end = int(np.searchsorted(self._starts, request.last, side="right"))
         rows = self._dataset("entities", lambda: range(begin, end))
         return near_pair_rows(self._connection, None, request, rows)
-
-    def close(self, *, forget: bool) -> None:  # noqa: ARG002
-        """Closes the connection; keeps the files."""
-        self._connection.close()
-
-
-def _deciding(
-    episode: BatchedEpisode, between: tuple[int, int], tables: Sequence[pa.Table | None]
-) -> list[npt.NDArray[Any]]:
-    """Returns what decides whether rows are right, given the models; ticks count from the first.
-
-    Args:
-        episode: the episode.
-        between: the first and the last tick of the rows.
-        tables: the columns of the rows that are checked, and of the entities at their ticks.
-    """
-    first, numbers = episode.starts[0], episode.tick_buffer.numbers
-    deciding = [np.array(between) - first, numbers - first, episode.times]
-    for rows in tables:
-        if rows is not None:
-            columns = {name: rows[name].to_numpy() for name in rows.column_names}
-            ticks = columns.pop("tick") - first
-            deciding += [ticks, *columns.values()]
-    return deciding
 
 
 def model_table(table: str) -> str:

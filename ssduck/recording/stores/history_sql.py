@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+import os
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache
 from itertools import starmap
+from pathlib import Path
 
 import pyarrow as pa
 from sqlglot import exp
 
+from ssduck.errors import RecordError
 from ssduck.recording.stores.base import PairRequest, StoreConnection
+from ssduck.recording.stores.object_store import ObjectPath, is_address
 from ssduck.schema import BOX, POSE, RECORDED, Table
 
 # Is added to the largest gap of boxes, m, so that a gap of exactly that size is included.
@@ -143,3 +148,40 @@ def near_pair_rows(
     )
     tables = {} if buffered is None else {_BUFFERED: buffered}
     return connection.rows(sql, values, tables)
+
+
+# -- files ------------------------------------------------------------------------------------
+
+_PATTERN = re.compile(r"[*?[]")
+
+
+def file_list(files: Sequence[Path]) -> str:
+    """Returns a list of files of parts, in SQL."""
+    separator = "/" if isinstance(files[0], ObjectPath) else os.sep
+    folders = {
+        folder: exp.Literal.string(exact_path(folder) + separator).sql("duckdb")[:-1]
+        for folder in {file.parent for file in files}
+    }
+    names = ", ".join(f"{folders[file.parent]}{file.name}'" for file in files)  # by `part_name`
+    return f"[{names}]"
+
+
+def exact_path(place: Path) -> str:
+    """Returns a path with `*`, `?` and `[` escaped, which DuckDB reads as patterns.
+
+    Raises:
+        RecordError: the path also has a backslash, which DuckDB takes for a slash then.
+    """
+    return pattern_of(str(place.resolve()))
+
+
+def pattern_of(path: str) -> str:
+    """Returns the same for an absolute path without links, or an address."""
+    if not _PATTERN.search(path):
+        return path
+    if not is_address(path) and "\\" in path and os.sep != "\\":
+        raise RecordError(
+            f"{path} cannot be read: DuckDB takes a backslash in such a name for a slash; rename "
+            "the folder"
+        )
+    return _PATTERN.sub(r"[\g<0>]", path)

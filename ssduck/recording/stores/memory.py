@@ -110,13 +110,7 @@ class MemoryStore(TickStore, TickArchive):
         self._parts.append((first, start, float(times[-1])))
 
     def _is_joined(self, ticks: int, end: float, size: int) -> bool:
-        """Checks whether further ticks are joined with the last part, as it is small.
-
-        Args:
-            ticks: the number of further ticks.
-            end: the time of the last one, s.
-            size: the size of their rows, bytes.
-        """
+        """Checks whether further ticks are joined with the last part, as it is small."""
         if not self._parts or max(map(_last_rows, self._stored.values())) > _MIN_ROWS:
             return False
         recording = self.recording
@@ -217,12 +211,7 @@ def _last_rows(rows: BufferedRows) -> int:
 
 
 def _near_pair(rows: pa.Table, request: PairRequest) -> pa.Table:
-    """Returns the result of `near_pair_rows` for one pair, taken from the columns in place.
-
-    Args:
-        rows: the rows of entities, in parts of whole ticks, oldest first.
-        request: selects the pair.
-    """
+    """Returns the result of `near_pair_rows` for one pair, taken from the columns in place."""
     parts = [_near_columns(part, request) for part in rows.to_batches()]
     columns = zip(*parts, strict=True) if parts else [[np.zeros(0, np.int64)]] * len(PAIR_COLUMNS)
     return pa.table([np.concatenate(column) for column in columns], names=PAIR_COLUMNS)

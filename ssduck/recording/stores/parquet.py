@@ -25,22 +25,19 @@ from ssduck.recording.folder_episodes import (
     remove_empty,
     remove_episode,
 )
-from ssduck.recording.paths import expand_path
+from ssduck.recording.paths import FORMAT, check_inside, expand_path, part_name
 from ssduck.recording.recorded_visuals import camera_text
 from ssduck.recording.spec import Recording
-from ssduck.recording.static_tables import IdProvider, model_rows
+from ssduck.recording.static_tables import IdProvider, complete_rows, model_rows
 from ssduck.recording.stores.atomic_files import (
     sync_folder,
 )
 from ssduck.recording.stores.base import TickStore
 from ssduck.recording.stores.checksums import write_parquet
-from ssduck.recording.stores.complete_rows import complete_rows
 from ssduck.recording.stores.descriptions import EPISODE, change_description, check_description
-from ssduck.recording.stores.links import check_inside
 from ssduck.recording.stores.object_store import ObjectPath, remove_tree
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun
 from ssduck.recording.stores.part_log import PartLog
-from ssduck.recording.stores.part_names import FORMAT, part_name
 from ssduck.recording.stores.part_statistics import OWN_STATISTICS
 from ssduck.recording.stores.summaries import write_summary
 from ssduck.recording.stores.tick_index import INDEX, TickIndex
@@ -237,10 +234,6 @@ class ParquetStore(TickStore):
             checksum = write_parquet(labelled, place / file, **_options(labelled))
         self._checksums[f"{self.run.folder(table)}/{file}"] = checksum
 
-    def drop_before(self, tick: int) -> int:  # noqa: ARG002
-        """Returns 0: a folder keeps all ticks."""
-        return 0
-
 
 def write_tags(run: FolderRun, tags: Tags) -> None:
     """Adds tags to the description of an episode, and replaces those of the same names.
@@ -287,11 +280,8 @@ class _NoIds:
 
 
 def _options(rows: pa.Table) -> dict[str, Any]:
-    """Returns options that take little time: a busy world has a new part every second or two.
-
-    LZ4 takes less time than Zstandard. To split the bytes of doubles makes up for most of the size.
-    Statistics of other columns choose no parts, and would be compared with them at each opening.
-    """
+    """Returns options that take little time: a busy world has a new part every second or two."""
+    # LZ4 is faster than Zstandard; to split the bytes of doubles makes up for most of the size.
     doubles = [f.name for f in rows.schema if pa.types.is_floating(f.type)]
     texts = [f.name for f in rows.schema if pa.types.is_string(f.type)]
     keys = [f.name for f in rows.schema if pa.types.is_integer(f.type)]

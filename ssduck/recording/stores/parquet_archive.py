@@ -17,7 +17,9 @@ import pyarrow.parquet as pq
 from ssduck.errors import RecordError
 from ssduck.recording.model_checks import check_models
 from ssduck.recording.opened_record import OpenedRecord
+from ssduck.recording.paths import part_number
 from ssduck.recording.spec import Recording
+from ssduck.recording.static_tables import complete_rows
 from ssduck.recording.stores.base import (
     BufferViews,
     PairRequest,
@@ -26,17 +28,16 @@ from ssduck.recording.stores.base import (
     StoreConnection,
     TickArchive,
 )
-from ssduck.recording.stores.complete_rows import complete_rows
-from ssduck.recording.stores.file_lists import exact_path, file_list
 from ssduck.recording.stores.history_sql import (
     all_columns,
     column_list,
+    exact_path,
+    file_list,
     near_pair_rows,
     quoted,
 )
 from ssduck.recording.stores.object_store import parquet_source
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun
-from ssduck.recording.stores.part_names import part_number
 from ssduck.recording.stores.part_statistics import Values, add_values, check_statistics
 from ssduck.recording.stores.row_checks import key_types, model_columns, repeated_texts
 from ssduck.recording.stores.stored_columns import unreadable
@@ -189,11 +190,7 @@ class ParquetArchive(TickArchive):
         return f"{rows} WHERE tick BETWEEN {first} AND {last}"
 
     def _check(self, table: str, parts: range) -> None:
-        """Checks the files of parts that were not checked yet.
-
-        Raises:
-            RecordError: a file is missing or damaged.
-        """
+        """Checks the files of parts that were not checked yet."""
         files = self._files[table][parts.start : parts.stop]
         unchecked = [file for file in files if file not in self._checked]
         self._run.check_data(table, map(part_number, unchecked))
@@ -205,16 +202,7 @@ class ParquetArchive(TickArchive):
         files: Sequence[Path],
         found: Mapping[Path, Mapping[str, Values]] = MappingProxyType({}),
     ) -> None:
-        """Checks what the footers say of the values of files that SQL is to read.
-
-        Args:
-            table: the table, or the model such as `models/entities`.
-            files: the files.
-            found: what values some columns of files have, which were read.
-
-        Raises:
-            RecordError: it is not so.
-        """
+        """Checks what the footers say of the values of files that SQL is to read."""
         new = [file for file in files if file not in self._compared]
         if new:
             check_statistics(self._connection, new, table, found)
@@ -235,7 +223,7 @@ class ParquetArchive(TickArchive):
         found = self._parts_with(table, first, last)
         self._check(table, found)
         types, files = arrow_types(table), self._files[table][found.start : found.stop]
-        parts = [_between(_rows_of_part(file, types)[0], first, last) for file in files]
+        parts = [_rows_of_ticks(file, types, first, last) for file in files]
         if self._log:
             logged = self._log[table].arrow.select(types.names).cast(types)
             parts.append(_between(logged, first, last))
@@ -289,10 +277,6 @@ class ParquetArchive(TickArchive):
         stored = self._select_parts("entities", parts) if parts else None
         return near_pair_rows(self._connection, stored, request, logged)
 
-    def close(self, *, forget: bool) -> None:  # noqa: ARG002
-        """Closes the connection; keeps the folder."""
-        self._connection.close()
-
 
 def multi_link_bodies(entities: pa.Table) -> npt.NDArray[np.int64]:
     """Returns the ids of the bodies with several links, from the rows of the model of entities."""
@@ -330,6 +314,11 @@ def arrow_types(table: str) -> pa.Schema:
             *((name, pa.bool_()) for name in columns.booleans),
         ]
     )
+
+
+def _rows_of_ticks(file: Path, types: pa.Schema, first: int, last: int) -> pa.Table:
+    """Returns the rows of a part at the ticks from first to last."""
+    return _between(_rows_of_part(file, types)[0], first, last)
 
 
 def _rows_of_part(

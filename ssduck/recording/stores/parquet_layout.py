@@ -38,6 +38,14 @@ from ssduck.errors import RecordError, record_errors
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.episode import Episode
 from ssduck.recording.opened_record import FileStatus, file_status
+from ssduck.recording.paths import (
+    check_inside,
+    files_in,
+    label_of,
+    part_name,
+    part_number,
+    part_numbers,
+)
 from ssduck.recording.stores.checksums import (
     content_of,
     content_problem,
@@ -53,13 +61,11 @@ from ssduck.recording.stores.descriptions import (
     check_description,
     read_description,
 )
-from ssduck.recording.stores.links import check_inside, files_in
 from ssduck.recording.stores.object_store import ObjectPath
 from ssduck.recording.stores.part_log import following_rows, is_log, read_log
-from ssduck.recording.stores.part_names import label_of, part_name, part_number, part_numbers
 from ssduck.recording.stores.stored_columns import (
     MISSING,
-    check_parquet,
+    checked_parquet,
     rows_of_part,
     unreadable_because,
     with_nulls,
@@ -221,11 +227,7 @@ class FolderRun:
         return part_numbers(self.place("models/entities"))
 
     def _parts_of(self, table: str) -> list[int]:
-        """Returns the numbers of the parts of a table, ascending.
-
-        Raises:
-            RecordError: a part is missing.
-        """
+        """Returns the numbers of the parts of a table, ascending."""
         is_model = table.startswith("models/")
         place = self.place("models/entities" if is_model else "ticks")
         numbers = self._model_parts if is_model else self.parts
@@ -326,7 +328,7 @@ class FolderRun:
             footer, problem = self._footer_of(table, number)
             if footer is None or problem is not None:
                 raise self._error_of(table, number, problem or MISSING)
-            check_parquet(str(self.place(table) / part_name(number)), footer, table)
+            checked_parquet(str(self.place(table) / part_name(number)), footer, table)
 
     def check_data(self, table: str, numbers: Iterable[int]) -> None:
         """Checks all bytes of the files of parts.
@@ -352,7 +354,7 @@ class FolderRun:
             footer, problem = self._footer_of(table, number)
             if footer is None or problem is not None:
                 return problem
-            check_parquet(str(file), footer, table)
+            checked_parquet(str(file), footer, table)
             return parquet_problem(file, has_checksums=self.has_checksums, footer=footer)
         except OSError as error:  # a RecordError is one
             return unreadable_because(file, error)
@@ -368,11 +370,7 @@ class FolderRun:
         return footer, problem or self._problem_of_label(table, number, footer)
 
     def _content_of(self, table: str, file: Path) -> bytes:
-        """Returns the content of the file of a part, all of which is checked.
-
-        Raises:
-            RecordError: the file is missing or damaged.
-        """
+        """Returns the content of the file of a part, all of which is checked."""
         number = part_number(file)
         try:
             content = content_of(file)

@@ -24,7 +24,7 @@ import pyarrow as pa
 
 from ssduck.errors import RecordError
 from ssduck.recording.stores.atomic_files import write_atomically
-from ssduck.recording.stores.checksums import UNSEALED, SealedFile, content_of, log_problem
+from ssduck.recording.stores.checksums import UNSEALED, content_of, log_problem, write_sealed
 from ssduck.recording.stores.stored_columns import check_stream, with_nulls
 from ssduck.schema import RECORDED
 
@@ -184,14 +184,13 @@ def _label(key: str, name: str) -> bytes:
 
 
 def _write(path: Path, rows: Mapping[str, pa.Table], label: bytes) -> None:
-    with SealedFile(path) as file:
-        stream = pa.PythonFile(file, mode="w")
-        for number, (table, added) in enumerate(rows.items()):
-            metadata = {_LABEL: label, _TABLE: table} | ({} if number else UNSEALED)
-            labelled = added.replace_schema_metadata(metadata)
-            with pa.ipc.new_stream(stream, labelled.schema) as writer:
-                writer.write_table(labelled)
-        file.seal()
+    sink = pa.BufferOutputStream()
+    for number, (table, added) in enumerate(rows.items()):
+        metadata = {_LABEL: label, _TABLE: table} | ({} if number else UNSEALED)
+        labelled = added.replace_schema_metadata(metadata)
+        with pa.ipc.new_stream(sink, labelled.schema) as writer:
+            writer.write_table(labelled)
+    write_sealed(memoryview(sink.getvalue()), path)
 
 
 def log_file_problem(file: Path, key: str, *, has_checksums: bool) -> str | None:

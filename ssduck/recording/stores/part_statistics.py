@@ -23,7 +23,7 @@ import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError
 from ssduck.recording.stores.base import StoreConnection
-from ssduck.recording.stores.file_lists import file_list
+from ssduck.recording.stores.history_sql import file_list
 from ssduck.recording.stores.object_store import ObjectPath, parquet_source
 from ssduck.recording.stores.stored_columns import part_columns, unreadable
 
@@ -42,43 +42,27 @@ _SEPARATOR = re.compile(r"[/\\]")
 
 @dataclass(frozen=True)
 class _Stated:
-    """What a footer says of a column in a row group.
+    """What a footer says of a column in a row group."""
 
-    Attributes:
-        file: the path of the file, by its names; of an object, the last two.
-        group: the number of the row group.
-        groups: how many row groups the file has.
-        column: the name of the column.
-        count: the number of its values, NULL counted.
-        nulls: the number of NULL; None if it does not say.
-        least: what it says is the least value, as texts.
-        greatest: the same of the greatest.
-        is_exact: whether these are values; if not, they are bounds of texts.
-        skips: whether there is a Bloom filter or a page index.
-    """
-
-    file: tuple[str, ...]
+    file: tuple[str, ...]  # the names of its path; of an object, the last two
     group: int
-    groups: int
+    groups: int  # how many row groups the file has
     column: str
-    count: int
+    count: int  # of its values, NULL counted
     nulls: int | None
     least: tuple[str, ...]
     greatest: tuple[str, ...]
-    is_exact: bool
-    skips: bool
+    is_exact: bool  # whether these are values, not bounds of texts
+    skips: bool  # whether there is a Bloom filter or a page index
 
     def is_true_of(self, values: Values) -> bool:
-        """Checks whether the column has such values.
-
-        NaN, which statistics leave out, is NULL to SQL, but for the time, which is always known.
-        """
+        """Checks whether the column has such values."""
         if self.nulls is not None and self.nulls != self.count - values.known:
             return False
         if not self.least and not self.greatest:
             return True
         if values.has_nan and self.column == "time":
-            return False  # the greatest number to SQL
+            return False  # SQL reads NaN as NULL, but in times, where it is the greatest number
         return self._are(self.least, values.least, str.__le__) and self._are(
             self.greatest, values.greatest, str.__ge__
         )

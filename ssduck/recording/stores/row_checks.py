@@ -17,10 +17,10 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from ssduck.geometry.arrays import Array, Indices
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.static_tables import join_model
 from ssduck.recording.stores.base import RowBlock
-from ssduck.recording.stores.tick_checks import stray_row
 from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES
 from ssduck.world.layout import EntityInfo
 
@@ -99,15 +99,10 @@ def _is_nan(value: Any) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _Model:
-    """The rows of a model, prepared to be compared with many parts.
-
-    Attributes:
-        rows: the rows.
-        places: the number of its row, by that of a part of a member in a tick; -1 for none.
-    """
+    """The rows of a model, prepared to be compared with many parts."""
 
     rows: pa.Table
-    places: Integers
+    places: Integers  # the number of its row, by that of a part of a member in a tick; -1 for none
 
     @cached_property
     def _columns(self) -> dict[str, pa.Array]:
@@ -120,12 +115,7 @@ class _Model:
         return columns
 
     def is_repeated(self, rows: pa.Table, numbers: Integers) -> bool:
-        """Checks whether rows have the values of the model; those with NaN are taken not to.
-
-        Args:
-            rows: the columns to compare, which the model has, too.
-            numbers: the number of each row in its tick.
-        """
+        """Checks whether rows have the values of the model; those with NaN are taken not to."""
         places = self.places.take(numbers)
         return all(
             _are_equal(rows[name].combine_chunks(), self._columns[name], places)
@@ -229,10 +219,7 @@ class RowChecks:
         return problem
 
     def _are_links(self, ids: Integers, links: Integers) -> bool:
-        """Checks whether all links are known, quickly: of many rows, as those of contacts.
-
-        Rows of one link follow one another, for most stores; the first of them is looked up.
-        """
+        """Checks whether all links are known, quickly: of many rows, as those of contacts."""
         if not len(ids):
             return False
         is_first = np.ones(len(ids), dtype=bool)
@@ -361,3 +348,29 @@ def _are_below(numbers: Any, counts: Integers) -> bool:
 def _ascending(keys: Integers) -> Integers:
     """Returns keys in ascending order; most are already."""
     return np.sort(keys) if (np.diff(keys) < 0).any() else keys
+
+
+def stray_row(rows: pa.Table, numbers: Indices, times: Array) -> str | None:
+    """Returns what is wrong with the first row that is of no tick; None if there is none.
+
+    Args:
+        rows: rows with `tick` and `time`, s, which lack no value.
+        numbers: the numbers of the ticks, ascending.
+        times: their times, s.
+    """
+    own, own_times = rows["tick"].to_numpy(), rows["time"].to_numpy()
+    if not len(own):
+        return None
+    # Of each row that has not the tick and the time of the row before it.
+    begins = np.flatnonzero((own[1:] != own[:-1]) | (own_times[1:] != own_times[:-1])) + 1
+    own, own_times = (values[np.append(0, begins)] for values in (own, own_times))
+    places = np.searchsorted(numbers, own)
+    is_right = numbers.take(places, mode="clip") == own
+    is_right &= times.take(places, mode="clip") == own_times
+    if is_right.all():
+        return None
+    first = int(np.argmin(is_right))
+    return (
+        f"one is at the tick {own[first]} and the time {own_times[first]} s, which the record does "
+        "not have"
+    )

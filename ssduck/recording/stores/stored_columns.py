@@ -85,26 +85,6 @@ def check_columns(
             )
 
 
-def check_parquet(source: str, footer: bytes, table: str) -> pq.FileMetaData:
-    """Checks what the footer of a part says, and returns it.
-
-    Args:
-        source: the file, to begin the message.
-        footer: the footer, with the magic number at its end.
-        table: the table, or `models/<table>`.
-
-    Raises:
-        RecordError: the footer is damaged, a column is missing or of another type, or the part has
-            too many rows to be read.
-    """
-    return _checked(source, footer, table).metadata
-
-
-def checked_parquet(source: str, content: bytes | memoryview, table: str) -> pq.ParquetFile:
-    """Returns a part in memory, whose footer is checked as `check_parquet` does."""
-    return _checked(source, content, table)
-
-
 def unreadable(source: object, error: Exception) -> RecordError:
     """Returns the error that a file cannot be read, for an error of the library or of a store."""
     if isinstance(error, RecordError):
@@ -138,7 +118,7 @@ def rows_of_part(file: Path, table: str, content: bytes) -> pa.Table:
         content: the bytes of the file.
 
     Raises:
-        RecordError: see `check_parquet`; or it is damaged elsewhere.
+        RecordError: see `checked_parquet`; or it is damaged elsewhere.
     """
     types = {name: ARROW_TYPES[type] for name, type in part_columns(table).items()}
     part = checked_parquet(str(file), content, table)
@@ -152,11 +132,17 @@ def rows_of_part(file: Path, table: str, content: bytes) -> pa.Table:
     return rows
 
 
-def _checked(source: str, content: bytes | memoryview, table: str) -> pq.ParquetFile:
-    """Returns a part, or what its footer tells of it.
+def checked_parquet(source: str, content: bytes | memoryview, table: str) -> pq.ParquetFile:
+    """Returns a part, or what its footer tells of it, after a check of that.
+
+    Args:
+        source: the file, to begin the message.
+        content: its bytes, or its footer with the magic number at its end.
+        table: the table, or `models/<table>`.
 
     Raises:
-        RecordError: see `check_parquet`.
+        RecordError: the footer is damaged, a column is missing or of another type, or the part has
+            too many rows to be read.
     """
     try:
         part = pq.ParquetFile(pa.BufferReader(content))

@@ -23,6 +23,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError
+from ssduck.recording.paths import check_inside, part_number
 from ssduck.recording.stores.atomic_files import write_atomically
 from ssduck.recording.stores.checksums import write_json
 from ssduck.recording.stores.descriptions import (
@@ -31,10 +32,8 @@ from ssduck.recording.stores.descriptions import (
     check_description,
     read_description,
 )
-from ssduck.recording.stores.links import check_inside
 from ssduck.recording.stores.object_store import ObjectPath, file_system, reading
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun
-from ssduck.recording.stores.part_names import part_number
 from ssduck.recording.stores.tick_index import INDEX
 from ssduck.schema import MODELS
 
@@ -48,11 +47,13 @@ class StoredFile:
     """A file of an episode.
 
     Attributes:
+        name: its path in the record, with slashes.
         size: its size, bytes.
         modified: when it was last changed, ns since 1970.
         checksum: the CRC-32 of its bytes.
     """
 
+    name: str
     size: int
     modified: int
     checksum: int
@@ -169,11 +170,11 @@ def write_summary(run: FolderRun, checksums: Mapping[str, int]) -> None:
         RecordError: a file is missing or damaged, or the summary cannot be written.
     """
     files = {
-        name: StoredFile(*size_and_time(run.path / name), checksum)
+        name: StoredFile(name, *size_and_time(run.path / name), checksum)
         for name, checksum in checksums.items()
     }
     content = asdict(summary_of(run, files, are_whole=True))
-    content |= {"key": run.key, "files": {name: astuple(file) for name, file in files.items()}}
+    content |= {"key": run.key, "files": {name: astuple(file)[1:] for name, file in files.items()}}
     place = run.path / summary_name(run)
     place.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(place, lambda file: write_json(content, file))
@@ -199,7 +200,7 @@ def read_summary(run: FolderRun, listing: Listing) -> EpisodeSummary | None:
         check_description(content, _SUMMARY, str(file), "what is known of the episode")
     except (RecordError, OSError):  # the files have what it has
         return None
-    files = {name: StoredFile(*values) for name, values in content["files"].items()}
+    files = {name: StoredFile(name, *values) for name, values in content["files"].items()}
     known = {name: (file.size, file.modified) for name, file in files.items()}
     if content["key"] != run.key or known != parts_in(run, listing):
         return None
