@@ -102,12 +102,22 @@ _HOMES = {
 }
 # Names that differ in their module, as Python or the package has others of that name.
 _ORIGINALS = {"lake": "open_lake", "open": "open_record"}
+# What to write for names that are looked for here.
+_INSTEAD_OF = {
+    **dict.fromkeys(("attach", "connect"), "a world is ssduck.World.attach(client)"),
+    "batch": "it is ssduck.World.batch(model, count)",
+    **dict.fromkeys(
+        ("eval", "sql", "add_variable", "add_function", "add_trigger", "record_to", "export"),
+        "it is a method of an interpreter, ss = ssduck.Interpreter()",
+    ),
+}
 
 
 def __getattr__(name: str) -> Any:
     """Imports a public name when it is used: the command's help needs none of them."""
     if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        told = f"; {_INSTEAD_OF[name]}" if name in _INSTEAD_OF else ""
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{told}")
     value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), _ORIGINALS.get(name, name))
     globals()[name] = value
     return value

@@ -51,7 +51,12 @@ from ssduck.interpreter.eval_as import (
 from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.namespace import check_name
 from ssduck.interpreter.output import AsClause, as_clause_of
-from ssduck.interpreter.program import CompiledProgram, rows_to_show, tree_of
+from ssduck.interpreter.program import (
+    CompiledProgram,
+    check_parameters,
+    rows_to_show,
+    tree_of,
+)
 from ssduck.interpreter.recording import RecordingMethods
 from ssduck.interpreter.sql_hints import add_hint
 from ssduck.interpreter.triggers.registry import TriggerMethods, TriggerRegistry
@@ -224,6 +229,7 @@ class Interpreter(
         names: Sequence[str] = (),
         *,
         parameters: Mapping[str, Any] | None = None,
+        **others: Any,
     ) -> Any:
         """Runs a program.
 
@@ -233,6 +239,7 @@ class Interpreter(
                 parameters.
             names: the names of the sources.
             parameters: values by name, which are variables of this run only.
+            **others: an error, which says what to write.
 
         Returns:
             The value of the last statement; None if there is none.
@@ -252,8 +259,10 @@ class Interpreter(
         """
         if isinstance(program, QueryPart | SelectedColumns):
             return program.value(cast("Sequence[Any]", elements), names)
-        if parameters is None and isinstance(elements, Mapping):
-            parameters = elements
+        if parameters is None and not (isinstance(elements, tuple) and not elements):
+            parameters = cast("Mapping[str, Any]", elements)
+        if others or parameters is not None:
+            check_parameters("eval", parameters, others)
         if parameters:
             with self._execution.with_parameters(parameters):
                 return self.eval(program)
@@ -500,7 +509,12 @@ class Interpreter(
 
     # -- raw SQL --------------------------------------------------------------------------
 
-    def sql(self, text: str, parameters: Sequence[Any] | Mapping[str, Any] | None = None) -> Result:
+    def sql(
+        self,
+        text: str,
+        parameters: Sequence[Any] | Mapping[str, Any] | None = None,
+        **others: Any,
+    ) -> Result:
         """Runs SQL on the worlds' tables.
 
         The tables of a world that is bound as `kitchen` are `kitchen.entities` and so on; the
@@ -510,13 +524,14 @@ class Interpreter(
         Args:
             text: one SQL statement in DuckDB's dialect.
             parameters: a sequence for `?` and `$1`, a mapping for `$name`.
+            **others: an error, which says what to write.
 
         Returns:
             All rows; steps of the world do not change them.
 
         Raises:
             SqlError: DuckDB refuses the statement.
-            ArgumentError: the statement is no text.
+            ArgumentError: the statement is no text, or the parameters are no list and no dict.
             UnknownNameError: the interpreter is strict, and no entity has a name that the statement
                 compares.
 
@@ -529,6 +544,7 @@ class Interpreter(
         [(42,)]
         """
         validation.text(text, "sql: a statement is a text")
+        check_parameters("sql", parameters, others)
         with self._lock:
             if not self._execution.is_running:
                 self._execution.drop_unused_worlds()

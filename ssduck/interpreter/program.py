@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 from ssduck import validation
+from ssduck.errors import ArgumentError
+from ssduck.formatting import short_repr
 from ssduck.language.parser import parse
 from ssduck.language.tree import AdapterClause, Literal, Program, Query
 from ssduck.limits import Limits
@@ -89,3 +91,31 @@ def with_last(
     """Returns the program of a query alone, with another result form; the text stays the same."""
     changed = replace(query, adapter=form, **changes)
     return replace(compiled, tree=replace(compiled.tree, statements=(changed,)))
+
+
+def check_parameters(function: str, parameters: Any, others: Mapping[str, Any]) -> None:
+    """Checks the parameters of a program, or of a statement of SQL.
+
+    Args:
+        function: the method that takes them.
+        parameters: a list or a dict; None if there are none.
+        others: its arguments that have other names.
+
+    Raises:
+        ArgumentError: they are given as keywords, or are a single value; it says what to write.
+    """
+    text = "program" if function == "eval" else "statement"
+    for name in others:
+        given = ", ".join(f"{key!r}: {short_repr(value)}" for key, value in others.items())
+        raise ArgumentError(
+            f"{function}: there is no argument {name!r}; parameters are a dict: "
+            f"{function}({text}, {{{given}}})"
+        )
+    is_list = isinstance(parameters, Iterable) and not isinstance(parameters, str | bytes)
+    is_list = is_list and function == "sql"
+    if parameters is not None and not (isinstance(parameters, Mapping) or is_list):
+        advice = f"a list: [{short_repr(parameters)}], or " if function == "sql" else ""
+        raise ArgumentError(
+            f"{function}: parameters are {advice}a dict by name, {{'limit': 0.5}}, say; "
+            f"not {short_repr(parameters)}"
+        )

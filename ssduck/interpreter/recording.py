@@ -33,6 +33,13 @@ from ssduck.world.world import World
 
 # The endings of files that only the command writes.
 _FILES = (".mcap", ".rrd")
+# What to write for arguments that other functions have.
+_OF_EXPORT = {
+    "format": "it writes Parquet; the command has others: ssduck export RECORD -o PATH --format "
+    "mcap, of a record that it wrote",
+    **dict.fromkeys(("folder", "output", "file"), "the folder is path"),
+    **dict.fromkeys(("since", "begin", "until"), "the simulated times are start and end, s"),
+}
 
 
 class RecordingMethods(ABC):
@@ -178,6 +185,7 @@ class RecordingMethods(ABC):
         end: float | None = None,
         tags: Tags | None = None,
         pairs: float | None = None,
+        **others: Any,
     ) -> dict[str, Path]:
         """Writes the records of worlds to a folder of Parquet files, each as a new episode.
 
@@ -191,6 +199,7 @@ class RecordingMethods(ABC):
             tags: what you say of the runs, added to the tags of the records.
             pairs: a distance, m, to write also the table of the pairs of entities within it, for
                 tools without ssduck; see `ssduck macros`.
+            **others: an error, which says what to write.
 
         Returns:
             The folder of each episode's ticks, by the name of its world.
@@ -208,6 +217,8 @@ class RecordingMethods(ABC):
         ...         episodes["kitchen"].name, record.past("kitchen").times
         ('episode=0', [0.5, 0.75, 1.0])
         """
+        arguments = ("path", "world", "entities", "start", "end", "tags", "pairs")
+        validation.no_others(others, "export", arguments, _OF_EXPORT)
         chosen = self.eval(entities) if isinstance(entities, str | CompiledProgram) else entities
         names = None if chosen is None else _names(chosen)
         start, end = (None if time is None else validation.seconds(time) for time in (start, end))

@@ -189,7 +189,8 @@ class Lake:
             database.connection.register("episodes", numbered)
             found = database.connection.rows(select.sql("duckdb"))
         except SqlError as error:
-            raise ArgumentError(f"where: {where!r} is no condition: {error.message}") from error
+            message = error.message.splitlines()[0]  # below is a statement with other names
+            raise ArgumentError(f"where: {where!r} is no condition: {message}") from error
         finally:
             database.close()
         return sorted(row for (row,) in found)

@@ -50,6 +50,7 @@ _PARTS = (
     exp.Sub,
     *_FUNCTIONS,
 )
+_TEXTS = "a text is in single quotes: task = 'pick'"
 _NAMES = "abs, coalesce, length, list_contains, lower, round, starts_with, upper"
 
 
@@ -73,6 +74,8 @@ def condition(text: str, columns: Collection[str]) -> exp.Expr:
         tree = sqlglot.parse_one(text, into=exp.Condition, dialect="duckdb")
     except sqlglot.ParseError as error:
         detail = error.errors[0]["description"] if error.errors else str(error)
+        if "<class" in detail:  # of sqlglot: no value stands behind a sign
+            detail = f"a value is missing, or is a word of SQL; {_TEXTS}"
         raise ArgumentError(f"where: {text!r} is no condition: {detail}") from error
     except sqlglot.TokenError as error:
         raise ArgumentError(f"where: {text!r} is no condition: {error}") from error
@@ -96,7 +99,7 @@ def _column(part: exp.Column, columns: Collection[str]) -> str:
     found = [name for name in columns if name.casefold() == part.name.casefold()]
     if part.table or not found:
         raise ArgumentError(
-            f"where: episodes have no column or tag {part.sql('duckdb')}",
+            f"where: episodes have no column or tag {part.sql('duckdb')}; {_TEXTS}",
             suggestions=nearest(part.name, list(columns)),
         )
     if len(found) > 1:

@@ -259,9 +259,9 @@ def told_of_part(world: str, name: str, infos: Sequence[EntityInfo]) -> str:
     bodies = [(info.name, info.body) for info in infos if info.body is not None]
     if any(info.name == name for info in infos):
         return f"for the entity, write {name_path(world, name)}"
-    for owner, link in _links(infos):
-        if f"{owner}.{link}" == name:
-            path = path_text(world, owner, link)
+    for owner, part in _links(infos):
+        if f"{owner}.{part}" == name:
+            path = path_text(world, owner, part)
             return f"it is a link: write {path}; all links are FROM links({world})"
     owners = [owner for owner, link in _links(infos) if link == name]
     if owners:

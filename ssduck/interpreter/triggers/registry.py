@@ -91,7 +91,7 @@ class TriggerMethods:
         name: str,
         program: str | CompiledProgram,
         interval: float,
-        callback: Callable[[Any], object],
+        callback: Callable[[Any], object] | None = None,
         *,
         when: When = "change",
         debounce: float = 0.0,
@@ -147,6 +147,12 @@ class TriggerMethods:
         >>> times
         [0.0, 0.25, 0.5, 0.75, 1.0]
         """
+        if callback is None:
+            missing = "interval" if callable(interval) else "callback"
+            raise ArgumentError(
+                f"add_trigger: {missing} is missing: add_trigger(name, program, interval, "
+                "callback), with the interval in seconds of simulated time"
+            )
         config = TriggerConfig(name, interval, when, debounce, rows, queue, threshold)
         self._triggers.add(config, program, callback)
 
