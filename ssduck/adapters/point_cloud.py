@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.errors import ArgumentError
+from ssduck.errors import ArgumentError, ProgramWarning, warn
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.poses import cross
 from ssduck.geometry.solids import PlacedSolids, Solid
@@ -132,6 +132,9 @@ def sample_points(
 
     Raises:
         ArgumentError: a shape is an infinite plane, or there would be more than `MAX_POINTS`.
+
+    Warns:
+        ProgramWarning: the surface is smaller than the square of a point.
     """
     random = np.random.default_rng(seed)
     areas = [surface_area(solid) for solid in placed.solids]
@@ -143,6 +146,12 @@ def sample_points(
             f"{sum(areas) / square:,.0f} points are more than {MAX_POINTS:,}; take a larger spacing"
         )
     check(sum(areas) / square)
+    if 0 < sum(areas) < square:
+        warn(
+            f"AS points: a mean distance of {spacing:g} m is larger than what is sampled, whose "
+            f"surface is {sum(areas):.3g} m^2: it is in metres, as in AS points(0.01)",
+            ProgramWarning,
+        )
     indices = {id: index for index, id in enumerate(names)}
     points, normals, owners = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros(0, np.intp)]
     for (solid, position, matrix), area, owner in zip(placed, areas, placed.owners, strict=True):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from contextlib import suppress
 
 import pybullet
 import pytest
@@ -118,3 +119,51 @@ def test_raw_sql_tells_of_nan(ss):
     assert len(ss.sql(question, [math.nan]).fetchall()) == 2  # DuckDB: NaN is the greatest
     assert told(ss.sql, "SELECT ? AS x", [math.nan]) == []
     assert told(ss.sql, "SELECT name FROM entities WHERE z < $most", {"most": 1.0}) == []
+
+
+@pytest.mark.parametrize(
+    ("program", "told_of"),
+    [
+        ("'lihgt' IN sim;", "no entity of sim has the name 'lihgt'; did you mean 'light'?"),
+        ("NOT 'lihgt' IN sim;", "no entity of sim has the name 'lihgt'"),
+        ("target IN sim;", "no entity of sim has the name 'lihgt'"),
+        ("'light' IN sim;", ""),
+        ("'lihgt' IN names;", ""),
+        ("'lihgt' IN 'the lihgt';", ""),
+        ("sim.light IN sim;", ""),
+    ],
+)
+def test_a_name_that_a_world_lacks_is_told_of_and_may_come(ss, program, told_of):
+    ss.strict = True
+    ss.add_variable("target", "lihgt")
+    ss.add_variable("names", ["light"])
+    messages = told(ss.eval, program)
+    assert [message[: len(told_of)] for message in messages] == [told_of] * bool(told_of)
+
+
+@pytest.mark.parametrize(
+    ("program", "value"),
+    [
+        ("greatest(z(sim.light)) - least(z(sim.light));", "greatest(…)[1]"),
+        ("1 + least(z(sim.light));", "least(…)[1]"),
+        ("greatest(z(sim.light)) == 2;", "greatest(…)[1]"),
+        ("2 != least(z(sim.light));", "least(…)[1]"),
+        ("greatest(z(sim.light))[1] - least(z(sim.light))[1];", ""),
+        ("greatest(z(sim.light)) == least(z(sim.light));", ""),
+    ],
+)
+def test_arithmetic_of_extremes_is_told_of(ss, program, value):
+    messages = told(_value_or_error, ss, program)
+    assert [message.splitlines()[0].endswith(value) for message in messages] == [True] * bool(value)
+
+
+def _value_or_error(ss, program):
+    with suppress(ArgumentError):  # a number and a list have no sum
+        ss.eval(program)
+
+
+def test_points_that_are_farther_apart_than_what_is_sampled_are_told_of(ss):
+    (message,) = told(ss.eval, "SELECT this FROM sim AS points(20);")
+    assert "a mean distance of 20 m is larger than what is sampled" in message
+    assert told(ss.eval, "SELECT this FROM sim AS points(0.02);") == []
+    assert told(ss.eval, "SELECT this FROM sim WHERE z > 9 AS points(20);") == []

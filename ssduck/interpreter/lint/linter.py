@@ -113,12 +113,12 @@ class Linter:
         mistakes = [
             *self._hiding_names(facts),
             *self._quoted_names(facts, text),
-            *self._unknown_entities(facts, local),
+            *self._unknown_entities(facts.names, local),
             *mistakes_in(facts.suspects, self._variable, self._type_of_relation),
             *(
                 ArgumentError(message, span=call.span)
                 for call, message in facts.misread
-                if self._is_relation(call.name)
+                if call.name in OVER_TIME or self._is_relation(call.name)
             ),
             *degrees_in(facts.angles, self._variable, self._type_of_relation),
             *(ArgumentError(message, span=span) for message, span in facts.same_rows),
@@ -130,6 +130,8 @@ class Linter:
             ),
             *self._unfit_entities(facts),
         ]
+        for unknown in self._unknown_entities(facts.members, local):
+            self._warn_of(unknown, text)  # it may come
         for error, is_sure in self._swapped_roles(facts):
             if is_sure:
                 mistakes.append(error)
@@ -312,14 +314,14 @@ class Linter:
     # -- names of entities ------------------------------------------------------------------
 
     def _unknown_entities(
-        self, facts: StatementFacts, local: Mapping[str, Any]
+        self, sites: Iterable[NameSite], local: Mapping[str, Any]
     ) -> Iterator[SelectScriptError]:
-        return islice(self._all_unknown_entities(facts, local), MAX_UNKNOWN)
+        return islice(self._all_unknown_entities(sites, local), MAX_UNKNOWN)
 
     def _all_unknown_entities(
-        self, facts: StatementFacts, local: Mapping[str, Any]
+        self, sites: Iterable[NameSite], local: Mapping[str, Any]
     ) -> Iterator[SelectScriptError]:
-        for site in facts.names:
+        for site in sites:
             if isinstance(site.element, Name) and site.element.name in local:
                 continue
             worlds, kinds = self._owners_at(site)

@@ -16,6 +16,7 @@ from ssduck.language.tree import (
     Call,
     If,
     Index,
+    Literal,
     Name,
     Node,
     OperatorChain,
@@ -35,6 +36,9 @@ _AS_CONDITION = {
     "distance": "it is a number: write distance(a, b) < 0.1, say",
     "clearance": "it is a number: write near(a, b, 0.1), or clearance(a, b) < 0.1",
 }
+# The functions over time whose value is a list of two.
+_EXTREMES = frozenset(("least", "greatest"))
+_OF_EXTREMES = "{0}(…) is [time, value], and {1} is of such lists here: the value is {0}(…)[1]"
 _CONDITIONS_OVER_TIME = frozenset(("since", "heldFor", "holds"))
 VOLUME_NOTE = (
     "volume is an eighth of the volume of the box, as published; solidVolume is that of the "
@@ -44,12 +48,23 @@ _VOLUME_IN_SQL = re.compile(r"\bvolume\s*\(", re.IGNORECASE)
 
 
 def misread_calls(statement: Node) -> Iterator[tuple[Call, str]]:
-    """Yields the conditions that are such a number and are not compared, with what is told."""
+    """Yields the calls that read as something else, with what is told of them.
+
+    These are conditions that are such a number and are not compared, and extremes in arithmetic.
+    """
     for node in statement.walk():
         for part in _conditions(node):
             if isinstance(part, Call) and part.name in _AS_CONDITION:
                 told = _AS_CONDITION[part.name]
                 yield part, f"{part.name} as a condition holds of any number but 0; {told}"
+        if isinstance(node, Binary) and node.operator in ("+", "-", "==", "!="):
+            sides = node.left, node.right
+            for side, other in (sides, sides[::-1]):
+                is_number = isinstance(other, Literal) and not isinstance(other.value, str)
+                is_number = is_number or node.operator in ("+", "-")
+                if isinstance(side, Call) and side.name in _EXTREMES and is_number:
+                    yield side, _OF_EXTREMES.format(side.name, node.operator)
+                    break
 
 
 # The relations of two whose answer needs the shapes of both, or a region that one of them is.

@@ -67,6 +67,7 @@ class StatementFacts:
 
     Attributes:
         names: the places where names of entities are compared.
+        members: names that are looked for in a variable, perhaps a world.
         assigned: the variables that the statement sets.
         texts: texts in the place of a name.
         sources: texts behind FROM.
@@ -87,6 +88,7 @@ class StatementFacts:
     """
 
     names: list[NameSite] = field(default_factory=list)
+    members: list[NameSite] = field(default_factory=list)
     assigned: list[tuple[str, SourceSpan]] = field(default_factory=list)
     texts: list[tuple[str, SourceSpan]] = field(default_factory=list)
     sources: list[tuple[str, SourceSpan]] = field(default_factory=list)
@@ -156,6 +158,9 @@ def _collect(
             values = right.items if isinstance(right, ListLiteral) else (right,)
             if not isinstance(right, Literal):  # any text may be a part of a text
                 _collect_name_site(left, values, outer_sources, only_source, facts)
+            if isinstance(left, Literal | Name) and isinstance(right, Name | TimeIndex):
+                source = Source(right.span, None, right)
+                facts.members.append(NameSite(source, "name", left, is_bare=False))
             if isinstance(right, Query):
                 _collect_from_list(left, right, outer_sources, facts)
             for item in right.items if isinstance(right, ListLiteral) else ():
