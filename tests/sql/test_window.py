@@ -110,7 +110,7 @@ CONDITIONS = {
     "collides({0}, this)": 2,
     "near({0}, this, 0.12) AND z({0}) > 0.55": 3,
     "near({0}, this, 0.12) OR above({0}, this)": 3,
-    "near({0}, board, 0.12) AND near({0}, this, 5)": 3,
+    "near({0}, board, 0.12) AND near({0}, this, 5)": 4,
 }
 
 

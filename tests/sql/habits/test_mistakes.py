@@ -366,7 +366,7 @@ DOUBTS = [
     ),
     (f"{K} WHERE on(kitchen.can, this) = 'yes' AS list;", "'yes'", "on is True or False", []),
     (f"{K} WHERE NOT on(this, kitchen.can) != 'no' AS list;", "'no'", "on is True or False", []),
-    ("on(kitchen.can, kitchen.table) == 'true';", "'true'", "on is True or False", False),
+    ("on(kitchen.table, kitchen.can) == 'true';", "'true'", "on is True or False", False),
     (
         f"{K} WHERE distance(this, kitchen.can) = 'near' AS list;",
         "'near'",
