@@ -11,7 +11,7 @@ import pytest
 from pybullet_utils.bullet_client import BulletClient
 
 import ssduck
-from ssduck.errors import RemovedEntityError, SelectScriptError, SimulatorError
+from ssduck.errors import ArgumentError, RemovedEntityError, SelectScriptError, SimulatorError
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.scenes import SensorSpec, find_scene
 from tests.support.cases import sampled
@@ -281,11 +281,20 @@ def test_names_are_of_the_bodies_that_were_there(client, make):
     assert (new.name, new.kind) == (f"body_{body}", "kinbody")
 
 
-def test_names_are_made_unique_whatever_they_end_in(client, make):
-    bodies = [make() for _ in range(5)]
-    names = dict(zip(bodies, ("box", "box_2", "box", "box", "box_2"), strict=True))
-    world = ssduck.World.attach(client, names=names)
+def test_names_are_made_unique_whatever_they_end_in(client, tmp_path):
+    for number, name in enumerate(("box", "box_2", "box", "box", "box_2")):
+        file = tmp_path / f"{number}.urdf"
+        file.write_text(f'<robot name="{name}"><link name="base"/></robot>')
+        pybullet.loadURDF(str(file), physicsClientId=client)
+    world = ssduck.World.attach(client)
     assert [e.name for e in world] == ["box", "box_2", "box_3", "box_4", "box_2_2"]
+
+
+def test_two_bodies_of_one_name_are_an_error(client, make):
+    bodies = [make() for _ in range(3)]
+    names = dict(zip(bodies, ("box", "ball", "box"), strict=True))
+    with pytest.raises(ArgumentError, match="box"):
+        ssduck.World.attach(client, names=names)
 
 
 @pytest.mark.parametrize("kind", ["sensor", "Robot", "", None])

@@ -193,7 +193,7 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         A_B,
         "boolean",
         f"{_FOOTPRINT} AND CASE WHEN a.zmax = 'infinity'::DOUBLE THEN b.z < a.zmin "
-        "WHEN a.zmin = '-infinity'::DOUBLE THEN b.z < a.zmax "
+        "WHEN a.zmin = -('infinity'::DOUBLE) THEN b.z < a.zmax "
         "ELSE 2 * b.z < a.zmin + a.zmax END AND a.id <> b.id",
         "Checks if the position of b is below the centre of the box of a: x and y are within "
         "the box, edges included, and z is lower than the centre. The box of a level plane has no "
