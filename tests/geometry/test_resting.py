@@ -10,7 +10,6 @@ import pytest
 
 import ssduck
 from ssduck.errors import SelectScriptError, StateError
-from ssduck.recording.stores.checksums import write_parquet
 from tests.support.cases import sampled
 from tests.support.urdf import box_obj, collision, link, robot
 
@@ -363,9 +362,7 @@ RECORDED = [
 
 @pytest.mark.slow
 @sampled("place", ["run", "run.duckdb"], every=2)
-@pytest.mark.parametrize("forgotten", [False, True])
-def test_margins_are_recorded(yard, tmp_path, place, forgotten):
-    """Records of before margins were told have those that PyBullet gave."""
+def test_margins_are_recorded(yard, tmp_path, place):
     yard.add("under", "hull", 1.0, [0, 0, 0])
     yard.add("over", "hull", 0.4, [0, 0, 0.75], mass=1.0)
     world = yard.world()
@@ -380,8 +377,6 @@ def test_margins_are_recorded(yard, tmp_path, place, forgotten):
         live = answers(ss, world)
         if not path.suffix:
             ss.export(path)
-    if forgotten:
-        forget_margins(path)
     with ssduck.open(path) as opened:
         assert answers(opened, opened.call_variable("sim")) == live
         told = opened.sql("SELECT DISTINCT margin FROM shapes_history").fetchall()
@@ -395,30 +390,3 @@ def answers(ss, world):
     found = [ss.eval(f"{text};") for text in RECORDED]
     assert [bool(one) for one in found] == [True, True, True, False, True, True]
     return found
-
-
-def forget_margins(path):
-    """Make a record what it was before margins were told."""
-    import duckdb
-    import pyarrow.parquet as pq
-
-    if path.suffix:
-        with duckdb.connect(str(path)) as file:
-            places = file.execute(
-                "SELECT schema_name, table_name FROM duckdb_columns() "
-                "WHERE column_name = 'margin' AND NOT internal AND table_name LIKE 'shapes model'"
-            ).fetchall()
-            views = file.execute(
-                "SELECT schema_name, view_name FROM duckdb_views() WHERE NOT internal"
-            ).fetchall()
-            for schema, view in views:
-                file.execute(f'DROP VIEW "{schema}"."{view}"')
-            for schema, table in places:
-                file.execute(f'ALTER TABLE "{schema}"."{table}" DROP COLUMN margin')
-        assert places
-        return
-    parts = [*path.glob("**/shapes/**/*.parquet")]
-    assert len(parts) >= 2
-    for part in parts:
-        rows = pq.read_table(part, partitioning=None)
-        write_parquet(rows.drop_columns(["margin"]), part)

@@ -1,14 +1,11 @@
 """Shapes that are what the simulator has, and marks where they are not."""
 
-import shutil
 import warnings
 from collections import Counter
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-import duckdb
 import numpy as np
-import pyarrow.parquet as pq
 import pybullet
 import pybullet_data
 import pytest
@@ -20,7 +17,6 @@ from ssduck.geometry.height_fields import height_field
 from ssduck.geometry.poses import rotation_matrices
 from ssduck.geometry.shapes import Geometry
 from ssduck.recording.spec import Recording
-from ssduck.recording.stores.checksums import write_parquet
 from ssduck.schema import RECORDABLE
 from tests.support.cases import sampled
 from tests.support.models import sdf_link, sdf_model, sdf_of
@@ -538,55 +534,6 @@ def test_records_keep_the_mark(marked, tmp_path, kind, changed):
             (True,),
         ]
         assert "not exact" in ss.eval("EXPLAIN SELECT near(this, this, 1) FROM sim;")
-
-
-def without_the_mark(path):
-    """Make a record one of before there was the column."""
-    if path.is_dir():
-        for part in path.rglob("*.parquet"):
-            rows = pq.read_table(part, partitioning=None)
-            if "exact" in rows.column_names:
-                write_parquet(rows.drop_columns("exact"), part)
-        return
-    with duckdb.connect(str(path)) as con:
-        views = con.execute(
-            "SELECT schema_name, view_name FROM duckdb_views() WHERE NOT internal"
-        ).fetchall()
-        for schema, name in views:
-            con.execute(f'DROP VIEW "{schema}"."{name}"')
-        tables = con.execute(
-            "SELECT schema_name, table_name FROM duckdb_columns() WHERE column_name = 'exact' "
-            "AND NOT internal"
-        ).fetchall()
-        for schema, name in tables:
-            con.execute(f'ALTER TABLE "{schema}"."{name}" DROP COLUMN exact')
-        assert tables
-
-
-@pytest.mark.slow
-@sampled("kind", ["folder", "file"], every=2)
-def test_older_records_open(marked, tmp_path, kind):
-    world = marked.call_variable("sim")
-    path = tmp_path / ("run" if kind == "folder" else "run.duckdb")
-    with ssduck.Interpreter(":memory:" if kind == "folder" else path, recording=None) as ss:
-        ss.add_variable("sim", world)
-        ss.record("sim", Recording(tables=RECORDABLE))
-        world.step(3)
-        expected = ss.sql("SELECT clearance(a, b) FROM sim.entities a, sim.entities b").fetchall()
-        if kind == "folder":
-            ss.export(path)
-    without_the_mark(path)
-    if kind == "folder":
-        shutil.copytree(path, tmp_path / "moved")
-        path = tmp_path / "moved"
-    with ssduck.open(path) as ss:
-        unknown = [("cube", None), ("ramp", None)]
-        assert ss.sql(MARKS.format("sim", "")).fetchall() == unknown
-        assert ss.sql(MARKS.format("sim", "_history")).fetchall() == unknown
-        assert ss.sql("SELECT exact FROM sim.shapes_model").fetchall() == [(None,)] * 2
-        found = ss.sql("SELECT clearance(a, b) FROM sim.entities a, sim.entities b").fetchall()
-        assert found == expected
-        assert "not exact" not in ss.eval("EXPLAIN SELECT near(this, this, 1) FROM sim;")
 
 
 @sampled(
