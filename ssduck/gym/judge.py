@@ -108,7 +108,7 @@ class Judge:
         if any(self._are_temporal):
             read = frozenset().union(*map(tables_of, trees)).intersection(RECORDABLE)
             self.past_tables = read | {"entities", "links"}
-        self._folds = JudgedFolds(interpreter, trees, self._whole)
+        self._folds = JudgedFolds(interpreter, trees, self._whole | self._element_names)
         self.needs_record = self._folds.need_record
 
     def begin_episode(self) -> None:
@@ -130,6 +130,8 @@ class Judge:
         """
         if is_first:
             self._were_nan.clear()
+            if not self.needs_record:
+                self._interpreter.call_variable(self._world).follow(self._folds)
         if any(self._are_temporal):
             self._were_nan.update(self._entities_with_nan())
         for name, value in values.items():

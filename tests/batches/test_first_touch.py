@@ -144,6 +144,20 @@ def test_an_episode_begins_where_the_time_falls(ss, tmp_path):
     assert sorted(answers["answer"].to_pylist()) == pytest.approx([0.5, 0.9, 0.9])
 
 
+def test_of_ticks_of_one_time_the_last_one_counts(ss):
+    model, data = at_rest()
+    sim = ss.add_variable("sim", ssduck.World.batch(model, 2))
+    terms = ss.terms(reward={"rate": "rate(z(sim.box))", "first": "initially(z(sim.box))"})
+    qpos = many(data, 2, "qpos", "mocap_pos", "mocap_quat")
+    found = []
+    for time, height in ((0, 0.4), (0, 0.5), (1, 0.6), (1, 0.8)):
+        qpos["qpos"][:, 2] = height
+        sim.tick(**qpos, time=float(time))
+        parts = terms().parts
+        found.append((parts["rate"][0], parts["first"][1]))
+    assert np.array(found) == pytest.approx(np.array([(0, 0.4), (0, 0.5), (0.1, 0.5), (0.3, 0.5)]))
+
+
 def test_a_time_that_falls_beside_told_resets_is_told_of(ss):
     model, data = at_rest()
     sim = ss.add_variable("sim", ssduck.World.batch(model, 3))

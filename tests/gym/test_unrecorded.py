@@ -5,10 +5,11 @@ from __future__ import annotations
 import gymnasium
 import mujoco
 import numpy as np
+import pybullet
 import pytest
 
 import ssduck
-from ssduck.errors import EvaluationError
+from ssduck.errors import EvaluationError, SelectScriptError
 from ssduck.gym import QueryWrapper
 from ssduck.interpreter.planner import Planner
 
@@ -105,3 +106,146 @@ def test_a_reset_makes_no_new_plan(monkeypatch):
     )
     heights(env, 5)
     assert not made
+
+
+class Hooked(Fall):
+    """A ball that falls, and what happens to it at each step."""
+
+    def __init__(self, hook=lambda _: None):
+        super().__init__()
+        self.hook, self.step_number, self.goal = hook, 0, [0.9, 0.0]
+
+    def reset(self, **options):
+        self.step_number = 0
+        return super().reset(**options)
+
+    def step(self, action):
+        self.step_number += 1
+        self.hook(self)
+        return super().step(action)
+
+
+def told(env, steps):
+    """Returns the reward of each step, or the message of its error."""
+    env.reset()
+    found = []
+    for _ in range(steps):
+        try:
+            found.append(env.step(env.action_space.sample())[1])
+        except (SelectScriptError, RuntimeError) as error:
+            found.append(str(error))
+    return found
+
+
+def test_the_first_value_alone_counts_for_initially():
+    env = QueryWrapper(Hooked(), reward="initially(log(z(sim.ball) - 0.95)) - z(sim.ball)")
+    found, rewards = heights(env, 9)
+    assert rewards == pytest.approx(np.log(0.05) - np.array(found[1:]))
+    assert found[-1] < 0.95
+
+
+@pytest.mark.parametrize("forward", [None, False])
+def test_the_last_two_values_alone_count_for_rate(forward):
+    def thrown(env):
+        if env.step_number == 1:
+            env.data.qvel[2] = 3
+
+    term = "IF(z(sim.ball) > 1.1; rate(log(z(sim.ball) - 1.05)); 0.0)"
+    env = QueryWrapper(Hooked(thrown), reward=term, forward=forward)
+    found, rewards = heights(env, 9)
+    logs = [np.log(z - 1.05) if z > 1.05 else None for z in found]
+    for step, reward in enumerate(rewards, 1):
+        if found[step] > 1.1 and logs[step - 1] is not None:
+            assert reward == pytest.approx((logs[step] - logs[step - 1]) / 0.02)
+    assert sum(reward != 0 for reward in rewards) > 4
+
+
+@pytest.mark.parametrize("nan", [0.0, "failure", "error"])
+def test_a_variable_that_becomes_nan_is_what_nan_says(nan):
+    def lost(env):
+        if env.step_number == 3:
+            env.goal = [float("nan"), 0.0]
+
+    env = QueryWrapper(
+        Hooked(lost),
+        reward="heldFor(z(sim.ball) < goal[0])",
+        variables={"goal": lambda env: env.goal},
+        nan=nan,
+    )
+    found = told(env, 5)
+    assert found[:2] == [0.0, 0.0]
+    assert "NaN" in found[2] if nan == "error" else found[2] == 0.0
+
+
+@pytest.mark.parametrize("act", [lambda ss: ss["sim"].tick(), lambda ss: ss.eval("z(sim.ball);")])
+def test_ticks_of_others_are_in_the_past(act):
+    env = QueryWrapper(Fall(), reward="heldFor(z(sim.ball) < 0.95)")
+    env.reset()
+    rewards = []
+    for step in range(12):
+        if step == 8:
+            act(env.interpreter)
+        rewards.append(env.step(env.action_space.sample())[1])
+    assert rewards[-4:] == pytest.approx(rewards[-1] - 0.02 * np.arange(3, -1, -1))
+    assert rewards[-1] > 0.06
+
+
+def test_a_variable_that_fails_once_loses_no_tick():
+    def read(env):
+        if env.step_number == 3:
+            raise RuntimeError("sensor")
+        return 1.0
+
+    env = QueryWrapper(
+        Hooked(), reward="heldFor(z(sim.ball) < 0.95) + v", variables={"v": read}, forward=False
+    )
+    found = told(env, 9)
+    assert found[2] == "sensor"
+    assert found[3] == 1.0
+    assert found[-1] == pytest.approx(found[-2] + 0.02) != 1.02
+
+
+def test_a_record_that_begins_in_an_episode_changes_no_reward():
+    env = QueryWrapper(Fall(), reward="heldFor(z(sim.ball) < 0.99)", forward=False)
+    env.reset()
+    rewards = []
+    for step in range(8):
+        if step == 5:
+            env.interpreter.record("sim", ssduck.Recording())
+        rewards.append(env.step(env.action_space.sample())[1])
+    assert np.diff(rewards[3:]) == pytest.approx([0.02] * 4)
+
+
+def test_a_body_that_comes_later_has_no_past():
+    class Late(gymnasium.Env):
+        observation_space = action_space = gymnasium.spaces.Box(-1, 1, (1,), np.float32)
+
+        def __init__(self):
+            self._client, self.episodes = pybullet.connect(pybullet.DIRECT), 0
+
+        def add(self, x):
+            shape = pybullet.createCollisionShape(
+                pybullet.GEOM_SPHERE, radius=0.05, physicsClientId=self._client
+            )
+            pybullet.createMultiBody(1, shape, -1, [x, 0, x], physicsClientId=self._client)
+
+        def reset(self, **_):
+            pybullet.resetSimulation(physicsClientId=self._client)
+            self.add(1)
+            self.steps, self.episodes = 0, self.episodes + 1
+            if self.episodes == 1:
+                self.add(2)
+            return np.zeros(1, np.float32), {}
+
+        def step(self, _):
+            self.steps += 1
+            if self.episodes > 1 and self.steps == 3:
+                self.add(2)
+            pybullet.stepSimulation(physicsClientId=self._client)
+            return np.zeros(1, np.float32), 0.0, False, False, {}
+
+    env = QueryWrapper(Late(), reward="IF(getTime() > 0.015; heldFor(z(sim.body_1) < 3); -1.0)")
+    env.reset()
+    found = told(env, 6)
+    assert found == pytest.approx([-1.0, -1.0, -1.0, 1 / 240, 2 / 240, 3 / 240])
+    pybullet.disconnect(env.unwrapped._client)

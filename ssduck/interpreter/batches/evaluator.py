@@ -296,6 +296,8 @@ class _KeptFold:
         self.fold, self._expression, self._world = fold, expression, world
         self._name = name
         self._version: int | None = None
+        # The time at which the episode of each environment began, s.
+        self._starts: Array = np.full(world.count, np.nan)
         # The error of the expression at an earlier tick, and the version of that.
         self._failure: tuple[SelectScriptError, int] | None = None
         if world.version > 1:
@@ -335,7 +337,10 @@ class _KeptFold:
         (answers,) = self._expression.answers()
         is_new = self._version is None
         are_first = np.full(world.count, is_new) | (world.began > (self._version or 0))
-        self.fold.step(world.times, answers, are_first)
+        times = world.times
+        self._starts = np.where(are_first, times, self._starts)
+        # Of several ticks of one time, the last one counts.
+        self.fold.step(times, answers, times == self._starts)
         if world.version:  # before that, the state is that of the model
             self._version = world.version
 

@@ -29,6 +29,8 @@ class Fold:
         step: returns the state with one more tick: from the state, the time, s, and the value.
         value: returns the value of the function: from the state, and the time of its last tick, s.
         is_of_condition: whether its expression is a condition.
+        reach: the number of the last ticks on which the value depends; 0 for the first tick alone,
+            None for all ticks.
     """
 
     first: Callable[[float, Any], Any]
@@ -36,6 +38,7 @@ class Fold:
     step: Callable[[Any, float, Any], Any]
     value: Callable[[Any, float], Any] = lambda state, _: state
     is_of_condition: bool = False
+    reach: int | None = None
 
 
 @dataclass(frozen=True)
@@ -296,6 +299,7 @@ TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
                 lambda _, value: value,
                 lambda series: _initially(series, None),
                 lambda state, *_: state,
+                reach=0,
             ),
         ),
         TemporalFunction(
@@ -315,7 +319,7 @@ TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
             "previous(expression) -> value",
             arguments=(1, 1),
             is_in_lakes=False,
-            fold=Fold(_first_two, _last_two, _next_two, lambda state, _: state[0][1]),
+            fold=Fold(_first_two, _last_two, _next_two, lambda state, _: state[0][1], reach=2),
         ),
         TemporalFunction(
             "rate",
@@ -326,7 +330,7 @@ TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
             "rate(expression) -> number",
             arguments=(1, 1),
             is_in_lakes=False,
-            fold=Fold(_first_two, _last_two, _next_two, _rate_of),
+            fold=Fold(_first_two, _last_two, _next_two, _rate_of, reach=2),
         ),
         TemporalFunction(
             "at",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 
@@ -15,20 +16,22 @@ from ssduck.language.tree import Call, Index, Name, Node, QualifiedName, Query, 
 class JudgedFolds:
     """The functions of time in expressions that are evaluated at each tick of an episode.
 
+    It is an observer of ticks, which others may take, too; see `TickObserver`.
+
     Args:
         interpreter: evaluates the expressions.
         expressions: the expressions.
-        lists: the names of the variables that may be lists.
+        variables: the names of the variables, whose values a later tick may lack.
 
     Attributes:
         need_record: whether an expression needs the record of past ticks.
     """
 
     def __init__(
-        self, interpreter: Interpreter, expressions: Sequence[Node], lists: Collection[str]
+        self, interpreter: Interpreter, expressions: Sequence[Node], variables: Collection[str]
     ) -> None:
         self._execution = interpreter._execution  # noqa: SLF001  # one package
-        self._lists = frozenset(lists)
+        self._variables = frozenset(variables)
         found = [part for expression in expressions for part in self._temporal(expression)]
         self._calls = [part for part in found if isinstance(part, Call) and self._is_fold(part)]
         self.need_record = len(self._calls) < len(found)
@@ -56,7 +59,15 @@ class JudgedFolds:
         if other is not None or isinstance(whole, Name | QualifiedName):
             return False  # an entity at the tick before has to be read there
         is_simple = self._execution.folds.takes(call, Frame(self._execution))
-        return is_simple and names.isdisjoint(self._lists)
+        return is_simple and names.isdisjoint(self._variables)
+
+    def due(self, _: object) -> float:
+        """Returns infinity: it requests no tick."""
+        return math.inf
+
+    def ticked(self, _: object) -> None:
+        """Adds the tick, whoever has taken it."""
+        self.settle()
 
     def settle(self) -> None:
         """Adds the present tick to the functions that no expression needed at it."""

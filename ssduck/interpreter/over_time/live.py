@@ -107,9 +107,11 @@ class LiveFolds:
         return self._unrecorded_world(call) is not None and self._unrecorded.is_planned(call)
 
     def _unrecorded_world(self, call: Call) -> World | None:
-        """Returns the only world of a call, if it is not recorded."""
+        """Returns the only world of a call, if it was not recorded where its episode began."""
         world = self._unrecorded.world_of(call)
-        return None if world is None or self._is_recorded(world) else world
+        if world is None or not self._is_recorded(world) or self._unrecorded.goes_on(call, world):
+            return world
+        return None
 
     def value(self, call: Call, form: TemporalFunction, series_of: Callable[[], TickSeries]) -> Any:
         """Returns the value of a call at the present tick; the caller pins the worlds.

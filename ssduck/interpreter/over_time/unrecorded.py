@@ -12,7 +12,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 from weakref import WeakKeyDictionary
 
-from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError
+from ssduck.errors import (
+    ArgumentError,
+    EvaluationError,
+    LimitError,
+    RemovedEntityError,
+    SelectScriptError,
+    UnknownNameError,
+)
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, parts_of
 from ssduck.interpreter.over_time.series import is_true
 from ssduck.interpreter.planner import Planner
@@ -50,7 +57,9 @@ class _Folded:
         time: its time, s.
         state: the state.
         before: the state before the ticks of this time; None if there is none.
-        failure: the error of the expression at a tick of this run.
+        failure: the error of the expression at a tick, as long as the value depends on that.
+        reach: the number of ticks from that one on for which it does; None for all.
+        age: the number of ticks of later times than that one.
     """
 
     run: int
@@ -60,6 +69,8 @@ class _Folded:
     state: Any
     before: tuple[Any] | None
     failure: SelectScriptError | None = None
+    reach: int | None = None
+    age: int = 0
 
 
 class UnrecordedFolds:
@@ -84,6 +95,14 @@ class UnrecordedFolds:
         worlds = [value.world if isinstance(value, Handle) else value for value in values]
         found = {world for world in worlds if isinstance(world, World)}
         return found.pop() if len(found) == 1 else None
+
+    def goes_on(self, call: Call, world: World) -> bool:
+        """Checks whether a call has a state at the present tick of a world, or the one before."""
+        last = self._folded.get(self._key(call)[0])
+        snapshot = world.snapshot
+        return (
+            last is not None and last.run == snapshot.run and 0 <= snapshot.number - last.tick <= 1
+        )
 
     def is_planned(self, call: Call) -> bool:
         """Checks whether the next value of a call is computed without DuckDB."""
@@ -113,7 +132,8 @@ class UnrecordedFolds:
             if meaning is None or not self._follows(world, last):
                 raise EvaluationError(
                     f"{no_ticks_message(world.name)}; without a record, {call.name}(…) has to be "
-                    "asked at each tick of an episode, with the same variables",
+                    "asked at each tick of an episode, and one was taken without that: record the "
+                    "world before the next reset",
                     span=call.span,
                 )
             last = self._with_present(call, world, last, meaning)
@@ -157,24 +177,35 @@ class UnrecordedFolds:
         """Returns the state with the present tick."""
         snapshot = world.snapshot
         number, time = snapshot.number, snapshot.time
-        if last is not None and last.failure is not None:
-            return replace(last, tick=number)
-        if last is None or time == world.episode_start:  # of ticks of one time, the last one counts
-            before = None
-        else:
-            before = (last.state,) if time > last.time else last.before
-        fold, failure = TEMPORAL_FUNCTIONS[call.name].fold, None
+        fold = TEMPORAL_FUNCTIONS[call.name].fold
         assert fold is not None
-        state: Any = None
+        is_later = last is not None and time > last.time
+        if last is None or time == world.episode_start:  # of ticks of one time, the last one counts
+            last, before = None, None
+        else:
+            before = (last.state,) if is_later else last.before
+
+        def stepped(value: Any) -> Any:
+            return fold.first(time, value) if before is None else fold.step(before[0], time, value)
+
+        if last is not None and fold.reach == 0:
+            return replace(last, tick=number, time=time)
+        failure, reach, age = None, None, 0
+        if last is not None and last.failure is not None:
+            failure, reach, age = last.failure, last.reach, last.age + is_later
+            if reach is not None and age >= reach:
+                failure = None
         try:
             value = self._present(call, world)
-            if fold.is_of_condition:
-                value = is_true(value, parts_of(call)[0])
-            first = before is None
-            state = fold.first(time, value) if first else fold.step(before[0], time, value)  # type: ignore[index]
+            state = stepped(is_true(value, parts_of(call)[0]) if fold.is_of_condition else value)
+        except LimitError:
+            raise
         except SelectScriptError as error:
-            failure = error
-        return _Folded(snapshot.run, meaning, number, time, state, before, failure)
+            is_missing = isinstance(error, UnknownNameError | RemovedEntityError)
+            failure, age = error, 0
+            reach = 1 if is_missing else fold.reach
+            state = stepped(False if fold.is_of_condition else None)
+        return _Folded(snapshot.run, meaning, number, time, state, before, failure, reach, int(age))
 
     def _present(self, call: Call, world: World) -> Any:
         """Returns the value of a call's expression at the present tick; None where it is NaN."""
