@@ -23,9 +23,10 @@ from ssduck.interpreter.batches.columns import EnvironmentColumns
 from ssduck.interpreter.batches.kernels import EnvironmentShapes, kernels_of
 from ssduck.interpreter.batches.trees import TreeCompiler, kind_of
 from ssduck.interpreter.execution import Execution
+from ssduck.interpreter.over_time.unrecorded import select_of
 from ssduck.interpreter.query_runner import PlannedQuery
 from ssduck.language.evaluator import Frame
-from ssduck.language.tree import ListLiteral, Literal, Name, Node, Placeholder, Query, Source
+from ssduck.language.tree import Name, Node, Placeholder
 from ssduck.schema import BOX, POSE, TWIST
 from ssduck.sql.plan import ParameterBinding
 from ssduck.sql.relation_calls import PAIR_CALL, PairCall
@@ -324,9 +325,7 @@ class CompiledExpressions:
 
     def _plan(self, node: Node, frame: Frame) -> dict[Node, exp.Expr] | None:
         """Returns the SQL of the parts of an expression that have some; None if arrays lack any."""
-        zero = ListLiteral(node.span, (Literal(node.span, 0),))
-        query = Query(node.span, (node,), (Source(node.span, None, zero),))
-        planned = self._execution.planner.planned(query, frame)
+        planned = self._execution.planner.planned(select_of(node), frame)
         self._leaves.note_given(node, frame)
         if planned is None:
             return {}

@@ -19,6 +19,7 @@ from ssduck.interpreter.over_time.series import TickSeries
 from ssduck.interpreter.over_time.unrecorded import (
     UnrecordedFolds,
     copied,
+    meaning_of,
     names_in,
     select_of,
 )
@@ -28,7 +29,6 @@ from ssduck.language.builtins import BUILTINS
 from ssduck.language.clauses import formed
 from ssduck.language.evaluator import EvaluationScope, Frame
 from ssduck.language.tree import Call, Node, Query, TimeIndex
-from ssduck.language.value_keys import ATOMS
 from ssduck.schema import MASSES
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.world.handles import Handle
@@ -141,7 +141,7 @@ class LiveFolds:
         if (
             kept.run != snapshot.run
             or kept.layout is not snapshot.layout
-            or kept.meaning != self._meaning(kept.names)
+            or kept.meaning != meaning_of(self._scope, kept.names)
         ):
             return False
         numbers, times = kept.series.ticks()
@@ -176,7 +176,7 @@ class LiveFolds:
         numbers, times = series.ticks()
         expression, _ = parts_of(call)
         names = names_in(expression)
-        meaning = self._meaning(names)
+        meaning = meaning_of(self._scope, names)
         if meaning is None or not len(numbers) or numbers[-1] != snapshot.number:
             return None
         return _Kept(
@@ -203,23 +203,6 @@ class LiveFolds:
             if isinstance(node, Call) and node.name not in RELATIONS and node.name not in BUILTINS:
                 return False
         return MASSES not in self._tables_read(expression)
-
-    def _meaning(self, names: tuple[str, ...]) -> tuple[Any, ...] | None:
-        """Returns what variables of an expression mean; None if that may change by itself.
-
-        What else it depends on, such as functions, has the planner forget all states.
-        """
-        meaning: list[Any] = []
-        scope = self._scope
-        for name in names:
-            value = scope.variable(name) if scope.has_variable(name) else None
-            if type(value) in ATOMS:
-                meaning.append((name, type(value), repr(value)))
-            elif isinstance(value, World) or (isinstance(value, Handle) and value.moment is None):
-                meaning.append((name, value))
-            else:
-                return None
-        return tuple(meaning)
 
 
 def _is_row(element: Any) -> bool:

@@ -46,6 +46,25 @@ def select_of(expression: Node) -> Query:
     return Query(expression.span, (expression,), (Source(expression.span, None, zero),))
 
 
+def meaning_of(scope: EvaluationScope, names: Sequence[str]) -> tuple[Any, ...] | None:
+    """Returns what variables of an expression mean; None if that may change by itself.
+
+    It holds no world. What else an expression depends on has the planner forget its states.
+    """
+    meaning: list[Any] = []
+    for name in names:
+        value = scope.variable(name) if scope.has_variable(name) else None
+        if type(value) in ATOMS:
+            meaning.append((name, type(value), repr(value)))
+        elif isinstance(value, World):
+            meaning.append((name, value.serial))
+        elif isinstance(value, Handle) and value.moment is None:
+            meaning.append((name, type(value), value.world.serial, value.id))
+        else:
+            return None
+    return tuple(meaning)
+
+
 @dataclass(frozen=True, eq=False)
 class _Folded:
     """The state of a fold at the last tick that was added.
@@ -124,7 +143,7 @@ class UnrecordedFolds:
         fold = TEMPORAL_FUNCTIONS[call.name].fold
         assert fold is not None
         key, names = self._key(call)
-        snapshot, meaning = world.snapshot, self._meaning(names)
+        snapshot, meaning = world.snapshot, meaning_of(self._scope, names)
         last = self._folded.get(key)
         if last is not None and (last.run != snapshot.run or last.meaning != meaning):
             last = None
@@ -147,21 +166,6 @@ class UnrecordedFolds:
         if call not in self._keys:
             self._keys[call] = node_key(call), names_in(parts_of(call)[0])
         return self._keys[call]
-
-    def _meaning(self, names: Sequence[str]) -> tuple[Any, ...] | None:
-        """Returns what variables mean, without the worlds themselves; None if that may change."""
-        meaning: list[Any] = []
-        for name in names:
-            value = self._scope.variable(name) if self._scope.has_variable(name) else None
-            if type(value) in ATOMS:
-                meaning.append((type(value), repr(value)))
-            elif isinstance(value, World):
-                meaning.append(value.serial)
-            elif isinstance(value, Handle) and value.moment is None:
-                meaning.append((type(value), value.world.serial, value.id))
-            else:
-                return None
-        return tuple(meaning)
 
     @staticmethod
     def _follows(world: World, last: _Folded | None) -> bool:
