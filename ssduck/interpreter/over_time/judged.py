@@ -77,7 +77,7 @@ class JudgedFolds:
             with execution.lock:
                 execution.begin_meter()
                 for call in missed:
-                    with suppress(SelectScriptError), execution.worlds_pinned(call):
+                    with suppress(SelectScriptError):
                         Frame(execution).value(call)
 
 
