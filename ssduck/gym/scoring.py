@@ -179,8 +179,8 @@ def _judgements(
         seek(0)
         judge.begin_tick(variables[0], is_first=True)
         judge.check()
-    if is_by_time:
         seek(len(steps.times) - 1)
+    if is_by_time:  # the world is at the last tick
         judgements = judge.judgements(steps.times, variables)
         if judgements is not None:
             yield from _until_stop(judgements[1:])

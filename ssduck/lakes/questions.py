@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -194,7 +194,7 @@ class ScoreQuestion(Question):
     @property
     def reads_present(self) -> bool:
         """Whether it reads more of the last tick than its time."""
-        return True
+        return False  # it goes to the ticks that it reads
 
     def answering(self, interpreter: Interpreter) -> Answering:  # noqa: ARG002
         """Returns a function that answers episodes, with one interpreter for all of them."""
@@ -227,7 +227,7 @@ class StepsQuestion(ScoreQuestion):
         return f"steps {super().key}"
 
     def _told(self, score: EpisodeScore) -> dict[str, Any]:
-        return asdict(score)
+        return {field.name: getattr(score, field.name) for field in fields(score)}
 
 
 def plain(value: Any) -> Any:
