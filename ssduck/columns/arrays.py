@@ -8,8 +8,7 @@ of n rows is (n,), and the values are (k, n), or (1, n) where they are the same 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from itertools import count
 from typing import Any, Protocol, TypeAlias
 
@@ -83,21 +82,19 @@ class ArrayValues(dict[Any, Array]):
         values = self[key] = self._read(key)
         return values
 
-    @contextmanager
-    def narrowed(self, places: Flags) -> Iterator[None]:
-        """Restricts the places at which values matter."""
+    def narrowed(self, places: Flags, part: Compute) -> Array:
+        """Returns the values of an expression that matter at some places only."""
         before = self.active
         self.active = places if before is None else before & places
         try:
-            yield
+            values: Array = part(self)
         finally:
             self.active = before
+        return values
 
     def needs(self, places: Flags) -> bool:
         """Checks whether a value at one of some places matters."""
-        if not np.any(places):
-            return False
-        return self.active is None or bool(np.any(places & self.active))
+        return bool((places if self.active is None else places & self.active).any())
 
     def leave(self, places: Flags) -> None:
         """Leaves the values at some places to others, if any of them matters.
@@ -230,8 +227,7 @@ class ArrayOperations:
 
         def compute(values: ArrayValues) -> Array:
             known = np.atleast_2d(a(values))
-            with values.narrowed(known if is_and else ~known):
-                other = b(values)
+            other = values.narrowed(known if is_and else ~known, b)
             result: Array = known & other if is_and else known | other
             return result
 
@@ -242,8 +238,7 @@ class ArrayOperations:
             left = np.ones((1, values.count), np.bool_)
             result: Array | None = None
             for condition, part in branches:
-                with values.narrowed(left):
-                    holds = left & condition(values)
+                holds = left & values.narrowed(left, condition)
                 result = _chosen(holds, part, result, values)
                 left = left & ~holds
             if values.needs(left):
@@ -324,8 +319,7 @@ def _chosen(holds: Flags, part: Compute, others: Array | None, values: ArrayValu
     Raises:
         LeftToDuckDBError: they are lists of different lengths.
     """
-    with values.narrowed(holds):
-        own = part(values)
+    own = values.narrowed(holds, part)
     if others is None:
         others = np.zeros_like(own)
     if own.ndim > 2 or others.ndim > 2:

@@ -29,6 +29,8 @@ class EnvironmentColumns:
         self._world = world
         self._version = -1
         self._known: dict[tuple[int, str], Array] = {}
+        # The ids and columns of which some number is NaN, or one beside them.
+        self._with_nan: set[tuple[int, str]] = set()
         # What computes the boxes of an entity or a link in all environments.
         self._boxers: dict[int, BoundingBoxes] = {}
 
@@ -58,13 +60,19 @@ class EnvironmentColumns:
         if self._version != self._world.version:
             self._version = self._world.version
             self._known.clear()
+            self._with_nan.clear()
 
     def _note(self, id: int, names: tuple[str, ...], *parts: Array) -> None:
         """Notes columns, from parts of their rows, (n, columns) each."""
+        keys = [(id, name) for name in names]
         columns = [column for part in parts for column in np.ascontiguousarray(part.T)]
-        self._known.update(
-            {(id, name): column for name, column in zip(names, columns, strict=True)}
-        )
+        self._known.update(zip(keys, columns, strict=True))
+        if any(np.isnan(part).any() for part in parts):
+            self._with_nan.update(keys)
+
+    def may_be_nan(self, id: int, name: str) -> bool:
+        """Checks whether a number of a column that was read at this tick may be NaN."""
+        return (id, name) in self._with_nan
 
     def body_of(self, id: int) -> tuple[Body, int]:
         """Returns the body of an entity or a link, and the number of its link there.

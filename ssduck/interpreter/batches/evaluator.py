@@ -163,8 +163,9 @@ class BatchExpressions:
         compiled = self._current(given)
         count = self._world.count
         found, lefts = compiled.values(given, unknown, count)
+        nowhere = np.zeros(0, np.intp)
         rows = [
-            np.arange(count) if values is None else np.flatnonzero(left)
+            np.arange(count) if values is None else np.flatnonzero(left) if left.any() else nowhere
             for values, left in zip(found, lefts, strict=True)
         ]
         single = self._one_by_one(rows, given, unknown)

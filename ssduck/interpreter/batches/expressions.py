@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, TypeVar
 from typing import Literal as OneOf
 
@@ -86,6 +87,8 @@ class Leaves:
         self.engine = engine
         self._kinds: dict[str, Kind] = {}
         self._readers: dict[str, Callable[[Mapping[str, Array]], Array]] = {}
+        # Whether the numbers that were read may be NaN; where nothing tells, each is checked.
+        self._may_be_nan: dict[str, Callable[[], bool]] = {}
         self._fixed: dict[Any, Array] = {}
         # Parts without columns, which the SQL takes as parameters.
         self._parts: dict[str, Expression] = {}
@@ -124,6 +127,8 @@ class Leaves:
             key = f"{value.id} {name}"
             if name in CHANGING:
                 self.note(key, "double", self._column(value.id, name))
+                may_be_nan = self.engine.columns.may_be_nan
+                self._may_be_nan[key] = partial(may_be_nan, value.id, name)
             elif name == "tick":
                 world = self.engine.world
                 self.note(key, "integer", lambda _: np.array([[world.version]]))
@@ -185,6 +190,8 @@ class Leaves:
             raise LeftToDuckDBError
         array = np.array([[value]], dtype=np.float64 if is_list else None)
         self.note(key, "list" if is_list else kind_of(value), lambda _: array)
+        is_nan = array.dtype.kind == "f" and bool(np.isnan(array).any())
+        self._may_be_nan[key] = lambda: is_nan
 
     def note(self, key: str, kind: Kind, read: Callable[[Mapping[str, Array]], Array]) -> None:
         """Notes a leaf: its type, and a function that returns its values, (rows,) or (1, 1)."""
@@ -261,10 +268,10 @@ class Leaves:
     ) -> ArrayValues:
         def read(key: str) -> Array:
             array = self._readers[key](given)
-            if array.dtype.kind == "f":
+            may_be_nan = self._may_be_nan.get(key)
+            if may_be_nan() if may_be_nan else array.dtype.kind == "f":
                 _leave_unknown(array, left)
-            name = key.removesuffix(" given")
-            if name in unknown:
+            if unknown and (name := key.removesuffix(" given")) in unknown:
                 np.logical_or(left, unknown[name], out=left)
             return array if array.ndim > 1 and len(array) == 1 else array[None]
 
@@ -389,6 +396,9 @@ def value_of(compute: Compute | None, values: ArrayValues) -> Array | None:
 
 def _broadcast(result: Array, count: int) -> Array:
     """Returns values (1, count) or (1, count, length) without the first axis."""
+    if result.shape[:2] == (1, count):
+        row: Array = result[0]
+        return row
     if result.ndim > 2:
         return np.broadcast_to(result[0], (count, result.shape[-1]))
     return np.broadcast_to(np.atleast_2d(result)[0], (count,))

@@ -103,8 +103,8 @@ class FormulaSelection:
         mask = np.ones((1, table.count), dtype=np.bool_)
         if self._condition is not None:
             mask = self._rows(self._condition).astype(np.bool_)  # NULL does not hold
-        with self._leaves.narrowed(mask):
-            values = [self._rows(part).copy() for part in self._changing]
+        self._leaves.active = mask
+        values = [self._rows(part).copy() for part in self._changing]
         keys = [_bits(part) for part in values]
         changed: Flags = np.ones(1, dtype=np.bool_)
         if not is_replaced:

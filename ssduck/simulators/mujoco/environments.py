@@ -97,6 +97,8 @@ class MuJoCoEnvironments:
             name: np.broadcast_to(getattr(data, name), (count, *shape))
             for name, shape in self._shapes.items()
         }
+        # The numbers of bodies and sites that were read, by the name of the array and their place.
+        self._columns: dict[tuple[str, int], Array] = {}
         # Before the first tick there are none, so that terms can be checked.
         nothing = np.zeros(0, np.intp), ContactPoints.none()
         self._contacts: EnvironmentContacts | None = EnvironmentContacts(*nothing)
@@ -155,6 +157,7 @@ class MuJoCoEnvironments:
         self._missing = self._shapes.keys() - known.keys()
         unknown = {n: np.full((self.count, *self._shapes[n]), np.nan) for n in self._missing}
         self._arrays, self._contacts, self._read_contacts = known | unknown, contacts, None
+        self._columns = {}
         self.times, self.has_times = times, time is not None
         self.sample = given.get("xpos", given.get("qpos"))
 
@@ -169,6 +172,7 @@ class MuJoCoEnvironments:
             for name, shape in self._shapes.items()
         }
         self._arrays, self._contacts, self.sample = stacked, None, None
+        self._columns = {}
         self._missing = frozenset()
         self.times = np.array([state.time for state in states])
         self.has_times = True
@@ -279,9 +283,9 @@ class MuJoCoEnvironments:
         positions = self._model.jnt_qposadr[numbers]
         velocities = self._model.jnt_dofadr[numbers]
         columns = [
-            self._column("qpos", positions),
-            self._column("qvel", velocities),
-            self._column("qfrc_actuator", velocities),
+            self._joint_column("qpos", positions),
+            self._joint_column("qvel", velocities),
+            self._joint_column("qfrc_actuator", velocities),
         ]
         values = np.stack(columns, axis=-1)
         values[:, [joint.type not in SCALAR_JOINTS for joint in body.joints]] = np.nan
@@ -316,7 +320,15 @@ class MuJoCoEnvironments:
                 "of MJX, or qpos=… and qvel=…"
             )
 
-    def _column(self, name: str, places: Any) -> Array:
+    def _column(self, name: str, place: int) -> Array:
+        """Returns the numbers of a body or a site, (n, columns); each column is contiguous."""
+        key = name, place
+        if key not in self._columns:
+            own = self._arrays[name][:, place]
+            self._columns[key] = np.array(own.T, np.float64, order="C").T
+        return self._columns[key]
+
+    def _joint_column(self, name: str, places: Indices) -> Array:
         return np.array(self._arrays[name][:, places], np.float64)
 
     def _number(self, body: Body, link: int) -> int:
