@@ -472,7 +472,7 @@ _FRAMES = Table(
         Column("link", "integer", "number of the link"),
         *_POSE,
     ),
-    ("recording.row_selection.RecordedRows._copy_link_poses",),
+    ("recording.row_selection.RecordedRows._block",),
     key=("entity", "link"),
     entity_columns=("entity",),
     is_live=False,

@@ -68,6 +68,8 @@ class PinnedWorlds:
         for _, bound in present:
             history = bound.history
             if history is not None and history.recorder is not None:
+                if self._is_settled:
+                    history.recorder.settle()
                 lock = history.recorder.read_lock
                 lock.acquire()
                 undo.append(lock.release)

@@ -203,6 +203,9 @@ class WorldRegistry:
         Args:
             columns: only these columns of the tables of entities; None for all rows there are.
         """
+        for bound in self.bound:
+            if bound.history is not None and bound.history.recorder is not None:
+                bound.history.recorder.settle()
         for bound, snapshot in self._snapshots():
             if columns is None:
                 snapshot.settle()

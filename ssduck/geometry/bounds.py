@@ -111,12 +111,16 @@ class BoundingBoxes:
         """
         boxes = self._group_boxes(positions, matrices)
         if self._planes:
-            extents = self._plane_boxes(positions, matrices)
-            for (_, group), (low, high) in zip(self._planes, extents, strict=True):
-                box = boxes[:, group]
-                np.minimum(box[:3], low, out=box[:3])
-                np.maximum(box[3:], high, out=box[3:])
+            self._extend(boxes, positions, matrices)
         return boxes
+
+    def _extend(self, boxes: Array, positions: Array, matrices: Array) -> None:
+        """Extends boxes, (6, groups) or (n, 6, groups), by those of the planes in the groups."""
+        extents = self._plane_boxes(positions, matrices)
+        for (_, group), (low, high) in zip(self._planes, extents, strict=True):
+            box = boxes[..., group]
+            np.minimum(box[..., :3], low, out=box[..., :3])
+            np.maximum(box[..., 3:], high, out=box[..., 3:])
 
     def single(self, positions: Array, matrices: Array) -> list[float]:
         """Returns the box of the only group at finite poses, as `boxes` does, to the last bit."""
@@ -141,10 +145,11 @@ class BoundingBoxes:
             matrices.take(self._plane_frames, axis=0),
         )
         poses = placed[0].tobytes() + placed[1].tobytes()
-        if self._last_planes is None or self._last_planes[0] != poses:
+        last = self._last_planes
+        if last is None or last[0] != poses:
             boxes = [_plane_box(shape, positions, matrices) for shape, _ in self._planes]
-            self._last_planes = poses, boxes
-        return self._last_planes[1]
+            last = self._last_planes = poses, boxes
+        return last[1]
 
     def _group_boxes(self, positions: Array, matrices: Array) -> Array:
         if self._vectors is None:
@@ -173,18 +178,23 @@ class BoundingBoxes:
         """
         # What stands still does so in all of them.
         is_same = bool((positions == positions[0]).all() and (matrices == matrices[0]).all())
-        if is_same or self._planes or self._vectors is None or len(self._groups) < self._count:
+        if is_same or self._vectors is None:
             rows = range(1 if is_same else len(positions))
             each = np.stack([self.boxes(positions[row], matrices[row]) for row in rows])
             return np.broadcast_to(each, (len(positions), *each.shape[1:]))
         rotations = matrices.take(self._frames, axis=1).transpose(2, 3, 0, 1).copy()
         origins = positions.take(self._frames, axis=1).transpose(2, 0, 1).copy()
         low, high = self._core_boxes(origins, rotations, self._vectors[:, :, None])
-        corners = (
-            np.minimum.reduceat(low, self._starts, axis=-1),
-            np.maximum.reduceat(high, self._starts, axis=-1),
-        )
-        return np.concatenate(corners).transpose(1, 0, 2)
+        boxes = np.repeat(self._empty[None], len(positions), axis=0)
+        boxes[:, :3, self._groups] = np.minimum.reduceat(low, self._starts, axis=-1).swapaxes(0, 1)
+        boxes[:, 3:, self._groups] = np.maximum.reduceat(high, self._starts, axis=-1).swapaxes(0, 1)
+        planes = [poses.take(self._plane_frames, axis=1) for poses in (positions, matrices)]
+        if all((poses == poses[0]).all() for poses in planes):
+            self._extend(boxes, positions[0], matrices[0])
+        else:
+            for row in range(len(boxes)):
+                self._extend(boxes[row], positions[row], matrices[row])
+        return boxes
 
     def _core_boxes(self, origins: Array, rotations: Array, vectors: Array) -> tuple[Array, Array]:
         """Returns the lower and the upper corners of the cores' boxes, (3, …, cores) each.

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -23,7 +24,7 @@ from ssduck.recording.paths import expand_path
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.parquet import PART_TICKS, ParquetStore
 from ssduck.recording.tags import Tags, given_tags
-from ssduck.schema import FRAMES, LINK_FACTOR, RECORDED
+from ssduck.schema import FRAMES, RECORDED
 from ssduck.simulators.interface import LinkPoses
 from ssduck.world import ctrl_c
 from ssduck.world.layout import BodyGroup, EntityInfo, TableLayout
@@ -268,24 +269,16 @@ class _RowMaker:
     entities: Sequence[EntityInfo]
     frames: Frames
     has_links: bool
-    # The bodies of the last number of ticks at once.
-    _groups: dict[int, BodyGroup] = field(default_factory=dict)
 
     def tables(self, batch: PoseBatch, first: int) -> dict[str, pa.Table]:
         """Returns the rows of a batch by table; its first tick gets the number `first`."""
         ticks = np.arange(first, first + len(batch.times))
         counts = len(self.entities), len(self.frames)
-        of_entities, of_links = (np.zeros((19, len(ticks), count)) for count in counts)
-        at_once = max(min(_FRAMES_AT_ONCE // max(counts[1], 1), len(ticks)), 1)
-        for start, poses in _in_portions(batch, at_once):
-            group = self._bodies(at_once)
-            blocks = [np.zeros((19, at_once * count)) for count in counts]
-            group.write_entities(poses, blocks[0])
+        of_entities, of_links = (np.zeros((19, count, len(ticks))) for count in counts)
+        for portion, poses in _in_portions(batch, max(_FRAMES_AT_ONCE // max(counts[1], 1), 1)):
+            self._bodies.write_entities(poses, of_entities[..., portion])
             if self.has_links:
-                group.write_links(poses, blocks[1])
-            end = min(start + at_once, len(ticks))
-            for written, block, count in zip((of_entities, of_links), blocks, counts, strict=True):
-                written[:, start:end] = block.reshape(19, at_once, count)[:, : end - start]
+                self._bodies.write_links(poses, of_links[..., portion])
         flags = np.ones(counts[0], dtype=np.uint8)
         ids = np.arange(1, counts[0] + 1)
         rows = {
@@ -303,17 +296,10 @@ class _RowMaker:
             return rows | {FRAMES: _rows(FRAMES, ticks[:0], batch.times[:0], {})}
         return rows | {"links": self._link_rows(batch, ticks, of_links)}
 
-    def _bodies(self, count: int) -> BodyGroup:
-        """Returns the bodies so many times over: those of as many ticks."""
-        if count not in self._groups:
-            copies = [
-                replace(entity, id=LINK_FACTOR * turn + entity.id, body=replace(entity.body))  # type: ignore[type-var]
-                for turn in range(count)
-                for entity in self.entities
-            ]
-            self._groups.clear()
-            self._groups[count] = TableLayout(copies, is_external=True).moving_bodies
-        return self._groups[count]
+    @cached_property
+    def _bodies(self) -> BodyGroup:
+        """The bodies."""
+        return TableLayout(self.entities, is_external=True).moving_bodies
 
     def _link_rows(self, batch: PoseBatch, ticks: Indices, block: Array) -> pa.Table:
         """Returns the rows of the links of entities that have several."""
@@ -321,7 +307,7 @@ class _RowMaker:
         several = np.flatnonzero(np.bincount(owners, minlength=len(starts))[owners] > 1)
         numbers = {"entity": owners[several] + 1, "link": several - starts[owners[several]]}
         present = batch.present[:, owners[several]]
-        return _numbered("links", batch, ticks, block[:, :, several], present, numbers)
+        return _numbered("links", batch, ticks, block[:, several], present, numbers)
 
 
 def _numbered(
@@ -335,7 +321,7 @@ def _numbered(
     """Returns the rows of a table of poses: of what is present, tick by tick."""
     tick, column = np.nonzero(present)
     names = [name for name in RECORDED[table].tick_columns.doubles if name != "time"]
-    values = {name: block[place][tick, column] for place, name in enumerate(names)}
+    values = {name: block[place][column, tick] for place, name in enumerate(names)}
     return _rows(
         table, ticks[tick], batch.times[tick], values | {n: v[column] for n, v in fixed.items()}
     )
@@ -359,11 +345,11 @@ def _rows(table: str, ticks: Indices, times: Array, values: Mapping[str, Any]) -
     return pa.table(arrays, names=list(types))
 
 
-def _in_portions(batch: PoseBatch, count: int) -> Iterator[tuple[int, LinkPoses]]:
-    """Yields the poses of so many ticks at a time, with the first tick; the last ones fill up."""
+def _in_portions(batch: PoseBatch, count: int) -> Iterator[tuple[slice, LinkPoses]]:
+    """Yields the ticks, so many at a time at most, each time with their poses."""
     for start in range(0, len(batch.times), count):
-        ticks = np.minimum(np.arange(start, start + count), len(batch.times) - 1)
-        poses = batch.poses[ticks].reshape(-1, 7)
-        states = np.concatenate((poses, batch.twists[ticks].reshape(-1, 6)), axis=1)
+        portion = slice(start, min(start + count, len(batch.times)))
+        poses = batch.poses[portion].reshape(-1, 7)
+        states = np.concatenate((poses, batch.twists[portion].reshape(-1, 6)), axis=1)
         positions, orientations = poses[:, :3].copy(), poses[:, 3:].copy()
-        yield start, LinkPoses(positions, rotation_matrices(orientations), states)
+        yield portion, LinkPoses(positions, rotation_matrices(orientations), states)

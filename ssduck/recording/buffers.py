@@ -1,12 +1,13 @@
 """Buffers rows of ticks until they are stored, in numpy arrays that an Arrow table shares.
 
-The table shows new rows at once. Columns that are the same at each tick are prefilled.
+The table shows new rows at once.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,24 @@ MAX_BUFFERED_ROWS = 1 << 17
 _MIN_ROWS = 1024
 # A buffer that is filled to this part, 1 / n, is lent with its rows; fewer rows are copied.
 _LENT_FRACTION = 4
+
+
+@dataclass(frozen=True, eq=False)
+class TickRows:
+    """Rows of some ticks, in the order of these.
+
+    Attributes:
+        integers: the columns of integers by name, `tick` among them.
+        doubles: the columns of doubles, (columns, rows), the time first.
+        booleans: the columns of booleans by name, as 0 and 1.
+    """
+
+    integers: Mapping[str, npt.NDArray[np.int64]]
+    doubles: Array
+    booleans: Mapping[str, npt.NDArray[np.uint8]]
+
+    def __len__(self) -> int:
+        return len(self.doubles[0])
 
 
 class RowBuffer:
@@ -47,9 +66,6 @@ class RowBuffer:
     def _allocate(self, capacity: int) -> None:
         integers, _, booleans = self._names
         self.capacity = capacity
-        # Which owner prefilled the rows, the rows per tick, and whether row 0 is among them.
-        self._prefilled: tuple[object, int] | None = None
-        self._is_prefilled_from_start = False
         arrays = self._take_arrays(capacity)
         self.integers = dict(zip(integers, arrays[: len(integers)], strict=True))
         self.ticks = self.integers["tick"]
@@ -111,27 +127,14 @@ class RowBuffer:
             for name, column in old.items():
                 new[name][buffered] = column[buffered]
 
-    def extend(self, count: int) -> slice:
-        """Adds rows and returns where they are; the caller fills them."""
-        first, self.count = self.count, self.count + count
-        return slice(first, self.count)
-
-    def prefill(self, owner: object, count: int, columns: Callable[[], Mapping[str, Any]]) -> None:
-        """Fills the columns that are the same at each tick, in all unused rows.
-
-        Args:
-            owner: identifies the columns: nothing is done if the same owner filled them last.
-            count: the rows per tick.
-            columns: returns the values of these integer and boolean columns at one tick.
-        """
-        if not count or self._prefilled == (owner, count):
-            return
-        times = -(-(self.capacity - self.count) // count)
-        for name, values in columns().items():
-            column = self.booleans[name] if name in self.booleans else self.integers[name]
-            column[self.count :] = np.tile(values, times)[: self.capacity - self.count]
-        self._prefilled = owner, count
-        self._is_prefilled_from_start = self.count == 0
+    def add(self, rows: TickRows) -> None:
+        """Adds rows, for which there must be room."""
+        place = slice(self.count, self.count + len(rows))
+        self.count = place.stop
+        self.doubles[:, place] = rows.doubles
+        for own, new in ((self.booleans, rows.booleans), (self.integers, rows.integers)):
+            for name, column in new.items():
+                own[name][place] = column
 
     def rows(self) -> pa.Table:
         """Returns the buffered rows, with NULL for NaN."""
@@ -172,8 +175,6 @@ class RowBuffer:
         """Discards the buffered rows."""
         self.ticks[: self.count] = -1
         self.count = 0
-        if not self._is_prefilled_from_start:
-            self._prefilled = None
 
 
 def _is_unreferenced(arrays: list[npt.NDArray[Any]]) -> bool:

@@ -1,11 +1,12 @@
 """Records the ticks of a world as they are taken.
 
-A `Recorder` copies the rows of each tick into buffers (`ssduck.recording.buffers`). When one is
-full, the rows of all of them go to a store, so that the stored rows end with a whole tick. A store
-on a disk gets them in a background thread (`ssduck.recording.background_writer`), while the buffers
-fill again. It gets the first tick at once, and the others at the latest when half of the time is
-over after which they have to be there (`Recording.flush_every`), so that writing them takes the
-other half at most. If no tick comes then, a timer sees to it.
+A `Recorder` keeps the states of ticks as they were read, until there are enough of them or somebody
+reads the record. Then it writes the rows of all of them into buffers (`ssduck.recording.buffers`).
+When these are full, the rows of all of them go to a store, so that the stored rows end with a whole
+tick. A store on a disk gets them in a background thread (`ssduck.recording.background_writer`),
+while the buffers fill again. It gets the first tick at once, and the others at the latest when half
+of the time is over after which they have to be there (`Recording.flush_every`), so that writing
+them takes the other half at most. If no tick comes then, a timer sees to it.
 """
 
 from __future__ import annotations
@@ -26,13 +27,17 @@ from ssduck.recording.row_selection import RecordedRows
 from ssduck.recording.spec import RETENTION_PARTS, Recording
 from ssduck.recording.static_tables import IdProvider
 from ssduck.recording.stores.base import PairRequest, TickArchive, TickStore
+from ssduck.schema import OFTEN_UNKNOWN
 from ssduck.world import ctrl_c
 from ssduck.world.layout import EntityInfo
 from ssduck.world.snapshot import Snapshot
+from ssduck.world.tick_state import TickState
 
 # The largest number of buffered ticks, of a record in a file and in memory.
 BUFFERED_TICKS = 240
 MEMORY_TICKS = 960
+# The largest numbers of ticks whose rows are written at once, and of links at these.
+_BLOCK_TICKS, _BLOCK_LINKS = 64, 2048
 
 
 class Recorder:
@@ -45,7 +50,6 @@ class Recorder:
         flush_every: the time after which a tick is on the disk, s of real time; None for no limit.
 
     Attributes:
-        buffers: the buffered rows, by table.
         ticks: the recorded ticks, stored and buffered.
         members: the recorded entities by id, removed ones included.
         mass_changes: the bodies whose masses have changed since they were recorded.
@@ -63,8 +67,12 @@ class Recorder:
         self.recording = recording
         self._max_ticks = max_ticks
         self._store = store
-        self.buffers = {table: new_buffer(table) for table in store.tables}
-        columns = {table: buffer.arrow.schema for table, buffer in self.buffers.items()}
+        self._buffers = {table: new_buffer(table) for table in store.tables}
+        # The ticks whose rows are not in the buffers yet, the largest number of them, and that of
+        # buffered ticks.
+        self._pending: list[TickState] = []
+        self._most_pending = self._most_buffered = 1
+        columns = {table: buffer.arrow.schema for table, buffer in self._buffers.items()}
         self._writer = BackgroundWriter(store.append, columns)
         self._lock = threading.RLock()
         self._flush_every = flush_every
@@ -87,8 +95,18 @@ class Recorder:
 
     @property
     def visible_rows(self) -> tuple[Mapping[str, RowBuffer | BufferedRows], ...]:
-        """The rows that are not stored yet, by table; read them and the store under `read_lock`."""
-        return (self.buffers,) if self._store.is_in_place else (self._writer.batches, self.buffers)
+        """The rows that are not stored yet, by table.
+
+        Call `settle` before they are read, and read them and the store under `read_lock`.
+        """
+        buffers = self._buffers
+        return (buffers,) if self._store.is_in_place else (self._writer.batches, buffers)
+
+    @property
+    def buffers(self) -> Mapping[str, RowBuffer]:
+        """The buffered rows, by table."""
+        self.settle()
+        return self._buffers
 
     @property
     def read_lock(self) -> threading.Condition:
@@ -112,7 +130,20 @@ class Recorder:
         if (self._tick_count - 1) % self.recording.every:
             return
         with self._lock:
-            self._record(snapshot, self._recorded_rows(snapshot))
+            self._record(snapshot)
+
+    def settle(self) -> None:
+        """Writes the rows of all recorded ticks, for readers of the buffers.
+
+        Raises:
+            RecordError: a number is unknown, so that rows have to be stored in a folder, and cannot
+                be.
+            SqlError: the same of a database.
+        """
+        if self._pending:
+            with self._lock:
+                if self._write_pending():
+                    self.flush()
 
     def check_masses(self, snapshot: Snapshot) -> None:
         """Compares the masses of a snapshot, which were read anew, with the recorded ones."""
@@ -121,37 +152,74 @@ class Recorder:
             if member is not None and masses != member.masses:
                 self.mass_changes.add(id, member.name)
 
-    def _record(self, snapshot: Snapshot, rows: RecordedRows) -> None:
-        counts = {table: rows.count(snapshot, table) for table in self.buffers}
-        error = self._error_of(self._store_new_members)
-        is_due = self._is_storing_due(snapshot.time) or not all(
-            self.buffers[table].has_room(count) for table, count in counts.items()
-        )
-        if is_due:
+    def _record(self, snapshot: Snapshot) -> None:
+        state = snapshot.state
+        assert state is not None
+        is_unknown = self._follow(snapshot, state)
+        error = self._error_of(self._store_new_members) if self._new_members else None
+        if self._is_storing_due(state.time):
             error = self._error_of(self._start_storing) or error
-        elif not self._writer.is_busy:
+        elif not self._has_dropped_old and not self._writer.is_busy:
             error = error or self._error_of(self._drop_old_ticks)
         error = error or self._writer.pop_failure()
-        if is_due or not self.buffers["ticks"].count:
-            ticks = self._ticks_per_buffer(counts)
-            for table, count in counts.items():
-                self.buffers[table].reserve(count, ticks)
-        for table, count in counts.items():
-            rows.copy(snapshot, table, self.buffers[table], count)
-        self.ticks.append(snapshot.number, snapshot.time)
-        self._set_flush_time()
-        error = error or self._error_of(self._flush_if_due)
-        if not snapshot.is_complete:  # the store has NULL where the buffer has NaN
+        self._pending.append(state)
+        self.ticks.append(state.number, state.time)
+        if len(self._pending) >= self._most_pending or not state.moving.are_finite:
+            is_unknown |= self._write_pending()
+        if self._flush_every is not None:
+            self._set_flush_time()
+            error = error or self._error_of(self._flush_if_due)
+        if is_unknown:  # the store has NULL where the buffer has NaN
             error = error or self._error_of(self.flush)
         if error is not None:
             raise error
+
+    def _follow(self, snapshot: Snapshot, state: TickState) -> bool:
+        """Prepares to write the rows of a tick; returns whether rows before have unknown numbers.
+
+        The ticks whose rows are written together have the same entities, and the same poses of
+        those that cannot move.
+        """
+        is_same = self._rows is not None and self._rows.matches(snapshot)
+        if is_same and not (self._pending and self._pending[0].static is not state.static):
+            return False
+        is_unknown = self._write_pending()
+        if not is_same:
+            self._rows = self._recorded_rows(snapshot)
+            self._most_pending = 1  # how many rows a tick has is known then
+        return is_unknown
+
+    def _write_pending(self) -> bool:
+        """Writes the rows of ticks into the buffers; returns whether they have unknown numbers."""
+        states = self._pending
+        if not states:
+            return False
+        assert self._rows is not None
+        rows = self._rows.of_ticks(states)
+        counts = {table: -(-len(of_table) // len(states)) for table, of_table in rows.items()}
+        self._most_buffered = self._ticks_per_buffer(counts)
+        links = max(self._rows.link_count, 1)
+        self._most_pending = max(
+            min(_BLOCK_TICKS, _BLOCK_LINKS // links, self._most_buffered // 2), 1
+        )
+        is_empty = not self._buffers["ticks"].count
+        for table, of_table in rows.items():
+            buffer = self._buffers[table]
+            if is_empty:
+                buffer.reserve(counts[table], self._most_buffered)
+            if not buffer.has_room(len(of_table)):
+                buffer.reserve(len(of_table), 1)
+            buffer.add(of_table)
+        self._pending = []
+        often = OFTEN_UNKNOWN.intersection(rows)
+        return any(np.isnan(rows[table].doubles).any() for table in rows.keys() - often)
 
     def _ticks_per_buffer(self, counts: Mapping[str, int]) -> int:
         """Returns the number of ticks for which the buffers have room."""
         ticks = min(self._max_ticks, MAX_BUFFERED_ROWS // max(counts.values()))
         max_bytes = self.recording.max_bytes
         if isinstance(max_bytes, int):
-            size = sum(count * self.buffers[table].row_bytes for table, count in counts.items())
+            size = sum(count * self._buffers[table].row_bytes for table, count in counts.items())
             ticks = min(ticks, max_bytes // RETENTION_PARTS // size)
         return max(ticks, 1)
 
@@ -181,9 +249,10 @@ class Recorder:
     def _empty_buffers(self) -> None:
         """Moves the buffered rows to a batch of the writer."""
         self.flush_at = None
-        if self.buffers["ticks"].count:
+        self._write_pending()
+        if self._buffers["ticks"].count:
             with self.read_lock:
-                self._writer.put({table: buffer.take() for table, buffer in self.buffers.items()})
+                self._writer.put({table: buffer.take() for table, buffer in self._buffers.items()})
 
     def _set_flush_time(self) -> None:
         """Sets the time at which the rows are stored that came into empty buffers."""
@@ -277,6 +346,7 @@ class Recorder:
 
         The caller holds the world.
         """
+        self.settle()
         with self.read_lock:
             stored = self._archive.fetch(table, first, last)
             buffered = self._buffered_rows(table)
@@ -290,6 +360,7 @@ class Recorder:
 
         The caller holds the world.
         """
+        self.settle()
         with self.read_lock:
             return self._archive.near_pairs(request, self._buffered_rows("entities"))
 
@@ -302,11 +373,11 @@ class Recorder:
 
     def _buffered_rows(self, table: str) -> pa.Table:
         """Returns the rows of a table that are not stored yet."""
-        return pa.concat_tables([self._writer.batches[table].arrow, self.buffers[table].rows()])
+        return pa.concat_tables([self._writer.batches[table].arrow, self._buffers[table].rows()])
 
     def _is_storing_due(self, time: float) -> bool:
         """Checks whether the buffered ticks are enough, or a quarter of what is retained."""
-        buffered = self.buffers["ticks"].count
+        buffered = self._buffers["ticks"].count + len(self._pending)
         if not buffered:
             return False
         recording = self.recording
@@ -314,12 +385,12 @@ class Recorder:
             start = self.ticks.times[-buffered]
             if time - start >= recording.seconds / RETENTION_PARTS:
                 return True
-        if isinstance(recording.max_bytes, int):
-            size = sum(buffer.count * buffer.row_bytes for buffer in self.buffers.values())
-            if size * (1 + 1 / buffered) > recording.max_bytes / RETENTION_PARTS:
+        if isinstance(recording.max_bytes, int) and not self._pending:
+            size = sum(buffer.count * buffer.row_bytes for buffer in self._buffers.values())
+            if size * (1 + self._most_pending / buffered) > recording.max_bytes / RETENTION_PARTS:
                 return True
         quarter = self._max_ticks if recording.ticks is None else recording.ticks // RETENTION_PARTS
-        return buffered >= min(self._max_ticks, max(quarter, 1))
+        return buffered >= min(self._max_ticks, self._most_buffered, max(quarter, 1))
 
     def _first_tick_to_keep(self) -> int | None:
         """Returns the first tick to keep; None if all are kept."""
@@ -335,18 +406,18 @@ class Recorder:
         return int(numbers[first])
 
     def _recorded_rows(self, snapshot: Snapshot) -> RecordedRows:
-        if self._rows is None or not self._rows.matches(snapshot):
-            self._rows = RecordedRows(snapshot, self.recording.entities)
-            masses = snapshot.masses
-            new = [
-                member.with_masses(masses.get(member.id, member.masses))
-                for member in self._rows.members
-                if member.id not in self.members
-            ]
-            self._new_members += new
-            self._id_provider = snapshot
-            self.members |= {member.id: member for member in new}
-        return self._rows
+        """Returns what makes the rows of a tick, and notes its new entities."""
+        rows = RecordedRows(snapshot, self._store.tables, self.recording.entities)
+        masses = snapshot.masses
+        new = [
+            member.with_masses(masses.get(member.id, member.masses))
+            for member in rows.members
+            if member.id not in self.members
+        ]
+        self._new_members += new
+        self._id_provider = snapshot
+        self.members |= {member.id: member for member in new}
+        return rows
 
     def _store_new_members(self) -> None:
         """Stores the models of new entities, before any row of theirs."""

@@ -1,24 +1,54 @@
-"""Selects the rows of a tick that are recorded, and copies them into buffers."""
+"""Selects the rows of ticks that are recorded, and makes them of the states of the ticks."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.geometry.arrays import Indices
-from ssduck.recording.buffers import RowBuffer
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.recording.buffers import TickRows
 from ssduck.recording.spec import chosen_members
-from ssduck.schema import FRAMES, STORED_TABLES, TABLES
-from ssduck.world.layout import TableLayout
-from ssduck.world.live_tables import LiveTable
+from ssduck.schema import FRAMES, RECORDED, STORED_TABLES, TABLES
+from ssduck.simulators.interface import LinkPoses
+from ssduck.world.contact_rows import CONTACT_SIDES, contact_rows
+from ssduck.world.layout import BodyGroup, TableLayout
+from ssduck.world.sensor_readings import SENSING_COLUMNS, sensing_rows
 from ssduck.world.snapshot import Snapshot
+from ssduck.world.tick_state import TickState
 
 # The tables that have the same rows at each tick as long as the entities are the same.
 FIXED_ROW_TABLES = tuple(table.name for table in STORED_TABLES.values() if table.key)
+# The functions that write the poses of tables.
+_WRITERS: Mapping[str, Callable[[BodyGroup, LinkPoses, Array], None]] = {
+    "entities": BodyGroup.write_entities,
+    "links": BodyGroup.write_links,
+    "shapes": BodyGroup.write_shapes,
+}
+# The groups of bodies that are read together, with their link poses at some ticks.
+_Groups: TypeAlias = Sequence[tuple[BodyGroup, LinkPoses]]
+# Columns of integers by name, (rows,), those of doubles without the time, (columns, rows), and the
+# place of each row's tick among the ticks, (rows,).
+_Columns: TypeAlias = tuple[Mapping[str, Indices], Array, Indices]
+
+
+@dataclass(frozen=True, eq=False)
+class _FixedRows:
+    """What is the same at each tick.
+
+    Attributes:
+        count: the number of rows of the table.
+        chosen: those that are recorded; None for all.
+        integers, booleans: the columns of these but the tick, by name.
+    """
+
+    count: int
+    chosen: Indices | None
+    integers: Mapping[str, npt.NDArray[Any]]
+    booleans: Mapping[str, npt.NDArray[Any]]
 
 
 class RecordedRows:
@@ -26,30 +56,37 @@ class RecordedRows:
 
     Args:
         snapshot: the snapshot of a tick.
+        tables: the recorded tables.
         names: the names of the recorded entities; None for all.
 
     Attributes:
         members: the recorded entities.
+        link_count: the number of links of all bodies.
     """
 
-    def __init__(self, snapshot: Snapshot, names: Collection[str] | None) -> None:
-        self._layout = snapshot.layout
+    def __init__(
+        self, snapshot: Snapshot, tables: Collection[str], names: Collection[str] | None
+    ) -> None:
+        self._tables, self._layout = tables, snapshot.layout
         self._flags = snapshot.disabled, snapshot.hidden
         members = self._layout.entities
         self.members = members if names is None else chosen_members(members, names)
-        self._ids = np.array([member.id for member in self.members], dtype=np.int64)
+        # The ids of the recorded entities; None for all.
+        self._ids = None if names is None else np.array([m.id for m in self.members], np.int64)
         ids = {member.id for member in self.members}
         self._link_selections = [
             _select_links(part, self._layout, ids)
             for part in (self._layout.static_bodies, self._layout.moving_bodies)
         ]
-        self._link_count = sum(len(links.indices) for links in self._link_selections)
-        self._fixed_rows: dict[str, Indices | None] = {
-            table: None if names is None else self._rows_of_members(snapshot, table)
-            for table in FIXED_ROW_TABLES
-            if table != "links"
-        }
-        self._fixed_rows["links"] = self._rows_of_links(ids)
+        self.link_count = sum(len(body.links) for _, body in self._layout.bodies)
+        self._fixed = {t: self._fixed_rows(snapshot, t) for t in tables if t in FIXED_ROW_TABLES}
+        if FRAMES in tables:
+            parts = self._link_selections
+            numbers = {
+                "entity": np.concatenate([links.entities for links in parts]),
+                "link": np.concatenate([links.links for links in parts]),
+            }
+            self._fixed[FRAMES] = _FixedRows(len(numbers["link"]), None, numbers, {})
 
     def matches(self, snapshot: Snapshot) -> bool:
         """Checks whether the entities of a snapshot and their flags are the same."""
@@ -57,82 +94,109 @@ class RecordedRows:
             (snapshot.disabled, snapshot.hidden) == self._flags
         )
 
-    def _rows_of_members(self, snapshot: Snapshot, table: str) -> Indices:
+    def _fixed_rows(self, snapshot: Snapshot, table: str) -> _FixedRows:
+        live, columns = snapshot.tables[table], TABLES[table].tick_columns
         (owner,) = TABLES[table].entity_columns
-        return np.flatnonzero(np.isin(snapshot.tables[table][owner], self._ids))
+        is_chosen = np.ones(live.count, bool)
+        if self._ids is not None:
+            is_chosen = np.isin(live[owner], self._ids)
+        if table == "links":  # a body of one link has its pose
+            counts = [len(body.links) for _, body in self._layout.bodies]
+            is_chosen &= np.repeat(counts, counts) > 1
+        rows = np.flatnonzero(is_chosen)
+        return _FixedRows(
+            live.count,
+            None if is_chosen.all() else rows,
+            {name: live[name][rows] for name in columns.integers[1:]},
+            {name: live.booleans(name)[rows] for name in columns.booleans},
+        )
 
-    def _rows_of_links(self, ids: Collection[int]) -> Indices:
-        """Returns the rows of the links of bodies that have several links."""
-        owners = [(id, len(body.links)) for id, body in self._layout.bodies for _ in body.links]
-        rows = [row for row, (id, links) in enumerate(owners) if links > 1 and id in ids]
-        return np.array(rows, dtype=np.intp)
+    # -- the rows of ticks ------------------------------------------------------------------
 
-    def count(self, snapshot: Snapshot, table: str) -> int:
-        """Returns the number of rows of a table that are recorded."""
-        if table == FRAMES:
-            return self._link_count
-        selected = self._selected_rows(snapshot, table)
-        return snapshot.tables[table].count if selected is None else len(selected)
-
-    def _selected_rows(self, snapshot: Snapshot, table: str) -> Indices | None:
-        """Returns the rows of a table that are recorded; None for all."""
-        if table in self._fixed_rows:
-            return self._fixed_rows[table]
-        owners = TABLES[table].entity_columns
-        if not owners or self._fixed_rows["entities"] is None:
-            return None
-        live = snapshot.tables[table]
-        are_selected = [np.isin(live[owner], self._ids) for owner in owners]
-        return np.flatnonzero(np.logical_and.reduce(are_selected))
-
-    def copy(self, snapshot: Snapshot, table: str, buffer: RowBuffer, count: int) -> None:
-        """Copies the recorded rows of a table into a buffer.
+    @np.errstate(invalid="ignore")  # a diverging simulation has infinite numbers
+    def of_ticks(self, states: Sequence[TickState]) -> dict[str, TickRows]:
+        """Returns the rows of ticks, by table.
 
         Args:
-            snapshot: has the rows.
-            table: the name of the table.
-            buffer: gets the rows.
-            count: the number of rows, as `count` returns it.
+            states: the states of the ticks, with these entities, and with one object of the poses
+                of those that cannot move.
         """
-        if table in self._fixed_rows or table == FRAMES:
-            buffer.prefill(self, count, lambda: self._fixed_columns(snapshot, table))
-        rows = buffer.extend(count)
-        buffer.ticks[rows] = snapshot.number
-        if table == FRAMES:
-            self._copy_link_poses(snapshot, buffer, rows)
-            return
-        live: LiveTable = snapshot.tables[table]
-        columns, selected = TABLES[table].tick_columns, self._selected_rows(snapshot, table)
-        doubles = live.block[live.block_rows(columns.doubles)]
-        buffer.doubles[:, rows] = doubles if selected is None else doubles[:, selected]
-        if table not in self._fixed_rows:
-            for name in columns.integers[1:]:
-                column = live[name]
-                buffer.integers[name][rows] = column if selected is None else column[selected]
+        groups: _Groups = (
+            (self._layout.static_bodies, states[0].static),
+            (self._layout.moving_bodies, LinkPoses.joined([state.moving for state in states])),
+        )
+        numbers = np.array([state.number for state in states])
+        times = np.array([state.time for state in states])
+        rows = {}
+        for table in self._tables:
+            integers, doubles, ticks = self._columns(table, states, groups)
+            fixed = self._fixed.get(table)
+            rows[table] = TickRows(
+                {"tick": numbers[ticks], **integers},
+                np.vstack((times[ticks], doubles)),
+                {n: np.tile(v, len(states)) for n, v in fixed.booleans.items()} if fixed else {},
+            )
+        return rows
 
-    def _fixed_columns(self, snapshot: Snapshot, table: str) -> dict[str, npt.NDArray[Any]]:
-        """Returns the integer and boolean columns of a table, without the tick."""
-        if table == FRAMES:
-            return {
-                "entity": np.concatenate([links.entities for links in self._link_selections]),
-                "link": np.concatenate([links.links for links in self._link_selections]),
-            }
-        columns, selected = TABLES[table].tick_columns, self._fixed_rows[table]
-        live = snapshot.tables[table]
-        fixed = {name: live[name] for name in columns.integers[1:]}
-        fixed |= {name: live.booleans(name) for name in columns.booleans}
-        return {n: values if selected is None else values[selected] for n, values in fixed.items()}
+    def _columns(self, table: str, states: Sequence[TickState], groups: _Groups) -> _Columns:
+        """Returns the columns of a table at some ticks, tick after tick."""
+        count = len(states)
+        if table in self._fixed:
+            fixed, block = self._fixed[table], self._block(table, states, groups)
+            chosen = block if fixed.chosen is None else block.take(fixed.chosen, axis=1)
+            return (
+                {name: np.tile(values, count) for name, values in fixed.integers.items()},
+                chosen.swapaxes(1, 2).reshape(len(block), chosen.shape[1] * count),
+                np.arange(count).repeat(chosen.shape[1]),
+            )
+        if table == "ticks":
+            return {}, np.array([[state.wall_time for state in states]]), np.arange(count)
+        make = self._contacts if table == "contacts" else self._sensings
+        integers, doubles, ticks = make(states)
+        if self._ids is None:
+            return integers, doubles, ticks
+        owners = [integers[name] for name in TABLES[table].entity_columns]
+        rows = np.flatnonzero(np.logical_and.reduce([np.isin(ids, self._ids) for ids in owners]))
+        return {n: v[rows] for n, v in integers.items()}, doubles[:, rows], ticks[rows]
 
-    def _copy_link_poses(self, snapshot: Snapshot, buffer: RowBuffer, rows: slice) -> None:
-        buffer.doubles[0, rows] = snapshot.time
-        first = rows.start
-        for links, (_, frames) in zip(self._link_selections, snapshot.body_groups, strict=True):
+    def _block(self, table: str, states: Sequence[TickState], groups: _Groups) -> Array:
+        """Returns the doubles of a table of fixed rows at some ticks, (columns, rows, ticks)."""
+        if table == "joints":
+            joints = [state.joints for state in states if state.joints is not None]
+            return np.stack(joints, axis=-1).swapaxes(0, 1)
+        width = len(RECORDED[table].tick_columns.measured)
+        block = np.zeros((width, self._fixed[table].count, len(states)))
+        if table != FRAMES:
+            for group, poses in groups:
+                _WRITERS[table](group, poses, block)
+            return block
+        first = 0
+        for links, (group, poses) in zip(self._link_selections, groups, strict=True):
             if not len(links.indices):
                 continue
-            target = slice(first, first + len(links.indices))
-            first = target.stop
-            buffer.doubles[1:4, target] = frames.positions.take(links.indices, axis=0).T
-            buffer.doubles[4:, target] = frames.states[:, 3:7].take(links.indices, axis=0).T
+            values = np.concatenate((poses.positions, poses.orientations), axis=1)
+            at_ticks = values.reshape(-1, group.link_count, width)
+            end = first + len(links.indices)
+            block[:, first:end] = at_ticks[:, links.indices].transpose(2, 1, 0)
+            first = end
+        return block
+
+    def _contacts(self, states: Sequence[TickState]) -> _Columns:
+        """Returns the columns of the table of contacts."""
+        contacts = [state.contacts for state in states]
+        points, counts = contacts[0].joined(contacts)
+        ticks = np.arange(len(states)).repeat(counts)
+        entities = self._layout.ids_of_handles[points.bodies]
+        sides, numbers = contact_rows(points, entities, ticks)
+        return dict(zip(CONTACT_SIDES, sides, strict=True)), numbers, ticks
+
+    def _sensings(self, states: Sequence[TickState]) -> _Columns:
+        """Returns the columns of the table of sensings."""
+        parts = [sensing_rows(state.readings, self._layout.rows) for state in states]
+        ticks = np.arange(len(states)).repeat([len(part) for part in parts])
+        *integers, measured = np.concatenate(parts).T
+        columns = zip(SENSING_COLUMNS[:-1], integers, strict=True)
+        return {name: v.astype(np.int64) for name, v in columns}, measured[None], ticks
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Literal, Protocol, TypeAlias
+from typing import Literal, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -173,9 +173,10 @@ class LinkPoses:
             the point x y z, the angular velocity x y z.
         are_finite: whether the states are surely finite.
         orientations: (n, 4), those of the states, if they are there before these.
+        source: what all of these follow from, if the simulator keeps that; see `joined`.
 
     Attributes:
-        positions, are_finite: see above.
+        positions, are_finite, source: see above.
     """
 
     def __init__(
@@ -186,23 +187,38 @@ class LinkPoses:
         *,
         are_finite: bool = False,
         orientations: Array | None = None,
+        source: PosesSource | None = None,
     ) -> None:
-        self.positions, self.are_finite = positions, are_finite
+        self.positions, self.are_finite, self.source = positions, are_finite, source
         self._matrices, self._states, self._orientations = matrices, states, orientations
+
+    @classmethod
+    def joined(cls, ticks: Sequence[LinkPoses]) -> LinkPoses:
+        """Returns the poses of the same links at several ticks, one tick after the other."""
+        if len(ticks) == 1:
+            return ticks[0]
+        sources = [tick.source for tick in ticks]
+        first = sources[0]
+        if first is not None and all(s is not None and s.derive == first.derive for s in sources):
+            return first.derive(np.stack([source.numbers for source in sources if source]))
+        parts = zip(*((t.positions, t.matrices, t.states) for t in ticks), strict=True)
+        return cls(*map(np.concatenate, parts), are_finite=all(t.are_finite for t in ticks))
 
     @property
     def matrices(self) -> Array:
         """The orientations of the link frames, (n, 3, 3)."""
-        if callable(self._matrices):
-            self._matrices = self._matrices()
-        return self._matrices
+        matrices = self._matrices  # another thread may ask for them, too
+        if callable(matrices):
+            matrices = self._matrices = matrices()
+        return matrices
 
     @property
     def states(self) -> Array:
         """The states, (n, 13)."""
-        if callable(self._states):
-            self._states = self._states()
-        return self._states
+        states = self._states
+        if callable(states):
+            states = self._states = states()
+        return states
 
     @property
     def orientations(self) -> Array:
@@ -223,6 +239,18 @@ class LinkPoses:
         states[:, 7:10] += cross(states[:, 10:], points - states[:, :3])
         states[:, :3] = points
         return states
+
+
+class PosesSource(NamedTuple):
+    """The simulator's own numbers at a tick, which link poses follow from.
+
+    Attributes:
+        numbers: (k,), the numbers.
+        derive: returns the link poses of t ticks, one tick after the other, of numbers (t, k).
+    """
+
+    numbers: Array
+    derive: Callable[[Array], LinkPoses]
 
 
 @dataclass(frozen=True)
@@ -263,6 +291,13 @@ class ContactPoints:
         """Returns all of them; see `Contacts`."""
         return self
 
+    @classmethod
+    def joined(cls, ticks: Sequence[Contacts]) -> tuple[ContactPoints, Indices]:
+        """Returns the contacts of several ticks, one tick after the other; see `Contacts`."""
+        points = [tick.all() for tick in ticks]
+        columns = zip(*(vars(one).values() for one in points), strict=True)
+        return cls(*map(np.concatenate, columns)), np.array([len(one) for one in points], np.intp)
+
     def only(self, are_chosen: Flags) -> ContactPoints:
         """Returns some of them."""
         return ContactPoints(*(values[are_chosen] for values in vars(self).values()))
@@ -289,6 +324,9 @@ class Contacts(Protocol):
 
     def all(self) -> ContactPoints:
         """Returns all of them."""
+
+    def joined(self, ticks: Sequence[Contacts], /) -> tuple[ContactPoints, Indices]:
+        """Returns all contacts of ticks, this one among them, and the number of each tick's."""
 
     def between(self, a: int, b: int, *, pressing: bool) -> tuple[Indices, Indices]:
         """Returns the bodies and links, (n, 2) each, of those of two bodies.

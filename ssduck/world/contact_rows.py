@@ -19,7 +19,8 @@ from ssduck.world.live_tables import LiveTable
 _LINK_BITS = 32
 _LINK = (1 << _LINK_BITS) - 1
 
-# a, its link, b and its link, (n,) each.
+# The columns of sides: a, its link, b and its link, (n,) each.
+CONTACT_SIDES = ("a", "link_a", "b", "link_b")
 Sides: TypeAlias = tuple[Indices, Indices, Indices, Indices]
 
 
@@ -29,7 +30,7 @@ def write_contacts(table: LiveTable, contacts: ContactPoints, layout: TableLayou
     if not len(contacts):
         return
     sides, numbers = contact_rows(contacts, layout.ids_of_handles[contacts.bodies])
-    for name, column in zip(("a", "link_a", "b", "link_b"), sides, strict=True):
+    for name, column in zip(CONTACT_SIDES, sides, strict=True):
         table[name][:] = column
     table.doubles("ax", "fz")[:] = numbers
 
@@ -76,15 +77,19 @@ def contact_pairs(
     return ContactPairs(between, columns)
 
 
-def contact_rows(contacts: ContactPoints, entities: Indices) -> tuple[Sides, Array]:
+def contact_rows(
+    contacts: ContactPoints, entities: Indices, ticks: Indices | None = None
+) -> tuple[Sides, Array]:
     """Returns contacts with a < b, normals from b to a and forces on a, in order.
 
     Args:
         contacts: the contacts.
         entities: (n, 2), the ids of their bodies.
+        ticks: (n,), numbers of their ticks, ascending; None for contacts of one tick.
 
     Returns:
         The sides; (14, n), the points, the normal, the depth, the normal force and the whole force.
+        Of several ticks, they stay tick by tick.
     """
     first, second = ((entities << _LINK_BITS) | contacts.links).T
     is_swapped = first > second
@@ -97,21 +102,21 @@ def contact_rows(contacts: ContactPoints, entities: Indices) -> tuple[Sides, Arr
     numbers[9], numbers[10] = contacts.depths, contacts.forces
     np.add(contacts.forces * normals, sign * contacts.frictions.T, out=numbers[11:])
     a, b = np.minimum(first, second), np.maximum(first, second)
-    order = _order(a, b, numbers)
+    order = _order((b, a) if ticks is None else (b, a, ticks), numbers)
     a, b = a.take(order), b.take(order)
     sides = a >> _LINK_BITS, a & _LINK, b >> _LINK_BITS, b & _LINK
     return sides, numbers.take(order, axis=1)
 
 
-def _order(sides_a: Indices, sides_b: Indices, numbers: Array) -> Indices:
-    """Returns the order of contacts by a, b, the points, and the normal force.
+def _order(keys: tuple[Indices, ...], numbers: Array) -> Indices:
+    """Returns the order of contacts by the last key first, then the points, and the normal force.
 
     Few contacts have an equal x of the point on a, so the other coordinates are compared for these
     only. Points that coincide differ in their forces.
     """
-    order = np.lexsort((numbers[0], sides_b, sides_a))
-    a, b, x = sides_a.take(order), sides_b.take(order), numbers[0].take(order)
-    is_same_side = (a[1:] == a[:-1]) & (b[1:] == b[:-1])
+    order = np.lexsort((numbers[0], *keys))
+    x, ordered = numbers[0].take(order), [key.take(order) for key in keys]
+    is_same_side = np.logical_and.reduce([key[1:] == key[:-1] for key in ordered])
     # The place of each contact that the next one is tied with.
     before = (is_same_side & ~(x[1:] > x[:-1])).nonzero()[0]
     if not len(before):
@@ -122,6 +127,6 @@ def _order(sides_a: Indices, sides_b: Indices, numbers: Array) -> Indices:
     # The same number for tied contacts: both terms rise by 1 from one of them to the next.
     groups = np.arange(len(tied)) - before.searchsorted(tied)
     rows = order[tied]
-    keys = numbers.take(rows, axis=1)
-    order[tied] = rows[np.lexsort((keys[10], *keys[5::-1], groups))]
+    places = numbers.take(rows, axis=1)
+    order[tied] = rows[np.lexsort((places[10], *places[5::-1], groups))]
     return order

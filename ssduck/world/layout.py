@@ -170,6 +170,7 @@ class BodyGroup:
 
     Attributes:
         bodies: the bodies.
+        link_count: the number of their links.
         runs: the range of each body's links among the link poses of the group.
         sensors: the sensors on them.
         sensors_on_links: whether a sensor is mounted on a link other than a base.
@@ -187,6 +188,7 @@ class BodyGroup:
         self._bases = starts[:-1]
         runs = map(slice, starts[:-1].tolist(), starts[1:].tolist())
         self.runs = dict(zip(self.bodies, runs, strict=True))
+        self.link_count = sum(counts)
         self._link_rows = _runs([first[info.id][0] for info in entities], counts)
         # The regions of sites, by the place of the link.
         self._regions = {
@@ -217,10 +219,7 @@ class BodyGroup:
         ]
         mount_positions = np.array([mount.position for mount in self._mounts]).reshape(-1, 3)
         self._mount_positions = mount_positions.T[..., None]  # x, y and z, each (n, 1)
-        # Multiplying by a constant quaternion is a matrix product of fixed rows.
-        self._turn_matrices = np.array(
-            [multiply(np.eye(4), np.tile(m.orientation, (4, 1))) for m in self._mounts]
-        )
+        self._turns = np.array([mount.orientation for mount in self._mounts]).reshape(-1, 4)
         # The rows in the table of entities, and the frame of each.
         rows = [layout.rows[info.id] for info in (*entities, *sensors)]
         self._rows = np.array(rows, dtype=np.intp)
@@ -236,10 +235,34 @@ class BodyGroup:
         self._last_single_boxes: tuple[LinkPoses, dict[range, list[float]]] | None = None
         self._single_boxers: dict[range, BoundingBoxes] = {}
 
-    # The columns x to zmax of the tables of entities and links are pose, velocities and box.
+    # The columns x to zmax of the tables of entities and links are pose, velocities and box. What
+    # writes rows takes the link poses of one tick or of several, one tick after the other.
+
+    def _ticks_of(self, link_poses: LinkPoses) -> int:
+        """Returns the number of ticks of link poses."""
+        return max(len(link_poses.positions) // max(self.link_count, 1), 1)
+
+    def _at_ticks(self, links: Indices, link_poses: LinkPoses) -> Indices:
+        """Returns the places of links in link poses: the first one's at all ticks come first."""
+        ticks = self._ticks_of(link_poses)
+        if ticks == 1:
+            return links
+        return (links[:, None] + self.link_count * np.arange(ticks)).reshape(-1)
+
+    def _bounds(self, boxer: BoundingBoxes, link_poses: LinkPoses) -> Array:
+        """Returns boxes of shapes, (6, boxes) or (6, boxes, ticks)."""
+        ticks, positions, matrices = (
+            self._ticks_of(link_poses),
+            link_poses.positions,
+            link_poses.matrices,
+        )
+        if ticks == 1:
+            return boxer.boxes(positions, matrices)
+        placed = positions.reshape(ticks, -1, 3), matrices.reshape(ticks, -1, 3, 3)
+        return boxer.over(*placed).transpose(1, 2, 0)
 
     def write_entities(self, link_poses: LinkPoses, block: Array) -> None:
-        """Writes the rows of the bodies and of their sensors; `block` is (19, entities)."""
+        """Writes the rows of the bodies and of their sensors; `block` is (19, entities, ticks)."""
         self.write_states(link_poses, block)
         self.write_boxes(link_poses, block)
 
@@ -251,7 +274,7 @@ class BodyGroup:
         Returns:
             Whether the numbers are surely known, and no number of the table was written.
         """
-        block = table.doubles("x", "zmax")
+        block = table.doubles("x", "zmax")[..., None]
         is_later = link_poses.are_finite and table.is_complete and not self._mounts
         if is_later:
             parts = link_poses, block
@@ -269,19 +292,19 @@ class BodyGroup:
 
     def _write_positions(self, link_poses: LinkPoses, block: Array) -> None:
         """Writes the positions of these rows, if there are no sensors."""
-        block[:3, self._rows] = link_poses.positions.take(self._row_frames, axis=0).T
+        block[:3, self._rows, 0] = link_poses.positions.take(self._row_frames, axis=0).T
 
     def _write_position(self, link_poses: LinkPoses, block: Array, row: int) -> None:
         """Writes the position of a row, likewise."""
         place = self._places.get(row)
         if place is not None:
-            block[:3, row] = link_poses.positions[self._bases[place]]
+            block[:3, row, 0] = link_poses.positions[self._bases[place]]
 
     def _write_box(self, link_poses: LinkPoses, block: Array, row: int) -> None:
         """Writes the box of a row, likewise."""
         place = self._places.get(row)
         if place is not None:
-            block[-6:, row] = self._box_of_body(link_poses, place)
+            block[-6:, row, 0] = self._box_of_body(link_poses, place)
 
     @cached_property
     def _places(self) -> dict[int, int]:
@@ -290,31 +313,37 @@ class BodyGroup:
 
     def write_states(self, link_poses: LinkPoses, block: Array) -> bool:
         """Writes the poses and velocities of these rows; returns whether all are finite."""
-        positions = link_poses.positions.take(self._row_frames, axis=0)
-        first = len(self.bodies)
+        frames, ticks = self._at_ticks(self._row_frames, link_poses), self._ticks_of(link_poses)
+        positions = link_poses.positions.take(frames, axis=0)
+        first = len(self.bodies) * ticks
         if self._mounts:
-            positions[first:] += self._mount_offsets(link_poses)
-        states = link_poses.states_at(positions, self._row_frames)
+            matrices = link_poses.matrices.take(frames[first:], axis=0)
+            positions[first:] += self._mount_offsets(matrices)
+        states = link_poses.states_at(positions, frames)
         if self._mounts:
-            states[first:, 3:7] = np.einsum("ni,nij->nj", states[first:, 3:7], self._turn_matrices)
-        block[: states.shape[1], self._rows] = states.T
+            turns = self._turns.repeat(ticks, axis=0)
+            states[first:, 3:7] = multiply(states[first:, 3:7], turns)
+        block[:13, self._rows] = states.T.reshape(13, len(self._rows), ticks)
         return bool(np.isfinite(states).all())
 
-    def _mount_offsets(self, link_poses: LinkPoses) -> Array:
+    def _mount_offsets(self, columns: Array) -> Array:
         """Returns the vectors from the links' origins to the sensors on them, (n, 3).
 
         Their terms are added in the order of `BoundingBoxes`, so that the box of a sensor is its
         point to the last bit.
+
+        Args:
+            columns: (n, 3, 3), the orientations of the links.
         """
-        columns = link_poses.matrices.take(self._row_frames[len(self.bodies) :], axis=0)
-        x, y, z = self._mount_positions
+        ticks = len(columns) // len(self._mounts)
+        x, y, z = self._mount_positions.repeat(ticks, axis=1)
         offsets: Array = columns[:, :, 0] * x + columns[:, :, 1] * y + columns[:, :, 2] * z
         return offsets
 
     def write_boxes(self, link_poses: LinkPoses, block: Array) -> None:
         """Writes the boxes of these rows, the last columns."""
-        boxes = self._entity_boxes(link_poses)
-        block[-len(boxes) :, self._rows] = boxes
+        ticks = self._ticks_of(link_poses)
+        block[-6:, self._rows] = self._entity_boxes(link_poses).reshape(6, len(self._rows), ticks)
 
     def sensor_poses(self, link_poses: LinkPoses) -> tuple[Array, Array]:
         """Returns positions (n, 3), m, and rotation matrices (n, 3, 3) of the sensors."""
@@ -328,24 +357,34 @@ class BodyGroup:
         return positions, rotation_matrices(orientations)
 
     def write_links(self, link_poses: LinkPoses, block: Array) -> None:
-        """Writes the rows of the links; `block` is (19, links)."""
-        count = len(self._link_rows)
-        states = link_poses.states_at(link_poses.positions, np.arange(count))
-        boxes = self._boxes(link_poses)[:, :count]
-        block[:, self._link_rows] = np.concatenate((states.T, boxes))
+        """Writes the rows of the links; `block` is (19, links, ticks)."""
+        count, ticks = self.link_count, self._ticks_of(link_poses)
+        links = self._at_ticks(np.arange(count), link_poses)
+        states = link_poses.states_at(link_poses.positions.take(links, axis=0), links)
+        boxes = self._boxes(link_poses)[:, :count].reshape(6, count * ticks)
+        rows = np.concatenate((states.T, boxes))
+        block[:, self._link_rows] = rows.reshape(19, count, ticks)
 
     def write_shapes(self, link_poses: LinkPoses, block: Array) -> None:
-        """Writes the rows of the shapes; `block` is (13, shapes): pose, box."""
+        """Writes the rows of the shapes; `block` is (13, shapes, ticks): pose, box."""
         positions, orientations, boxes = self.place_shapes(link_poses)
-        block[:, self.shape_rows] = np.concatenate((positions.T, orientations.T, boxes))
+        rows = np.concatenate((positions.T, orientations.T, boxes.reshape(6, len(positions))))
+        block[:, self.shape_rows] = rows.reshape(
+            13, len(self.shape_rows), self._ticks_of(link_poses)
+        )
 
     def place_shapes(self, link_poses: LinkPoses) -> tuple[Array, Array, Array]:
         """Returns positions (n, 3), orientations (n, 4) and boxes (6, n) of the shapes.
 
-        Those of the last poses are kept: few bodies that cannot move ever have others.
+        Those of the last poses are kept: few bodies that cannot move ever have others. At several
+        ticks, the first shape comes first, at all of them; boxes are (6, shapes, ticks).
         """
-        if self._last_shapes is None or self._last_shapes[0] is not link_poses:
-            links, inner_positions, inner_orientations = self._shape_places
+        last = self._last_shapes
+        if last is None or last[0] is not link_poses:
+            links, *inner = self._shape_places
+            ticks = self._ticks_of(link_poses)
+            links = self._at_ticks(links, link_poses)
+            inner_positions, inner_orientations = (part.repeat(ticks, axis=0) for part in inner)
             positions = link_poses.positions.take(links, axis=0)
             orientations = link_poses.orientations.take(links, axis=0)
             if self._are_shapes_at_links and link_poses.are_finite:
@@ -355,17 +394,20 @@ class BodyGroup:
                 positions += rotate(link_poses.matrices.take(links, axis=0), inner_positions)
                 orientations = multiply(orientations, inner_orientations)
             placed = positions, orientations, self.shape_boxes(link_poses)
-            self._last_shapes = link_poses, placed
-        return self._last_shapes[1]
+            last = self._last_shapes = link_poses, placed
+        return last[1]
 
     def shape_boxes(self, link_poses: LinkPoses) -> Array:
-        """Returns the boxes of the shapes, (6, shapes)."""
+        """Returns the boxes of the shapes, (6, shapes), or (6, shapes, ticks)."""
         if self._are_shapes_links:
             return self._boxes(link_poses)[:, : len(self._shapes)]
-        if self._last_shape_boxes is None or self._last_shape_boxes[0] is not link_poses:
-            boxes = self._shape_boxer.boxes(link_poses.positions, link_poses.matrices)
-            self._last_shape_boxes = link_poses, boxes
-        return self._last_shape_boxes[1]
+        last = self._last_shape_boxes
+        if last is None or last[0] is not link_poses:
+            last = self._last_shape_boxes = (
+                link_poses,
+                self._bounds(self._shape_boxer, link_poses),
+            )
+        return last[1]
 
     def shape_box(self, link_poses: LinkPoses, number: int) -> list[float]:
         """Returns the box of a shape, that of `shape_boxes`."""
@@ -386,9 +428,10 @@ class BodyGroup:
 
     def _single_box(self, link_poses: LinkPoses, shapes: range) -> list[float]:
         """Returns the box of some shapes; few programs need those of all at a tick."""
-        if self._last_single_boxes is None or self._last_single_boxes[0] is not link_poses:
-            self._last_single_boxes = link_poses, {}
-        boxes = self._last_single_boxes[1]
+        last = self._last_single_boxes
+        if last is None or last[0] is not link_poses:
+            last = self._last_single_boxes = link_poses, {}
+        boxes = last[1]
         if shapes not in boxes:
             boxer = self._single_boxers.get(shapes)
             if boxer is None:
@@ -419,7 +462,7 @@ class BodyGroup:
     def _are_shapes_links(self) -> bool:
         """Whether each link has one shape, in the order of the links: then it has its box."""
         frames = [shape.frame for shape in self._shapes]
-        return frames == list(range(len(self._link_rows)))
+        return frames == list(range(self.link_count))
 
     @cached_property
     def _are_shapes_at_links(self) -> bool:
@@ -450,7 +493,7 @@ class BodyGroup:
         return link_poses.positions[rows], link_poses.orientations[rows], boxes
 
     def _entity_boxes(self, link_poses: LinkPoses) -> Array:
-        """Returns the boxes of the bodies, then those of the sensors, (6, entities)."""
+        """Returns the boxes of the bodies, then those of the sensors, as `_boxes` does."""
         # The poses of sensors take them, and later the boxes themselves, often of the same tick.
         last = self._last_entity_boxes
         if last is None or last[0] is not link_poses:
@@ -461,12 +504,12 @@ class BodyGroup:
         """Computes them from the boxes of the links."""
         boxes = self._boxes(link_poses)
         links, starts = self._bounding_links
-        if len(links) == len(starts) and len(links) == len(self._link_rows):
+        if len(links) == len(starts) and len(links) == self.link_count:
             return boxes
         of_links = boxes.take(links, axis=1)
         low = np.minimum.reduceat(of_links[:3], starts, axis=1)
         high = np.maximum.reduceat(of_links[3:], starts, axis=1)
-        return np.concatenate((np.vstack((low, high)), boxes[:, len(self._link_rows) :]), axis=1)
+        return np.concatenate((np.vstack((low, high)), boxes[:, self.link_count :]), axis=1)
 
     @cached_property
     def _bounding_links(self) -> tuple[Indices, Indices]:
@@ -474,23 +517,23 @@ class BodyGroup:
 
         These have shapes. A body without any has the box of its base.
         """
-        is_bounding = np.zeros(len(self._link_rows), dtype=bool)
+        is_bounding = np.zeros(self.link_count, dtype=bool)
         is_bounding[[shape.frame for shape in self._shapes]] = True
         is_bounding[[self.runs[body].start for body in self.bodies if not body.shapes]] = True
         links = np.flatnonzero(is_bounding)
         return links, np.searchsorted(links, self._bases)
 
     def _boxes(self, link_poses: LinkPoses) -> Array:
-        """Returns the boxes of the links, then those of the sensors, (6, links + sensors)."""
-        if self._last_boxes is None or self._last_boxes[0] is not link_poses:
-            boxes = self._boxer.boxes(link_poses.positions, link_poses.matrices)
-            self._last_boxes = link_poses, boxes
-        return self._last_boxes[1]
+        """Returns the boxes of links, then those of sensors, (6, n) or (6, n, ticks)."""
+        last = self._last_boxes
+        if last is None or last[0] is not link_poses:
+            last = self._last_boxes = link_poses, self._bounds(self._boxer, link_poses)
+        return last[1]
 
     @cached_property
     def _boxer(self) -> BoundingBoxes:
         owners = [shape.frame for shape in self._shapes]
-        links = len(self._link_rows)
+        links = self.link_count
         bare = sorted(set(range(links)) - set(owners))
         points = [_centred(frame, self._regions.get(frame, _POINT)) for frame in bare]
         count = links + len(self._mounts)

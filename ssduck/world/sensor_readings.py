@@ -22,6 +22,7 @@ from ssduck.simulators.sensor_types import SENSOR_TYPES
 from ssduck.world.layout import EntityInfo, TableLayout
 from ssduck.world.live_tables import LiveTable
 
+SENSING_COLUMNS = ("sensor", "entity", "hits", "rays", "measured")
 # Sums of time steps deviate by less than this, s.
 _ROUNDING = 1e-9
 
@@ -345,11 +346,18 @@ def _contact_reading(info: EntityInfo, context: TickContext, contacts: ContactPo
 def write_sensings(
     table: LiveTable, readings: Mapping[int, Reading], entities: Container[int]
 ) -> None:
-    """Writes readings, by the ids of their sensors, into the table of sensings.
+    """Writes the rows of readings into the table of sensings; see `sensing_rows`."""
+    numbers = sensing_rows(readings, entities)
+    table.resize(len(numbers))
+    for name, column in zip(SENSING_COLUMNS, numbers.T, strict=True):
+        table[name][:] = column
+
+
+def sensing_rows(readings: Mapping[int, Reading], entities: Container[int]) -> Array:
+    """Returns rows of the table of sensings, (n, 5), whose columns are `SENSING_COLUMNS`.
 
     Args:
-        table: the table.
-        readings: the readings.
+        readings: the readings, by the ids of their sensors.
         entities: the ids of the entities that are there; others were removed since.
     """
     rows = [
@@ -358,7 +366,4 @@ def write_sensings(
         for entity, hits in reading.hits.items()
         if entity in entities
     ]
-    table.resize(len(rows))
-    numbers = np.array(rows, dtype=np.float64).reshape(-1, 5)
-    for column, name in enumerate(("sensor", "entity", "hits", "rays", "measured")):
-        table[name][:] = numbers[:, column]
+    return np.array(rows, dtype=np.float64).reshape(-1, len(SENSING_COLUMNS))

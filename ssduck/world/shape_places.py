@@ -112,11 +112,11 @@ class TickPlaces(ShapePlaces):
 
     def entity_boxes(self) -> Array:
         """Returns the boxes of the entities by row, (6, entities)."""
-        boxes = np.zeros((6, len(self._layout.entities)))
+        boxes = np.zeros((6, len(self._layout.entities), 1))
         with np.errstate(invalid="ignore"):
             for group, poses in self._groups:
                 group.write_boxes(poses, boxes)
-        return boxes
+        return boxes[..., 0]
 
     def pose(self, shape: int) -> tuple[list[float], list[float]]:
         """Returns the position and the orientation of a shape."""

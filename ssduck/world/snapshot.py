@@ -16,7 +16,7 @@ from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from functools import partial
 from itertools import chain
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -42,7 +42,6 @@ from ssduck.world.live_tables import LiveTable
 from ssduck.world.model_columns import joint_columns, link_columns, shape_columns
 from ssduck.world.run_numbers import new_run
 from ssduck.world.sensor_readings import (
-    Reading,
     SensorReader,
     TickContext,
     has_rays,
@@ -50,26 +49,7 @@ from ssduck.world.sensor_readings import (
     write_sensings,
 )
 from ssduck.world.tick_geometry import TickGeometry
-
-
-class _TickState(NamedTuple):  # made faster than a dataclass is
-    """The state of a simulator at a tick, as far as it was read.
-
-    Attributes:
-        static: the link poses of the bodies that cannot move.
-        moving: those of the other bodies.
-        joints: position, velocity and effort of all joints, (joints, 3); None if not read.
-        contacts: the contacts; empty if not read.
-        readings: the last reading of each sensor, by its id.
-        sensors: the ids of the sensors whose readings are up to date.
-    """
-
-    static: LinkPoses
-    moving: LinkPoses
-    joints: Array | None
-    contacts: Contacts
-    readings: Mapping[int, Reading]
-    sensors: frozenset[int]
+from ssduck.world.tick_state import TickState
 
 
 class Snapshot(TickGeometry):
@@ -89,12 +69,14 @@ class Snapshot(TickGeometry):
         geometries: the ids in the table of geometries, by the keys of the geometries.
         warns_of_unknown: whether it warns of poses and velocities that are not numbers.
         run: the number of the run that the ticks belong to; a what-if world has its own.
+        state: the state of the simulator at the tick; None before the first one.
     """
 
     def __init__(self, geometries: dict[str, int] | None = None, run: int | None = None) -> None:
         super().__init__()
         self.run = new_run() if run is None else run
         self._tables = {name: LiveTable(table.columns) for name, table in STORED_TABLES.items()}
+        self.state: TickState | None = None
         # The contacts of this tick, and those that are not in the table yet; see `tables`.
         self.contact_points: Contacts = ContactPoints.none()
         self._are_contacts_written = True
@@ -420,7 +402,9 @@ class Snapshot(TickGeometry):
         if not same:
             self._lay_out(layout)
             self.load_order = load_order
-        self._read = frozenset(tables)
+        if is_again and self.state is not None:
+            state = state._replace(wall_time=self.state.wall_time)
+        self.state, self._read = state, frozenset(tables)
         self._shapes = self._shapes_and_sites = self._boxes = None
         self.number, self.time = number, simulator.time
         is_static_new = state.static is not self._static
@@ -435,7 +419,7 @@ class Snapshot(TickGeometry):
         if "sensings" in tables:
             write_sensings(self._tables["sensings"], state.readings, self.rows)
         if not self._is_past and not is_again:
-            self._tables["ticks"]["wall_time"].fill(time.time())
+            self._tables["ticks"]["wall_time"].fill(state.wall_time)
         self._finish(known)
 
     def is_still_of(self, simulator: Simulator, load_order: list[EntityInfo]) -> bool:
@@ -470,7 +454,7 @@ class Snapshot(TickGeometry):
         tables: Container[str],
         *,
         same: bool,
-    ) -> _TickState:
+    ) -> TickState:
         """Reads the state of a simulator for the tick of a number.
 
         Args:
@@ -500,7 +484,17 @@ class Snapshot(TickGeometry):
             contacts = simulator.read_contacts()
         readings = self.sensing.read(simulator, context, poses, contacts)
         ids = frozenset(info.id for info in sensors)
-        return _TickState(static, moving, joints, contacts, readings, ids)
+        return TickState(
+            number,
+            simulator.time,
+            time.time(),
+            static,
+            moving,
+            joints,
+            contacts,
+            readings,
+            ids,
+        )
 
     def _update_flags(self, simulator: Simulator, *, same: bool) -> None:
         """Updates which bodies take part in collisions, and which are drawn."""
@@ -530,7 +524,7 @@ class Snapshot(TickGeometry):
         Returns the tables whose numbers are surely known.
         """
         table, bodies = self._tables["entities"], self._layout.moving_bodies
-        block = table.overwritten("x", "zmax")
+        block = table.overwritten("x", "zmax")[..., None]
         if with_static:
             self._layout.static_bodies.write_entities(static, block)
         is_later = bodies.write_later(moving, table)
@@ -544,7 +538,7 @@ class Snapshot(TickGeometry):
         Returns whether all numbers are surely known; users may change the masses of links.
         """
         table, are_known = self._tables[name], name == "shapes"
-        block = table.overwritten("x", "zmax")
+        block = table.overwritten("x", "zmax")[..., None]
         for group, poses in self.body_groups:
             write = group.write_links if name == "links" else group.write_shapes
             if poses.are_finite and table.is_complete and group is self._layout.moving_bodies:

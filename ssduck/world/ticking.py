@@ -66,7 +66,7 @@ class TickSink(Protocol):
         """The tables that each tick must include."""
 
     def record(self, snapshot: Snapshot) -> None:
-        """Records a tick if it is due; the caller holds the lock of the world."""
+        """Records a tick if it is due, at once or later; the caller holds the lock of the world."""
 
     def check_masses(self, snapshot: Snapshot) -> None:
         """Compares masses that were read anew with the recorded ones."""

@@ -10,7 +10,7 @@ from typing import Any, Self
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
-from ssduck.simulators.interface import ContactPoints
+from ssduck.simulators.interface import ContactPoints, Contacts
 from ssduck.simulators.mujoco.flexes import Flex, entity_roots, flexes_of
 from ssduck.simulators.mujoco.library import copied_data, mujoco
 
@@ -18,6 +18,7 @@ from ssduck.simulators.mujoco.library import copied_data, mujoco
 _FEW = 16
 # Of the numbers of a wrench, those that are forces; the others are moments.
 _FORCE_AXES = 3
+_PYRAMIDAL = int(mujoco.mjtCone.mjCONE_PYRAMIDAL)
 # The flag that lets bodies sleep; 0 before MuJoCo 3.4.
 _SLEEP = int(getattr(mujoco.mjtEnableBit, "mjENBL_SLEEP", 0))
 
@@ -102,14 +103,15 @@ class StepContacts:
         """Returns the arrays of contacts by their names."""
         return {name: values for name, values in vars(self).items() if name != "efc_forces"}
 
-    def joined(self, other: Self) -> Self:
-        """Returns these and others."""
-        addresses = np.where(other.addresses < 0, -1, other.addresses + len(self.efc_forces))
-        shifted = vars(other) | {"addresses": addresses}
-        return replace(
-            self,
-            **{name: np.concatenate((mine, shifted[name])) for name, mine in vars(self).items()},
-        )
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """Returns those of several steps or bodies, one part after the other."""
+        columns = zip(*(vars(part).values() for part in parts), strict=True)
+        joined = cls(*map(np.concatenate, columns))
+        forces = [len(part.efc_forces) for part in parts]
+        starts = np.repeat(np.cumsum([0, *forces[:-1]]), [len(part.dims) for part in parts])
+        addresses = joined.addresses
+        return replace(joined, addresses=np.where(addresses < 0, -1, addresses + starts))
 
 
 class SleepingContacts:
@@ -138,7 +140,8 @@ class SleepingContacts:
         if self._known is None or self._known[0] != key:
             known = _awakened(model, data, owners)
             self._known = key, known.only(~is_awake[known.bodies].any(axis=1))
-        return listed.only(is_awake[listed.bodies].any(axis=1)).joined(self._known[1])
+        awake = listed.only(is_awake[listed.bodies].any(axis=1))
+        return StepContacts.joined((awake, self._known[1]))
 
 
 def _awakened(model: Any, data: Any, owners: Owners) -> StepContacts:
@@ -153,6 +156,7 @@ def _awakened(model: Any, data: Any, owners: Owners) -> StepContacts:
     return StepContacts.of(copied, owners)
 
 
+@dataclass(frozen=True, eq=False)
 class MuJoCoContacts:
     """The contact points of the last step.
 
@@ -160,25 +164,31 @@ class MuJoCoContacts:
     MuJoCo's normal points from the first side to the second. Points at a distance, which margins
     allow, count if they press. A contact has one point, where its forces act on both sides.
 
-    Args:
-        model: the model.
+    Attributes:
         contacts: the arrays of the contacts.
         roots: the first body of the entity of each body; see `Owners`.
         only: the root bodies whose contacts count; None for all. There may be contacts of others
             from the step before they were left out.
+        is_pyramidal: whether the friction cones of the step were pyramids.
     """
 
-    def __init__(
-        self, model: Any, contacts: StepContacts, roots: Indices, only: Collection[int] | None
-    ) -> None:
-        self._contacts, self._only = contacts, only
-        self._is_pyramidal = model.opt.cone == int(mujoco.mjtCone.mjCONE_PYRAMIDAL)
-        self._root_of = roots
+    contacts: StepContacts
+    roots: Indices
+    only: Collection[int] | None
+    is_pyramidal: bool
+
+    @classmethod
+    def of(
+        cls, model: Any, contacts: StepContacts, owners: Owners, only: Collection[int] | None
+    ) -> Self:
+        """Returns those of the last step of a model."""
+        is_pyramidal = bool(model.opt.cone == _PYRAMIDAL)
+        return cls(contacts, owners.roots, only, is_pyramidal=is_pyramidal)
 
     @cached_property
     def _roots(self) -> Indices:
         """The root bodies of each contact, (n, 2)."""
-        roots: Indices = self._root_of.take(self._contacts.bodies)
+        roots: Indices = self.roots.take(self.contacts.bodies)
         return roots
 
     def between(self, a: int, b: int, *, pressing: bool) -> tuple[Indices, Indices]:
@@ -187,10 +197,10 @@ class MuJoCoContacts:
         rows = (is_a & is_b[:, ::-1]).nonzero()[0]
         is_kept = self._are_pressing(rows)
         if not pressing:
-            is_kept |= self._contacts.distances.take(rows) <= 0.0
+            is_kept |= self.contacts.distances.take(rows) <= 0.0
         rows = rows[is_kept]
         roots = self._roots.take(rows, axis=0)
-        return roots, self._contacts.bodies.take(rows, axis=0) - roots
+        return roots, self.contacts.bodies.take(rows, axis=0) - roots
 
     def _are_pressing(self, rows: Indices) -> Flags:
         """Checks which contacts have a positive normal force."""
@@ -201,11 +211,11 @@ class MuJoCoContacts:
 
     def _is_pressing(self, row: int) -> bool:
         """Checks whether the normal force of a contact is positive; see `_wrenches`."""
-        first, dim = int(self._contacts.addresses[row]), int(self._contacts.dims[row])
+        first, dim = int(self.contacts.addresses[row]), int(self.contacts.dims[row])
         if first < 0:
             return False
-        count = 2 * (dim - 1) if self._is_pyramidal and dim > 1 else 1
-        edges: list[float] = self._contacts.efc_forces[first : first + count].tolist()
+        count = 2 * (dim - 1) if self.is_pyramidal and dim > 1 else 1
+        edges: list[float] = self.contacts.efc_forces[first : first + count].tolist()
         return sum(edges) > 0.0
 
     def all(self) -> ContactPoints:
@@ -215,7 +225,7 @@ class MuJoCoContacts:
     @cached_property
     def has_moments(self) -> bool:
         """Whether torsional or rolling friction adds a moment to a force."""
-        if not (self._contacts.dims > _FORCE_AXES).any():
+        if not (self.contacts.dims > _FORCE_AXES).any():
             return False
         return bool(self._every_wrench[(self._roots >= 0).all(axis=1), _FORCE_AXES:].any())
 
@@ -223,19 +233,41 @@ class MuJoCoContacts:
     def _every_wrench(self) -> Array:
         return self._wrenches(np.arange(len(self._roots)))
 
+    def joined(self, ticks: Sequence[Contacts]) -> tuple[ContactPoints, Indices]:
+        """Returns all contacts of several ticks, and the number of each; see `Contacts`."""
+        alike = [
+            one.contacts for one in ticks if isinstance(one, MuJoCoContacts) and self._is_like(one)
+        ]
+        if len(alike) < len(ticks):
+            return ContactPoints.joined(ticks)
+        contacts = StepContacts.joined(alike)
+        joined = MuJoCoContacts(contacts, self.roots, self.only, is_pyramidal=self.is_pyramidal)
+        kept = np.append(0, np.cumsum(joined._are_kept))
+        return joined.all(), np.diff(kept[np.cumsum([len(one.dims) for one in alike])], prepend=0)
+
+    def _is_like(self, other: MuJoCoContacts) -> bool:
+        """Checks whether contacts of another step were of the same bodies and kind of cones."""
+        mine, others = (self.only, self.is_pyramidal), (other.only, other.is_pyramidal)
+        return self.roots is other.roots and mine == others
+
+    @cached_property
+    def _are_kept(self) -> Flags:
+        """Which contacts count, (n,)."""
+        are_kept: Flags = (self._roots >= 0).all(axis=1) & (
+            (self.contacts.distances <= 0.0) | (self._every_wrench[:, 0] > 0.0)
+        )
+        if self.only is not None:
+            are_kept &= np.isin(self._roots, list(self.only)).all(axis=1)
+        return are_kept
+
     @cached_property
     def _all(self) -> ContactPoints:
-        roots = self._roots
+        roots, is_kept = self._roots, self._are_kept
         forces = self._every_wrench[:, :_FORCE_AXES]
-        is_kept = (roots >= 0).all(axis=1) & (
-            (self._contacts.distances <= 0.0) | (forces[:, 0] > 0.0)
-        )
-        if self._only is not None:
-            is_kept &= np.isin(roots, list(self._only)).all(axis=1)
         if not is_kept.any():
             return ContactPoints.none()
-        frames, depths = self._contacts.frames.reshape(-1, 3, 3), -self._contacts.distances
-        middles, bodies = self._contacts.middles, self._contacts.bodies
+        frames, depths = self.contacts.frames.reshape(-1, 3, 3), -self.contacts.distances
+        middles, bodies = self.contacts.middles, self.contacts.bodies
         if not is_kept.all():
             forces, roots, bodies = forces[is_kept], roots[is_kept], bodies[is_kept]
             frames, depths, middles = frames[is_kept], depths[is_kept], middles[is_kept]
@@ -246,7 +278,7 @@ class MuJoCoContacts:
             normals=-frames[:, 0],
             depths=depths,
             forces=forces[:, 0],
-            frictions=-np.einsum("nk,nki->ni", forces[:, 1:], frames[:, 1:]),
+            frictions=-(forces[:, 1:2] * frames[:, 1] + forces[:, 2:] * frames[:, 2]),
         )
 
     def _wrenches(self, rows: Indices) -> Array:
@@ -255,8 +287,8 @@ class MuJoCoContacts:
         They are the normal force, the two friction forces, and the moments of torsional and rolling
         friction, as `mj_contactForce` returns them.
         """
-        addresses = self._contacts.addresses.take(rows).astype(np.intp)
-        dims = self._contacts.dims.take(rows)
+        addresses = self.contacts.addresses.take(rows).astype(np.intp)
+        dims = self.contacts.dims.take(rows)
         forces = np.zeros((len(rows), 6))
         is_active = addresses >= 0
         if not is_active.any():
@@ -267,15 +299,15 @@ class MuJoCoContacts:
         for dim in dims[:1].tolist() if is_uniform else np.unique(dims[is_active]).tolist():
             chosen = every if is_uniform else np.flatnonzero(is_active & (dims == dim))
             first = addresses[chosen]
-            if not self._is_pyramidal or dim == 1:
-                forces[chosen, :dim] = self._contacts.efc_forces[first[:, None] + np.arange(dim)]
+            if not self.is_pyramidal or dim == 1:
+                forces[chosen, :dim] = self.contacts.efc_forces[first[:, None] + np.arange(dim)]
                 continue
             # A pyramid has two edges for each axis of friction; their forces add up to the normal
             # one.
-            edges = self._contacts.efc_forces[first[:, None] + np.arange(2 * (dim - 1))]
+            edges = self.contacts.efc_forces[first[:, None] + np.arange(2 * (dim - 1))]
             edges = edges.reshape(len(chosen), dim - 1, 2)
             forces[chosen, 0] = edges.sum(axis=(1, 2))
             differences = edges[:, :, 0] - edges[:, :, 1]
-            frictions = self._contacts.frictions[rows[chosen], : dim - 1]
+            frictions = self.contacts.frictions[rows[chosen], : dim - 1]
             forces[chosen, 1:dim] = differences * frictions
         return forces

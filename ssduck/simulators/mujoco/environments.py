@@ -197,11 +197,9 @@ class MuJoCoEnvironments:
         owners, of_each = self._owners, []
         for state in states:
             contacts = SleepingContacts().complete(self._model, state, owners)
-            of_each.append(MuJoCoContacts(self._model, contacts, owners.roots, None).all())
-        counts = [len(points) for points in of_each]
-        columns = zip(*(vars(points).values() for points in of_each), strict=True)
-        joined = ContactPoints(*map(np.concatenate, columns))
-        return EnvironmentContacts(np.repeat(np.arange(self.count), counts), joined)
+            of_each.append(MuJoCoContacts.of(self._model, contacts, owners, None))
+        points, counts = of_each[0].joined(of_each)
+        return EnvironmentContacts(np.repeat(np.arange(self.count), counts), points)
 
     def reset(self, environments: Indices) -> None:
         """Sets the times of some environments to 0; their states come with the next tick."""

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.arrays import Array, Indices, are_moderate
 from ssduck.geometry.poses import cross, multiply, rotation_matrices
-from ssduck.simulators.interface import Body, LinkPoses
+from ssduck.simulators.interface import Body, LinkPoses, PosesSource
 from ssduck.simulators.mujoco.bodies import numbers_of, sites_on
 
 # MuJoCo's arrays of positions, orientations and twists of bodies, and of the centres of mass of
@@ -24,10 +24,6 @@ _ARRAYS = {"xpos": 3, "xquat": 4, "cvel": 6, "subtree_com": 3}
 _SITE_ARRAYS = {"site_xpos": 3}
 # The ends of a link's position, orientation and twist among its numbers.
 _POSITION, _ORIENTATION, _TWIST = 3, 7, 13
-# If the squares of numbers add up to less, sums of their products are finite.
-_MODERATE = 1e100
-# BLAS multiplies longer vectors in threads, which takes far longer.
-_UNTHREADED = 8192
 
 
 class LinkReader:
@@ -82,22 +78,40 @@ class LinkReader:
 
     def read(self, state: Any) -> LinkPoses:
         """Returns the poses and velocities of all links in a state, body after body."""
-        count = len(self._roots)
         numbers = self._numbers(state)
-        positions = numbers[: _POSITION * count].reshape(count, 3)
-        orientations = numbers[_POSITION * count : _ORIENTATION * count].reshape(count, 4)
-        twists = numbers[_ORIENTATION * count : _TWIST * count].reshape(count, 6)
         if len(self._sites):
+            count = len(self._roots)
             turns = self._model.site_quat.take(self._sites, axis=0)
+            orientations = numbers[_POSITION * count : _ORIENTATION * count].reshape(count, 4)
             orientations[self._site_rows] = multiply(orientations[self._site_rows], turns)
-        parts = positions, orientations, twists, numbers[_TWIST * count :].reshape(-1, 3)
+        return self._poses(numbers[None])
+
+    def _poses(self, numbers: Array) -> LinkPoses:
+        """Returns the poses and velocities at t ticks, one after the other, of (t, k) numbers."""
+        count = len(self._roots)
+        positions = numbers[:, : _POSITION * count].reshape(-1, 3)
+        orientations = numbers[:, _POSITION * count : _ORIENTATION * count].reshape(-1, 4)
         return LinkPoses(
             positions,
             partial(rotation_matrices, orientations),
-            partial(_states, parts, self._roots),
-            are_finite=_are_moderate(numbers),
+            partial(self._states, positions, orientations, numbers),
+            are_finite=are_moderate(numbers.reshape(-1)),
             orientations=orientations,
+            source=PosesSource(numbers[0], self._poses),
         )
+
+    def _states(self, positions: Array, orientations: Array, numbers: Array) -> Array:
+        """Returns the states of the links at t ticks, (t n, 13); see `LinkPoses`."""
+        start = _TWIST * len(self._roots)
+        twists = numbers[:, start - 6 * len(self._roots) : start].reshape(-1, 6)
+        # Twists are stated at the centres of mass of the trees of all bodies.
+        centres = numbers[:, start:].reshape(len(numbers), -1, 3).take(self._roots, axis=1)
+        states = np.zeros((len(positions), 13))
+        states[:, :3], states[:, 3:7] = positions, orientations
+        arms = positions - centres.reshape(-1, 3)
+        states[:, 7:10] = twists[:, 3:] + cross(twists[:, :3], arms)
+        states[:, 10:] = twists[:, :3]
+        return states
 
     def _numbers(self, state: Any) -> Array:
         """Returns MuJoCo's numbers of the links, part after part, and all centres of mass."""
@@ -106,28 +120,3 @@ class LinkReader:
             self._views = state, [getattr(state, name).reshape(-1) for name in names]
         numbers: Array = np.concatenate(self._views[1])
         return numbers if self._places is None else numbers.take(self._places)
-
-
-def _states(parts: tuple[Array, Array, Array, Array], roots: Indices) -> Array:
-    """Returns the states of n links; see `LinkPoses`.
-
-    Args:
-        parts: positions (n, 3), orientations (n, 4), twists (n, 6), and the centres of mass of the
-            trees of all bodies, (bodies, 3): twists are stated at those.
-        roots: (n,), the number of the root of each link's tree.
-    """
-    positions, orientations, twists, centres = parts
-    states = np.zeros((len(positions), 13))
-    states[:, :3], states[:, 3:7] = positions, orientations
-    arms = positions - centres.take(roots, axis=0)
-    states[:, 7:10] = twists[:, 3:] + cross(twists[:, :3], arms)
-    states[:, 10:] = twists[:, :3]
-    return states
-
-
-def _are_moderate(numbers: Array) -> bool:
-    """Checks whether numbers are finite, and so are sums of their products."""
-    if len(numbers) <= _UNTHREADED:
-        return bool(np.dot(numbers, numbers) < _MODERATE)
-    parts = (numbers[n : n + _UNTHREADED] for n in range(0, len(numbers), _UNTHREADED))
-    return sum(float(np.dot(part, part)) for part in parts) < _MODERATE

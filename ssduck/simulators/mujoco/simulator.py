@@ -21,7 +21,6 @@ from ssduck.simulators.interface import (
     SCALAR_JOINTS,
     Body,
     CameraView,
-    ContactPoints,
     Contacts,
     Kind,
     LinkPoses,
@@ -319,9 +318,7 @@ class MuJoCoSimulator(PartialSimulator):
             self._owners, self._sleeping = (model, Owners.of(model)), SleepingContacts()
         owners = self._owners[1]
         contacts = self._sleeping.complete(model, state, owners)
-        if not len(contacts.bodies):
-            return ContactPoints.none()
-        return MuJoCoContacts(model, contacts, owners.roots, self._only)
+        return MuJoCoContacts.of(model, contacts, owners, self._only)
 
     def step(self, count: int) -> None:
         """Advances by a number of steps."""

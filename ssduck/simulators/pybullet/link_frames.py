@@ -6,14 +6,15 @@ PyBullet reports centres of mass. `ssduck.simulators.pybullet.simulator` explain
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from itertools import chain, repeat
 from operator import itemgetter
 
 import numpy as np
 
-from ssduck.geometry.arrays import Indices
+from ssduck.geometry.arrays import Array, Indices, are_moderate
 from ssduck.geometry.poses import invert, multiply, rotate, rotation_matrices
-from ssduck.simulators.interface import Body, LinkPoses
+from ssduck.simulators.interface import Body, LinkPoses, PosesSource
 from ssduck.simulators.pybullet.bodies import Pose, is_soft
 from ssduck.simulators.pybullet.console import pybullet
 
@@ -43,6 +44,7 @@ class LinkPosesReader:
             with_velocities: _order(counts, soft, with_velocities)
             for with_velocities in (False, True)
         }
+        self._are_known = not any(soft)
         positions = np.concatenate([np.zeros((0, 3)), *(pose[0] for pose in com)])
         orientations = np.concatenate([np.zeros((0, 4)), *(pose[1] for pose in com)])
         self._link_from_com = invert(positions, orientations)[1]
@@ -67,16 +69,32 @@ class LinkPosesReader:
             map(_pose_and_twist if with_velocities else _pose, _flatten(links)),
             _UNKNOWN,
         )
-        count, order = self._orders[with_velocities]
+        count, _ = self._orders[with_velocities]
         numbers = np.fromiter(_flatten(_flatten(results)), np.float64, count)
-        states = numbers.take(order)
+        return (self._poses if with_velocities else self._poses_without)(numbers[None])
+
+    def _poses(self, numbers: Array, *, with_velocities: bool = True) -> LinkPoses:
+        """Returns the link poses at t ticks, one after the other, of PyBullet's numbers, (t, k)."""
+        states = numbers.take(self._orders[with_velocities][1], axis=1).reshape(-1, 13)
         if self._has_rotated_com:
-            states[:, 3:7] = multiply(states[:, 3:7], self._link_from_com)
-        matrices = rotation_matrices(states[:, 3:7])
-        positions = states[:, :3]
+            turns = np.tile(self._link_from_com, (len(numbers), 1))
+            states[:, 3:7] = multiply(states[:, 3:7], turns)
+        positions, turns = states[:, :3], states[:, 3:7]
+        matrices: Array | partial[Array] = partial(rotation_matrices, turns)
         if self._has_shifted_com:
-            positions = positions + rotate(matrices, self._origins)
-        return LinkPoses(positions, matrices, states)
+            matrices = rotation_matrices(turns)
+            positions = positions + rotate(matrices, np.tile(self._origins, (len(numbers), 1)))
+        return LinkPoses(
+            positions,
+            matrices,
+            states,
+            are_finite=self._are_known and are_moderate(numbers[:, :-1].reshape(-1)),
+            source=PosesSource(numbers[0], self._poses if with_velocities else self._poses_without),
+        )
+
+    def _poses_without(self, numbers: Array) -> LinkPoses:
+        """Returns the link poses likewise, without the velocities of links."""
+        return self._poses(numbers, with_velocities=False)
 
 
 # A result like those of PyBullet, of one value, for velocities that are not read.

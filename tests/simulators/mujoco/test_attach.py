@@ -18,8 +18,9 @@ from ssduck.errors import (
     UnknownNameError,
     UnsupportedError,
 )
+from ssduck.geometry.arrays import are_moderate
 from ssduck.geometry.poses import rotation_matrices
-from ssduck.simulators.mujoco import contacts, link_poses
+from ssduck.simulators.mujoco import contacts
 from tests.support.mjcf import LAB, random_state
 
 mujoco = pytest.importorskip("mujoco")
@@ -498,8 +499,8 @@ def test_unknown_numbers_of_joints_are_buffered_with_the_other_rows(model, data,
 @pytest.mark.parametrize("count", [3, 100_000])
 def test_numbers_whose_sums_of_products_may_overflow_are_found(number, count):
     numbers = np.linspace(-9, 9, count)
-    assert link_poses._are_moderate(numbers)
+    assert are_moderate(numbers)
     for place in (0, count // 2, -1):
         changed = numbers.copy()
         changed[place] = number
-        assert not link_poses._are_moderate(changed)
+        assert not are_moderate(changed)

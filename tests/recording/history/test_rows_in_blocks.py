@@ -1,0 +1,105 @@
+"""The rows of recorded ticks are those that each tick had, whenever they are asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import mujoco
+import pybullet
+import pytest
+
+import ssduck
+from ssduck import Recording
+from ssduck.schema import RECORDED
+from ssduck.world.world import World
+
+TABLES = ("entities", "links", "joints", "shapes", "contacts", "sensings")
+MODEL = """
+<mujoco><worldbody>
+  <geom type="plane" size="0 0 1"/>
+  <body name="cart" pos="0 0 .5"><freejoint/><geom size=".1 .2 .3" type="box"/>
+    <geom size=".1" pos="0 0 .4"/>
+    <body name="arm" pos="0 0 .6" quat=".9 .1 .3 .2"><joint axis="0 1 0"/>
+      <geom type="capsule" size=".05" fromto="0 0 0 .4 0 0"/><site name="tip" pos=".4 0 0"/></body>
+  </body>
+  <body name="ball" pos=".05 0 2"><freejoint/><geom size=".15" condim="4"/></body>
+  <body name="can" pos="1 0 .3" quat=".7 .7 0 .1"><freejoint/>
+    <geom type="cylinder" size=".1 .15"/></body>
+</worldbody></mujoco>
+"""
+LASER = {"min_angle": -1.0, "max_angle": 1.0, "resolution": 0.1, "max_range": 5.0}
+
+
+def _in_mujoco() -> tuple[World, Callable[[], object]]:
+    model = mujoco.MjModel.from_xml_string(MODEL)
+    data = mujoco.MjData(model)
+    return ssduck.World.attach(model, data), lambda: mujoco.mj_step(model, data, 9)
+
+
+def _in_pybullet(client: int) -> tuple[World, Callable[[], object]]:
+    pybullet.setGravity(0, 0, -10, client)
+    here = {"physicsClientId": client}
+    plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, **here)
+    box = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.1, 0.2, 0.3], **here)
+    pybullet.createMultiBody(0, plane, **here)
+    for height in (0.4, 1.2, 2.0):
+        pybullet.createMultiBody(
+            1,
+            box,
+            basePosition=[height / 9, 0, height],
+            baseInertialFramePosition=[0.01, 0.02, 0],
+            baseInertialFrameOrientation=[0, 0.1, 0, 0.995],
+            linkMasses=[1],
+            linkCollisionShapeIndices=[box],
+            linkVisualShapeIndices=[-1],
+            linkPositions=[[0.3, 0, 0]],
+            linkOrientations=[[0, 0, 0, 1]],
+            linkInertialFramePositions=[[0, 0.02, 0]],
+            linkInertialFrameOrientations=[[0, 0, 0, 1]],
+            linkParentIndices=[0],
+            linkJointTypes=[pybullet.JOINT_REVOLUTE],
+            linkJointAxis=[[0, 0, 1]],
+            **here,
+        )
+    return ssduck.World.attach(client), lambda: [pybullet.stepSimulation(client) for _ in range(9)]
+
+
+def _rows(world: World, table: str) -> Iterator[tuple[Any, ...]]:
+    live = world.snapshot.tables[table]
+    return zip(*map(live.values, RECORDED[table].tick_columns.names), strict=True)
+
+
+@pytest.mark.parametrize("asked_every", [1, 7, 1000])
+@pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
+def test_rows_of_the_history_are_those_of_the_ticks(
+    client: int, simulator: str, asked_every: int
+) -> None:
+    world, step = _in_mujoco() if simulator == "mujoco" else _in_pybullet(client)
+    host = world.snapshot.entities[-1].name
+    turned = {"position": [0.1, 0.02, 0.3], "orientation": [0.5, 0.1, 0.7, 0.5]}
+    world.add_sensor("planar_laser", on=host, name="laser", **turned, **LASER)
+    with ssduck.Interpreter(recording=Recording(tables=TABLES)) as ss:
+        ss.add_variable("sim", world)
+        first = world.tick().snapshot.number
+        expected = {table: list(_rows(world, table)) for table in TABLES}
+        for number in range(1, 150):
+            step()
+            if number == 80:  # the entities are others from this tick on
+                world.add_sensor("contact_sensor", on=host, name="touch")
+            else:
+                if number == 100 and simulator == "pybullet":
+                    pybullet.removeBody(1, client)
+                world.tick()
+            for table in TABLES:
+                expected[table] += _rows(world, table)
+            if number % asked_every == 0:
+                assert ss.sql("SELECT max(tick) FROM contacts_history").fetchall()
+        for table, rows in expected.items():
+            columns = ", ".join(f'"{name}"' for name in RECORDED[table].tick_columns.names)
+            query = f"SELECT {columns} FROM {table}_history WHERE tick >= {first}"
+            if table == "links":  # sites are links, and have a view of their own
+                query += f" UNION ALL SELECT {columns} FROM sites_history WHERE tick >= {first}"
+            found = ss.sql(query).fetchall()
+            assert sorted(map(repr, found)) == sorted(repr(tuple(row)) for row in rows)
+            assert len(rows) > 99
