@@ -13,6 +13,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias, cast
 
+import numpy as np
+
 from ssduck.errors import UnknownNameError, nearest
 from ssduck.geometry.arrays import Array
 from ssduck.simulators.environments import EnvironmentSimulator
@@ -25,6 +27,7 @@ from ssduck.simulators.interface import (
     VisualShape,
 )
 from ssduck.simulators.recognition import MUJOCO
+from ssduck.simulators.scene_bodies import BodySpec
 from ssduck.simulators.scenes import Scene
 from ssduck.simulators.static import StaticSimulator
 from ssduck.simulators.visuals import stored_visuals, with_grounds
@@ -33,6 +36,9 @@ BACKENDS = {
     DEFAULT_BACKEND: "ssduck.simulators.pybullet.backend",
     MUJOCO: "ssduck.simulators.mujoco.backend",
 }
+
+# The file of the model in the folder of a scene that is saved for MuJoCo.
+MJCF_FILE = "world.xml"
 
 # A trimesh.Trimesh, (vertices, faces), or the path of a mesh file. Faces of None make the hull.
 Mesh: TypeAlias = Any
@@ -55,6 +61,12 @@ class BodyToCopy:
     body: Body
     link_poses: LinkPoses
     joints: Array
+
+    @property
+    def base_state(self) -> Array:
+        """The state of the base, (13,), at the origin of its link frame; see `LinkPoses.states`."""
+        state: Array = self.link_poses.states_at(self.link_poses.positions[:1], np.zeros(1, int))[0]
+        return state
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,6 +170,12 @@ def backend(name: str = DEFAULT_BACKEND) -> Backend:
             suggestions=nearest(name, BACKENDS),
         )
     return cast("Backend", import_module(BACKENDS[name]))
+
+
+def mjcf_scene(file: Path) -> Scene:
+    """Returns the scene of a model file for MuJoCo, without sensors."""
+    body = BodySpec(None, None, file)
+    return Scene(name="world", path=file.parent, bodies=(body,), simulator=MUJOCO)
 
 
 def drawn_shapes(simulator: Simulator, body: Body) -> list[VisualShape]:

@@ -17,9 +17,15 @@ from ssduck.errors import (
     warn,
 )
 from ssduck.formatting import joined_names, short_repr
-from ssduck.simulators.backends import BodyToCopy, ShapesByBody, TickToCopy
+from ssduck.simulators.backends import (
+    MJCF_FILE,
+    BodyToCopy,
+    ShapesByBody,
+    TickToCopy,
+    mjcf_scene,
+)
 from ssduck.simulators.interface import Body, Kind, Simulator, VisualShape
-from ssduck.simulators.mjcf import MODEL_FILE, STATE_KEY, mjcf_scene
+from ssduck.simulators.model_xml import STATE_KEY
 from ssduck.simulators.mujoco.bodies import body_names, kind_by_joints, kinds_in, roots_of
 from ssduck.simulators.mujoco.declared_sizes import check_declared_sizes, check_iterations
 from ssduck.simulators.mujoco.environments import environments_of as environments
@@ -216,8 +222,9 @@ def scene_of(
         for one in originals
         if one.body.kind != kind_by_joints(one.body.joints)
     }
-    saving.write_model(model, data, simulator.spec, told, folder / MODEL_FILE)
-    return mjcf_scene(folder)
+    file = folder / MJCF_FILE
+    saving.write_model(model, data, simulator.spec, told, file)
+    return mjcf_scene(file)
 
 
 def visual_shapes(simulator: Simulator, body: Body) -> list[VisualShape]:

@@ -20,7 +20,7 @@ import numpy as np
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.interface import SCALAR_JOINTS, Body, Joint, Kind, Link
-from ssduck.simulators.mjcf import KIND_PREFIX
+from ssduck.simulators.model_xml import KIND_PREFIX
 from ssduck.simulators.mujoco.flexes import entity_roots, flex_names, flex_shapes
 from ssduck.simulators.mujoco.height_fields import height_field
 from ssduck.simulators.mujoco.library import mujoco

@@ -85,9 +85,8 @@ def _restore(model: Any, data: Any, originals: Sequence[BodyToCopy], tick: TickT
 
 
 def _restore_base(model: Any, data: Any, original: BodyToCopy) -> None:
-    root = original.body.handle
-    position = original.link_poses.positions[0]
-    state = original.link_poses.states_at(position[None], np.zeros(1, np.intp))[0]
+    root, state = original.body.handle, original.base_state
+    position = state[:3]
     joint, mocap = int(model.body_jntadr[root]), int(model.body_mocapid[root])
     if mocap >= 0:
         data.mocap_pos[mocap], data.mocap_quat[mocap] = position, state[3:7]

@@ -30,13 +30,11 @@ from ssduck.geometry.poses import (
     rotation_matrices,
     unit_quaternions,
 )
-from ssduck.simulators.mjcf import KIND_PREFIX, STATE_KEY
+from ssduck.simulators.model_xml import ASSETS, KIND_PREFIX, STATE_KEY, numbers_text
 from ssduck.simulators.mujoco.bodies import body_names
 from ssduck.simulators.mujoco.interventions import HOLD, IDLE, holds, spare_welds
 from ssduck.simulators.mujoco.library import mujoco
 
-# The folder of meshes, pictures and heights, beside the model.
-ASSETS = "assets"
 # The attributes of <compiler> that name the folders of the files of elements.
 _FOLDERS = {"mesh": "meshdir", "skin": "meshdir", "hfield": "meshdir", "texture": "texturedir"}
 # The attributes that are the name of a file.
@@ -118,7 +116,7 @@ def _welds(model: Any, data: Any) -> Iterator[ET.Element]:
     names = body_names(model)
     for number, one, other in holds(model, data):
         ends = {"body1": names[one], "body2": names[other]}
-        yield ET.Element("weld", ends, relpose=_texts(model.eq_data[number, 3:10]))
+        yield ET.Element("weld", ends, relpose=numbers_text(model.eq_data[number, 3:10]))
 
 
 def _without_holds(model: Any) -> Any:
@@ -155,8 +153,8 @@ def _state(model: Any, data: Any) -> ET.Element:
         "mpos": data.mocap_pos.ravel() if model.nmocap else (),
         "mquat": data.mocap_quat.ravel() if model.nmocap else (),
     }
-    texts = {name: _texts(numbers) for name, numbers in values.items() if len(numbers)}
-    return ET.Element("key", {"name": STATE_KEY, "time": _texts([data.time]), **texts})
+    texts = {name: numbers_text(numbers) for name, numbers in values.items() if len(numbers)}
+    return ET.Element("key", {"name": STATE_KEY, "time": numbers_text(data.time), **texts})
 
 
 # -- files -----------------------------------------------------------------------------------
@@ -219,8 +217,8 @@ def _write_digits(root: ET.Element, model: Any) -> None:
     """Writes all digits of the time step, of gravity, and of poses and sizes."""
     option = root.find("option")
     option = ET.SubElement(root, "option") if option is None else option
-    option.set("timestep", _texts([model.opt.timestep]))
-    option.set("gravity", _texts(model.opt.gravity))
+    option.set("timestep", numbers_text(model.opt.timestep))
+    option.set("gravity", numbers_text(model.opt.gravity))
     for number, (element, frame) in enumerate(_bodies(root)):
         if number:
             _write_pose(element, model.body_pos[number], model.body_quat[number], frame)
@@ -233,7 +231,7 @@ def _write_digits(root: ET.Element, model: Any) -> None:
                 write(part, model, int(first[number]) + place, around)
         sites = np.flatnonzero(model.site_bodyid == number).tolist()
         for site, (part, around) in zip(sites, _parts(element, "site"), strict=True):
-            part.set("size", _texts(model.site_size[site]))
+            part.set("size", numbers_text(model.site_size[site]))
             part.attrib.pop("fromto", None)
             _write_pose(part, model.site_pos[site], model.site_quat[site], around)
 
@@ -274,16 +272,16 @@ def _write_inertia(element: ET.Element, model: Any, number: int) -> None:
     inertial = element.find("inertial")
     if inertial is not None:
         inertial.attrib.pop("fullinertia", None)
-        inertial.set("pos", _texts(model.body_ipos[number]))
+        inertial.set("pos", numbers_text(model.body_ipos[number]))
         _set_turn(inertial, model.body_iquat[number])
-        inertial.set("mass", _texts([model.body_mass[number]]))
-        inertial.set("diaginertia", _texts(model.body_inertia[number]))
+        inertial.set("mass", numbers_text(model.body_mass[number]))
+        inertial.set("diaginertia", numbers_text(model.body_inertia[number]))
 
 
 def _write_geom(element: ET.Element, model: Any, number: int, frame: _Pose | None) -> None:
     if int(model.geom_type[number]) == _MESH or element.get("mesh") or element.get("fitscale"):
         return  # its pose is that of the mesh as it was, not as MuJoCo has turned it
-    element.set("size", _texts(model.geom_size[number]))
+    element.set("size", numbers_text(model.geom_size[number]))
     element.attrib.pop("fromto", None)
     _write_pose(element, model.geom_pos[number], model.geom_quat[number], frame)
 
@@ -296,10 +294,10 @@ def _write_joint(element: ET.Element, model: Any, number: int, frame: _Pose | No
             back = invert(*frame)
             position = compose(*back, position[None], IDENTITY[None])[0][0]
             axis = rotate(rotation_matrices(back[1]), axis[None])[0]
-        element.set("pos", _texts(position))
-        element.set("axis", _texts(axis))
+        element.set("pos", numbers_text(position))
+        element.set("axis", numbers_text(axis))
         if model.jnt_limited[number]:
-            element.set("range", _texts(model.jnt_range[number]))
+            element.set("range", numbers_text(model.jnt_range[number]))
 
 
 def _write_pose(
@@ -309,18 +307,14 @@ def _write_pose(
     if frame is not None:
         moved = compose(*invert(*frame), position[None], quaternion[None])
         position, quaternion = moved[0][0], moved[1][0]
-    element.set("pos", _texts(position))
+    element.set("pos", numbers_text(position))
     _set_turn(element, quaternion)
 
 
 def _set_turn(element: ET.Element, quaternion: Any) -> None:
     for other in ("axisangle", "xyaxes", "zaxis", "euler"):
         element.attrib.pop(other, None)
-    element.set("quat", _texts(quaternion))
-
-
-def _texts(numbers: Iterable[Any]) -> str:
-    return " ".join(repr(float(number)) for number in numbers)
+    element.set("quat", numbers_text(quaternion))
 
 
 # -- check -----------------------------------------------------------------------------------

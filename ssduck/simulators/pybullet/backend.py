@@ -9,9 +9,14 @@ from typing import Any, NoReturn
 from ssduck import validation
 from ssduck.errors import ArgumentError, SelectScriptError, SimulatorError, UnsupportedError
 from ssduck.formatting import short_repr
-from ssduck.simulators.backends import BodyToCopy, ShapesByBody, TickToCopy
+from ssduck.simulators.backends import (
+    MJCF_FILE,
+    BodyToCopy,
+    ShapesByBody,
+    TickToCopy,
+    mjcf_scene,
+)
 from ssduck.simulators.interface import Body, Kind, Simulator, VisualShape
-from ssduck.simulators.mjcf import MODEL_FILE, mjcf_scene
 from ssduck.simulators.pybullet.clients import all_handles_of, new_client
 from ssduck.simulators.pybullet.console import pybullet
 from ssduck.simulators.pybullet.scene_loader import load_models
@@ -106,9 +111,9 @@ def scene_of(
 
     assert isinstance(simulator, PyBulletSimulator)
     if target == MUJOCO:
-        model = folder / MODEL_FILE
+        model = folder / MJCF_FILE
         simulator.call(lambda: mjcf_writer.write_mjcf(simulator, originals, tick, model))
-        return mjcf_scene(folder)
+        return mjcf_scene(model)
     return simulator.call(lambda: scene_writer.scene_of(simulator, originals, tick, folder))
 
 

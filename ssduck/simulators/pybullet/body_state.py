@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from ssduck.simulators.interface import SCALAR_JOINTS, Body
 from ssduck.simulators.pybullet.console import pybullet
@@ -70,17 +69,6 @@ def set_state(client: int, handle: int, body: Body, state: BodyState) -> None:
             pybullet.resetJointState(handle, joint.link - 1, position, velocity, client)
         elif joint.type == "spherical":
             pybullet.resetJointStateMultiDof(handle, joint.link - 1, *new, client)
-
-
-def contacts_of(client: int, handles: Mapping[int, int]) -> list[tuple[Any, ...]]:
-    """Returns the contacts with mapped body numbers and points rounded to 1e-9 m, sorted."""
-    contacts = [
-        (handles[a], link_a, handles[b], link_b, *(round(x, 9) for x in (*at_a, *at_b)))
-        for _, a, b, link_a, link_b, at_a, at_b, *_ in pybullet.getContactPoints(
-            physicsClientId=client
-        )
-    ]
-    return sorted(contacts)
 
 
 def copy_dynamics(source: int, original: int, client: int, handle: int) -> None:

@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck.geometry.arrays import Array
-from ssduck.geometry.poses import IDENTITY, compose, quaternion_from_matrix
+from ssduck.geometry.poses import IDENTITY, compose, quaternion_from_matrix, turn_to
 from ssduck.geometry.shapes import Geometry
 from ssduck.simulators.pybullet.console import pybullet
 
@@ -241,7 +241,7 @@ class _BulletFile:
             sphere = Geometry.primitive("sphere", (radii[0], 0.0, 0.0))
             return [(sphere, centres[0], IDENTITY.copy())]
         capsule = Geometry.primitive("capsule", (radii[0], length, 0.0))
-        return [(capsule, centres.mean(axis=0), _rotation_to(axis / length))]
+        return [(capsule, centres.mean(axis=0), turn_to(axis / length))]
 
     def _hull(self, shape: Any) -> Array:
         address = int(shape["m_unscaledPointsDoublePtr"]) or int(shape["m_unscaledPointsFloatPtr"])
@@ -376,7 +376,7 @@ def _primitive(kind: int, shape: Any) -> PosedGeometry | None:
     margin = convex["m_collisionMargin"]
     halves = [_shortest_decimal(np.float32(size) + np.float32(margin)) for size in sizes]
     across = (axis + 1) % 3
-    orientation = _rotation_to(np.eye(3)[axis])
+    orientation = turn_to(np.eye(3)[axis])
     if kind == _Kind.BOX:
         return _at_origin(Geometry.primitive("box", [2.0 * half for half in halves]))
     if kind == _Kind.SPHERE:
@@ -388,13 +388,3 @@ def _primitive(kind: int, shape: Any) -> PosedGeometry | None:
         size = halves[across], 2.0 * halves[axis], 0.0
         return Geometry.primitive("cylinder", size), np.zeros(3), orientation
     return None
-
-
-def _rotation_to(axis: Array) -> Array:
-    """Returns the rotation w, x, y, z from the z axis to a unit vector."""
-    x, y, z = axis
-    if z < -1.0 + 1e-12:
-        return np.array([0.0, 1.0, 0.0, 0.0])
-    quaternion = np.array([1.0 + z, -y, x, 0.0])
-    unit: Array = quaternion / np.linalg.norm(quaternion)
-    return unit

@@ -7,9 +7,7 @@ remaining state is copied: dynamics, colours, poses and velocities, joints, moto
 Measured with PyBullet 3.2.7:
 
 - The copy of an unchanged body is equal to the last bit, and stays so; equal values are not set.
-- `saveBullet` and `restoreState` of a file transfer contacts between clients if each link has one
-  shape. The importer restores one contact manifold for each pair of bodies, the last one that the
-  file has of the pair; bodies of several shapes have many. Copies of such bodies find their
+- The solver's contacts, with the impulses that it begins with, are not copied. Copies find their
   contacts again, which shifts the kitchen by less than 0.1 mm in 2 s, as does a velocity error of
   1e-15 m/s.
 - PyBullet does not return the targets of motors (ssduck remembers its own), the damping of bodies,
@@ -19,9 +17,7 @@ Measured with PyBullet 3.2.7:
 from __future__ import annotations
 
 import tempfile
-from collections import Counter
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -36,25 +32,26 @@ from ssduck.simulators.interface import SCALAR_JOINTS, Body, Simulator
 from ssduck.simulators.pybullet.bodies import BodyDescription, com_poses_of, xyzw
 from ssduck.simulators.pybullet.body_state import (
     BodyState,
-    contacts_of,
     copy_colours,
     copy_dynamics,
     set_state,
     state_of,
 )
 from ssduck.simulators.pybullet.clients import new_client
-from ssduck.simulators.pybullet.console import captured, pybullet
+from ssduck.simulators.pybullet.console import pybullet
 from ssduck.simulators.pybullet.introspection import (
     constraints_of,
     estimated_model,
     model_of,
-    positions_by_link,
+    poses_in_parents,
+    zero_poses,
 )
 from ssduck.simulators.pybullet.link_frames import link_poses_of
 from ssduck.simulators.pybullet.model_loader import load_model
 from ssduck.simulators.pybullet.scene_loader import (
     LoadedBodies,
     create_constraint,
+    gravity_of,
     hold_joint,
     load_body,
     make_elastic,
@@ -63,7 +60,7 @@ from ssduck.simulators.pybullet.scene_loader import (
     solver_settings,
 )
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
-from ssduck.simulators.pybullet.urdf import write_model, zero_poses
+from ssduck.simulators.pybullet.urdf import write_model
 from ssduck.simulators.scene_bodies import BodySpec, Primitive
 from ssduck.simulators.scenes import Scene
 
@@ -86,9 +83,6 @@ def excerpt(
     """
     originals = [_with_pybullet_joints(original) for original in originals]
     live = source if isinstance(source, PyBulletSimulator) else None
-    if live is not None and _may_carry_contacts(live, originals, tick):
-        with suppress(_NotCarriedError), new_client() as client:
-            return _Copier(live, client, tick).copy(originals, carry=True)
     with new_client() as client:
         return _Copier(live, client, tick).copy(originals)
 
@@ -114,26 +108,6 @@ def _with_pybullet_joints(original: BodyToCopy) -> BodyToCopy:
     return replace(original, body=body, joints=original.joints[kept])
 
 
-class _NotCarriedError(Exception):
-    """The restored contacts and states are not those of the source."""
-
-
-def _may_carry_contacts(
-    source: PyBulletSimulator, originals: Sequence[BodyToCopy], tick: TickToCopy
-) -> bool:
-    """Checks whether the contacts of a client can be restored in a copy of all its bodies.
-
-    PyBullet finds bodies by their order. A removal changes it, and the state of another body may
-    crash PyBullet.
-    """
-    if tick.disabled or source.has_removed:
-        return False
-    if source.handles() != list(range(len(originals))):
-        return False
-    shapes = [Counter(shape.frame for shape in o.body.shapes) for o in originals]
-    return all(max(counts.values(), default=0) <= 1 for counts in shapes)
-
-
 @dataclass(eq=False)
 class _Copier:
     """Fills a client with copies.
@@ -154,21 +128,16 @@ class _Copier:
     handles: dict[Body, int] = field(default_factory=dict)
     differences: dict[str, list[str]] = field(default_factory=dict)
 
-    def copy(self, originals: Sequence[BodyToCopy], *, carry: bool = False) -> PyBulletSimulator:
-        """Copies bodies; on request with the contacts of the solver, if these are all bodies.
-
-        Raises:
-            _NotCarriedError: the restored contacts and states are not those of the source.
-        """
+    def copy(self, originals: Sequence[BodyToCopy]) -> PyBulletSimulator:
+        """Copies bodies."""
         self.loaded.time = self.tick.time
         self._copy_settings()
         with tempfile.TemporaryDirectory(prefix="ssduck") as folder:
             self._load(originals, Path(folder))
-            unchanged = [self._copy_state(original) for original in originals]
-            self._copy_constraints()
-            pybullet.performCollisionDetection(self.client)
-            if carry and all(unchanged):
-                self._carry_contacts(Path(folder) / "state.bullet")
+        for original in originals:
+            self._copy_state(original)
+        self._copy_constraints()
+        pybullet.performCollisionDetection(self.client)
         self._warn_of_differences()
         return PyBulletSimulator(self.client, owned=True, loaded=self.loaded)
 
@@ -178,7 +147,7 @@ class _Copier:
         if self.source is not None:
             parameters = self.source.parameters()
             timestep = parameters["fixedTimeStep"]
-            gravity = tuple(parameters[f"gravityAcceleration{axis}"] for axis in "XYZ")
+            gravity = gravity_of(parameters)
             set_solver_settings(solver_settings(self.source.client), self.client)
             if self.source.loaded.elastic:
                 self.loaded.elastic = True
@@ -262,16 +231,15 @@ class _Copier:
         pybullet.setPhysicsEngineParameter(enableFileCaching=1, physicsClientId=self.client)
         return handle
 
-    def _copy_state(self, original: BodyToCopy) -> bool:
-        """Gives a copy the state of its original; returns whether that is the present state."""
+    def _copy_state(self, original: BodyToCopy) -> None:
+        """Gives a copy the state of its original."""
         body, handle = original.body, self.handles[original.body]
         com = com_poses_of(self.client, handle)
         if self._description_of(body) is not None:
             assert self.source is not None
             copy_dynamics(self.source.client, body.handle, self.client, handle)
             copy_colours(self.source.visual_colours(body), self.client, handle)
-        unchanged = self._is_unchanged(original)
-        if unchanged:
+        if self._is_unchanged(original):
             assert self.source is not None
             state = state_of(self.source.client, body.handle)
         else:
@@ -284,25 +252,20 @@ class _Copier:
             self.loaded.hidden.add(handle)
         copy = replace(body, handle=handle, name=original.name)
         self.loaded.described[handle] = BodyDescription(copy, com, exact=True)
-        return unchanged
 
     def _is_unchanged(self, original: BodyToCopy) -> bool:
         """Checks whether a body is now as it was at the tick, to the last bit."""
         body = original.body
         if self.source is None or self._description_of(body) is None:
             return False
-        now, at_tick = (
-            self.source.read_link_poses((body,), with_velocities=True),
-            original.link_poses,
+        now = replace(
+            original, link_poses=self.source.read_link_poses((body,), with_velocities=True)
         )
-        base = np.array([0])
+        before, after = original.link_poses, now.link_poses
         compared = (
-            (now.positions, at_tick.positions),
-            (now.states[:, 3:7], at_tick.states[:, 3:7]),
-            (
-                now.states_at(now.positions[:1], base),
-                at_tick.states_at(at_tick.positions[:1], base),
-            ),
+            (after.positions, before.positions),
+            (after.states[:, 3:7], before.states[:, 3:7]),
+            (now.base_state, original.base_state),
         )
         if not all(np.array_equal(new, old) for new, old in compared):
             return False
@@ -348,11 +311,8 @@ class _Copier:
         )
         states = state_of(self.client, handle).joints
         positions = np.array([[state[0][0] if state and state[0] else 0.0] for state in states])
-        zero = zero_poses(body, link_poses, positions_by_link(body, positions))
-        parents = np.array([link.parent for link in body.links[1:]], dtype=np.intp)
-        places, turns = original.link_poses.positions, original.link_poses.states[:, 3:7]
-        within = compose(*invert(places[parents], turns[parents]), places[1:], turns[1:])
-        shifts, twists = compose(*invert(*zero), *within)
+        zero = zero_poses(body, link_poses, positions)
+        shifts, twists = compose(*invert(*zero), *poses_in_parents(body, original.link_poses))
         joints = np.zeros((len(body.joints), 2))
         for number, joint in enumerate(body.joints):
             axis = np.array(joint.axis)
@@ -388,31 +348,6 @@ class _Copier:
             if initial.get(link) != targets[link]:
                 hold_joint(handle, body.joints[link - 1], targets[link], self.client)
         self.loaded.motor_positions[handle] = targets
-
-    def _carry_contacts(self, file: Path) -> None:
-        """Restores the solver's contacts and the impulses that it begins with.
-
-        PyBullet finds the bodies of a contact by numbers that count all colliders ever made in a
-        client, and those of a state by their order, which changes when a body is removed. Both are
-        the same here if the source never removed a body.
-
-        Raises:
-            _NotCarriedError: the restored contacts or states are those of other bodies.
-        """
-        assert self.source is not None
-        source, client = self.source.client, self.client
-        with captured():  # PyBullet prints each contact that it does not find
-            pybullet.saveBullet(str(file), source)
-            try:
-                pybullet.restoreState(fileName=str(file), physicsClientId=client)
-            except pybullet.error as error:
-                raise _NotCarriedError from error
-        handles = {body.handle: handle for body, handle in self.handles.items()}
-        contacts = contacts_of(source, handles)
-        if contacts != contacts_of(client, {handle: handle for handle in handles.values()}):
-            raise _NotCarriedError
-        if any(state_of(source, old) != state_of(client, new) for old, new in handles.items()):
-            raise _NotCarriedError
 
     # -- constraints ----------------------------------------------------------------------
 

@@ -1,10 +1,10 @@
-"""Describes bodies and constraints of PyBullet or of a recording as parts of models and scenes."""
+"""Describes bodies and constraints of PyBullet or of a recording, for writers of model files."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -14,13 +14,14 @@ from ssduck.errors import UnsupportedError
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.bounds import BoundingBoxes
 from ssduck.geometry.mesh_files import load_mesh
+from ssduck.geometry.poses import IDENTITY, compose, invert
 from ssduck.geometry.shapes import Geometry
 from ssduck.simulators.interface import SCALAR_JOINTS, Body, LinkPoses, VisualShape
-from ssduck.simulators.pybullet.bodies import primitive_of, wxyz
+from ssduck.simulators.kinematics import moved_link_poses
+from ssduck.simulators.pybullet.bodies import Pose, primitive_of, wxyz
 from ssduck.simulators.pybullet.console import pybullet
 from ssduck.simulators.pybullet.scene_loader import CONSTRAINTS
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
-from ssduck.simulators.pybullet.urdf import BodyModel, Visual, zero_poses
 from ssduck.simulators.scene_joints import position_nearest_zero
 from ssduck.simulators.scenes import ConstraintSpec
 from ssduck.simulators.visuals import collision_visuals
@@ -37,6 +38,53 @@ _CONTACT_ELEMENTS = {
     "damping": 8,
     "stiffness": 9,
 }
+
+
+@dataclass(frozen=True, eq=False)
+class Visual:
+    """A visual shape of a link.
+
+    Attributes:
+        link: its index; the base is 0.
+        geometry: the geometry; None for a mesh of a file.
+        file: the file of a mesh.
+        scale: the scale of a mesh, or 1s.
+        position: in the link frame, metres.
+        orientation: in the link frame, w, x, y, z.
+        colour: red, green, blue, alpha, from 0 to 1; None if it is unknown.
+    """
+
+    link: int
+    geometry: Geometry | None
+    file: str
+    scale: Sequence[float]
+    position: Array
+    orientation: Array
+    colour: Sequence[float] | None
+
+
+@dataclass(frozen=True, eq=False)
+class BodyModel:
+    """A body as a model file describes it.
+
+    Attributes:
+        body: its links, joints and shapes.
+        zero_poses: for each joint, the pose of its link in the frame of the parent at position 0,
+            (joints, 3) and (joints, 4).
+        com: poses of the centres of mass in the link frames, (links, 3) and (links, 4).
+        inertias: the moments about the axes of `com`, (links, 3), kg m²; 0 if they are unknown.
+        damping: the damping of the joints.
+        contacts: contact parameters of the links, by PyBullet's elements.
+        visuals: the visual shapes.
+    """
+
+    body: Body
+    zero_poses: Pose
+    com: Pose
+    inertias: Array
+    damping: Sequence[float]
+    contacts: Sequence[Mapping[str, float]]
+    visuals: Sequence[Visual]
 
 
 def model_of(simulator: PyBulletSimulator, body: Body) -> BodyModel:
@@ -56,7 +104,7 @@ def model_of(simulator: PyBulletSimulator, body: Body) -> BodyModel:
     joints = simulator.read_joints([body] if body.joints else [])
     return BodyModel(
         body,
-        zero_poses(body, link_poses, positions_by_link(body, joints)),
+        zero_poses(body, link_poses, joints),
         description.com,
         np.array([dynamic[2] for dynamic in dynamics]),
         [info[6] for info in infos],
@@ -75,30 +123,43 @@ def _contact_parameters(dynamic: Sequence[Any]) -> dict[str, float]:
 
 def estimated_model(body: Body, link_poses: LinkPoses, joints: Array) -> BodyModel:
     """Returns the model of a recorded body; its centres of mass are those of its shapes."""
-    positions = positions_by_link(body, joints)
     com = np.array([_centre_of_shapes(body, link) for link in range(len(body.links))])
-    orientations = np.tile([1.0, 0.0, 0.0, 0.0], (len(com), 1))
     return BodyModel(
         body,
-        zero_poses(body, link_poses, positions),
-        (com, orientations),
-        None,
+        zero_poses(body, link_poses, joints),
+        (com, np.tile(IDENTITY, (len(com), 1))),
+        np.zeros((len(com), 3)),
         [0.0] * len(body.joints),
         [{}] * len(body.links),
-        None,
+        [
+            Visual(s.frame, s.geometry, "", (1.0, 1.0, 1.0), s.position, s.orientation, None)
+            for s in body.shapes
+        ],
     )
 
 
-def positions_by_link(body: Body, joints: Array) -> dict[int, float]:
-    """Returns the positions of joints by link; an unknown one is 0, or the limit nearest to 0."""
-    positions = {}
-    for joint, states in zip(body.joints, joints, strict=True):
+def zero_poses(body: Body, link_poses: LinkPoses, joints: Array) -> Pose:
+    """Returns the poses of links in their parents' frames at joint positions of 0.
+
+    Args:
+        body: the body.
+        link_poses: the present poses of its links.
+        joints: the present states of its joints, (joints, 1 or more); a joint whose position is
+            NaN is at 0, or at its limit nearest to 0.
+    """
+    back = {}
+    for joint, (position, *_) in zip(body.joints, joints.tolist(), strict=True):
         if joint.type in SCALAR_JOINTS:
-            position = float(states[0])
-            if math.isnan(position):
-                position = position_nearest_zero(joint)
-            positions[joint.link] = position
-    return positions
+            known = position_nearest_zero(joint) if math.isnan(position) else position
+            back[joint.link - 1] = -known
+    return poses_in_parents(body, moved_link_poses(body, link_poses, None, back))
+
+
+def poses_in_parents(body: Body, link_poses: LinkPoses) -> Pose:
+    """Returns the poses of all links but the base in the frames of their parents."""
+    parents = np.array([link.parent for link in body.links[1:]], dtype=np.intp)
+    places, turns = link_poses.positions, link_poses.states[:, 3:7]
+    return compose(*invert(places[parents], turns[parents]), places[1:], turns[1:])
 
 
 def _centre_of_shapes(body: Body, link: int) -> Array:
@@ -144,8 +205,7 @@ def visual_shapes(simulator: PyBulletSimulator, body: Body) -> list[VisualShape]
         if known is None or geometry is None or geometry.type == "plane":
             shapes[link] = None
             continue
-        red, green, blue, alpha = visual.colour
-        colour = (red, green, blue, alpha)
+        colour: Any = visual.colour and tuple(visual.colour)
         known.append(VisualShape(link, geometry, visual.position, visual.orientation, colour))
     drawn = [shape for known in shapes.values() for shape in known or ()]
     lacking = {link for link, known in shapes.items() if known is None}

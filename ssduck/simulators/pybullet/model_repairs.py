@@ -16,9 +16,9 @@ from xml.etree import ElementTree as ET
 
 from ssduck.errors import SceneError
 from ssduck.geometry.mesh_files import load_mesh
+from ssduck.simulators.model_xml import obj_text
 from ssduck.simulators.pybullet.ignored_parts import named_owner
 from ssduck.simulators.pybullet.mesh_checks import find_mesh, is_pointer, is_readable, mesh_fault
-from ssduck.simulators.pybullet.urdf import obj_text
 
 # A text of numbers and white space.
 _NUMBERS = re.compile(r"[\s\d.eE+-]*\d[\s\d.eE+-]*")
@@ -187,7 +187,7 @@ def _converted(file: Path, _time: int, _size: int) -> Path:
     """
     mesh = load_mesh(file, (1.0, 1.0, 1.0))
     path = Path(_folder().name) / f"{next(_numbers())}_{file.stem}.obj"
-    path.write_text(obj_text(mesh), encoding="utf-8")
+    path.write_text(obj_text(mesh.vertices, mesh.faces), encoding="utf-8")
     return path
 
 

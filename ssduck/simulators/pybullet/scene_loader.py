@@ -19,6 +19,7 @@ from ssduck.simulators.pybullet.model_loader import link_names, load_model, name
 from ssduck.simulators.scene_bodies import MODEL_SUFFIXES, BodySpec
 from ssduck.simulators.scene_joints import check_joints, position_nearest_zero
 from ssduck.simulators.scenes import ConstraintSpec, Scene, check_body
+from ssduck.simulators.toml_reader import Vector
 
 CONSTRAINTS = {
     "fixed": pybullet.JOINT_FIXED,
@@ -196,6 +197,12 @@ def solver_settings(client: int) -> dict[str, int]:
     return {name: int(parameters[key]) for name, key in _ENGINE.items()}
 
 
+def gravity_of(parameters: Mapping[str, float]) -> Vector:
+    """Returns gravity, m/s², among PyBullet's parameters."""
+    x, y, z = (parameters[f"gravityAcceleration{axis}"] for axis in "XYZ")
+    return x, y, z
+
+
 def load_body(spec: BodySpec, place: str, loaded: LoadedBodies, client: int) -> Sequence[int]:
     """Loads a scene entry and returns the numbers of its bodies; a file may hold several.
 
@@ -332,3 +339,34 @@ def create_constraint(
 def _to_xyzw(orientation: Sequence[float]) -> list[float]:
     w, *vector = orientation
     return [*vector, w]
+
+
+def add_fixed_constraint(client: int, on: tuple[int, int], to: int) -> None:
+    """Connects a link (body number, PyBullet's index) to the base of a body, as they are."""
+    # A constraint connects the frames of two centres of mass.
+    handle, link = on
+    com_pose = (
+        pybullet.getBasePositionAndOrientation(handle, client)
+        if link < 0
+        else pybullet.getLinkState(handle, link, 0, 1, client)[:2]
+    )
+    other = pybullet.getBasePositionAndOrientation(to, client)
+    position, (x, y, z, w) = pybullet.multiplyTransforms(
+        *pybullet.invertTransform(*com_pose), *other
+    )
+    spec = ConstraintSpec("fixed", on="", position=position, orientation=(w, x, y, z))
+    create_constraint(spec, on, (to, -1), client)
+
+
+def fixed_constraints(client: int, on: int, to: int) -> list[int]:
+    """Returns the numbers of the fixed constraints between a body and the base of another."""
+    numbers = [
+        pybullet.getConstraintUniqueId(index, physicsClientId=client)
+        for index in range(pybullet.getNumConstraints(client))
+    ]
+    return [
+        number
+        for number in numbers
+        for info in [pybullet.getConstraintInfo(number, client)]
+        if (info[0], info[2], info[3], info[4]) == (on, to, -1, pybullet.JOINT_FIXED)
+    ]

@@ -6,24 +6,22 @@ import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain, count
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-import numpy as np
-
 from ssduck.simulators.backends import BodyToCopy, TickToCopy
 from ssduck.simulators.interface import SCALAR_JOINTS, Body
+from ssduck.simulators.model_xml import unique_names
+from ssduck.simulators.naming import unique_name
 from ssduck.simulators.pybullet.introspection import constraints_of, model_of
-from ssduck.simulators.pybullet.scene_loader import solver_settings
+from ssduck.simulators.pybullet.scene_loader import gravity_of, solver_settings
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
-from ssduck.simulators.pybullet.urdf import unique_names, write_model
+from ssduck.simulators.pybullet.urdf import write_model
 from ssduck.simulators.scene_bodies import BodySpec, Primitive
 from ssduck.simulators.scenes import ConstraintSpec, Engine, Scene
 
 # The folder of the models; each model has a folder of its own there.
 MODELS = "models"
-_BASE = np.array([0])
 # References to other files in the lines of a mesh file or a material file.
 _FILE_REFERENCE = re.compile(r"^\s*(?:mtllib|map_\w+)\s+(.+?)\s*$", re.MULTILINE)
 
@@ -33,13 +31,12 @@ def scene_of(
 ) -> Scene:
     """Describes a simulation as a scene without sensors; writes its models into a folder."""
     parameters = simulator.parameters()
-    gravity = tuple(parameters[f"gravityAcceleration{axis}"] for axis in "XYZ")
     models = _ModelWriter(simulator, folder)
     by_handle = {original.body.handle: original for original in originals}
     return Scene(
         name="world",
         path=folder,
-        gravity=gravity,
+        gravity=gravity_of(parameters),
         timestep=parameters["fixedTimeStep"],
         time=tick.time,
         bodies=tuple(models.spec_of(original, tick) for original in originals),
@@ -98,8 +95,7 @@ class _ModelWriter:
         positions = {names[n]: float(states[n, 0]) for n in settable}
         motors = self.simulator.loaded.motor_positions.get(body.handle, {})
         targets = {names[link - 1]: target for link, target in motors.items()}
-        link_poses = original.link_poses
-        base = link_poses.states_at(link_poses.positions[:1], _BASE)[0].tolist()
+        base = original.base_state.tolist()
         return BodySpec(
             name=original.name,
             kind=body.kind,  # type: ignore[arg-type]  # no sensor has a body
@@ -141,9 +137,7 @@ class _ModelWriter:
 
     def _new_folder(self, name: str) -> Path:
         existing = {path.name for path in (self.folder / MODELS).glob("*")}
-        plain = _file_name(name)
-        others = (f"{plain}_{number}" for number in count(2))
-        folder = self.folder / MODELS / next(n for n in chain([plain], others) if n not in existing)
+        folder = self.folder / MODELS / unique_name(_file_name(name), existing)
         folder.mkdir(parents=True)
         return folder
 

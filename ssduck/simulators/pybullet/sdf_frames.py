@@ -17,7 +17,7 @@ import numpy as np
 from ssduck.errors import SceneError
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.poses import IDENTITY, compose, invert, multiply, rotation_matrices
-from ssduck.simulators.pybullet.urdf import roll_pitch_yaw
+from ssduck.simulators.model_xml import numbers_text, roll_pitch_yaw
 
 # A pose: a position (1, 3), and an orientation (1, 4) as w, x, y, z.
 Pose = tuple[Array, Array]
@@ -187,7 +187,7 @@ def _changes_of_joint(joint: ET.Element, frames: _Frames, version: float) -> Ite
             turn = multiply(invert(*child)[1], frames[frame][1])
         direction = rotation_matrices(turn)[0] @ numbers
         if axis.attrib or np.abs(direction - numbers).max() > 1e-12:
-            yield _Change(joint, "axis/xyz", " ".join(map(repr, direction.tolist())))
+            yield _Change(joint, "axis/xyz", numbers_text(direction))
     if joint.find("pose") is not None:
         beside = np.linalg.norm(np.cross(position[0], direction)) > 1e-9
         if not beside or joint.get("type") not in ("revolute", "continuous"):
@@ -258,7 +258,7 @@ def _is_identity(pose: Pose) -> bool:
 
 
 def _text_of(pose: Pose) -> str:
-    return " ".join(map(repr, [*pose[0][0].tolist(), *map(float, roll_pitch_yaw(pose[1][0]))]))
+    return numbers_text([*pose[0][0], *roll_pitch_yaw(pose[1][0])])
 
 
 def _number(word: str, default: float) -> float:

@@ -45,12 +45,17 @@ from ssduck.simulators.pybullet.bullet_file import SavedShapes
 from ssduck.simulators.pybullet.clients import all_handles_of, handles_of
 from ssduck.simulators.pybullet.collision_margins import LinkMargin, MarginReader
 from ssduck.simulators.pybullet.console import captured, pybullet
-from ssduck.simulators.pybullet.constraints import add_fixed_constraint, fixed_constraints
 from ssduck.simulators.pybullet.contacts import read_contacts
 from ssduck.simulators.pybullet.given_bodies import GivenBodies
 from ssduck.simulators.pybullet.link_frames import LinkPosesReader
 from ssduck.simulators.pybullet.rays import cast_rays
-from ssduck.simulators.pybullet.scene_loader import LoadedBodies, hold_joint, set_motor
+from ssduck.simulators.pybullet.scene_loader import (
+    LoadedBodies,
+    add_fixed_constraint,
+    fixed_constraints,
+    hold_joint,
+    set_motor,
+)
 from ssduck.simulators.scenes import Camera
 
 T = TypeVar("T")
@@ -79,7 +84,6 @@ class PyBulletSimulator:
     Attributes:
         loaded: the same; updated with the positions that motors hold.
         clock: counts the steps that ssduck runs; in a client of the user's, it follows the ticks.
-        has_removed: whether a body is known to have been removed from the client.
     """
 
     backend = "pybullet"
@@ -117,7 +121,6 @@ class PyBulletSimulator:
         self._lacks_bodies = False
         # Bodies that were removed since `describe` was called.
         self._removed: list[Body] = []
-        self.has_removed = False
         # The reason why the client must not be used any more: PyBullet reuses the number of a
         # disconnected client.
         self._lost_reason: str | None = None
@@ -165,7 +168,6 @@ class PyBulletSimulator:
         )
         gone = [d.body for handle, d in self._descriptions.items() if handle not in present]
         self._forget(gone)
-        self.has_removed |= bool(gone)
         self._descriptions = {handle: self._descriptions[handle] for handle in present} | new
         self._margin_reader = None
         self._handles_and_tags = handles, self.call(lambda: self._tags_of(handles))
@@ -194,7 +196,6 @@ class PyBulletSimulator:
         for values in (self.loaded.origins, self.loaded.motor_positions):
             values.pop(body.handle, None)
         self._removed.append(body)
-        self.has_removed = True
 
     def description_of(self, body: Body) -> BodyDescription | None:
         """Returns the description of a body, if the client still has the body."""
