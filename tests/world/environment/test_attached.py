@@ -53,7 +53,8 @@ def test_bodies_of_others_go_on_alike(menagerie, steps):
         for name in free if steps else before:
             assert after[name] == pytest.approx(before[name], abs=1e-6)
         for entity in menagerie:
-            assert world[entity.name].position == pytest.approx(entity.position, abs=0.02)  # it rolls
+            moved = np.abs(np.array(world[entity.name].position) - entity.position)
+            assert moved.max() < 0.02  # one rolls
 
 
 @pytest.mark.slow
