@@ -18,7 +18,7 @@ from sqlglot import exp
 
 from ssduck.columns.compiler import PairCompiler, Parts
 from ssduck.columns.expressions import Compute, Expression, Kind, LeftToDuckDBError
-from ssduck.geometry.arrays import Flags
+from ssduck.geometry.arrays import Flags, Indices
 from ssduck.sql.relation_calls import PairCall
 from ssduck.sql.relations.geometry_query import MARGINS_UDF, GeometryUdf
 from ssduck.sql.relations.registry import GEOMETRY_UDFS, RELATIONS
@@ -30,10 +30,17 @@ Array: TypeAlias = npt.NDArray[Any]
 class Calls(Protocol):
     """The interface of the narrow phase to expressions."""
 
-    def values(
-        self, udf: GeometryUdf, arguments: Sequence[Array], active: Flags | None, count: int
-    ) -> Array:
-        """Returns the values of a function of shapes at the places that are active."""
+    def values(self, udf: GeometryUdf, arguments: Sequence[Array], places: Indices) -> Array:
+        """Returns the values of a function of shapes, (m,).
+
+        Args:
+            udf: the function.
+            arguments: the ids of entities, and the numbers, (m,) each.
+            places: (m,), their places among the n rows of k expressions, one after the other.
+
+        Raises:
+            LeftToDuckDBError: a value is unknown, or an argument is wrong.
+        """
 
     @property
     def margins(self) -> float:
@@ -287,9 +294,20 @@ class ArrayOperations:
         last = 2 + 2 * udf.entities  # each entity has its tick and its id
         read = (*arguments[2:last:2], *arguments[last - 1 :])
 
+        kind = np.bool_ if udf.result == "BOOLEAN" else np.float64
+
         def compute(values: ArrayValues) -> Array:
-            numbers = [np.asarray(part(values)) for part in read]
-            return values.calls.values(udf, numbers, values.active, values.count)
+            given = [np.asarray(part(values)) for part in read]
+            needed = np.ones((1, values.count), np.bool_)
+            if values.active is not None:
+                needed = needed & values.active
+            shape = np.broadcast_shapes(needed.shape, *(argument.shape for argument in given))
+            places = np.flatnonzero(np.broadcast_to(needed, shape))
+            result: Array = np.zeros(shape, kind)
+            if len(places):
+                chosen = [np.broadcast_to(argument, shape).ravel()[places] for argument in given]
+                result.ravel()[places] = values.calls.values(udf, chosen, places)
+            return result
 
         return compute
 

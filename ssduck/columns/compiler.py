@@ -14,6 +14,7 @@ from dataclasses import replace
 from functools import reduce
 from typing import Any, Protocol, TypeAlias
 
+import numpy as np
 from sqlglot import exp
 
 from ssduck.columns.expressions import (
@@ -23,6 +24,7 @@ from ssduck.columns.expressions import (
     Kind,
     LeftToDuckDBError,
 )
+from ssduck.language.operators import is_like
 from ssduck.sql.relation_calls import PAIR_CALL, PairCall
 from ssduck.sql.relations.registry import GEOMETRY_UDFS
 from ssduck.sql.types import EXACT
@@ -35,6 +37,8 @@ _COMPARISONS: dict[type[exp.Expr], Callable[[Any, Any], Any]] = {
     exp.GT: operator.gt,
     exp.GTE: operator.ge,
 }
+# Of texts alone; numpy applies it to arrays of them.
+_LIKE = np.frompyfunc(is_like, 2, 1)
 _ARITHMETIC: dict[type[exp.Expr], Callable[[Any, Any], Any]] = {
     exp.Add: operator.add,
     exp.Sub: operator.sub,
@@ -258,7 +262,7 @@ class Compiler:
                 return self._case(sql)
         if type(sql) in _ARITHMETIC:
             return self._arithmetic(sql)
-        if type(sql) in _COMPARISONS:
+        if isinstance(sql, exp.Like) or type(sql) in _COMPARISONS:
             return self._comparison(sql)
         return self._named(sql)
 
@@ -335,14 +339,15 @@ class Compiler:
         return _joined("double", operations.power(part.compute, float(exponent.name)), part)
 
     def _comparison(self, sql: exp.Expr) -> Expression:
-        """Returns a comparison of doubles, of integers, or of texts, by their code points."""
+        """Returns a comparison of numbers, or of texts, by their code points or by LIKE."""
         left, right = self.expression(sql.this), self.expression(sql.expression)
         kinds = {left.kind, right.kind}
-        are_texts = kinds == {"string"}
+        are_texts, is_like = kinds == {"string"}, isinstance(sql, exp.Like)
         are_decimal = "decimal" in kinds and "double" not in kinds
-        if not are_texts and (are_decimal or not kinds <= set(NUMBERS)):
+        are_numbers = kinds <= set(NUMBERS) and not are_decimal and not is_like
+        if not (are_texts or are_numbers):
             raise LeftToDuckDBError
-        compare = _COMPARISONS[type(sql)]
+        compare = _LIKE if is_like else _COMPARISONS[type(sql)]
         compute = self._operations.compared(compare, left.compute, right.compute)
         if not (are_texts and left.is_fixed and right.is_fixed):
             return _joined("boolean", compute, left, right)

@@ -33,7 +33,7 @@ ELEMENT_BYTES, SMALL_BYTES = 8, 64
 SMALL_BITS = 8 * SMALL_BYTES
 
 
-def _is_like(text: Any, pattern: Any) -> bool:
+def is_like(text: Any, pattern: Any) -> bool:
     """Checks whether a text matches a pattern: `%` for any characters, `_` for any one.
 
     Raises:
@@ -85,7 +85,7 @@ def _remainder(left: Any, right: Any) -> Any:
 
 
 OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
-    "LIKE": _is_like,
+    "LIKE": is_like,
     "XOR": lambda left, right: bool(left) != bool(right),
     "IN": lambda left, right: left in right,
     "==": operator.eq,

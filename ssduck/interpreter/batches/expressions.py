@@ -19,6 +19,7 @@ from sqlglot import exp
 from ssduck.columns.arrays import Array, ArrayOperations, ArrayValues
 from ssduck.columns.compiler import Compiler
 from ssduck.columns.expressions import Compute, Expression, Kind, LeftToDuckDBError
+from ssduck.columns.selects import PLAIN
 from ssduck.geometry.arrays import Flags
 from ssduck.interpreter.batches.columns import EnvironmentColumns
 from ssduck.interpreter.batches.kernels import EnvironmentShapes, kernels_of
@@ -35,8 +36,6 @@ from ssduck.world.batches.batch_world import BatchWorld
 from ssduck.world.handles import Handle
 
 T = TypeVar("T")
-# The types of values that arrays have; entities are none.
-PLAIN = frozenset(("double", "integer", "boolean", "string", "list"))
 # The columns that differ from environment to environment.
 CHANGING = frozenset((*POSE, *TWIST, *BOX))
 

@@ -83,10 +83,8 @@ class EnvironmentShapes:
         """The largest distance, m, of shapes that touch by their margins."""
         return self._world.snapshot.margins
 
-    def values(
-        self, udf: GeometryUdf, arguments: Sequence[Array], active: Flags | None, count: int
-    ) -> Array:
-        """Returns the values of a function of two entities' shapes, (1, count).
+    def values(self, udf: GeometryUdf, arguments: Sequence[Array], places: Indices) -> Array:
+        """Returns the values of a function of two entities' shapes, (m,).
 
         Raises:
             LeftToDuckDBError: it is no such function, or takes a distance of each environment.
@@ -102,18 +100,11 @@ class EnvironmentShapes:
         question = PairQuestion(kind, depth(distance) if kind == "colliding" else distance)
         if question.needs_whole_tick:
             raise LeftToDuckDBError
-        needed = np.ones((1, count), np.bool_) if active is None else np.atleast_2d(active)
-        rows = np.flatnonzero(np.broadcast_to(needed, (1, count)))
-        first, second = (np.broadcast_to(a, (1, count)).ravel()[rows] for a in arguments[:2])
-        result: Array = np.zeros((1, count), np.bool_ if udf.result == "BOOLEAN" else np.float64)
-        if len(rows):
-            answers = self._shapes.answers(
-                self._side(first, rows), self._side(second, rows), question, CallCounter()
-            )
-            if answers.is_open.any() or np.isnan(answers.values).any():
-                raise LeftToDuckDBError
-            result[0, rows] = answers.values
-        return result
+        first, second = (self._side(ids, places) for ids in arguments[:2])
+        answers = self._shapes.answers(first, second, question, CallCounter())
+        if answers.is_open.any() or np.isnan(answers.values).any():
+            raise LeftToDuckDBError
+        return answers.values
 
     def _side(self, ids: Indices, rows: Indices) -> PairSide:
         """Returns one side of the pairs of some rows."""

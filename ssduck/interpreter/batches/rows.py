@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from sqlglot import exp
 
 from ssduck.columns.arrays import Array, ArrayValues
-from ssduck.columns.compiler import Compiler
 from ssduck.columns.expressions import Compute, LeftToDuckDBError
+from ssduck.columns.selects import ArraySelect
 from ssduck.geometry.arrays import Flags, Indices
 from ssduck.interpreter.batches.expressions import (
     CHANGING,
-    PLAIN,
     CompiledExpressions,
     Engine,
     Leaves,
@@ -30,12 +28,10 @@ from ssduck.language.tree import Binary, Call, Literal, Node, Query
 from ssduck.schema import STORED_TABLES
 from ssduck.sql.pair_joins import sides_of
 from ssduck.sql.plan import Plan
-from ssduck.sql.relation_calls import PAIR_CALL, PairCall
 
 # So many rows are computed at a time.
 MAX_ROWS = 1 << 19
 _KINDS = {column.name: column.type for column in STORED_TABLES["entities"].columns}
-_CLAUSES = frozenset(("expressions", "from_", "joins", "where", "order", "limit", "offset"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,41 +68,29 @@ class BatchRows:
 
     def __init__(self, execution: Execution, engine: Engine, query: Query, frame: Frame) -> None:
         planned = execution.planner.planned(_without_searches(query), frame)
-        if planned is None or not _is_of_entities(planned.plan, engine.schema):
+        if planned is None:
             raise LeftToDuckDBError
         self.planned, plan = planned, planned.plan
         self._engine, self.leaves = engine, Leaves(engine)
-        select = plan.select
-        joins = select.args.get("joins") or ()
-        tables = [select.args["from_"].this, *(join.this for join in joins)]
+        joins = plan.select.args.get("joins") or ()
+        tables = [plan.select.args["from_"].this, *(join.this for join in joins)]
         self._size, self._sources = len(engine.world.snapshot.entities), len(tables)
         # The environments and the entities of the rows that are computed, (1 + sources, rows).
         self._rows: npt.NDArray[np.intp] = np.zeros((1 + len(tables), 0), np.intp)
         for place, table in enumerate(tables, 1):
             self._note_columns(table.alias_or_name, place)
         self.leaves.note_given(query, frame)
-        is_ordered = query.order and not plan.python_clauses.order
-        keys: list[exp.Ordered] = select.args["order"].expressions if is_ordered else []
-        self._descending = [bool(key.args.get("desc")) for key in keys]
-        where = select.args.get("where")
-        parts = [*select.expressions, *(key.this for key in keys)]
-        self._width = len(select.expressions)
-        conditions = [] if where is None else list(_conjuncts(where.this))
-        renamed = [
-            self.leaves.renamed(part, plan.bindings, frame) for part in (*conditions, *parts)
-        ]
-        compiler = Compiler(engine.operations, self.leaves.expression, renamed)
-        expressions = [compiler.expression(part) for part in renamed]
-        self._computes = [part.compute for part in expressions[len(conditions) :]]
-        # The narrow phase has the last word.
-        chosen = sorted(expressions[: len(conditions)], key=lambda part: part.has_calls)
-        self._conditions = [part.compute for part in chosen]
+
+        def renamed(part: exp.Expr) -> exp.Expr:
+            return self.leaves.renamed(part, plan.bindings, frame)
+
+        operations, leaf = engine.operations, self.leaves.expression
+        self._select = ArraySelect(plan, engine.schema, operations, leaf, renamed, is_split=True)
         self._selection = _selection(plan)
         self._constants = [] if self._selection is None else self._selection.constants
         self._constant_values = CompiledExpressions(
             engine, execution, self._constants, frame.placeholders
         )
-        self._offset, self._limit = (_number(select.args.get(name)) for name in ("offset", "limit"))
 
     def _note_columns(self, table: str, place: int) -> None:
         """Notes the columns of a table in SQL, whose entities have a place in the rows."""
@@ -166,7 +150,7 @@ class BatchRows:
             elif len(part[0]):
                 parts.append(part)
         columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
-        environments, *others = columns or [np.zeros(0, np.intp)] * (1 + self._width)
+        environments, *others = columns or [np.zeros(0, np.intp)] * (1 + self._select.width)
         known = ~left[environments]
         return FoundRows(environments[known], [column[known] for column in others], left)
 
@@ -201,13 +185,13 @@ class BatchRows:
         shape = (len(numbers), *[self._size] * self._sources)
         rows = np.array(np.unravel_index(np.arange(np.prod(shape)), shape))
         rows[0] = numbers[rows[0]]
-        for condition in self._conditions:
+        for condition in self._select.conditions:
             found = self._evaluated(rows, [condition], given, left)
             if found is None:
                 return None
             rows = rows[:, found[0] & ~left[rows[0]]]
-        values = self._evaluated(rows, self._computes, given, left)
-        return None if values is None else self._arranged([rows[0], *values])
+        values = self._evaluated(rows, self._select.columns, given, left)
+        return None if values is None else self._select.arranged([rows[0], *values])
 
     def _evaluated(
         self,
@@ -231,40 +215,12 @@ class BatchRows:
         known = [values for values in found if values is not None]
         return known if len(known) == len(found) else None
 
-    def _arranged(self, columns: list[Array]) -> list[Array]:
-        """Returns columns in the order of the query, without keys, as many rows as it limits to."""
-        keys = columns[1 + self._width :]
-        columns = columns[: 1 + self._width]
-        if keys:
-            ranked = map(_ranks, keys, self._descending)
-            order = np.lexsort([*reversed([columns[0], *ranked])])
-            columns = [column[order] for column in columns]
-        if self._limit is not None or self._offset is not None:
-            environments = columns[0]
-            places = np.arange(len(environments)) - np.searchsorted(environments, environments)
-            start = self._offset or 0
-            end = np.inf if self._limit is None else start + self._limit
-            columns = [column[(places >= start) & (places < end)] for column in columns]
-        return columns
-
-
-def _ranks(key: Array, descending: bool) -> Array:
-    """Returns numbers that are in the order of a key."""
-    if key.dtype.kind not in "fi":
-        key = np.unique(key, return_inverse=True)[1]
-    return -key if descending else key
-
 
 def _selection(plan: Plan) -> Selection | None:
     try:
         return Selection(plan)
     except LeftToDuckDBError:
         return None
-
-
-def _number(clause: exp.Expr | None) -> int | None:
-    """Returns the number of LIMIT or OFFSET."""
-    return None if clause is None else int(clause.expression.name)
 
 
 def _without_searches(query: Query) -> Query:
@@ -276,38 +232,3 @@ def _without_searches(query: Query) -> Query:
         return Binary(node.span, "OR", node, Literal(node.span, value=False))
 
     return query if query.where is None else replace(query, where=query.where.replaced(asked))
-
-
-def _conjuncts(sql: exp.Expr) -> Iterator[exp.Expr]:
-    """Yields the conditions that AND joins; each is computed where those before it hold."""
-    pair = sql.meta.get(PAIR_CALL)
-    is_call = isinstance(pair, PairCall) and pair.call is None
-    match sql:
-        case exp.Paren() if not is_call:
-            yield from _conjuncts(sql.this)
-        case exp.And() if not is_call:
-            yield from _conjuncts(sql.this)
-            yield from _conjuncts(sql.expression)
-        case exp.Or(expression=exp.Boolean(this=False)):
-            yield from _conjuncts(sql.this)
-        case _:
-            yield sql
-
-
-def _is_of_entities(plan: Plan, schema: str) -> bool:
-    """Checks whether the SQL of a plan is of entities of a world, and of nothing else."""
-    outputs = (*plan.known.values(), *(plan.outputs or ()))
-    joins: list[Any] = plan.select.args.get("joins") or []
-    return (
-        all(output.sql_type.type in (*PLAIN, "entity") for output in outputs)
-        and not plan.paths
-        and not any(value for name, value in plan.select.args.items() if name not in _CLAUSES)
-        and len(joins) == len(plan.source_types) - 1
-        and all(
-            isinstance(join.this, exp.Table) and join.args.get("kind") == "CROSS" for join in joins
-        )
-        and all(
-            (source.schema, source.table, source.past_kind) == (schema, "entities", "")
-            for source in plan.source_types
-        )
-    )

@@ -4,6 +4,6 @@
 when it fires, `diff` compares results, and `callback_queue` runs callbacks in their own thread.
 
 Triggers that are due at the same tick are evaluated together (`tick_batch`) if their programs are
-formulas over the entities of a world (`formulas`): with numpy (`ssduck.columns`), and what numpy
-does not evaluate bit for bit as DuckDB does, with one statement (`batch`).
+formulas over the entities of a world (`formulas`): those that differ in constants alone are one
+expression over arrays (`groups`, `ssduck.columns`), which asks for shapes of live ticks (`shapes`).
 """

@@ -20,12 +20,8 @@ from ssduck.errors import ArgumentError, UnknownNameError, nearest, warn
 from ssduck.formatting import short_repr
 from ssduck.interpreter.program import CompiledProgram
 from ssduck.interpreter.triggers.conditions import TriggerConfig, When
-from ssduck.interpreter.triggers.tick_batch import (
-    TickBatch,
-    TriggerBatches,
-    are_fixed,
-    are_same,
-)
+from ssduck.interpreter.triggers.formulas import are_fixed
+from ssduck.interpreter.triggers.tick_batch import TickBatch, TriggerBatches, are_same
 from ssduck.interpreter.triggers.trigger import Trigger, TriggerState, TriggerWarning
 from ssduck.language.tree import Node
 from ssduck.language.value_keys import ATOMS
@@ -208,23 +204,6 @@ class _Readers:
     are_always_due: bool
 
 
-@dataclass(eq=False)
-class _IdleTicks:
-    """Successive ticks of a world at which no result has changed.
-
-    Attributes:
-        state: the state of the results.
-        evaluated: the number of triggers that had been evaluated by then.
-        triggers: the triggers that are due at each of the ticks.
-        count: the number of ticks that their evaluations do not count yet.
-    """
-
-    state: tuple[object, int]
-    evaluated: int
-    triggers: tuple[Trigger, ...]
-    count: int = 0
-
-
 class TriggerRegistry:
     """The triggers of an interpreter; observes the worlds that they read.
 
@@ -248,9 +227,6 @@ class TriggerRegistry:
         self._lock = threading.Lock()
         # The number of times that a trigger was paused or resumed.
         self._pauses = 0
-        # The number of evaluations that may have changed a trigger.
-        self._evaluated = 0
-        self._idle: WeakKeyDictionary[World, _IdleTicks] = WeakKeyDictionary()
         self._readers: WeakKeyDictionary[World, _Readers] = WeakKeyDictionary()
         self._observed: WeakSet[World] = WeakSet()
 
@@ -317,7 +293,6 @@ class TriggerRegistry:
 
     def states(self) -> list[TriggerState]:
         """Returns the state of each trigger, in the order in which they were added."""
-        self._end_all_idle()
         return [trigger.state() for trigger in self._by_name.values()]
 
     def close(self) -> None:
@@ -363,39 +338,18 @@ class TriggerRegistry:
             self._evaluate_due(world, triggers, due, None)
             return
         batch = self._batches.begin(world, due, stamp)
-        state, idle = batch.state, self._idle.get(world)
-        if idle is not None:
-            if idle.state == state and idle.evaluated == self._evaluated:
-                idle.count += 1
-                return
-            self._end_idle(world)
-        evaluated = self._evaluated
         unchanged = batch.unchanged()
         if len(unchanged) < len(due):
             self._evaluate_due(world, triggers, due, batch, unchanged)
-            return
-        self._skip(due)
-        if state is not None and readers.are_always_due:
-            self._idle[world] = _IdleTicks(state, evaluated, due)
+        else:
+            self._skip(due)
 
     def episode_began(self, world: World) -> None:
         """Lets the triggers that read a world begin anew, as it was reset."""
-        self._end_idle(world)
+        self._release_worlds()
         for trigger in self._by_name.values():
             if world in self._worlds_of(trigger):
                 trigger.restart(world)
-
-    def _end_all_idle(self) -> None:
-        """Counts the evaluations at the idle ticks of all worlds."""
-        for world in list(self._idle):
-            self._end_idle(world)
-
-    def _end_idle(self, world: World) -> None:
-        """Counts the evaluations at idle ticks."""
-        idle = self._idle.pop(world, None)
-        if idle is not None:
-            for trigger in idle.triggers:
-                trigger.count_evaluations(idle.count)
 
     def _evaluate_due(
         self,
@@ -430,7 +384,7 @@ class TriggerRegistry:
     def _skip(self, triggers: Iterable[Trigger]) -> None:
         """Counts an evaluation of each trigger whose result is the last one."""
         for trigger in triggers:
-            trigger.count_evaluations()
+            trigger.count_evaluation()
             if trigger.config.interval:
                 trigger.reschedule(self._worlds_of(trigger))
 
@@ -474,7 +428,6 @@ class TriggerRegistry:
 
     def _release_worlds(self) -> None:
         """Drops what refers to worlds, which may be gone."""
-        self._end_all_idle()
         self._readers.clear()
         if self._batches is not None:
             self._batches.release_worlds()
@@ -482,7 +435,6 @@ class TriggerRegistry:
     def _evaluate(self, trigger: Trigger, batch: TickBatch | None = None) -> None:
         if not trigger.begin():
             return
-        self._evaluated += 1
         try:
             if trigger.config.interval:
                 trigger.reschedule(self._worlds_of(trigger))
@@ -511,14 +463,10 @@ class TriggerRegistry:
 
     def _next_delivery(self, trigger: Trigger, batch: TickBatch | None = None) -> tuple[Any] | None:
         """Evaluates a trigger, and returns the value to deliver, in a tuple; None for none."""
-        trigger.count_evaluations()
-        if batch is not None:
-            batched = batch.result(trigger)
-            if batched is not None and not batched.is_new and trigger.is_steady:
-                return None
-            if batched is not None:
-                result = batched.value if batched.is_new else trigger.result
-                return trigger.deliverable(result, self._observe(trigger))
+        trigger.count_evaluation()
+        together = None if batch is None else batch.result(trigger)
+        if together is not None:
+            return trigger.deliverable(*together, self._observe(trigger))
         dependencies = self._dependencies_of(trigger)
         is_known = dependencies is not None and dependencies == trigger.dependencies
         if is_known or self._has_same_tables(trigger):

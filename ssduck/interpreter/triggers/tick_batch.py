@@ -3,41 +3,25 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Any
-from weakref import WeakKeyDictionary
+from weakref import WeakKeyDictionary, WeakSet
+
+import numpy as np
 
 from ssduck.adapters.registry import Adapter
+from ssduck.columns.expressions import LeftToDuckDBError
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.execution import Execution
-from ssduck.interpreter.triggers.batch import FormulaBatches
-from ssduck.interpreter.triggers.formulas import Formula, FormulaPlanner
+from ssduck.interpreter.triggers.formulas import Formula, FormulaPlanner, Meaning
+from ssduck.interpreter.triggers.groups import FormulaGroup, WorldRows
 from ssduck.interpreter.triggers.table_state import TableState
-from ssduck.interpreter.triggers.trigger import Batched, Trigger
+from ssduck.interpreter.triggers.trigger import Trigger
 from ssduck.language.tree import Query
-from ssduck.language.value_keys import ATOMS
 from ssduck.schema import TABLES
-from ssduck.world.handles import Handle
-from ssduck.world.layout import TableLayout
+from ssduck.world.snapshot import Snapshot
 from ssduck.world.world import World
-
-
-@dataclass(frozen=True)
-class BatchedResult:
-    """The result of a trigger that was evaluated together with others.
-
-    Attributes:
-        is_new: whether it may differ from the last one.
-        value: the result; None if it is the last one.
-    """
-
-    is_new: bool
-    value: Any = None
-
-
-_UNCHANGED = BatchedResult(is_new=False)
 
 
 def are_same(before: Sequence[Any], now: Sequence[Any]) -> bool:
@@ -45,37 +29,94 @@ def are_same(before: Sequence[Any], now: Sequence[Any]) -> bool:
     return all(map(operator.is_, before, now))
 
 
-def are_fixed(values: Sequence[Any]) -> bool:
-    """Checks whether no value can change without being replaced."""
-    return all(
-        type(value) in ATOMS or type(value) is object or isinstance(value, World | Handle)
-        for value in values
-    )
-
-
-# The names that read what differs from tick to tick though nothing moves.
-_TIME_NAMES = frozenset(("tick", "time"))
-
-
-@dataclass(frozen=True, eq=False)
 class _DueFormulas:
-    """The formulas of the triggers that are due at a tick.
+    """The formulas of the triggers that are due in a world, in groups of one shape.
+
+    Args:
+        key: what decided them; None to decide them anew at the next tick.
+        world: the world.
+        rows: its rows.
+        by_trigger: the formulas of those triggers that have one.
+        alone: the formulas that could not be evaluated with others at some tick.
+        before: those that were due before.
 
     Attributes:
-        due: the triggers.
-        stamp: the stamp of the names.
-        layout: the entities of the world.
-        generation: the number of changes of what triggers mean.
-        by_trigger: the formulas of those triggers that have one.
-        formulas: the formulas.
+        standing: the triggers whose last results stand, as long as no row changes; None if unknown.
     """
 
-    due: tuple[Trigger, ...]
-    stamp: object
-    layout: TableLayout
-    generation: int
-    by_trigger: Mapping[Trigger, Formula]
-    formulas: tuple[Formula, ...]
+    def __init__(
+        self,
+        key: tuple[Any, ...],
+        world: World,
+        rows: WorldRows,
+        by_trigger: dict[Trigger, Formula],
+        alone: WeakSet[Formula],
+        before: _DueFormulas | None,
+    ) -> None:
+        self.key: tuple[Any, ...] | None = key
+        self.by_trigger = by_trigger
+        self.standing: frozenset[Trigger] | None = None
+        self._world, self._rows, self._alone = world, rows, alone
+        self._layout = world.snapshot.layout
+        self._tables = frozenset().union(*(formula.tables for formula in by_trigger.values()))
+        by_shape: dict[Any, list[Formula]] = {}
+        for formula in by_trigger.values():
+            own = formula if formula in alone else formula.shape
+            by_shape.setdefault(own, []).append(formula)
+        self._places: dict[Formula, tuple[FormulaGroup, int]] = {}
+        known = {} if before is None else before._places  # noqa: SLF001  # one class
+        self._groups = [self._group(formulas, known) for formulas in by_shape.values()]
+
+    def _group(
+        self, formulas: Sequence[Formula], known: dict[Formula, tuple[FormulaGroup, int]]
+    ) -> FormulaGroup:
+        """Returns a group of formulas, which takes over their last rows from other groups."""
+        places = [known.get(formula) for formula in formulas]
+        found = [None if place is None else place[0].rows_of(place[1]) for place in places]
+        group = FormulaGroup(formulas, self._world.snapshot, self._rows.shapes, found)
+        self._places.update({formula: (group, place) for place, formula in enumerate(formulas)})
+        return group
+
+    def is_evaluated_at(self, formula: Formula, tick: int) -> bool:
+        """Checks whether the rows of a formula are those of the tick of a number."""
+        return self._places[formula][0].number == tick
+
+    def value(self, formula: Formula) -> Any:
+        """Returns the result of a formula for the rows of its last evaluation."""
+        group, place = self._places[formula]
+        found = group.rows_of(place)
+        assert found is not None
+        return formula.value(found.values)
+
+    def evaluate(self) -> None:
+        """Evaluates the formulas at the tick of their world, as far as they can be together."""
+        standing, self.standing = self.standing, None
+        with self._world.pinned(self._tables), np.errstate(all="ignore"):
+            snapshot = self._world.snapshot
+            # A tick that was taken just now may have other entities.
+            is_same = snapshot.layout is self._layout
+            if not (is_same and snapshot.tables["entities"].is_complete):
+                return  # numpy would take an unknown number for NaN
+            self._rows.begin(snapshot, has_shapes="shapes" in self._tables)
+            for group in self._groups:
+                try:
+                    has_changed = group.evaluate(snapshot, self._rows.state)
+                except LeftToDuckDBError:
+                    has_changed = True
+                    self._evaluate_singly(group, snapshot)
+                standing = None if has_changed else standing
+        self.standing = standing
+
+    def _evaluate_singly(self, group: FormulaGroup, snapshot: Snapshot) -> None:
+        """Evaluates each formula of a group; the next one has none that cannot be."""
+        if len(group.formulas) == 1:
+            return
+        self.key = None
+        for formula in group.formulas:
+            try:
+                self._group([formula], self._places).evaluate(snapshot, self._rows.state)
+            except LeftToDuckDBError:
+                self._alone.add(formula)
 
 
 class TriggerBatches:
@@ -89,13 +130,28 @@ class TriggerBatches:
     def __init__(self, execution: Execution, query_of: Callable[[Query, Adapter], Query]) -> None:
         self._execution = execution
         self._planner = FormulaPlanner(execution, query_of)
-        self._batches = FormulaBatches(execution)
         self._generation = 0
+        self._rows: WeakKeyDictionary[World, WorldRows] = WeakKeyDictionary()
         self._last_due: WeakKeyDictionary[World, _DueFormulas] = WeakKeyDictionary()
+        self._alone: WeakSet[Formula] = WeakSet()
 
     def begin(self, world: World, due: tuple[Trigger, ...], stamp: object) -> TickBatch:
         """Returns the batch of the triggers that are due in a world at its tick."""
-        return TickBatch(self, world, due, stamp)
+        last, key = self._last_due.get(world), (stamp, world.snapshot.layout, self._generation)
+        is_same = last is not None and last.key is not None and are_same(last.key[1:], key)
+        if last is None or not is_same or last.key is None or last.key[0] != due:
+            by_trigger = {
+                trigger: trigger.meaning.formula
+                for trigger in due
+                if self.is_current(trigger, world, stamp)
+                and trigger.meaning is not None
+                and trigger.meaning.formula is not None
+                and trigger.meaning.formula.world is world
+            }
+            rows = self._rows.setdefault(world, WorldRows())
+            last = _DueFormulas((due, *key), world, rows, by_trigger, self._alone, last)
+            self._last_due[world] = last
+        return TickBatch(self, world, last)
 
     def note_key(self, trigger: Trigger, key: tuple[Any, ...] | None) -> bool:
         """Notes what decided the meaning of a program that was evaluated by itself.
@@ -103,48 +159,26 @@ class TriggerBatches:
         Returns:
             Whether it is the same as at the evaluation before.
         """
-        batched = trigger.batched
-        batched.fingerprint = batched.state = None
-        before = batched.key
-        if key is not None and before is not None and are_same(before, key):
+        before = trigger.meaning
+        if key is not None and before is not None and are_same(before.key, key):
+            before.fingerprint = before.state = None
             return True
-        if key is not before:
-            batched.key = key
-            self._generation += 1
+        if key is not None or before is not None:
+            self.forget(trigger)
+        if key is not None:
+            trigger.meaning = Meaning(self._planner, trigger.program, trigger.names, key)
         return False
 
     def forget(self, trigger: Trigger) -> None:
         """Forgets what a program means."""
-        trigger.batched = Batched()
+        trigger.meaning = None
         self._generation += 1
 
     def release_worlds(self) -> None:
         """Drops what refers to worlds."""
         with self._execution.lock:
             self._last_due.clear()
-            self._batches.release_worlds()
-
-    def formulas(self, world: World, due: tuple[Trigger, ...], stamp: object) -> _DueFormulas:
-        """Returns the formulas of the triggers that are due; the same ones while they are."""
-        last, layout = self._last_due.get(world), world.snapshot.layout
-        if (
-            last is None
-            or last.stamp is not stamp
-            or last.layout is not layout
-            or last.generation != self._generation
-            or last.due != due
-        ):
-            by_trigger = {
-                trigger: formula
-                for trigger in due
-                if (formula := self.formula(trigger, world, stamp)) is not None
-            }
-            formulas = tuple(by_trigger.values())
-            if last is not None and last.formulas == formulas:
-                formulas = last.formulas
-            last = _DueFormulas(due, stamp, layout, self._generation, by_trigger, formulas)
-            self._last_due[world] = last
-        return last
+            self._rows.clear()
 
     def key(self, trigger: Trigger, worlds: Sequence[World]) -> tuple[Any, ...] | None:
         """Returns what decides the meaning of a program; None if it is evaluated by itself.
@@ -162,27 +196,16 @@ class TriggerBatches:
         values = names.bound_values(trigger.names)
         return (worlds[0].snapshot.layout, *names.meaning, *values)
 
-    def formula(self, trigger: Trigger, world: World, stamp: object) -> Formula | None:
-        """Returns the formula of a trigger that was evaluated by itself with the same meaning."""
-        if not self.is_current(trigger, world, stamp):
-            return None
-        batched = trigger.batched
-        if batched.formula_key is not batched.key:
-            batched.formula_key = batched.key
-            batched.formula = self._formula(trigger)
-        formula = batched.formula
-        return formula if formula is not None and formula.world is world else None
-
     def is_current(self, trigger: Trigger, world: World, stamp: object = None) -> bool:
         """Checks whether a program has the meaning with which it was last evaluated by itself."""
-        batched, stamp = trigger.batched, stamp or self._execution.stamp
-        if batched.key is None or batched.key[0] is not world.snapshot.layout:
+        meaning, stamp = trigger.meaning, stamp or self._execution.stamp
+        if meaning is None or meaning.key[0] is not world.snapshot.layout:
             return False
-        if batched.stamp is not stamp:
+        if meaning.stamp is not stamp:
             key = self.key(trigger, [world])
-            if key is None or not are_same(batched.key, key):
+            if key is None or not are_same(meaning.key, key):
                 return False
-            batched.stamp = stamp
+            meaning.stamp = stamp
         return True
 
     def note_tables(self, trigger: Trigger, dependencies: Any) -> None:
@@ -192,53 +215,41 @@ class TriggerBatches:
             trigger: the trigger.
             dependencies: the variables and ticks on which the result depends.
         """
-        batched = trigger.batched
-        batched.state = None
-        if batched.key is None or dependencies is None:
+        meaning = trigger.meaning
+        if meaning is None:
+            return
+        meaning.state = None
+        if dependencies is None:
             return
         ((world, tick),) = dependencies[1]
-        if batched.tables_key is not batched.key:
-            batched.tables_key = batched.key
-            batched.tables = None
-            if self._is_known(trigger) and not _TIME_NAMES.intersection(trigger.names):
-                batched.tables = self._planner.tables(trigger.program)
+        names = TABLES.keys() & (meaning.tables or ())
         with world.lock:
             snapshot = world.snapshot
-            names = TABLES.keys() & (batched.tables or ())
             is_read = all(name == "entities" or snapshot.has(name) for name in names)
-            is_same = snapshot.layout is batched.key[0] and snapshot.number == tick
+            is_same = snapshot.layout is meaning.key[0] and snapshot.number == tick
             if names and is_read and is_same:
-                batched.state = TableState(snapshot, names)
+                meaning.state = TableState(snapshot, names)
 
     def has_same_tables(self, trigger: Trigger, worlds: Sequence[World]) -> bool:
         """Checks whether no number has changed by more than the threshold since the last result."""
-        state, tables = trigger.batched.state, trigger.batched.tables
-        if state is None or tables is None or len(worlds) != 1:
+        meaning = trigger.meaning
+        if meaning is None or meaning.state is None or len(worlds) != 1:
             return False
         (world,) = worlds
         if not self.is_current(trigger, world):
             return False
-        with suppress(SelectScriptError), world.pinned(tables):  # evaluated, it raises the error
-            return state.is_same(world.snapshot, trigger.config.threshold)
-        return False
+        with suppress(SelectScriptError), world.pinned(meaning.tables or frozenset()):
+            return meaning.state.is_same(world.snapshot, trigger.config.threshold)
+        return False  # evaluated, it raises the error
 
-    def _is_known(self, trigger: Trigger) -> bool:
-        """Checks whether only variables of fixed values and the language's functions are read."""
-        names, values = self._execution, trigger.batched.key
-        assert values is not None
-        is_users = any(names.is_users(names.resolved_name(name)) for name in trigger.names)
-        return are_fixed(values[1:]) and not is_users
-
-    def _formula(self, trigger: Trigger) -> Formula | None:
-        """Returns the formula of a trigger; None if it is none."""
-        return self._planner.formula(trigger.program) if self._is_known(trigger) else None
-
-    def evaluate(self, world: World, due: _DueFormulas) -> int | None:
-        """Evaluates formulas at the tick of their world; see `FormulaBatches.evaluate`."""
-        with self._execution.lock:
-            if self._execution.is_running or not due.formulas:
-                return None
-            return self._batches.evaluate(world, due.layout, due.formulas)
+    def evaluate(self, due: _DueFormulas) -> None:
+        """Evaluates formulas at the tick of their world; see `_DueFormulas.evaluate`."""
+        # Evaluated one by one, the triggers report what is wrong.
+        with self._execution.lock, suppress(SelectScriptError):
+            if self._execution.is_running or not due.by_trigger:
+                due.standing = None
+            else:
+                due.evaluate()
 
 
 class TickBatch:
@@ -247,29 +258,16 @@ class TickBatch:
     Args:
         batches: evaluates them.
         world: the world.
-        due: the triggers.
-        stamp: the stamp of the names.
+        due: their formulas.
 
     Attributes:
         is_doubtful: whether variables, functions and worlds may have changed meanwhile.
     """
 
-    def __init__(
-        self, batches: TriggerBatches, world: World, due: tuple[Trigger, ...], stamp: object
-    ) -> None:
+    def __init__(self, batches: TriggerBatches, world: World, due: _DueFormulas) -> None:
         self.is_doubtful = False
-        self._batches = batches
-        self._world = world
-        self._due = batches.formulas(world, due, stamp)
+        self._batches, self._world, self._due = batches, world, due
         self._tick = 0
-        self._changes: int | None = None
-
-    @property
-    def state(self) -> tuple[object, int] | None:
-        """A value that is equal at two ticks only if no result differs; None if not known."""
-        self._evaluate()
-        is_whole = self._changes is not None and len(self._due.formulas) == len(self._due.due)
-        return (self._due, self._changes or 0) if is_whole else None
 
     def unchanged(self) -> Collection[Trigger]:
         """Returns the triggers whose last results stand, and have been dealt with.
@@ -277,43 +275,42 @@ class TickBatch:
         That is so until a program or a callback makes the batch doubtful.
         """
         self._evaluate()
-        tick, by_trigger = self._tick, self._due.by_trigger
-        return {
-            trigger
-            for trigger, formula in by_trigger.items()
-            if trigger.stands(formula.version) and formula.is_evaluated_at(tick)
-        }
+        due = self._due
+        if due.standing is None:
+            due.standing = frozenset(
+                trigger
+                for trigger, formula in due.by_trigger.items()
+                if trigger.stands(formula.version) and due.is_evaluated_at(formula, self._tick)
+            )
+        return due.standing
 
-    def result(self, trigger: Trigger) -> BatchedResult | None:
-        """Returns the result of a trigger; None if it has to be evaluated by itself."""
+    def result(self, trigger: Trigger) -> tuple[Any] | None:
+        """Returns the result of a trigger, in a tuple; None if it has to be evaluated by itself."""
         self._evaluate()
-        formula = self._due.by_trigger.get(trigger)
+        self._due.standing = None
+        formula, meaning = self._due.by_trigger.get(trigger), trigger.meaning
         number = self._world.snapshot.number
-        if formula is None or not formula.is_evaluated_at(number):
+        if formula is None or meaning is None or not self._due.is_evaluated_at(formula, number):
             return None
         if self.is_doubtful and not self._batches.is_current(trigger, self._world):
             return None
+        is_unchanged = formula.version == meaning.fingerprint
         threshold = trigger.config.threshold
-        if formula.version == trigger.batched.fingerprint:
-            return _UNCHANGED
-        if threshold and self._batches.has_same_tables(trigger, [self._world]):
-            return _UNCHANGED
+        if is_unchanged or (threshold and self._batches.has_same_tables(trigger, [self._world])):
+            return (trigger.result,)
         try:
-            result = formula.value(formula.rows())
+            result = self._due.value(formula)
         except Exception:  # noqa: BLE001  # evaluated by itself, it raises the error with its place
             return None
-        trigger.batched.fingerprint = formula.version
+        meaning.fingerprint = formula.version
         trigger.dependencies = None
         if threshold:
             self._batches.note_tables(trigger, ((), [(self._world, number)]))
-        return BatchedResult(is_new=True, value=result)
+        return (result,)
 
     def _evaluate(self) -> None:
         """Evaluates the formulas, unless they have been."""
-        if self._tick:
-            return
-        self._tick = self._world.snapshot.number
-        # Evaluated one by one, the triggers report what is wrong.
-        with suppress(SelectScriptError):
-            self._changes = self._batches.evaluate(self._world, self._due)
+        if not self._tick:
+            self._tick = self._world.snapshot.number
+            self._batches.evaluate(self._due)
             self._tick = self._world.snapshot.number

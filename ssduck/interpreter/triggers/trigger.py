@@ -16,8 +16,7 @@ from ssduck.interpreter.program import CompiledProgram
 from ssduck.interpreter.triggers.callback_queue import CallbackQueue
 from ssduck.interpreter.triggers.conditions import Debouncer, TriggerConfig
 from ssduck.interpreter.triggers.diff import copy_of
-from ssduck.interpreter.triggers.formulas import Formula
-from ssduck.interpreter.triggers.table_state import TableState
+from ssduck.interpreter.triggers.formulas import Meaning
 from ssduck.language.analysis import IMPURE, calls_of, variables_of
 from ssduck.language.tree import Program, Query, UnresolvedName
 from ssduck.sql.table_use import tables_of
@@ -44,32 +43,6 @@ class KnownWorlds:
     worlds: Sequence[World] = ()
 
 
-@dataclass
-class Batched:
-    """What is needed to evaluate a trigger together with others.
-
-    Attributes:
-        key: the values that decided what the program means when it was last evaluated by itself;
-            None if that failed, or if it is always evaluated by itself.
-        stamp: the stamp of the names for which the key is known to be up to date.
-        formula_key: the key for which the formula was made.
-        formula: the formula of its program; None if it is none.
-        fingerprint: the version of the formula's rows at its last result; None if unknown.
-        tables_key: the key for which the tables were found.
-        tables: the tables on which alone its result depends; None if they are not known.
-        state: the numbers of these tables at its last evaluation; None if unknown.
-    """
-
-    key: tuple[Any, ...] | None = None
-    stamp: object = None
-    formula_key: tuple[Any, ...] | None = None
-    formula: Formula | None = None
-    fingerprint: int | None = None
-    tables_key: tuple[Any, ...] | None = None
-    tables: frozenset[str] | None = None
-    state: TableState | None = None
-
-
 class TriggerWarning(RuntimeWarning):
     """The program or the callback of a trigger failed; the world goes on."""
 
@@ -87,7 +60,8 @@ class Trigger:
         names: the names whose values decide what the program means, in a fixed order.
         variables: the names of the variables that the program reads, in a fixed order.
         worlds: the worlds that it reads, with the values from which they follow.
-        batched: what is needed to evaluate it together with others.
+        meaning: what its program meant when it was last evaluated by itself; None if that failed,
+            or if it is always evaluated by itself.
         queue: the queue of its callback; None if the callback runs in the stepping thread.
     """
 
@@ -105,7 +79,7 @@ class Trigger:
             sorted(frozenset().union(*map(variables_of, program.tree.statements)))
         )
         self.worlds = KnownWorlds()
-        self.batched = Batched()
+        self.meaning: Meaning | None = None
         self._busy = threading.Lock()
         self._schedules: WeakKeyDictionary[World, Schedule] = WeakKeyDictionary()
         self._debouncer = Debouncer(config)
@@ -126,7 +100,8 @@ class Trigger:
         Then another evaluation would change nothing.
         """
         return (
-            self.batched.fingerprint == version
+            self.meaning is not None
+            and self.meaning.fingerprint == version
             and self._debouncer.is_steady
             and not self._busy.locked()
         )
@@ -188,14 +163,9 @@ class Trigger:
         self._log.result = copy_of(result)
         return delivery
 
-    @property
-    def is_steady(self) -> bool:
-        """Whether its last result again would change nothing."""
-        return self._debouncer.is_steady
-
-    def count_evaluations(self, count: int = 1) -> None:
-        """Counts evaluations."""
-        self._log.evaluations += count
+    def count_evaluation(self) -> None:
+        """Counts an evaluation."""
+        self._log.evaluations += 1
 
     def fire(self, delivery: Any) -> None:
         """Calls the callback, or puts the value into its queue."""

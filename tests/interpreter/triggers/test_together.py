@@ -11,15 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ssduck
-from ssduck.database.statement import RUNS_BEFORE_PLAN
 from ssduck.geometry import shape_comparisons
-from ssduck.interpreter.triggers.batch import FormulaBatches
-from ssduck.interpreter.triggers.selection import FormulaSelection
+from ssduck.interpreter.triggers import groups
+from ssduck.interpreter.triggers.tick_batch import TriggerBatches
 from ssduck.world.handles import Handle
 from tests.support.cases import generated
 from tests.support.triggering import state
 
-# Formulas for numpy, formulas for DuckDB, and programs that are evaluated by themselves.
+# Formulas for numpy, and programs that are evaluated by themselves.
 PROGRAMS = [
     "SELECT name FROM sim WHERE z(this) < 1.5 AS list;",
     "SELECT name FROM sim WHERE z(this) < limit AS list;",
@@ -269,24 +268,16 @@ def add_all(ss, program, count=100):
 
 
 @pytest.mark.long
-def test_what_numpy_evaluates_needs_no_statement(ss, boxes, told):
-    add_all(ss, "SELECT name, z FROM sim WHERE distance(this, it) < {} AND above(it, this);")
+@pytest.mark.parametrize(
+    "condition", ["distance(this, it) < {} AND above(it, this)", "name LIKE 'b%' AND z < {}"]
+)
+def test_what_numpy_evaluates_needs_no_statement(ss, boxes, told, condition):
+    add_all(ss, f"SELECT name, z FROM sim WHERE {condition};")
     boxes.step()  # numpy evaluates what was evaluated once by itself
     told.clear()
     boxes.step(20)
     assert told == []
     assert state(ss, "t99").evaluations == 22
-
-
-@pytest.mark.long
-def test_other_formulas_need_one_statement_a_tick(ss, boxes, told):
-    add_all(ss, "SELECT name, z FROM sim WHERE name LIKE 'b%' AND z < {};")
-    boxes.step(RUNS_BEFORE_PLAN + 1)
-    told.clear()
-    boxes.step(20)
-    assert len(told) == 20
-    assert len(set(told)) == 1
-    assert state(ss, "t99").evaluations == RUNS_BEFORE_PLAN + 22
 
 
 @pytest.mark.long
@@ -323,27 +314,18 @@ def test_each_pair_of_shapes_is_compared_once_a_tick(ss, boxes, told, monkeypatc
 
 
 @pytest.mark.slow
-def test_a_statement_serves_triggers_that_are_due_at_different_ticks(ss, boxes, told):
+def test_triggers_that_are_due_at_different_ticks_need_no_statement(ss, boxes, told):
+    """Nor do those that are left when others are removed."""
     program = "SELECT name FROM sim WHERE name LIKE 'b%' AND distance(it, this) < {} AS list;"
     for number in range(40):
         interval = (1 + number % 5) / 240
         ss.add_trigger(f"t{number}", program.format(number / 40), interval, lambda _: None)
     boxes.step(20)
     told.clear()
-    boxes.step(60)
-    assert len(told) <= 60
-
-
-@pytest.mark.slow
-def test_a_removed_trigger_leaves_the_statement_of_the_others(ss, boxes, told):
-    add_all(ss, "SELECT name, z FROM sim WHERE name LIKE 'b%' AND z < {};", 10)
-    boxes.step(RUNS_BEFORE_PLAN + 1)
-    told.clear()
-    for number in range(8):
+    for number in range(20):
         ss.del_trigger(f"t{number}")
-        boxes.step()
-    assert len(told) == 8
-    assert not any(statement.startswith("PREPARE") for statement in told)
+        boxes.step(3)
+    assert told == []
 
 
 @pytest.mark.slow
@@ -361,25 +343,20 @@ def test_each_result_is_that_of_the_program(ss, boxes):
             assert plain(trigger.result) == plain(ss.eval(trigger.program))
 
 
-def test_a_number_that_is_not_known(ss, boxes, client, monkeypatch):
+def test_a_number_that_is_not_known(ss, boxes, client, told):
     """Where a pose is not a number, SQL has NULL; the triggers are evaluated by themselves."""
     got = []
     ss.add_trigger("t", "SELECT name FROM sim WHERE NOT z(this) < 0.4 AS list;", 0, got.append)
     boxes.step()
-    states, evaluate = [], FormulaBatches.evaluate
-
-    def noted(*args):
-        states.append(evaluate(*args))
-        return states[-1]
-
-    monkeypatch.setattr(FormulaBatches, "evaluate", noted)
+    told.clear()
     boxes.step()
+    assert told == []
     pybullet.resetBasePositionAndOrientation(
         4, [0, 0, math.nan], [0, 0, 0, 1], physicsClientId=client
     )
     with pytest.warns(UserWarning, match="b3"):
         boxes.tick(steps=0)
-    assert [state is not None for state in states] == [True, False]
+    assert told
     assert got[-1] == ss.eval("SELECT name FROM sim WHERE NOT z(this) < 0.4 AS list;")
     assert "b3" not in got[-1]
 
@@ -390,22 +367,20 @@ def test_formulas_of_one_shape_are_evaluated_at_once(ss, boxes, client, monkeypa
     add_all(ss, "SELECT name, z FROM sim WHERE z(this) < {} AND above(it, this);", 20)
     moved(boxes, client, 1.0)
     moved(boxes, client, 1.0)
-    evaluated, evaluate = [], FormulaSelection.evaluate
+    evaluated, values = [], groups.ArrayValues
     monkeypatch.setattr(
-        FormulaSelection,
-        "evaluate",
-        lambda self, *args: evaluated.append(len(self.formulas)) or evaluate(self, *args),
+        groups, "ArrayValues", lambda *args: evaluated.append(args) or values(*args)
     )
     for _ in range(3):
         moved(boxes, client, 1.0)
     assert evaluated == []
     assert {trigger.evaluations for trigger in ss.triggers()} == {6}
     moved(boxes, client, math.nextafter(1.0, 2.0))
-    assert evaluated == [20]
+    assert len(evaluated) == 1
     moved(boxes, client, math.nextafter(1.0, 2.0))
     ss.pause_trigger("t3")
     moved(boxes, client, 2.0)
-    assert evaluated == [20, 19]
+    assert len(evaluated) == 2
     counts = {trigger.name: trigger.evaluations for trigger in ss.triggers()}
     assert counts.pop("t3") == 8
     assert set(counts.values()) == {9}
@@ -450,7 +425,7 @@ def test_what_has_not_changed_is_not_evaluated_again(ss, boxes, client, told, pr
 def test_threshold(ss, boxes, client, monkeypatch, program, batched):
     """Small changes do not add up: each is compared with the last evaluation."""
     if not batched:
-        monkeypatch.setattr(FormulaBatches, "evaluate", lambda *_: {})
+        monkeypatch.setattr(TriggerBatches, "evaluate", lambda *_: None)
     moved(boxes, client, 1.0)
     calls = []
     ss.add_trigger("t", program, 0, calls.append, threshold=0.01)

@@ -1,0 +1,207 @@
+"""Evaluates formulas of one shape at once, and finds those whose rows have changed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import compress
+from typing import Any
+
+import numpy as np
+
+from ssduck.columns.arrays import Array, ArrayValues
+from ssduck.geometry.arrays import Flags, Indices
+from ssduck.interpreter.triggers.formulas import Formula, Slot
+from ssduck.interpreter.triggers.shapes import LiveShapes
+from ssduck.interpreter.triggers.table_state import TIME_COLUMNS
+from ssduck.world.live_tables import LiveTable
+from ssduck.world.snapshot import Snapshot
+
+_TYPES = {"double": np.float64, "decimal": np.float64, "integer": np.int64, "string": np.object_}
+
+
+class WorldRows:
+    """The rows of a world's entities and its shapes, and whether they have changed.
+
+    Attributes:
+        shapes: its narrow phase.
+        state: a number that changes whenever a value does, other than the time, or a shape moves.
+    """
+
+    def __init__(self) -> None:
+        self.shapes = LiveShapes()
+        self.state = 0
+        self._last: tuple[int, int, Array] | None = None
+
+    def begin(self, snapshot: Snapshot, *, has_shapes: bool) -> None:
+        """Takes note of a tick."""
+        table, moves = snapshot.tables["entities"], 0
+        if has_shapes:
+            moves = self.shapes.begin(snapshot)
+        names = table.names_of_doubles
+        numbers = table.block[[name not in TIME_COLUMNS for name in names]].view(np.int64)
+        now = table.version, moves, numbers
+        last, self._last = self._last, now
+        if last is None or last[:2] != now[:2] or not np.array_equal(last[2], numbers):
+            self.state += 1
+
+
+@dataclass(frozen=True, eq=False)
+class _FoundRows:
+    """The rows of k formulas at a tick, those of the first one first.
+
+    Attributes:
+        count: k.
+        formulas: (rows,), the place of the formula of each row, ascending.
+        columns: (rows,) or (rows, length) each.
+    """
+
+    count: int
+    formulas: Indices
+    columns: list[Array]
+
+    @cached_property
+    def _ends(self) -> list[int]:
+        return list(np.searchsorted(self.formulas, np.arange(self.count + 1)).tolist())
+
+    def of(self, place: int) -> _FoundRows:
+        """Returns the rows of a formula."""
+        own = slice(*self._ends[place : place + 2])
+        return _FoundRows(1, self.formulas[own] - place, [column[own] for column in self.columns])
+
+    @property
+    def values(self) -> list[tuple[Any, ...]]:
+        """The rows as Python's values."""
+        if not self.columns:
+            return [()] * len(self.formulas)
+        return list(zip(*(column.tolist() for column in self.columns), strict=True))
+
+    def differing(self, before: _FoundRows) -> Flags:
+        """Returns the formulas of which a bit of the rows differs from earlier ones, (k,)."""
+        pairs = zip((self.formulas, *self.columns), (before.formulas, *before.columns), strict=True)
+        if all(np.array_equal(_bits(ours), _bits(theirs)) for ours, theirs in pairs):
+            return np.zeros(self.count, np.bool_)
+        counts = [np.bincount(rows.formulas, minlength=self.count) for rows in (self, before)]
+        differ: Flags = counts[0] != counts[1]
+        now, then = (~differ[rows.formulas] for rows in (self, before))
+        formulas = self.formulas[now]
+        for ours, theirs in zip(self.columns, before.columns, strict=True):
+            a, b = _bits(ours[now]), _bits(theirs[then])
+            if a.shape != b.shape or a.dtype != b.dtype:
+                differ[formulas] = True
+                break
+            unequal = a != b
+            differ[formulas[unequal if unequal.ndim == 1 else unequal.any(axis=1)]] = True
+        return differ
+
+
+def _bits(values: Array) -> Array:
+    """Returns a key of each value that tells 0.0 from -0.0."""
+    is_double = values.dtype == np.float64
+    return np.ascontiguousarray(values).view(np.int64) if is_double else values
+
+
+class FormulaGroup:
+    """Formulas of one shape that are evaluated at the same ticks.
+
+    Args:
+        formulas: k formulas.
+        snapshot: a tick of their world with the same entities.
+        shapes: the narrow phase of their world.
+        found: the last rows of each formula that was evaluated before.
+
+    Attributes:
+        formulas: the formulas.
+        number: the number of the tick of the last evaluation; 0 before the first.
+    """
+
+    def __init__(
+        self,
+        formulas: Sequence[Formula],
+        snapshot: Snapshot,
+        shapes: LiveShapes,
+        found: Sequence[_FoundRows | None],
+    ) -> None:
+        self.formulas, self.number = tuple(formulas), 0
+        self._select, self._shapes = formulas[0].select, shapes
+        self._slots = [
+            _SlotArray(s, snapshot) for s in zip(*(f.slots for f in formulas), strict=True)
+        ]
+        self._state = self._version = 0
+        self._reads_time = any(formula.reads_time for formula in formulas)
+        self._fixed: dict[Any, Array] = {}
+        self._before = list(found)
+        self._found: _FoundRows | None = None
+
+    def rows_of(self, place: int) -> _FoundRows | None:
+        """Returns the last rows of a formula; None before the first evaluation."""
+        return self._before[place] if self._found is None else self._found.of(place)
+
+    def evaluate(self, snapshot: Snapshot, state: int) -> bool:
+        """Evaluates the formulas at a tick, unless nothing that they read has changed.
+
+        Args:
+            snapshot: the tick.
+            state: the state of the rows of its entities.
+
+        Returns:
+            Whether any row has changed.
+
+        Raises:
+            LeftToDuckDBError: they have to be evaluated by themselves.
+        """
+        changed: Sequence[bool] = ()
+        if state != self._state or self._reads_time:
+            found = self._evaluated(snapshot.tables["entities"])
+            if self._found is None:
+                pairs = zip(map(found.of, range(found.count)), self._before, strict=True)
+                changed = [last is None or bool(now.differing(last).any()) for now, last in pairs]
+            else:
+                changed = found.differing(self._found).tolist()
+            for formula in compress(self.formulas, changed):
+                formula.version += 1
+            self._found = found
+        self._state, self.number = state, snapshot.number
+        return any(changed)
+
+    def _evaluated(self, table: LiveTable) -> _FoundRows:
+        """Returns the rows of the formulas."""
+
+        def read(key: int | str) -> Array:
+            if isinstance(key, int):
+                return self._slots[key].values(table)
+            if key in table.names_of_numbers:
+                return table[key]
+            return np.array(table.values(key), np.object_ if key in ("name", "kind") else np.bool_)
+
+        if self._version != table.version:
+            self._version, self._fixed = table.version, {}
+        values = ArrayValues(read, table.count, self._shapes, self._fixed)
+        mask = np.ones((1, table.count), np.bool_)
+        for condition in self._select.conditions:
+            mask = mask & condition(values)
+        values.active = mask
+        parts = [np.atleast_2d(part(values)) for part in self._select.columns]
+        shape = len(self.formulas), table.count
+        chosen = np.nonzero(np.broadcast_to(mask, shape))
+        columns = [np.broadcast_to(part, shape + part.shape[2:])[chosen] for part in parts]
+        formulas, *columns = self._select.arranged([chosen[0], *columns])
+        return _FoundRows(len(self.formulas), formulas, columns)
+
+
+class _SlotArray:
+    """A slot of k formulas as an array, (k, 1), or (1, 1) where all are equal."""
+
+    def __init__(self, slots: Sequence[Slot], snapshot: Snapshot) -> None:
+        if len({slot.key for slot in slots}) == 1:
+            slots = slots[:1]
+        self._column, values = slots[0].column, [[slot.value] for slot in slots]
+        if self._column is None:
+            self._values: Array = np.array(values, _TYPES[slots[0].kind])
+        else:
+            self._values = np.array([[snapshot.rows[value.id]] for (value,) in values], np.intp)
+
+    def values(self, table: LiveTable) -> Array:
+        """Returns the values at a tick."""
+        return self._values if self._column is None else table[self._column][self._values]
