@@ -11,6 +11,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
+from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
 import gymnasium
@@ -23,6 +25,8 @@ from benchmarks.timing import medians, text_of
 from ssduck.gym import QueryWrapper, VectorQueryWrapper
 
 COUNTS = (1, 64, 4096)
+# The libraries that states may come in; those that are installed are measured.
+LIBRARIES = ("torch", "jax.numpy")
 VECTOR = 16
 MODEL = """
 <mujoco>
@@ -61,6 +65,12 @@ def states(model: Any, count: int, seed: int) -> Arrays:
     turned[..., 0] = 1.0
     velocities = draw.normal(0, 0.1, (count, model.nbody, 6))
     return {"xpos": xpos, "xquat": turned, "cvel": velocities, "subtree_com": xpos}
+
+
+def in_library(arrays: Arrays, library: str) -> dict[str, Any]:
+    """Returns arrays of another library, in its own precision, on the processor."""
+    xp = import_module(library)
+    return {name: xp.asarray(array) for name, array in arrays.items()}
 
 
 def by_hand(arrays: Arrays) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.float64]]:
@@ -105,6 +115,10 @@ def rows() -> Iterator[tuple[str, ...]]:
             ways = {name: of_batch(ask, sim, drawn) for name, ask in asked.items()}
             ways["eight terms"] = of_batch(terms, sim, drawn)
             ways["eight terms, numpy by hand"] = of_batch(partial(by_hand, drawn[0]), sim, drawn)
+            for library in LIBRARIES:
+                if count == COUNTS[-1] and find_spec(library.partition(".")[0]) is not None:
+                    own = [in_library(arrays, library) for arrays in drawn]
+                    ways[f"eight terms, states of {library}"] = of_batch(terms, sim, own)
             rounds = 20 if count > 64 else 200
             for name, seconds in medians(ways, rounds, time.process_time).items():
                 yield f"{count:,} environments", name, text_of(seconds), ""

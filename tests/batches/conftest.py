@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import ssduck
+from tests.support.cases import factor
 
 MODEL = """
 <mujoco><option timestep="0.01"/><worldbody>
@@ -21,27 +22,29 @@ MODEL = """
       <geom type="capsule" fromto="0 0 0 -0.3 0 0" size="0.02" mass="0.2"/></body></body>
 </worldbody></mujoco>
 """
-COUNT = 8
+# In `make long`, many environments.
+COUNT = 8 if factor() == 1 else 256
 
 
 class States(list):
-    """Data of simulations, with a world that is attached to each from the first question on."""
+    """Data of simulations, with a world that takes the state of each, one after the other."""
 
-    singles = ()
+    single = None
 
     def worlds(self, model):
-        """Yields the interpreters with the worlds, `sim`, at the present states."""
-        if not self.singles:
-            self.singles = [ssduck.Interpreter(recording=None) for _ in self]
-            for ss, data in zip(self.singles, self, strict=True):
-                ss.add_variable("sim", ssduck.World.attach(model, data))
-        for ss in self.singles:
+        """Yields an interpreter with a world, `sim`, at the present state of each simulation."""
+        if self.single is None:
+            self.single = ssduck.Interpreter(recording=None), mujoco.MjData(model)
+            self.single[0].add_variable("sim", ssduck.World.attach(model, self.single[1]))
+        ss, data = self.single
+        for state in self:
+            mujoco.mj_copyData(data, model, state)
             ss["sim"].tick()
             yield ss
 
     def close(self):
-        for ss in self.singles:
-            ss.close()
+        if self.single is not None:
+            self.single[0].close()
 
 
 def simulations(count=COUNT, seed=0):

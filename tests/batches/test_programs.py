@@ -353,7 +353,7 @@ def test_an_environment_is_a_world(batch):
         one.add_variable("sim", sim.environment(5))
         for text in ("contactForce(sim.cube, sim.table);", "joint(sim.arm, 'elbow');"):
             assert one.eval(text) == each(model, states, text)[5]
-    with pytest.raises(ArgumentError, match="from 0 to 7"):
+    with pytest.raises(ArgumentError, match=f"from 0 to {COUNT - 1}"):
         sim.environment(COUNT)
 
 
@@ -369,18 +369,18 @@ def test_wrong_names_have_the_nearest_right_one(batch):
 TICKS = [
     ({"xpos": np.zeros((7, 6, 3))}, "qpos"),
     (
-        {"xpos": np.zeros((7, 6, 3)), "xquat": np.zeros((8, 6, 4))},
-        r"\(7, 6, 3\), not \(8, 6, 3\).*first axis",
+        {"xpos": np.zeros((7, 6, 3)), "xquat": np.zeros((COUNT, 6, 4))},
+        rf"\(7, 6, 3\), not \({COUNT}, 6, 3\).*first axis",
     ),
-    ({"xpos": np.zeros((6, 3)), "xquat": np.zeros((8, 6, 4))}, "first axis"),
-    ({"xpos": np.zeros((8, 6, 3)), "xquat": np.zeros((8, 6, 4))}, "length 0, not 1"),
+    ({"xpos": np.zeros((6, 3)), "xquat": np.zeros((COUNT, 6, 4))}, "first axis"),
+    ({"xpos": np.zeros((COUNT, 6, 3)), "xquat": np.zeros((COUNT, 6, 4))}, "length 0, not 1"),
     ({"xpos": [["a"]], "xquat": 1}, "array of numbers"),
-    ({"qpos": np.zeros((8, 15)), "xposs": 1}, "did you mean.*xpos|xpos"),
-    ({"qpos": np.zeros((8, 15)), "contact": {"geom": np.zeros((8, 2, 2), int)}}, "dist"),
+    ({"qpos": np.zeros((COUNT, 15)), "xposs": 1}, "did you mean.*xpos|xpos"),
+    ({"qpos": np.zeros((COUNT, 15)), "contact": {"geom": np.zeros((COUNT, 2, 2), int)}}, "dist"),
     (
         {
-            "qpos": np.zeros((8, 15)),
-            "contact": {"geom": np.full((8, 2, 2), 9), "dist": np.zeros((8, 2))},
+            "qpos": np.zeros((COUNT, 15)),
+            "contact": {"geom": np.full((COUNT, 2, 2), 9), "dist": np.zeros((COUNT, 2))},
         },
         "9, and the model has 6 geoms",
     ),

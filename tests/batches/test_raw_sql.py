@@ -35,7 +35,7 @@ def test_tables_are_those_of_each_environment(batch, table):
     assert len({row[0] for row in found}) > 1
     names = ss.sql(f"SELECT * FROM sim.{table}").columns
     assert names[0] == "env"
-    assert names[1:] == states.singles[0].sql(f"SELECT * FROM sim.{table}").columns
+    assert names[1:] == states.single[0].sql(f"SELECT * FROM sim.{table}").columns
 
 
 def test_a_statement_reads_the_last_tick(batch):
