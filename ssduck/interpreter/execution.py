@@ -129,7 +129,9 @@ class Execution(Namespace):
         )
         self.planner = Planner(database, self, limits, row_by_row=row_by_row)
         self.temporal = TemporalEvaluator()
-        self.folds = LiveFolds(self, self.planner, self.tables_read, database.is_recorded)
+        self.folds = LiveFolds(
+            self, self.planner, self.tables_read, database.is_recorded, database.record_of
+        )
         self._relation_queries: WeakKeyDictionary[Call, Query] = WeakKeyDictionary()
         self._program_texts: list[str] = []
         self._stamp: tuple[object, ...] = ()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
-from weakref import WeakKeyDictionary
 
 from ssduck.database.database import Database
 from ssduck.database.values import sql_type_of
@@ -77,7 +76,6 @@ class Planner:
 
     Attributes:
         generation: an object that is replaced whenever all plans are dropped.
-        states: what functions of time keep from tick to tick, dropped with the plans.
     """
 
     def __init__(
@@ -88,7 +86,6 @@ class Planner:
         self._limits = limits
         self._row_by_row = row_by_row
         self.generation = object()
-        self.states: WeakKeyDictionary[Call, Any] = WeakKeyDictionary()
         self._plans: dict[Query, list[PlannedQuery]] = {}
         self._row_by_row_queries: dict[
             Query, list[tuple[tuple[SourceType, ...], RowByRowQuery]]
@@ -101,7 +98,6 @@ class Planner:
     def forget(self) -> None:
         """Drops all plans, because a function or the name of a world has changed."""
         self.generation = object()
-        self.states.clear()
         for plans in self._plans.values():
             for planned in plans:
                 planned.forget()

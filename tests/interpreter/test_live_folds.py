@@ -1,7 +1,4 @@
-"""Functions of time that are kept from tick to tick are those of the whole record.
-
-A program with another text is another program, of which nothing is kept.
-"""
+"""Functions of time that are kept from tick to tick are those of the whole record."""
 
 from __future__ import annotations
 
@@ -75,7 +72,13 @@ def outcome(ss, text):
 
 
 def fresh(ss, text):
-    return outcome(ss, f"{text}; # {next(FRESH)}")
+    """Returns what the record gives: no state is known, and none is kept."""
+    folds = ss._execution.folds
+    known, folds._folded = folds._folded, {}
+    try:
+        return outcome(ss, f"{text}; # {next(FRESH)}")
+    finally:
+        folds._folded = known
 
 
 def act(scene, step):
@@ -269,16 +272,14 @@ def test_a_step_that_ctrl_c_ends_is_not_in_the_state(monkeypatch, scene):
     for term in ("previous(z(sim.ball))", "rate(z(sim.ball))"):
         ss.eval(f"{term};")
         act(scene, "tick")
-        is_next = LiveFolds._is_next
+        with_present = LiveFolds._with_present
 
-        def interrupted(folds, kept, fold, is_next=is_next):
-            before = kept.tick, kept.time
-            is_next(folds, kept, fold)
-            kept.tick, kept.time = before  # only the state has the step
+        def interrupted(*args, with_present=with_present):
+            with_present(*args)
             raise KeyboardInterrupt
 
         with monkeypatch.context() as patch:
-            patch.setattr(LiveFolds, "_is_next", interrupted)
+            patch.setattr(LiveFolds, "_with_present", interrupted)
             with pytest.raises(KeyboardInterrupt):
                 ss.eval(f"{term};")
         assert ss.eval(f"{term};") == fresh(ss, term)

@@ -25,7 +25,7 @@ from ssduck.interpreter.batches.columns import EnvironmentColumns
 from ssduck.interpreter.batches.kernels import EnvironmentShapes, kernels_of
 from ssduck.interpreter.batches.trees import TreeCompiler, kind_of
 from ssduck.interpreter.execution import Execution
-from ssduck.interpreter.over_time.unrecorded import select_of
+from ssduck.interpreter.over_time.live import select_of
 from ssduck.interpreter.query_runner import PlannedQuery
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import Name, Node, Placeholder

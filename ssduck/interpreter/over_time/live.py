@@ -2,77 +2,103 @@
 
 A condition of an environment that asks `heldFor(…)` at each step would read all ticks of the
 episode anew. Here, a call keeps the *state* of its fold over the ticks until now, and the value at
-the next tick is computed as a SELECT of one row. Whenever anything but the next tick is new, such
-as a variable, a body or the first recorded tick, the state is made anew from the record.
+the next tick is computed as a SELECT of one row.
+
+The state of a recorded world is made from the record, anew whenever anything but the next tick is
+new, such as a variable, a body or the first recorded tick. That of a world that is not recorded
+begins at the first tick of an episode, and needs each tick: a tick that was missed is an error.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
-from weakref import WeakKeyDictionary
+from weakref import ReferenceType, WeakKeyDictionary, ref
 
-from ssduck.errors import SelectScriptError
-from ssduck.interpreter.over_time.functions import Fold, TemporalFunction, parts_of
-from ssduck.interpreter.over_time.series import TickSeries
-from ssduck.interpreter.over_time.unrecorded import (
-    UnrecordedFolds,
-    copied,
-    meaning_of,
-    names_in,
-    select_of,
+from ssduck.errors import (
+    ArgumentError,
+    EvaluationError,
+    LimitError,
+    RemovedEntityError,
+    SelectScriptError,
+    UnknownNameError,
 )
+from ssduck.interpreter.over_time.functions import Fold, TemporalFunction, parts_of
+from ssduck.interpreter.over_time.series import TickSeries, is_true
 from ssduck.interpreter.planner import Planner
 from ssduck.language.analysis import free_aliases
 from ssduck.language.builtins import BUILTINS
 from ssduck.language.clauses import formed
 from ssduck.language.evaluator import EvaluationScope, Frame
-from ssduck.language.tree import Call, Node, Query, TimeIndex
+from ssduck.language.tree import Call, ListLiteral, Literal, Name, Node, Query, Source, TimeIndex
+from ssduck.language.value_keys import ATOMS, node_key
+from ssduck.recording.replay.record import Record
+from ssduck.recording.spec import no_ticks_message
 from ssduck.schema import MASSES
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.world.handles import Handle
 from ssduck.world.layout import TableLayout
 from ssduck.world.world import World
 
+# Of more states, those that cannot go on are dropped.
+_MANY = 256
 
-@dataclass
-class _Kept:
-    """The state of a fold over the ticks until one.
+
+@dataclass(frozen=True, eq=False)
+class _Origin:
+    """The recorded ticks that a state was made from.
 
     Attributes:
-        query: the SELECT that has the value of the expression at the present tick.
-        names: the variables of the expression.
-        meaning: the values of its variables.
+        first: the number of the first one.
         layout: the entities of the world.
-        series: the ticks.
-        run: the number of the world's run.
-        first: the number of the first recorded tick.
-        tick: the number of the last one that is in the state.
-        time: its time, s.
-        state: the state.
+        plans: the planner's generation; another one has functions that mean something else.
     """
 
-    query: Query
-    names: tuple[str, ...]
-    meaning: tuple[Any, ...]
-    layout: TableLayout
-    series: TickSeries
-    run: int
     first: int
+    layout: ReferenceType[TableLayout]
+    plans: object
+
+
+@dataclass(frozen=True, eq=False)
+class _Folded:
+    """The state of a fold at the last tick that was added.
+
+    Attributes:
+        run: the number of the world's run.
+        meaning: the values of the variables in its expression.
+        tick: the number of the tick.
+        time: its time, s.
+        state: the state.
+        origin: the recorded ticks that it was made from; None of a world that is not recorded.
+        before: the state before the ticks of this time; None if there is none.
+        failure: the error of the expression at a tick, as long as the value depends on that.
+        reach: the number of ticks from that one on for which it does; None for all.
+        age: the number of ticks of later times than that one.
+    """
+
+    run: int
+    meaning: tuple[Any, ...]
     tick: int
     time: float
     state: Any
+    origin: _Origin | None = None
+    before: tuple[Any] | None = None
+    failure: SelectScriptError | None = None
+    reach: int | None = None
+    age: int = 0
 
 
 class LiveFolds:
-    """The states of calls of functions of time.
+    """The states of calls of functions of time; equal calls share them.
 
     Args:
         scope: the variables.
         planner: runs queries.
         tables_read: returns the data that an expression reads.
         is_recorded: checks whether a world is recorded.
+        record_of: returns the record of a world.
     """
 
     def __init__(
@@ -81,13 +107,16 @@ class LiveFolds:
         planner: Planner,
         tables_read: Callable[[Node], frozenset[str]],
         is_recorded: Callable[[World], bool],
+        record_of: Callable[[World], Record],
     ) -> None:
         self._scope, self._planner, self._tables_read = scope, planner, tables_read
-        self._is_recorded = is_recorded
-        self._unrecorded = UnrecordedFolds(scope, planner)
-        self._kept: WeakKeyDictionary[Call, _Kept] = planner.states
+        self._is_recorded, self._record_of = is_recorded, record_of
+        # The keys of calls, and the variables in their expressions.
+        self._keys: WeakKeyDictionary[Call, tuple[str, tuple[str, ...]]] = WeakKeyDictionary()
         # Whether the expression of a call is the same at the present tick and in the record.
         self._are_simple: WeakKeyDictionary[Call, bool] = WeakKeyDictionary()
+        self._queries: dict[str, Query] = {}
+        self._folded: dict[str, _Folded] = {}
 
     def takes(self, call: Call, frame: Frame) -> bool:
         """Checks whether the state of a call can be kept: it depends on no row around it."""
@@ -100,18 +129,16 @@ class LiveFolds:
     def misses(self, call: Call) -> bool:
         """Checks whether the present tick would be lost to a call: its world is not recorded."""
         world = self._unrecorded_world(call)
-        return world is not None and self._unrecorded.misses(call, world)
+        if world is None:
+            return False
+        last, snapshot = self._last(call), world.snapshot
+        return last is None or (last.run, last.tick) != (snapshot.run, snapshot.number)
 
     def need_no_tables(self, call: Call) -> bool:
         """Checks whether the value of a call needs no table that DuckDB reads."""
-        return self._unrecorded_world(call) is not None and self._unrecorded.is_planned(call)
-
-    def _unrecorded_world(self, call: Call) -> World | None:
-        """Returns the only world of a call, if it was not recorded where its episode began."""
-        world = self._unrecorded.world_of(call)
-        if world is None or not self._is_recorded(world) or self._unrecorded.goes_on(call, world):
-            return world
-        return None
+        query = self._queries.get(self._key(call)[0])
+        is_planned = query is not None and self._planner.is_kept(query)
+        return is_planned and self._unrecorded_world(call) is not None
 
     def value(self, call: Call, form: TemporalFunction, series_of: Callable[[], TickSeries]) -> Any:
         """Returns the value of a call at the present tick; the caller pins the worlds.
@@ -120,77 +147,209 @@ class LiveFolds:
             call: a call that it takes.
             form: its function, which is a fold.
             series_of: a function that returns the ticks of its expression.
+
+        Raises:
+            EvaluationError: the world is not recorded, and the call was not asked at an earlier
+                tick of the episode.
+            SelectScriptError: its expression fails, or failed at an earlier tick.
         """
         fold = form.fold
         assert fold is not None
-        kept = self._kept.pop(call, None)  # so that Ctrl-C leaves no state of half a step
-        if kept is None or not self._is_next(kept, fold):
-            world = self._unrecorded_world(call)
-            if world is not None:
-                return self._unrecorded.value(call, world)
-            series = series_of()
-            kept = self._made(call, series, fold)
-            if kept is None:
-                return form.make(series, None)
-        self._kept[call] = kept
-        return copied(fold.value(kept.state, kept.time))
+        world = self._unrecorded_world(call)
+        if world is not None:
+            folded = self._unrecorded(call, world, fold)
+        else:
+            known = self._recorded(call, fold)
+            if known is None:
+                series = series_of()
+                known = self._made(call, series, fold)
+                if known is None:
+                    return form.make(series, None)
+            folded = known
+        self._keep(call, folded)
+        if folded.failure is not None:
+            raise copy.copy(folded.failure)
+        return copied(fold.value(folded.state, folded.time))
 
-    def _is_next(self, kept: _Kept, fold: Fold) -> bool:
-        """Adds the present tick to a state, unless it has it; returns whether that is all."""
-        snapshot = kept.series.record.world.snapshot
-        if (
-            kept.run != snapshot.run
-            or kept.layout is not snapshot.layout
-            or kept.meaning != meaning_of(self._scope, kept.names)
-        ):
-            return False
-        numbers, times = kept.series.ticks()
-        if not len(numbers) or numbers[0] != kept.first or numbers[-1] != snapshot.number:
-            return False
-        if numbers[-1] == kept.tick:
-            return True
-        time = float(times[-1])
-        if len(numbers) < 2 or numbers[-2] != kept.tick or time <= kept.time:
-            return False
-        try:
-            selected = self._planner.run(kept.query, Frame(self._scope), lambda _: None)
-            ((value,),) = formed(selected, lambda rows: rows.values)
-            if fold.is_of_condition:
-                value = kept.series.is_true(value)
-            kept.state = fold.step(kept.state, time, value)
-        except SelectScriptError:
-            return False  # made from the record, it raises the error if there is one
-        kept.tick, kept.time = int(numbers[-1]), time
-        return True
+    # -- states -----------------------------------------------------------------------------
 
-    def _made(self, call: Call, series: TickSeries, fold: Fold) -> _Kept | None:
-        """Returns a state to keep.
+    def _key(self, call: Call) -> tuple[str, tuple[str, ...]]:
+        if call not in self._keys:
+            self._keys[call] = node_key(call), _names_in(parts_of(call)[0])
+        return self._keys[call]
 
-        Returns:
-            None if the present tick is not recorded, or not all of it, or if a variable is of a
-            type that may change.
-        """
-        recording, snapshot = series.record.recording, series.record.world.snapshot
-        if recording is not None and recording.entities is not None:
-            return None
-        numbers, times = series.ticks()
-        expression, _ = parts_of(call)
-        names = names_in(expression)
-        meaning = meaning_of(self._scope, names)
-        if meaning is None or not len(numbers) or numbers[-1] != snapshot.number:
-            return None
-        return _Kept(
-            select_of(expression),
-            names,
-            meaning,
-            snapshot.layout,
-            series,
-            snapshot.run,
-            int(numbers[0]),
-            int(numbers[-1]),
-            float(times[-1]),
-            fold.begin(series),
+    def _last(self, call: Call) -> _Folded | None:
+        return self._folded.get(self._key(call)[0])
+
+    def _keep(self, call: Call, folded: _Folded) -> None:
+        """Keeps a state; of many, those of other ticks can go on no more."""
+        self._folded[self._key(call)[0]] = folded
+        if len(self._folded) > _MANY:
+            self._folded = {k: f for k, f in self._folded.items() if f.tick >= folded.tick - 1}
+            self._queries = {k: query for k, query in self._queries.items() if k in self._folded}
+
+    def _world_of(self, call: Call) -> World | None:
+        """Returns the only world of a call's expression; None if there is no such one."""
+        scope = self._scope
+        values = [scope.variable(n) for n in self._key(call)[1] if scope.has_variable(n)]
+        worlds = [value.world if isinstance(value, Handle) else value for value in values]
+        found = {world for world in worlds if isinstance(world, World)}
+        return found.pop() if len(found) == 1 else None
+
+    def _unrecorded_world(self, call: Call) -> World | None:
+        """Returns the only world of a call, if it was not recorded where its episode began."""
+        world = self._world_of(call)
+        if world is None or not self._is_recorded(world):
+            return world
+        last, snapshot = self._last(call), world.snapshot
+        goes_on = (
+            last is not None
+            and last.origin is None
+            and last.run == snapshot.run
+            and 0 <= snapshot.number - last.tick <= 1
         )
+        return world if goes_on else None
+
+    def _unrecorded(self, call: Call, world: World, fold: Fold) -> _Folded:
+        """Returns the state at the present tick of a world that is not recorded."""
+        snapshot, meaning = world.snapshot, self._meaning(call)
+        last = self._last(call)
+        if last is not None and (last.run, last.meaning) != (snapshot.run, meaning):
+            last = None
+        if last is not None and last.tick == snapshot.number:
+            return last
+        is_first = last is None and snapshot.time == world.episode_start
+        is_next = last is not None and snapshot.number == last.tick + 1
+        if meaning is None or not (is_first or is_next):
+            raise EvaluationError(
+                f"{no_ticks_message(world.name)}; without a record, {call.name}(…) has to be "
+                "asked at each tick of an episode, and one was taken without that: record the "
+                "world before the next reset",
+                span=call.span,
+            )
+        return self._with_present(call, world, last, meaning, fold)
+
+    def _recorded(self, call: Call, fold: Fold) -> _Folded | None:
+        """Returns the state at the present tick of a recorded world, if it follows from the last.
+
+        None if it has to be made from the record, which raises the error if there is one.
+        """
+        last, world, meaning = self._last(call), self._world_of(call), self._meaning(call)
+        if last is None or last.origin is None or world is None or meaning is None:
+            return None
+        snapshot, origin = world.snapshot, last.origin
+        is_same = (last.run, last.meaning) == (snapshot.run, meaning)
+        if not is_same or origin.layout() is not snapshot.layout:
+            return None
+        numbers, times = self._record_of(world).ticks_until_now()
+        is_now = len(numbers) and numbers[-1] == snapshot.number and numbers[0] == origin.first
+        if not is_now or origin.plans is not self._planner.generation:
+            return None
+        if last.tick == snapshot.number:
+            return last
+        if len(numbers) < 2 or numbers[-2] != last.tick or times[-1] <= last.time:
+            return None
+        folded = self._with_present(call, world, last, meaning, fold)
+        return folded if folded.failure is None else None
+
+    def _made(self, call: Call, series: TickSeries, fold: Fold) -> _Folded | None:
+        """Returns a state from the record.
+
+        None if the present tick is not recorded, or not all of it, if a variable is of a type that
+        may change, or if the state has entities, which have a tick.
+        """
+        record, snapshot = series.record, series.record.world.snapshot
+        is_whole = record.recording is None or record.recording.entities is None
+        numbers, times = series.ticks()
+        meaning = self._meaning(call)
+        is_now = len(numbers) > 0 and numbers[-1] == snapshot.number
+        if not (is_whole and is_now) or meaning is None or self._world_of(call) is None:
+            return None
+        state = fold.begin(series)
+        if _has_entity(state):
+            return None
+        origin = _Origin(int(numbers[0]), ref(snapshot.layout), self._planner.generation)
+        return _Folded(snapshot.run, meaning, int(numbers[-1]), float(times[-1]), state, origin)
+
+    # -- the present tick -------------------------------------------------------------------
+
+    def _with_present(
+        self,
+        call: Call,
+        world: World,
+        last: _Folded | None,
+        meaning: tuple[Any, ...],
+        fold: Fold,
+    ) -> _Folded:
+        """Returns the state with the present tick."""
+        snapshot = world.snapshot
+        number, time = snapshot.number, snapshot.time
+        origin = None if last is None else last.origin
+        is_later = last is not None and time > last.time
+        if last is None or time == world.episode_start:  # of ticks of one time, the last one counts
+            last, before = None, None
+        else:
+            before = (last.state,) if is_later else last.before
+
+        def stepped(value: Any) -> Any:
+            return fold.first(time, value) if before is None else fold.step(before[0], time, value)
+
+        if last is not None and fold.reach == 0:
+            return replace(last, tick=number, time=time)
+        failure, reach, age = None, None, 0
+        if last is not None and last.failure is not None:
+            failure, reach, age = last.failure, last.reach, last.age + is_later
+            if reach is not None and age >= reach:
+                failure = None
+        try:
+            value = self._present(call, world)
+            state = stepped(is_true(value, parts_of(call)[0]) if fold.is_of_condition else value)
+        except LimitError:
+            raise
+        except SelectScriptError as error:
+            is_missing = isinstance(error, UnknownNameError | RemovedEntityError)
+            failure, age = error, 0
+            reach = 1 if is_missing else fold.reach
+            state = stepped(False if fold.is_of_condition else None)
+        return _Folded(
+            snapshot.run, meaning, number, time, state, origin, before, failure, reach, int(age)
+        )
+
+    def _present(self, call: Call, world: World) -> Any:
+        """Returns the value of a call's expression at the present tick; None where it is NaN."""
+        key, _ = self._key(call)
+        query = self._queries.get(key)
+        if query is None:
+            query = self._queries[key] = select_of(parts_of(call)[0])
+        try:
+            selected = self._planner.run(query, Frame(self._scope), lambda _: None)
+        except ArgumentError:
+            if not world.snapshot.entities_with_nan():
+                raise
+            return None
+        ((value,),) = formed(selected, lambda rows: rows.values)
+        if isinstance(value, Handle):  # its columns would be those of the present tick
+            raise EvaluationError(no_ticks_message(world.name), span=call.span)
+        return value
+
+    def _meaning(self, call: Call) -> tuple[Any, ...] | None:
+        """Returns what the variables of a call mean; None if that may change by itself.
+
+        It holds no world.
+        """
+        scope = self._scope
+        meaning: list[tuple[Any, ...]] = []
+        for name in self._key(call)[1]:
+            value = scope.variable(name) if scope.has_variable(name) else None
+            if type(value) in ATOMS:
+                meaning.append((name, type(value), repr(value)))
+            elif isinstance(value, World):
+                meaning.append((name, World, value.serial))
+            elif isinstance(value, Handle) and value.moment is None:
+                meaning.append((name, type(value), (value.world.serial, value.id)))
+            else:
+                return None
+        return tuple(meaning)
 
     def _is_simple(self, expression: Node) -> bool:
         """Checks whether an expression has the same value at the present tick and in the record.
@@ -203,6 +362,27 @@ class LiveFolds:
             if isinstance(node, Call) and node.name not in RELATIONS and node.name not in BUILTINS:
                 return False
         return MASSES not in self._tables_read(expression)
+
+
+def select_of(expression: Node) -> Query:
+    """Returns a SELECT of one row that has the value of an expression."""
+    zero = ListLiteral(expression.span, (Literal(expression.span, 0),))
+    return Query(expression.span, (expression,), (Source(expression.span, None, zero),))
+
+
+def copied(value: Any) -> Any:
+    """Returns a value whose lists the caller may change."""
+    return list(map(copied, value)) if type(value) is list else value
+
+
+def _names_in(expression: Node) -> tuple[str, ...]:
+    """Returns the variables of an expression, each once."""
+    return tuple(dict.fromkeys(n.name for n in expression.walk() if isinstance(n, Name)))
+
+
+def _has_entity(state: Any) -> bool:
+    parts: Sequence[Any] = state if isinstance(state, list | tuple) else ()
+    return isinstance(state, Handle) or any(map(_has_entity, parts))
 
 
 def _is_row(element: Any) -> bool:
