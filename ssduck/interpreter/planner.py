@@ -29,7 +29,7 @@ from ssduck.language.tree import Call, Name, Node, Placeholder, Query, TimeIndex
 from ssduck.limits import Limits
 from ssduck.recording.replay.past import Past
 from ssduck.sql.name_resolution import ResolvedQuery, resolve
-from ssduck.sql.plan import Plan, SourceType
+from ssduck.sql.plan import Plan, Purpose, SourceType
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.sql_values import NotSqlError
 from ssduck.sql.subqueries import is_inline
@@ -41,6 +41,8 @@ from ssduck.world.world import World
 
 # The largest number of cached plans; when it is reached, all are dropped.
 MAX_PLANS = 500
+# How a query is planned, one after the other where the SQL fails.
+_RUNS: tuple[Purpose, ...] = ("run", "cautious")
 _UNKNOWN = SqlType("any")
 
 
@@ -125,9 +127,9 @@ class Planner:
         if self.is_kept(query):
             self._database.settle()
         if not self._row_by_row:
-            for cautious in (False, True):
+            for purpose in _RUNS:
                 try:
-                    return self._run_planned(query, frame, check, cautious=cautious)
+                    return self._run_planned(query, frame, check, purpose)
                 except SqlFailedError:
                     continue
                 except _SmallQueryError as error:
@@ -152,12 +154,12 @@ class Planner:
         planned = self.planned(query, frame)
         return None if planned is None else planned.plan
 
-    def planned(self, query: Query, frame: Frame) -> PlannedQuery | None:
+    def planned(self, query: Query, frame: Frame, purpose: Purpose = "run") -> PlannedQuery | None:
         """Returns a query with its plan; None if it runs row by row."""
         if self._row_by_row:
             return None
         try:
-            return self._plan_for(query, frame, self._types_in(frame), cautious=False)[0]
+            return self._plan_for(query, frame, self._types_in(frame), purpose)[0]
         except NotSqlError:
             return None
 
@@ -165,7 +167,7 @@ class Planner:
         """Returns the plan of a query for its SQL text, and the values of its parameters."""
         types = self._types_in(frame)
         try:
-            planned, values = self._plan_for(query, frame, types, cautious=False, portable=True)
+            planned, values = self._plan_for(query, frame, types, "portable")
         except NotSqlError:
             return None, {}
         return planned.plan, planned.parameters(types.frame(), values)
@@ -173,7 +175,7 @@ class Planner:
     def relation(self, query: Query, frame: Frame) -> Any:
         """Returns the value of a relation outside a query, by a query of one row."""
         types = self._types_in(frame)
-        planned, _ = self._plan_for(query, frame, types, cautious=True)
+        planned, _ = self._plan_for(query, frame, types, "cautious")
         if planned.plan.python_parts:
             (call,) = query.items
             assert isinstance(call, Call)
@@ -203,11 +205,11 @@ class Planner:
     # -- as SQL -----------------------------------------------------------------------------
 
     def _run_planned(
-        self, query: Query, frame: Frame, check: Callable[[Any], None], *, cautious: bool
+        self, query: Query, frame: Frame, check: Callable[[Any], None], purpose: Purpose
     ) -> Selected:
         """Runs a query by its plan."""
         types = self._types_in(frame)
-        planned, values = self._plan_for(query, frame, types, cautious=cautious)
+        planned, values = self._plan_for(query, frame, types, purpose)
         if planned.skips_sql():
             raise SqlFailedError
         check(planned.columns)
@@ -246,9 +248,7 @@ class Planner:
         query: Query,
         frame: Frame,
         types: InterpreterTypes,
-        *,
-        cautious: bool,
-        portable: bool = False,
+        purpose: Purpose,
     ) -> tuple[PlannedQuery, list[Any]]:
         """Returns the plan for the types of a query's sources, and the values of these.
 
@@ -256,8 +256,7 @@ class Planner:
             query: the query.
             frame: the scope and the rows around it.
             types: the types and names in the frame.
-            cautious: whether the plan leaves to Python all that may fail in SQL.
-            portable: whether its SQL is to be read, and not run.
+            purpose: what the SQL is for.
 
         Raises:
             NotSqlError: the query runs row by row.
@@ -271,16 +270,14 @@ class Planner:
             if any(isinstance(value, Handle) and value.moment is not None for value in elements):
                 raise NotSqlError  # its handles depend on a row of an outer query
             shapes = source_types(query, values, self._database.schema_of)
-            if not portable and query.sources and is_small(query, shapes, values):
+            if purpose != "portable" and query.sources and is_small(query, shapes, values):
                 raise _SmallQueryError(values, shapes)
-            planned = self._cached_plan(query, shapes, types, cautious=cautious, portable=portable)
+            planned = self._cached_plan(query, shapes, types, purpose)
             if planned is not None:
                 return planned, values
             try:
                 step = frame.scope.meter.step
-                plan = translate(
-                    query, shapes, types, cautious=cautious, portable=portable, step=step
-                )
+                plan = translate(query, shapes, types, purpose, step=step)
             except NotInlineError as error:
                 self._evaluated_aliases.setdefault(query, set()).add(str(error))
                 continue
@@ -304,15 +301,12 @@ class Planner:
         query: Query,
         shapes: tuple[SourceType, ...],
         types: InterpreterTypes,
-        *,
-        cautious: bool,
-        portable: bool,
+        purpose: Purpose,
     ) -> PlannedQuery | None:
         """Returns the cached plan for these types; None if there is none."""
         for planned in self._plans.get(query, ()):
             plan = planned.plan
-            is_such = plan.cautious == cautious and plan.portable == portable
-            if is_such and types.fits(plan, shapes):
+            if plan.purpose == purpose and types.fits(plan, shapes):
                 return planned
         return None
 

@@ -15,6 +15,7 @@ from ssduck.errors import SourceSpan, UnsupportedError
 from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS
+from ssduck.language.aggregates import is_grouped
 from ssduck.language.analysis import OVER_TIME
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import (
@@ -194,6 +195,8 @@ def _planned(execution: Execution, query: Query, frame: Frame) -> tuple[Plan, ex
     plan, values = execution.planner.sql_plan(query, frame)
     if plan is not None:
         _check_parts(plan.query)
+        if is_grouped(plan.query) or plan.query.distinct:
+            raise _unsupported("GROUP BY, DISTINCT or an aggregate", query)
         for node in plan.python_parts:
             what = node.name if isinstance(node, Call) else "a part"
             raise _unsupported(f"{what}, which Python computes,", node)

@@ -32,12 +32,14 @@ from ssduck.language.analysis import (
 from ssduck.language.clauses import (
     MANY_COLUMNS,
     Clauses,
+    Groups,
     Paths,
     PythonClauses,
     Rows,
     Selected,
     SelectedValue,
     combinations,
+    printed,
     row_frames,
 )
 from ssduck.language.evaluator import EvaluationScope, ExpressionCompiler, Frame, Thunk
@@ -103,7 +105,12 @@ class PlannedQuery:
         self._last_texts: dict[str, Any] | None = None
         self._converters = {
             output.sql_type: database.converter(output.sql_type)
-            for output in (*plan.known.values(), *plan.elements.values(), *(plan.outputs or ()))
+            for output in (
+                *plan.known.values(),
+                *plan.elements.values(),
+                *(plan.outputs or ()),
+                *plan.keys,
+            )
         }
         self._clauses: Clauses | None = None
         if plan.outputs is None:
@@ -130,7 +137,7 @@ class PlannedQuery:
         if plan.outputs is None and clauses == PythonClauses(clauses.columns):
             outputs = [plan.known.get(column.node) for column in clauses.columns]
         known = [output for output in outputs if output is not None]
-        is_left = plan.paths or not known or len(known) < len(outputs)
+        is_left = plan.paths or plan.keys or not known or len(known) < len(outputs)
         if is_left or any(self._converters[output.sql_type] for output in known):
             return None
         return [output.index for output in known]
@@ -177,14 +184,14 @@ class PlannedQuery:
         try:
             fetched = self._fetch(outer, sources)
         except SqlError as error:
-            if self.plan.cautious or error.is_final:
+            if self.plan.purpose == "cautious" or error.is_final:
                 raise _relation_error(error) from error
             if error.is_refused:  # a bug in the translation: Python gives the right result, slowly
                 warn(f"DuckDB refused a query's SQL: {error.message}")
             self._failures += 1
             raise SqlFailedError from error
         except JointError as error:  # perhaps of a row that a condition excludes
-            if self.plan.cautious:
+            if self.plan.purpose == "cautious":
                 raise
             self._failures += 1
             raise SqlFailedError from error
@@ -207,7 +214,9 @@ class PlannedQuery:
 
     def output_rows(self, fetched: list[tuple[Any, ...]]) -> Selected:
         """Returns the query's rows for the rows from SQL, if nothing is left to Python."""
-        outputs = self.plan.outputs or []
+        outputs, texts = self.plan.outputs or [], None
+        if self.plan.keys:
+            texts = self._key_texts(fetched)
         converters = [self._converters[output.sql_type] for output in outputs]
         indices = [output.index for output in outputs]
         if any(converters) or indices != list(range(len(fetched[0]) if fetched else 0)):
@@ -217,13 +226,24 @@ class PlannedQuery:
             fetched = self._converted(fetched, list(zip(indices, converters, strict=True)))
         names = self.plan.names
         if not self.plan.paths:
-            return Rows(fetched, names)
+            return Rows(fetched, names) if texts is None else _groups(texts, fetched, names)
         if self.plan.graph is not None:
             meter = self._database.connection.meter
             paths = _graph_paths(self.plan.graph, fetched, names, meter.step)
             meter.check_rows(len(paths.paths))
             return paths
         return Paths([Rows(list(zip(*path, strict=True)), names) for path in fetched])
+
+    def _key_texts(self, fetched: list[tuple[Any, ...]]) -> list[str]:
+        """Returns the printed keys of groups."""
+        keys = [(key.index, self._converters[key.sql_type]) for key in self.plan.keys]
+        columns = [
+            [printed(value, node) for (value,) in self._converted(fetched, [key])]
+            for key, node in zip(keys, self.plan.query.group, strict=True)
+        ]
+        texts = list(map(", ".join, zip(*columns, strict=True)))
+        self._database.connection.meter.charge(sum(map(len, texts)))
+        return texts
 
     def _converted(
         self,
@@ -358,6 +378,14 @@ class PlannedQuery:
         if convert is None:
             return lambda columns: columns[index]
         return lambda columns: convert(columns[index])
+
+
+def _groups(texts: list[str], rows: list[tuple[Any, ...]], names: tuple[str, ...]) -> Groups:
+    """Returns rows by their printed keys."""
+    groups: dict[str, list[tuple[Any, ...]]] = {}
+    for text, row in zip(texts, rows, strict=True):
+        groups.setdefault(text, []).append(row)
+    return Groups({text: Rows(own, names) for text, own in groups.items()}, Rows([], names))
 
 
 def _relation_error(error: SqlError) -> SelectScriptError:

@@ -6,6 +6,7 @@ HAVING, or `count(*)` in SELECT. In any other query an aggregate is of a list.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
@@ -163,12 +164,23 @@ def _aggregated(call: Call, argument: Thunk, rows: Sequence[Frame], first: Frame
     if not values:
         return _EMPTY_RESULTS.get(call.name, lambda: None)()
     try:
+        if call.name in ("sum", "avg") and all(type(value) is float for value in values):
+            total = exact_sum(values)
+            return total if call.name == "sum" else total / len(values)
         return AGGREGATES[call.name]([values])
     except ArgumentError as error:
         raise ArgumentError(_refusal_message(call.name, values), span=call.span) from error
     except SelectScriptError as error:
         error.span = error.span or call.span
         raise
+
+
+def exact_sum(values: Sequence[float]) -> float:
+    """Returns the sum of doubles, rounded once."""
+    try:
+        return math.fsum(values)
+    except (OverflowError, ValueError):  # too large, or infinities of both signs
+        return sum(values)
 
 
 def _refusal_message(name: str, values: Sequence[Any]) -> str:

@@ -62,7 +62,8 @@ def _explained(text: str, query: Query, plan: Plan | None, stand_ins: StandIns) 
     else:
         lines = [plan.select.sql(dialect="duckdb", pretty=True)]
         lines += [f"-- left to Python: {_source(text, node)}" for node in plan.python_parts]
-        lines += [f"-- left to Python: {clause}" for clause in plan.python_clauses.clauses]
+        why = "" if plan.left_for is None else f", for {_source(text, plan.left_for)}"
+        lines += [f"-- left to Python: {clause}{why}" for clause in plan.python_clauses.clauses]
         if plan.lookup is not None:
             lines.append("-- no statement runs: the rows of all pairs of the tick are looked up")
     return "\n".join([*lines, *_narrow_phase_lines(query), *_inexact_lines(query, stand_ins)])

@@ -15,6 +15,9 @@ from ssduck.sql.pair_lookup import PairLookup
 from ssduck.sql.types import Signature, SqlType
 
 PastKind: TypeAlias = Literal["", "instant", "window", "now"]
+# To run; to run where nothing in SQL may fail; to be read, or sent to another engine, so that it
+# calls Python for shapes only; to have the rows of a query without its groups.
+Purpose: TypeAlias = Literal["run", "cautious", "portable", "rows"]
 
 
 @dataclass(frozen=True)
@@ -131,13 +134,15 @@ class Plan:
         python_constants: the constants that Python evaluates.
         python_clauses: the clauses that Python applies to the rows.
         outputs: the selected columns, if nothing is left to Python.
+        keys: the keys of GROUP BY, by which the rows are sorted into groups, if nothing else is
+            left to Python.
+        left_for: the part for whose sake groups are left to Python.
         names: the names of the columns, if all of them are texts.
         paths: whether each row of the SQL is a path, or an edge of a graph of paths.
         graph: the search for paths over the edges.
         bare: the resolved names, and whether there was a variable of that name.
         deferred: the lists in variables that the query evaluates.
-        cautious: whether nothing in the SQL can fail.
-        portable: whether the SQL calls Python for shapes only, as it is to be read or sent away.
+        purpose: what the SQL is for.
         may_fail: whether something in the SQL may fail, so that Python decides.
         lookup: the look-up that has the rows of the SQL, if there is one.
     """
@@ -155,13 +160,14 @@ class Plan:
     python_constants: list[Node] = field(default_factory=list)
     python_clauses: PythonClauses = field(default_factory=lambda: PythonClauses(()))
     outputs: list[OutputColumn] | None = None
+    keys: list[OutputColumn] = field(default_factory=list)
+    left_for: Node | None = None
     names: tuple[str, ...] = ()
     paths: bool = False
     graph: PathSearch | None = None
     bare: dict[str, bool] = field(default_factory=dict)
     deferred: dict[str, Node | None] = field(default_factory=dict)
-    cautious: bool = False
-    portable: bool = False
+    purpose: Purpose = "run"
     may_fail: bool = False
     lookup: PairLookup | None = None
 

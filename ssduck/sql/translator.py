@@ -17,7 +17,13 @@ from sqlglot import exp
 from ssduck.errors import UnknownNameError, nearest
 from ssduck.formatting import short_repr
 from ssduck.language import tree
-from ssduck.language.aggregates import check_one_group, is_aggregated, is_one_group, over_rows
+from ssduck.language.aggregates import (
+    check_one_group,
+    is_aggregated,
+    is_grouped,
+    is_one_group,
+    over_rows,
+)
 from ssduck.language.analysis import OVER_TIME, changing, free_aliases, is_impure
 from ssduck.language.clauses import PythonClauses
 from ssduck.language.operator_chains import conjuncts
@@ -38,10 +44,18 @@ from ssduck.sql.from_clause import (
     unnested,
     world_table,
 )
+from ssduck.sql.groups import Groups, row_number
 from ssduck.sql.name_resolution import resolve
 from ssduck.sql.pair_joins import PairJoin, implied_box_condition, pair_join, sides_of
 from ssduck.sql.pair_lookup import pair_lookup
-from ssduck.sql.plan import OutputColumn, ParameterBinding, Plan, SourceType, TypeEnvironment
+from ssduck.sql.plan import (
+    OutputColumn,
+    ParameterBinding,
+    Plan,
+    Purpose,
+    SourceType,
+    TypeEnvironment,
+)
 from ssduck.sql.recursive_cte import recursive_search
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.sql_values import FloatDomain, NotSqlError, SqlValue, StatementContext
@@ -61,9 +75,8 @@ def translate(
     query: Query,
     source_types: Sequence[SourceType],
     names: TypeEnvironment,
+    purpose: Purpose = "run",
     *,
-    cautious: bool = False,
-    portable: bool = False,
     step: Callable[[], object] = bool,
 ) -> Plan:
     """Plans a query.
@@ -79,8 +92,7 @@ def translate(
         query: the query.
         source_types: the types of its sources, in order.
         names: the variables, the functions, and the types of constants.
-        cautious: whether parts that may fail in SQL are left to Python.
-        portable: whether the SQL is to be read, or sent to another engine.
+        purpose: what the SQL is for.
         step: is called before each condition: it may end the planning of many, by an error.
 
     Raises:
@@ -89,7 +101,7 @@ def translate(
         NotSqlError: the query is hierarchical, and runs row by row.
     """
     types = tuple(source_types)
-    return _Translator(query, types, names, step, cautious=cautious, portable=portable).plan()
+    return _Translator(query, types, names, step, purpose).plan()
 
 
 class _Translator:
@@ -99,12 +111,10 @@ class _Translator:
         source_types: tuple[SourceType, ...],
         names: TypeEnvironment,
         step: Callable[[], object],
-        *,
-        cautious: bool,
-        portable: bool,
+        purpose: Purpose,
     ) -> None:
         self.names, self._step = names, step
-        self.context = StatementContext(names, cautious, changing(query))
+        self.context = StatementContext(names, purpose == "cautious", changing(query))
         self.sql = Expressions(self.context)
         self.result = Plan(
             query,
@@ -115,8 +125,7 @@ class _Translator:
             signatures=self.context.signatures,
             deferred=self.context.deferred,
             bare=self.context.bare,
-            cautious=cautious,
-            portable=portable,
+            purpose=purpose,
         )
         subqueries.check_sources(query)
         self.elements = self._sources(query, source_types)
@@ -144,6 +153,11 @@ class _Translator:
         names = [column.name for column in self.selected if isinstance(column.name, Node)]
         aggregated = is_aggregated(self.query, selected)
         check_one_group(self.query, selected)
+        result = [condition for condition in conditions if condition is not None]
+        result.extend(self._tick_joins())
+        is_reduced = aggregated or (self.query.distinct and not is_grouped(self.query))
+        if is_reduced and not left and self._has_groups(result):
+            return plan
         for node in (*selected, *names):
             if aggregated:
                 self._group_columns(node)
@@ -153,12 +167,12 @@ class _Translator:
             self._add_column(node)
         if self.query.having is not None:
             self._group_columns(self.query.having)
-        result = [condition for condition in conditions if condition is not None]
-        result.extend(self._tick_joins())
         order, keys = self._order(result)
         is_in_order_of_pairs = self._is_order_of_pairs(order)
         is_group = is_one_group(self.query)
-        limit, offset = self._limits(left=bool(left or keys or is_group or self.query.distinct))
+        limit, offset = self._limits(
+            left=bool(left or keys or is_group or self.query.group or self.query.distinct)
+        )
         in_sql = limit is not None or offset is not None
         plan.python_clauses = PythonClauses(
             self.selected,
@@ -309,7 +323,7 @@ class _Translator:
         order = [source_type.alias for source_type in self.result.source_types]
         first, second = sorted(sides, key=lambda side: order.index(str(side.alias)))
         result = pair_join(self.sql, node, (first, second), str(schemas.pop()))
-        if result is None or (self.result.portable and result.pairs.search.of_boxes):
+        if result is None or (self.result.purpose == "portable" and result.pairs.search.of_boxes):
             return None
         self.pairs.append(result)
         places = [order.index(str(side.alias)) for side in result.sides]
@@ -417,7 +431,7 @@ class _Translator:
         """Returns the numbers of LIMIT and OFFSET if SQL can apply them, else None for both."""
         nodes = (self.query.limit, self.query.offset)
         given = [node for node in nodes if node is not None]
-        if not left and not self.query.group and all(map(_is_small_count, given)):
+        if not left and all(map(_is_small_count, given)):
             limit, offset = (
                 node.value if isinstance(node, tree.Literal) else None for node in nodes
             )
@@ -426,6 +440,41 @@ class _Translator:
         return None, None
 
     # -- the statement ----------------------------------------------------------------------
+
+    def _has_groups(self, conditions: Sequence[exp.Expr]) -> bool:
+        """Completes the plan by groups in SQL; returns whether these are not left to Python."""
+        plan, query = self.result, self.query
+        given = [node for node in (query.limit, query.offset) if node is not None]
+        if plan.purpose == "rows" or is_impure(query) or len(plan.names) < len(self.selected):
+            return False
+        groups: Groups | None = None
+        try:
+            by_row = [key for key in query.order if not over_rows(key.value)]
+            are_small = all(source_type.has_values for source_type in plan.source_types)
+            number = row_number(
+                subqueries.ordered(self.sql, by_row), self.elements, are_small=are_small
+            )
+            groups = Groups(self.sql, number, is_plain=plan.purpose == "portable")
+            found = groups.grouped(query, self.selected)
+            if not all(map(_is_small_count, given)):
+                groups.part = given[0]
+                raise NotSqlError
+        except NotSqlError:
+            plan.left_for = None if groups is None else groups.part
+            return False
+        columns = [
+            OutputColumn(place, value.sql_type)
+            for place, value in enumerate((*found.items, *found.keys))
+        ]
+        plan.outputs, plan.keys = columns[: len(found.items)], columns[len(found.items) :]
+        plan.known.update(zip((c.node for c in self.selected), plan.outputs, strict=True))
+        plan.python_clauses = PythonClauses(self.selected)
+        rows = self._rows(found.columns, conditions)
+        select = found.select.from_(rows.subquery(found.alias), copy=False)
+        limit, offset = self._limits(left=False)
+        select = select if limit is None else select.limit(limit)
+        self._finish(select if offset is None else select.offset(offset))
+        return True
 
     def _recursive(self) -> Plan:
         plan = self.result
@@ -445,7 +494,8 @@ class _Translator:
         plan = self.result
         dynamic = len(plan.names) < len(self.selected)
         python_clauses = plan.python_clauses
-        in_python = python_clauses.group or python_clauses.is_one_group or python_clauses.distinct
+        sorts = PythonClauses(self.selected, group=self.query.group)
+        in_python = python_clauses != sorts or not plan.known.keys() >= set(self.query.group)
         if plan.python_parts or plan.python_constants or in_python or dynamic:
             for source_type in plan.source_types:
                 value = self.sql.rows[source_type.alias]
@@ -458,11 +508,21 @@ class _Translator:
                     raise NotInlineError(source_type.alias) from error
         else:
             plan.outputs = [plan.known[column.node] for column in self.selected]
+            plan.keys = [plan.known[node] for node in self.query.group]
+        return self._rows(self.columns, conditions, order)
+
+    def _rows(
+        self,
+        columns: Sequence[exp.Expr],
+        conditions: Sequence[exp.Expr],
+        order: Sequence[exp.Expr] = (),
+    ) -> exp.Select:
+        """Returns the rows of the sources, as a SELECT of these columns."""
         select = product_of(self.elements)
         for join in self.pairs:
             select.append("joins", exp.Join(this=join.table, kind="CROSS"))
         # The parts are copied once, instead of the whole tree by each call.
-        select.set("expressions", [c.copy() for c in self.columns or [exp.Literal.number(1)]])
+        select.set("expressions", [c.copy() for c in columns or [exp.Literal.number(1)]])
         if conditions:
             select.where(*(condition.copy() for condition in conditions), copy=False)
         if order:

@@ -265,7 +265,12 @@ LEFT = [
     ("SELECT id FROM kitchen WHERE z(this) % 2 > 1;", 0),
     ("SELECT id FROM kitchen GROUP BY type;", 1),
     ("SELECT DISTINCT id FROM kitchen GROUP BY tall(this);", 3),
-    ("SELECT DISTINCT type FROM kitchen;", 1),
+    ("SELECT DISTINCT type FROM kitchen;", 0),
+    (
+        "SELECT type, max(z) + 1, avg(z), count(*) AS n FROM kitchen GROUP BY type HAVING n > 1 ORDER BY n;",
+        0,
+    ),
+    ("SELECT type, stddev(z) FROM kitchen GROUP BY type;", 2),
 ]
 
 

@@ -67,7 +67,7 @@ class BatchRows:
     """
 
     def __init__(self, execution: Execution, engine: Engine, query: Query, frame: Frame) -> None:
-        planned = execution.planner.planned(_without_searches(query), frame)
+        planned = execution.planner.planned(_without_searches(query), frame, "rows")
         if planned is None:
             raise LeftToDuckDBError
         self.planned, plan = planned, planned.plan

@@ -12,7 +12,7 @@ import numpy as np
 from ssduck.columns.arrays import Array
 from ssduck.columns.expressions import LeftToDuckDBError
 from ssduck.geometry.arrays import Indices
-from ssduck.language.aggregates import over_rows
+from ssduck.language.aggregates import exact_sum, over_rows
 from ssduck.language.clauses import Groups, PythonClauses, Rows, printed
 from ssduck.language.tree import Call, Literal, Node
 from ssduck.sql.plan import Plan
@@ -158,23 +158,24 @@ class _GroupNumbers:
         )
         order = np.argsort(first)
         self.first, self._counts = first[order], counts[order]
-        # The group of each row, the rows by group, and the first of each among these.
-        self._of_rows = np.argsort(order)[of_rows]
-        self._rows = np.argsort(self._of_rows, kind="stable")
+        # The rows by group, and the first of each among these.
+        self._rows = np.argsort(np.argsort(order)[of_rows], kind="stable")
         self._starts = np.cumsum(self._counts) - self._counts
 
     def aggregated(self, name: str, column: Array) -> list[Any]:
-        """Returns an aggregate over a column in each group; a sum adds row after row."""
+        """Returns an aggregate over a column in each group."""
         if name == "count" or not len(column):
             return list(self._counts.tolist())
         if name in ("min", "max"):
             extreme = np.minimum if name == "min" else np.maximum
             return list(extreme.reduceat(column[self._rows], self._starts).tolist())
-        sums = (
-            np.bincount(self._of_rows, column)
-            if column.dtype.kind == "f"
-            else np.add.reduceat(column[self._rows].astype(np.int64), self._starts)
-        )
+        ordered = column[self._rows]
+        if column.dtype.kind != "f":
+            sums = np.add.reduceat(ordered.astype(np.int64), self._starts)
+        else:
+            values, ends = ordered.tolist(), (self._starts + self._counts).tolist()
+            parts = zip(self._starts.tolist(), ends, strict=True)
+            sums = np.array([exact_sum(values[start:end]) for start, end in parts])
         return list((sums / self._counts if name == "avg" else sums).tolist())
 
 

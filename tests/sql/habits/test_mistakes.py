@@ -584,7 +584,7 @@ def test_a_warning_of_refused_sql_is_of_the_users_line(world, monkeypatch):
     fetched = queries.PlannedQuery._fetch
 
     def refused(planned, *args):
-        if not planned.plan.cautious:
+        if planned.plan.purpose != "cautious":
             raise SqlError("no such thing", is_refused=True)
         return fetched(planned, *args)
 
