@@ -180,6 +180,8 @@ class Groups(Expressions):
         order: list[exp.Ordered] = []
         if any(over_rows(key.value) for key in query.order):
             self.part = query.order[0].value
+            if not query.group:
+                raise NotSqlError  # it is an error
             order.extend(subqueries.ordered(self, query.order))
         if self._keys:
             order.append(ascending(exp.Min(this=self._row_number())))

@@ -249,7 +249,10 @@ def test_only_the_selected_episodes(lake):
         ("heldFor(z(sim.cup) > 0.4) > 0.1;", "heldFor inside of another expression"),
         ("lifted(sim.cup, 0.1);", "lifted is not written as SQL"),
         ("holds(z(sim.cup));", "holds of the type double"),
-        ("SELECT kind, count(id) FROM sim GROUP BY kind;", "GROUP BY, DISTINCT or an aggregate is not"),
+        (
+            "SELECT kind, count(id) FROM sim GROUP BY kind;",
+            "GROUP BY, DISTINCT or an aggregate is not",
+        ),
         ("count(SELECT id FROM sim AS list);", "a query inside of another expression"),
         ("[z(sim.cup), z(sim.table)];", "since not every engine has lists like .*: .*Lake.ask"),
         ("changes(position(sim.cup));", "is not written as SQL, since not every engine has lists"),
