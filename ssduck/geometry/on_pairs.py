@@ -26,7 +26,6 @@ from ssduck.geometry.proofs.footprints import (
     finer_over_verdicts,
     over_verdicts,
 )
-from ssduck.geometry.proofs.kept_parts import KeptParts
 from ssduck.geometry.proofs.nearest_points import decide_upward_round
 from ssduck.geometry.proofs.separating_axes import box_axes
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Decisions, Verdicts
@@ -84,7 +83,7 @@ def are_on(tick: TickShapes, narrow: NarrowPhase, a: Indices, b: Indices) -> Fla
         tick,
         tick.table.kept_upward,
         ordered,
-        partial(decide_contacts, tick, min_height=MIN_UP, kept=tick.table.kept_parts),
+        partial(decide_contacts, tick, min_height=MIN_UP),
     )
     is_carried = np.zeros(len(a), dtype=bool)
     is_carried[shapes.rows[(upward == UPWARD) & shapes.touch]] = True
@@ -146,11 +145,7 @@ def _of_rows(tick: TickShapes, shapes: Pairs, a: Indices, b: Indices) -> Pairs:
 
 
 def decide_contacts(
-    tick: TickShapes,
-    first: Indices,
-    second: Indices,
-    min_height: float,
-    kept: KeptParts | None = None,
+    tick: TickShapes, first: Indices, second: Indices, min_height: float
 ) -> Decisions:
     """Decides whether contact normals point up: `UPWARD`, `NOT_UPWARD` or `UNDECIDED`.
 
@@ -162,7 +157,6 @@ def decide_contacts(
         first: (n,), shapes that touch the second ones.
         second: (n,), the normals point to them.
         min_height: the least z of an upward unit normal, from 0 to 1.
-        kept: see `decide_upward`.
     """
     table, decisions = tick.table, Decisions.none(len(first))
     verdicts = decisions.verdicts
@@ -177,7 +171,7 @@ def decide_contacts(
         verdicts[on_planes[heights <= min_height - _UP_ROOM]] = NOT_UPWARD
     are_bounded = table.is_convex & ~table.is_plane
     by_nearest_points = partial(decide_upward_round, min_count=_MIN_ROUND)
-    for decide in (by_nearest_points, partial(decide_upward, kept=kept)):
+    for decide in (by_nearest_points, decide_upward):
         left = np.flatnonzero((verdicts == UNDECIDED) & are_bounded[first] & are_bounded[second])
         if len(left) and not are_few_boxes(table, first[left], second[left]):
             found = decide(tick.placed_cores, first[left], second[left], min_height)

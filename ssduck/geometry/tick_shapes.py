@@ -15,7 +15,6 @@ from ssduck.geometry.broad_phase import Pairs, overlapping_pairs
 from ssduck.geometry.margins import Margins
 from ssduck.geometry.poses import stacked_matrices
 from ssduck.geometry.proofs.cores import ConvexCores, PlacedCores
-from ssduck.geometry.proofs.kept_parts import KeptParts
 from ssduck.geometry.proofs.kept_verdicts import KeptVerdicts, ShapePoses
 from ssduck.geometry.proofs.proposals import Proposer
 from ssduck.geometry.shapes import Geometry
@@ -132,7 +131,6 @@ class ShapeTable:
         self.proposer = Proposer(solids, solid_indices)
         self._kept: dict[PairPredicate, KeptVerdicts] = {}
         self.kept_touching, self.kept_upward = KeptVerdicts(), KeptVerdicts()
-        self.kept_parts = KeptParts()
         self._regrouped: dict[tuple[bytes, bytes], ShapeTable] = {}
         self._extended: tuple[tuple[tuple[str, ...], bytes], ShapeTable] | None = None
 

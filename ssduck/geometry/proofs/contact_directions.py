@@ -25,7 +25,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
-from ssduck.geometry.proofs.columns import unit_columns
 from ssduck.geometry.proofs.cores import PlacedCores
 from ssduck.geometry.proofs.direction_triangles import (
     BOTH,
@@ -36,7 +35,6 @@ from ssduck.geometry.proofs.direction_triangles import (
     UPWARD_ONLY,
     Mesh,
     Triangles,
-    bounds_of,
     classes_of,
     corner_bounds,
     facet_directions,
@@ -44,8 +42,6 @@ from ssduck.geometry.proofs.direction_triangles import (
     stretch_of,
 )
 from ssduck.geometry.proofs.gjk import tolerances
-from ssduck.geometry.proofs.kept_parts import MAX_DIVIDED, KeptParts, Parts, Proofs
-from ssduck.geometry.proofs.kept_verdicts import Keys, pair_keys
 from ssduck.geometry.proofs.verdicts import UNDECIDED, Decisions
 
 UPWARD, NOT_UPWARD = 1, -1
@@ -151,11 +147,7 @@ class _Differences:
 
 
 def decide_upward(
-    cores: PlacedCores,
-    first: Indices,
-    second: Indices,
-    min_height: float,
-    kept: KeptParts | None = None,
+    cores: PlacedCores, first: Indices, second: Indices, min_height: float
 ) -> Decisions:
     """Decides whether contact normals point up: `UPWARD`, `NOT_UPWARD` or `UNDECIDED`.
 
@@ -164,7 +156,6 @@ def decide_upward(
         first: (n,), bounded convex shapes.
         second: (n,), the same; normals point from the first to the second.
         min_height: the least z of an upward unit normal, from 0 to 1.
-        kept: how directions were divided at the tick before, for the same height.
     """
     mesh = mesh_of(min_height)
     decisions = Decisions.none(len(first))
@@ -172,124 +163,22 @@ def decide_upward(
     for start in range(0, len(first), step):
         batch = slice(start, start + step)
         pairs = _Differences.of(cores, first[batch], second[batch])
-        found = decisions.part(batch)
-        if kept is None:
-            _decide_anew(pairs, found, mesh, min_height, None)
-        else:
-            _decide_with_kept(pairs, found, mesh, min_height, kept)
+        _decide_pairs(pairs, decisions.part(batch), mesh, min_height)
     return decisions
 
 
-def _decide_with_kept(
-    pairs: _Differences, decisions: Decisions, mesh: Mesh, min_height: float, kept: KeptParts
-) -> None:
-    """Decides undecided pairs by what proved the verdicts of the tick before, then the others."""
-    keys = pair_keys(pairs.first, pairs.second)
-    had_parts = kept.are_known(keys)
-    proofs = kept.proofs(keys)
-    _try_kept(pairs, decisions, kept.least.find(keys), proofs, min_height)
-    left = np.flatnonzero(decisions.verdicts == UNDECIDED)
-    divided: set[int] = set()
-    if len(left):
-        some, found = pairs.select(left), Decisions.none(len(left))
-        caps, of_left = _decide_anew(some, found, mesh, min_height, kept)
-        decisions.decide(left, found.verdicts, found.room)
-        pairs.best[:, left] = some.best
-        divided = {int(left[place]) for place in of_left}
-        kept.keep_proofs(keys.take(left), found.verdicts, some.best, mesh, caps)
-    kept.least.keep(keys, _in_frames(pairs))
-    if had_parts.any():
-        kept.judge(~np.isin(np.flatnonzero(had_parts), list(divided)))
-
-
-def _decide_anew(
-    pairs: _Differences,
-    decisions: Decisions,
-    mesh: Mesh,
-    min_height: float,
-    kept: KeptParts | None,
-) -> tuple[Indices, set[int]]:
-    """Decides undecided pairs by directions all around, which are divided.
-
-    Returns:
-        Of each pair, the direction of the mesh whose point is above the least overlap in all
-        upward directions, or -1, (n,); and the pairs of which a triangle was divided.
-    """
+def _decide_pairs(pairs: _Differences, decisions: Decisions, mesh: Mesh, min_height: float) -> None:
+    """Decides pairs by directions all around, then by triangles, which are divided."""
     points = pairs.points_all_around(mesh.directions)
     upward = np.flatnonzero(mesh.directions[2] >= min_height - HEIGHT_ROOM)
     bounds = _upward_bounds(points.take(upward, axis=1), min_height - HEIGHT_ROOM)
     above = bounds.max(axis=0) - pairs.limits
     is_above = above > 0.0
     decisions.decide(is_above, NOT_UPWARD, above[is_above] / 2.0)
-    caps = np.where(is_above, upward.take(bounds.argmax(axis=0)), -1)
     left = np.flatnonzero(~is_above)
-    if not len(left):
-        return caps, set()
-    some = pairs.select(left)
-    found, divided = _classified(some, points.take(left, axis=2), mesh, min_height, kept)
-    decisions.decide(left, found.verdicts, found.room)
-    pairs.best[:, left] = some.best
-    return caps, {int(left[place]) for place in divided}
-
-
-def _try_kept(
-    pairs: _Differences,
-    decisions: Decisions,
-    best: tuple[Indices, Array],
-    proofs: Proofs | None,
-    min_height: float,
-) -> None:
-    """Decides pairs by what proved the verdicts of the tick before, wherever it does still.
-
-    Args:
-        pairs: the pairs; it finds lesser overlaps of them.
-        decisions: their decisions; it adds others.
-        best: places of pairs, and the directions of their least overlaps in the frames of the first
-            shapes, and the second ones. They turn with a shape, as the normal of a face does.
-        proofs: what proved the verdicts.
-        min_height: the least height of upward directions.
-    """
-    places, columns = best
-    shapes = np.concatenate((pairs.first.take(places), pairs.second.take(places)))
-    local = np.concatenate((columns[:3], columns[3:]), axis=1)
-    directions = unit_columns(pairs.cores.to_world(shapes, local[None])[0])
-    if proofs is None:
-        pairs.points(np.tile(places, 2), directions)
-        return
-    owners = np.concatenate((proofs.direction_pairs, places, places))
-    points = pairs.points(owners, np.concatenate((proofs.directions, directions), axis=1))
-    limits, lowest = pairs.limits.take(proofs.pairs), np.full(len(proofs.pairs), math.inf)
-    caps = points.take(proofs.caps, axis=1)
-    lowest[proofs.cap_proofs] = _upward_bounds(caps, min_height - HEIGHT_ROOM)
-    np.minimum.at(lowest, proofs.owners, _bounds_of_proofs(points, proofs, limits))
-    lowest -= limits
-    hold = np.flatnonzero(lowest > 0.0)
-    decisions.decide(proofs.pairs.take(hold), proofs.verdicts.take(hold), lowest.take(hold) / 2.0)
-
-
-def _bounds_of_proofs(points: Array, proofs: Proofs, limits: Array) -> Array:
-    """Returns lower bounds of the overlaps in the triangles of proofs, (t,), metres.
-
-    Args:
-        points: (3, m), the support points in the directions of the proofs; there may be more.
-        proofs: the proofs.
-        limits: (n,), of each proof, metres; bounds below are as high as possible.
-    """
-    corners = proofs.directions.take(proofs.corners, axis=1)  # (axis, corner, triangle)
-    products = np.einsum("ckn,cin->kin", points.take(proofs.corners, axis=1), corners)
-    bounds = corner_bounds(products, proofs.stretch)
-    left = np.flatnonzero(bounds <= limits.take(proofs.owners))
     if len(left):
-        bounds[left] = bounds_of(products.take(left, axis=2), proofs.stretch.take(left))[0]
-    return bounds
-
-
-def _in_frames(pairs: _Differences) -> Array:
-    """Returns the best direction of each pair in the frames of the first and the second shape."""
-    shapes = np.concatenate((pairs.first, pairs.second))
-    local = pairs.cores.to_local(shapes, np.concatenate((pairs.best, pairs.best), axis=1)[None])[0]
-    in_frames: Array = local.reshape(3, 2, -1).swapaxes(0, 1).reshape(6, -1)
-    return in_frames
+        found = _classified(pairs.select(left), points.take(left, axis=2), mesh, min_height)
+        decisions.decide(left, found.verdicts, found.room)
 
 
 def _upward_bounds(points: Array, min_height: float) -> Array:
@@ -308,31 +197,15 @@ def _upward_bounds(points: Array, min_height: float) -> Array:
     return np.asarray(products)
 
 
-def _classified(
-    pairs: _Differences, points: Array, mesh: Mesh, min_height: float, kept: KeptParts | None
-) -> tuple[Decisions, set[int]]:
-    """Decides pairs, whose support points in the directions of a mesh are given.
-
-    Returns:
-        The decisions, and the pairs of which a triangle was divided.
-    """
-    keys = pair_keys(pairs.first, pairs.second)
-    parts = None if kept is None else kept.find(keys)
+def _classified(pairs: _Differences, points: Array, mesh: Mesh, min_height: float) -> Decisions:
+    """Decides pairs, whose support points in the directions of a mesh are given."""
     least = np.full((len(pairs), 4), math.inf)
-    record = _Record()
-    known = None if parts is None else _known_parts(pairs, parts, least, record)
-    triangles = _mesh_triangles(pairs, points, mesh, parts, least)
-    if known is not None:
-        triangles = triangles.joined(known)
-    # The corners of known parts are where a facet would lead.
-    begin_anew = np.ones(len(pairs), dtype=bool)
-    if parts is not None:
-        begin_anew[parts.owners] = False
+    triangles = _mesh_triangles(pairs, points, mesh, least)
     decisions = Decisions.none(len(pairs))
     for division in range(_MAX_DIVISIONS + 1):
         is_left = triangles.bounds <= pairs.limits[triangles.owners]
         is_open = _decide(decisions, pairs, triangles, is_left, least)
-        if division == 0 and (is_open & begin_anew).any():
+        if division == 0 and is_open.any():
             _refine(pairs, triangles.select(np.flatnonzero(is_open[triangles.owners])))
             is_left &= triangles.bounds <= pairs.limits[triangles.owners]
             is_open = _decide(decisions, pairs, triangles, is_left, least)
@@ -342,13 +215,9 @@ def _classified(
         # Those that contradict the best direction are divided.
         contradicted = np.where(pairs.best[2] >= min_height, OTHER_ONLY, UPWARD_ONLY)
         is_divided = is_left & (triangles.classes & contradicted[triangles.owners] > 0)
-        record.add(triangles, ~is_left, is_divided)
         divided = _divided(triangles.select(np.flatnonzero(is_divided)), pairs, min_height)
         triangles = triangles.select(np.flatnonzero(is_left & ~is_divided)).joined(divided)
-    if kept is not None and record.divided:
-        record.add(triangles, np.ones(len(triangles.owners), dtype=bool))
-        record.keep(kept, keys)
-    return decisions, record.divided
+    return decisions
 
 
 def _decide(
@@ -382,61 +251,13 @@ def _decide(
     return is_open
 
 
-class _Record:
-    """The parts of triangles that need no more division, for the next tick.
-
-    Attributes:
-        divided: the pairs of which a triangle was divided.
-    """
-
-    def __init__(self) -> None:
-        self._known: tuple[Parts, Flags] | None = None
-        self._finished: list[Triangles] = []
-        self.divided: set[int] = set()
-
-    def add_known(self, parts: Parts, finished: Flags) -> None:
-        """Adds those parts of the tick before that are finished."""
-        self._known = parts, finished
-
-    def add(self, triangles: Triangles, finished: Flags, divided: Flags | None = None) -> None:
-        """Adds parts that are finished, and pairs of which others are divided."""
-        self._finished.append(triangles.select(np.flatnonzero(finished & (triangles.faces >= 0))))
-        if divided is not None:
-            self.divided.update(triangles.owners[divided].tolist())
-
-    def keep(self, kept: KeptParts, keys: Keys) -> None:
-        """Keeps the parts of the pairs of which a triangle was divided, unless they are many."""
-        if len(self.divided) > MAX_DIVIDED:
-            return
-        finished = self._finished[0]
-        for more in self._finished[1:]:
-            finished = finished.joined(more)
-        for pair in self.divided:
-            found = finished.select(np.flatnonzero(finished.owners == pair))
-            faces, classes, stretch = found.faces, found.classes, found.stretch
-            corners = found.corners
-            if self._known is not None:
-                known, are = self._known
-                places = np.flatnonzero(are & (known.owners == pair))
-                faces = np.concatenate((faces, known.faces[places]))
-                classes = np.concatenate((classes, known.classes[places]))
-                stretch = np.concatenate((stretch, known.stretch[places]))
-                corners = np.concatenate((corners, known.at_corners(places)), axis=2)
-            kept.keep(int(keys[pair]), faces, classes, stretch, corners)
-
-
-def _mesh_triangles(
-    pairs: _Differences, points: Array, mesh: Mesh, parts: Parts | None, least: Array
-) -> Triangles:
+def _mesh_triangles(pairs: _Differences, points: Array, mesh: Mesh, least: Array) -> Triangles:
     """Returns the triangles of a mesh that may contain the contact normals of pairs.
-
-    Known parts take the place of their triangles.
 
     Args:
         pairs: the pairs.
         points: (3, directions, pairs), their support points in the directions of the mesh.
         mesh: the mesh.
-        parts: the known parts.
         least: (pairs, 4), see `_decide`; it lowers them.
     """
     directions, corners = mesh.directions, mesh.corners
@@ -446,8 +267,6 @@ def _mesh_triangles(
     products = products.reshape(-1, size).take(places.ravel(), axis=0).reshape(3, 3, -1)
     stretch = np.repeat(mesh.stretch, size)
     bounds = corner_bounds(products, stretch)
-    if parts is not None:
-        bounds[parts.faces * size + parts.owners] = math.inf
     is_left = bounds <= np.tile(pairs.limits, len(mesh.stretch))
     excluded = np.where(is_left, math.inf, bounds).reshape(-1, size)
     for kind in (UPWARD_ONLY, OTHER_ONLY, BOTH):
@@ -458,37 +277,7 @@ def _mesh_triangles(
     at_corners = directions[:, corners[:, faces]].swapaxes(0, 1)
     points = points[:, corners[:, faces], owners].swapaxes(0, 1)
     return Triangles.of(
-        owners, ~faces, mesh.classes[faces], at_corners, points, products[..., left], stretch[left]
-    )
-
-
-def _known_parts(pairs: _Differences, parts: Parts, least: Array, record: _Record) -> Triangles:
-    """Returns the known parts that may contain the contact normals of pairs.
-
-    Args:
-        pairs: the pairs.
-        parts: the known parts.
-        least: see `_mesh_triangles`.
-        record: where the others are added.
-    """
-    points = pairs.points(parts.corner_owners, parts.directions)
-    points = points.take(parts.corners, axis=1).swapaxes(0, 1)
-    at_corners = parts.at_corners(np.arange(len(parts.owners)))
-    products = np.einsum("kcn,icn->kin", points, at_corners)
-    bounds = corner_bounds(products, parts.stretch)
-    is_left = bounds <= pairs.limits[parts.owners]
-    record.add_known(parts, ~is_left)
-    excluded, left = np.flatnonzero(~is_left), np.flatnonzero(is_left)
-    groups = 4 * parts.owners[excluded] + parts.classes[excluded]
-    np.minimum.at(least.reshape(-1), groups, bounds[excluded])
-    return Triangles.of(
-        parts.owners[left],
-        parts.faces[left],
-        parts.classes[left],
-        at_corners[..., left],
-        points[..., left],
-        products[..., left],
-        parts.stretch[left],
+        owners, mesh.classes[faces], at_corners, points, products[..., left], stretch[left]
     )
 
 
@@ -527,7 +316,6 @@ def _divided(triangles: Triangles, pairs: _Differences, min_height: float) -> Tr
     stretch = stretch_of(corners)
     classes = classes_of(corners[:, 2], stretch, min_height)
     owners = np.tile(triangles.owners, 4)
-    faces = np.tile(np.maximum(triangles.faces, ~triangles.faces), 4)
-    divided = Triangles.of(owners, faces, classes, corners, points, products, stretch)
+    divided = Triangles.of(owners, classes, corners, points, products, stretch)
     np.maximum(divided.bounds, np.tile(triangles.bounds, 4), out=divided.bounds)
     return divided

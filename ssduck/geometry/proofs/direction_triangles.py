@@ -90,13 +90,11 @@ class Triangles:
 
     Attributes:
         owners: (n,), the pair of each.
-        faces: (n,), the triangle of the mesh of which it is a part; `~face` for a whole one.
         classes: (n,), which directions may be in it.
         numbers: (32, n), all other properties.
     """
 
     owners: Indices
-    faces: Indices
     classes: Indices
     numbers: Array
 
@@ -104,7 +102,6 @@ class Triangles:
     def of(
         cls,
         owners: Indices,
-        faces: Indices,
         classes: Indices,
         corners: Array,
         points: Array,
@@ -115,7 +112,7 @@ class Triangles:
         bounds, facets = bounds_of(products, stretch)
         vectors = np.concatenate((corners, points, products)).reshape(27, -1)
         numbers = np.concatenate((vectors, facets, bounds[None], stretch[None]))
-        return cls(owners, faces, classes, numbers)
+        return cls(owners, classes, numbers)
 
     @property
     def corners(self) -> Array:
@@ -153,7 +150,6 @@ class Triangles:
         """Returns the selected triangles."""
         return Triangles(
             self.owners[places],
-            self.faces[places],
             self.classes[places],
             self.numbers.take(places, axis=1),
         )
@@ -162,7 +158,6 @@ class Triangles:
         """Returns the triangles of both."""
         return Triangles(
             np.concatenate((self.owners, other.owners)),
-            np.concatenate((self.faces, other.faces)),
             np.concatenate((self.classes, other.classes)),
             np.concatenate((self.numbers, other.numbers), axis=1),
         )
