@@ -4,8 +4,8 @@ The broad phase finds the pairs of shapes with overlapping boxes. Many of them a
 spheres: those around the shapes are far apart, or those in the shapes overlap. Support functions
 decide half-spaces, separating axes decide boxes that may collide (Gottschalk, Lin and Manocha,
 OBBTree, 1996), and `ssduck.geometry.proofs.gjk` decides other convex shapes, or
-`ssduck.geometry.proofs.proposals` if there are few. The convex hull of a
-mesh shows that the mesh is far from something. Only the pairs that are left are compared one by
+`ssduck.geometry.proofs.proposals` if there are few. The convex hull of a mesh shows that the mesh
+is far from something. Only the pairs that are left are compared one by
 one: pairs that are as near to the bound as rounding errors, and meshes that may collide.
 """
 
@@ -286,13 +286,11 @@ def _by_spheres(tick: TickShapes, first: Indices, second: Indices, bounds: Array
 
 
 def _by_proposals(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Decisions:
-    """Decides a few convex shapes by what decided them before, and by proposals of FCL."""
+    """Decides a few convex shapes by what FCL proposes."""
     if len(first) > _MAX_PROPOSALS:
         return Decisions.none(len(first))
     proposer = tick.table.proposer
     interiors, poses = proposer.interiors, (tick.positions, tick.matrices)
-    if interiors.are_all_known:
-        return proposer.decide(tick.placed_cores, poses, first, second, bounds)
     decisions, are_known = Decisions.none(len(first)), interiors.are_known
     indices = np.flatnonzero(are_known.take(first) & are_known.take(second))
     if not len(indices):

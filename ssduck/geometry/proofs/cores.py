@@ -133,12 +133,6 @@ class PlacedCores:
         radius = cores.core_ball_radius.take(first) + cores.core_ball_radius.take(second)
         return is_known, centre, radius
 
-    def to_world(self, shapes: Indices, vectors: Array) -> Array:
-        """Returns vectors (k, 3, m) of the frames of shapes (m,) in world axes."""
-        rotations = self.rotations.take(shapes, axis=1).reshape(3, 3, -1)
-        turned: Array = np.einsum("ijm,kjm->kim", rotations, vectors)
-        return turned
-
     def to_local(self, shapes: Indices, vectors: Array) -> Array:
         """Returns vectors (k, 3, m) of the world in the axes of shapes (m,)."""
         rotations = self.rotations.take(shapes, axis=1).reshape(3, 3, -1)

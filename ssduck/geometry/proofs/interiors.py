@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import groupby
 
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.proofs.columns import column_lengths, padded_columns
 from ssduck.geometry.proofs.cores import corners_from_centre
-from ssduck.geometry.proofs.pair_proofs import Interior, ball_margin
 from ssduck.geometry.solids import Solid
+
+# Points are moved by this fraction towards the middle of the shape, so that they are surely in it.
+SHRINK = 1e-8
 
 
 class ConvexInteriors:
@@ -27,14 +28,12 @@ class ConvexInteriors:
 
     Attributes:
         are_known: (n,), whether the shape has a formula.
-        are_all_known: whether all have.
     """
 
     def __init__(self, solids: Sequence[Solid], solid_indices: Indices) -> None:
         self.are_known: Flags = np.array([_has_inside(s) for s in solids], dtype=bool)[
             solid_indices
         ]
-        self.are_all_known = bool(self.are_known.all())
         # One array: to take some of its columns takes one call.
         numbers = np.array([_numbers(solid) for solid in solids]).reshape(-1, _ROWS).T
         self._numbers = numbers[:, solid_indices]
@@ -49,7 +48,6 @@ class ConvexInteriors:
         )
         count = max((len(solids[n].normals) for n in hulls), default=0)
         self._planes = np.array([_planes(solids[n], count) for n in hulls])
-        self._single: dict[int, Interior] = {}
 
     def of(self, shapes: Indices) -> SomeInteriors:
         """Returns the interiors of shapes with a formula, (m,)."""
@@ -59,21 +57,6 @@ class ConvexInteriors:
             self._corners,
             self._planes,
         )
-
-    def single(self, shape: int) -> Interior:
-        """Returns the interior of one shape with a formula."""
-        if shape not in self._single:
-            corners, planes, row = [], [], int(self._hull_rows[shape])
-            if row >= 0:
-                corners, planes = self._corners[row].T.tolist(), self._planes[row].T.tolist()
-            numbers = self._numbers[:, shape].tolist()
-            self._single[shape] = Interior(numbers, _distinct(corners), _distinct(planes))
-        return self._single[shape]
-
-
-def _distinct(rows: Sequence[Sequence[float]]) -> list[tuple[float, ...]]:
-    """Returns rows without those that repeat the one before."""
-    return [row for row, _ in groupby(map(tuple, rows))]
 
 
 class SomeInteriors:
@@ -87,7 +70,8 @@ class SomeInteriors:
 
     Attributes:
         inscribed_offsets: (3, m), the centres of the balls in the solids.
-        margins: (m,), by how much the radii of balls in the solids are less than depths, metres.
+        margins: (m,), by how much the radii of balls in the solids are less than depths, metres: by
+            far more than the rounding errors of depths.
     """
 
     def __init__(self, numbers: Array, hull_rows: Indices, corners: Array, planes: Array) -> None:
@@ -147,13 +131,13 @@ def _numbers(solid: Solid) -> list[float]:
 
     0 half the sides of the box and 3 the axes of the ellipsoid whose sum it is, with the ball of
     radius 19 around. 6 the distances of planes, 9 half the sides of the core, 12 the scales around
-    it, 15 the radius at which these are 1. 16 the centre of the ball in it; 20 see `ball_margin`.
+    it, 15 the radius at which these are 1. 16 the centre of the ball in it; 20 the margin of balls.
     """
     if not _has_inside(solid):
         return [0.0] * _ROWS
     half = solid.core[-1].tolist() if solid.type in ("box", "capsule", "cylinder") else [0.0] * 3
     inside = np.subtract(solid.inscribed_centre, solid.centre).tolist()
-    last = solid.radius, ball_margin(solid.bounding_radius)
+    last = solid.radius, 2.0 * SHRINK * solid.bounding_radius
     return [*half, *solid.semi_axes, *_scaled_numbers(solid), *inside, *last]
 
 

@@ -1,8 +1,6 @@
 """Decides pairs of convex shapes by directions and points that FCL proposes, if there are few.
 
-What proved a verdict at the tick before is tried first; see
-`ssduck.geometry.proofs.kept_proposals`. FCL proposes for the pairs that are left. For a few
-pairs, a call of FCL for each is faster than a step of GJK for all of them. Its distance
+For a few pairs, a call of FCL for each is faster than a step of GJK for all of them. Its distance
 of solids that are apart proposes their nearest points, and the direction between them. Its contact
 of solids that meet proposes a point of both, and the contact normal. FCL may be wrong: its
 distances of boxes and cylinders with parallel edges are. Only what a proof makes of a proposal
@@ -27,17 +25,10 @@ from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.proofs.columns import column_lengths
 from ssduck.geometry.proofs.cores import PlacedCores
 from ssduck.geometry.proofs.gjk import tolerances
-from ssduck.geometry.proofs.interiors import ConvexInteriors, SomeInteriors
-from ssduck.geometry.proofs.kept_proposals import KeptProposals, proved_again
-from ssduck.geometry.proofs.kept_verdicts import Keys, pair_keys
-from ssduck.geometry.proofs.pair_proofs import SHRINK, PlacedInterior, pair_proof
-from ssduck.geometry.proofs.verdicts import UNDECIDED, Decisions
+from ssduck.geometry.proofs.interiors import SHRINK, ConvexInteriors, SomeInteriors
+from ssduck.geometry.proofs.verdicts import Decisions
 from ssduck.geometry.solids import Solid
 
-# What is kept of fewer pairs saves less time than a second proof takes, of what it leaves open.
-_MIN_KEPT = 8
-# The greatest number of pairs that are proved one after another, which takes less time then.
-_MAX_SINGLE = 7
 # The number of pairs that are remembered to be apart.
 _MAX_APART = 4096
 
@@ -61,7 +52,7 @@ class Proposals:
 
 
 class Proposer:
-    """Decides pairs of shapes of a table by what is kept of them, and by what FCL proposes.
+    """Decides pairs of shapes of a table by what FCL proposes.
 
     FCL's objects are placed anew for each proposal.
 
@@ -73,7 +64,6 @@ class Proposer:
     def __init__(self, solids: Sequence[Solid], solid_indices: Indices) -> None:
         self._solids, self._solid_indices = solids, solid_indices
         self._apart: set[tuple[int, int]] = set()  # pairs that were apart when last proposed
-        self._kept = KeptProposals()
 
     @cached_property
     def interiors(self) -> ConvexInteriors:
@@ -92,70 +82,10 @@ class Proposer:
             second: (n,), the same.
             bounds: (n,), metres.
         """
-        error = tolerances(bodies, first, second)
-        if len(first) < _MIN_KEPT:
-            least, greatest, _ = self._proved_singly(bodies, poses, first, second)
-            return Decisions.of_interval(least, greatest, bounds, error)
-        keys = pair_keys(first, second)
-        least, greatest = self._proved_again(bodies, first, second, keys)
-        decisions = Decisions.of_interval(least, greatest, bounds, error)
-        left = np.flatnonzero(decisions.verdicts == UNDECIDED)
-        if len(left):
-            prove = self._proved_singly if len(left) <= _MAX_SINGLE else self._proved_together
-            least, greatest, columns = prove(bodies, poses, first.take(left), second.take(left))
-            found = Decisions.of_interval(least, greatest, bounds.take(left), error.take(left))
-            decisions.decide(left, found.verdicts, found.room)
-            self._kept.keep(keys.take(left), columns)
-        return decisions
-
-    def _proved_again(
-        self, bodies: PlacedCores, first: Indices, second: Indices, keys: Keys
-    ) -> tuple[Array, Array]:
-        """Returns bounds of the signed distances of pairs by what is kept of them; see `decide`."""
-        places, columns = self._kept.find(keys)
-        if len(places) == len(keys):
-            return proved_again(bodies, self.interiors, first, second, columns)
-        least, greatest = np.full(len(keys), -np.inf), np.full(len(keys), np.inf)
-        if len(places):
-            pairs = first.take(places), second.take(places)
-            found = proved_again(bodies, self.interiors, *pairs, columns)
-            least[places], greatest[places] = found
-        return least, greatest
-
-    def _proved_together(
-        self, bodies: PlacedCores, poses: Poses, first: Indices, second: Indices
-    ) -> tuple[Array, Array, Array]:
-        """Bounds signed distances by what FCL proposes, all at once; see `_proved_singly`."""
         proposals = proposals_of(self.ask(poses, first, second))
         proof = Proof(bodies, self.interiors, proposals, first, second)
-        return proof.least, proof.greatest, proof.columns
-
-    def _proved_singly(
-        self, bodies: PlacedCores, poses: Poses, first: Indices, second: Indices
-    ) -> tuple[Array, Array, Array]:
-        """Bounds signed distances by what FCL proposes, one pair after another; see `decide`.
-
-        Returns:
-            What they are at least and at most, and the columns to keep.
-        """
-        both = np.concatenate((first, second))
-        rotations = bodies.rotations.take(both, axis=1).T.tolist()
-        centres = bodies.centres.take(both, axis=1).T.tolist()
-        shapes = [
-            PlacedInterior(self.interiors.single(shape), rotation, centre)
-            for shape, rotation, centre in zip(both.tolist(), rotations, centres, strict=True)
-        ]
-        proofs = [
-            pair_proof(one, other, (on_one, on_other), towards)
-            for one, other, (on_one, on_other, towards) in zip(
-                shapes[: len(first)],
-                shapes[len(first) :],
-                self.ask(poses, first, second).tolist(),
-                strict=True,
-            )
-        ]
-        numbers = np.array([(*proof.column, proof.least, proof.greatest) for proof in proofs]).T
-        return numbers[9], numbers[10], numbers[:9]
+        error = tolerances(bodies, first, second)
+        return Decisions.of_interval(proof.least, proof.greatest, bounds, error)
 
     @cached_property
     def _objects(self) -> list[Any]:
@@ -322,11 +252,6 @@ class Proof:
         greatest: Array = apart - radii[:count] - radii[count:]
         greatest[(depths[:count] < 0.0) | (depths[count:] < 0.0)] = np.inf
         return greatest
-
-    @property
-    def columns(self) -> Array:
-        """What is kept of the pairs, (9, n); see `KeptProposals`."""
-        return np.concatenate((self.directions, self.local.reshape(6, -1)))
 
 
 def _outward(vectors: Array) -> Array:
