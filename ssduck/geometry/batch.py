@@ -31,10 +31,6 @@ from ssduck.geometry.tick_shapes import (
     TickShapes,
 )
 
-# Among pairs of other shapes, fewer pairs of boxes are decided together with these.
-_MIN_BOXES = 8
-# The number of pairs of boxes that the narrow phase compares faster than rules for many pairs.
-_FEW_BOXES = 2
 _BELOW, _ABOVE = np.int8(BELOW), np.int8(ABOVE)
 # The greatest number of pairs for which FCL's proposals are faster than other rules.
 _MAX_PROPOSALS = 128
@@ -83,14 +79,7 @@ def matching_pairs(
     among = predicate.candidates(tick) if among is None else comparable_pairs(tick, among)
     bounds = predicate.bounds(tick.table, *among)
     by_axes = _by_axes if predicate.kind == "colliding" else _by_axes_if_sure
-    rules: tuple[Rule, ...] = (
-        *((_by_planes,) if tick.table.has_planes else ()),
-        by_axes,
-        _by_proposals,
-        by_axes,  # a few boxes
-        _by_spheres,
-        _by_cores,
-    )
+    rules: tuple[Rule, ...] = (_by_planes, by_axes, _by_proposals, _by_spheres, _by_cores)
     if predicate.kind != "colliding":  # a distance is not negative
         is_non_negative = bounds >= 0.0
         among, bounds = (
@@ -302,17 +291,8 @@ def _by_proposals(tick: TickShapes, first: Indices, second: Indices, bounds: Arr
 
 
 def pairs_of_boxes(table: ShapeTable, first: Indices, second: Indices) -> Indices:
-    """Returns which pairs of shapes are boxes; none for a few among others.
-
-    Rules for all convex shapes decide these few, too, which takes less time.
-    """
-    indices = np.flatnonzero(table.is_box[first] & table.is_box[second])
-    return indices if len(indices) >= min(_MIN_BOXES, len(first)) else indices[:0]
-
-
-def are_few_boxes(table: ShapeTable, first: Indices, second: Indices) -> bool:
-    """Checks whether pairs of shapes are so few boxes that the narrow phase is faster."""
-    return len(first) <= _FEW_BOXES and bool((table.is_box[first] & table.is_box[second]).all())
+    """Returns which pairs of shapes are boxes."""
+    return np.flatnonzero(table.is_box[first] & table.is_box[second])
 
 
 def _distances(points: Array, first: Indices, second: Indices) -> Array:
@@ -346,24 +326,15 @@ def _by_planes(tick: TickShapes, first: Indices, second: Indices, bounds: Array)
 
 def _by_axes(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Decisions:
     """Decides boxes exactly, by separating axes."""
-    if tick.table.are_all_boxes:
-        return _by_depths(tick, first, second, bounds)
     decisions = Decisions.none(len(first))
     indices = pairs_of_boxes(tick.table, first, second)
-    if len(indices):
-        found = _by_depths(tick, first[indices], second[indices], bounds[indices])
-        decisions.decide(indices, found.verdicts, found.room)
+    if not len(indices):
+        return decisions
+    boxes = first[indices], second[indices]
+    gaps = -box_depths(tick.placed_cores, *boxes) - bounds[indices]
+    room = np.abs(gaps) - tolerances(tick.placed_cores, *boxes)
+    decisions.decide(indices, np.where(gaps < 0.0, _BELOW, _ABOVE), np.maximum(room, 0.0))
     return decisions
-
-
-def _by_depths(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Decisions:
-    """Decides pairs of boxes exactly, by separating axes."""
-    gaps = -box_depths(tick.placed_cores, first, second)
-    gaps -= bounds
-    verdicts = np.where(gaps < 0.0, _BELOW, _ABOVE)
-    room = np.abs(gaps, out=gaps)
-    room -= tolerances(tick.placed_cores, first, second)
-    return Decisions(verdicts, np.maximum(room, 0.0, out=room))
 
 
 def _by_axes_if_sure(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Decisions:
@@ -391,8 +362,6 @@ def _by_cores(
     """Decides convex shapes by GJK. The convex hull of a mesh can only show that it is far away."""
     table = tick.table
     decisions = Decisions.none(len(first))
-    if are_few_boxes(table, first, second):
-        return decisions
     indices = np.flatnonzero(~(table.is_plane[first] | table.is_plane[second]))
     tried = None if directions is None else directions[:, indices]
     some = first[indices], second[indices], bounds[indices]

@@ -1,18 +1,16 @@
 """The broad phase: finds all pairs of boxes of a tick that overlap.
 
-The algorithm compares some tens of boxes with each other. It sorts a few hundred along one axis,
-where those that overlap follow each other (sweep and prune). It sorts many boxes into a uniform
-grid for each class of sizes. Boxes of a class have about
-the same extent, and a cell is as large as the largest of them, so that boxes that overlap begin in
-neighbouring cells. The empty cells between bodies that are very far apart are left out, so that
-cell numbers fit into 64 bits. Unbounded boxes, such as that of a ground plane, are compared with
-all others.
+The algorithm compares some tens of boxes with each other. It sorts more boxes into a uniform grid
+for each class of sizes. Boxes of a class have about the same extent, and a cell is as large as the
+largest of them, so that boxes that overlap begin in neighbouring cells. The empty cells between
+bodies that are very far apart are left out, so that cell numbers fit into 64 bits. Unbounded boxes,
+such as that of a ground plane, are compared with all others.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import TypeAlias
 
@@ -37,9 +35,7 @@ _MAX_CORNER = 1e306
 _MAX_CELL_NUMBER = 2**62
 # Above this number of cells along an axis, empty cells are left out; its cube is below the bound.
 _MAX_DENSE_CELLS = 2.0**20
-# The largest number of boxes that are sorted along one axis instead of into a grid.
-_MAX_SWEPT = 1000
-# The largest number of boxes that are all compared with each other instead.
+# The largest number of boxes that are all compared with each other.
 _MAX_COMPARED = 128
 # Whether the row is before the column.
 _IS_FIRST = ~np.tri(_MAX_COMPARED, dtype=bool)
@@ -83,7 +79,7 @@ def overlapping_pairs(boxes: Array, max_distance: float = 0.0) -> Pairs:
     ]
     bounded = np.flatnonzero(is_box & ~is_unbounded)
     if len(bounded) > 1:
-        pairs = _bounded_pairs(low[:, bounded], high[:, bounded])
+        pairs = _grid_pairs(low[:, bounded], high[:, bounded])
         parts += [(bounded[i], bounded[j]) for i, j in pairs]
     if not parts:
         return np.zeros(0, np.intp), np.zeros(0, np.intp)
@@ -116,35 +112,6 @@ def _pairs_of_unbounded(
     overlaps[: box + 1] &= ~is_unbounded[: box + 1]
     others = np.flatnonzero(overlaps)
     return np.full(len(others), box), others
-
-
-def _bounded_pairs(low: Array, high: Array) -> Iterable[Pairs]:
-    """Returns the pairs of bounded boxes that overlap, in parts."""
-    if low.shape[1] <= _MAX_SWEPT:
-        pairs = _swept_pairs(low, high)
-        if pairs is not None:
-            return (pairs,)
-    return _grid_pairs(low, high)
-
-
-def _swept_pairs(low: Array, high: Array) -> Pairs | None:
-    """Returns the pairs of bounded boxes that overlap, by their order along the longest axis.
-
-    None if too many boxes overlap along that axis.
-    """
-    axes = np.roll(np.arange(3), -int(np.ptp(low, axis=1).argmax()))
-    order = np.argsort(low[axes[0]], kind="stable")
-    low, high = low[axes].take(order, axis=1), high[axes].take(order, axis=1)
-    starts = np.arange(1, len(order) + 1)
-    counts = np.searchsorted(low[0], high[0], "right") - starts
-    totals = np.cumsum(counts)
-    if totals[-1] > _CANDIDATES_AT_ONCE:
-        return None
-    i = np.repeat(starts - 1, counts)
-    j = np.arange(len(i)) + np.repeat(starts - totals + counts, counts)
-    i, j = _overlapping(low[1:], high[1:], i, j)
-    i, j = order.take(i), order.take(j)
-    return np.minimum(i, j), np.maximum(i, j)
 
 
 def _grid_pairs(low: Array, high: Array) -> Iterator[Pairs]:

@@ -14,19 +14,13 @@ from functools import partial
 import numpy as np
 
 from ssduck.geometry.arrays import Flags, Indices
-from ssduck.geometry.batch import are_few_boxes, kept_verdicts, pairs_of_boxes, touching_verdicts
+from ssduck.geometry.batch import kept_verdicts, pairs_of_boxes, touching_verdicts
 from ssduck.geometry.broad_phase import Pairs
 from ssduck.geometry.contact_support import MIN_UP
 from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.poses import rotate
 from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD, decide_upward
-from ssduck.geometry.proofs.footprints import (
-    OUTSIDE,
-    OVER,
-    finer_over_verdicts,
-    over_verdicts,
-)
-from ssduck.geometry.proofs.nearest_points import decide_upward_round
+from ssduck.geometry.proofs.footprints import OUTSIDE, OVER, box_centres, over_verdicts
 from ssduck.geometry.proofs.separating_axes import box_axes
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Decisions, Verdicts
 from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
@@ -40,9 +34,6 @@ _MAX_GAP = 5e-10
 _MAX_COORDINATE = 100.0
 # Heights of normals that are nearer to the least one are not decided here.
 _UP_ROOM = 1e-9
-
-# Fewer pairs of round shapes are decided together with the others, which takes less time.
-_MIN_ROUND = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +64,7 @@ def are_on(tick: TickShapes, narrow: NarrowPhase, a: Indices, b: Indices) -> Fla
     """
     result = np.zeros(len(a), dtype=bool)
     starts = np.array(narrow.starts)
-    over = over_verdicts(tick, starts, a, b)
+    over = over_verdicts(tick, starts, a, box_centres(tick.boxes, starts, b))
     rows = np.flatnonzero(over != OUTSIDE)
     if not len(rows):
         return result
@@ -87,19 +78,12 @@ def are_on(tick: TickShapes, narrow: NarrowPhase, a: Indices, b: Indices) -> Fla
     )
     is_carried = np.zeros(len(a), dtype=bool)
     is_carried[shapes.rows[(upward == UPWARD) & shapes.touch]] = True
-    may_be_carried = np.zeros(len(a), dtype=bool)
-    may_be_carried[shapes.rows[upward != NOT_UPWARD]] = True
-    left = np.flatnonzero((over == UNDECIDED) & may_be_carried)
-    if len(left):
-        over[left] = finer_over_verdicts(tick, starts, a[left], b[left])
     result[is_carried & (over == OVER)] = True
     open_shapes: dict[int, list[tuple[int, int]]] = {}
     for place in np.flatnonzero((upward != NOT_UPWARD) & ~result[shapes.rows]).tolist():
         pair = int(shapes.first[place]), int(shapes.second[place])
         open_shapes.setdefault(int(shapes.rows[place]), []).append(pair)
     for row, pairs in open_shapes.items():
-        if over[row] == OUTSIDE:
-            continue
         if over[row] == OVER or narrow.is_over(int(a[row]), int(b[row])):
             result[row] = is_carried[row] or any(_is_upward(narrow, s, t) for s, t in pairs)
     return result
@@ -170,12 +154,10 @@ def decide_contacts(
         verdicts[on_planes[heights >= min_height + _UP_ROOM]] = UPWARD
         verdicts[on_planes[heights <= min_height - _UP_ROOM]] = NOT_UPWARD
     are_bounded = table.is_convex & ~table.is_plane
-    by_nearest_points = partial(decide_upward_round, min_count=_MIN_ROUND)
-    for decide in (by_nearest_points, decide_upward):
-        left = np.flatnonzero((verdicts == UNDECIDED) & are_bounded[first] & are_bounded[second])
-        if len(left) and not are_few_boxes(table, first[left], second[left]):
-            found = decide(tick.placed_cores, first[left], second[left], min_height)
-            decisions.decide(left, found.verdicts, found.room)
+    left = np.flatnonzero((verdicts == UNDECIDED) & are_bounded[first] & are_bounded[second])
+    if len(left):
+        found = decide_upward(tick.placed_cores, first[left], second[left], min_height)
+        decisions.decide(left, found.verdicts, found.room)
     return decisions
 
 

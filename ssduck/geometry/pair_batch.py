@@ -22,9 +22,9 @@ from ssduck.geometry.contact_support import MIN_RISING, MIN_UP
 from ssduck.geometry.margins import MarginKey
 from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.on_pairs import decide_contacts
-from ssduck.geometry.poses import rotate
 from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD
-from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, Verdicts
+from ssduck.geometry.proofs.footprints import OVER, over_verdicts, shapes_of
+from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Verdicts
 from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
 from ssduck.geometry.tick_shapes import PairPredicate, PredicateKind, TickShapes
 
@@ -42,17 +42,8 @@ MAX_ROUNDS = 16
 MAX_CARRIED_ROUNDS = 4
 # Rows with at most so many pairs of shapes left are computed one by one.
 FEW_PAIRS = 3
-# The horizontal directions in which a footprint is bounded, (m, 3), counterclockwise.
-_ANGLES = np.arange(16) * (2.0 * math.pi / 16)
-_DIRECTIONS = np.stack((np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(16)), axis=1)
-# A point that is farther outside of a footprint is surely outside, m; the rounding errors are less.
-_SURELY_OUTSIDE = 1e-6
 # A point that is farther inside is surely inside, m.
 _SURELY_INSIDE = 1e-9
-# A half-space whose normal is nearer to level has a footprint that depends on the place.
-_LEVEL = 1e-6
-# The number of heights that are computed at a time.
-_MAX_HEIGHTS = 1 << 22
 _NO_DIRECTION: Direction = (0.0, 0.0, 0.0)
 
 
@@ -390,10 +381,11 @@ class PairBatch:
         near = np.flatnonzero((verdicts != ABOVE) & (bounds >= 0.0))
         if needs_centre:
             rows = np.unique(self._rows[near])
-            is_over, is_outside = self._over_footprints(rows)
-            is_open[rows] = ~(is_over | is_outside)
+            centres = self._box_centres(self._count + rows)
+            over = over_verdicts(self._scene, self._starts, rows, centres)
+            is_open[rows] = over == UNDECIDED
             wanted = np.zeros(self._count, dtype=bool)
-            wanted[rows] = is_over
+            wanted[rows] = over == OVER
             near = near[wanted[self._rows[near]]]
         near = self._carry(near, (verdicts == BELOW)[near], values)
         upward = self._upward(near, MIN_UP)
@@ -457,110 +449,23 @@ class PairBatch:
         first, second = self._first[pairs], self._second[pairs]
         return decide_contacts(self._scene, first, second, min_height).verdicts
 
-    def _over_footprints(self, rows: Indices) -> tuple[Flags, Flags]:
-        """Returns whether the centres of the second entities are surely over the first ones.
-
-        Returns:
-            Whether each is surely over the footprint; whether it is surely outside.
-        """
-        scene, table = self._scene, self._scene.table
-        centres, is_bounded = self._box_centres(self._count + rows)
-        distinct, numbers = self._distinct_entities(rows)
-        heights, supports = (part[numbers] for part in self._footprints(distinct))
-        outside = (centres @ _DIRECTIONS[:, :2].T - heights).max(axis=1) > _SURELY_OUTSIDE
-        edges = np.roll(supports, -1, axis=1) - supports
-        lengths = np.sqrt((edges * edges).sum(axis=2))
-        offsets = centres[:, None] - supports
-        with np.errstate(invalid="ignore", divide="ignore"):
-            depths = (edges[..., 0] * offsets[..., 1] - edges[..., 1] * offsets[..., 0]) / lengths
-            inside = np.where(lengths > 0.0, depths, math.inf).min(axis=1) > _SURELY_INSIDE
-        inside &= (lengths > 0.0).sum(axis=1) >= 3
-        planes = np.flatnonzero(table.is_plane & scene.is_known)
-        owners = table.entities[planes]
-        normals = rotate(scene.matrices[planes], table.normal[planes])
-        is_level = np.zeros(2 * self._count, dtype=bool)
-        is_level[owners[np.abs(normals[:, 2]) <= _LEVEL]] = True
-        is_plane = np.zeros(2 * self._count, dtype=bool)
-        is_plane[owners] = True
-        inside |= is_plane[rows] & ~is_level[rows]
-        outside &= ~is_plane[rows]
-        return inside & is_bounded, outside & is_bounded
-
-    def _box_centres(self, entities: Indices) -> tuple[Array, Flags]:
-        """Returns the centres (n, 2) of the boxes of entities, and whether they are finite."""
+    def _box_centres(self, entities: Indices) -> Array:
+        """Returns the centres of the boxes of entities over the ground, (2, n); NaN for planes."""
         scene, table, cores = self._scene, self._scene.table, self._scene.table.cores
-        shapes, owners = self._shapes_of(entities)
-        low = np.full((len(entities), 2), math.inf)
-        high = np.full((len(entities), 2), -math.inf)
+        shapes, owners = shapes_of(scene, self._starts, entities)
+        low = np.full((2, len(entities)), math.inf)
+        high = np.full((2, len(entities)), -math.inf)
         for axis in (0, 1):
             for sign, ends, choose in ((-1.0, low, np.minimum), (1.0, high, np.maximum)):
                 directions = np.zeros((3, len(shapes)))
                 directions[axis] = sign
                 reach = scene.placed_cores.support_points(shapes, directions)[axis]
                 places = scene.centres[shapes, axis] + reach + sign * cores.radius[shapes]
-                choose.at(ends[:, axis], owners, places)
-        is_bounded = np.ones(len(entities), dtype=bool)
-        is_bounded[owners[table.is_plane[shapes]]] = False
+                choose.at(ends[axis], owners, places)
         with np.errstate(invalid="ignore"):
-            centres = (low + high) / 2
-        return centres, is_bounded & np.isfinite(centres).all(axis=1)
-
-    def _footprints(self, rows: Indices) -> tuple[Array, Array]:
-        """Returns the extents (n, m) of first entities in `_DIRECTIONS`, and the points (n, m, 2).
-
-        As in `ssduck.geometry.containment`, polyhedra stand for round shapes.
-        """
-        scene, count = self._scene, len(_DIRECTIONS)
-        heights = np.full((len(rows), count), -math.inf)
-        supports = np.zeros((len(rows), count, 2))
-        shapes, owners = self._shapes_of(rows)
-        for solid, members in _groups(scene.table.solid_indices[shapes], np.arange(len(shapes))):
-            points = scene.table.solids[solid].points
-            if not len(points):
-                continue
-            step = max(1, _MAX_HEIGHTS // (count * len(points)))
-            for start in range(0, len(members), step):
-                some = members[start : start + step]
-                matrices = scene.matrices[shapes[some]]
-                local = np.einsum("nji,mj->nmi", matrices, _DIRECTIONS)
-                farthest = points[(local @ points.T).argmax(axis=2)]
-                placed = np.einsum("nij,nmj->nmi", matrices, farthest)
-                placed += scene.positions[shapes[some], None]
-                reached = np.einsum("nmi,mi->nm", placed, _DIRECTIONS)
-                for index, owner in enumerate(owners[some].tolist()):
-                    is_farther = reached[index] > heights[owner]
-                    heights[owner, is_farther] = reached[index, is_farther]
-                    supports[owner, is_farther] = placed[index, is_farther, :2]
-        return heights, supports
-
-    def _distinct_entities(self, entities: Indices) -> tuple[Indices, list[int]]:
-        """Returns those of some entities that differ, and the number among them of each one.
-
-        Two with the same solids at the same poses, as of what stands still, do not differ.
-        """
-        scene = self._scene
-        parts = scene.table.solid_indices, scene.positions, scene.matrices
-        numbers: dict[tuple[bytes, ...], int] = {}
-        distinct: list[int] = []
-        number_of_each: list[int] = []
-        for entity in entities.tolist():
-            shapes = slice(*self._starts[entity : entity + 2].tolist())
-            number = numbers.setdefault(
-                tuple(part[shapes].tobytes() for part in parts), len(numbers)
-            )
-            number_of_each.append(number)
-            if number == len(distinct):
-                distinct.append(entity)
-        return np.array(distinct, dtype=np.intp), number_of_each
-
-    def _shapes_of(self, entities: Indices) -> tuple[Indices, Indices]:
-        """Returns the shapes of entities that have points, and the place of each one's entity."""
-        counts = self._starts[entities + 1] - self._starts[entities]
-        owners = np.repeat(np.arange(len(entities)), counts)
-        offsets = np.arange(len(owners)) - np.repeat(np.cumsum(counts) - counts, counts)
-        shapes = self._starts[entities][owners] + offsets
-        has_points = self._scene.table.has_points[shapes]
-        return shapes[has_points], owners[has_points]
+            centres: Array = (low + high) / 2
+        centres[:, owners[table.is_plane[shapes]]] = np.nan
+        return centres
 
 
 def _groups(keys: Indices, values: Indices) -> Iterator[tuple[int, Indices]]:

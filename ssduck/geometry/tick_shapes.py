@@ -105,7 +105,6 @@ class ShapeTable:
         ]
         self.has_planes = bool(self.is_plane.any())
         self.is_box = np.array([solid.type == "box" for solid in solids], dtype=bool)[solid_indices]
-        self.are_all_boxes = bool(self.is_box.all())
         self.is_convex = np.array([solid.is_convex for solid in solids], dtype=bool)[solid_indices]
         self.are_all_convex = bool(self.is_convex.all())
         self.bounding_radius = np.array([solid.bounding_radius for solid in solids])[solid_indices]

@@ -18,7 +18,6 @@ from ssduck.geometry.proofs.contact_directions import (
     decide_upward,
 )
 from ssduck.geometry.proofs.direction_triangles import bounds_of, classes_of, mesh_of, stretch_of
-from ssduck.geometry.proofs.nearest_points import decide_upward_round
 from ssduck.geometry.proofs.verdicts import UNDECIDED
 from tests.support import pairs
 from tests.support.pairs import Shape, gap
@@ -87,26 +86,9 @@ def test_verdicts_are_what_the_normals_of_single_pairs_say(kinds):
     assert undecided < 0.12 * len(HEIGHTS) * 2 * len(two)
 
 
-def verdict(first, second, min_height=MIN_UP, decide=decide_upward):
+def verdict(first, second):
     cores = pairs.bodies([first, second])
-    return int(decide(cores, np.array([0]), np.array([1]), min_height).verdicts[0])
-
-
-@pytest.mark.parametrize("kinds", [("sphere", kind) for kind in KINDS[:4]])
-def test_the_cores_of_spheres_decide(kinds):
-    """The normal of two shapes whose cores are apart is that of the cores."""
-    decided = 0
-    for seed in range(40):
-        first, second = pairs.pair(kinds, seed)
-        result = gap(first, second)
-        radii = sum(s.geometry.size[0] for s in (first, second) if s.geometry.type == "sphere")
-        are_apart = result.distance + radii > 1e-3
-        found = verdict(first, second, decide=decide_upward_round)
-        assert found == UNDECIDED or (found == UPWARD) == (-result.normal[2] >= MIN_UP)
-        is_clear = abs(-result.normal[2] - MIN_UP) > 0.1
-        assert found != UNDECIDED or not (are_apart and is_clear)
-        decided += found != UNDECIDED
-    assert decided > 10
+    return int(decide_upward(cores, np.array([0]), np.array([1]), MIN_UP).verdicts[0])
 
 
 @pytest.mark.parametrize("off", [1e-7, 1e-4, 0.02])
@@ -199,3 +181,43 @@ def test_convex_pairs_need_neither_fcl_nor_a_polytope(monkeypatch):
     assert scene.calls.calls <= len(a) / 50
     assert len(expanded) <= len(a) / 50
     assert sum(len(triangles.owners) for triangles in divided) <= 8 * len(a)
+
+
+# -- the room of verdicts ----------------------------------------------------------------------
+
+
+def made(kinds, count):
+    return [pairs.pair(kinds, seed) for seed in range(count)]
+
+
+def decided(two, min_height):
+    cores = pairs.bodies([shape for pair in two for shape in pair])
+    first = np.arange(0, 2 * len(two), 2)
+    return decide_upward(cores, first, first + 1, min_height)
+
+
+def moved(two, random, far):
+    """Returns pairs whose second shape moves by a distance each."""
+    ways = random.normal(size=(len(two), 3))
+    ways *= np.broadcast_to(far, len(two))[:, None] / np.linalg.norm(ways, axis=1)[:, None]
+    return [(a, b.at(b.position + way)) for (a, b), way in zip(two, ways, strict=True)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("min_height", [0.5, MIN_UP])
+def test_a_verdict_holds_within_its_room(min_height):
+    random, checked, far_rooms = np.random.default_rng(5), 0, 0
+    for kinds in COMBINATIONS:
+        two = made(kinds, 16)
+        found = decided(two, min_height)
+        assert (found.room[found.verdicts == 0] == 0.0).all()
+        assert (found.room >= 0.0).all()
+        places = np.flatnonzero(found.room > 0.0)
+        far_rooms += int((found.room > 1e-2).sum())
+        near = moved([two[n] for n in places], random, 0.99 * found.room[places])
+        for (a, b), verdict in zip(near, found.verdicts[places].tolist(), strict=True):
+            rises = -gap(a, b).normal[2]
+            assert (rises >= min_height) == (verdict == UPWARD)
+            checked += 1
+    assert checked > 60
+    assert far_rooms > 20

@@ -20,7 +20,6 @@ from ssduck.geometry.placed_solid import PlacedSolid
 from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD, decide_upward
 from ssduck.geometry.proofs.cores import ConvexCores, PlacedCores
 from ssduck.geometry.proofs.gjk import classify_gaps
-from ssduck.geometry.proofs.nearest_points import decide_upward_round
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
@@ -200,10 +199,9 @@ def wrong_normals(shape_pairs, rises, min_height):
     first = np.arange(0, 2 * len(shape_pairs), 2)
     wrong, undecided = np.zeros(len(shape_pairs), bool), 0
     for sign, one, other in ((1.0, first, first + 1), (-1.0, first + 1, first)):
-        for decide in (decide_upward_round, decide_upward):
-            result = decide(cores, one, other, min_height).verdicts
-            wrong |= (result == UPWARD) & (sign * rises < min_height)
-            wrong |= (result == NOT_UPWARD) & (sign * rises >= min_height)
+        result = decide_upward(cores, one, other, min_height).verdicts
+        wrong |= (result == UPWARD) & (sign * rises < min_height)
+        wrong |= (result == NOT_UPWARD) & (sign * rises >= min_height)
         undecided += int((result == UNDECIDED).sum())
     return np.flatnonzero(wrong).tolist(), undecided
 
