@@ -8,7 +8,7 @@ shapes. `ssduck.geometry.shape_comparisons` compares these, unless their boxes a
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from itertools import product
 from threading import RLock
@@ -34,7 +34,7 @@ from ssduck.geometry.placed_solid import PlacedSolid, Point
 from ssduck.geometry.shape_comparisons import ROUNDING, TOUCHING_DISTANCE, ShapeComparisons
 from ssduck.geometry.solids import PlacedSolids, Solid
 from ssduck.geometry.tick_shapes import PairPredicate, ShapeTable, TickShapes, of_known_entities
-from ssduck.geometry.tick_solids import ShapePlaces, ShapeSolids, TickSolids
+from ssduck.geometry.tick_solids import Found, ShapePlaces, ShapeSolids, TickSolids
 
 T = TypeVar("T")
 
@@ -80,8 +80,8 @@ class NarrowPhase:
         self.shapes = ShapeComparisons(self._tick, calls)
         self.starts = starts
         # Each entity's shapes that have points, and whether all its poses and shapes are known.
-        self._shapes = _OfEntities(partial(_shapes_with_points, self._tick, self.starts))
-        self._are_known = _OfEntities(partial(_is_known, self._tick, self.starts))
+        self._shapes = Found(partial(_shapes_with_points, self._tick, self.starts))
+        self._are_known = Found(partial(_is_known, self._tick, self.starts))
         self._clearances: dict[tuple[int, int], float | None] = {}
         self._clearance_bounds: dict[tuple[int, int], float] = {}
         self._verdicts: dict[tuple[int, int, PairPredicate], bool | None] = {}
@@ -483,22 +483,6 @@ class NarrowPhase:
             for shape in shapes
             if self._tick.are_known[shape] and not self._tick.solids[shape].is_empty
         ]
-
-
-class _OfEntities(dict[int, T]):
-    """What belongs to each entity, found when it is asked for.
-
-    Args:
-        find: a function that returns what belongs to an entity.
-    """
-
-    def __init__(self, find: Callable[[int], T]) -> None:
-        self._find = find
-
-    def __missing__(self, e: int) -> T:
-        """Returns what belongs to an entity that nobody asked for yet."""
-        self[e] = found = self._find(e)
-        return found
 
 
 def _shapes_with_points(tick: TickSolids, starts: Sequence[int], e: int) -> list[int]:

@@ -1,12 +1,11 @@
-"""The solids of a tick at their poses, one by one and in arrays."""
+"""The solids of a tick at their poses, one by one."""
 
 from __future__ import annotations
 
 import math
-import weakref
 from collections.abc import Callable, Iterator, Sequence
-from functools import cached_property
-from typing import TypeVar
+from functools import cached_property, partial
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 
@@ -16,7 +15,6 @@ from ssduck.geometry.placed_solid import PlacedSolid, Point, Quaternion
 from ssduck.geometry.poses import (
     flat_rotation_matrices,
     placed_point,
-    rotate,
     stacked_matrices,
     unit_quaternions,
 )
@@ -24,10 +22,22 @@ from ssduck.geometry.solids import Solid
 
 T = TypeVar("T")
 
-# After this number of shapes, or one in so many, what belongs to each is computed for all at once:
-# those of some pairs among the thousands of a batch of ticks are computed alone.
-MAX_SINGLE = 16
-SINGLE_IN = 8
+
+class Found(dict[int, T]):
+    """What belongs to each shape, or to each entity, found when it is asked for.
+
+    Args:
+        find: a function that returns what belongs to one. It does not refer to what owns this: in a
+            cycle of references, that would stay in memory until Python collects garbage.
+    """
+
+    def __init__(self, find: Callable[[int], T]) -> None:
+        self._find = find
+
+    def __missing__(self, number: int) -> T:
+        """Returns what nobody asked for yet."""
+        self[number] = found = self._find(number)
+        return found
 
 
 class ShapePlaces:
@@ -99,56 +109,28 @@ class TickSolids:
 
     Attributes:
         places: see above.
+        are_known: whether the pose and the solid of each shape are known.
+        corners: the box of each shape: lower corner, upper corner.
+        centres: the centre of the sphere around each shape.
+        inscribed_centres: the centre of the sphere in each shape.
     """
 
     def __init__(self, shapes: ShapeSolids, places: ShapePlaces) -> None:
         self._shapes, self.places = shapes, places
-        self._placed: dict[int, PlacedSolid] = {}
-        self._ranks: dict[int, tuple[str | float, ...]] = {}
-
-    # All pairs of a tick at once need none of these.
-
-    @cached_property
-    def are_known(self) -> _OfShapes[bool]:
-        """Whether the pose and the solid of each shape are known."""
-        return self._of_shapes(TickSolids._is_known, TickSolids._all_known)
-
-    @cached_property
-    def corners(self) -> _OfShapes[list[float]]:
-        """The box of each shape: lower corner, upper corner."""
-        return self._of_shapes(TickSolids._corners_of, TickSolids._all_corners)
-
-    @cached_property
-    def centres(self) -> _OfShapes[list[float]]:
-        """The centre of the sphere around each shape."""
-        return self._of_shapes(TickSolids._centre, TickSolids._all_centres)
-
-    @cached_property
-    def inscribed_centres(self) -> _OfShapes[list[float]]:
-        """The centre of the sphere in each shape."""
-        return self._of_shapes(TickSolids._inscribed_centre, TickSolids._all_inscribed_centres)
-
-    @cached_property
-    def _poses(self) -> _OfShapes[tuple[Point, Quaternion]]:
-        return self._of_shapes(TickSolids._pose, TickSolids._all_poses)
-
-    def _of_shapes(
-        self, of_one: Callable[[TickSolids, int], T], of_all: Callable[[TickSolids], Sequence[T]]
-    ) -> _OfShapes[T]:
-        most = max(MAX_SINGLE, len(self._shapes.indices) // SINGLE_IN)
-        return _OfShapes(weakref.ref(self), most, of_one, of_all)
+        poses = Found(partial(_pose, places))
+        self.are_known = Found(partial(_is_known, shapes, poses))
+        self.corners = Found(places.box)
+        self.centres = Found(partial(_centre, shapes, poses))
+        self.inscribed_centres = Found(partial(_inscribed_centre, shapes, poses))
+        self._placed = Found(partial(_placed, shapes, poses))
+        self._ranks = Found(partial(_rank, shapes, poses))
 
     def placed(self, shape: int) -> PlacedSolid:
         """Returns a shape in the world."""
-        if shape not in self._placed:
-            self._placed[shape] = PlacedSolid(self.solids[shape], *self._poses[shape])
         return self._placed[shape]
 
     def rank(self, shape: int) -> tuple[str | float, ...]:
         """Returns the place of a shape in the order of shapes, by its geometry and its pose."""
-        if shape not in self._ranks:
-            position, orientation = self._poses[shape]
-            self._ranks[shape] = (self.solids[shape].key, *position, *orientation)
         return self._ranks[shape]
 
     def pairs_within(
@@ -203,20 +185,9 @@ class TickSolids:
         """The boxes, (n, 6): lower corner, upper corner."""
         return self.places.boxes
 
-    # -- poses: of few shapes one by one, or of all at once -----------------------------------
-
     @cached_property
     def _unit_orientations(self) -> Array:
         return unit_quaternions(self.orientations)
-
-    def _all_poses(self) -> list[tuple[Point, Quaternion]]:
-        poses = zip(self.positions.tolist(), self._unit_orientations.tolist(), strict=True)
-        return [((x, y, z), (w, i, j, k)) for (x, y, z), (w, i, j, k) in poses]
-
-    def _pose(self, shape: int) -> tuple[Point, Quaternion]:
-        (x, y, z), (w, i, j, k) = self.places.pose(shape)
-        length = math.sqrt(w * w + i * i + j * j + k * k) or math.nan
-        return (x, y, z), (w / length, i / length, j / length, k / length)
 
     @cached_property
     def are_finite(self) -> Flags:
@@ -228,41 +199,6 @@ class TickSolids:
             return np.ones(len(positions), dtype=bool)
         poses = np.concatenate((positions, orientations), axis=1)
         return np.asarray(np.isfinite(poses).all(axis=1))
-
-    def _all_known(self) -> list[bool]:
-        known = np.array([solid.is_known for solid in self._shapes.distinct], dtype=bool)
-        are_known: list[bool] = (self.are_finite & known[self._shapes.indices]).tolist()
-        return are_known
-
-    def _is_known(self, shape: int) -> bool:
-        position, orientation = self._poses[shape]
-        return self.solids[shape].is_known and all(map(math.isfinite, position + orientation))
-
-    def _corners_of(self, shape: int) -> list[float]:
-        return self.places.box(shape)
-
-    def _all_corners(self) -> list[list[float]]:
-        corners: list[list[float]] = self.boxes.tolist()
-        return corners
-
-    def _centre(self, shape: int) -> list[float]:
-        return placed_point(*self._poses[shape], self.solids[shape].centre)
-
-    def _all_centres(self) -> list[list[float]]:
-        return self._all_placed([solid.centre for solid in self._shapes.distinct])
-
-    def _inscribed_centre(self, shape: int) -> list[float]:
-        return placed_point(*self._poses[shape], self.solids[shape].inscribed_centre)
-
-    def _all_inscribed_centres(self) -> list[list[float]]:
-        return self._all_placed([solid.inscribed_centre for solid in self._shapes.distinct])
-
-    def _all_placed(self, points: Sequence[Point]) -> list[list[float]]:
-        """Returns the point of each shape, given the point of each distinct solid."""
-        local = np.array(points, dtype=np.float64).reshape(-1, 3)[self._shapes.indices]
-        with np.errstate(invalid="ignore"):
-            moved: list[list[float]] = (self.positions + rotate(self.matrices, local)).tolist()
-        return moved
 
     @cached_property
     def rotations(self) -> Array:
@@ -276,35 +212,33 @@ class TickSolids:
         return stacked_matrices(self.rotations)
 
 
-class _OfShapes(dict[int, T]):
-    """What belongs to each shape: of few shapes one by one, of more for all at once.
+_Pose: TypeAlias = tuple[Point, Quaternion]
 
-    Both give the same, to the last bit.
 
-    Args:
-        tick: the solids of the tick, which own this. In a cycle of references, they would stay in
-            memory until Python collects garbage.
-        most_single: the largest number of shapes that are asked one by one.
-        of_one: a function that returns what belongs to a shape.
-        of_all: a function that returns what belongs to each shape.
-    """
+def _pose(places: ShapePlaces, shape: int) -> _Pose:
+    """Returns the position of a shape, and its orientation with length 1."""
+    (x, y, z), (w, i, j, k) = places.pose(shape)
+    length = math.sqrt(w * w + i * i + j * j + k * k) or math.nan
+    return (x, y, z), (w / length, i / length, j / length, k / length)
 
-    def __init__(
-        self,
-        tick: weakref.ref[TickSolids],
-        most_single: int,
-        of_one: Callable[[TickSolids, int], T],
-        of_all: Callable[[TickSolids], Sequence[T]],
-    ) -> None:
-        self._tick, self._most_single = tick, most_single
-        self._of_one, self._of_all = of_one, of_all
 
-    def __missing__(self, shape: int) -> T:
-        """Returns what belongs to a shape that nobody asked for yet."""
-        tick = self._tick()
-        assert tick is not None  # what owns this is being asked
-        if len(self) < self._most_single:
-            self[shape] = found = self._of_one(tick, shape)
-            return found
-        self.update(enumerate(self._of_all(tick)))
-        return self[shape]
+def _is_known(shapes: ShapeSolids, poses: Found[_Pose], shape: int) -> bool:
+    position, orientation = poses[shape]
+    return shapes.solids[shape].is_known and all(map(math.isfinite, position + orientation))
+
+
+def _centre(shapes: ShapeSolids, poses: Found[_Pose], shape: int) -> list[float]:
+    return placed_point(*poses[shape], shapes.solids[shape].centre)
+
+
+def _inscribed_centre(shapes: ShapeSolids, poses: Found[_Pose], shape: int) -> list[float]:
+    return placed_point(*poses[shape], shapes.solids[shape].inscribed_centre)
+
+
+def _placed(shapes: ShapeSolids, poses: Found[_Pose], shape: int) -> PlacedSolid:
+    return PlacedSolid(shapes.solids[shape], *poses[shape])
+
+
+def _rank(shapes: ShapeSolids, poses: Found[_Pose], shape: int) -> tuple[str | float, ...]:
+    position, orientation = poses[shape]
+    return (shapes.solids[shape].key, *position, *orientation)

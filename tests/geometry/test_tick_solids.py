@@ -1,4 +1,4 @@
-"""What belongs to one shape of a tick is the same whether it is computed alone or with all."""
+"""What belongs to one shape of a tick is what arrays of all of them say."""
 
 import gc
 import math
@@ -9,15 +9,9 @@ import pytest
 
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
-from ssduck.geometry.tick_solids import (
-    MAX_SINGLE,
-    SINGLE_IN,
-    ShapePlaces,
-    ShapeSolids,
-    TickSolids,
-)
+from ssduck.geometry.tick_solids import ShapePlaces, ShapeSolids, TickSolids
 
-COUNT = 5 * MAX_SINGLE
+COUNT = 80
 SOLIDS = [
     solid_of(geometry)
     for geometry in (
@@ -42,55 +36,32 @@ def make_tick():
     return lambda: TickSolids(shapes, places)
 
 
-PARTS = {
-    "are_known": lambda tick, shape: tick.are_known[shape],
-    "corners": lambda tick, shape: tick.corners[shape],
-    "centres": lambda tick, shape: tick.centres[shape],
-    "inscribed_centres": lambda tick, shape: tick.inscribed_centres[shape],
-    "rank": lambda tick, shape: tick.rank(shape),
-    "matrix_rows": lambda tick, shape: tick.placed(shape).matrix_rows,
-}
-
-
-@pytest.mark.parametrize("part", PARTS.values(), ids=PARTS)
-def test_alone_and_at_once(make_tick, part):
-    at_once = make_tick()
-    expected = [part(at_once, shape) for shape in range(COUNT)]
-    for shape in range(COUNT):
-        assert repr(part(make_tick(), shape)) == repr(expected[shape]), shape
-
-
-def test_many_are_computed_at_once(make_tick, monkeypatch):
-    calls = []
-    of_all = TickSolids._all_corners
-    monkeypatch.setattr(TickSolids, "_all_corners", lambda tick: calls.append(tick) or of_all(tick))
+def test_each_shape_is_what_arrays_say(make_tick):
     tick = make_tick()
-    for shape in range(MAX_SINGLE):
-        assert len(tick.corners[shape]) == 6
-    assert not calls
-    assert tick.corners[MAX_SINGLE] == tick.boxes[MAX_SINGLE].tolist()
-    assert tick.corners[COUNT - 1] == tick.boxes[COUNT - 1].tolist()
-    assert len(calls) == 1
-
-
-@pytest.mark.slow
-def test_a_few_of_many_ticks_are_computed_alone(monkeypatch):
-    count, calls = 100 * SINGLE_IN, []
-    of_all = TickSolids._all_poses
-    monkeypatch.setattr(TickSolids, "_all_poses", lambda tick: calls.append(tick) or of_all(tick))
-    places = ShapePlaces(np.zeros((count, 3)), np.ones((count, 4)), np.zeros((count, 6)))
-    tick = TickSolids(ShapeSolids(SOLIDS, np.zeros(count)), places)
-    for shape in range(100):
-        tick.rank(shape)
-    assert not calls
-    tick.rank(100)
-    assert len(calls) == 1
+    for shape in range(COUNT):
+        solid, position = SOLIDS[shape % len(SOLIDS)], tick.positions[shape]
+        is_known = bool(tick.are_finite[shape]) and solid.is_known
+        assert tick.are_known[shape] == is_known
+        assert tick.corners[shape] == tick.boxes[shape].tolist()
+        if not is_known:
+            continue
+        matrix = tick.matrices[shape]
+        for found, local in (
+            (tick.centres, solid.centre),
+            (tick.inscribed_centres, solid.inscribed_centre),
+        ):
+            assert found[shape] == pytest.approx((position + matrix @ local).tolist(), abs=1e-12)
+        assert tick.placed(shape).matrix == pytest.approx(matrix, abs=1e-12)
+        assert tick.rank(shape)[:4] == (solid.key, *position.tolist())
 
 
 def test_no_cycle_of_references_keeps_a_tick(make_tick):
     tick = make_tick()
-    for part in PARTS.values():
-        part(tick, 0)
+    for shape in range(COUNT):
+        assert len(tick.corners[shape]) == 6
+    assert tick.are_known[0]
+    assert tick.placed(0).solid is SOLIDS[0]
+    assert (tick.centres[0], tick.rank(0)) != ([], ())
     kept = weakref.ref(tick)
     gc.disable()
     try:
