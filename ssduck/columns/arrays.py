@@ -58,7 +58,6 @@ class ArrayValues(dict[Any, Array]):
         read: returns the values of a leaf.
         count: the number of rows.
         calls: the narrow phase.
-        fixed: the values of parts that stay the same while the rows do; kept by the caller.
         left: (n,), becomes True where a value is not known that matters; None if that is an error.
         is_checked: whether numbers are checked; else the caller learns of NaN from numpy.
 
@@ -72,14 +71,13 @@ class ArrayValues(dict[Any, Array]):
         read: Callable[[Any], Array],
         count: int,
         calls: Calls,
-        fixed: dict[Any, Array],
         left: Flags | None = None,
         *,
         is_checked: bool = True,
     ) -> None:
         super().__init__()
         self._read = read
-        self.count, self.calls, self.fixed = count, calls, fixed
+        self.count, self.calls = count, calls
         self.left, self.is_checked = left, is_checked
         self.active: Flags | None = None
         self.computed: dict[str, tuple[Flags | None, Array]] = {}
@@ -153,16 +151,6 @@ class ArrayOperations:
                 known = inner(values)
                 values.computed[key] = values.active, known
             return known
-
-        return compute
-
-    def fixed(self, part: Compute) -> Compute:
-        key = next(self._keys)
-
-        def compute(values: ArrayValues) -> Array:
-            if key not in values.fixed:
-                values.fixed[key] = part(values)
-            return values.fixed[key]
 
         return compute
 

@@ -71,9 +71,6 @@ class Operations(Protocol):
     def once(self, part: Expression) -> Compute:
         """Returns a value that is computed once for the same leaves."""
 
-    def fixed(self, part: Compute) -> Compute:
-        """Returns a value that is computed once for the same rows."""
-
     def arithmetic(self, operate: Callable[[Any, Any], Any], a: Compute, b: Compute) -> Compute:
         """Returns a sum, a difference or a product of which one operand is a double."""
 
@@ -285,7 +282,7 @@ class Compiler:
         raise LeftToDuckDBError
 
     def _constant(self, kind: Kind, value: Any) -> Expression:
-        return Expression(kind, self._operations.constant(value), is_fixed=True)
+        return Expression(kind, self._operations.constant(value))
 
     def _literal(self, sql: exp.Literal) -> Expression:
         return self._constant(*literal_of(sql))
@@ -349,9 +346,7 @@ class Compiler:
             raise LeftToDuckDBError
         compare = _LIKE if is_like else _COMPARISONS[type(sql)]
         compute = self._operations.compared(compare, left.compute, right.compute)
-        if not (are_texts and left.is_fixed and right.is_fixed):
-            return _joined("boolean", compute, left, right)
-        return Expression("boolean", self._operations.fixed(compute), is_fixed=True)
+        return _joined("boolean", compute, left, right)
 
     def _logic(self, sql: exp.Expr) -> Expression:
         """Returns a negation, a conjunction or a disjunction of conditions."""

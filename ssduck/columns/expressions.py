@@ -27,11 +27,9 @@ class Expression:
     Attributes:
         kind: the type of its value.
         compute: a function of the values of leaves that returns its value.
-        is_fixed: whether the value is the same until the rows are others.
         has_calls: whether it asks for shapes or contacts, which costs more than all else.
     """
 
     kind: Kind
     compute: Compute
-    is_fixed: bool = False
     has_calls: bool = False

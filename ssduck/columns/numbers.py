@@ -65,9 +65,6 @@ class NumberOperations:
 
         return compute
 
-    def fixed(self, part: Compute) -> Compute:
-        return part
-
     def arithmetic(self, operate: Callable[[Any, Any], Any], a: Compute, b: Compute) -> Compute:
         def compute(values: Values) -> float:
             x, y = a(values), b(values)

@@ -118,6 +118,10 @@ class Snapshot(TickGeometry):
         self.write_contacts()
         return self._tables
 
+    def table(self, name: str) -> LiveTable:
+        """Returns a table other than that of contacts, whose rows may be left for later."""
+        return self._tables[name]
+
     def write_contacts(self) -> bool:
         """Writes the table of contacts if it was left for later; returns whether it was."""
         if self._are_contacts_written:

@@ -90,7 +90,7 @@ def of_arrays(parsed, rows):
         name: np.array(values, np.int64 if KINDS[name] == "integer" else np.float64)
         for name, values in zip(KINDS, zip(*rows, strict=True), strict=True)
     }
-    values = ArrayValues(columns.__getitem__, len(rows), None, {})
+    values = ArrayValues(columns.__getitem__, len(rows), None)
     with np.errstate(all="ignore"):
         found = np.atleast_2d(expression.compute(values))
     return np.broadcast_to(found, (1, len(rows)))[0].tolist()

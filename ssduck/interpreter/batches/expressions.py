@@ -88,7 +88,6 @@ class Leaves:
         self._readers: dict[str, Callable[[Mapping[str, Array]], Array]] = {}
         # Whether the numbers that were read may be NaN; where nothing tells, each is checked.
         self._may_be_nan: dict[str, Callable[[], bool]] = {}
-        self._fixed: dict[Any, Array] = {}
         # Parts without columns, which the SQL takes as parameters.
         self._parts: dict[str, Expression] = {}
         # Variables, whose values may be others at the next evaluation, by the keys of leaves; and
@@ -274,8 +273,7 @@ class Leaves:
                 np.logical_or(left, unknown[name], out=left)
             return array if array.ndim > 1 and len(array) == 1 else array[None]
 
-        shapes, fixed = self.engine.shapes, self._fixed
-        return ArrayValues(read, count, shapes, fixed, left, is_checked=is_checked)
+        return ArrayValues(read, count, self.engine.shapes, left, is_checked=is_checked)
 
 
 def _renamed(sql: exp.Expr, names: Mapping[str, str]) -> exp.Expr:

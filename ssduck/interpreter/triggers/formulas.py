@@ -27,7 +27,7 @@ from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.output import AsClause, as_clause_of
 from ssduck.interpreter.program import CompiledProgram
 from ssduck.interpreter.query_runner import PlannedQuery
-from ssduck.interpreter.triggers.table_state import TIME_COLUMNS, TableState
+from ssduck.interpreter.triggers.table_state import TableState
 from ssduck.language.clauses import Selected
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import Binary, Literal, Name, Node, Query, Unary
@@ -44,8 +44,6 @@ _KINDS: dict[str, Kind] = {
     **dict.fromkeys(("name", "kind"), "string"),
     **dict.fromkeys(("enabled", "visible"), "boolean"),
 }
-# Those that stay the same until the table is replaced.
-_FIXED = frozenset(("id", "name", "kind", "enabled", "visible"))
 _TABLES = frozenset((ALL_ENTITIES, MASSES, MARGINS, "shapes"))
 # The names that read what differs from tick to tick though nothing moves.
 _TIME_NAMES = frozenset(("tick", "time"))
@@ -83,7 +81,7 @@ class Formula:
         select: its SELECT, with slots in place of constants.
         slots: the constants.
         tables: what is read from the simulator beside the entities.
-        reads_time: whether its rows may differ though nothing has moved.
+        columns: the columns that it reads.
         version: a number that changes whenever the rows of the formula do.
     """
 
@@ -91,7 +89,7 @@ class Formula:
     select: ArraySelect
     slots: Sequence[Slot]
     tables: frozenset[str]
-    reads_time: bool
+    columns: frozenset[str | None]
     _planned: _Planned
     version: int = field(default=0, init=False)
 
@@ -171,9 +169,7 @@ class Slots:
         if isinstance(sql, exp.Column):
             self.columns.add(sql.name)
             kind = _KINDS.get(sql.name)
-            if kind is None:
-                return None
-            return Expression(kind, itemgetter(sql.name), is_fixed=sql.name in _FIXED)
+            return None if kind is None else Expression(kind, itemgetter(sql.name))
         if not sql.name.isdecimal():
             return None
         place = int(sql.name)
@@ -181,7 +177,7 @@ class Slots:
         is_integer = slot.kind == "integer" and slot.column is None
         if is_integer and not -_LARGEST < slot.value < _LARGEST:
             return None
-        return Expression(slot.kind, itemgetter(place), is_fixed=slot.kind == "string")
+        return Expression(slot.kind, itemgetter(place))
 
 
 class Meaning:
@@ -314,8 +310,7 @@ class FormulaPlanner:
 
         operations = ArrayOperations(schema)
         select = ArraySelect(plan, schema, operations, slots.leaf, slotted, is_split=False)
-        reads_time = not slots.columns.isdisjoint(TIME_COLUMNS)
-        return Formula(world, select, slots.slots, tables, reads_time, planned)
+        return Formula(world, select, slots.slots, tables, frozenset(slots.columns), planned)
 
 
 def _slot_of(binding: ParameterBinding, plan: Plan, world: World, frame: Frame) -> Any:

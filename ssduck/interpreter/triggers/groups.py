@@ -21,32 +21,6 @@ from ssduck.world.snapshot import Snapshot
 _TYPES = {"double": np.float64, "decimal": np.float64, "integer": np.int64, "string": np.object_}
 
 
-class WorldRows:
-    """The rows of a world's entities and its shapes, and whether they have changed.
-
-    Attributes:
-        shapes: its narrow phase.
-        state: a number that changes whenever a value does, other than the time, or a shape moves.
-    """
-
-    def __init__(self) -> None:
-        self.shapes = LiveShapes()
-        self.state = 0
-        self._last: tuple[int, int, Array] | None = None
-
-    def begin(self, snapshot: Snapshot, *, has_shapes: bool) -> None:
-        """Takes note of a tick."""
-        table, moves = snapshot.tables["entities"], 0
-        if has_shapes:
-            moves = self.shapes.begin(snapshot)
-        names = table.names_of_doubles
-        numbers = table.block[[name not in TIME_COLUMNS for name in names]].view(np.int64)
-        now = table.version, moves, numbers
-        last, self._last = self._last, now
-        if last is None or last[:2] != now[:2] or not np.array_equal(last[2], numbers):
-            self.state += 1
-
-
 @dataclass(frozen=True, eq=False)
 class _FoundRows:
     """The rows of k formulas at a tick, those of the first one first.
@@ -128,9 +102,8 @@ class FormulaGroup:
         self._slots = [
             _SlotArray(s, snapshot) for s in zip(*(f.slots for f in formulas), strict=True)
         ]
-        self._state = self._version = 0
-        self._reads_time = any(formula.reads_time for formula in formulas)
-        self._fixed: dict[Any, Array] = {}
+        self._is_current = False
+        self._reads_time = not formulas[0].columns.isdisjoint(TIME_COLUMNS)
         self._before = list(found)
         self._found: _FoundRows | None = None
 
@@ -138,12 +111,12 @@ class FormulaGroup:
         """Returns the last rows of a formula; None before the first evaluation."""
         return self._before[place] if self._found is None else self._found.of(place)
 
-    def evaluate(self, snapshot: Snapshot, state: int) -> bool:
+    def evaluate(self, snapshot: Snapshot, *, has_moved: bool) -> bool:
         """Evaluates the formulas at a tick, unless nothing that they read has changed.
 
         Args:
             snapshot: the tick.
-            state: the state of the rows of its entities.
+            has_moved: whether a number that is read is another one than at the tick before.
 
         Returns:
             Whether any row has changed.
@@ -152,8 +125,9 @@ class FormulaGroup:
             LeftToDuckDBError: they have to be evaluated by themselves.
         """
         changed: Sequence[bool] = ()
-        if state != self._state or self._reads_time:
-            found = self._evaluated(snapshot.tables["entities"])
+        if has_moved or self._reads_time or not self._is_current:
+            self._is_current = False
+            found = self._evaluated(snapshot.table("entities"))
             if self._found is None:
                 pairs = zip(map(found.of, range(found.count)), self._before, strict=True)
                 changed = [last is None or bool(now.differing(last).any()) for now, last in pairs]
@@ -162,7 +136,7 @@ class FormulaGroup:
             for formula in compress(self.formulas, changed):
                 formula.version += 1
             self._found = found
-        self._state, self.number = state, snapshot.number
+        self._is_current, self.number = True, snapshot.number
         return any(changed)
 
     def _evaluated(self, table: LiveTable) -> _FoundRows:
@@ -175,9 +149,7 @@ class FormulaGroup:
                 return table[key]
             return np.array(table.values(key), np.object_ if key in ("name", "kind") else np.bool_)
 
-        if self._version != table.version:
-            self._version, self._fixed = table.version, {}
-        values = ArrayValues(read, table.count, self._shapes, self._fixed)
+        values = ArrayValues(read, table.count, self._shapes)
         mask = np.ones((1, table.count), np.bool_)
         for condition in self._select.conditions:
             mask = mask & condition(values)

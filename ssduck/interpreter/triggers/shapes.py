@@ -39,10 +39,9 @@ class _Motion:
     """
 
     def __init__(self, snapshot: Snapshot, serial: int) -> None:
-        table = snapshot.tables["shapes"]
-        self._table, self._layout, self._version = table, snapshot.layout, table.version
+        table = snapshot.table("shapes")
+        self._key, self._table = _key_of(snapshot), table
         self._poses = table.doubles("x", "qz").copy()
-        self._margins = table["margin"].copy()
         self._reaches = snapshot.shapes().reaches
         owners = table["entity"]
         self._starts = np.flatnonzero(np.diff(owners, prepend=-1))
@@ -52,13 +51,7 @@ class _Motion:
 
     def is_of(self, snapshot: Snapshot) -> bool:
         """Checks whether it knows the shapes of a tick, with these margins."""
-        table = snapshot.tables["shapes"]
-        return (
-            table is self._table
-            and table.version == self._version
-            and snapshot.layout is self._layout
-            and np.array_equal(table["margin"], self._margins)
-        )
+        return self._key == _key_of(snapshot)
 
     def update(self) -> None:
         """Takes note of the poses of the tick."""
@@ -82,6 +75,12 @@ class _Motion:
     def paths(self) -> dict[int, float]:
         """Upper bounds of the lengths of the paths of the points of entities with shapes, m."""
         return dict(zip(self._entities.tolist(), self._lengths.tolist(), strict=True))
+
+
+def _key_of(snapshot: Snapshot) -> tuple[object, ...]:
+    """Returns what differs where a tick has other shapes, or other margins."""
+    table = snapshot.table("shapes")
+    return table, table.version, snapshot.layout, table["margin"].tobytes()
 
 
 class LiveShapes:

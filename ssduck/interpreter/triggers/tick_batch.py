@@ -11,12 +11,14 @@ from weakref import WeakKeyDictionary, WeakSet
 import numpy as np
 
 from ssduck.adapters.registry import Adapter
+from ssduck.columns.arrays import Array
 from ssduck.columns.expressions import LeftToDuckDBError
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.triggers.formulas import Formula, FormulaPlanner, Meaning
-from ssduck.interpreter.triggers.groups import FormulaGroup, WorldRows
-from ssduck.interpreter.triggers.table_state import TableState
+from ssduck.interpreter.triggers.groups import FormulaGroup
+from ssduck.interpreter.triggers.shapes import LiveShapes
+from ssduck.interpreter.triggers.table_state import TIME_COLUMNS, TableState
 from ssduck.interpreter.triggers.trigger import Trigger
 from ssduck.language.tree import Query
 from ssduck.schema import TABLES
@@ -35,7 +37,7 @@ class _DueFormulas:
     Args:
         key: what decided them; None to decide them anew at the next tick.
         world: the world.
-        rows: its rows.
+        shapes: its narrow phase.
         by_trigger: the formulas of those triggers that have one.
         alone: the formulas that could not be evaluated with others at some tick.
         before: those that were due before.
@@ -48,7 +50,7 @@ class _DueFormulas:
         self,
         key: tuple[Any, ...],
         world: World,
-        rows: WorldRows,
+        shapes: LiveShapes,
         by_trigger: dict[Trigger, Formula],
         alone: WeakSet[Formula],
         before: _DueFormulas | None,
@@ -56,13 +58,20 @@ class _DueFormulas:
         self.key: tuple[Any, ...] | None = key
         self.by_trigger = by_trigger
         self.standing: frozenset[Trigger] | None = None
-        self._world, self._rows, self._alone = world, rows, alone
+        self._world, self._shapes, self._alone = world, shapes, alone
         self._layout = world.snapshot.layout
-        self._tables = frozenset().union(*(formula.tables for formula in by_trigger.values()))
+        formulas = by_trigger.values()
+        self._tables = frozenset().union(*(formula.tables for formula in formulas))
+        # The columns that move; the others are replaced with their table.
+        read = frozenset().union(*(formula.columns for formula in formulas))
+        doubles = world.snapshot.table("entities").names_of_doubles
+        self._columns = [name for name in doubles if name in read.difference(TIME_COLUMNS)]
         by_shape: dict[Any, list[Formula]] = {}
-        for formula in by_trigger.values():
+        for formula in formulas:
             own = formula if formula in alone else formula.shape
             by_shape.setdefault(own, []).append(formula)
+        # The version of the table, the motion of the shapes, and the numbers at the last tick.
+        self._last: tuple[int, int, Array] | None = None
         self._places: dict[Formula, tuple[FormulaGroup, int]] = {}
         known = {} if before is None else before._places  # noqa: SLF001  # one class
         self._groups = [self._group(formulas, known) for formulas in by_shape.values()]
@@ -73,7 +82,7 @@ class _DueFormulas:
         """Returns a group of formulas, which takes over their last rows from other groups."""
         places = [known.get(formula) for formula in formulas]
         found = [None if place is None else place[0].rows_of(place[1]) for place in places]
-        group = FormulaGroup(formulas, self._world.snapshot, self._rows.shapes, found)
+        group = FormulaGroup(formulas, self._world.snapshot, self._shapes, found)
         self._places.update({formula: (group, place) for place, formula in enumerate(formulas)})
         return group
 
@@ -91,21 +100,33 @@ class _DueFormulas:
     def evaluate(self) -> None:
         """Evaluates the formulas at the tick of their world, as far as they can be together."""
         standing, self.standing = self.standing, None
-        with self._world.pinned(self._tables), np.errstate(all="ignore"):
+        self._world.pin(self._tables, is_settled=False)
+        try:
             snapshot = self._world.snapshot
             # A tick that was taken just now may have other entities.
             is_same = snapshot.layout is self._layout
-            if not (is_same and snapshot.tables["entities"].is_complete):
+            if not (is_same and snapshot.table("entities").is_complete):
                 return  # numpy would take an unknown number for NaN
-            self._rows.begin(snapshot, has_shapes="shapes" in self._tables)
+            has_moved = self._have_moved(snapshot)
             for group in self._groups:
                 try:
-                    has_changed = group.evaluate(snapshot, self._rows.state)
+                    has_changed = group.evaluate(snapshot, has_moved=has_moved)
                 except LeftToDuckDBError:
                     has_changed = True
                     self._evaluate_singly(group, snapshot)
                 standing = None if has_changed else standing
+        finally:
+            self._world.unpin()
         self.standing = standing
+
+    def _have_moved(self, snapshot: Snapshot) -> bool:
+        """Checks whether a number or a shape is another one than at the tick before."""
+        table = snapshot.table("entities")
+        moves = self._shapes.begin(snapshot) if "shapes" in self._tables else 0
+        numbers = np.array([table[name] for name in self._columns]).view(np.int64)
+        last, self._last = self._last, (table.version, moves, numbers)
+        is_same = last is not None and last[:2] == self._last[:2]
+        return last is None or not is_same or not np.array_equal(last[2], numbers)
 
     def _evaluate_singly(self, group: FormulaGroup, snapshot: Snapshot) -> None:
         """Evaluates each formula of a group; the next one has none that cannot be."""
@@ -114,7 +135,7 @@ class _DueFormulas:
         self.key = None
         for formula in group.formulas:
             try:
-                self._group([formula], self._places).evaluate(snapshot, self._rows.state)
+                self._group([formula], self._places).evaluate(snapshot, has_moved=True)
             except LeftToDuckDBError:
                 self._alone.add(formula)
 
@@ -131,7 +152,7 @@ class TriggerBatches:
         self._execution = execution
         self._planner = FormulaPlanner(execution, query_of)
         self._generation = 0
-        self._rows: WeakKeyDictionary[World, WorldRows] = WeakKeyDictionary()
+        self._shapes: WeakKeyDictionary[World, LiveShapes] = WeakKeyDictionary()
         self._last_due: WeakKeyDictionary[World, _DueFormulas] = WeakKeyDictionary()
         self._alone: WeakSet[Formula] = WeakSet()
 
@@ -148,8 +169,8 @@ class TriggerBatches:
                 and trigger.meaning.formula is not None
                 and trigger.meaning.formula.world is world
             }
-            rows = self._rows.setdefault(world, WorldRows())
-            last = _DueFormulas((due, *key), world, rows, by_trigger, self._alone, last)
+            shapes = self._shapes.setdefault(world, LiveShapes())
+            last = _DueFormulas((due, *key), world, shapes, by_trigger, self._alone, last)
             self._last_due[world] = last
         return TickBatch(self, world, last)
 
@@ -178,7 +199,7 @@ class TriggerBatches:
         """Drops what refers to worlds."""
         with self._execution.lock:
             self._last_due.clear()
-            self._rows.clear()
+            self._shapes.clear()
 
     def key(self, trigger: Trigger, worlds: Sequence[World]) -> tuple[Any, ...] | None:
         """Returns what decides the meaning of a program; None if it is evaluated by itself.
@@ -245,7 +266,7 @@ class TriggerBatches:
     def evaluate(self, due: _DueFormulas) -> None:
         """Evaluates formulas at the tick of their world; see `_DueFormulas.evaluate`."""
         # Evaluated one by one, the triggers report what is wrong.
-        with self._execution.lock, suppress(SelectScriptError):
+        with self._execution.lock, suppress(SelectScriptError), np.errstate(all="ignore"):
             if self._execution.is_running or not due.by_trigger:
                 due.standing = None
             else:
