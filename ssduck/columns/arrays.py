@@ -172,6 +172,9 @@ class ArrayOperations:
     def double(self, part: Compute) -> Compute:
         return lambda values: np.asarray(part(values), dtype=np.float64)
 
+    def integer(self, part: Compute) -> Compute:
+        return lambda values: np.asarray(part(values), dtype=np.int64)
+
     def negated(self, part: Compute) -> Compute:
         return lambda values: -part(values)
 

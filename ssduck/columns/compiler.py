@@ -53,7 +53,7 @@ _EXTREMES = {
     **dict.fromkeys(("list_max", "arraymax"), operator.ge),
 }
 # Expressions that are as fast to evaluate again as to look up.
-_LEAVES = (exp.Parameter, exp.Column, exp.Literal, exp.Boolean)
+_LEAVES = (exp.Parameter, exp.Column, exp.Literal, exp.Boolean, exp.Null)
 # Literals of more digits may round in another way as a DECIMAL.
 _MAX_DIGITS = 15
 
@@ -82,6 +82,9 @@ class Operations(Protocol):
 
     def double(self, part: Compute) -> Compute:
         """Returns a number as a double."""
+
+    def integer(self, part: Compute) -> Compute:
+        """Returns 1 where a condition holds, and else 0."""
 
     def negated(self, part: Compute) -> Compute:
         """Returns a number with the other sign."""
@@ -207,12 +210,17 @@ class Compiler:
                 return leaf
             case exp.Boolean():
                 return self._constant("boolean", bool(sql.this))
+            case exp.Null():
+                return self._left
             case exp.Literal():
                 return self._literal(sql)
             case exp.Cast() if sql.to.sql("duckdb") == "DOUBLE":
                 if isinstance(sql.this, exp.Literal) and sql.this.name == "infinity":
                     return self._constant("double", math.inf)
                 return self._double(sql.this)
+            case exp.Cast() if sql.to.sql("duckdb") == "BIGINT":
+                part = self._boolean(sql.this)
+                return replace(part, kind="integer", compute=self._operations.integer(part.compute))
             case exp.Neg():
                 part = self._number(sql.this)
                 return replace(part, compute=self._operations.negated(part.compute))

@@ -90,6 +90,9 @@ class NumberOperations:
     def double(self, part: Compute) -> Compute:
         return lambda values: float(part(values))
 
+    def integer(self, part: Compute) -> Compute:
+        return lambda values: int(part(values))
+
     def negated(self, part: Compute) -> Compute:
         return lambda values: -part(values)
 

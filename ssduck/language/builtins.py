@@ -5,9 +5,10 @@ from __future__ import annotations
 import copy
 import inspect
 import math
+import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial, wraps
+from functools import partial, reduce, wraps
 from types import FunctionType
 from typing import Any
 
@@ -160,7 +161,9 @@ def _median(values: list[float]) -> float:
 
 
 def _norm(vector: list[float]) -> float:
-    return math.hypot(*vector)
+    # In the order of SQL, with its last bit; newer Pythons' sum rounds in another way.
+    total = reduce(operator.add, (x * x for x in vector), 0.0)
+    return math.sqrt(total) if total < math.inf else math.hypot(*vector)
 
 
 def _list_function(call: Callable[[Any], Any]) -> Callable[[Any], Any]:
@@ -199,7 +202,8 @@ def _round(number: float, digits: int | None = None) -> float:
 def _clip(number: float, low: float, high: float) -> float:
     if isinstance(number, str | list | tuple):
         raise TypeError("only numbers are clipped")
-    return min(max(number, low), high)
+    clipped = min(max(number, low), high)
+    return float(clipped) if float in map(type, (number, low, high)) else clipped
 
 
 _LIST_FUNCTIONS = (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import reduce
 
 from sqlglot import exp
 
@@ -32,6 +33,8 @@ from ssduck.sql.types import DOUBLE, INTEGER, STRING, SqlType
 
 # Functions that SQL and Python take from C, with the same results to the last digit.
 _REAL_FUNCTIONS = ("sin", "cos", "tan", "atan", "tanh")
+# The logarithm of the largest double.
+MAX_EXPONENT_OF_E = 709.782712893384
 
 
 def call(sql: ExpressionScope, node: Call) -> SqlValue:
@@ -214,6 +217,19 @@ def _builtin(context: StatementContext, name: str, values: list[SqlValue]) -> Sq
             name in _REAL_FUNCTIONS and value.sql_type.is_number and not value.may_exceed_double
         ):
             return _real_function(context, name, value)
+        case "exp", [value] if value.sql_type.is_number and not value.may_exceed_double:
+            return _exponential(context, value)
+        case "norm", [SqlValue(elements=tuple() as elements)] if elements and all(
+            e.sql_type.is_number and not e.may_exceed_double for e in elements
+        ):
+            return _norm(context, elements)
+        case "clip", [_, _, _] if {v.sql_type.type for v in values} in (
+            {"double"},
+            {"double", "integer"},
+        ):
+            return _clipped([context.nan_checked(v) if v.domain else v for v in values])
+        case "int", [SqlValue(sql_type=SqlType(type="boolean", nullable=False)) as value]:
+            return SqlValue(exp.cast(value.sql.copy(), "BIGINT"), INTEGER, is_non_negative=True)
         case "floor" | "ceil", [SqlValue(sql_type=SqlType(type="double")) as value]:
             context.note_possible_failure()
             whole = exp.Anonymous(this=name, expressions=[value.sql.copy()])
@@ -256,6 +272,42 @@ def _real_function(context: StatementContext, name: str, value: SqlValue) -> Sql
         finite = exp.func("isfinite", copied(double_of(value)))
         sql = exp.case().when(finite, sql).else_(failure(DOUBLE))
     return SqlValue(sql, DOUBLE)
+
+
+def _exponential(context: StatementContext, value: SqlValue) -> SqlValue:
+    """Returns e to the power of a number; where the result is no double it fails, as in Python."""
+    context.note_possible_failure()
+    largest = exp.Literal.number(repr(MAX_EXPONENT_OF_E))
+    fits = exp.LTE(this=wrapped(double_of(value)), expression=largest)
+    power = exp.Exp(this=copied(double_of(value)))
+    return SqlValue(_unless_null(fits, power), DOUBLE, is_non_negative=True)
+
+
+def _norm(context: StatementContext, elements: Sequence[SqlValue]) -> SqlValue:
+    """Returns the root of a sum of squares; where that overflows, Python's has another way."""
+    context.note_possible_failure()
+    squares: list[exp.Expr] = [
+        exp.Mul(this=wrapped(copied(double_of(e))), expression=wrapped(copied(double_of(e))))
+        for e in elements
+    ]
+    total = reduce(lambda a, b: exp.Add(this=a, expression=b), squares)
+    fits = exp.func("isfinite", copied(total))
+    return SqlValue(_unless_null(fits, exp.Sqrt(this=total)), DOUBLE, is_non_negative=True)
+
+
+def _unless_null(holds: exp.Expr, sql: exp.Expr) -> exp.Expr:
+    """Returns a value where a condition holds, NULL where that is, and else a failure."""
+    is_null = exp.Is(this=wrapped(copied(holds)), expression=exp.null())
+    return exp.case().when(holds, sql).when(is_null, exp.null()).else_(failure(DOUBLE))
+
+
+def _clipped(values: Sequence[SqlValue]) -> SqlValue:
+    """Returns the nearer of two limits, or the number between them, as Python's min and max do."""
+    number, low, high = map(double_of, values)
+    above = exp.case().when(exp.GT(this=wrapped(low), expression=wrapped(number)), copied(low))
+    above = above.else_(copied(number))
+    below = exp.case().when(exp.LT(this=wrapped(high), expression=above), copied(high))
+    return SqlValue(below.else_(copied(above)), DOUBLE, domain=max(v.domain for v in values))
 
 
 def _root(context: StatementContext, value: SqlValue) -> SqlValue:

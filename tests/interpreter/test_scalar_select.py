@@ -49,6 +49,9 @@ EXPRESSIONS = [
     "tanh(a)",
     "1 - tanh(5.0 * abs(b))",
     "sin(a) + cos(b) * atan(c)",
+    "exp(-abs(a)) + norm([a - b, c])",
+    "clip(a, -0.5, 1) * clip(b, c, 2.0)",
+    "int(a < b) * c + int(NOT b == c)",
 ]
 # Those that neither computes as doubles.
 OTHERS = ["n * n", "text + 'x' == 'cupx'", "round(a, 2)", "[1, 2]", "min([n, 2])", "log(a)"]
