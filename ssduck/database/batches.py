@@ -71,11 +71,7 @@ def over_batches(
 
 
 def _check_calls(tree: exp.Expr) -> None:
-    """Checks that a query calls no relation, which is of the rows of one world.
-
-    Raises:
-        UnsupportedError: it does.
-    """
+    """Checks that a query calls no relation, which is of the rows of one world."""
     for call in tree.find_all(exp.Anonymous):
         name = _RELATIONS.get(call.name.lower())
         if name is not None:

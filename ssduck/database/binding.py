@@ -386,11 +386,7 @@ class BoundWorld:
         return owners
 
     def _recorded(self, table: str, tick: int) -> Mapping[str, Any]:
-        """Returns the columns of a table at a recorded tick.
-
-        Raises:
-            UnsupportedError: the table is not recorded.
-        """
+        """Returns the columns of a table at a recorded tick."""
         if self.history is None:
             raise UnsupportedError(no_ticks_message(self.world.name))
         record = self.history.record

@@ -204,9 +204,6 @@ class Database:
         """Checks a user's statement, and switches files off before the first one.
 
         Opening a record attaches its file, so files are switched off after that.
-
-        Raises:
-            LimitError: the statement is not permitted.
         """
         limits = self.connection.meter.limits
         # What is known was parsed before.
@@ -263,9 +260,6 @@ class Database:
         """Creates all views and macros, as DuckDB's message suggests the names that there are.
 
         It takes long in a database that has none of them yet.
-
-        Raises:
-            SqlError: the time of the program is up; it is the error without suggestions.
         """
         self._describe(words)
         try:

@@ -96,11 +96,7 @@ def _names_in(folder: str) -> Iterator[str]:
 
 
 def _check_kind(place: str, is_right: Callable[[int], bool], use: str, kind: str = "file") -> None:
-    """Checks that nothing is at a place, or what DuckDB makes there.
-
-    Raises:
-        SqlError: it is a link, or of another kind.
-    """
+    """Checks that nothing is at a place, or what DuckDB makes there."""
     try:
         mode = os.lstat(place).st_mode
     except OSError:  # it is not there, or DuckDB says what is wrong

@@ -286,11 +286,7 @@ def _read_of(source: RowSource, read: AbstractSet[str]) -> list[Column]:
 
 
 def _list_type(columns: Sequence[Column]) -> str:
-    """Returns the type of a list of rows in SQL.
-
-    Raises:
-        SqlError: a column is a list.
-    """
+    """Returns the type of a list of rows in SQL."""
     if not columns or any(column.type not in _SQL_TYPES for column in columns):
         raise SqlError("lists are read where they are")
     fields = (f"{quoted(column.name)} {_SQL_TYPES[column.type]}" for column in columns)

@@ -334,12 +334,7 @@ def whole_table(relation: duckdb.DuckDBPyRelation) -> pa.Table:
 
 
 def _exact(relation: duckdb.DuckDBPyRelation, table: pa.Table) -> pa.Table:
-    """Returns the Arrow table of a relation, after a check that Arrow can hold its values.
-
-    Raises:
-        SqlError: it cannot: those of UHUGEINT from 2^127 on become negative, and times of day lose
-            their zones.
-    """
+    """Returns the Arrow table of a relation, after a check that Arrow can hold its values."""
     if not any(map(_may_differ, table.schema.types)):
         return table
     for name, kind, column in zip(table.column_names, relation.types, table.columns, strict=True):

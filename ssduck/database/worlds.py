@@ -134,12 +134,7 @@ class WorldRegistry:
         return bool(unused)
 
     def _check_schema(self, name: str) -> None:
-        """Checks the name of a world.
-
-        Raises:
-            ArgumentError: DuckDB has a schema or database of that name, or another world has one
-                that differs in case only.
-        """
+        """Checks the name of a world."""
         validation.world_name(name)
         run_schemas: Sequence[tuple[str]] = ()
         if self._connection.has_records and RUN_SCHEMA in name.casefold():

@@ -159,11 +159,7 @@ class BatchTerms:
 
 
 def _batch(interpreter: Interpreter, name: str | None) -> BatchWorld:
-    """Returns the batch of a name, or the only one.
-
-    Raises:
-        ArgumentError: there is none.
-    """
+    """Returns the batch of a name, or the only one."""
     batches = {w.name: w for w in interpreter.worlds if isinstance(w, BatchWorld)}
     if name is not None:
         world = interpreter[name]
@@ -179,11 +175,7 @@ def _batch(interpreter: Interpreter, name: str | None) -> BatchWorld:
 
 
 def _typed(term: Term, values: Array, unknown: Flags) -> tuple[Array, Flags]:
-    """Returns values of a term's type, and where they are unknown.
-
-    Raises:
-        ArgumentError: they are of another type.
-    """
+    """Returns values of a term's type, and where they are unknown."""
     kind = values.dtype.kind
     if values.ndim == 1 and term.is_condition and kind == "b":
         return values, unknown

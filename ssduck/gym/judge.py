@@ -168,11 +168,7 @@ class Judge:
         )
 
     def _find_over_time(self, term: Term, tree: Node) -> None:
-        """Finds the variables of a term in functions of time, and in queries of the past.
-
-        Raises:
-            ArgumentError: such a function has nothing but variables.
-        """
+        """Finds the variables of a term in functions of time, and in queries of the past."""
         for call in tree.walk():
             if isinstance(call, Query) and any(map(_is_past, call.sources)):
                 parts = [part for part in call.children() if not isinstance(part, Source)]
@@ -248,11 +244,7 @@ class Judge:
         return self.terms.judgement(values)
 
     def _evaluate_each(self) -> None:
-        """Evaluates each term by itself.
-
-        Raises:
-            SelectScriptError: a term failed; the message begins with its key.
-        """
+        """Evaluates each term by itself."""
         for term, text in zip(self.terms, self._texts, strict=True):
             self._value(term, self._compiled(term.key, text))
 
@@ -460,11 +452,7 @@ class Judge:
         return ""
 
     def _check_changes(self, term: Term, program: CompiledProgram) -> None:
-        """Checks that the value of a term may differ from step to step.
-
-        Raises:
-            ArgumentError: it cannot.
-        """
+        """Checks that the value of a term may differ from step to step."""
         names: set[str] = set()
         is_open = False
         entities: set[str] = set()
@@ -503,11 +491,7 @@ class Judge:
 
 
 def _check_variables(names: Sequence[str], terms: Terms, world: str) -> None:
-    """Checks that no variable takes the place of the world, or of a term that others may name.
-
-    Raises:
-        ArgumentError: one does.
-    """
+    """Checks that no variable takes the place of the world, or of a term that others may name."""
     for name in names:
         if name == world:
             raise ArgumentError(f"variables: {name!r} is the name of the world")

@@ -217,11 +217,7 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
             before.close()
 
     def _check_steps(self) -> None:
-        """Checks that a step of the task is some steps of the simulator, and not too many.
-
-        Raises:
-            SceneError: it is none, or has too many.
-        """
+        """Checks that a step of the task is some steps of the simulator, and not too many."""
         substeps = self.task.scene.engine.substeps or 1
         steps, timestep = self.task.step_time / self._world.timestep, self._world.timestep
         place = f"{self.task.path}: step_time: {self.task.step_time:g} s"
@@ -248,11 +244,7 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
             self._interpreter.record(WORLD, Recording(tables=tuple(tables)))
 
     def _judged(self, *, is_first: bool) -> tuple[Judgement, npt.NDArray[np.float64]]:
-        """Returns the values of the terms and of the observation at the present tick.
-
-        Raises:
-            SelectScriptError: one failed; the message has the file and the key.
-        """
+        """Returns the values of the terms and of the observation at the present tick."""
         try:
             for judge in (self._judge, self._observer):
                 judge.begin_tick({}, is_first=is_first)
@@ -268,11 +260,7 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
             error.message = f"{self.task.path}: {error.message}"
 
     def _entity(self, key: str, name: str) -> Any:
-        """Returns an entity.
-
-        Raises:
-            SceneError: there is none; the message has the key.
-        """
+        """Returns an entity."""
         try:
             return self._world[name]
         except SelectScriptError as error:
@@ -280,11 +268,7 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
             raise SceneError(message, suggestions=error.suggestions) from error
 
     def _check_joint(self, key: str, action: Action) -> None:
-        """Checks that a joint takes both ends of its range.
-
-        Raises:
-            SceneError: there is no such joint, or it does not.
-        """
+        """Checks that a joint takes both ends of its range."""
         entity = self._entity(f"{key}.entity", action.entity)
         for end, target in (("low", action.low), ("high", action.high)):
             try:

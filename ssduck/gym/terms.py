@@ -68,11 +68,7 @@ class Term:
         )
 
     def _number(self, value: Any) -> float:
-        """Returns a number as a float.
-
-        Raises:
-            ArgumentError: it is an integer beyond all floats.
-        """
+        """Returns a number as a float."""
         try:
             return float(value)
         except OverflowError:

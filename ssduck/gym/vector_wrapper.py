@@ -136,11 +136,7 @@ class VectorQueryWrapper(VectorWrapper[Any, Any, Any, Any, Any]):
             raise
 
     def _check_mode(self, *, stops: bool) -> None:
-        """Checks that states in arrays have what terms need.
-
-        Raises:
-            ArgumentError: they have not.
-        """
+        """Checks that states in arrays have what terms need."""
         if self._mode == AutoresetMode.SAME_STEP:
             raise ArgumentError(
                 "VectorQueryWrapper: in the mode SAME_STEP, the state after a step is that of the "
@@ -271,11 +267,7 @@ class _Prepared(gymnasium.Wrapper[Any, Any, Any, Any]):
         self._find = parts_finder(env.unwrapped)
 
     def find(self) -> tuple[Any, Any]:
-        """Returns the model and the data.
-
-        Raises:
-            SimulatorError: there are none.
-        """
+        """Returns the model and the data."""
         found = self._find()
         if found is None:
             raise SimulatorError(
@@ -306,12 +298,7 @@ class _Prepared(gymnasium.Wrapper[Any, Any, Any, Any]):
 
 
 def _prepared(env: VectorEnv[Any, Any, Any]) -> list[_Prepared]:
-    """Puts wrappers around the environments of a vector; returns them.
-
-    Raises:
-        ArgumentError: it is no `SyncVectorEnv`.
-        SimulatorError: an environment has no model with data, or another model than the others.
-    """
+    """Puts wrappers around the environments of a vector; returns them."""
     vector = env.unwrapped
     if not isinstance(vector, SyncVectorEnv):
         raise ArgumentError(
@@ -339,9 +326,6 @@ def _data_of(parts: Sequence[_Prepared]) -> list[Any]:
 
 def _model_in_process(vector: AsyncVectorEnv) -> Any:
     """Returns the model of the environments of a vector whose simulations are in other processes.
-
-    Raises:
-        SimulatorError: they have no attributes `model` and `data`.
     """
     # To ask for what is not there ends the processes.
     if not all(all(vector.call("has_wrapper_attr", name)) for name in ("model", "data")):

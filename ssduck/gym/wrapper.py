@@ -242,11 +242,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         return world
 
     def _attach(self) -> int | None:
-        """Attaches the simulation; returns the number of its client if it is PyBullet's.
-
-        Raises:
-            SimulatorError: there is none.
-        """
+        """Attaches the simulation; returns the number of its client if it is PyBullet's."""
         simulation = self.env.unwrapped
         client = None if parts_of(simulation) is not None else client_of(simulation)
         if client is None and parts_of(simulation) is None:
@@ -337,11 +333,7 @@ def _resets_next(env: gymnasium.Env[Any, Any]) -> bool:
 
 
 def _check_last_state(info: Mapping[str, Any]) -> None:
-    """Checks that the last state of an episode is there for the terms.
-
-    Raises:
-        SimulatorError: the environment reset itself in the step that ended an episode.
-    """
+    """Checks that the last state of an episode is there for the terms."""
     if key := next((key for key in _REPLACED if key in info), None):
         raise SimulatorError(
             f"step: the environment resets itself in the step that ends an episode (its info has "
@@ -378,11 +370,7 @@ def described(judgement: Judgement) -> dict[str, Any]:
 def _checked_variables(
     variables: Mapping[str, VariableReader] | None, world: str
 ) -> dict[str, VariableReader]:
-    """Returns the variables.
-
-    Raises:
-        ArgumentError: a name cannot be that of a variable, or has no function.
-    """
+    """Returns the variables."""
     checked = validation.mapping(variables, "variables: give a dict of functions by name")
     for name, read in checked.items():
         check_name(name, "a variable")

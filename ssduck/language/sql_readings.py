@@ -371,11 +371,7 @@ class _Reading:
         return Call(node.span, key, (This(node.base.span, alias),), index.span)
 
     def _check_comparison(self, node: Assignment) -> None:
-        """Checks that a value is compared with one other: `x = y = 0` is an error in SQL.
-
-        Raises:
-            ParseError: it is compared with a comparison.
-        """
+        """Checks that a value is compared with one other: `x = y = 0` is an error in SQL."""
         value = node.value
         is_equality = isinstance(value, Assignment) or (
             isinstance(value, Binary) and value.operator == "=="

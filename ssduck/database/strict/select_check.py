@@ -187,11 +187,7 @@ class _Walk:
         self._waiting: list[tuple[Any, frozenset[str]]] = []
 
     def check(self, tree: Node) -> None:
-        """Checks all parts of a tree.
-
-        Raises:
-            LimitError: a part is not permitted.
-        """
+        """Checks all parts of a tree."""
         self._waiting.append((tree, frozenset()))
         while self._waiting:
             part, queries = self._waiting.pop()
