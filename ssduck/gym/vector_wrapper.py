@@ -325,8 +325,7 @@ def _data_of(parts: Sequence[_Prepared]) -> list[Any]:
 
 
 def _model_in_process(vector: AsyncVectorEnv) -> Any:
-    """Returns the model of the environments of a vector whose simulations are in other processes.
-    """
+    """Returns the model of the environments of a vector that steps them in other processes."""
     # To ask for what is not there ends the processes.
     if not all(all(vector.call("has_wrapper_attr", name)) for name in ("model", "data")):
         raise SimulatorError(
