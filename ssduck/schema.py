@@ -437,7 +437,7 @@ _CONTACTS = Table(
         Column("force", "double", "normal force, N"),
         *_doubles("fx fy fz", "force on a, friction included, N", "force"),
     ),
-    ("world.snapshot.Snapshot._write_contacts",),
+    ("world.snapshot.Snapshot.write_contacts",),
     entity_columns=("a", "b"),
     is_on_demand=True,
 )

@@ -187,6 +187,12 @@ class BoundWorld:
             for table, rows in tables.items()
         ]
 
+    def settle_history(self) -> None:
+        """Writes the rows of all recorded ticks, unless no view reads them."""
+        recorder = None if self.history is None else self.history.recorder
+        if recorder is not None and self.buffer_views("entities")[0] in self.versions:
+            recorder.settle()
+
     def state(self) -> tuple[object, ...]:
         """Returns what is equal as long as no buffer is replaced, and no margin changes."""
         history = self.history

@@ -69,7 +69,7 @@ class PinnedWorlds:
             history = bound.history
             if history is not None and history.recorder is not None:
                 if self._is_settled:
-                    history.recorder.settle()
+                    bound.settle_history()
                 lock = history.recorder.read_lock
                 lock.acquire()
                 undo.append(lock.release)

@@ -318,6 +318,8 @@ def _define_history_view(
     history, rows = bound.history, None
     if history is not None:
         waiting = bound.buffer_views if history.visible_rows else None
+        if history.recorder is not None:
+            history.recorder.settle()
         tables = {table.source, "entities"} & set(history.store.tables)
         names = [name for table_name in tables for name in bound.buffer_views(table_name)]
         _register(connection, bound, bound.history_buffers(), names)

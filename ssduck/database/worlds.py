@@ -199,8 +199,7 @@ class WorldRegistry:
             columns: only these columns of the tables of entities; None for all rows there are.
         """
         for bound in self.bound:
-            if bound.history is not None and bound.history.recorder is not None:
-                bound.history.recorder.settle()
+            bound.settle_history()
         for bound, snapshot in self._snapshots():
             if columns is None:
                 snapshot.settle()

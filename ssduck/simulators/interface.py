@@ -164,7 +164,8 @@ class LinkPoses:
     """The poses and velocities of n links in the world.
 
     Args:
-        positions: (n, 3), the origins of the link frames.
+        positions: (n, 3), the origins of the link frames, or a function that returns them when they
+            are needed.
         matrices: (n, 3, 3), the orientations of the link frames, or a function that returns them
             when they are needed: what `rotation_matrices` makes of the quaternions, so that a past
             tick, which has these only, gives the same answers to the last bit.
@@ -176,12 +177,12 @@ class LinkPoses:
         source: what all of these follow from, if the simulator keeps that; see `joined`.
 
     Attributes:
-        positions, are_finite, source: see above.
+        are_finite, source: see above.
     """
 
     def __init__(
         self,
-        positions: Array,
+        positions: Array | Callable[[], Array],
         matrices: Array | Callable[[], Array],
         states: Array | Callable[[], Array],
         *,
@@ -189,7 +190,7 @@ class LinkPoses:
         orientations: Array | None = None,
         source: PosesSource | None = None,
     ) -> None:
-        self.positions, self.are_finite, self.source = positions, are_finite, source
+        self.are_finite, self.source, self._positions = are_finite, source, positions
         self._matrices, self._states, self._orientations = matrices, states, orientations
 
     @classmethod
@@ -205,9 +206,17 @@ class LinkPoses:
         return cls(*map(np.concatenate, parts), are_finite=all(t.are_finite for t in ticks))
 
     @property
+    def positions(self) -> Array:
+        """The origins of the link frames, (n, 3)."""
+        positions = self._positions  # another thread may ask for them, too
+        if callable(positions):
+            positions = self._positions = positions()
+        return positions
+
+    @property
     def matrices(self) -> Array:
         """The orientations of the link frames, (n, 3, 3)."""
-        matrices = self._matrices  # another thread may ask for them, too
+        matrices = self._matrices
         if callable(matrices):
             matrices = self._matrices = matrices()
         return matrices

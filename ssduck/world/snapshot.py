@@ -75,11 +75,11 @@ class Snapshot(TickGeometry):
     def __init__(self, geometries: dict[str, int] | None = None, run: int | None = None) -> None:
         super().__init__()
         self.run = new_run() if run is None else run
-        self._tables = {name: LiveTable(table.columns) for name, table in STORED_TABLES.items()}
+        self._live = {name: LiveTable(table.columns) for name, table in STORED_TABLES.items()}
         self.state: TickState | None = None
         # The contacts of this tick, and those that are not in the table yet; see `tables`.
         self.contact_points: Contacts = ContactPoints.none()
-        self._are_contacts_written = True
+        self._are_contacts_written = self._are_rows_written = True
         self.number, self.time = 0, 0.0
         self.load_order: list[EntityInfo] = []
         self.unavailable: Mapping[str, str] = {}
@@ -126,7 +126,9 @@ class Snapshot(TickGeometry):
         """Writes the table of contacts if it was left for later; returns whether it was."""
         if self._are_contacts_written:
             return False
-        self._write_contacts()
+        self._are_contacts_written = True
+        write_contacts(self._live["contacts"], self.contact_points.all(), self._layout)
+        self._publish("contacts")
         return True
 
     def settle(self) -> None:
@@ -186,12 +188,12 @@ class Snapshot(TickGeometry):
         self.settle()
         clone = copy.copy(self)
         # The two snapshots must not write to each other's buffers.
-        clone._tables = {  # noqa: SLF001  # one class
+        clone._live = {  # noqa: SLF001  # one class
             name: copy.copy(table) if name in ("geometries", *unavailable) else table.clone()
             for name, table in self.tables.items()
         }
         for name in unavailable:
-            clone._tables[name].fill(0, {})  # noqa: SLF001
+            clone._live[name].fill(0, {})  # noqa: SLF001
         clone.unavailable = unavailable
         clone.calls, clone._shapes, clone._boxes = CallCounter(), None, None  # noqa: SLF001
         clone._shapes_and_sites = None  # noqa: SLF001
@@ -211,7 +213,7 @@ class Snapshot(TickGeometry):
     def _set_run(self, run: int) -> None:
         """Sets the run that the ticks belong to."""
         self.run = run
-        self._tables["entities"]["run"].fill(run)
+        self._live["entities"]["run"].fill(run)
 
     def past(self, number: int, unavailable: Mapping[str, str]) -> Snapshot:
         """Returns a clone to be taken of the past tick of a number; see `clone`."""
@@ -232,7 +234,7 @@ class Snapshot(TickGeometry):
         self._layout, self._written = layout, {}
         self._margins = self.margins_of_pairs = None
         entities = layout.entities
-        self._tables["entities"].fill(
+        self._live["entities"].fill(
             len(entities),
             {
                 "id": [info.id for info in entities],
@@ -244,12 +246,12 @@ class Snapshot(TickGeometry):
                 "run": np.full(len(entities), self.run),
             },
         )
-        self._tables["links"].fill(*link_columns(layout.bodies))
-        self._tables["joints"].fill(*joint_columns(layout.bodies))
+        self._live["links"].fill(*link_columns(layout.bodies))
+        self._live["joints"].fill(*joint_columns(layout.bodies))
         self._fill_shapes(layout.bodies)
-        self._tables["contacts"].fill(0, {})
-        self._tables["sensings"].fill(0, {})
-        self._tables["ticks"].fill(1, {})
+        self._live["contacts"].fill(0, {})
+        self._live["sensings"].fill(0, {})
+        self._live["ticks"].fill(1, {})
 
     def _flag_columns(self) -> dict[str, list[bool]]:
         """Returns the columns `enabled` and `visible` of the entities; False for sensors."""
@@ -261,8 +263,8 @@ class Snapshot(TickGeometry):
 
     def _fill_shapes(self, bodies: Sequence[tuple[int, Body]]) -> None:
         shapes, geometries = shape_columns(bodies, self.geometry_id)
-        self._tables["shapes"].fill(*shapes)
-        self._tables["geometries"].fill(*geometries)
+        self._live["shapes"].fill(*shapes)
+        self._live["geometries"].fill(*geometries)
 
     def geometry_id(self, geometry: Geometry) -> int:
         """Returns the id of a geometry in the table of geometries, the same for equal ones."""
@@ -274,7 +276,7 @@ class Snapshot(TickGeometry):
 
     def has_double(self, column: str) -> bool:
         """Checks whether a column of the entities has doubles."""
-        return column in self._tables["entities"].names_of_doubles
+        return column in self._live["entities"].names_of_doubles
 
     def doubles_in(self, row: int, columns: tuple[str, ...]) -> list[float | None]:
         """Returns the values of columns of doubles of an entity; None for unknown ones."""
@@ -290,6 +292,7 @@ class Snapshot(TickGeometry):
         self._requested |= dict.fromkeys(requested, self.number)
         missing = (requested | self.recorded) - self._read
         if missing == {"shapes"} and self._link_poses:  # they follow from these
+            self.write_rows()
             self._read |= missing
             self._write_parts("shapes")
             self._publish("shapes")
@@ -355,8 +358,8 @@ class Snapshot(TickGeometry):
         self._masses_tick = self.number
         bodies = self._layout.bodies
         masses = simulator.read_masses([body for _, body in bodies])
-        self._tables["links"]["mass"][:] = list(chain(*masses))
-        entities = self._tables["entities"]["mass"]
+        self._live["links"]["mass"][:] = list(chain(*masses))
+        entities = self._live["entities"]["mass"]
         for (id, _), link_masses in zip(bodies, masses, strict=True):
             entities[self.rows[id]] = sum(link_masses)
             self.masses[id] = link_masses
@@ -414,17 +417,30 @@ class Snapshot(TickGeometry):
         is_static_new = state.static is not self._static
         self._static = state.static
         self._link_poses = state.static, state.moving
-        known = self._write_poses(*self._link_poses, with_static=is_static_new)
-        if state.joints is not None:
-            self._tables["joints"].doubles("position", "effort")[:] = state.joints.T
         self.contact_points, self._are_contacts_written = state.contacts, "contacts" not in tables
         self.sensing.readings = state.readings
         self._read_sensors, self._is_switched = state.sensors, False
-        if "sensings" in tables:
-            write_sensings(self._tables["sensings"], state.readings, self.rows)
-        if not self._is_past and not is_again:
-            self._tables["ticks"]["wall_time"].fill(state.wall_time)
+        self._are_rows_written = False
+        if is_static_new or not state.moving.are_finite:
+            self._write_rows(state, with_static=is_static_new)
+
+    def write_rows(self) -> None:
+        """Writes the rows of this tick, but those of contacts, unless they are written."""
+        if not self._are_rows_written:
+            assert self.state is not None
+            self._write_rows(self.state, with_static=False)
+
+    @np.errstate(invalid="ignore")
+    def _write_rows(self, state: TickState, *, with_static: bool) -> None:
+        known = self._write_poses(*self._link_poses, with_static=with_static)
+        if state.joints is not None:
+            self._live["joints"].doubles("position", "effort")[:] = state.joints.T
+        if "sensings" in self._read:
+            write_sensings(self._live["sensings"], state.readings, self.rows)
+        if not self._is_past:
+            self._live["ticks"]["wall_time"].fill(state.wall_time)
         self._finish(known)
+        self._are_rows_written = True
 
     def is_still_of(self, simulator: Simulator, load_order: list[EntityInfo]) -> bool:
         """Checks whether the simulator is in the state of this tick, as far as this has it.
@@ -443,8 +459,8 @@ class Snapshot(TickGeometry):
         pairs = [(last.positions, poses.positions), (last.states, poses.states)]
         if "joints" in self._read:
             bodies = [body for _, body in self._layout.bodies if body.joints]
-            joints = self._tables["joints"].doubles("position", "effort").T
-            pairs.append((joints, simulator.read_joints(bodies)))
+            if self.state is not None and self.state.joints is not None:
+                pairs.append((self.state.joints, simulator.read_joints(bodies)))
         if "contacts" in self._read:
             contacts = (self.contact_points.all(), simulator.read_contacts().all())
             pairs += zip(*(vars(points).values() for points in contacts), strict=True)
@@ -488,17 +504,8 @@ class Snapshot(TickGeometry):
             contacts = simulator.read_contacts()
         readings = self.sensing.read(simulator, context, poses, contacts)
         ids = frozenset(info.id for info in sensors)
-        return TickState(
-            number,
-            simulator.time,
-            time.time(),
-            static,
-            moving,
-            joints,
-            contacts,
-            readings,
-            ids,
-        )
+        moment = number, simulator.time, time.time()
+        return TickState(*moment, static, moving, joints, contacts, readings, ids)
 
     def _update_flags(self, simulator: Simulator, *, same: bool) -> None:
         """Updates which bodies take part in collisions, and which are drawn."""
@@ -507,7 +514,7 @@ class Snapshot(TickGeometry):
             return
         self.disabled, self.hidden = disabled, hidden
         if same:  # otherwise `_lay_out` resets all columns
-            self._tables["entities"].set_columns(self._flag_columns())
+            self._live["entities"].set_columns(self._flag_columns())
 
     def _sensors_to_read(
         self, layout: TableLayout, number: int, *, all_sensors: bool
@@ -527,7 +534,7 @@ class Snapshot(TickGeometry):
 
         Returns the tables whose numbers are surely known.
         """
-        table, bodies = self._tables["entities"], self._layout.moving_bodies
+        table, bodies = self._live["entities"], self._layout.moving_bodies
         block = table.overwritten("x", "zmax")[..., None]
         if with_static:
             self._layout.static_bodies.write_entities(static, block)
@@ -541,7 +548,7 @@ class Snapshot(TickGeometry):
 
         Returns whether all numbers are surely known; users may change the masses of links.
         """
-        table, are_known = self._tables[name], name == "shapes"
+        table, are_known = self._live[name], name == "shapes"
         block = table.overwritten("x", "zmax")[..., None]
         for group, poses in self.body_groups:
             write = group.write_links if name == "links" else group.write_shapes
@@ -567,7 +574,7 @@ class Snapshot(TickGeometry):
 
     def _publish(self, name: str, *, are_known: bool = False) -> None:
         """Writes tick and time into a table, and publishes it, unless all numbers are known."""
-        table = self._tables[name]
+        table = self._live[name]
         table["tick"].fill(self.number)
         table["time"].fill(self.time)
         if not are_known:
@@ -575,7 +582,7 @@ class Snapshot(TickGeometry):
 
     def entities_with_nan(self) -> list[EntityInfo]:
         """Returns the entities with a pose, a box or a velocity that is not a number."""
-        table = self._tables["entities"]
+        table = self._live["entities"]
         if table.is_complete:
             return []
         unknown = np.isnan(table.doubles("x", "zmax")).any(axis=0)
@@ -590,9 +597,3 @@ class Snapshot(TickGeometry):
                     f"{info.name}: the simulator gives a pose or a velocity that is no number; "
                     "what depends on it is NULL",
                 )
-
-    def _write_contacts(self) -> None:
-        """Writes the contacts of this tick into their table."""
-        self._are_contacts_written = True
-        write_contacts(self._tables["contacts"], self.contact_points.all(), self._layout)
-        self._publish("contacts")

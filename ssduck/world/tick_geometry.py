@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 
 import numpy as np
@@ -17,7 +18,7 @@ from ssduck.world.live_tables import LiveTable
 from ssduck.world.shape_places import ComparableShapes, TickPlaces
 
 
-class TickGeometry:
+class TickGeometry(ABC):
     """What comparisons of the entities of a tick need, made when it is asked for.
 
     Attributes:
@@ -26,7 +27,7 @@ class TickGeometry:
 
     def __init__(self) -> None:
         self.calls = CallCounter()
-        self._tables: dict[str, LiveTable] = {}
+        self._live: dict[str, LiveTable] = {}
         self._layout = TableLayout((), is_external=False)
         # The link poses in the tables: of the bodies that cannot move, and of the others.
         self._link_poses: tuple[LinkPoses, ...] = ()
@@ -36,6 +37,16 @@ class TickGeometry:
         self._solids: tuple[TableLayout, ComparableShapes] | None = None
         # The margins of the shapes if those of two are not the sums of theirs.
         self.margins_of_pairs: Margins | None = None
+
+    @abstractmethod
+    def write_rows(self) -> None:
+        """Writes the rows of this tick, but those of contacts, unless they are written."""
+
+    @property
+    def _tables(self) -> dict[str, LiveTable]:
+        """The tables, in which the rows of this tick are written, but those of contacts."""
+        self.write_rows()
+        return self._live
 
     @property
     def body_groups(self) -> Iterator[tuple[BodyGroup, LinkPoses]]:

@@ -508,8 +508,10 @@ class SteppedSimulation(Observable):
                 self._stale_tick_check.check(self.name, self._simulator, self.snapshot)
             if tables:
                 self.request_tables(tables)
-            if is_settled and self.is_restored:
-                self.snapshot.settle()
+            if self.is_restored:
+                self.snapshot.write_rows()
+                if is_settled:
+                    self.snapshot.settle()
             self._queries += 1
         except BaseException:
             self.lock.release()

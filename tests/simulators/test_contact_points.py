@@ -28,9 +28,14 @@ def pile():
     pybullet.disconnect(client)
 
 
+def _read(client):
+    known = {pybullet.getBodyUniqueId(n, client) for n in range(pybullet.getNumBodies(client))}
+    return contacts.PyBulletContacts.read(client, known)[0].all()
+
+
 def test_points_equal_those_of_pybullet(pile):
     expected = [p for p in pybullet.getContactPoints(physicsClientId=pile) if p[8] <= 0 or p[9] > 0]
-    read = contacts.read_contacts(pile)
+    read = _read(pile)
     assert len(read) == len(expected) >= 2
     assert read.bodies.tolist() == [[p[1], p[2]] for p in expected]
     assert read.links.tolist() == [[p[3] + 1, p[4] + 1] for p in expected]
@@ -66,8 +71,8 @@ def test_points_of_another_layout_are_not_read_at_once(pile, odd):
 def test_points_with_a_large_number_are_read_one_field_at_a_time(pile, pressed):
     first, second, *_ = pybullet.getContactPoints(physicsClientId=pile)
     points = [(*p[:8], *of, *p[10:]) for p, of in zip((first, second), pressed, strict=True)]
-    expected = contacts._found(points)
-    read = contacts._found([(2**40, *point[1:]) for point in points])
+    expected = contacts.PyBulletContacts(points).all()
+    read = contacts.PyBulletContacts([(2**40, *point[1:]) for point in points]).all()
     assert len(read) == 1
     for name, values in vars(expected).items():
         np.testing.assert_array_equal(vars(read)[name], values)
@@ -75,7 +80,7 @@ def test_points_with_a_large_number_are_read_one_field_at_a_time(pile, pressed):
 
 def test_no_points(pile):
     pybullet.resetSimulation(physicsClientId=pile)
-    read = contacts.read_contacts(pile)
+    read = _read(pile)
     assert (len(read), read.points.shape, read.bodies.shape) == (0, (0, 2, 3), (0, 2))
 
 

@@ -158,6 +158,7 @@ def test_buffers_stay_where_they_are(attached, client):
     arrow, version, address = table.arrow, table.version, table["z"].ctypes.data
     heights = arrow["z"].to_pylist()
     attached.step(50)
+    assert attached.snapshot.tables["entities"] is table
     assert table.arrow is arrow
     assert (table.version, table["z"].ctypes.data) == (version, address)
     assert arrow["z"].to_pylist() != heights

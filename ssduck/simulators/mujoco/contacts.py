@@ -225,7 +225,7 @@ class MuJoCoContacts:
     @cached_property
     def has_moments(self) -> bool:
         """Whether torsional or rolling friction adds a moment to a force."""
-        if not (self.contacts.dims > _FORCE_AXES).any():
+        if self.contacts.dims.max(initial=0) <= _FORCE_AXES:
             return False
         return bool(self._every_wrench[(self._roots >= 0).all(axis=1), _FORCE_AXES:].any())
 
@@ -238,7 +238,7 @@ class MuJoCoContacts:
         alike = [
             one.contacts for one in ticks if isinstance(one, MuJoCoContacts) and self._is_like(one)
         ]
-        if len(alike) < len(ticks):
+        if len(alike) < len(ticks) or len(ticks) == 1:
             return ContactPoints.joined(ticks)
         contacts = StepContacts.joined(alike)
         joined = MuJoCoContacts(contacts, self.roots, self.only, is_pyramidal=self.is_pyramidal)

@@ -10,14 +10,18 @@ from __future__ import annotations
 import marshal
 import struct
 from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import accumulate, chain
-from typing import Any, TypeAlias
+from operator import itemgetter
+from typing import Any, ClassVar, Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.geometry.arrays import Array, Indices
-from ssduck.simulators.interface import ContactPoints
+from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.simulators.interface import ContactPoints, Contacts
 from ssduck.simulators.pybullet.console import pybullet
 
 # marshal's format 2, without references: a type code, then the value or the count of elements.
@@ -37,6 +41,8 @@ _STARTS = list(accumulate(map(_SIZES.__getitem__, _FIELDS), initial=_HEADER_SIZE
 _SIZE = _STARTS[-1]
 # The fields of bodies and links, and the runs of equal fields with floats.
 _SIDES = range(1, 5)
+_BODIES = slice(1, 3)
+_BODY_A, _BODY_B = itemgetter(1), itemgetter(2)
 _RUNS = (range(5, 8), range(8, 11), range(11, 12), range(12, 13), range(13, 14))
 # Rows of floats: the points and the normal, the distance, the normal force, the frictions.
 _DISTANCE, _FORCE, _FRICTION_1, _FRICTION_2 = 9, 10, 11, 15
@@ -47,18 +53,61 @@ _Point: TypeAlias = tuple[Any, ...]
 _Columns: TypeAlias = tuple[Indices, Array]
 
 
-def read_contacts(client: int) -> ContactPoints:
-    """Returns the contact points of the last step at which shapes press or meet."""
-    points = pybullet.getContactPoints(physicsClientId=client)
-    return _found(points) if points else ContactPoints.none()
-
-
-def _found(points: Sequence[_Point]) -> ContactPoints:
-    """Returns the points at which shapes press or meet.
+@dataclass(frozen=True, eq=False)
+class PyBulletContacts:
+    """The contact points of the last step at which shapes press or meet.
 
     Bullet's list also has points of shapes that are about to meet, up to some millimetres apart. It
     presses some of these in the first step of an impact.
+
+    Attributes:
+        points: Bullet's list, which is looked into when something is asked.
     """
+
+    points: Sequence[_Point]
+
+    has_moments: ClassVar[bool] = False
+
+    @classmethod
+    def read(cls, client: int, known: AbstractSet[int]) -> tuple[Self, bool]:
+        """Returns those between known bodies of a client, and whether there are others.
+
+        Args:
+            client: the client.
+            known: the numbers of the bodies.
+        """
+        points = pybullet.getContactPoints(physicsClientId=client)
+        lacks_bodies = not known >= {*map(_BODY_A, points), *map(_BODY_B, points)}
+        if lacks_bodies:
+            points = [point for point in points if known >= set(point[_BODIES])]
+        return cls(points), lacks_bodies
+
+    def all(self) -> ContactPoints:
+        """Returns all of them."""
+        return self._all
+
+    def between(self, a: int, b: int, *, pressing: bool) -> tuple[Indices, Indices]:
+        """Returns the bodies and links of those of two bodies; see `Contacts`."""
+        return self.all().between(a, b, pressing=pressing)
+
+    def joined(self, ticks: Sequence[Contacts]) -> tuple[ContactPoints, Indices]:
+        """Returns all contacts of several ticks, and the number of each; see `Contacts`."""
+        lists = [one.points for one in ticks if isinstance(one, PyBulletContacts)]
+        if len(lists) < len(ticks):
+            return ContactPoints.joined(ticks)
+        found, is_found = _found([*chain.from_iterable(lists)])
+        counts = np.append(0, np.cumsum(is_found))[np.cumsum([len(one) for one in lists])]
+        return found, np.diff(counts, prepend=0)
+
+    @cached_property
+    def _all(self) -> ContactPoints:
+        return _found(self.points)[0]
+
+
+def _found(points: Sequence[_Point]) -> tuple[ContactPoints, Flags]:
+    """Returns the points at which shapes press or meet, and which of the points these are."""
+    if not points:
+        return ContactPoints.none(), np.zeros(0, bool)
     sides, floats = _columns(points) or _columns_by_field(points)
     is_found = (floats[_DISTANCE] <= 0.0) | (floats[_FORCE] > 0.0)
     if not is_found.all():
@@ -66,7 +115,7 @@ def _found(points: Sequence[_Point]) -> ContactPoints:
         sides, floats = sides.take(chosen, axis=1), floats.take(chosen, axis=1)
     friction = floats[_FRICTION_1] * floats[_FRICTION_1 + 1 : _FRICTION_2]
     friction += floats[_FRICTION_2] * floats[_FRICTION_2 + 1 :]
-    return ContactPoints(
+    found = ContactPoints(
         bodies=sides[:2].T,
         links=sides[2:].T + 1,
         points=floats[:6].reshape(2, 3, -1).transpose(2, 0, 1),
@@ -75,6 +124,7 @@ def _found(points: Sequence[_Point]) -> ContactPoints:
         forces=floats[_FORCE],
         frictions=friction.T,
     )
+    return found, is_found
 
 
 def _columns(points: Sequence[_Point]) -> _Columns | None:

@@ -5,8 +5,8 @@ PyBullet reports centres of mass. `ssduck.simulators.pybullet.simulator` explain
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Callable, Sequence
+from functools import cache, partial
 from itertools import chain, repeat
 from operator import itemgetter
 
@@ -75,22 +75,30 @@ class LinkPosesReader:
 
     def _poses(self, numbers: Array, *, with_velocities: bool = True) -> LinkPoses:
         """Returns the link poses at t ticks, one after the other, of PyBullet's numbers, (t, k)."""
-        states = numbers.take(self._orders[with_velocities][1], axis=1).reshape(-1, 13)
-        if self._has_rotated_com:
-            turns = np.tile(self._link_from_com, (len(numbers), 1))
-            states[:, 3:7] = multiply(states[:, 3:7], turns)
-        positions, turns = states[:, :3], states[:, 3:7]
-        matrices: Array | partial[Array] = partial(rotation_matrices, turns)
-        if self._has_shifted_com:
-            matrices = rotation_matrices(turns)
-            positions = positions + rotate(matrices, np.tile(self._origins, (len(numbers), 1)))
+        states = cache(partial(self._states, numbers, self._orders[with_velocities][1]))
+        matrices = cache(lambda: rotation_matrices(states()[:, 3:7]))
         return LinkPoses(
-            positions,
+            lambda: self._positions(states()[:, :3], matrices),
             matrices,
             states,
             are_finite=self._are_known and are_moderate(numbers[:, :-1].reshape(-1)),
             source=PosesSource(numbers[0], self._poses if with_velocities else self._poses_without),
         )
+
+    def _states(self, numbers: Array, order: Indices) -> Array:
+        """Returns the states of the links at t ticks, (t n, 13); see `LinkPoses`."""
+        states = numbers.take(order, axis=1).reshape(-1, 13)
+        if self._has_rotated_com:
+            turns = np.tile(self._link_from_com, (len(numbers), 1))
+            states[:, 3:7] = multiply(states[:, 3:7], turns)
+        return states
+
+    def _positions(self, centres: Array, matrices: Callable[[], Array]) -> Array:
+        """Returns the origins of link frames, (t n, 3), of the centres of mass of the links."""
+        if not self._has_shifted_com:
+            return centres
+        origins = np.tile(self._origins, (len(centres) // len(self._origins), 1))
+        return centres + rotate(matrices(), origins)
 
     def _poses_without(self, numbers: Array) -> LinkPoses:
         """Returns the link poses likewise, without the velocities of links."""

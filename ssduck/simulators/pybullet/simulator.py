@@ -27,7 +27,6 @@ from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import (
     Body,
     CameraView,
-    ContactPoints,
     Kind,
     LinkPoses,
     MotorTarget,
@@ -45,7 +44,7 @@ from ssduck.simulators.pybullet.bullet_file import SavedShapes
 from ssduck.simulators.pybullet.clients import all_handles_of, handles_of
 from ssduck.simulators.pybullet.collision_margins import LinkMargin, MarginReader
 from ssduck.simulators.pybullet.console import captured, pybullet
-from ssduck.simulators.pybullet.contacts import read_contacts
+from ssduck.simulators.pybullet.contacts import PyBulletContacts
 from ssduck.simulators.pybullet.given_bodies import GivenBodies
 from ssduck.simulators.pybullet.link_frames import LinkPosesReader
 from ssduck.simulators.pybullet.rays import cast_rays
@@ -343,16 +342,15 @@ class PyBulletSimulator:
         count = self.call(lambda: pybullet.getNumBodies(self.client))
         return count != len(self._tags) or not all(self._are_present(sample))
 
-    def read_contacts(self) -> ContactPoints:
+    def read_contacts(self) -> PyBulletContacts:
         """Returns the contact points of the last step at which shapes press or meet.
 
         Bodies that another client of the same simulation made are described at the next tick; until
         then their contacts are left out.
         """
-        contacts = self.call(lambda: read_contacts(self.client))
-        are_known = np.isin(contacts.bodies, list(self._descriptions))
-        self._lacks_bodies = not are_known.all()
-        return contacts.only(are_known[:, 0] & are_known[:, 1]) if self._lacks_bodies else contacts
+        known = self._descriptions.keys()
+        contacts, self._lacks_bodies = self.call(lambda: PyBulletContacts.read(self.client, known))
+        return contacts
 
     def cast_rays(self, starts: Array, ends: Array, through: Indices) -> RayHits:
         """Returns the first body that each ray hits; see `ssduck.simulators.pybullet.rays`."""
