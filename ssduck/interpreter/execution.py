@@ -39,6 +39,7 @@ from ssduck.language.clauses import formed
 from ssduck.language.deferred import LazyList
 from ssduck.language.evaluator import Frame
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS, are_intervals
+from ssduck.language.missing_names import unknown_function
 from ssduck.language.overrides import with_overrides
 from ssduck.language.parser import parse
 from ssduck.language.sql_readings import SqlReader
@@ -48,7 +49,6 @@ from ssduck.recording.replay.past import pin_to_common_tick
 from ssduck.sql.dialects import in_dialect
 from ssduck.sql.explain import explained
 from ssduck.sql.relations.registry import RELATIONS
-from ssduck.sql.translator import unknown_function
 from ssduck.world.handles import Handle
 from ssduck.world.links import Link
 from ssduck.world.world import World

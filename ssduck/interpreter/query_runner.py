@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from itertools import islice
 from math import prod
@@ -22,9 +21,8 @@ from ssduck.language.aggregates import check_one_group, is_aggregated, is_one_gr
 from ssduck.language.analysis import (
     aliases_of,
     cached_by_node,
-    calls_of,
     changing,
-    free_aliases,
+    constant_parts,
     is_impure,
     mentions,
     states,
@@ -47,7 +45,7 @@ from ssduck.language.graph_paths import Vertex, simple_paths
 from ssduck.language.hierarchy import Hierarchy
 from ssduck.language.memo import MEMOS
 from ssduck.language.operators import ELEMENT_BYTES
-from ssduck.language.tree import Call, Literal, Name, Node, Placeholder, Query, This
+from ssduck.language.tree import Call, Node, Query
 from ssduck.simulators.joints import JointError
 from ssduck.sql.history_windows import history_windows
 from ssduck.sql.name_resolution import ResolvedQuery
@@ -226,7 +224,7 @@ class PlannedQuery:
             fetched = self._converted(fetched, list(zip(indices, converters, strict=True)))
         names = self.plan.names
         if not self.plan.paths:
-            return Rows(fetched, names) if texts is None else _groups(texts, fetched, names)
+            return Rows(fetched, names) if texts is None else Groups.of(texts, fetched, names)
         if self.plan.graph is not None:
             meter = self._database.connection.meter
             paths = _graph_paths(self.plan.graph, fetched, names, meter.step)
@@ -380,14 +378,6 @@ class PlannedQuery:
         return lambda columns: convert(columns[index])
 
 
-def _groups(texts: list[str], rows: list[tuple[Any, ...]], names: tuple[str, ...]) -> Groups:
-    """Returns rows by their printed keys."""
-    groups: dict[str, list[tuple[Any, ...]]] = {}
-    for text, row in zip(texts, rows, strict=True):
-        groups.setdefault(text, []).append(row)
-    return Groups({text: Rows(own, names) for text, own in groups.items()}, Rows([], names))
-
-
 def _relation_error(error: SqlError) -> SelectScriptError:
     """Returns the error of a relation's formula as an error of the language."""
     match = re.search(r"Invalid Input Error: ((\w+): .*)", error.message)
@@ -500,8 +490,8 @@ class RowByRowQuery:
         compiler = ExpressionCompiler(
             scope,
             None,
-            _constants(query, changing(query) | lazy_lists, of_past=of_past),
-            _constants(query, (changing(query) - states(query)) | lazy_lists, of_past=of_past),
+            constant_parts(query, changing(query) | lazy_lists, of_past=of_past),
+            constant_parts(query, (changing(query) - states(query)) | lazy_lists, of_past=of_past),
             memorize=not is_impure(query),
             query=query,
         )
@@ -568,36 +558,6 @@ class RowByRowQuery:
         if self._sources_change:
             elements = [elements_of(frame.value(s.value)) for s in self._query.sources]
         return combinations(self._aliases, elements, frame)
-
-
-def _constants(query: Query, changed: AbstractSet[str], *, of_past: bool) -> set[Node]:
-    """Returns the largest parts of a query that are constant for all rows, and worth caching.
-
-    Args:
-        query: the query.
-        changed: the variables that are not constant.
-        of_past: whether calls, except in nested queries, depend on the row's tick.
-    """
-    aliases = {None, *aliases_of(query)}
-    constants: set[Node] = set()
-
-    def collect(node: Node) -> None:
-        is_constant = (
-            not free_aliases(node) & aliases and not is_impure(node) and not mentions(node, changed)
-        )
-        if of_past and not isinstance(node, Query) and calls_of(node):
-            is_constant = False
-        if is_constant:
-            if not isinstance(node, This | Name | Placeholder | Literal):
-                constants.add(node)
-            return
-        if not isinstance(node, Query):
-            for child in node.children():
-                collect(child)
-
-    for part in query.children():
-        collect(part)
-    return constants
 
 
 def is_small(query: Query, source_types: Sequence[SourceType], values: Sequence[Any]) -> bool:

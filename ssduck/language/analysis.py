@@ -12,9 +12,11 @@ from ssduck.language.tree import (
     AdapterClause,
     Assignment,
     Call,
+    Literal,
     Name,
     Node,
     OperatorChain,
+    Placeholder,
     QualifiedName,
     Query,
     Recursion,
@@ -170,3 +172,33 @@ def aliases_of(query: Query) -> list[str]:
                 span=query.sources[index].span,
             )
     return aliases
+
+
+def constant_parts(query: Query, changed: Collection[str], *, of_past: bool) -> set[Node]:
+    """Returns the largest parts of a query that are constant for all rows, and worth caching.
+
+    Args:
+        query: the query.
+        changed: the variables that are not constant.
+        of_past: whether calls, except in nested queries, depend on the row's tick.
+    """
+    aliases = {None, *aliases_of(query)}
+    constants: set[Node] = set()
+
+    def collect(node: Node) -> None:
+        is_constant = (
+            not free_aliases(node) & aliases and not is_impure(node) and not mentions(node, changed)
+        )
+        if of_past and not isinstance(node, Query) and calls_of(node):
+            is_constant = False
+        if is_constant:
+            if not isinstance(node, This | Name | Placeholder | Literal):
+                constants.add(node)
+            return
+        if not isinstance(node, Query):
+            for child in node.children():
+                collect(child)
+
+    for part in query.children():
+        collect(part)
+    return constants

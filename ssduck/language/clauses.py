@@ -58,6 +58,16 @@ class Groups:
     groups: dict[str, Selected]
     empty: Rows
 
+    @classmethod
+    def of(
+        cls, keys: Sequence[str], rows: Sequence[tuple[Any, ...]], names: tuple[str, ...]
+    ) -> Groups:
+        """Returns the groups of rows by their printed keys."""
+        groups: dict[str, list[tuple[Any, ...]]] = {}
+        for key, row in zip(keys, rows, strict=True):
+            groups.setdefault(key, []).append(row)
+        return cls({key: Rows(own, names) for key, own in groups.items()}, Rows([], names))
+
 
 Selected: TypeAlias = Rows | Paths | Groups
 

@@ -1,12 +1,14 @@
-"""Errors for names of sources and keys that a query does not have."""
+"""Errors for names of sources, keys and functions that there are not."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from ssduck.errors import ArgumentError, SelectScriptError, SourceSpan, UnknownNameError, nearest
 from ssduck.formatting import first_line, short_repr
+from ssduck.language.sql_suggestions import plain_names, suggestion_for_call
+from ssduck.language.tree import Call
 
 
 def missing_source_error(
@@ -41,4 +43,21 @@ def key_not_variable_error(name: str) -> UnknownNameError:
     """Returns the error for an unknown variable whose name is a key of the current element."""
     return UnknownNameError(
         f"there is no variable {short_repr(name)}; write this.{first_line(name)}"
+    )
+
+
+# The least similarity of a function that is suggested for another name.
+_FUNCTION_LIKENESS = 0.7
+
+
+def unknown_function(node: Call, known: Sequence[str]) -> UnknownNameError:
+    """Returns the error for an unknown function."""
+    plain = plain_names(node.name)
+    same = tuple(name for name in known if name.upper() in plain)
+    instead = suggestion_for_call(node.name)
+    near = same or nearest(node.name, known, least=_FUNCTION_LIKENESS)
+    return UnknownNameError(
+        f"there is no function {short_repr(node.name)}" + (f"; {instead}" if instead else ""),
+        span=node.name_span,
+        suggestions=near if same or not instead else (),
     )

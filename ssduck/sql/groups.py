@@ -80,29 +80,46 @@ class Groups(Expressions):
 
     Args:
         rows: the expressions of its rows.
-        number: the number of a row in their order.
         is_plain: whether sums are written as they are in any SQL, and not exact.
 
     Attributes:
         part: the part of the query that was translated last.
     """
 
-    def __init__(self, rows: Expressions, number: exp.Expr, *, is_plain: bool) -> None:
+    def __init__(self, rows: Expressions, *, is_plain: bool) -> None:
         super().__init__(rows.context)
         self.part: Node | None = None
-        self._of_rows, self._number, self._is_plain = rows, number, is_plain
+        self._of_rows, self._is_plain = rows, is_plain
+        self._number: exp.Expr = exp.null()
         self._alias = rows.context.alias("grouped")
         # The names of columns of the rows by their SQL, the columns, and those that are keys.
         self._names: dict[str, str] = {}
         self._columns: dict[str, exp.Expr] = {}
         self._keys: dict[str, exp.Expr] = {}
 
-    def grouped(self, query: Query, columns: Sequence[SelectedValue]) -> GroupedRows:
+    def grouped(
+        self,
+        query: Query,
+        columns: Sequence[SelectedValue],
+        elements: Sequence[FromItem],
+        *,
+        are_numbers: bool,
+    ) -> GroupedRows:
         """Returns the groups of a query, each with one row, or the distinct rows.
+
+        Args:
+            query: the query.
+            columns: the selected columns.
+            elements: its sources.
+            are_numbers: whether the keys of their order are whole numbers and truth values.
 
         Raises:
             NotSqlError: they are left to Python, for the sake of `part`.
         """
+        by_row = [key for key in query.order if not over_rows(key.value)]
+        self.part = by_row[0].value if by_row else None
+        order = subqueries.ordered(self._of_rows, by_row)
+        self._number = _row_number(order, elements, are_numbers=are_numbers)
         keys: list[SqlValue] = []
         if query.group:
             keys = [self._key(node) for node in query.group]
@@ -336,19 +353,13 @@ def _middle(sql: exp.Expr) -> exp.Expr:
     return exp.Anonymous(this="quantile_disc", expressions=[sql, half])
 
 
-def row_number(
-    order: Sequence[exp.Ordered], elements: Sequence[FromItem], *, are_small: bool
+def _row_number(
+    order: Sequence[exp.Ordered], elements: Sequence[FromItem], *, are_numbers: bool
 ) -> exp.Expr:
-    """Returns the number of a row in an order of the rows.
-
-    Args:
-        order: the keys of the query.
-        elements: the sources, whose keys come next.
-        are_small: whether these are ids, numbers of ticks and of elements, and truth values.
-    """
+    """Returns the number of a row in the order of the query's keys, then of the sources."""
     keys = [key.this for element in elements for key in element.position]
     widths = [1 if isinstance(key, exp.NEQ) else IDS.bit_length() - 1 for key in keys]
-    if order or not are_small or sum(widths) > _BITS["HUGEINT"]:
+    if order or not are_numbers or sum(widths) > _BITS["HUGEINT"]:
         ordered = [*order, *(ascending(key) for key in keys)]
         copies = exp.Order(expressions=[key.copy() for key in ordered])
         return exp.Window(this=exp.RowNumber(), order=copies)

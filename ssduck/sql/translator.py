@@ -14,8 +14,6 @@ from typing import Literal
 
 from sqlglot import exp
 
-from ssduck.errors import UnknownNameError, nearest
-from ssduck.formatting import short_repr
 from ssduck.language import tree
 from ssduck.language.aggregates import (
     check_one_group,
@@ -27,7 +25,6 @@ from ssduck.language.aggregates import (
 from ssduck.language.analysis import OVER_TIME, changing, free_aliases, is_impure
 from ssduck.language.clauses import PythonClauses
 from ssduck.language.operator_chains import conjuncts
-from ssduck.language.sql_suggestions import plain_names, suggestion_for_call
 from ssduck.language.tree import Binary, Call, Node, OrderKey, Query, This
 from ssduck.sql import subqueries
 from ssduck.sql.expressions import Expressions
@@ -44,7 +41,7 @@ from ssduck.sql.from_clause import (
     unnested,
     world_table,
 )
-from ssduck.sql.groups import Groups, row_number
+from ssduck.sql.groups import Groups
 from ssduck.sql.name_resolution import resolve
 from ssduck.sql.pair_joins import PairJoin, implied_box_condition, pair_join, sides_of
 from ssduck.sql.pair_lookup import pair_lookup
@@ -62,8 +59,6 @@ from ssduck.sql.sql_values import FloatDomain, NotSqlError, SqlValue, StatementC
 from ssduck.sql.types import INTEGER, SqlType
 
 _MAX_ROWS = 2**62
-# The least similarity of a function that is suggested for another name.
-_FUNCTION_LIKENESS = 0.7
 _ENDS: tuple[Literal["first", "last"], ...] = ("first", "last")
 
 
@@ -447,20 +442,16 @@ class _Translator:
         given = [node for node in (query.limit, query.offset) if node is not None]
         if plan.purpose == "rows" or is_impure(query) or len(plan.names) < len(self.selected):
             return False
-        groups: Groups | None = None
+        if not all(map(_is_small_count, given)):
+            plan.left_for = given[0]
+            return False
+        groups = Groups(self.sql, is_plain=plan.purpose == "portable")
+        # The keys of other sources are ids, numbers of ticks and of elements, and truth values.
+        are_numbers = all(source_type.has_values for source_type in plan.source_types)
         try:
-            by_row = [key for key in query.order if not over_rows(key.value)]
-            are_small = all(source_type.has_values for source_type in plan.source_types)
-            number = row_number(
-                subqueries.ordered(self.sql, by_row), self.elements, are_small=are_small
-            )
-            groups = Groups(self.sql, number, is_plain=plan.purpose == "portable")
-            found = groups.grouped(query, self.selected)
-            if not all(map(_is_small_count, given)):
-                groups.part = given[0]
-                raise NotSqlError
+            found = groups.grouped(query, self.selected, self.elements, are_numbers=are_numbers)
         except NotSqlError:
-            plan.left_for = None if groups is None else groups.part
+            plan.left_for = groups.part
             return False
         columns = [
             OutputColumn(place, value.sql_type)
@@ -594,16 +585,3 @@ def _parts(node: Node) -> Iterator[Node]:
             yield from child.children()
         else:
             yield child
-
-
-def unknown_function(node: Call, known: Sequence[str]) -> UnknownNameError:
-    """Returns the error for an unknown function."""
-    plain = plain_names(node.name)
-    same = tuple(name for name in known if name.upper() in plain)
-    instead = suggestion_for_call(node.name)
-    near = same or nearest(node.name, known, least=_FUNCTION_LIKENESS)
-    return UnknownNameError(
-        f"there is no function {short_repr(node.name)}" + (f"; {instead}" if instead else ""),
-        span=node.name_span,
-        suggestions=near if same or not instead else (),
-    )
