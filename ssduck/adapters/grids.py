@@ -16,10 +16,10 @@ from ssduck.adapters.shapes import SHAPES, placed_shapes, shapes_of
 from ssduck.errors import ArgumentError
 from ssduck.formatting import short_repr
 from ssduck.geometry.arrays import Array
-from ssduck.geometry.line_of_sight import are_blocked
 from ssduck.geometry.poses import rotation_matrices
 from ssduck.geometry.rasters.raster import CELL_TOLERANCE, Raster
 from ssduck.geometry.rasters.rasterize import Rasterizer
+from ssduck.geometry.ray_casting import are_blocked
 from ssduck.geometry.solids import PlacedSolids
 from ssduck.language.tree import Call, Name, Query, This, UnresolvedName
 from ssduck.simulators.sensor_types import SENSOR_TYPES

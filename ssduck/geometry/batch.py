@@ -21,9 +21,15 @@ from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.broad_phase import Pairs
 from ssduck.geometry.poses import rotate
 from ssduck.geometry.proofs.gjk import decide_gaps, tolerances
-from ssduck.geometry.proofs.kept_verdicts import KeptVerdicts
 from ssduck.geometry.proofs.separating_axes import box_depths
-from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Decisions, Verdicts
+from ssduck.geometry.proofs.verdicts import (
+    ABOVE,
+    BELOW,
+    UNDECIDED,
+    Decisions,
+    KeptVerdicts,
+    Verdicts,
+)
 from ssduck.geometry.tick_shapes import (
     MAX_ENTITIES,
     PairPredicate,

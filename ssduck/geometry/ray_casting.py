@@ -2,6 +2,10 @@
 
 Rays begin at one common point, or each at its own point. A distance along a ray is a fraction of
 its length vector. Points and rays are in the frame of the solid.
+
+In the line of sight between two points, a convex shape that contains the start does not block, as
+for the rays of sensors. The triangles of a mesh block from either side. A shape that contains the
+end blocks; one that begins there does not.
 """
 
 from __future__ import annotations
@@ -12,7 +16,7 @@ import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags
 from ssduck.geometry.poses import cross
-from ssduck.geometry.solids import Solid
+from ssduck.geometry.solids import PlacedSolids, Solid
 
 # A surface that is nearer to the start of a ray contains it, m.
 HIT_TOLERANCE = 1e-9
@@ -183,3 +187,61 @@ def _dot_products(vectors: Array, rays: Array) -> Array:
         return rays @ vectors.T
     products: Array = np.einsum("nmi,ni->nm", vectors, rays)
     return products
+
+
+# The number of pairs of a ray and a face that are compared at a time.
+PAIRS_AT_ONCE = 1_000_000
+
+
+# -- the line of sight ----------------------------------------------------------------------------
+
+
+def are_blocked(placed: PlacedSolids, start: Array, ends: Array) -> Flags:
+    """Checks whether a shape blocks the line of sight from a point to each of some others.
+
+    Args:
+        placed: the shapes.
+        start: (3,), the eye.
+        ends: (n, 3), the points to see.
+
+    Returns:
+        (n,), booleans.
+    """
+    blocked = np.zeros(len(ends), dtype=bool)
+    rays = ends - start
+    lengths = np.linalg.norm(rays, axis=1)
+    for solid, position, matrix in placed:
+        open_rays = np.flatnonzero(~blocked)
+        open_rays = open_rays[
+            _may_hit(solid, matrix, position - start, rays[open_rays], lengths[open_rays])
+        ]
+        count = max(1, PAIRS_AT_ONCE // max(1, len(solid.faces), len(solid.normals)))
+        for first in range(0, len(open_rays), count):
+            indices = open_rays[first : first + count]
+            local_start = (start - position) @ matrix
+            blocked[indices] = _are_hit(
+                solid, local_start, rays[indices] @ matrix, lengths[indices]
+            )
+    return blocked
+
+
+def _may_hit(solid: Solid, matrix: Array, offset: Array, rays: Array, lengths: Array) -> Flags:
+    """Checks whether rays hit the sphere around a solid at an offset from their start."""
+    if solid.type == "plane":
+        return np.ones(len(rays), dtype=bool)
+    centre = matrix @ np.array(solid.centre) + offset
+    along = rays @ centre / lengths
+    squared_distance, radius = float(centre @ centre), solid.bounding_radius + HIT_TOLERANCE
+    may_hit: Flags = (
+        (squared_distance - along**2 <= radius**2)
+        & (along >= -radius)
+        & (along - radius <= lengths)
+    )
+    return may_hit
+
+
+def _are_hit(solid: Solid, start: Array, rays: Array, lengths: Array) -> Flags:
+    """Checks whether rays hit a solid before they end; all in the solid's frame."""
+    distances = first_hits(solid, start, rays) * lengths
+    is_hit: Flags = (distances > HIT_TOLERANCE) & (distances < lengths - HIT_TOLERANCE)
+    return is_hit

@@ -15,8 +15,8 @@ from ssduck.geometry.broad_phase import Pairs, overlapping_pairs
 from ssduck.geometry.margins import Margins
 from ssduck.geometry.poses import stacked_matrices
 from ssduck.geometry.proofs.cores import ConvexCores, PlacedCores
-from ssduck.geometry.proofs.kept_verdicts import KeptVerdicts, ShapePoses
 from ssduck.geometry.proofs.proposals import Proposer
+from ssduck.geometry.proofs.verdicts import KeptVerdicts, ShapePoses
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import Solid, solid_of
 

@@ -15,9 +15,12 @@ from ssduck.geometry.proofs import contact_directions
 from ssduck.geometry.proofs.contact_directions import (
     NOT_UPWARD,
     UPWARD,
+    bounds_of,
+    classes_of,
     decide_upward,
+    mesh_of,
+    stretch_of,
 )
-from ssduck.geometry.proofs.direction_triangles import bounds_of, classes_of, mesh_of, stretch_of
 from ssduck.geometry.proofs.verdicts import UNDECIDED
 from tests.support import pairs
 from tests.support.pairs import Shape, gap

@@ -13,9 +13,15 @@ from hypothesis import strategies as st
 
 import ssduck
 from ssduck.geometry.proofs.cores import PlacedCores
-from ssduck.geometry.proofs.interiors import SomeInteriors
-from ssduck.geometry.proofs.kept_verdicts import KeptVerdicts, ShapePoses
-from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Decisions
+from ssduck.geometry.proofs.proposals import SomeInteriors
+from ssduck.geometry.proofs.verdicts import (
+    ABOVE,
+    BELOW,
+    UNDECIDED,
+    Decisions,
+    KeptVerdicts,
+    ShapePoses,
+)
 from tests.geometry.test_colliding import fill
 from tests.support.cases import sampled
 

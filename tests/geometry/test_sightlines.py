@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from ssduck.geometry.line_of_sight import are_blocked
+from ssduck.geometry.ray_casting import are_blocked
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import PlacedSolids, solid_of
 
@@ -119,5 +119,5 @@ def test_nothing_is_in_the_way_of_nothing():
 def test_bunches_change_nothing(monkeypatch):
     ends = RNG.uniform(-1, 1, (50, 3))
     whole = are_blocked(placed(SHAPES["hull"]), np.ones(3), ends)
-    monkeypatch.setattr("ssduck.geometry.line_of_sight.PAIRS_AT_ONCE", 1)
+    monkeypatch.setattr("ssduck.geometry.ray_casting.PAIRS_AT_ONCE", 1)
     assert np.array_equal(are_blocked(placed(SHAPES["hull"]), np.ones(3), ends), whole)

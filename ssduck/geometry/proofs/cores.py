@@ -40,11 +40,7 @@ class ConvexCores:
         self.is_swept: Flags = np.asarray(self.semi_axes.any(axis=0))
         # The error of signed distances of two shapes is at least the larger of these, metres.
         self.least_error = 2.5 * np.where(self.is_swept, CYLINDER_TOLERANCE, CONTACT_TOLERANCE)
-        self.disc_radius = np.array([solid.disc_radius for solid in solids])[solid_indices]
         self.largest_radius = np.array([solid.largest_radius for solid in solids])[solid_indices]
-        self.is_ellipsoid = np.array([solid.type == "ellipsoid" for solid in solids], dtype=bool)[
-            solid_indices
-        ]
         self.radius = np.array([solid.radius for solid in solids])[solid_indices]
         radii = [
             solid.bounding_radius if np.isfinite(solid.bounding_radius) else 0.0 for solid in solids
