@@ -2,11 +2,10 @@
 
 The broad phase finds the pairs of shapes with overlapping boxes. Many of them are decided by
 spheres: those around the shapes are far apart, or those in the shapes overlap. Support functions
-decide half-spaces, separating axes decide boxes that may collide (Gottschalk, Lin and Manocha,
-OBBTree, 1996), and `ssduck.geometry.proofs.gjk` decides other convex shapes, or
-`ssduck.geometry.proofs.proposals` if there are few. The convex hull of a mesh shows that the mesh
-is far from something. Only the pairs that are left are compared one by
-one: pairs that are as near to the bound as rounding errors, and meshes that may collide.
+decide half-spaces, separating axes decide boxes that may collide, and `ssduck.geometry.proofs.gjk`
+decides other convex shapes, or `ssduck.geometry.proofs.proposals` if there are few. The convex hull
+of a mesh shows that the mesh is far from something. Only the pairs that are left are compared one
+by one: pairs that are as near to the bound as rounding errors, and meshes that may collide.
 """
 
 from __future__ import annotations

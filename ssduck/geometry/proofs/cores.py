@@ -1,4 +1,9 @@
-"""The convex cores of solids, and their support points at poses."""
+"""The convex cores of solids, and their support points at poses.
+
+The support point of a shape in a direction is its farthest point that way. All that these proofs
+know of a shape is where these points are: that of `a - b` in a direction is the one of a that way
+less the one of b the other way. A round solid is a core that is grown by a radius.
+"""
 
 from __future__ import annotations
 

@@ -284,7 +284,6 @@ class ConvexInteriors:
         self.are_known: Flags = np.array([_has_inside(s) for s in solids], dtype=bool)[
             solid_indices
         ]
-        # One array: to take some of its columns takes one call.
         numbers = np.array([_numbers(solid) for solid in solids]).reshape(-1, _ROWS).T
         self._numbers = numbers[:, solid_indices]
         hulls = [n for n, solid in enumerate(solids) if _has_inside(solid) and _is_hull(solid)]

@@ -1,4 +1,10 @@
-"""The overlaps of pairs of boxes along the 15 axes that may separate them (Gottschalk 1996)."""
+"""The overlaps of pairs of boxes along the 15 axes that may separate them.
+
+Two convex shapes are apart if and only if their shadows on some axis are. Of two boxes, one of 15
+axes does it if any does: the normals of three faces of each, and the cross products of an edge of
+one with an edge of the other (Gottschalk, Lin and Manocha, OBBTree, 1996). Of boxes that meet, the
+axis of least overlap is the contact normal.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +17,7 @@ from ssduck.geometry.proofs.cores import PlacedCores
 
 # The cross product of edges that are more parallel is no separating axis.
 _MIN_SINE = 1e-6
-# The axes, and the first two again. Behind each are the other two; of all axes, these are views.
+# The axes, and the first two again: behind each are the other two.
 _AROUND = np.array([0, 1, 2, 0, 1])
 _NEXT, _LAST = slice(1, 4), slice(2, 5)
 
