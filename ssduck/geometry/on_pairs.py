@@ -20,7 +20,7 @@ from ssduck.geometry.contact_support import MIN_UP
 from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.poses import rotate
 from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD, decide_upward
-from ssduck.geometry.proofs.footprints import OUTSIDE, OVER, box_centres, over_verdicts
+from ssduck.geometry.proofs.footprints import OUTSIDE, OVER, ground_boxes, over_verdicts
 from ssduck.geometry.proofs.separating_axes import box_axes
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Decisions, Verdicts
 from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
@@ -64,7 +64,10 @@ def are_on(tick: TickShapes, narrow: NarrowPhase, a: Indices, b: Indices) -> Fla
     """
     result = np.zeros(len(a), dtype=bool)
     starts = np.array(narrow.starts)
-    over = over_verdicts(tick, starts, a, box_centres(tick.boxes, starts, b))
+    with np.errstate(invalid="ignore"):  # the boxes of planes
+        low, high = ground_boxes(tick.boxes, starts, b)
+        centres = (low + high) / 2
+    over = over_verdicts(tick, starts, a, centres, ground_boxes(tick.boxes, starts, a))
     rows = np.flatnonzero(over != OUTSIDE)
     if not len(rows):
         return result

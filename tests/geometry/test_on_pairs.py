@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import ssduck
-from ssduck.geometry.proofs.footprints import OUTSIDE, OVER, box_centres, over_verdicts
+from ssduck.geometry.proofs.footprints import OUTSIDE, OVER, ground_boxes, over_verdicts
 from ssduck.geometry.proofs.verdicts import UNDECIDED
 from ssduck.geometry.solids import solid_of
 from ssduck.schema import ID_FACTOR
@@ -99,7 +99,11 @@ def test_centres_over_footprints_are_what_single_pairs_say(kind):
     a, b = np.zeros(len(uppers), np.intp), np.arange(1, len(uppers) + 1)
     tick, starts = scene.tick_shapes(sorts_of(scene)), np.array(scene.starts)
     expected = np.array([scene.is_over(0, int(other)) for other in b])
-    verdicts = over_verdicts(tick, starts, a, box_centres(tick.boxes, starts, b))
+    centres = sum(ground_boxes(tick.boxes, starts, b)) / 2
+    boxes = ground_boxes(tick.boxes, starts, a)
+    verdicts = over_verdicts(tick, starts, a, centres)
+    with_boxes = over_verdicts(tick, starts, a, centres, boxes)
+    assert ((with_boxes == verdicts) | (verdicts == UNDECIDED)).all()
     assert expected[verdicts == OVER].all()
     assert not expected[verdicts == OUTSIDE].any()
     assert np.count_nonzero(verdicts == UNDECIDED) < len(b) / 10

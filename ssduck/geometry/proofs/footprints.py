@@ -33,8 +33,8 @@ _ANGLES = np.arange(16) * (2.0 * math.pi / 16)
 _DIRECTIONS = np.stack((np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(16)))
 
 
-def box_centres(boxes: Array, starts: Indices, entities: Indices) -> Array:
-    """Returns the centres of entities' boxes over the ground, (2, n); NaN or infinite for planes.
+def ground_boxes(boxes: Array, starts: Indices, entities: Indices) -> tuple[Array, Array]:
+    """Returns the lower and the upper corners of entities' boxes on the ground, (2, n) each.
 
     Args:
         boxes: (6, shapes), lower corners, upper corners.
@@ -45,12 +45,16 @@ def box_centres(boxes: Array, starts: Indices, entities: Indices) -> Array:
     places = np.searchsorted(firsts, starts[entities])
     low = np.minimum.reduceat(boxes[:2], firsts, axis=1)
     high = np.maximum.reduceat(boxes[3:5], firsts, axis=1)
-    with np.errstate(invalid="ignore"):
-        centres: Array = (low + high).take(places, axis=1) / 2
-    return centres
+    return low.take(places, axis=1), high.take(places, axis=1)
 
 
-def over_verdicts(tick: TickShapes, starts: Indices, a: Indices, centres: Array) -> Verdicts:
+def over_verdicts(
+    tick: TickShapes,
+    starts: Indices,
+    a: Indices,
+    centres: Array,
+    boxes: tuple[Array, Array] | None = None,
+) -> Verdicts:
     """Returns whether points of the ground are over entities: `OVER`, `OUTSIDE` or `UNDECIDED`.
 
     Args:
@@ -58,6 +62,7 @@ def over_verdicts(tick: TickShapes, starts: Indices, a: Indices, centres: Array)
         starts: the first shape of each entity, and the number of shapes.
         a: (n,), known entities with shapes.
         centres: (2, n), the points, metres; those that are not finite are over nothing.
+        boxes: those of the entities on the ground, if they are known.
     """
     verdicts, count = np.full(len(a), UNDECIDED, np.int8), len(starts) - 1
     has_centre = np.isfinite(centres).all(axis=0)
@@ -66,6 +71,12 @@ def over_verdicts(tick: TickShapes, starts: Indices, a: Indices, centres: Array)
     if tick.table.has_planes:
         has_plane = _have_planes(tick, count)[a]
         verdicts[has_centre & _have_steep_planes(tick, count)[a]] = OVER
+    if boxes is not None:
+        low, high = boxes
+        with np.errstate(invalid="ignore"):  # the boxes of planes
+            room = _ROOM + _ROUND_ERROR * (high - low).max(axis=0)
+        is_beyond = ((centres < low - room) | (centres > high + room)).any(axis=0)
+        verdicts[is_beyond & ~has_plane & has_centre] = OUTSIDE
     left = np.flatnonzero((verdicts == UNDECIDED) & ~has_plane)
     left = left[np.abs(centres[:, left]).max(axis=0, initial=0.0) <= _MAX_COORDINATE]
     if len(left):
