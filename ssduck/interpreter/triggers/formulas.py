@@ -8,10 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
 from functools import cached_property
 from operator import itemgetter
-from typing import Any, TypeAlias
+from typing import Any
 
 from sqlglot import exp
 
@@ -24,11 +23,10 @@ from ssduck.columns.selects import ArraySelect
 from ssduck.database.values import to_sql
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.execution import Execution
-from ssduck.interpreter.output import AsClause, as_clause_of
+from ssduck.interpreter.output import as_clause_of
 from ssduck.interpreter.program import CompiledProgram
-from ssduck.interpreter.query_runner import PlannedQuery
+from ssduck.interpreter.triggers.groups import Formula, Planned, Slot
 from ssduck.interpreter.triggers.table_state import TableState
-from ssduck.language.clauses import Selected
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import Binary, Literal, Name, Node, Query, Unary
 from ssduck.language.value_keys import ATOMS
@@ -49,73 +47,6 @@ _TABLES = frozenset((ALL_ENTITIES, MASSES, MARGINS, "shapes"))
 _TIME_NAMES = frozenset(("tick", "time"))
 _CONSTANT_NODES = (Name, Literal, Unary, Binary)
 _LARGEST = 1 << 63
-_Planned: TypeAlias = tuple[Query, PlannedQuery, AsClause, Frame]
-
-
-@dataclass(frozen=True)
-class Slot:
-    """A constant of a shape, or a number of an entity that is the value of a variable.
-
-    Attributes:
-        kind: the type of its values.
-        value: the constant, or the entity.
-        column: the column of the entity; None for a constant.
-    """
-
-    kind: Kind
-    value: Any
-    column: str | None = None
-
-    @property
-    def key(self) -> tuple[Any, ...]:
-        """A key that slots of equal values share; 0.0 and -0.0 differ."""
-        return self.kind, self.column, self.value.id if self.column else repr(self.value)
-
-
-@dataclass(eq=False)
-class Formula:
-    """A query over the entities of one world, of which each row is decided by itself.
-
-    Attributes:
-        world: the world.
-        select: its SELECT, with slots in place of constants.
-        slots: the constants.
-        tables: what is read from the simulator beside the entities.
-        columns: the columns that it reads.
-        version: a number that changes whenever the rows of the formula do.
-    """
-
-    world: World
-    select: ArraySelect
-    slots: Sequence[Slot]
-    tables: frozenset[str]
-    columns: frozenset[str | None]
-    _planned: _Planned
-    version: int = field(default=0, init=False)
-
-    @cached_property
-    def shape(self) -> tuple[Any, ...]:
-        """What formulas that are evaluated at once have in common."""
-        return self.select.text, *((slot.kind, slot.column) for slot in self.slots)
-
-    def value(self, rows: list[tuple[Any, ...]]) -> Any:
-        """Returns the result of the program for the rows that its SQL would return.
-
-        Raises:
-            SelectScriptError: the program fails for these rows.
-        """
-        query, planned, form, frame = self._planned
-        execution = frame.scope
-
-        def run(_: Query, __: Frame, check: Callable[[Any], None]) -> Selected:
-            check(planned.columns)
-            return planned.output_rows(rows)
-
-        assert isinstance(execution, Execution)
-        with execution.lock:
-            execution.begin_program()
-            execution.meter.check_rows(len(rows))
-            return form.value(query, Frame(execution), run)
 
 
 class Slots:
@@ -265,7 +196,7 @@ class FormulaPlanner:
             return None if is_nested else self.execution.tables_read(query) | {"entities"}
         return None
 
-    def _planned(self, program: CompiledProgram) -> _Planned | None:
+    def _planned(self, program: CompiledProgram) -> Planned | None:
         """Returns the query that a program is, planned; None if its result is no value of rows."""
         tree = self.execution.read(program.tree)
         match tree.statements:
@@ -281,7 +212,7 @@ class FormulaPlanner:
                     return adapted, planned, form, frame
         return None
 
-    def _of_plan(self, planned: _Planned) -> Formula:
+    def _of_plan(self, planned: Planned) -> Formula:
         """Returns the formula of a plan.
 
         Raises:

@@ -15,8 +15,8 @@ from ssduck.columns.arrays import Array
 from ssduck.columns.expressions import LeftToDuckDBError
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.execution import Execution
-from ssduck.interpreter.triggers.formulas import Formula, FormulaPlanner, Meaning
-from ssduck.interpreter.triggers.groups import FormulaGroup
+from ssduck.interpreter.triggers.formulas import FormulaPlanner, Meaning
+from ssduck.interpreter.triggers.groups import Formula, FormulaGroup
 from ssduck.interpreter.triggers.shapes import LiveShapes
 from ssduck.interpreter.triggers.table_state import TIME_COLUMNS, TableState
 from ssduck.interpreter.triggers.trigger import Trigger
@@ -40,7 +40,6 @@ class _DueFormulas:
         shapes: its narrow phase.
         by_trigger: the formulas of those triggers that have one.
         alone: the formulas that could not be evaluated with others at some tick.
-        before: those that were due before.
 
     Attributes:
         standing: the triggers whose last results stand, as long as no row changes; None if unknown.
@@ -53,7 +52,6 @@ class _DueFormulas:
         shapes: LiveShapes,
         by_trigger: dict[Trigger, Formula],
         alone: WeakSet[Formula],
-        before: _DueFormulas | None,
     ) -> None:
         self.key: tuple[Any, ...] | None = key
         self.by_trigger = by_trigger
@@ -72,30 +70,9 @@ class _DueFormulas:
             by_shape.setdefault(own, []).append(formula)
         # The version of the table, the motion of the shapes, and the numbers at the last tick.
         self._last: tuple[int, int, Array] | None = None
-        self._places: dict[Formula, tuple[FormulaGroup, int]] = {}
-        known = {} if before is None else before._places  # noqa: SLF001  # one class
-        self._groups = [self._group(formulas, known) for formulas in by_shape.values()]
-
-    def _group(
-        self, formulas: Sequence[Formula], known: dict[Formula, tuple[FormulaGroup, int]]
-    ) -> FormulaGroup:
-        """Returns a group of formulas, which takes over their last rows from other groups."""
-        places = [known.get(formula) for formula in formulas]
-        found = [None if place is None else place[0].rows_of(place[1]) for place in places]
-        group = FormulaGroup(formulas, self._world.snapshot, self._shapes, found)
-        self._places.update({formula: (group, place) for place, formula in enumerate(formulas)})
-        return group
-
-    def is_evaluated_at(self, formula: Formula, tick: int) -> bool:
-        """Checks whether the rows of a formula are those of the tick of a number."""
-        return self._places[formula][0].number == tick
-
-    def value(self, formula: Formula) -> Any:
-        """Returns the result of a formula for the rows of its last evaluation."""
-        group, place = self._places[formula]
-        found = group.rows_of(place)
-        assert found is not None
-        return formula.value(found.values)
+        self._groups = [
+            FormulaGroup(formulas, world.snapshot, shapes) for formulas in by_shape.values()
+        ]
 
     def evaluate(self) -> None:
         """Evaluates the formulas at the tick of their world, as far as they can be together."""
@@ -135,7 +112,7 @@ class _DueFormulas:
         self.key = None
         for formula in group.formulas:
             try:
-                self._group([formula], self._places).evaluate(snapshot, has_moved=True)
+                FormulaGroup([formula], snapshot, self._shapes).evaluate(snapshot, has_moved=True)
             except LeftToDuckDBError:
                 self._alone.add(formula)
 
@@ -170,7 +147,7 @@ class TriggerBatches:
                 and trigger.meaning.formula.world is world
             }
             shapes = self._shapes.setdefault(world, LiveShapes())
-            last = _DueFormulas((due, *key), world, shapes, by_trigger, self._alone, last)
+            last = _DueFormulas((due, *key), world, shapes, by_trigger, self._alone)
             self._last_due[world] = last
         return TickBatch(self, world, last)
 
@@ -301,7 +278,7 @@ class TickBatch:
             due.standing = frozenset(
                 trigger
                 for trigger, formula in due.by_trigger.items()
-                if trigger.stands(formula.version) and due.is_evaluated_at(formula, self._tick)
+                if trigger.stands(formula.version) and formula.is_evaluated_at(self._tick)
             )
         return due.standing
 
@@ -311,7 +288,7 @@ class TickBatch:
         self._due.standing = None
         formula, meaning = self._due.by_trigger.get(trigger), trigger.meaning
         number = self._world.snapshot.number
-        if formula is None or meaning is None or not self._due.is_evaluated_at(formula, number):
+        if formula is None or meaning is None or not formula.is_evaluated_at(number):
             return None
         if self.is_doubtful and not self._batches.is_current(trigger, self._world):
             return None
@@ -320,7 +297,7 @@ class TickBatch:
         if is_unchanged or (threshold and self._batches.has_same_tables(trigger, [self._world])):
             return (trigger.result,)
         try:
-            result = self._due.value(formula)
+            result = formula.value()
         except Exception:  # noqa: BLE001  # evaluated by itself, it raises the error with its place
             return None
         meaning.fingerprint = formula.version
