@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 from ssduck.lazy import offer
 
 if TYPE_CHECKING:
+    from ssduck.adapters.base import Selection
     from ssduck.adapters.grid_values import OccupancyGrid
-    from ssduck.adapters.registry import Selection, adapter
+    from ssduck.adapters.registry import adapter
     from ssduck.errors import ProgramWarning, SelectScriptError
     from ssduck.geometry.height_fields import height_field
     from ssduck.interchange.conversion import import_poses
@@ -86,7 +87,7 @@ _HOMES = {
     "Recording": "recording.spec",
     "Robot": "world.entities",
     "SelectScriptError": "errors",
-    "Selection": "adapters.registry",
+    "Selection": "adapters.base",
     "Sensor": "world.entities",
     "TriggerWarning": "interpreter.triggers.trigger",
     "World": "world.world",

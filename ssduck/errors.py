@@ -10,10 +10,11 @@ import difflib
 import sys
 import traceback
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import CodeType, FrameType
+from typing import Any
 
 # Longer messages and lines of a program are cut, to stay readable.
 MAX_MESSAGE_LENGTH = 4000
@@ -280,6 +281,17 @@ class SqlError(SelectScriptError, RuntimeError):
         super().__init__(message)
         self.is_final = is_final
         self.is_refused = is_refused
+
+
+def check_known(
+    name: Any,
+    known: Collection[str],
+    message: str,
+    error: type[SelectScriptError] = UnknownNameError,
+) -> None:
+    """Raises an error with the nearest names, unless a name is known."""
+    if name not in known:
+        raise error(message, suggestions=nearest(name, known))
 
 
 def warn(message: str, category: type[Warning] = UserWarning) -> None:

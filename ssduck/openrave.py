@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from ssduck.adapters.base import placed_shapes
 from ssduck.adapters.grid_values import MAX_CELLS
-from ssduck.adapters.shapes import placed_shapes
 from ssduck.errors import ArgumentError, nearest
 from ssduck.formatting import short_repr
 from ssduck.geometry.rasters.raster import Raster

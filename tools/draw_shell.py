@@ -14,8 +14,7 @@ from rich.console import Console
 from rich.text import Text
 
 import ssduck
-from ssduck.shell.running import greet, run
-from ssduck.shell.session import Session
+from ssduck.shell.session import Session, greet, run
 
 IMAGES = Path(__file__).resolve().parent.parent / "docs" / "images"
 TYPED = (

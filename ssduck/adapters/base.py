@@ -1,4 +1,7 @@
-"""Defines result forms: an `Adapter` makes the value after AS of a `Selection` of rows."""
+"""Defines result forms: an `Adapter` makes the value after AS of a `Selection` of rows.
+
+What several forms need is here, too: the sizes of values, the shapes of entities, and files.
+"""
 
 from __future__ import annotations
 
@@ -7,17 +10,20 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from pathlib import Path
+from typing import Any, BinaryIO, Literal, TypeAlias
 
 from ssduck.errors import ArgumentError, LimitError
+from ssduck.formatting import short_repr
+from ssduck.geometry.solids import PlacedSolids
 from ssduck.language.clauses import Rows
 from ssduck.language.operators import size_of
 from ssduck.language.tree import Query
 from ssduck.limits import Limits, UsageMeter
+from ssduck.recording.stores.atomic_files import write_atomically
+from ssduck.world.entities import Sensor
 from ssduck.world.handles import Handle
-
-if TYPE_CHECKING:
-    from ssduck.world.world import World
+from ssduck.world.world import World
 
 _VARIADIC = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 # The types of numbers, which a table does not make larger.
@@ -201,12 +207,7 @@ class Selection:
 
 
 class _TimedRows(list[tuple[Any, ...]]):
-    """Rows that check the time while they are iterated over, and count the sizes of their values.
-
-    Args:
-        rows: the rows.
-        meter: the use of the program's limits.
-    """
+    """Rows that check the time while one iterates over them, and count the sizes of values."""
 
     def __init__(self, rows: list[tuple[Any, ...]], meter: UsageMeter) -> None:
         super().__init__(rows)
@@ -275,3 +276,108 @@ def _collect_entities(value: Any, entities: dict[tuple[Handle, int | None], Hand
     elif isinstance(value, list | tuple):
         for part in value:
             _collect_entities(part, entities)
+
+
+# -- sizes ------------------------------------------------------------------------------------
+
+
+# A simulation of its own takes so much at least, bytes.
+WORLD_BYTES = 10_000_000
+# A node or an edge of a graph, with its attributes, and a pixel of a picture, bytes.
+_NODE_BYTES, _PIXEL_BYTES = 500, 4
+# The types of values that are counted elsewhere.
+_COUNTED = (type(None), str, int, float, list, tuple, dict, Handle)
+
+
+def made_bytes(value: Any) -> int:
+    """Returns the memory of a world, array, table, grid, mesh, picture or graph, bytes, roughly.
+
+    Of other values, whose texts and lists are counted elsewhere, it is 0.
+    """
+    if isinstance(value, _COUNTED):
+        return 0
+    if isinstance(value, World):
+        return WORLD_BYTES
+    arrays = [getattr(value, name, None) for name in ("cells", "points", "normals", "owners")]
+    if isinstance(geometry := getattr(value, "geometry", None), dict):  # of trimesh
+        arrays += [getattr(mesh, name, None) for mesh in geometry.values() for name in _OF_MESH]
+    size = sum(int(getattr(array, "nbytes", 0)) for array in [value, *arrays])
+    if callable(measure := getattr(value, "memory_usage", None)):  # of pandas
+        size += int(measure().sum())
+    if callable(measure := getattr(value, "estimated_size", None)):  # of polars
+        size += int(measure())
+    if callable(count := getattr(value, "number_of_nodes", None)):  # of networkx
+        size += _NODE_BYTES * (count() + value.number_of_edges())
+    if isinstance(width := getattr(value, "width", None), int):  # of Pillow
+        size += _PIXEL_BYTES * width * int(getattr(value, "height", 0))
+    return size
+
+
+_OF_MESH = ("vertices", "faces")
+
+
+# -- shapes -----------------------------------------------------------------------------------
+
+
+# The table that these result forms read.
+SHAPES = frozenset(("shapes",))
+
+
+def shapes_of(selection: Selection) -> PlacedSolids:
+    """Returns the shapes of the selected entities at the tick of the query; sensors have none."""
+    entities = [entity for entity in selection.entities if not isinstance(entity, Sensor)]
+    if not entities:
+        return PlacedSolids.empty()
+    return placed_shapes(selection.world, entities)
+
+
+def placed_shapes(world: World, entities: Sequence[Handle]) -> PlacedSolids:
+    """Returns the shapes of entities at the tick of their world."""
+    for entity in entities:
+        if not entity.is_there:
+            raise entity.removed()
+    world.request_tables(("shapes",))
+    shapes = world.snapshot.shapes()
+    ids = [entity.id for entity in entities]
+    for id in shapes.unknown(ids)[:1]:
+        name = world.handle(id).full_name
+        raise ArgumentError(f"{name!r}: the pose is not a number; exclude the entity by WHERE")
+    return shapes.placed(ids)
+
+
+# -- files ------------------------------------------------------------------------------------
+
+
+def check_file(selection: Selection, file: Any) -> Path:
+    """Returns the path of the file that a query writes."""
+    query = selection.query
+    if query.group or query.recursion is not None:
+        raise ArgumentError(
+            "each group or path would replace the file of the previous one; select without "
+            "GROUP BY or CONNECT BY"
+        )
+    if not isinstance(file, str) or not _is_path(file):
+        raise ArgumentError(f"the file must be a path in quotes, not {short_repr(file)}")
+    return Path(file)
+
+
+def _is_path(file: str) -> bool:
+    """Checks whether a file can have the path."""
+    try:
+        file.encode()
+    except UnicodeEncodeError:
+        return False
+    return "\0" not in file and bool(Path(file).name)
+
+
+def replace_file(path: Path, write: Callable[[BinaryIO], object]) -> None:
+    """Writes a file, all or nothing, in place of one that exists."""
+
+    def write_to(temporary: Path) -> None:
+        with temporary.open("wb") as stream:
+            write(stream)
+
+    try:
+        write_atomically(path, write_to)
+    except OSError as error:
+        raise ArgumentError(f"{path}: {error.strerror or error}") from error

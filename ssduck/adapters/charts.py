@@ -1,4 +1,4 @@
-"""Draws charts with Pillow: pictures with axes in metres, a scale of colours and a legend."""
+"""Draws charts with Pillow, in a plane or in space, with axes in metres and a legend."""
 
 from __future__ import annotations
 
@@ -8,7 +8,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
+import numpy as np
+import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
+
+from ssduck.geometry.arrays import Array, Indices
 
 Colour: TypeAlias = tuple[int, int, int]
 
@@ -59,12 +63,6 @@ def font() -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
 
 def ticks(low: float, high: float, count: int = 6, *, whole: bool = False) -> list[float]:
     """Returns at most about `count` round numbers between two numbers, which are finite.
-
-    Args:
-        low: the first number.
-        high: the last number.
-        count: the number of ticks.
-        whole: whether the ticks have to be whole numbers.
 
     >>> ticks(-1.7, 2.45)
     [-1.0, 0.0, 1.0, 2.0]
@@ -186,3 +184,169 @@ def png(picture: Image.Image) -> bytes:
     buffer = io.BytesIO()
     picture.save(buffer, "PNG")
     return buffer.getvalue()
+
+
+# -- points and triangles in space ------------------------------------------------------------
+
+
+# The direction to the viewer: degrees about z from x, and above the horizontal.
+_AZIMUTH, _ELEVATION = -60.0, 25.0
+_SIZE, _EDGE, _GAP = 480, 46, 12
+_FAINT = (205, 208, 214)
+# A shape in the shade has this share of its colour.
+_SHADE = 0.5
+# The box around shapes is at least this long, m.
+_SMALLEST = 1e-6
+
+
+class View:
+    """A picture of a box in space, seen from the front, the right and slightly above.
+
+    Args:
+        low: the lower corner, (3,), m.
+        high: the upper corner, (3,), m.
+    """
+
+    def __init__(self, low: Array, high: Array) -> None:
+        self._low, self._high = low, np.maximum(high, low + _SMALLEST)
+        a, e = math.radians(_AZIMUTH), math.radians(_ELEVATION)
+        right = np.array([-math.sin(a), math.cos(a), 0.0])
+        self.toward = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
+        self._plane = np.stack((right, np.cross(self.toward, right)), axis=1)
+        corners = self._corners() @ self._plane
+        self._first = corners.min(axis=0)
+        extent = np.ptp(corners, axis=0)
+        self._scale = _SIZE / float(extent.max())
+        self._height = float(extent[1]) * self._scale
+        size = (extent * self._scale).astype(int) + 2 * _EDGE
+        self.image = Image.new("RGB", (int(size[0]), int(size[1])), WHITE)
+        self.draw = ImageDraw.Draw(self.image)
+
+    def _corners(self) -> Array:
+        bounds = np.stack((self._low, self._high))
+        return np.array(
+            [[bounds[i, 0], bounds[j, 1], bounds[k, 2]] for i, j, k in np.ndindex(2, 2, 2)]
+        )
+
+    def pixels(self, points: Array) -> Array:
+        """Returns the places of points (…, 3) in the picture, (…, 2)."""
+        flat = (points @ self._plane - self._first) * self._scale
+        flat[..., 1] = self._height - flat[..., 1]
+        placed: Array = flat + _EDGE
+        return placed
+
+    def axes(self) -> None:
+        """Draws the floor, the walls behind, and the axes with their ticks."""
+        (x0, y0, z0), (x1, y1, z1) = self._low, self._high
+        floor = [(x0, y0, z0), (x1, y0, z0), (x1, y1, z0), (x0, y1, z0), (x0, y0, z0)]
+        walls = [(x0, y0, z0), (x0, y0, z1), (x0, y1, z1), (x1, y1, z1), (x1, y1, z0)]
+        for line in (floor, walls, [(x0, y1, z0), (x0, y1, z1)]):
+            self._line(line, _FAINT)
+        self._axis("x [m]", 0, (x0, y0, z0), (-4, 8), "rt")
+        self._axis("y [m]", 1, (x1, y0, z0), (7, 5), "lt")
+        self._axis("z [m]", 2, (x0, y0, z0), (-7, 0), "rm")
+
+    def _axis(
+        self, label: str, axis: int, start: Sequence[float], offset: tuple[int, int], anchor: str
+    ) -> None:
+        """Draws an axis from a corner of the box; its texts lie at an offset from it, pixels."""
+        first = np.array(start)
+        last = first.copy()
+        last[axis] = self._high[axis]
+        self._line([first, last], INK)
+        length = float(np.linalg.norm(np.diff(self.pixels(np.stack((first, last))), axis=0)))
+        for value in ticks(first[axis], last[axis], max(1, int(length // 40))):
+            point = first.copy()
+            point[axis] = value
+            x, y = self.pixels(point)
+            self.draw.line((x, y, x + offset[0], y + offset[1]), fill=INK)
+            text = (x + 1.4 * offset[0], y + 1.4 * offset[1])
+            self.draw.text(text, f"{value:g}", fill=INK, font=font(), anchor=anchor)
+        x, y = self.pixels(last if axis == 2 else (first + last) / 2)
+        middle = {0: (x - 26, y + 24), 1: (x + 22, y + 20), 2: (x, y - 14)}[axis]
+        centred = {0: "rt", 1: "lt", 2: "mm"}[axis]
+        self.draw.text(middle, label, fill=INK, font=font(), anchor=centred)
+
+    def _line(
+        self, points: Sequence[Sequence[float]] | Sequence[Array], colour: tuple[int, int, int]
+    ) -> None:
+        self.draw.line([(x, y) for x, y in self.pixels(np.array(points)).tolist()], fill=colour)
+
+    def with_legend(self, names: Sequence[str]) -> Image.Image:
+        """Returns the picture with the names of the colours at its right."""
+        side = beside(legend(names), None, self.image.height)
+        width = self.image.width + _GAP + side.width
+        whole = Image.new("RGB", (width, max(self.image.height, side.height + 2 * _GAP)), WHITE)
+        whole.paste(self.image)
+        whole.paste(side, (self.image.width, _GAP))
+        return whole
+
+
+def draw_points(points: Array, owners: Indices, names: Sequence[str]) -> Image.Image:
+    """Returns a picture of points, with a colour for each owner.
+
+    Args:
+        points: (n, 3), m.
+        owners: (n,), the index in `names` of each point's owner.
+        names: the names of the owners, for the legend.
+    """
+    if not len(points):
+        points, owners = np.zeros((0, 3)), np.zeros(0, dtype=np.intp)
+        return View(np.zeros(3), np.ones(3)).with_legend(names)
+    view = View(points.min(axis=0), points.max(axis=0))
+    view.axes()
+    order = np.argsort(points @ view.toward)  # the nearest points are drawn last
+    columns, rows = view.pixels(points[order]).astype(int).T
+    canvas = np.array(view.image)
+    colours = np.array(COLOURS, dtype=np.uint8)[owners[order] % len(COLOURS)]
+    for right in (0, 1):
+        canvas[rows, columns + right] = colours
+    view.image = Image.fromarray(canvas)
+    return view.with_legend(names)
+
+
+def draw_triangles(triangles: Array, owners: Indices, names: Sequence[str]) -> Image.Image:
+    """Returns a picture of triangles, (n, 3, 3), m; the rest is as for `draw_points`."""
+    if not len(triangles):
+        return View(np.zeros(3), np.ones(3)).with_legend(names)
+    view = View(triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1)))
+    view.axes()
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    lengths = np.linalg.norm(normals, axis=1)
+    light = view.toward + np.array([0.2, 0.0, 0.5])
+    shares = np.abs(normals @ (light / np.linalg.norm(light)))
+    shares /= np.where(lengths > 0.0, lengths, 1.0)
+    shades = (_SHADE + (1.0 - _SHADE) * shares)[:, None] * np.array(COLOURS)[owners % len(COLOURS)]
+    canvas = np.array(view.image)
+    _fill(canvas, view.pixels(triangles), triangles @ view.toward, shades.astype(np.uint8))
+    view.image = Image.fromarray(canvas)
+    return view.with_legend(names)
+
+
+def _fill(canvas: npt.NDArray[np.uint8], corners: Array, depths: Array, colours: Array) -> None:
+    """Fills triangles by a depth buffer: a pixel shows the nearest triangle.
+
+    Args:
+        canvas: the pixels, (height, width, 3), which are changed.
+        corners: the places of the corners in the picture, (n, 3, 2).
+        depths: how near the corners are to the viewer, (n, 3).
+        colours: red, green and blue, (n, 3).
+    """
+    nearest = np.full(canvas.shape[:2], -np.inf)
+    first = np.ceil(corners.min(axis=1)).astype(int)
+    last = np.floor(corners.max(axis=1)).astype(int) + 1
+    sides = corners[:, 1:] - corners[:, :1]
+    areas = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]
+    seen = (np.abs(areas) > 1e-9) & (last > first).all(axis=1)
+    for n in np.nonzero(seen)[0].tolist():
+        (left, top), (right, bottom) = first[n], last[n]
+        x = np.arange(left, right) - corners[n, 0, 0]
+        y = np.arange(top, bottom)[:, None] - corners[n, 0, 1]
+        (ax, ay), (bx, by) = sides[n] / areas[n]
+        second, third = x * by - y * bx, y * ax - x * ay
+        a, b, c = depths[n]
+        depth = a + second * (b - a) + third * (c - a)
+        window = nearest[top:bottom, left:right]
+        inside = (second >= 0) & (third >= 0) & (second + third <= 1) & (depth > window)
+        window[inside] = depth[inside]
+        canvas[top:bottom, left:right][inside] = colours[n]

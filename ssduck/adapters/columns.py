@@ -23,11 +23,7 @@ _DECIMAL_END = 10**38
 
 
 def table_of(selection: Selection) -> pa.Table:
-    """Returns the rows as an Arrow table.
-
-    Raises:
-        ArgumentError: a column holds values of several types, or two columns share a name.
-    """
+    """Returns the rows as an Arrow table."""
     names = checked_names(selection.columns)
     rows = selection.copied_rows
     columns = zip(*rows, strict=True) if rows else [()] * len(names)
@@ -36,11 +32,7 @@ def table_of(selection: Selection) -> pa.Table:
 
 
 def checked_names(names: Sequence[Any]) -> Sequence[str]:
-    """Returns the names of columns after checking them.
-
-    Raises:
-        ArgumentError: a name is not a string, or two names are equal.
-    """
+    """Returns the names of columns after checking them."""
     for index, name in enumerate(names):
         validation.text(name, "the name of a column must be a text")
         if name in names[:index]:
@@ -49,14 +41,7 @@ def checked_names(names: Sequence[Any]) -> Sequence[str]:
 
 
 def array_of(name: str, values: Iterable[Any]) -> pa.Array:
-    """Returns a column as an Arrow array.
-
-    Args:
-        name: the name of the column, for messages.
-        values: entities become their names, tuples become lists, None becomes null.
-
-    Raises:
-        ArgumentError: the values have several types, or a type that Arrow lacks.
+    """Returns a column as an Arrow array: entities become names, and None null.
 
     >>> array_of("height", [1, None, 2.5]).type
     DataType(double)

@@ -5,8 +5,10 @@ from __future__ import annotations
 import datetime as dt
 import math
 import sys
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import partial
@@ -24,6 +26,8 @@ if TYPE_CHECKING:
 
 # The width of output that goes elsewhere than to a terminal, in characters.
 WIDTH = 100
+# The number of rows of a table on a terminal.
+_TERMINAL_ROWS = 40
 # Stands for rows that are left out.
 ROW_MARK = "·"
 
@@ -92,10 +96,6 @@ class RowsOfColumns(ABC):
         """DuckDB's names of the columns' types."""
 
     @abstractmethod
-    def fetchall(self) -> list[tuple[Any, ...]]:
-        """Returns the rows not fetched yet, as tuples."""
-
-    @abstractmethod
     def arrow(self) -> pa.Table:
         """Returns the rows as a pyarrow table."""
 
@@ -115,10 +115,6 @@ class RowsOfColumns(ABC):
 def display_table(value: Any, max_rows: int | None = None) -> DisplayTable:
     """Returns a value as rows: an element of a list is a row, any other value is one row.
 
-    Args:
-        value: the value.
-        max_rows: the maximal number of rows, the first and the last ones; None for all.
-
     >>> display_table([{"id": "sink", "volume": 0.03}]).columns
     ['id', 'volume']
     """
@@ -133,12 +129,7 @@ _EXPLANATION = ["explain_key", "explain_value"]
 
 
 def readable_table(value: Any, max_rows: int | None = None) -> DisplayTable:
-    """Returns what people read of a value: DuckDB's plans as they are, other values as rows.
-
-    Args:
-        value: the value.
-        max_rows: the maximal number of rows, the first and the last ones; None for all.
-    """
+    """Returns what people read of a value: DuckDB's plans as they are, other values as rows."""
     if isinstance(value, RowsOfColumns) and value.columns == _EXPLANATION:
         plans = [[plan.rstrip("\n")] for _, plan in value]
         return DisplayTable(["value"], plans, named=False)
@@ -208,14 +199,10 @@ _SHORT_BITS = 2_000
 
 
 def as_json(value: Any, *, words: bool = False) -> Any:
-    """Converts a value for JSON: entities and worlds to names, NaN and infinity to null.
+    """Converts a value for JSON: entities and worlds to names, NaN and infinity to null or words.
 
     >>> as_json({"time": 0.5, "distance": math.inf})
     {'time': 0.5, 'distance': None}
-
-    Args:
-        value: the value.
-        words: whether NaN and infinities are the texts `NaN`, `Infinity` and `-Infinity`.
     """
     match value:
         case None | bool() | str():
@@ -334,6 +321,27 @@ def terminal_width() -> int | None:
     return WIDTH if _is_notebook() else None
 
 
+def terminal_rows() -> int | None:
+    """Returns the number of rows of a table that a terminal shows by default; None for all."""
+    return None if terminal_width() is None else _TERMINAL_ROWS
+
+
+@contextmanager
+def written_warnings() -> Iterator[None]:
+    """Writes the message of each warning once to standard error, without the place in the code."""
+    written: set[str] = set()
+
+    def write(message: Warning | str, *_: Any, **__: Any) -> None:
+        text = str(message)
+        if text not in written:
+            written.add(text)
+            sys.stderr.write(f"warning: {text}\n")
+
+    with warnings.catch_warnings():
+        warnings.showwarning = write
+        yield
+
+
 def _is_notebook() -> bool:
     """Checks whether the process is the kernel of a notebook, whose pages fold long lines."""
     return "ipykernel" in sys.modules and not hasattr(sys.stdout, "buffer")
@@ -349,12 +357,7 @@ def print_table(table: DisplayTable) -> None:
 
 
 def table_lines(table: DisplayTable, width: int | None = None) -> Iterable[str]:
-    """Returns the lines of a table with a note on its rows, or of a plain list of values.
-
-    Args:
-        table: the rows.
-        width: the maximal width, characters; None for the full width.
-    """
+    """Returns the lines of a table with a note on its rows, or of a plain list of values."""
     if table.is_list:
         lines: Iterable[str] = _value_lines(table)
     elif width is not None:

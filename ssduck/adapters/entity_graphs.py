@@ -32,9 +32,6 @@ class _Drawn:
 
         Args:
             plane: the plane, `"XY"`, `"XZ"` or `"YZ"`; by default that of the largest extents.
-
-        Raises:
-            ArgumentError: there is no such plane.
         """
         places, axes = _places(self, plane)
         points = np.array(list(places.values())).reshape(-1, 2)

@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO, TextIO
 
+from ssduck.adapters.base import replace_file
 from ssduck.adapters.display import (
     DisplayTable,
     RowsOfColumns,
@@ -26,8 +27,7 @@ from ssduck.adapters.display import (
     readable_table,
     table_lines,
 )
-from ssduck.adapters.files import replace_file
-from ssduck.errors import ArgumentError, UnknownNameError, nearest, printable
+from ssduck.errors import ArgumentError, check_known, printable
 
 # Characters that Markdown would interpret: [ only in links, _ only beside a word.
 _MARKDOWN = re.compile(r"[\\`*|~]|\[(?=[^]]*\]\()|(?<!\w)_|_(?!\w)")
@@ -137,19 +137,21 @@ def _png(value: Any, stream: BinaryIO) -> None:
 
 @dataclass(frozen=True)
 class Format:
-    """A format of files.
-
-    Attributes:
-        name: the name, as after `--format`.
-        write: writes a value to a text or binary stream.
-        suffixes: the suffixes of its files.
-        is_binary: whether the stream is binary.
-    """
+    """A format of files: it writes a value to a text stream, or to a binary one."""
 
     name: str
     write: Callable[[Any, Any], None]
     suffixes: tuple[str, ...]
     is_binary: bool = False
+
+    def write_bytes(self, value: Any, stream: BinaryIO) -> None:
+        """Writes a value to a binary stream, texts in UTF-8."""
+        if self.is_binary:
+            self.write(value, stream)
+            return
+        text = io.TextIOWrapper(stream, encoding="utf-8", newline="\n")
+        self.write(value, text)
+        text.detach()  # flushes, and leaves the stream open
 
 
 FORMATS = {
@@ -166,18 +168,11 @@ FORMATS = {
 
 
 def format_of(path: Path) -> Format:
-    """Returns the format of a file by its suffix.
-
-    Raises:
-        UnknownNameError: no format has the suffix.
-    """
+    """Returns the format of a file by its suffix."""
     by_suffix = {suffix: format for format in FORMATS.values() for suffix in format.suffixes}
     suffix = path.suffix.lower()
-    if suffix not in by_suffix:
-        raise UnknownNameError(
-            f"{path}: the suffix {suffix!r} is of no format; known are {', '.join(by_suffix)}",
-            suggestions=nearest(suffix, by_suffix),
-        )
+    message = f"{path}: the suffix {suffix!r} is of no format; known are {', '.join(by_suffix)}"
+    check_known(suffix, by_suffix, message)
     return by_suffix[suffix]
 
 
@@ -189,28 +184,8 @@ def text_of(value: Any, format: Format) -> str:
 
 
 def save(value: Any, path: Path, format: Format | None = None) -> Path:
-    """Writes a value to a file and atomically replaces an existing file of that name.
-
-    Args:
-        value: the value, with all its rows and columns.
-        path: the file.
-        format: the format; by default that of the file's suffix.
-
-    Raises:
-        UnknownNameError: no format has the suffix.
-        ArgumentError: the file cannot be written, or the format cannot hold the value.
-    """
-    chosen = format or format_of(path)
-
-    def write(stream: BinaryIO) -> None:
-        if chosen.is_binary:
-            chosen.write(value, stream)
-            return
-        text = io.TextIOWrapper(stream, encoding="utf-8", newline="\n")
-        chosen.write(value, text)
-        text.detach()  # flushes, and leaves the stream open
-
-    replace_file(path, write)
+    """Writes a value to a file and atomically replaces an existing file of that name."""
+    replace_file(path, partial((format or format_of(path)).write_bytes, value))
     return path
 
 
@@ -228,13 +203,7 @@ class _Terminal(io.TextIOBase):
 
 
 def print_value(value: Any, format: Format, max_rows: int | None = None) -> None:
-    """Writes a value to standard output.
-
-    Args:
-        value: the value.
-        format: a text format.
-        max_rows: the maximal number of rows of a table; None for all.
-    """
+    """Writes a value to standard output."""
     if format.name != "table":
         is_terminal = sys.stdout.isatty()
         format.write(value, _Terminal() if is_terminal else sys.stdout)

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from ssduck import validation
-from ssduck.adapters.base import Adapter, Selection
+from ssduck.adapters.base import SHAPES, Adapter, Selection, placed_shapes, shapes_of
 from ssduck.adapters.grid_values import MAX_CELLS, OccupancyGrid, PlaneGrid, SensorGrid, VoxelGrid
-from ssduck.adapters.shapes import SHAPES, placed_shapes, shapes_of
 from ssduck.errors import ArgumentError
 from ssduck.formatting import short_repr
 from ssduck.geometry.arrays import Array

@@ -8,8 +8,7 @@ import numpy as np
 import trimesh
 from PIL import Image
 
-from ssduck.adapters.charts import png
-from ssduck.adapters.views import draw_triangles
+from ssduck.adapters.charts import draw_triangles, png
 
 
 class MeshScene(trimesh.Scene):

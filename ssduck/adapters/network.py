@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 from ssduck.adapters.base import Adapter, Selection
-from ssduck.adapters.clauses import Clause, clauses, with_arguments
 from ssduck.adapters.columns import checked_names, plain_value
 from ssduck.adapters.display import readable
+from ssduck.adapters.logic import Clause, clauses, with_arguments
 from ssduck.adapters.optional import library
 from ssduck.errors import ArgumentError
 from ssduck.formatting import short_repr
@@ -25,7 +25,6 @@ class _Network:
     """Nodes and directed edges with attributes.
 
     Attributes:
-        entities: the entities by name.
         nodes: the attributes that the query selects, by the names of the nodes.
         edges: the attributes of each edge, by its start, its end and its key.
     """

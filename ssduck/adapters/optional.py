@@ -9,11 +9,7 @@ from ssduck.errors import UnsupportedError
 
 
 def library(name: str, extra: str) -> Any:
-    """Returns a library that an extra of ssduck installs.
-
-    Raises:
-        UnsupportedError: the library is not installed; the message says how to install it.
-    """
+    """Returns a library that an extra of ssduck installs."""
     try:
         return import_module(name)
     except ModuleNotFoundError as error:

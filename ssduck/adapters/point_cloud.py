@@ -62,7 +62,7 @@ class PointCloud:
 
     def image(self) -> Image.Image:
         """Returns a picture with axes in metres and a colour for each entity."""
-        from ssduck.adapters.views import draw_points
+        from ssduck.adapters.charts import draw_points
 
         return draw_points(self.points, self.owners, self.names)
 
@@ -121,20 +121,10 @@ def sample_points(
     seed: int,
     check: Callable[[float], None] = lambda _: None,
 ) -> PointCloud:
-    """Samples points uniformly from the surfaces of shapes.
+    """Samples points uniformly from the surfaces of shapes, also inside other shapes.
 
-    Args:
-        placed: the shapes. The whole surface of a shape is sampled, also inside other shapes.
-        names: the names of the owners, by their ids.
-        spacing: the mean distance, m: one point for each square of this side.
-        seed: the seed of the random numbers.
-        check: a function that is called with the number of points, and may raise an error.
-
-    Raises:
-        ArgumentError: a shape is an infinite plane, or there would be more than `MAX_POINTS`.
-
-    Warns:
-        ProgramWarning: the surface is smaller than the square of a point.
+    There is one point for each square with the side `spacing`, m. `check` gets the number of points
+    before they are made, and may raise an error. `names` are those of the owners by their ids.
     """
     random = np.random.default_rng(seed)
     areas = [surface_area(solid) for solid in placed.solids]

@@ -12,14 +12,12 @@ from importlib.metadata import entry_points
 from typing import Any, TypeVar
 
 from ssduck import validation
-from ssduck.adapters.base import Adapter, Need, Selection
-from ssduck.adapters.environment import WORLDS
+from ssduck.adapters.base import Adapter, Need
 from ssduck.adapters.grids import GRIDS
 from ssduck.adapters.logic import LOGIC
 from ssduck.adapters.network import NETWORK
-from ssduck.adapters.spatial import SPATIAL
-from ssduck.adapters.tabular import TABULAR
-from ssduck.adapters.values import VALUES
+from ssduck.adapters.spatial import SPATIAL, WORLDS
+from ssduck.adapters.tabular import TABULAR, VALUES
 from ssduck.errors import ArgumentError, UnknownNameError, nearest
 from ssduck.formatting import error_text, short_repr
 
@@ -105,11 +103,6 @@ def _check_name(name: Any) -> None:
 def find(name: str) -> Adapter:
     """Returns the form of a name, preferring the exact spelling to one in another case.
 
-    Raises:
-        UnknownNameError: no form has the name; the error suggests the nearest names.
-        ArgumentError: several forms have the name in other cases; or the package that provides
-            the form cannot be imported or provides something else.
-
     >>> find("df").usage
     'AS df | pandas | dataframe'
     """
@@ -123,12 +116,7 @@ def find(name: str) -> Adapter:
 
 
 def _exact_spelling(name: str, known: Collection[str]) -> str:
-    """Returns the exact spelling of a form that a program writes in another case.
-
-    Raises:
-        UnknownNameError: no form has the name; the error suggests the nearest names.
-        ArgumentError: several forms have the name.
-    """
+    """Returns the exact spelling of a form that a program writes in another case."""
     spellings = sorted(other for other in known if other.casefold() == name.casefold())
     if len(spellings) > 1:
         listed = " or ".join(spellings)
@@ -189,15 +177,3 @@ def _load(name: str, point: Any) -> Adapter:
     if not callable(loaded):
         raise ArgumentError(f"AS {name}: {point.value} is no function and no Adapter")
     return Adapter((name,), inspect.getdoc(loaded) or f"A form of {point.value}.", loaded)
-
-
-__all__ = [
-    "Adapter",
-    "Need",
-    "Selection",
-    "adapter",
-    "all_adapters",
-    "find",
-    "loaded_adapters",
-    "tables_read_by",
-]

@@ -1,9 +1,10 @@
-"""Defines `Result`, the rows that `ss.sql` returns."""
+"""Defines `Result`, the rows that `ss.sql` returns, and views of values as tables."""
 
 from __future__ import annotations
 
+import html
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
@@ -13,16 +14,24 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from ssduck import validation
-from ssduck.adapters.display import RowsOfColumns
-from ssduck.errors import EvaluationError
-from ssduck.formatting import count_of
+from ssduck.adapters.display import (
+    ROW_MARK,
+    RowsOfColumns,
+    fitted_table,
+    on_lines,
+    readable_table,
+    table_lines,
+    terminal_width,
+)
+from ssduck.adapters.text_table import FittedTable
+from ssduck.errors import ArgumentError, EvaluationError
+from ssduck.formatting import count_of, error_text, short_repr
 from ssduck.recording.stores.stored_columns import parts_of
 
 if TYPE_CHECKING:
     import pandas as pd
     import polars as pl
 
-    from ssduck.adapters.table_view import TableView
 
 # Representations list at most this number of columns.
 _MAX_NAMED = 12
@@ -247,8 +256,6 @@ class Result(RowsOfColumns):
 
 
 def _view(result: Result, rows: int | None = None) -> TableView:
-    from ssduck.adapters.table_view import MAX_ROWS, TableView
-
     return TableView(result, MAX_ROWS if rows is None else rows)
 
 
@@ -256,9 +263,6 @@ def python_values(column: pa.ChunkedArray | pa.Array) -> list[Any]:
     """Returns the Python values of a column; integral decimals become int.
 
     DuckDB exports its 128-bit integers as decimals.
-
-    Raises:
-        EvaluationError: Python cannot hold a date or a time.
     """
     chunks = column.chunks if isinstance(column, pa.ChunkedArray) else [column]
     if any(map(_has_day_end, chunks)):  # Python would take it for 0:00
@@ -305,3 +309,129 @@ def _type_name(type: pa.DataType) -> str:
         if is_family(type):
             return name
     return _TYPES.get(type, str(type))
+
+
+# -- frames of users --------------------------------------------------------------------------
+
+
+def arrow_of(frame: Any) -> pa.Table:
+    """Returns an Arrow table with a copy of the rows of a frame; see `Interpreter.register`."""
+    try:
+        table = _table_of(frame)
+    except (pa.ArrowException, TypeError, ValueError, AttributeError) as error:
+        raise ArgumentError(
+            f"register: {short_repr(frame)} is no table: {error_text(error)}"
+        ) from error
+    if table is None:
+        raise ArgumentError(
+            "register: give a data frame of pandas or polars, an Arrow table, a result of ss.sql, "
+            f"or a dict of columns, not {short_repr(frame)}"
+        )
+    # Arrow shares the memory of numpy's arrays.
+    copy = pa.BufferOutputStream()
+    with pa.ipc.new_stream(copy, table.schema) as stream:
+        stream.write_table(table)
+    return pa.ipc.open_stream(copy.getvalue()).read_all()
+
+
+def _table_of(frame: Any) -> pa.Table | None:
+    """Returns an Arrow table with the rows of a frame; None for what is none."""
+    match frame:
+        case pa.Table():
+            return frame
+        case Result():
+            return frame.arrow()
+        case Mapping() if frame:
+            return pa.table(dict(frame))
+    if type(frame).__module__.partition(".")[0] == "pandas":
+        return pa.Table.from_pandas(frame, preserve_index=False).replace_schema_metadata()
+    return pa.table(frame) if hasattr(frame, "__arrow_c_stream__") else None
+
+
+# -- views of tables --------------------------------------------------------------------------
+
+
+# The number of rows shown by default.
+MAX_ROWS = 20
+
+
+class TableView:
+    """A view of a value as a table: its first and last rows, numbers rounded to six digits.
+
+    A row of · stands for the rows in the middle that are left out, and a line below has the
+    counts. A terminal shows text that fits its width, a notebook shows HTML, and rich a table of
+    its own. Other output is text at full width.
+
+    Args:
+        value: the rows, a list of dicts for example.
+        rows: the maximal number of rows shown.
+
+    Raises:
+        NumberError: `rows` is not a whole number of at least 0.
+
+    >>> heights = [{"id": "sink", "z": 0.9}, {"id": "cup", "z": 1.0}, {"id": "lamp", "z": 2.1}]
+    >>> TableView(heights, rows=2)
+    id      z
+    ----  ---
+    sink  0.9
+    ·       ·
+    lamp  2.1
+    3 rows (2 shown)
+    """
+
+    def __init__(self, value: Any, rows: int = MAX_ROWS) -> None:
+        rows = validation.integer(rows, "show: rows", minimum=0)
+        self._table = readable_table(value, rows)
+
+    def text(self, width: int | None = None) -> str:
+        """Returns the table as a text.
+
+        Args:
+            width: the maximal width, characters; by default that of the terminal, if there is one.
+
+        Raises:
+            NumberError: `width` is not a whole number of at least 1.
+        """
+        if width is None:
+            width = terminal_width()
+        else:
+            width = validation.integer(width, "show: width", minimum=1)
+        return "\n".join(table_lines(self._table, width))
+
+    def __repr__(self) -> str:
+        return self.text()
+
+    def _repr_html_(self) -> str:
+        table = self._table
+        names = [*map(_escaped, table.columns)] if table.named else []
+        types = [f"<br><small>{_escaped(type)}</small>" for type in table.types]
+        head = _html_row("th", [*map("".join, zip(names, types, strict=True))] if types else names)
+        rows = [_html_row("td", map(_escaped, row)) for row in table.rows]
+        if table.omitted:
+            count = max([len(table.columns), *map(len, table.rows)])
+            rows.insert((len(rows) + 1) // 2, _html_row("td", [ROW_MARK] * count))
+        note = f"<p>{self._note}</p>" if self._note else ""
+        html_table = f"<table><thead>{head}</thead><tbody>{''.join(rows)}</tbody></table>"
+        # A wide table scrolls instead of widening the notebook.
+        return f'<div style="overflow-x: auto">{html_table}</div>{note}'
+
+    @property
+    def _note(self) -> str:
+        """The numbers of rows and of columns, if rows are left out."""
+        table = self._table
+        if not (table.omitted and table.named):
+            return table.row_note
+        count = len(table.columns)
+        return f"{table.row_note}, {count} column{'' if count == 1 else 's'}"
+
+    def __rich__(self) -> FittedTable:
+        return fitted_table(self._table)
+
+
+def _html_row(tag: str, cells: Any) -> str:
+    return f"<tr>{''.join(f'<{tag}>{cell}</{tag}>' for cell in cells)}</tr>"
+
+
+def _escaped(value: Any) -> str:
+    text = html.escape(on_lines(value))
+    return f"<pre>{text}</pre>" if "\n" in text else text

@@ -1,4 +1,4 @@
-"""Defines the spatial result forms: point clouds, meshes, glTF files, pictures."""
+"""Defines the spatial result forms: worlds, point clouds, meshes, glTF files, pictures."""
 
 from __future__ import annotations
 
@@ -9,19 +9,48 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ssduck import validation
-from ssduck.adapters.base import Adapter, Selection
-from ssduck.adapters.files import check_file, replace_file
-from ssduck.adapters.highlight import highlighted
-from ssduck.adapters.marks import Marks
+from ssduck.adapters.base import (
+    SHAPES,
+    WORLD_BYTES,
+    Adapter,
+    Selection,
+    check_file,
+    replace_file,
+    shapes_of,
+)
+from ssduck.adapters.marks import highlighted, marks_of
 from ssduck.adapters.point_cloud import PointCloud, sample_points
-from ssduck.adapters.shapes import SHAPES, shapes_of
 from ssduck.errors import ArgumentError
 from ssduck.geometry.solids import Solid
 from ssduck.lazy import import_whole
+from ssduck.world.world import World
 
 if TYPE_CHECKING:
     import trimesh
     from PIL import Image
+
+
+def environment(selection: Selection) -> World:
+    """Returns a new, running world of the selected entities, and those of links.
+
+    See `World.excerpt`.
+    """
+    selection.charge(WORLD_BYTES)
+    return selection.world.excerpt([handle.entity for handle in selection.entities])
+
+
+WORLDS = (
+    Adapter(
+        ("environment",),
+        "A new, running world of the selected entities, in its own simulation.",
+        environment,
+        needs="entities",
+    ),
+)
+
+
+# -- points, meshes and pictures --------------------------------------------------------------
+
 
 # In glTF, y points up and cameras look along -z.
 _UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
@@ -127,8 +156,7 @@ def _image(selection: Selection, width: Any = 960, height: Any = 720) -> Image.I
     for handle in selection.entities:
         if not handle.is_there:
             raise handle.removed()
-    marks = Marks(world)
-    found = dict.fromkeys(mark for row in selection.rows for mark in marks.of(row))
+    found = marks_of(world, selection.rows)
     if selection.rows and not found:
         raise ArgumentError(
             "no column holds an entity, a link, or the name of one; select them as obj(this), "

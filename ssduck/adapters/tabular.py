@@ -1,10 +1,11 @@
-"""Defines the tabular result forms: Arrow tables, data frames, arrays, JSON, Parquet files."""
+"""Defines the result forms of values and tables: dicts, lists, frames, arrays, JSON, files."""
 
 from __future__ import annotations
 
 import json
 from collections import namedtuple
 from functools import lru_cache
+from itertools import chain
 from typing import Any, cast
 
 import numpy as np
@@ -12,14 +13,65 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from ssduck import validation
-from ssduck.adapters.base import Adapter, Selection
+from ssduck.adapters.base import Adapter, Selection, check_file, replace_file
 from ssduck.adapters.columns import checked_names, plain_value, table_of
 from ssduck.adapters.display import DisplayTable, as_json
-from ssduck.adapters.files import check_file, replace_file
 from ssduck.adapters.formats import FORMATS, text_of
 from ssduck.adapters.optional import library
 from ssduck.adapters.result import Result, python_values
+from ssduck.errors import ArgumentError
 from ssduck.sql.types import EXACT
+
+# What a key of a dict takes, bytes.
+_KEY_BYTES = 32
+
+
+def _dicts(selection: Selection) -> list[dict[Any, Any]]:
+    rows = selection.read()
+    selection.charge(sum(map(len, rows.values[:1])) * len(rows.values) * _KEY_BYTES)
+    if isinstance(rows.names, list):
+        try:
+            return [
+                dict(zip(names, values, strict=True))
+                for names, values in zip(rows.names, rows.values, strict=True)
+            ]
+        except TypeError as error:
+            raise ArgumentError(f"this cannot be the name of a column: {error}") from error
+    return [dict(zip(rows.names, values, strict=True)) for values in rows.values]
+
+
+def _flat(selection: Selection) -> list[Any]:
+    return list(chain.from_iterable(selection.rows))
+
+
+_NO_DEFAULT: Any = ()
+
+
+def _single_value(selection: Selection, default: Any = _NO_DEFAULT) -> Any:
+    rows = selection.rows
+    if rows:
+        return rows[0][0]
+    return [] if default is _NO_DEFAULT else default
+
+
+VALUES = (
+    Adapter(
+        ("dict", "dictionary"),
+        "A list of dicts, one for each row, with the names of the columns as keys. The default.",
+        _dicts,
+        needs="columns",
+    ),
+    Adapter(("list",), "One flat list of the values, row by row.", _flat),
+    Adapter(
+        ("value", "val"),
+        "The value in the first column of the first row; default, or [], if there is no row.",
+        _single_value,
+    ),
+)
+
+
+# -- tables and texts -------------------------------------------------------------------------
+
 
 # The upper bound of numpy's 64-bit integers.
 _INT64_END = 2**63

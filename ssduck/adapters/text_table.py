@@ -79,12 +79,7 @@ class _Layout:
 
 
 class FittedTable:
-    """A table that fits a rich console or a given width.
-
-    Args:
-        columns: the columns; all have the same number of cells.
-        note: the number of rows, for the line below them; empty for none.
-    """
+    """A table that fits a rich console or a given width."""
 
     def __init__(self, columns: Sequence[TextColumn], note: str = "") -> None:
         self._columns = columns

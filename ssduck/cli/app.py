@@ -12,8 +12,6 @@ import io
 import os
 import signal
 import sys
-import warnings
-from collections.abc import Iterator
 from contextlib import AbstractContextManager, closing
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
@@ -21,12 +19,12 @@ from typing import Annotated, Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
-from ssduck.adapters.display import DisplayTable, print_line, print_table
-from ssduck.cli.interchange import import_, macros
+from ssduck.adapters.display import DisplayTable, print_line, print_table, written_warnings
 from ssduck.cli.lakes import ask, lake, tag
-from ssduck.cli.listings import functions, scenes
 from ssduck.cli.options import (
+    EpisodeNumber,
     FormatOption,
+    Location,
     Output,
     Program,
     ProgramFile,
@@ -38,11 +36,12 @@ from ssduck.cli.records import (
     check,
     episodes,
     export,
+    import_,
+    macros,
     open_or_load,
     record,
 )
-from ssduck.cli.rendering import render
-from ssduck.cli.viewing import view
+from ssduck.cli.viewing import functions, render, scenes, view
 from ssduck.errors import SelectScriptError, UnknownNameError, nearest
 from ssduck.recording.paths import is_record
 
@@ -55,7 +54,7 @@ class _Commands(TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:
         try:
-            with _written_warnings():
+            with written_warnings():
                 result = super().invoke(ctx)
         except (SelectScriptError, Warning) as error:  # `python -W error` raises warnings
             _write_error(str(error))
@@ -114,22 +113,6 @@ def _write_error(message: str) -> None:
 
     Console(stderr=True).print("error:", style="bold red", end=" ")
     sys.stderr.write(f"{message}\n")
-
-
-@contextlib.contextmanager
-def _written_warnings() -> Iterator[None]:
-    """Writes the message of each warning once, without the place in the code."""
-    written: set[str] = set()
-
-    def write(message: Warning | str, *_: Any, **__: Any) -> None:
-        text = str(message)
-        if text not in written:
-            written.add(text)
-            sys.stderr.write(f"warning: {text}\n")
-
-    with warnings.catch_warnings():
-        warnings.showwarning = write
-        yield
 
 
 # -- commands -----------------------------------------------------------------------------
@@ -242,11 +225,7 @@ def demo(
 def _demonstrate_scene(
     name: str, out: Path | None, output: Path | None, *, with_picture: bool, with_sql: bool
 ) -> None:
-    """Demonstrates a scene by queries, with a picture in a folder or a file, if requested.
-
-    Raises:
-        UnknownNameError: the name is neither a demonstration nor a scene.
-    """
+    """Demonstrates a scene by queries, with a picture in a folder or a file, if requested."""
     from ssduck.demos import NAMES
     from ssduck.demos.kitchen import ask
     from ssduck.interpreter.opening import with_usable_name
@@ -265,11 +244,7 @@ def _demonstrate_scene(
 
 
 def _created_folder(folder: Path) -> Path:
-    """Returns a folder, which it creates if necessary.
-
-    Raises:
-        SelectScriptError: the folder cannot be created.
-    """
+    """Returns a folder, which it creates if necessary."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -284,15 +259,6 @@ _Seconds = Annotated[
     float | None,
     typer.Option(
         min=0.0, metavar="T", help="Simulate T seconds first, rounded to whole steps of the scene."
-    ),
-]
-_Episode = Annotated[
-    int | None,
-    typer.Option(
-        min=0,
-        metavar="N",
-        help="The number of the episode of a record.",
-        show_default="the last one",
     ),
 ]
 _Strict = Annotated[
@@ -321,7 +287,7 @@ def query(
         int | None, typer.Option(min=0, metavar="N", help="Simulate N steps first.")
     ] = None,
     seconds: _Seconds = None,
-    episode: _Episode = None,
+    episode: EpisodeNumber = None,
     strict: _Strict = False,
 ) -> None:
     """Run a program on a scene or a record, and write its result.
@@ -334,7 +300,7 @@ def query(
     write = writer_of_result(format, output, rows)
     text = program_text(program, file)
 
-    from ssduck.interpreter.program import rows_to_show
+    from ssduck.interpreter.program import value_to_show
     from ssduck.limits import Limits
     from ssduck.validation import steps_in
 
@@ -343,7 +309,7 @@ def query(
     limits = Limits.strict() if strict else None
     program_time: AbstractContextManager[None] = contextlib.nullcontext()
     if limits is not None and context.obj is _OWN_PROCESS:
-        from ssduck.cli.child_process import supervised
+        from ssduck.cli.signals import supervised
 
         program_time = supervised(limits)
     # The output of a program is not its result.
@@ -354,7 +320,7 @@ def query(
         if steps:
             ss.worlds[0].step(steps)
         with program_time:
-            value = ss.sql(text) if sql else rows_to_show(ss.compile(text), ss.eval)
+            value = value_to_show(ss, text, "sql" if sql else "selectscript")
     write(value)
 
 
@@ -365,11 +331,9 @@ app.command("import")(import_)
 
 @app.command()
 def mcp(
-    location: Annotated[
-        str, typer.Argument(metavar="SCENE|RECORD", help="A scene, or the path of a record.")
-    ],
+    location: Location,
     seconds: _Seconds = None,
-    episode: _Episode = None,
+    episode: EpisodeNumber = None,
 ) -> None:
     r"""Answer agents over the Model Context Protocol, on standard input and output.
 
@@ -393,11 +357,9 @@ def mcp(
 
 @app.command()
 def shell(
-    location: Annotated[
-        str, typer.Argument(metavar="SCENE|RECORD", help="A scene, or the path of a record.")
-    ] = "kitchen",
+    location: Location = "kitchen",
     seconds: _Seconds = None,
-    episode: _Episode = None,
+    episode: EpisodeNumber = None,
     sql: Annotated[bool, typer.Option("--sql", help="Begin with SQL, not SelectScript.")] = False,
     history: Annotated[
         bool,
@@ -412,8 +374,7 @@ def shell(
     """
     from ssduck.adapters.optional import library
     from ssduck.limits import Limits
-    from ssduck.shell.running import greet, run_lines
-    from ssduck.shell.session import Session
+    from ssduck.shell.session import Session, greet, run_lines
 
     is_terminal = sys.stdin is not None and sys.stdin.isatty()
     if is_terminal:

@@ -3,44 +3,28 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from contextlib import redirect_stdout
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Literal, TypeAlias
 
 import typer
 
 from ssduck.adapters.display import print_line
 from ssduck.cli.options import (
-    Format,
     FormatOption,
     Output,
     Program,
     ProgramFile,
     Rows,
     program_text,
+    write_text,
     writer_of_result,
 )
 from ssduck.errors import ArgumentError, warn
 from ssduck.formatting import count_of
 
-
-class Engine(StrEnum):
-    """The engines of `ssduck ask`."""
-
-    LOCAL = "local"
-    RAY = "ray"
-    SPARK = "spark"
-
-
-class Dialect(StrEnum):
-    """The dialects of SQL that `ssduck ask` writes."""
-
-    DUCKDB = "duckdb"
-    SPARK = "spark"
-
-
+Engine: TypeAlias = Literal["local", "ray", "spark"]
+Dialect: TypeAlias = Literal["duckdb", "spark"]
 Lake = Annotated[
     str,
     typer.Argument(
@@ -113,103 +97,7 @@ ForgetMissing = Annotated[
 
 
 # The columns of episodes that a table on standard output leaves out.
-_NOT_IN_TABLES = [
-    "id",
-    "version",
-    "first_tick",
-    "last_tick",
-    "every",
-    "tables",
-    "entities",
-    "size",
-]
-
-
-def _list_episodes(
-    path: str,
-    where: str | None,
-    write: Callable[[Any], object],
-    *,
-    forget_missing: bool,
-    is_whole: bool,
-) -> None:
-    """Writes the episodes of a lake.
-
-    Args:
-        path: where the lake is.
-        where: a condition on the episodes.
-        write: writes a result.
-        forget_missing: whether to list episodes whose files are gone no longer.
-        is_whole: whether all columns are written, not only those that fit a terminal.
-    """
-    from ssduck.adapters.result import Result
-    from ssduck.lakes.lake import Lake as Episodes
-    from ssduck.lakes.where import no_episode
-
-    lake = Episodes(path)
-    if forget_missing:
-        lake.refresh(forget_missing=True)
-    episodes = lake.select(where)
-    if where is not None and not episodes.num_rows:
-        warn(no_episode(where, lake.episodes))
-    write(Result(episodes if is_whole else episodes.drop_columns(_NOT_IN_TABLES)))
-
-
-def _ask_lake(
-    path: str,
-    program: str,
-    write: Callable[[Any], object],
-    *,
-    where: str | None,
-    engine: Engine,
-    processes: int | None,
-    batch: int | None,
-    resume: Path | None,
-    strict: bool,
-) -> None:
-    """Writes the answers of the episodes of a lake; fails if an episode has an error."""
-    from ssduck.adapters.result import Result
-    from ssduck.lakes.lake import Lake as Episodes
-    from ssduck.limits import Limits
-
-    lake = Episodes(path)
-    with redirect_stdout(sys.stderr):  # the output of a program is not its result
-        answers = lake.ask(
-            program,
-            where,
-            engine.value,
-            limits=Limits.strict() if strict else None,
-            strict=strict,
-            processes=processes,
-            batch=batch,
-            resume=resume,
-        )
-    write(Result(answers))
-    failed = answers.num_rows - answers["error"].null_count
-    if failed:
-        sys.stderr.write(f"{count_of(failed, 'episode')} without an answer: see the column error\n")
-        raise typer.Exit(1)
-
-
-def _write_statement(
-    path: str,
-    program: str,
-    where: str | None,
-    dialect: Dialect,
-    output: Path | None,
-    *,
-    strict: bool,
-) -> None:
-    """Writes the statement of SQL that answers a program."""
-    from ssduck.lakes.lake import Lake as Episodes
-    from ssduck.limits import Limits
-
-    limits = Limits.strict() if strict else None
-    text = Episodes(path).sql(program, where, dialect.value, limits=limits)
-    if output is None:
-        print_line(text)
-    else:
-        output.write_text(f"{text}\n", encoding="utf-8")
+_NOT_IN_TABLES = ["id", "version", "first_tick", "last_tick", "every", "tables", "entities", "size"]
 
 
 def lake(
@@ -224,9 +112,19 @@ def lake(
 
     A table leaves out some of the columns; other formats and files have all.
     """
+    from ssduck.adapters.result import Result
+    from ssduck.lakes.lake import Lake as Episodes
+    from ssduck.lakes.where import no_episode
+
     write = writer_of_result(format, output, rows)
-    is_whole = output is not None or format not in (None, Format.TABLE)
-    _list_episodes(path, where, write, forget_missing=forget_missing, is_whole=is_whole)
+    lake = Episodes(path)
+    if forget_missing:
+        lake.refresh(forget_missing=True)
+    episodes = lake.select(where)
+    if where is not None and not episodes.num_rows:
+        warn(no_episode(where, lake.episodes))
+    is_whole = output is not None or format not in (None, "table")
+    write(Result(episodes if is_whole else episodes.drop_columns(_NOT_IN_TABLES)))
 
 
 def ask(
@@ -234,7 +132,7 @@ def ask(
     program: Program = None,
     file: ProgramFile = None,
     where: Where = None,
-    engine: EngineOption = Engine.LOCAL,
+    engine: EngineOption = "local",
     processes: Processes = None,
     batch: Batch = None,
     resume: Resume = None,
@@ -245,21 +143,33 @@ def ask(
     sql: SqlOption = None,
 ) -> None:
     """Ask all episodes below a path one question, and write their answers."""
+    from ssduck.adapters.result import Result
+    from ssduck.lakes.lake import Lake as Episodes
+    from ssduck.limits import Limits
+
+    limits = Limits.strict() if strict else None
     if sql is not None:
-        _write_statement(path, program_text(program, file), where, sql, output, strict=strict)
+        text = program_text(program, file)
+        write_text(Episodes(path).sql(text, where, sql, limits=limits), output)
         return
     write = writer_of_result(format, output, rows)
-    _ask_lake(
-        path,
-        program_text(program, file),
-        write,
-        where=where,
-        engine=engine,
-        processes=processes,
-        batch=batch,
-        resume=resume,
-        strict=strict,
-    )
+    text, lake = program_text(program, file), Episodes(path)
+    with redirect_stdout(sys.stderr):  # the output of a program is not its result
+        answers = lake.ask(
+            text,
+            where,
+            engine,
+            limits=limits,
+            strict=strict,
+            processes=processes,
+            batch=batch,
+            resume=resume,
+        )
+    write(Result(answers))
+    failed = answers.num_rows - answers["error"].null_count
+    if failed:
+        sys.stderr.write(f"{count_of(failed, 'episode')} without an answer: see the column error\n")
+        raise typer.Exit(1)
 
 
 def tag(
@@ -286,10 +196,10 @@ def tag(
     ssduck tag runs task=pick --program "success=on(sim.table, sim.cup);"
     """
     from ssduck.lakes.lake import Lake as Episodes
+    from ssduck.recording.tags import parsed_tag
 
     if not tags and not program:
         raise typer.BadParameter("there is no tag: give NAME=VALUE, or --program NAME=PROGRAM")
-    from ssduck.recording.tags import parsed_tag
 
     values = dict(map(parsed_tag, tags or ()))
     programs = []

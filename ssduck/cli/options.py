@@ -4,30 +4,29 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, TypeAlias
 
 import typer
 
-from ssduck.adapters.display import terminal_width
+from ssduck.adapters.display import print_line, terminal_rows
 from ssduck.errors import SelectScriptError
 
-# The number of rows of a table on a terminal.
-_TERMINAL_ROWS = 40
-
-
-class Format(StrEnum):
-    """The output formats of `ssduck query`."""
-
-    TABLE = "table"
-    CSV = "csv"
-    JSON = "json"
-    PARQUET = "parquet"
-    MARKDOWN = "markdown"
-
-
+Format: TypeAlias = Literal["table", "csv", "json", "parquet", "markdown"]
+Location = Annotated[
+    str, typer.Argument(metavar="SCENE|RECORD", help="A scene, or the path of a record.")
+]
+RecordPath = Annotated[Path, typer.Argument(metavar="RECORD", help="The record.")]
+EpisodeNumber = Annotated[
+    int | None,
+    typer.Option(
+        min=0,
+        metavar="N",
+        help="The number of the episode of a record.",
+        show_default="the last one",
+    ),
+]
 Program = Annotated[
     str | None,
     typer.Argument(
@@ -72,12 +71,7 @@ Rows = Annotated[
 def writer_of_result(
     name: Format | None, output: Path | None, rows: int | None
 ) -> Callable[[Any], object]:
-    """Returns the function that writes a result to standard output or a file.
-
-    Raises:
-        BadParameter: the options exclude each other, or Parquet has no file.
-        UnknownNameError: no format has the ending of the file.
-    """
+    """Returns the function that writes a result to standard output or a file."""
     from ssduck.adapters.formats import FORMATS, format_of, print_value, save
 
     if name is None:
@@ -90,18 +84,19 @@ def writer_of_result(
         return partial(save, path=output, format=format)
     if format.is_binary:
         raise typer.BadParameter(f"--format {format.name}: name a file, as in -o result.parquet")
-    if rows is None and terminal_width() is not None:
-        rows = _TERMINAL_ROWS
-    return partial(print_value, format=format, max_rows=rows)
+    return partial(print_value, format=format, max_rows=terminal_rows() if rows is None else rows)
+
+
+def write_text(text: str, output: Path | None) -> None:
+    """Writes a text to standard output or a file, with a line end."""
+    if output is None:
+        print_line(text)
+    else:
+        output.write_text(f"{text}\n", encoding="utf-8")
 
 
 def program_text(program: str | None, file: Path | None) -> str:
-    """Returns the text of the program: the argument, a file or standard input.
-
-    Raises:
-        BadParameter: there is no program, or there are two.
-        SelectScriptError: the file cannot be read.
-    """
+    """Returns the text of the program: the argument, a file or standard input."""
     if program is not None and file is not None:
         raise typer.BadParameter("the program is given twice: as an argument, and by --file")
     if file is not None and str(file) != "-":

@@ -1,9 +1,10 @@
-"""Defines the commands about records: `ssduck record`, `export`, `episodes` and `check`."""
+"""Defines the commands about records, and those that bring them to other tools and back."""
 
 from __future__ import annotations
 
 import signal
 import sys
+import tempfile
 from collections.abc import Collection
 from contextlib import nullcontext
 from pathlib import Path
@@ -13,13 +14,14 @@ import typer
 
 from ssduck.adapters.display import DisplayTable, print_line, print_table
 from ssduck.cli import signals
+from ssduck.cli.options import RecordPath, write_text
+from ssduck.errors import RecordError, warn
 from ssduck.formatting import count_of
 from ssduck.recording.paths import expand_path, is_record
 
 if TYPE_CHECKING:
     from ssduck.interpreter.interpreter import Interpreter
     from ssduck.limits import Limits
-    from ssduck.recording.episode import Episode
     from ssduck.world.world import World
 
 # The suffix of DuckDB files.
@@ -31,7 +33,7 @@ _Duration = Annotated[
         min=0.0, metavar="T", help="The simulated time, s, rounded to whole steps of the scene."
     ),
 ]
-_RecordPath = Annotated[
+_NewRecord = Annotated[
     Path,
     typer.Option(
         "--output",
@@ -73,7 +75,7 @@ _Tags = Annotated[
 def record(
     scene: Annotated[str, typer.Argument(metavar="SCENE", help="The name or the path of a scene.")],
     seconds: _Duration,
-    output: _RecordPath,
+    output: _NewRecord,
     tables: _Tables = None,
     entities: _Entities = None,
     every: Annotated[int, typer.Option(min=1, metavar="N", help="Record only each N-th step.")] = 1,
@@ -88,9 +90,12 @@ def record(
     tag: _Tags = None,
 ) -> None:
     """Simulate a scene and record it; each step of the simulator is a tick."""
+    from ssduck.interpreter.archives import episodes as episodes_of
     from ssduck.interpreter.opening import load
     from ssduck.recording.spec import Recording
+    from ssduck.recording.tags import parsed_tag
     from ssduck.schema import RECORDABLE
+    from ssduck.validation import steps_in
 
     output = expand_path(output)
     recording = Recording(
@@ -99,9 +104,6 @@ def record(
         every=every,
         flush_every=flush_every,
     )
-    from ssduck.recording.tags import parsed_tag
-    from ssduck.validation import steps_in
-
     tags = dict(map(parsed_tag, tag or ()))
     to_file = output.suffix == _DUCKDB_SUFFIX
     with signals.deferred() as received:
@@ -116,7 +118,7 @@ def record(
                 writer = ss.record_to(output, recording=recording, tags=tags)
             with writer or nullcontext():
                 _run(world, steps, received)
-    (*_, episode) = (e for e in _episodes(output) if e.world == world.name)
+    (*_, episode) = (e for e in episodes_of(output) if e.world == world.name)
     times = f"from {episode.start:g} s to {episode.end:g} s"
     if episode.ticks == 1:
         times = f"at {episode.start:g} s"
@@ -143,7 +145,7 @@ def _run(world: World, steps: int, received: Collection[int]) -> None:
 
 @signals.raised()
 def export(
-    path: Annotated[Path, typer.Argument(metavar="RECORD", help="The record.")],
+    path: RecordPath,
     output: Annotated[
         Path,
         typer.Option("--output", "-o", metavar="PATH", help="The folder; it is made if necessary."),
@@ -207,8 +209,6 @@ def export(
 
     tags = dict(map(parsed_tag, tag or ()))
     if format != "folder":
-        from ssduck.cli.interchange import export_as
-
         if pairs is not None:
             raise typer.BadParameter("--pairs: only records have a table of pairs")
         export_as(path, output, format, world, episode, fps, entities, (start, end))
@@ -221,11 +221,11 @@ def export(
             print_line(f"{name}: {folder}")
 
 
-def episodes(
-    path: Annotated[Path, typer.Argument(metavar="RECORD", help="The record.")],
-) -> None:
+def episodes(path: RecordPath) -> None:
     """List the episodes of a record: number, start, ticks, simulated times, tables and tags."""
-    listed = _episodes(path)
+    from ssduck.interpreter.archives import episodes as episodes_of
+
+    listed = episodes_of(path)
     columns = ["world", "episode", "started", "ticks", "from", "to", "tables"]
     rows = [
         [e.world, e.number, e.started, e.ticks, e.start, e.end, " ".join(e.tables)] for e in listed
@@ -238,7 +238,7 @@ def episodes(
 
 
 def check(
-    path: Annotated[Path, typer.Argument(metavar="RECORD", help="The record.")],
+    path: RecordPath,
     repair: Annotated[
         bool,
         typer.Option(
@@ -261,18 +261,8 @@ def check(
         raise typer.Exit(1)
 
 
-def _episodes(path: Path) -> list[Episode]:
-    from ssduck.interpreter.archives import episodes as episodes_of
-
-    return episodes_of(path)
-
-
 def open_or_load(location: str, episode: int | None, limits: Limits | None = None) -> Interpreter:
-    """Returns an interpreter for a record or a scene.
-
-    Raises:
-        BadParameter: an episode of a scene is requested.
-    """
+    """Returns an interpreter for a record or a scene."""
     from ssduck.interpreter import opening
 
     if is_record(location):
@@ -280,3 +270,130 @@ def open_or_load(location: str, episode: int | None, limits: Limits | None = Non
     if episode is not None:
         raise typer.BadParameter(f"--episode: {location} is no record")
     return opening.load(location, limits=limits)
+
+
+# -- other tools ------------------------------------------------------------------------------
+
+
+def macros(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="NAME", help="A relation to write; all are by default."),
+    ] = None,
+    record: Annotated[
+        Path | None,
+        typer.Option(
+            "--of",
+            metavar="RECORD",
+            help="A folder whose tables become views, with relations that look things up in them.",
+        ),
+    ] = None,
+    world: Annotated[
+        str | None, typer.Option(metavar="NAME", help="The world of the record.")
+    ] = None,
+    episode: Annotated[
+        int | None,
+        typer.Option(
+            min=0, metavar="N", help="The number of the episode.", show_default="the last one"
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="The file.", show_default="standard output"
+        ),
+    ] = None,
+) -> None:
+    """Write relations as macros for plain DuckDB, which needs no ssduck then.
+
+    The comments at the beginning name the relations that are not there, and why.
+    """
+    from ssduck.interchange.macros import macro_script
+    from ssduck.interpreter.archives import folder_run
+
+    if record is None and (world is not None or episode is not None):
+        raise typer.BadParameter("--world, --episode: name the record by --of")
+    run = None if record is None else folder_run(record, world, episode)
+    script = macro_script(tuple(names or ()), run)
+    if names:  # of all relations, some are never there
+        for name, reason in script.missing.items():
+            warn(f"{name} is not written: it is {reason}")
+    write_text(script.text.rstrip("\n"), output)
+
+
+def export_as(
+    path: Path,
+    output: Path,
+    format: str,
+    world: str | None,
+    episode: int | None,
+    fps: int | None,
+    entities: list[str] | None,
+    between: tuple[float | None, float | None],
+) -> None:
+    """Writes episodes of a record in a format of other tools: all of them, or one."""
+    from ssduck.interchange.conversion import write_runs
+    from ssduck.interpreter.archives import episodes
+    from ssduck.interpreter.opening import open_record
+    from ssduck.recording.folder_episodes import runs_in
+
+    is_part = entities is not None or between != (None, None)
+    with tempfile.TemporaryDirectory() as folder:
+        place = expand_path(path)
+        if place.is_dir() and not is_part:
+            listed = runs_in(place.absolute())
+        else:  # a DuckDB file, or a part of an episode: an export has it as a folder
+            for one in episodes(path):
+                if one.ticks and world in (None, one.world) and episode in (None, one.number):
+                    with open_record(path, one.world, one.number) as ss:
+                        ss.export(folder, entities=entities, start=between[0], end=between[1])
+            listed, episode = runs_in(Path(folder)), None
+        runs = [
+            run
+            for run in listed
+            if world in (None, run.world) and episode in (None, run.number) and run.has_ticks
+        ]
+        if not runs:
+            raise RecordError(f"{path} has no such episode with ticks")
+        for written in write_runs(runs, output, format, fps):
+            print_line(str(written))
+
+
+@signals.raised()
+def import_(
+    source: Annotated[
+        Path,
+        typer.Argument(metavar="SOURCE", help="An MCAP file, or a folder with a LeRobot dataset."),
+    ],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output", "-o", metavar="PATH", help="The folder of the record; it may have others."
+        ),
+    ],
+    world: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="The name of the world.",
+            show_default="that of the source, or world",
+        ),
+    ] = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            metavar="N",
+            help="Ticks per second of an MCAP file.",
+            show_default="those of its messages",
+        ),
+    ] = None,
+) -> None:
+    """Write the poses of an MCAP file or of a LeRobot dataset as a record.
+
+    A warning says what they do not tell of.
+    """
+    from ssduck.interchange.conversion import import_poses
+
+    for episode in import_poses(source, output, world=world, rate=rate):
+        ticks = f"{count_of(episode.ticks, 'tick')} of {episode.world!r}"
+        print_line(f"{ticks}: episode {episode.number} in {output}")

@@ -18,11 +18,12 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Any, TextIO
 
-from ssduck.cli.child_process import late_text, signal_text
 from ssduck.cli.records import open_or_load
+from ssduck.cli.signals import late_text, signal_text
 from ssduck.errors import LimitError, SelectScriptError
+from ssduck.interpreter.completion import Language
 from ssduck.limits import GRACE, Limits, ending_text, limit_process_memory, python_command
-from ssduck.mcp.answers import InterpreterAnswers, Language, WorkerError
+from ssduck.mcp.answers import InterpreterAnswers, WorkerError
 from ssduck.validation import steps_in
 
 # The line that stops the question before it.
@@ -35,10 +36,8 @@ class Source:
     """What a worker opens.
 
     Attributes:
-        location: a scene, or the path of a record.
         seconds: the time that a scene is simulated first, s.
         episode: the number of the episode of a record; None for the last one.
-        limits: the limits of programs.
     """
 
     location: str
@@ -48,14 +47,7 @@ class Source:
 
 
 class WorkerAnswers:
-    """The answers of a worker, which is started again after it has ended.
-
-    Args:
-        source: what it opens.
-
-    Raises:
-        WorkerError: it cannot be opened.
-    """
+    """The answers of a worker, which is started again after it has ended."""
 
     def __init__(self, source: Source) -> None:
         self._source = source
@@ -92,29 +84,15 @@ class WorkerAnswers:
         return str(self._ask("schema"))
 
     def help(self, name: str) -> str:
-        """Returns the description of a function, a relation or a result form.
-
-        Raises:
-            WorkerError: there is none of that name.
-        """
+        """Returns the description of a function, a relation or a result form."""
         return str(self._ask("help", name))
 
     def query(self, program: str, language: Language, max_rows: int) -> str:
-        """Returns the result of a program as JSON, cut to a number of rows and a largest size.
-
-        Raises:
-            WorkerError: the program failed.
-            LimitError: the worker was ended, or ended by itself.
-        """
+        """Returns the result of a program as JSON, cut to a number of rows and a largest size."""
         return str(self._ask("query", program, language, max_rows))
 
     def picture(self, program: str, language: Language, width: int, height: int) -> bytes:
-        """Returns the PNG picture of a program's result, or one where what it selects stands out.
-
-        Raises:
-            WorkerError: the program failed.
-            LimitError: the worker was ended, or ended by itself.
-        """
+        """Returns the PNG picture of a result, or one where what a program selects stands out."""
         return base64.b64decode(self._ask("picture", program, language, width, height))
 
     def _ask(self, *question: Any) -> Any:

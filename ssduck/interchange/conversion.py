@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
 
 from ssduck import validation
-from ssduck.errors import ArgumentError, RecordError, nearest, record_errors, warn
+from ssduck.errors import ArgumentError, RecordError, check_known, record_errors, warn
 from ssduck.formatting import short_repr
 from ssduck.interchange import lerobot, lerobot_reader, mcap, mcap_reader, rerun
 from ssduck.interchange.entities import KINDS, Entities, entities_of
@@ -25,28 +25,13 @@ _SUFFIXES = {".mcap": "mcap", ".rrd": "rrd"}
 def write_runs(
     runs: Sequence[FolderRun], output: Path, format: str, fps: int | None = None
 ) -> list[Path]:
-    """Writes recorded episodes in a format of other tools.
+    """Writes recorded episodes in a format of other tools, and returns what was written.
 
-    Args:
-        runs: the episodes.
-        output: a new folder for LeRobot; for the other formats the file of the only episode, or a
-            folder with a file for each.
-        format: lerobot, mcap or rrd.
-        fps: the frames per second of LeRobot; see `ssduck.interchange.lerobot.write_dataset`.
-
-    Returns:
-        What was written: the folder of the dataset, or the files.
-
-    Raises:
-        ArgumentError: there is no such format, or `fps` is not for it, or not above 0.
-        RecordError: the record is damaged, or the output cannot be written.
-        UnsupportedError: an extra is not installed.
+    The output is a new folder for LeRobot; for the other formats the file of the only episode, or a
+    folder with a file for each. See `ssduck.interchange.lerobot.write_dataset` for `fps`.
     """
-    if format not in FORMATS:
-        raise ArgumentError(
-            f"there is no format {short_repr(format)}: choose one of {', '.join(FORMATS)}",
-            suggestions=nearest(format, FORMATS),
-        )
+    message = f"there is no format {short_repr(format)}: choose one of {', '.join(FORMATS)}"
+    check_known(format, FORMATS, message, ArgumentError)
     if format == "lerobot":
         return [lerobot.write_dataset(output, map(motion_of, runs), fps)]
     if fps is not None:
@@ -140,11 +125,7 @@ def import_poses(
 
 
 def _entities(names: Sequence[str], kinds: Any, given: Entities | None) -> Entities:
-    """Returns the entities of frames: those given, and one for each frame that is no known link.
-
-    Raises:
-        ArgumentError: the source does not tell of one that is given.
-    """
+    """Returns the entities of frames: those given, and one for each frame that is no known link."""
     described: dict[str, dict[str, Any]] = {}
     frames: Sequence[str] = ()
     if given is not None:
@@ -152,11 +133,8 @@ def _entities(names: Sequence[str], kinds: Any, given: Entities | None) -> Entit
         own = given if isinstance(given, Mapping) else {name: {} for name in given}
         described = {name: dict(about) for name, about in own.items()}
     for frame in frames:
-        if frame not in names:
-            raise ArgumentError(
-                f"entities: the source does not tell of {short_repr(frame)}",
-                suggestions=nearest(frame, names),
-            )
+        message = f"entities: the source does not tell of {short_repr(frame)}"
+        check_known(frame, names, message, ArgumentError)
     known = kinds if isinstance(kinds, Mapping) else {}
     for name in names:
         if name in frames:

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from ssduck import validation
-from ssduck.errors import ArgumentError, nearest
+from ssduck.errors import ArgumentError, check_known
 from ssduck.formatting import short_repr
 from ssduck.geometry.mesh_files import load_hulls, load_mesh
 from ssduck.geometry.poses import IDENTITY, unit_quaternions
@@ -32,14 +32,7 @@ _ENTITY_KEYS = (*_LINK_KEYS, "kind", "movable", "links")
 
 
 def entities_of(entities: Entities) -> list[EntityInfo]:
-    """Returns the entities of a record, with the ids from 1 on.
-
-    Args:
-        entities: their descriptions by name, or their names; see `ssduck.write_record`.
-
-    Raises:
-        ArgumentError: a name, a key or a value is wrong.
-    """
+    """Returns the entities of a record, with the ids from 1 on."""
     if isinstance(entities, str) or not isinstance(entities, Mapping | Sequence):
         raise ArgumentError(
             f"entities: give a dict of descriptions by name, or a list of names, not "
@@ -69,11 +62,8 @@ def _entity(id: int, name: Any, description: Any) -> EntityInfo:
         raise ArgumentError(f"{where}: a name is a text of one letter or more")
     values = _checked(description, _ENTITY_KEYS, where)
     kind = values.get("kind", "kinbody")
-    if kind not in KINDS:
-        raise ArgumentError(
-            f"{where}: kind: {short_repr(kind)} is neither robot nor kinbody",
-            suggestions=nearest(str(kind), KINDS),
-        )
+    message = f"{where}: kind: {short_repr(kind)} is neither robot nor kinbody"
+    check_known(kind, KINDS, message, ArgumentError)
     links, shapes = _links(values, name, where)
     movable = validation.boolean(values.get("movable", True), f"{where}: movable")
     body = Body(id, name, kind, movable, tuple(links), (), tuple(shapes))
@@ -96,11 +86,8 @@ def _links(
             raise ArgumentError(f"{place}: a name is a text that no other link of it has")
         values = _checked(description, (*_LINK_KEYS, "parent"), place)
         parent = values.get("parent", name)
-        if parent not in numbers:
-            raise ArgumentError(
-                f"{place}: parent: {short_repr(parent)} is no link before it",
-                suggestions=nearest(str(parent), list(numbers)),
-            )
+        message = f"{place}: parent: {short_repr(parent)} is no link before it"
+        check_known(parent, numbers, message, ArgumentError)
         numbers[link] = len(links)
         shapes += _shapes(values, len(links), place)
         links.append(Link(link, numbers[parent], _mass(values, place)))
@@ -110,10 +97,7 @@ def _links(
 def _checked(description: Any, keys: Sequence[str], where: str) -> Mapping[str, Any]:
     values = validation.mapping(description, f"{where} is described in a dict")
     for key in values:
-        if key not in keys:
-            raise ArgumentError(
-                f"{where}: there is no key {short_repr(key)}", suggestions=nearest(str(key), keys)
-            )
+        check_known(key, keys, f"{where}: there is no key {short_repr(key)}", ArgumentError)
     return values
 
 

@@ -60,15 +60,6 @@ def write_dataset(folder: Path, motions: Iterable[Motion], fps: int | None = Non
         motions: the episodes, whose entities and joints have the same names.
         fps: the frames per second. A frame has the last tick until its time. None for a frame for
             each tick, if the ticks of all episodes are evenly spaced, and equally far apart.
-
-    Returns:
-        The folder.
-
-    Raises:
-        ArgumentError: `fps` is None, and the ticks are not evenly spaced, or others in another
-            episode; episodes have different entities; an entity is missing at some ticks; there is
-            no episode.
-        RecordError: the folder is not empty, or cannot be written.
     """
     try:
         if folder.exists() and any(folder.iterdir()):
@@ -273,11 +264,7 @@ def _task_table(tasks: Mapping[str, int]) -> pa.Table:
 
 
 def _frames_per_second(times: Array, which: str) -> int:
-    """Returns the number of ticks per second of evenly spaced ticks.
-
-    Raises:
-        ArgumentError: they are not, or their number is no whole one.
-    """
+    """Returns the number of ticks per second of evenly spaced ticks."""
     steps = np.diff(times)
     if not len(steps):
         raise ArgumentError(f"{which} has one tick: {_ADVICE}")
@@ -325,9 +312,6 @@ def _outcomes(motion: Motion, ticks: Indices, fps: int, which: str) -> dict[str,
     """Returns what is done in each frame before the last tick: action, reward and whether it ends.
 
     A frame has the action of the step that it is in. The reward of a step is in its last frame.
-
-    Raises:
-        ArgumentError: a step has no frame.
     """
     steps = motion.steps
     if steps is None or not steps.actions:

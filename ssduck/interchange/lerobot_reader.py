@@ -22,8 +22,8 @@ import pyarrow.parquet as pq
 from ssduck.errors import RecordError
 from ssduck.formatting import short_repr
 from ssduck.geometry.arrays import Array
-from ssduck.interchange.imported_poses import ImportedPoses
 from ssduck.interchange.lerobot import CODEBASE_VERSION, INDICES, INFO_PATH
+from ssduck.interchange.pose_batches import ImportedPoses
 from ssduck.schema import POSE
 
 # What stands for the indices in `data_path`.
@@ -50,10 +50,6 @@ def read_poses(folder: Path) -> Iterator[ImportedPoses]:
 
     Poses are found where a feature has names such as `cup.x`, `cup.y`, `cup.z` and, unless nothing
     is turned, `cup.qw` to `cup.qz`. Other features do not tell of named frames.
-
-    Raises:
-        RecordError: there is no such dataset, it is of another version, it has no poses, it has a
-            part of a pose, or it contradicts itself.
     """
     info = _read_json(_own_file(folder, INFO_PATH))
     if info.get("codebase_version") != CODEBASE_VERSION:
@@ -114,11 +110,7 @@ class _Dataset:
         return names if isinstance(names, list) else []
 
     def _places(self) -> _Places:
-        """Returns where the poses of each frame are.
-
-        Raises:
-            RecordError: nowhere, or at two places.
-        """
+        """Returns where the poses of each frame are."""
         found: dict[str, dict[str, tuple[str, int]]] = {}
         for feature in self.features:
             for place, name in enumerate(self._names(feature)):
@@ -226,11 +218,7 @@ class _Frames:
 
 
 def _times(rows: pa.Table, fps: float, which: str) -> Array:
-    """Returns the times of frames in their order, s.
-
-    Raises:
-        RecordError: their numbers or their timestamps are others.
-    """
+    """Returns the times of frames in their order, s."""
     numbers = np.arange(rows.num_rows)
     if "frame_index" in rows.column_names:
         told = rows["frame_index"].to_numpy()
@@ -256,11 +244,7 @@ def _times(rows: pa.Table, fps: float, which: str) -> Array:
 
 
 def _values(column: pa.ChunkedArray, feature: str, names: Sequence[Any], which: str) -> Array:
-    """Returns the numbers of a feature, (frames, names).
-
-    Raises:
-        RecordError: a frame has others than the names say, or texts or lists instead.
-    """
+    """Returns the numbers of a feature, (frames, names)."""
     kind, numbers = column.type, column
     is_list = pa.types.is_list(kind) or pa.types.is_large_list(kind)
     if is_list or pa.types.is_fixed_size_list(kind):
@@ -302,11 +286,7 @@ def _poses(frames: _Frames, places: _Places) -> pa.Table:
 
 
 def _rows_of(file: Path, columns: Sequence[str], **chosen: Any) -> pa.Table:
-    """Returns the rows of a file, with those of the columns that it has.
-
-    Raises:
-        RecordError: a file of few bytes claims to have very many.
-    """
+    """Returns the rows of a file, with those of the columns that it has."""
     metadata, size = pq.read_metadata(file), file.stat().st_size
     if metadata.num_rows > MAX_ROWS + size:
         raise RecordError(
@@ -339,11 +319,7 @@ def _is_in(path: str, columns: Sequence[str]) -> bool:
 
 
 def _own_file(folder: Path, name: str) -> Path:
-    """Returns the path of a file of a dataset.
-
-    Raises:
-        RecordError: it is elsewhere, or no file.
-    """
+    """Returns the path of a file of a dataset."""
     file = folder / name
     if not file.resolve().is_relative_to(folder.resolve()):
         raise RecordError(f"{file} is outside of {folder}")

@@ -15,7 +15,7 @@ from pathlib import Path
 import sqlglot
 from sqlglot import exp
 
-from ssduck.errors import UnknownNameError, nearest
+from ssduck.errors import check_known
 from ssduck.interchange.pairs import COLUMNS, pairs_of
 from ssduck.language.intervals import INTERVALS, RELATIONS_OF_INTERVALS
 from ssduck.recording.stores.history_sql import all_columns
@@ -42,13 +42,7 @@ _JOINTS = "of joints by their names and limits, which only ssduck reads"
 
 @dataclass(frozen=True)
 class MacroScript:
-    """A script for plain DuckDB.
-
-    Attributes:
-        text: the script.
-        names: the names of its macros.
-        missing: the relations that it lacks, with the reasons.
-    """
+    """A script for plain DuckDB, the names of its macros, and why it lacks other relations."""
 
     text: str
     names: tuple[str, ...]
@@ -56,22 +50,10 @@ class MacroScript:
 
 
 def macro_script(names: Sequence[str] = (), run: FolderRun | None = None) -> MacroScript:
-    """Returns a script of relations, and of the tables of an episode.
-
-    Args:
-        names: the names of the relations; none for all.
-        run: the episode, whose tables become views; None for formulas alone.
-
-    Raises:
-        UnknownNameError: there is no such relation.
-        RecordError: a file of the episode is missing or damaged.
-    """
+    """Returns a script of some relations, or of all, and of views of the tables of an episode."""
     known = [*RELATIONS, *(name for name in RELATIONS_OF_INTERVALS if name not in RELATIONS)]
     for name in names:
-        if name not in known:
-            raise UnknownNameError(
-                f"there is no relation {name!r}", suggestions=nearest(name, known)
-            )
+        check_known(name, known, f"there is no relation {name!r}")
     files = {} if run is None else _files_of(run)
     pairs = None if run is None else pairs_of(run)
     is_wanted = set(names or known)
@@ -135,12 +117,7 @@ def _one_line(text: str) -> str:
 
 @dataclass(frozen=True)
 class _Source:
-    """What a script is of.
-
-    Attributes:
-        tables: the tables of the record that have files; none without a record.
-        has_record: whether there is a record.
-    """
+    """What a script is of."""
 
     tables: frozenset[str]
     has_record: bool
@@ -197,11 +174,6 @@ def _without_lookups(tree: exp.Expr, name: str, entity: str) -> tuple[exp.Expr, 
 
     A view has what a subquery of the formula gives at each tick. It has names of its own: in a
     macro, an alias of the query takes the place of a parameter, and could be taken for a column.
-
-    Args:
-        tree: the formula.
-        name: the beginning of the names of the views.
-        entity: the parameter whose tick it is.
     """
     statements: list[str] = []
 

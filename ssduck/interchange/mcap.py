@@ -22,8 +22,7 @@ import numpy as np
 from ssduck.adapters.optional import library
 from ssduck.errors import ArgumentError
 from ssduck.geometry.shapes import PlacedGeometry
-from ssduck.interchange.meshes import mesh_of
-from ssduck.interchange.motion import Frame, Motion
+from ssduck.interchange.motion import Frame, Motion, mesh_of
 from ssduck.recording.stores.atomic_files import write_with_folders
 
 WORLD_FRAME = "world"
@@ -40,16 +39,7 @@ _TICK_SCHEMA = {
 
 
 def write_mcap(file: Path, motion: Motion) -> Path:
-    """Writes an episode to a file, all or nothing; an existing file is replaced.
-
-    Returns:
-        The file.
-
-    Raises:
-        UnsupportedError: the extra `mcap` is not installed.
-        ArgumentError: a time is negative, or 292 years or more.
-        RecordError: the file cannot be written.
-    """
+    """Writes an episode to a file, all or nothing; an existing file is replaced."""
     library("mcap", "mcap")
     library("mcap_protobuf", "mcap")
     library("foxglove_schemas_protobuf", "mcap")

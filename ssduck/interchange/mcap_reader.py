@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 from array import array
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +22,71 @@ from ssduck.errors import ArgumentError, RecordError, SelectScriptError
 from ssduck.formatting import count_of, short_repr
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.poses import compose, unit_quaternions
-from ssduck.interchange.imported_poses import ImportedPoses
 from ssduck.interchange.mcap import END, METADATA, NANO, TICKS
-from ssduck.interchange.mcap_records import records_of
+from ssduck.interchange.pose_batches import ImportedPoses
 from ssduck.schema import POSE
+
+# The largest size of a chunk, bytes: writers make them of some megabytes.
+MAX_CHUNK = 1 << 26
+# All chunks of a file have at most so many bytes, and so many for each byte of the file.
+MAX_SMALL, MAX_RATIO = 1 << 24, 100
+
+
+def records_of(file: Path) -> Iterator[Any]:
+    """Yields the records of a file, those in its chunks, too, in their order."""
+    from mcap.records import Chunk
+    from mcap.stream_reader import StreamReader, breakup_chunk
+
+    size = file.stat().st_size
+    left = MAX_SMALL + MAX_RATIO * size
+    with file.open("rb") as stream:
+        reader = StreamReader(stream, emit_chunks=True, validate_crcs=True, record_size_limit=size)
+        for record in reader.records:
+            if not isinstance(record, Chunk):
+                yield record
+                continue
+            largest = min(left, MAX_CHUNK)
+            if record.uncompressed_size > largest:
+                raise RecordError(
+                    f"{file} has a chunk of {record.uncompressed_size:,} bytes: ssduck reads "
+                    f"chunks of {MAX_CHUNK:,} bytes, and {MAX_RATIO} times the size of the file in "
+                    "all"
+                )
+            left -= record.uncompressed_size
+            data = _decompressed(record)
+            yield from breakup_chunk(replace(record, compression="", data=data), validate_crc=True)
+
+
+def _decompressed(chunk: Any) -> bytes:
+    """Returns the bytes of a chunk, which are no more than it says."""
+    match chunk.compression:
+        case "":
+            data: bytes = chunk.data
+        case "zstd":
+            data = _from_zstd(chunk.data, chunk.uncompressed_size)
+        case "lz4":
+            from lz4.frame import LZ4FrameDecompressor
+
+            data = LZ4FrameDecompressor().decompress(chunk.data, chunk.uncompressed_size + 1)
+        case other:
+            raise ValueError(f"a chunk has the unknown compression {other!r}")
+    if len(data) != chunk.uncompressed_size:
+        raise ValueError(f"a chunk has not the {chunk.uncompressed_size} bytes that it says")
+    return data
+
+
+def _from_zstd(data: bytes, size: int) -> bytes:
+    import zstandard
+
+    told = zstandard.get_frame_parameters(data).content_size
+    if told not in (size, 0, zstandard.CONTENTSIZE_UNKNOWN):
+        raise ValueError(f"a chunk has not the {size} bytes that it says")
+    result: bytes = zstandard.decompress(data, max_output_size=size)
+    return result
+
+
+# -- poses of a file --------------------------------------------------------------------------
+
 
 # A file gives at most so many poses, and about so many at once.
 MAX_POSES, _AT_ONCE = 10**8, 1 << 18
@@ -45,18 +106,10 @@ def read_poses(file: Path, rate: float | None = None) -> ImportedPoses:
     end them, by ids that are names of frames. The frame that is in no other one is the world. Other
     messages do not tell of named frames.
 
-    The ticks are those that ssduck wrote. In other files, a tick is at the time of a message; it
-    takes in earlier messages of other frames, which are less than a period of the most frequent
-    frame before. A message without a time of its own has the one of its log.
-
-    Args:
-        file: the file.
-        rate: ticks per second, from the first message on; None for the ticks above.
-
-    Raises:
-        UnsupportedError: the extra `mcap` is not installed.
-        RecordError: the file cannot be read, has no such poses, or its frames are no tree.
-        ArgumentError: at that rate, there are too many ticks.
+    The ticks are `rate` a second, from the first message on, or those that ssduck wrote. In other
+    files, a tick is at the time of a message; it takes in earlier messages of other frames, which
+    are less than a period of the most frequent frame before. A message without a time of its own
+    has the one of its log.
     """
     library("mcap", "mcap")
     library("mcap_protobuf", "mcap")
@@ -158,11 +211,7 @@ class _Told:
     def place(
         self, told: Any, logged: int, parent: str, name: str, position: Any, turn: Any
     ) -> None:
-        """Adds the pose of a frame in another one.
-
-        Raises:
-            ValueError: the frame has no name, the time is out of bounds, or the pose is no pose.
-        """
+        """Adds the pose of a frame in another one."""
         if not name:
             raise ValueError("a message tells of a frame without a name")
         pose = position.x, position.y, position.z, turn.w, turn.x, turn.y, turn.z
@@ -294,12 +343,7 @@ def _moments(told: _Told) -> Indices:
 
 
 def _ticks_of(file: Path, told: _Told, ordered: _Ordered, rate: float | None) -> _Ticks:
-    """Returns the ticks of a grid; or those that ssduck wrote; or else those of the messages.
-
-    Raises:
-        ArgumentError: the ticks of the grid have too many poses.
-        RecordError: the others have.
-    """
+    """Returns the ticks of a grid; or those that ssduck wrote; or else those of the messages."""
     moments, frames = ordered.moments, len(told.numbers)
     if rate is not None:
         count = int((moments[-1] - moments[0]) * (rate / NANO)) + 1
@@ -352,17 +396,7 @@ def _ends(ordered: _Ordered) -> Indices:
 
 
 class _Tree:
-    """The poses of frames in the world, along the tree of frames.
-
-    Args:
-        file: the file, for errors.
-        names: the names of the frames, and of those that have frames in them.
-        ordered: what the file tells of them.
-        ticks: the ticks.
-
-    Raises:
-        RecordError: the frames are in several trees, or in none.
-    """
+    """The poses of frames in the world, along the tree of frames."""
 
     def __init__(self, file: Path, names: list[str], ordered: _Ordered, ticks: _Ticks) -> None:
         self._file, self._all = file, names
@@ -390,11 +424,7 @@ class _Tree:
         )
 
     def tables(self) -> Iterator[pa.Table]:
-        """Yields the poses in the world, some ticks at a time.
-
-        Raises:
-            RecordError: at a tick, frames are relative to each other in a circle.
-        """
+        """Yields the poses in the world, some ticks at a time."""
         ends, count = self._ticks.ends, len(self._all)
         ticks = np.searchsorted(ends, np.arange(len(self._ordered.moments)), side="right")
         last = np.full(count, -1)
@@ -412,12 +442,7 @@ class _Tree:
             yield self._table(start, *self._in_world(latest, start))
 
     def _in_world(self, latest: Indices, start: int) -> tuple[Array, Indices]:
-        """Returns the poses of frames, (ticks, frames, 7), and the frames that they are in.
-
-        Args:
-            latest: the number of the last message of each frame, (ticks, frames); -1 for none.
-            start: the number of the first of these ticks.
-        """
+        """Returns the poses of the latest messages, (ticks, frames, 7), and their frames."""
         root, nowhere = self._root, len(self._all)
         above = np.full((len(latest), nowhere + 1), nowhere)
         parents = self._ordered.parents[latest]

@@ -1,14 +1,19 @@
-"""Reads what moves in a recorded episode: poses of frames, positions of joints, and actions."""
+"""Reads what an export has of an episode: what moves, actions, and the triangles of shapes."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
+import trimesh
 
-from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.arrays import Array, Flags, Indices, Triangles
+from ssduck.geometry.shapes import Geometry
+from ssduck.geometry.solids import solid_of
 from ssduck.recording.episode_steps import EpisodeSteps, recorded_steps
 from ssduck.recording.model_checks import check_models
 from ssduck.recording.static_tables import members_of
@@ -24,7 +29,6 @@ class Frame:
 
     Attributes:
         name: the name of the entity, or `entity.link`.
-        entity: the entity.
         link: the number of the link; 0 for the entity.
     """
 
@@ -38,7 +42,6 @@ class Motion:
     """What moves in an episode.
 
     Attributes:
-        run: the episode.
         frames: the frames, entity by entity, each followed by its links.
         ticks: the numbers of the ticks, (ticks,).
         times: their simulated times, s, (ticks,).
@@ -76,11 +79,7 @@ class Motion:
 
 
 def motion_of(run: FolderRun) -> Motion:
-    """Returns what moves in an episode.
-
-    Raises:
-        RecordError: a file is missing or damaged, or nothing was stored.
-    """
+    """Returns what moves in an episode."""
     models = {table: run.read(f"models/{table}") for table in MODELS}
     check_models(models, lambda table: str(run.place(f"models/{table}")))
     members = sorted(members_of(models).values(), key=lambda member: member.id)
@@ -89,10 +88,10 @@ def motion_of(run: FolderRun) -> Motion:
     frames = tuple(_frames(members))
     numbers = {(frame.entity.id, frame.link): n for n, frame in enumerate(frames)}
     poses = np.full((len(ticks), len(frames), 7), np.nan)
-    _fill(poses, _rows(run, "entities", ("id",), POSE), ticks, numbers)
+    fill(poses, _rows(run, "entities", ("id",), POSE), ticks, numbers)
     links = "links" if "links" in run.tables else FRAMES
     if links in run.tables:
-        _fill(poses, _rows(run, links, ("entity", "link"), POSE), ticks, numbers)
+        fill(poses, _rows(run, links, ("entity", "link"), POSE), ticks, numbers)
     joints, positions = _joints(run, members, ticks)
     steps = None
     if (run.world, run.number) in recorded_steps(run.path):
@@ -113,14 +112,20 @@ def _rows(
 ) -> Iterator[tuple[Indices, list[Indices], Array]]:
     """Yields the ticks, keys and values of the rows of each part of a table, and of its log."""
     for rows in (*run.parts_of(table), *([run.log[table]] if run.log else [])):
-        numbers = [rows[key].to_numpy() for key in keys]
-        columns = [rows[name].to_numpy() for name in values]
-        yield rows["tick"].to_numpy(), numbers, np.column_stack(columns)
+        yield rows_of(rows, keys, values)
 
 
-def _fill(
-    target: Array,
-    parts: Iterator[tuple[Indices, list[Indices], Array]],
+def rows_of(
+    rows: pa.Table, keys: Sequence[str], values: Sequence[str]
+) -> tuple[Indices, list[Indices], Array]:
+    """Returns the ticks, the keys and the values, (rows, values), of a table."""
+    columns = [rows[name].to_numpy() for name in values]
+    return rows["tick"].to_numpy(), [rows[key].to_numpy() for key in keys], np.column_stack(columns)
+
+
+def fill(
+    target: npt.NDArray[Any],
+    parts: Iterable[tuple[Indices, list[Indices], Array]],
     ticks: Indices,
     numbers: Mapping[tuple[int, int], int],
 ) -> None:
@@ -152,13 +157,40 @@ def _joints(
     ]
     numbers = {(id, number): place for place, (id, number, _) in enumerate(named)}
     positions = np.full((len(ticks), len(named), 1), np.nan)
-    _fill(positions, _rows(run, "joints", ("entity", "joint"), ("position",)), ticks, numbers)
+    fill(positions, _rows(run, "joints", ("entity", "joint"), ("position",)), ticks, numbers)
     return tuple(name for _, _, name in named), positions[:, :, 0]
 
 
-def as_table(motion: Motion) -> pa.Table:
-    """Returns the poses as a table that `ssduck.write_record` takes: a row for each frame there."""
-    tick, frame = np.nonzero(motion.present)
-    names = pa.array(motion.names)
-    columns = {name: motion.poses[tick, frame, place] for place, name in enumerate(POSE)}
-    return pa.table({"time": motion.times[tick], "name": names.take(pa.array(frame)), **columns})
+# -- meshes -----------------------------------------------------------------------------------
+
+
+_SIDES = 32
+# Half the edge of the square that stands for a plane, m.
+PLANE_HALF_SIZE = 10.0
+
+
+def mesh_of(geometry: Geometry) -> tuple[Array, Triangles]:
+    """Returns the vertices (n, 3), m, and triangles (m, 3) of a hull, mesh, capsule or plane.
+
+    A capsule has so many sides; a plane is a square around the origin.
+    """
+    match geometry.type:
+        case "plane":
+            return _square(np.array(geometry.size))
+        case "capsule":
+            radius, length, _ = geometry.size
+            capsule = trimesh.creation.capsule(radius=radius, height=length, count=[_SIDES, _SIDES])
+            capsule.apply_translation(-capsule.bounds.mean(axis=0))
+            return np.array(capsule.vertices), np.array(capsule.faces, dtype=np.int32)
+        case _:
+            surface = solid_of(geometry).surface
+            return surface.vertices, surface.faces.astype(np.int32)
+
+
+def _square(normal: Array) -> tuple[Array, Triangles]:
+    along = np.eye(3)[np.argmin(np.abs(normal))]
+    first = np.cross(normal, along)
+    first /= np.linalg.norm(first)
+    sides = np.array([first, np.cross(normal, first)])
+    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    return PLANE_HALF_SIZE * (signs @ sides), np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)

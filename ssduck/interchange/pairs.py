@@ -34,11 +34,7 @@ COLUMNS = pa.schema(
 
 
 def checked_distance(within: float) -> float:
-    """Returns the largest clearance of pairs, m.
-
-    Raises:
-        NumberError: it is no finite number from 0 up.
-    """
+    """Returns the largest clearance of pairs, m."""
     distance = validation.finite_number(within, "pairs", "metres")
     if distance < 0.0:
         raise NumberError(f"pairs: {distance:g} m is less than 0")
@@ -60,11 +56,7 @@ def pair_query(schema: str) -> str:
 
 
 def write_pairs(run: FolderRun, rows: pa.Table, within: float) -> Path:
-    """Writes the pairs of an episode; returns their file.
-
-    Raises:
-        RecordError: the file cannot be written, or a link leads it out of the record.
-    """
+    """Writes the pairs of an episode; returns their file."""
     file = run.place(PAIRS) / part_name(0)
     check_inside(run.path, file)
     label = run.label(PAIRS, 0)
@@ -81,11 +73,7 @@ def write_pairs(run: FolderRun, rows: pa.Table, within: float) -> Path:
 
 
 def pairs_of(run: FolderRun) -> tuple[Path, float] | None:
-    """Returns the file of an episode's pairs, and their largest clearance, m; None without one.
-
-    Raises:
-        RecordError: the file is damaged, or of another episode.
-    """
+    """Returns the file of an episode's pairs, and their largest clearance, m; None without one."""
     file = run.place(PAIRS) / part_name(0)
     check_inside(run.path, file)
     if not file.is_file():

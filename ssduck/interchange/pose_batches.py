@@ -6,7 +6,7 @@ the entities, each followed by its links.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from ssduck.errors import ArgumentError, nearest
+from ssduck.errors import ArgumentError, check_known
 from ssduck.formatting import short_repr
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.poses import unit_quaternions
@@ -60,16 +60,9 @@ class Frames:
         return len(self.names)
 
     def number(self, name: Any, argument: str) -> int:
-        """Returns the number of a frame.
-
-        Raises:
-            ArgumentError: there is none of that name; with the nearest names.
-        """
-        if name not in self.names:
-            raise ArgumentError(
-                f"{argument}: no entity or link is called {short_repr(name)}",
-                suggestions=nearest(str(name), self.names),
-            )
+        """Returns the number of a frame."""
+        message = f"{argument}: no entity or link is called {short_repr(name)}"
+        check_known(name, self.names, message, ArgumentError)
         return self.names.index(name)
 
 
@@ -100,19 +93,16 @@ def batch_of(
     *,
     are_whole: bool = True,
 ) -> PoseBatch:
-    """Returns poses as a batch.
+    """Returns poses as a batch; see `ssduck.write_record`.
 
     Args:
         frames: the frames of the record.
-        poses: see `ssduck.write_record`.
+        poses: an array, arrays by name, or a table.
         times: the times of the ticks, s, (ticks,); None if a table has them.
         velocities: like `poses`; None for unknown ones.
         after: the time of the last tick before them, s; None if there is none.
         are_whole: whether a tick of a table that has a part of an entity is an error; otherwise
             the entity is not there.
-
-    Raises:
-        ArgumentError: a shape, a name or a number is wrong.
     """
     if hasattr(poses, "__arrow_c_stream__") or hasattr(poses, "__arrow_c_array__"):
         if times is not None or velocities is not None:
@@ -230,12 +220,11 @@ def _batch_of_table(frames: Frames, table: pa.Table, *, are_whole: bool) -> Pose
     present = set(table.column_names)
     needed = ("time", "name", *POSE[:3])
     for column in needed:
-        if column not in present:
-            raise ArgumentError(
-                f"poses: the table has no column {column!r}; it needs {', '.join(needed)}, and may "
-                f"have {', '.join((*POSE[3:], *TWIST))}",
-                suggestions=nearest(column, table.column_names),
-            )
+        message = (
+            f"poses: the table has no column {column!r}; it needs {', '.join(needed)}, and may "
+            f"have {', '.join((*POSE[3:], *TWIST))}"
+        )
+        check_known(column, present, message, ArgumentError)
     for group in (POSE[3:], TWIST):
         lacking = [name for name in group if name not in present]
         if lacking and len(lacking) < len(group):
@@ -333,11 +322,7 @@ def _whole_entities(frames: Frames, times: Array, is_there: Flags) -> Flags:
 
 
 def _with_unit_quaternions(batch: PoseBatch, frames: Frames) -> Array:
-    """Returns the poses with quaternions of unit length; those that have it keep their bits.
-
-    Raises:
-        ArgumentError: one has the length 0.
-    """
+    """Returns the poses with quaternions of unit length; those that have it keep their bits."""
     turned = batch.poses[..., 3:]
     squares: npt.NDArray[np.float64] = np.sum(turned * turned, axis=2)
     squares[~batch.present[:, frames.owners]] = 1.0
@@ -354,3 +339,23 @@ def _with_unit_quaternions(batch: PoseBatch, frames: Frames) -> Array:
     poses = batch.poses.copy()
     poses[..., 3:][others] = unit_quaternions(turned[others])
     return poses
+
+
+# -- imported poses ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class ImportedPoses:
+    """The poses of an episode.
+
+    Attributes:
+        names: the names of the frames, those of entities that are known before those of links.
+        tables: tables of poses, as `ssduck.write_record` takes them, one after the other.
+        about: what the source says of the episode: `world`, `tags`, `kinds` and `task`.
+        unread: what is in the source and not in the tables.
+    """
+
+    names: Sequence[str]
+    tables: Iterable[pa.Table]
+    about: Mapping[str, Any]
+    unread: Sequence[str]

@@ -112,9 +112,6 @@ def write_tables(
     """Writes tables of poses as an episode, one after the other; see `write_record`.
 
     Frames come and go by themselves: an entity is there when all of its links are.
-
-    Raises:
-        ArgumentError: as for `write_record`; nothing is written.
     """
     writer = RecordWriter(folder, entities, world=world, tags=tags)
     return writer.write_whole(

@@ -13,21 +13,12 @@ import numpy as np
 
 from ssduck.adapters.optional import library
 from ssduck.geometry.shapes import PlacedGeometry
-from ssduck.interchange.meshes import mesh_of
-from ssduck.interchange.motion import Motion
+from ssduck.interchange.motion import Motion, mesh_of
 from ssduck.recording.stores.atomic_files import write_with_folders
 
 
 def write_rrd(file: Path, motion: Motion) -> Path:
-    """Writes an episode to a file, all or nothing; an existing file is replaced.
-
-    Returns:
-        The file.
-
-    Raises:
-        UnsupportedError: the extra `rerun` is not installed.
-        RecordError: the file cannot be written.
-    """
+    """Writes an episode to a file, all or nothing; an existing file is replaced."""
     rerun = library("rerun", "rerun")
     write_with_folders(file, lambda place: _write(rerun, place, motion))
     return file

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ssduck import validation
-from ssduck.adapters.frames import arrow_of
+from ssduck.adapters.result import arrow_of
 from ssduck.database.database import Database
 from ssduck.errors import ArgumentError
 from ssduck.interpreter.execution import Execution

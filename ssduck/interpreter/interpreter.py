@@ -31,9 +31,9 @@ from typing import Any, Literal, Never, Protocol, Self, cast
 from weakref import WeakKeyDictionary
 
 from ssduck import validation
-from ssduck.adapters.registry import Adapter, find
-from ssduck.adapters.result import Result
-from ssduck.adapters.table_view import MAX_ROWS, TableView
+from ssduck.adapters.base import Adapter
+from ssduck.adapters.registry import find
+from ssduck.adapters.result import MAX_ROWS, Result, TableView
 from ssduck.database.database import Database
 from ssduck.errors import SqlError, UnknownNameError
 from ssduck.formatting import count_of, first_names

@@ -12,8 +12,8 @@ from types import MappingProxyType
 from typing import Any
 
 from ssduck import validation
+from ssduck.adapters.base import made_bytes
 from ssduck.adapters.registry import all_adapters, tables_read_by
-from ssduck.adapters.sizes import made_bytes
 from ssduck.database.database import Database
 from ssduck.errors import ArgumentError, LimitError, UnknownNameError, nearest, warn
 from ssduck.formatting import name_path, short_repr

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, TypeAlias
 
-from ssduck.adapters.registry import Adapter, Selection, all_adapters, find
-from ssduck.adapters.sizes import made_bytes
+from ssduck.adapters.base import Adapter, Selection, made_bytes
+from ssduck.adapters.registry import all_adapters, find
 from ssduck.errors import (
     ArgumentError,
     EvaluationError,

@@ -79,6 +79,11 @@ def rows_to_show(compiled: CompiledProgram, evaluate: Callable[[CompiledProgram]
     return evaluate(with_last(compiled, query, form, limit=none, offset=None))
 
 
+def value_to_show(ss: Any, text: str, language: str) -> Any:
+    """Returns the value of a program in SelectScript, or of one in SQL, for an interpreter."""
+    return ss.sql(text) if language == "sql" else rows_to_show(ss.compile(text), ss.eval)
+
+
 def last_query(compiled: CompiledProgram) -> Query | None:
     """Returns the query that ends a program; None if something else does."""
     statements = compiled.tree.statements

@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-import io
-from typing import Any, Protocol, TypeAlias
-from typing import Literal as OneOf
+from typing import Any, Protocol
 
+from ssduck.adapters.charts import png
 from ssduck.adapters.display import RowsOfColumns, display_table, numbered_duplicates
 from ssduck.adapters.formats import png_of
-from ssduck.adapters.highlight import highlighted
-from ssduck.adapters.marks import Marks
+from ssduck.adapters.marks import highlighted, marks_of
 from ssduck.errors import ArgumentError, SelectScriptError
 from ssduck.formatting import short_repr
+from ssduck.interpreter.completion import Language
 from ssduck.interpreter.interpreter import Interpreter
-from ssduck.interpreter.program import last_query, rows_to_show, with_last
+from ssduck.interpreter.program import last_query, value_to_show, with_last
 from ssduck.interpreter.stopping import StopRequest
 from ssduck.language.tree import AdapterClause, Literal
-from ssduck.mcp.guide import description
-from ssduck.mcp.texts import as_text
+from ssduck.mcp.guide import as_text, description
 
 # The largest size of a result, letters, and of a picture, pixels along a side.
 MAX_LETTERS, MAX_PIXELS = 50_000, 2_000
-
-Language: TypeAlias = OneOf["selectscript", "sql"]
 
 
 class WorkerError(SelectScriptError):
@@ -52,11 +48,7 @@ class Answers(Protocol):
 
 
 class InterpreterAnswers:
-    """The answers of an interpreter in this process.
-
-    Args:
-        ss: the interpreter.
-    """
+    """The answers of an interpreter in this process."""
 
     def __init__(self, ss: Interpreter) -> None:
         self._ss = ss
@@ -75,32 +67,16 @@ class InterpreterAnswers:
         return description(self._ss)
 
     def help(self, name: str) -> str:
-        """Returns the description of a function, a relation or a result form.
-
-        Raises:
-            UnknownNameError: there is none of that name.
-        """
+        """Returns the description of a function, a relation or a result form."""
         return str(self._ss.help(name))
 
     def query(self, program: str, language: Language, max_rows: int) -> str:
-        """Returns the result of a program as JSON, cut to a number of rows and a largest size.
-
-        Raises:
-            SelectScriptError: the program failed.
-        """
+        """Returns the result of a program as JSON, cut to a number of rows and a largest size."""
         with self._stop_request.applies_to(self._ss):
-            if language == "sql":
-                value: Any = self._ss.sql(program)
-            else:
-                value = rows_to_show(self._ss.compile(program), self._ss.eval)
-            return _text(value, max_rows)
+            return _text(value_to_show(self._ss, program, language), max_rows)
 
     def picture(self, program: str, language: Language, width: int, height: int) -> bytes:
-        """Returns the PNG picture of a program's result, or one where what it selects stands out.
-
-        Raises:
-            SelectScriptError: the program failed, or selects nothing that is seen.
-        """
+        """Returns the PNG picture of a result, or one where what a program selects stands out."""
         size = min(width, MAX_PIXELS), min(height, MAX_PIXELS)
         with self._stop_request.applies_to(self._ss):
             if language == "sql":
@@ -113,29 +89,18 @@ class InterpreterAnswers:
                 return self._with_marks(value, size)
             arguments = tuple(Literal(query.span, number) for number in size)
             form = AdapterClause(query.span, "image", arguments)
-            return _png(self._ss.eval(with_last(compiled, query, form)))
+            return png(self._ss.eval(with_last(compiled, query, form)))
 
     def _with_marks(self, value: Any, size: tuple[int, int]) -> bytes:
-        """Returns a picture of the first world where the entities and links of a value stand out.
-
-        Raises:
-            ArgumentError: there are none.
-        """
+        """Returns a picture of the first world where what a value has stands out."""
         world, rows = self._ss.worlds[0], display_table(value).rows
-        marks = Marks(world)
-        found = dict.fromkeys(mark for row in rows for mark in marks.of(row))
+        found = marks_of(world, rows)
         if not found:
             raise ArgumentError(
                 "the program selects no entity and no link of the world "
                 f"{short_repr(world.name)}, by itself or by name: let it end with a query for obj"
             )
-        return _png(highlighted(world, found, *size))
-
-
-def _png(picture: Any) -> bytes:
-    stream = io.BytesIO()
-    picture.save(stream, "PNG")
-    return stream.getvalue()
+        return png(highlighted(world, found, *size))
 
 
 def _text(value: Any, max_rows: int) -> str:

@@ -1,13 +1,19 @@
-"""Says what an agent has to know: how to write queries, the tables, the functions, the entities."""
+"""Says what an agent has to know: how to write queries, the tables, the functions, the entities.
+
+What comes from a world cannot be taken for a part of the guide.
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
+from typing import Any
 
+from ssduck.adapters.display import as_json
 from ssduck.adapters.registry import all_adapters
+from ssduck.errors import printable
 from ssduck.formatting import first_sentence
 from ssduck.interpreter.interpreter import Interpreter
-from ssduck.mcp.texts import name_text
 from ssduck.schema import HISTORIES, TABLES
 
 # The largest number of names of entities of a world.
@@ -88,3 +94,26 @@ def _forms() -> Iterator[str]:
     yield "# Result forms (`help` has all about one, by its name)\n"
     for form in all_adapters():
         yield f"- `{form.usage}`: {first_sentence(form.help)}"
+
+
+# -- texts for agents -------------------------------------------------------------------------
+
+
+# The largest length of a name in the guide, letters.
+MAX_NAME = 200
+
+
+def as_text(value: Any) -> str:
+    r"""Returns a value as JSON on one line, in printable characters.
+
+    Infinities and NaN are texts, because JSON has no such numbers and null stands for unknown.
+
+    >>> as_text({"name": "cup\u202e\n", "distance": float("inf")})
+    '{"name": "cup\\u202e\\n", "distance": "Infinity"}'
+    """
+    return printable(json.dumps(as_json(value, words=True), ensure_ascii=False))
+
+
+def name_text(name: str) -> str:
+    """Returns a name as JSON; … follows one that is cut."""
+    return as_text(name) if len(name) <= MAX_NAME else f"{as_text(name[:MAX_NAME])}…"

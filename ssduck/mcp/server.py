@@ -7,22 +7,154 @@ of agents under `Limits.strict()`, in a process of their own. Results have a lar
 from __future__ import annotations
 
 import contextlib
+import json
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, TypeVar
+from types import TracebackType
+from typing import Any, Self, TypeVar
 
+import anyio
 from mcp.server import MCPServer
 from mcp.server.mcpserver import Image
 from mcp.server.mcpserver.exceptions import ToolError
+from mcp.server.stdio import stdio_server
+from mcp.shared.message import SessionMessage
+from mcp_types import PARSE_ERROR, ErrorData, JSONRPCError
+from pydantic import ValidationError
 
-from ssduck.errors import SelectScriptError, printable
+from ssduck.errors import LimitError, SelectScriptError, printable
 from ssduck.interpreter.archives import episodes
+from ssduck.interpreter.completion import Language
 from ssduck.interpreter.interpreter import Interpreter
-from ssduck.mcp.answers import Answers, InterpreterAnswers, Language, WorkerError
-from ssduck.mcp.standard_streams import StandardStreamsServer
-from ssduck.mcp.texts import as_text
-from ssduck.mcp.turns import Turns
+from ssduck.mcp.answers import Answers, InterpreterAnswers, WorkerError
+from ssduck.mcp.guide import as_text
+
+
+class _Turns:
+    """The turns of questions, each in a thread of its own; a turn is set when it is cancelled."""
+
+    def __init__(self, answers: Answers) -> None:
+        self._answers = answers
+        self._one_at_a_time = threading.Lock()
+        # Is held while a turn begins, ends or is cancelled.
+        self._changing = threading.Lock()
+        self._present: threading.Event | None = None
+
+    async def answer(self, question: Callable[[], T]) -> T:
+        """Returns the answer to a question, which ends early if the request is cancelled."""
+        turn = threading.Event()
+        try:
+            return await anyio.to_thread.run_sync(
+                self._answered, turn, question, abandon_on_cancel=True
+            )
+        except anyio.get_cancelled_exc_class():
+            with self._changing:
+                turn.set()
+                if self._present is turn:
+                    self._answers.stop()
+            raise
+
+    def _answered(self, turn: threading.Event, question: Callable[[], T]) -> T:
+        with self._one_at_a_time:
+            with self._changing:
+                if turn.is_set():
+                    raise LimitError("the request was cancelled")
+                self._present = turn
+                self._answers.begin()
+            try:
+                return question()
+            finally:
+                with self._changing:
+                    self._present = None
+
+
+# -- messages that cannot be read -------------------------------------------------------------
+
+
+class StandardStreamsServer(MCPServer[Any]):
+    """A server that answers each request on standard input, unreadable ones with an error."""
+
+    async def run_stdio_async(self) -> None:
+        """Answers the messages on standard input until it ends."""
+        server = self._lowlevel_server
+        async with stdio_server() as (messages, answers):
+            read = _ReadableMessages(messages, answers)
+            await server.run(read, answers, server.create_initialization_options())
+
+
+class _ReadableMessages:
+    """The messages that can be read; it answers the others itself."""
+
+    def __init__(self, messages: Any, answers: Any) -> None:
+        self._messages = messages
+        self._answers = answers
+
+    @property
+    def last_context(self) -> Any:
+        """The context of the sender, for the SDK."""
+        return self._messages.last_context
+
+    async def receive(self) -> SessionMessage | Exception:
+        """Returns the next message."""
+        while True:
+            message: SessionMessage | Exception = await self._messages.receive()
+            answer = _answer_to(message) if isinstance(message, ValidationError) else None
+            if answer is None:
+                return message
+            await self._answers.send(SessionMessage(answer))
+
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> SessionMessage | Exception:
+        try:
+            return await self.receive()
+        except anyio.EndOfStream:
+            raise StopAsyncIteration from None
+
+    async def aclose(self) -> None:
+        """Ends the messages."""
+        await self._messages.aclose()
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        await self.aclose()
+
+
+def _answer_to(error: ValidationError) -> JSONRPCError | None:
+    r"""Returns the answer to a line that is no JSON to the SDK; None if it is no request.
+
+    Python reads half of a surrogate pair, such as `\ud800`, which the SDK does not.
+    """
+    problem = error.errors(include_url=False)[0]
+    if problem["type"] != "json_invalid":
+        return None
+    hint = ""
+    if "hex escape" in problem["msg"]:
+        hint = ": half of a surrogate pair is no character; write both halves, or the character"
+    try:
+        id = json.loads(problem["input"])["id"]
+        if id is None:  # a notification
+            return None
+        if isinstance(id, str):
+            id.encode()
+        data = ErrorData(code=PARSE_ERROR, message=f"{problem['msg']}{hint}")
+        return JSONRPCError(jsonrpc="2.0", id=id, error=data)
+    except (ValueError, TypeError, KeyError, RecursionError):  # a ValidationError is a ValueError
+        return None
+
+
+# -- server -----------------------------------------------------------------------------------
+
 
 T = TypeVar("T")
 
@@ -58,7 +190,7 @@ class _Asking:
 
     def __init__(self, answers: Answers) -> None:
         self._answers = answers
-        self._turns = Turns(answers)
+        self._turns = _Turns(answers)
 
     async def _answer(self, method: Callable[..., T], *arguments: Any) -> T:
         """Returns the answer to a question, unless the agent cancels it."""

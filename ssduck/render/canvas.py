@@ -1,21 +1,140 @@
-"""Draws triangles without a screen, by OpenGL: four samples a pixel, and soft shadows."""
+"""Draws triangles without a screen, by OpenGL: four samples a pixel, and soft shadows.
+
+Matrices act on columns (x, y, z, 1).
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import trimesh
 
 from ssduck.adapters.optional import library
 from ssduck.errors import UnsupportedError
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.shapes import Geometry
-from ssduck.render.cameras import SUN, look_at, projection, sun_matrix
-from ssduck.render.triangles import triangles
+from ssduck.geometry.solids import solid_of
 from ssduck.simulators.scenes import Camera
+
+# Half the side of the square that is drawn of a plane, m.
+PLANE_HALF_SIZE = 100.0
+# Faces that meet at a smaller angle, degrees, look like one curved surface.
+SMOOTH_ANGLE = 35.0
+_SIDES = 48
+
+
+def triangles(geometry: Geometry) -> Array:
+    """Returns the corners of a geometry's triangles, (3 n, 6): x y z, and the normal there."""
+    if geometry.type == "plane":
+        return _plane(np.array(geometry.size))
+    mesh = _mesh(geometry)
+    corners = mesh.vertices[mesh.faces].reshape(-1, 3)
+    return np.hstack((corners, _normals(mesh)))
+
+
+def _mesh(geometry: Geometry) -> Any:
+    a, b, c = geometry.size
+    match geometry.type:
+        case "box":
+            return trimesh.creation.box((a, b, c))
+        case "sphere":
+            return trimesh.creation.icosphere(subdivisions=4, radius=a)
+        case "cylinder":
+            return trimesh.creation.cylinder(radius=a, height=b, sections=_SIDES)
+        case "capsule":
+            capsule = trimesh.creation.capsule(radius=a, height=b, count=[_SIDES, _SIDES])
+            return capsule.apply_translation(-capsule.bounds.mean(axis=0))
+        case _:
+            surface = solid_of(geometry).surface
+            return trimesh.Trimesh(surface.vertices, surface.faces, process=False)
+
+
+def _plane(normal: Array) -> Array:
+    """Returns two triangles of a half-space's surface through the origin."""
+    along = np.eye(3)[np.argmin(np.abs(normal))]
+    first = np.cross(normal, along)
+    first /= np.linalg.norm(first)
+    second = np.cross(normal, first)
+    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, -1], [1, 1], [-1, 1]])
+    corners = PLANE_HALF_SIZE * (signs @ np.array([first, second]))
+    return np.hstack((corners, np.broadcast_to(normal, corners.shape)))
+
+
+def _normals(mesh: Any) -> Array:
+    """Returns the normal of each corner: the mean of the adjacent faces that are smooth with it."""
+    faces, face_normals = np.asarray(mesh.faces), np.asarray(mesh.face_normals)
+    weighted = face_normals * np.asarray(mesh.area_faces)[:, None]
+    # The corners by vertex: those of a vertex are compared with each other.
+    vertices = faces.ravel()
+    order = np.argsort(vertices, kind="stable")
+    owners = np.repeat(np.arange(len(faces)), 3)
+    normals = face_normals[owners].copy()
+    starts = np.flatnonzero(np.r_[True, np.diff(vertices[order]) > 0])
+    counts = np.diff(np.r_[starts, len(order)])
+    limit = np.cos(np.radians(SMOOTH_ANGLE))
+    for count in np.unique(counts):  # all vertices with as many faces at once
+        corners = order[starts[counts == count][:, None] + np.arange(count)]
+        around = owners[corners]
+        own = face_normals[around]
+        is_smooth = np.einsum("nik,njk->nij", own, own) > limit
+        normals[corners] = np.einsum("nij,njk->nik", is_smooth, weighted[around])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    flat = face_normals[owners]
+    return np.where(lengths > 0, normals / np.where(lengths > 0, lengths, 1.0), flat)
+
+
+# -- triangles --------------------------------------------------------------------------------
+
+
+# The direction to the light.
+SUN = np.array([0.35, -0.45, 0.82]) / np.linalg.norm([0.35, -0.45, 0.82])
+NEAR = 0.02
+
+
+def look_at(eye: Array, target: Array) -> Array:
+    """Returns the transformation (4, 4) from the world to a camera that looks along its -z."""
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    up = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.999 else np.array([0.0, 1.0, 0.0])
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    rotation = np.array([right, np.cross(right, forward), -forward])
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation, -rotation @ eye
+    return matrix
+
+
+def projection(fov: float, aspect: float, far: float) -> Array:
+    """Returns OpenGL's perspective projection (4, 4).
+
+    Args:
+        fov: the vertical field of view, degrees.
+        aspect: the width divided by the height.
+        far: the greatest distance that is drawn, m.
+    """
+    scale = 1.0 / math.tan(math.radians(fov) / 2)
+    matrix = np.zeros((4, 4))
+    matrix[0, 0], matrix[1, 1] = scale / aspect, scale
+    matrix[2, 2], matrix[2, 3] = -(far + NEAR) / (far - NEAR), -2 * far * NEAR / (far - NEAR)
+    matrix[3, 2] = -1.0
+    return matrix
+
+
+def sun_matrix(centre: Array, radius: float) -> Array:
+    """Returns the projection (4, 4) of the light, which covers a sphere."""
+    matrix = np.eye(4)
+    view = look_at(centre + SUN * 2 * radius, centre)
+    matrix[0, 0] = matrix[1, 1] = 1 / radius
+    matrix[2, 2], matrix[2, 3] = -1 / (1.5 * radius), -2 * radius / (1.5 * radius)
+    return matrix @ view
+
+
+# -- canvas -----------------------------------------------------------------------------------
+
 
 Picture = npt.NDArray[np.uint8]
 
@@ -124,8 +243,6 @@ class _Group:
     """The shapes of one geometry, drawn at once.
 
     Attributes:
-        rows: the shapes.
-        instances: the buffer of their matrices and colours.
         array: what draws them; `shadow` draws their depths.
         is_plane: whether they are planes, which cast no shadows.
     """
@@ -138,15 +255,7 @@ class _Group:
 
 
 class Canvas:
-    """A picture in memory, and the shapes that are drawn on it.
-
-    Args:
-        width: of the picture, pixels.
-        height: of the picture, pixels.
-
-    Raises:
-        UnsupportedError: moderngl is not installed, or there is no OpenGL by EGL.
-    """
+    """A picture in memory, and the shapes that are drawn on it."""
 
     def __init__(self, width: int, height: int) -> None:
         self.width, self.height = width, height

@@ -14,7 +14,7 @@ from PIL import Image
 
 from ssduck.adapters.optional import library
 from ssduck.errors import ArgumentError, UnsupportedError, nearest
-from ssduck.recording.stores.atomic_files import temporary_path
+from ssduck.recording.stores.atomic_files import write_atomically
 from ssduck.render.canvas import Picture
 
 # The colours of a picture of a GIF.
@@ -26,12 +26,7 @@ _QUALITY = "-crf 18 -movflags +faststart -f mp4 -y"
 
 
 def check_format(path: Path, size: tuple[int, int], fps: float) -> None:
-    """Checks whether a file of that name can have pictures of that size and rate.
-
-    Raises:
-        ArgumentError: the suffix is none of .png, .gif and .mp4, or the size or rate does not fit.
-        UnsupportedError: there is no ffmpeg for an MP4.
-    """
+    """Checks whether a file of that name can have pictures of that size and rate."""
     suffix = path.suffix.lower()
     if suffix not in _WRITERS:
         hint = nearest(suffix, _WRITERS) or list(_WRITERS)
@@ -55,16 +50,9 @@ def write_film(path: Path, pictures: Iterator[Picture], fps: float) -> None:
         path: the file; its suffix tells the format. A PNG has the last picture.
         pictures: of the same size; at least one.
         fps: the pictures a second.
-
-    Raises:
-        OSError: the file cannot be written.
     """
-    unfinished = temporary_path(path)
-    try:
-        _WRITERS[path.suffix.lower()](unfinished, pictures, fps)
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
+    writer = _WRITERS[path.suffix.lower()]
+    write_atomically(path, lambda unfinished: writer(unfinished, pictures, fps))
 
 
 def _write_png(path: Path, pictures: Iterator[Picture], fps: float) -> None:  # noqa: ARG001

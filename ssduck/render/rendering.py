@@ -7,16 +7,17 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any
 
 import numpy as np
 
 from ssduck import validation
 from ssduck.adapters.display import display_table
-from ssduck.adapters.marks import Mark, Marks
+from ssduck.adapters.marks import Mark, marks_of
 from ssduck.errors import ArgumentError, ProgramWarning, UnknownNameError, warn
 from ssduck.formatting import short_repr
 from ssduck.geometry.arrays import Array
+from ssduck.interpreter.completion import Language
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.opening import open_record
 from ssduck.interpreter.program import rows_to_show
@@ -28,8 +29,6 @@ from ssduck.render.stage import Stage
 from ssduck.simulators.scenes import Camera, find_scene
 from ssduck.view.frames import Frame
 from ssduck.world.world import World
-
-Language: TypeAlias = Literal["selectscript", "sql"]
 
 # The seconds of a scene that a film shows unless it says otherwise.
 SECONDS = 5.0
@@ -162,14 +161,7 @@ def filmed(world: World, path: str | Path, film: Film | None = None) -> Iterator
 
 
 class _Operator:
-    """Keeps the frames of a world for a film.
-
-    Args:
-        film: the film.
-
-    Attributes:
-        frames: the frames, one for each picture.
-    """
+    """Keeps the frames of a world for a film."""
 
     def __init__(self, film: Film) -> None:
         self.frames: list[Frame] = []
@@ -195,14 +187,7 @@ class _Operator:
 
 @dataclass(frozen=True, eq=False)
 class _Take:
-    """A world, and the times at which it is drawn.
-
-    Attributes:
-        ss: the interpreter of the query.
-        world: the world.
-        times: the simulated times, s, ascending.
-        go: moves the world to one of these times.
-    """
+    """A world, the times at which it is drawn, s, and what moves it to one of them."""
 
     ss: Interpreter
     world: World
@@ -305,12 +290,7 @@ def _pictures(
 
 
 class _Drawing:
-    """Draws the frames of a world.
-
-    Args:
-        canvas: where they are drawn.
-        film: the camera.
-    """
+    """Draws the frames of a world."""
 
     def __init__(self, canvas: Canvas, film: Film) -> None:
         self._canvas, self._camera = canvas, film.camera
@@ -331,12 +311,7 @@ class _Drawing:
 
 
 class _Query:
-    """The query whose result stands out.
-
-    Args:
-        take: the world.
-        film: the query and its language.
-    """
+    """The query whose result stands out."""
 
     def __init__(self, take: _Take, film: Film) -> None:
         self._take, self._film = take, film
@@ -355,8 +330,8 @@ class _Query:
             value: Any = rows_to_show(self._compiled, ss.eval)
         else:
             value = ss.sql(self._film.highlight)
-        marks, rows = Marks(self._take.world), display_table(value).rows
-        found = [mark for row in rows for mark in marks.of(row)]
+        rows = display_table(value).rows
+        found = marks_of(self._take.world, rows)
         self._has_marks = self._has_marks or bool(found)
         if rows and not found:
             self._unseen = short_repr(list(rows) if self._compiled is None else value)

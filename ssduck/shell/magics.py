@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from ssduck.errors import ArgumentError, UnknownNameError, nearest
+from ssduck.errors import ArgumentError, UnknownNameError, check_known
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.program import rows_to_show
 
 
 def register_magics(shell: Any) -> None:
-    """Registers the magics in a shell of IPython.
-
-    Args:
-        shell: the shell, an `IPython.core.interactiveshell.InteractiveShell`.
-    """
+    """Registers the magics in a shell of IPython."""
     from IPython.core.magic import no_var_expand
 
     def selectscript(line: str, cell: str | None = None) -> Any:
@@ -39,12 +35,7 @@ def register_magics(shell: Any) -> None:
 def _interpreter_and_program(
     names: dict[str, Any], line: str, cell: str | None
 ) -> tuple[Interpreter, str]:
-    """Returns the interpreter that a magic uses, and the text that it runs.
-
-    Raises:
-        UnknownNameError: no interpreter has the name, or there is none.
-        ArgumentError: there are several interpreters, and none is named.
-    """
+    """Returns the interpreter that a magic uses, and the text that it runs."""
     # IPython keeps results in _, __ and so on.
     known = {
         name: value
@@ -53,10 +44,7 @@ def _interpreter_and_program(
     }
     if cell is not None and line.strip():
         name = line.strip()
-        if name not in known:
-            raise UnknownNameError(
-                f"no interpreter has the name {name!r}", suggestions=nearest(name, known)
-            )
+        check_known(name, known, f"no interpreter has the name {name!r}")
         return known[name], cell
     if not known:
         raise UnknownNameError("there is no interpreter; make one: ss = ssduck.load('kitchen')")

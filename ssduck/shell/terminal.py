@@ -21,9 +21,7 @@ from pygments.lexers.sql import SqlLexer
 from pygments.token import Comment, Keyword, Name, Number, String, Text
 
 from ssduck.interpreter.completion import KEYWORDS, complete
-from ssduck.shell.commands import COMMANDS
-from ssduck.shell.running import run
-from ssduck.shell.session import Session, is_command
+from ssduck.shell.session import COMMANDS, Session, is_command, run
 
 
 class SelectScriptLexer(RegexLexer):
@@ -45,11 +43,7 @@ class SelectScriptLexer(RegexLexer):
 
 
 class NameCompleter(Completer):
-    """Completes names at the cursor.
-
-    Args:
-        session: the session, whose language and interpreter it uses.
-    """
+    """Completes names at the cursor."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
@@ -90,13 +84,7 @@ def _history(*, is_kept: bool) -> History:
 
 
 def prompt_session(session: Session, *, with_history: bool, **others: Any) -> PromptSession[str]:
-    """Returns the prompt of a session.
-
-    Args:
-        session: the session.
-        with_history: whether what is typed is kept for later sessions.
-        others: arguments of prompt_toolkit's `PromptSession`.
-    """
+    """Returns the prompt of a session; further arguments are those of prompt_toolkit's."""
     keys = KeyBindings()
 
     @keys.add("enter", filter=~completion_is_selected)

@@ -9,30 +9,208 @@ import base64
 import io
 import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from ssduck import validation
-from ssduck.adapters.display import DisplayTable, as_json, display_table
+from ssduck.adapters.display import DisplayTable, as_json, display_table, json_key
 from ssduck.adapters.formats import FORMATS, png_of
+from ssduck.adapters.grid_values import Grid
 from ssduck.adapters.marks import Mark, Marks
+from ssduck.adapters.point_cloud import PointCloud
 from ssduck.errors import (
     ArgumentError,
     LimitError,
     SelectScriptError,
-    UnknownNameError,
-    nearest,
+    check_known,
 )
-from ssduck.interpreter.completion import KEYWORDS, complete
+from ssduck.interpreter.completion import KEYWORDS, Language, complete
+from ssduck.interpreter.interpreter import Interpreter
+from ssduck.interpreter.program import value_to_show
 from ssduck.interpreter.stopping import StopRequest
+from ssduck.language.analysis import calls_of
+from ssduck.language.tree import Assignment, Call
 from ssduck.recording.replay.replayed_world import ReplayedWorld
-from ssduck.view.asking import has_intervals, heads_of, lanes_of, not_shown, value_of
-from ssduck.view.drawings import drawing_of
 from ssduck.view.facts import facts_of, plot_of
+from ssduck.view.live import Source
 from ssduck.view.scans import Scan
-from ssduck.view.shown_values import shown_rows
-from ssduck.view.sources import Asked, Source
+from ssduck.view.sources import Asked
 from ssduck.world.world import World
+
+# The functions whose values are intervals of simulated time.
+_INTERVALS = "holds"
+MAX_LANES = 12
+
+
+def not_shown(ss: Interpreter, text: str, language: Language) -> Iterator[str]:
+    """Yields a note if a program that was run has statements whose results are not shown."""
+    if language == "sql":
+        return
+    *before, _ = ss.compile(text).tree.statements
+    if any(not isinstance(statement, Assignment) for statement in before):
+        yield (
+            f"this is the result of the last of {len(before) + 1} statements; run the others by "
+            "themselves to see theirs"
+        )
+
+
+def has_intervals(ss: Interpreter, text: str, language: Language) -> bool:
+    """Checks whether a program that was run asks when something held."""
+    if language == "sql":
+        return False
+    calls = (name for part in ss.compile(text).tree.statements for name in calls_of(part))
+    return _INTERVALS in calls
+
+
+def heads_of(
+    ss: Interpreter, text: str, language: Language, value: Any, columns: Sequence[str]
+) -> list[str]:
+    """Returns the heads of a value's table: those of its columns, or what intervals consist of."""
+    if language == "selectscript" and _are_spans(value):
+        last = ss.compile(text).tree.statements[-1]
+        if isinstance(last, Call) and last.name == _INTERVALS:
+            return ["begin", "end"]
+    return list(columns)
+
+
+def lanes_of(
+    value: Any, columns: Sequence[str], rows: Sequence[Sequence[Any]]
+) -> Iterator[tuple[str, Any]]:
+    """Yields the intervals of a value for the time line: a label, and spans [start, end] in s."""
+    if _are_spans(value):
+        yield "holds", value
+        return
+    for row in rows[:MAX_LANES]:
+        names = [str(cell) for cell in row if isinstance(cell, str)]
+        for column, cell in zip(columns, row, strict=True):
+            if _are_spans(cell):
+                yield " ".join(names) or column, cell
+
+
+def _are_spans(value: Any) -> bool:
+    return (
+        isinstance(value, list)
+        and all(isinstance(part, list) and len(part) == 2 for part in value)
+        and all(isinstance(number, int | float) for part in value for number in part)
+    )
+
+
+# -- drawings ---------------------------------------------------------------------------------
+
+
+# More points are thinned out evenly: a page draws them at each frame.
+MAX_POINTS = 200_000
+
+
+def drawing_of(value: Any) -> dict[str, Any] | None:
+    """Returns a description of a grid or a cloud; None for other values.
+
+    A flat grid has the share of its largest value in each cell, from 0 to 255, row by row along the
+    first axis. A cloud has points (float32 x y z), and a number for the entity of each.
+    """
+    if isinstance(value, PointCloud):
+        return _cloud(value.points, value.owners, list(value.names), None)
+    if not isinstance(value, Grid):
+        return None
+    cells = np.asarray(value.cells, dtype=float)
+    shares = np.nan_to_num(cells / max(float(np.nanmax(np.abs(cells), initial=0.0)), 1e-12))
+    if cells.ndim == 3:
+        places = np.argwhere(shares > 0.0)
+        points = np.array(value.origin) + (places + 0.5) * value.resolution
+        return _cloud(points, np.zeros(len(points), np.intp), ["cells"], value.resolution)
+    return {
+        "kind": "grid",
+        "origin": [float(number) for number in value.origin],
+        "resolution": float(value.resolution),
+        "shape": list(value.shape),
+        "shares": _encoded((255 * np.clip(shares, 0.0, 1.0)).astype(np.uint8).tobytes()),
+    }
+
+
+def _cloud(
+    points: npt.NDArray[Any], owners: npt.NDArray[Any], names: list[str], size: float | None
+) -> dict[str, Any]:
+    step = -(-len(points) // MAX_POINTS) or 1
+    return {
+        "kind": "cloud",
+        "points": _encoded(points[::step].astype("<f4").tobytes()),
+        "owners": _encoded(owners[::step].astype("<u4").tobytes()),
+        "names": names,
+        "size": size,
+    }
+
+
+def _encoded(content: bytes) -> str:
+    return base64.b64encode(content).decode()
+
+
+# -- shown values -----------------------------------------------------------------------------
+
+
+# The numbers of values in all rows of an answer, and of the letters of a text; downloads have all.
+MAX_VALUES = 100_000
+MAX_LETTERS = 100_000
+
+
+def shown_rows(rows: Iterable[Sequence[Any]], most: int = MAX_VALUES) -> list[list[Any]]:
+    """Returns the first rows as JSON; lists that are cut off end in a text that says so."""
+    values = _ShownValues(most)
+    shown = []
+    for row in rows:
+        if values.left <= 0:
+            break
+        shown.append(values.list_of(row))
+    return shown
+
+
+class _ShownValues:
+    """Makes values into JSON until there are too many."""
+
+    def __init__(self, most: int) -> None:
+        self.left = most
+
+    def of(self, value: Any) -> Any:
+        """Returns a value as JSON, or its beginning."""
+        self.left -= 1
+        match value:
+            case str() | bytes() if len(value) > MAX_LETTERS:
+                start = as_json(value[:MAX_LETTERS])
+                return f"{start}… ({len(value) - MAX_LETTERS:,} more)"
+            case list() | tuple():
+                return self.list_of(value)
+            case np.ndarray() if value.ndim:
+                return self.list_of(value)
+            case dict():
+                return self._dict_of(value)
+        return as_json(value)
+
+    def list_of(self, values: Sequence[Any] | npt.NDArray[Any]) -> list[Any]:
+        """Returns the first of some values."""
+        shown: list[Any] = []
+        for value in values:
+            if self.left <= 0:
+                return [*shown, _more(len(values) - len(shown))]
+            shown.append(self.of(value))
+        return shown
+
+    def _dict_of(self, values: dict[Any, Any]) -> dict[str, Any]:
+        shown: dict[str, Any] = {}
+        for key, value in values.items():
+            if self.left <= 0:
+                return shown | {"…": _more(len(values) - len(shown))}
+            shown[json_key(key)] = self.of(value)
+        return shown
+
+
+def _more(count: int) -> str:
+    return f"… ({count:,} more)"
+
+
+# -- the questions of a page ------------------------------------------------------------------
+
 
 # The rows that a page gets at most; downloads have all.
 MAX_ROWS = 1000
@@ -45,11 +223,7 @@ _DOWNLOADS = ("csv", "json", "parquet")
 
 
 class Answers:
-    """Answers the questions of one page.
-
-    Args:
-        source: what is shown.
-    """
+    """Answers the questions of one page."""
 
     def __init__(self, source: Source) -> None:
         self._source = source
@@ -60,12 +234,7 @@ class Answers:
         self._bars: tuple[Any, list[Any]] = None, []
 
     def answer(self, question: dict[str, Any], stop: StopRequest) -> dict[str, Any]:
-        """Returns the answer to a question; an error has its place and suggestions.
-
-        Args:
-            question: what the page sent.
-            stop: ends the programs of the question.
-        """
+        """Returns the answer to a question; an error has its place and suggestions."""
         self._stop = stop
         kinds = {
             "ask": self._ask,
@@ -121,7 +290,7 @@ class Answers:
 
     def _value_of(self, asked: Asked, text: str, language: Any) -> Any:
         with self._stop.applies_to(asked.interpreter):
-            return value_of(asked.interpreter, text, language)
+            return value_to_show(asked.interpreter, text, language)
 
     def _bars_of(self, text: str, language: Any, at: float | None) -> list[Any]:
         """Returns the intervals of a program over all recorded ticks, for the time line."""
@@ -140,15 +309,7 @@ class Answers:
         return self._bars[1]
 
     def scan(self, question: dict[str, Any], stop: StopRequest) -> Scan:
-        """Returns a search for the changes of an answer; only the thread of scans calls this.
-
-        Args:
-            question: what the page sent.
-            stop: ends the programs of the search.
-
-        Raises:
-            SelectScriptError: nothing is recorded, or the question is wrong.
-        """
+        """Returns a search for the changes of an answer; only the thread of scans calls this."""
         asked = self._source.recorded()
         world = asked.world
         assert isinstance(world, ReplayedWorld)
@@ -170,20 +331,10 @@ class Answers:
 
     def _download(self, question: dict[str, Any]) -> dict[str, Any]:
         name = question.get("format")
-        if name not in _DOWNLOADS:
-            raise UnknownNameError(
-                f"there is no download {name!r}", suggestions=nearest(name, _DOWNLOADS)
-            )
-        format = FORMATS[name]
-        if format.is_binary:
-            stream = io.BytesIO()
-            format.write(self._result, stream)
-            content = stream.getvalue()
-        else:
-            text = io.StringIO()
-            format.write(self._result, text)
-            content = text.getvalue().encode()
-        return {"content": base64.b64encode(content).decode(), "name": f"result.{name}"}
+        check_known(name, _DOWNLOADS, f"there is no download {name!r}")
+        stream = io.BytesIO()
+        FORMATS[str(name)].write_bytes(self._result, stream)
+        return {"content": _encoded(stream.getvalue()), "name": f"result.{name}"}
 
     # -- an entity ----------------------------------------------------------------------------
 
@@ -238,7 +389,7 @@ def _boxes(world: World, rows: Sequence[list[Mark]]) -> Iterator[list[float]]:
 def _picture(value: Any) -> str | None:
     """Returns a picture that a value has, base64 of PNG; None if it is shown as a table."""
     content = None if isinstance(value, World) else png_of(value)
-    return None if content is None else base64.b64encode(content).decode()
+    return None if content is None else _encoded(content)
 
 
 def error_message(error: SelectScriptError) -> dict[str, Any]:
@@ -268,9 +419,5 @@ def _time(question: dict[str, Any]) -> float | None:
 def language_of(question: dict[str, Any]) -> Any:
     """Returns the language of a question."""
     language = question.get("language", "selectscript")
-    if not isinstance(language, str) or language not in KEYWORDS:
-        raise UnknownNameError(
-            f"there is no language {str(language)[:40]!r}",
-            suggestions=nearest(str(language), KEYWORDS),
-        )
+    check_known(str(language), KEYWORDS, f"there is no language {str(language)[:40]!r}")
     return language

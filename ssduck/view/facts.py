@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ssduck.errors import SelectScriptError, UnknownNameError, nearest
+from ssduck.errors import SelectScriptError, check_known
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.schema import TABLES
 from ssduck.world.entities import Sensor
@@ -50,16 +50,7 @@ MAX_POINTS = 1500
 
 
 def facts_of(ss: Interpreter, world: World, id: int) -> dict[str, Any]:
-    """Returns what is told of an entity.
-
-    Args:
-        ss: the interpreter in which the world is the first one.
-        world: the world.
-        id: the id of the entity.
-
-    Raises:
-        UnknownNameError: there is no such entity.
-    """
+    """Returns what is told of an entity."""
     entity = world.entity(id)
     facts: dict[str, Any] = {"kind": entity.kind, "id": entity.id}
     facts["position (m)"] = _rounded(entity.position)
@@ -95,22 +86,9 @@ def _joints(ss: Interpreter, id: int) -> list[list[Any]]:
 
 
 def plot_of(ss: Interpreter, id: int, column: str, joint: str | None) -> dict[str, Any]:
-    """Returns times (s) and values of a column of an entity at the recorded ticks.
-
-    Args:
-        ss: the interpreter.
-        id: the id of the entity.
-        column: the column; without effect for a joint.
-        joint: the name of a joint, whose position is plotted; None for a column of the entity.
-
-    Raises:
-        UnknownNameError: there is no such column.
-        SelectScriptError: nothing is recorded.
-    """
-    if joint is None and column not in _PLOTS:
-        raise UnknownNameError(
-            f"there is no plot of {column!r}", suggestions=nearest(column, _PLOTS)
-        )
+    """Returns times (s) and values of a column of an entity at the recorded ticks."""
+    if joint is None:
+        check_known(column, _PLOTS, f"there is no plot of {column!r}")
     rows = ss.sql(_PLOTS[column], [id]) if joint is None else ss.sql(_JOINT_PLOT, [id, joint])
     points = np.array([(t, np.nan if v is None else v) for t, v in rows]).reshape(-1, 2)
     return {

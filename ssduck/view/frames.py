@@ -1,15 +1,34 @@
-"""The poses of all links of a world at a tick, as they are shown."""
+"""The poses of all links of a world as they are shown: at a tick, at many, and as messages.
+
+The messages to the page are binary; numbers are little-endian. The first number, of 32 bits, is the
+kind of the message. A scene has the length of its head, the head as JSON, and then the vertices
+(float32) and triangles (uint32) of its meshes. Poses have a count, the time (float64), the tick
+(float64), the rows of the links (uint32), and for each row x y z w x y z (float32). A track has the
+length of its head, the head as JSON, the poses of all links at its first tick, and those of the
+moving ones at all ticks (float32).
+"""
 
 from __future__ import annotations
 
+import json
+import struct
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.simulators.interface import Body, LinkPoses
-from ssduck.world.layout import TableLayout
+from ssduck.geometry.arrays import Indices
+from ssduck.geometry.shapes import Geometry
+from ssduck.geometry.solids import solid_of
+from ssduck.interchange.motion import fill, rows_of
+from ssduck.recording.replay.record import Record
+from ssduck.recording.replay.restore import links_of
+from ssduck.schema import POSE
+from ssduck.simulators.interface import Body, LinkPoses, VisualShape
+from ssduck.world.layout import EntityInfo, TableLayout
 from ssduck.world.snapshot import Snapshot
 
 Poses = npt.NDArray[np.float32]
@@ -27,8 +46,6 @@ class Frame:
         hidden: the bodies that are not drawn; the same object until they change.
         bodies: the bodies, in the order of their links among the poses.
         link_poses: the poses of the links, which are never written to.
-        number: the number of the tick.
-        time: its simulated time, s.
     """
 
     layout: TableLayout
@@ -71,3 +88,189 @@ class Frame:
         if self.layout is other.layout and self.hidden is other.hidden:
             return True
         return self.ids == other.ids and self.hidden_ids == other.hidden_ids
+
+
+# -- tracks -----------------------------------------------------------------------------------
+
+
+# The bytes of the poses of one track; a scene with many links has fewer ticks in it.
+MAX_BYTES = 16 << 20
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """The poses of the links of a scene at consecutive recorded ticks.
+
+    Attributes:
+        first: the place of the first tick among those of the record.
+        base: the poses at the first tick, (links, 7): x y z, w x y z.
+        moving: the rows of the links that move.
+        poses: their poses at all ticks, (ticks, moving, 7).
+    """
+
+    first: int
+    base: Poses
+    moving: npt.NDArray[np.uint32]
+    poses: Poses
+
+
+def track_of(record: Record, frame: Frame, first: int, count: int) -> Track | None:
+    """Returns the poses at some recorded ticks; None if the scene is another one at any of them."""
+    links = sum(len(body.links) for body in frame.bodies)
+    count = min(count, max(1, MAX_BYTES // (28 * max(links, 1))))
+    with record.world.lock:
+        record.check_open()
+        ticks = record.ticks.numbers[first : first + count].copy()
+        if not len(ticks):
+            return None
+        ends = int(ticks[0]), int(ticks[-1])
+        entities = record.fetch("entities", *ends)
+        parts = record.fetch(links_of(record.tables), *ends)
+    if not _has_scene(entities, frame, len(ticks)):
+        return None
+    poses = np.full((len(ticks), links, 7), np.nan, dtype=np.float32)
+    single, several = _places(frame)
+    fill(poses, [rows_of(entities, ("id",), POSE)], ticks, single)
+    fill(poses, [rows_of(parts, ("entity", "link"), POSE)], ticks, several)
+    with np.errstate(invalid="ignore"):
+        is_moving = (poses != poses[:1]).any(axis=(0, 2)) & ~np.isnan(poses).all(axis=(0, 2))
+    moving = np.flatnonzero(is_moving)
+    return Track(first, poses[0], moving.astype(np.uint32), np.ascontiguousarray(poses[:, moving]))
+
+
+def _places(frame: Frame) -> tuple[dict[tuple[int, int], int], ...]:
+    """Returns the rows of links among poses, by entity and link; of single ones, and of others."""
+    single, several = dict[tuple[int, int], int](), dict[tuple[int, int], int]()
+    row = 0
+    for id, body in zip(frame.ids, frame.bodies, strict=True):
+        places = single if len(body.links) == 1 else several
+        for link in range(len(body.links)):
+            places[id, link] = row
+            row += 1
+    return single, several
+
+
+def _has_scene(entities: Any, frame: Frame, ticks: int) -> bool:
+    """Checks whether rows of entities are those of a scene at each of a number of ticks."""
+    ids: Indices = entities["id"].to_numpy()
+    expected = sorted(info.id for info in frame.layout.entities)
+    found, counts = np.unique(ids, return_counts=True)
+    if found.tolist() != expected or (counts != ticks).any():
+        return False
+    is_hidden = ~entities["visible"].to_numpy(zero_copy_only=False).astype(bool)
+    bodies = np.isin(ids, frame.ids)
+    should_be = np.isin(ids, sorted(frame.hidden_ids))
+    return bool((is_hidden == should_be)[bodies].all())
+
+
+# -- messages ---------------------------------------------------------------------------------
+
+
+SCENE, POSES, TRACK = 1, 2, 3
+# The types of geometries that the page makes by itself.
+_PRIMITIVES = frozenset(("box", "sphere", "cylinder", "capsule", "plane"))
+
+
+def poses_message(frame: Frame, last: Poses | None) -> bytes:
+    """Returns the message of the links that moved since the last poses; of all, for None."""
+    poses = frame.poses
+    if last is None:
+        rows = np.arange(len(poses), dtype=np.uint32)
+    else:
+        # Poses that are not numbers do not equal themselves: they are sent once only.
+        moved = (poses != last) & ~(np.isnan(poses) & np.isnan(last))
+        rows = np.flatnonzero(moved.any(axis=1)).astype(np.uint32)
+    head = struct.pack("<IIdd", POSES, len(rows), frame.time, frame.number)
+    return head + rows.astype("<u4").tobytes() + poses[rows].astype("<f4").tobytes()
+
+
+def track_message(id: Any, track: Track) -> bytes:
+    """Returns the message of recorded poses, which answers the question of an id."""
+    head = {
+        "id": id,
+        "first": track.first,
+        "count": len(track.poses),
+        "links": len(track.base),
+        "rows": track.moving.tolist(),
+    }
+    text = _padded(head)
+    poses = track.base.astype("<f4").tobytes() + track.poses.astype("<f4").tobytes()
+    return struct.pack("<II", TRACK, len(text)) + text + poses
+
+
+def scene_message(
+    frame: Frame, visuals: Callable[[Body], list[VisualShape]], about: dict[str, Any]
+) -> bytes:
+    """Returns the message of a scene."""
+    meshes = _Meshes()
+    owners = {info.body: info for info in frame.layout.entities if info.body is not None}
+    links: list[list[Any]] = []
+    shapes: list[list[Any]] = []
+    for body in frame.bodies:
+        first, info = len(links), owners[body]
+        links += [[info.id, number, link.name] for number, link in enumerate(body.links)]
+        if body not in frame.hidden:
+            shapes += [_shape(first, each, meshes) for each in visuals(body)]
+    head = {
+        **about,
+        "entities": [_entity(info) for info in frame.layout.entities],
+        "links": links,
+        "shapes": shapes,
+        "geometries": meshes.descriptions,
+    }
+    text = _padded(head)
+    return struct.pack("<II", SCENE, len(text)) + text + b"".join(meshes.arrays())
+
+
+def _padded(head: dict[str, Any]) -> bytes:
+    """Returns JSON whose length is a multiple of 4, so that numbers may follow."""
+    text = json.dumps(head, separators=(",", ":")).encode()
+    return text + b" " * (-len(text) % 4)
+
+
+def _entity(info: EntityInfo) -> dict[str, Any]:
+    return {"id": info.id, "name": info.name, "kind": info.kind, "host": info.mount[0]}
+
+
+def _shape(first: int, shape: VisualShape, meshes: _Meshes) -> list[Any]:
+    """Returns a shape: the row of its link, its geometry, its pose there, and its colour."""
+    pose = [*map(float, shape.position), *map(float, shape.orientation)]
+    colour = None if shape.colour is None else list(map(float, shape.colour))
+    return [first + shape.link, meshes.number_of(shape.geometry), pose, colour]
+
+
+class _Meshes:
+    """The geometries of a scene, each of them once."""
+
+    def __init__(self) -> None:
+        self.descriptions: list[dict[str, Any]] = []
+        self._numbers: dict[str, int] = {}
+        self._vertices: list[npt.NDArray[Any]] = []
+        self._faces: list[npt.NDArray[Any]] = []
+        self._counts = [0, 0]
+
+    def number_of(self, geometry: Geometry) -> int:
+        """Returns the number of a geometry, which is added if it is new."""
+        if geometry.key not in self._numbers:
+            self._numbers[geometry.key] = len(self.descriptions)
+            self.descriptions.append({"type": geometry.type, "size": list(geometry.size)})
+            if geometry.type not in _PRIMITIVES:
+                self.descriptions[-1] |= {"type": "mesh", **self._add(geometry)}
+        return self._numbers[geometry.key]
+
+    def _add(self, geometry: Geometry) -> dict[str, Any]:
+        surface = solid_of(geometry).surface
+        places = {
+            "vertices": [self._counts[0], len(surface.vertices)],
+            "faces": [self._counts[1], len(surface.faces)],
+        }
+        self._counts[0] += len(surface.vertices)
+        self._counts[1] += len(surface.faces)
+        self._vertices.append(surface.vertices.astype("<f4"))
+        self._faces.append(surface.faces.astype("<u4"))
+        return places
+
+    def arrays(self) -> Iterator[bytes]:
+        """Yields the vertices and the triangles of all meshes."""
+        for part in (*self._vertices, *self._faces):
+            yield part.tobytes()

@@ -20,10 +20,11 @@ from ssduck.adapters.display import as_json, display_table
 from ssduck.adapters.grid_values import Grid
 from ssduck.adapters.point_cloud import PointCloud
 from ssduck.errors import SelectScriptError
+from ssduck.interpreter.completion import Language
 from ssduck.interpreter.interpreter import Interpreter
+from ssduck.interpreter.program import value_to_show
 from ssduck.interpreter.stopping import StopRequest
 from ssduck.recording.replay.replayed_world import ReplayedWorld
-from ssduck.view.asking import Language, value_of
 
 SAMPLES = 200
 MAX_EVALUATIONS = 1200
@@ -44,15 +45,7 @@ class _Answer:
 
 @dataclass
 class Scan:
-    """A search for the changes of an answer.
-
-    Args:
-        ss: the interpreter.
-        world: the recorded world, which goes from tick to tick.
-        text: the query.
-        language: its language.
-        stop: ends the query.
-    """
+    """A search for the changes of an answer."""
 
     ss: Interpreter
     world: ReplayedWorld
@@ -75,11 +68,7 @@ class Scan:
         self._total = len(self._samples)
 
     def advance(self, seconds: float) -> bool:
-        """Asks at further ticks for some time; returns whether there are more.
-
-        Raises:
-            SelectScriptError: the query fails at the first tick that is asked for.
-        """
+        """Asks at further ticks for some time; returns whether there are more."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             if self._samples:
@@ -107,7 +96,7 @@ class Scan:
         self.world.seek(float(self._times[place]))
         try:
             with self.stop.applies_to(self.ss):
-                value = value_of(self.ss, self.text, self.language)
+                value = value_to_show(self.ss, self.text, self.language)
             self._known[place] = _answer(value)
         except SelectScriptError:
             if not any(answer.count != _FAILED for answer in self._known.values()):

@@ -1,7 +1,9 @@
-"""What a page shows: the interface of sources, and records as one.
+"""What a page shows: records as sources, and what all sources need.
 
 A source gives frames (the poses of all links at a tick) and mirrors: worlds for the queries of the
-page, which hold no lock of the simulation while they run.
+page, which hold no lock of the simulation while they run. Only the thread of the queries calls
+`mirror`, and only that of scans `recorded`; `watch` sets what is called at each new tick, in any
+thread.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,20 +25,13 @@ from ssduck.interpreter.opening import open_record
 from ssduck.limits import Limits
 from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.simulators.backends import drawn_shapes
-from ssduck.view.frames import Frame
-from ssduck.view.messages import scene_message
-from ssduck.view.tracks import Track, track_of
+from ssduck.view.frames import Frame, Track, scene_message, track_of
 from ssduck.world.world import World
 
 
 @dataclass(frozen=True, eq=False)
 class Ticks:
-    """The recorded ticks of a source.
-
-    Attributes:
-        numbers: their numbers, (n,), ascending.
-        times: their simulated times, s, (n,).
-    """
+    """The numbers of recorded ticks, (n,), ascending, and their simulated times, s, (n,)."""
 
     numbers: npt.NDArray[np.int64]
     times: Array
@@ -44,68 +39,14 @@ class Ticks:
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """A world that answers queries.
-
-    Attributes:
-        interpreter: has the world under its name.
-        world: the world.
-    """
+    """A world that answers queries, and the interpreter that has it under its name."""
 
     interpreter: Interpreter
     world: World
 
 
-class Source(Protocol):
-    """A world that is shown."""
-
-    @property
-    def about(self) -> dict[str, Any]:
-        """What a page has to know at the beginning."""
-
-    @property
-    def latest(self) -> Frame | None:
-        """The last frame, if that is known without waiting."""
-
-    @property
-    def firings(self) -> list[tuple[str, float]]:
-        """The triggers that fired since the page was opened, with the simulated times, s."""
-
-    def frame(self, time: float | None) -> Frame:
-        """Returns the frame at a simulated time, s; the present or last one for None."""
-
-    def scene(self, frame: Frame) -> bytes:
-        """Returns the message of the scene of a frame."""
-
-    def ticks(self) -> Ticks | None:
-        """Returns the recorded ticks; None if nothing is recorded."""
-
-    def track(self, frame: Frame, first: int, count: int) -> Track | None:
-        """Returns the poses at recorded ticks from a first place on; see `track_of`."""
-
-    def mirror(self, time: float | None) -> Asked:
-        """Returns the world at a time; only the thread of the queries calls this."""
-
-    def recorded(self) -> Asked:
-        """Returns a world that goes through the recorded ticks, for a scan."""
-
-    def watch(self, changed: Callable[[], object] | None) -> None:
-        """Sets what is called at each new tick, in any thread; None to stop that."""
-
-    def close(self) -> None:
-        """Releases what belongs to the source itself."""
-
-
 class RecordSource:
-    """A record, whose ticks are all there.
-
-    Args:
-        path: the path of the record.
-        episode: the number of the episode; None for the last one.
-
-    Attributes:
-        latest: None: each viewer has a time of its own.
-        firings: none: records have no triggers.
-    """
+    """A record, whose ticks are all there; each viewer has a time of its own."""
 
     latest: Frame | None = None
 

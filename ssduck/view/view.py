@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Any, Self
 
 from ssduck.adapters.optional import library
-from ssduck.errors import UnknownNameError, nearest
+from ssduck.errors import UnknownNameError, check_known
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.simulators.scenes import Camera
-from ssduck.view.live import LiveSource
-from ssduck.view.simulation import Simulation
-from ssduck.view.sources import RecordSource, Source
+from ssduck.view.live import LiveSource, Simulation, Source
+from ssduck.view.sources import RecordSource
 from ssduck.world.world import World
 
 _HEIGHT = 640
@@ -93,20 +92,14 @@ def view(
     if not worlds:
         raise UnknownNameError("there is no world to view; add one with add_variable, or use load")
     name = next(iter(worlds)) if world is None else world
-    if name not in worlds:
-        raise UnknownNameError(f"there is no world {name!r}", suggestions=nearest(name, worlds))
+    check_known(name, worlds, f"there is no world {name!r}")
     if camera is not None:
         worlds[name].camera = camera
     return View(LiveSource(ss, worlds[name], name), **address)
 
 
 def view_scene(load: Callable[[], World], **address: Any) -> View:
-    """Serves the page of a world that the page itself runs.
-
-    Args:
-        load: returns the world, anew at each call; the page closes it.
-        address: the host and the port; see `View`.
-    """
+    """Serves the page of a world that the page itself loads, anew at each call, runs and closes."""
     with contextlib.ExitStack() as stack:
         ss = stack.enter_context(Interpreter())
         world = load()
@@ -126,9 +119,5 @@ def view_scene(load: Callable[[], World], **address: Any) -> View:
 
 
 def view_record(path: str | Path, episode: int | None = None, **address: Any) -> View:
-    """Serves the page of a record.
-
-    Raises:
-        RecordError: there is no such record, or it is damaged.
-    """
+    """Serves the page of a record."""
     return View(RecordSource(path, episode), **address)

@@ -12,10 +12,17 @@ import pytest
 from PIL import Image
 
 import ssduck
-from ssduck.adapters.charts import COLOURS, MAX_ENTRIES, chart, legend, ticks
+from ssduck.adapters.charts import (
+    COLOURS,
+    MAX_ENTRIES,
+    chart,
+    draw_points,
+    draw_triangles,
+    legend,
+    ticks,
+)
 from ssduck.adapters.grid_values import OccupancyGrid, PlaneGrid, SensorGrid, VoxelGrid
 from ssduck.adapters.point_cloud import PointCloud
-from ssduck.adapters.views import draw_points, draw_triangles
 from ssduck.errors import ArgumentError, NumberError, UnsupportedError
 
 # Two boxes and a plate; y leads away from the viewer, and the wall hides the hidden one.

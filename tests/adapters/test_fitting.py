@@ -12,7 +12,7 @@ from rich.cells import cell_len
 
 import ssduck
 from ssduck.adapters.display import DisplayTable, display_table, fitted_table
-from ssduck.adapters.table_view import TableView
+from ssduck.adapters.result import TableView
 from ssduck.adapters.text_table import elided
 
 WIDE = [{f"column_{n}": n * 1.5 for n in range(31)} for _ in range(4)]

@@ -11,8 +11,7 @@ import trimesh
 
 import ssduck
 from ssduck.adapters import spatial
-from ssduck.adapters.highlight import OUTLINE
-from ssduck.adapters.marks import Marks
+from ssduck.adapters.marks import OUTLINE, Marks
 from ssduck.errors import ArgumentError, LimitError, ProgramWarning, UnknownNameError
 from ssduck.schema import LINK_FACTOR
 from ssduck.simulators.scenes import Camera

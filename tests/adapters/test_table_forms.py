@@ -21,8 +21,7 @@ from hypothesis import strategies as st
 import ssduck
 from ssduck.adapters.columns import array_of
 from ssduck.adapters.registry import find
-from ssduck.adapters.result import Result
-from ssduck.adapters.table_view import TableView
+from ssduck.adapters.result import Result, TableView
 from ssduck.errors import ArgumentError, LimitError, UnsupportedError
 from tests.support.cases import sampled
 

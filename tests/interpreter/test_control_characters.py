@@ -14,7 +14,7 @@ import pytest
 
 import ssduck
 from ssduck.adapters.formats import FORMATS, print_value, text_of
-from ssduck.adapters.table_view import TableView
+from ssduck.adapters.result import TableView
 from ssduck.errors import ArgumentError, ProgramWarning, UnknownNameError, warn
 
 HOSTILE = "cup\x1b[2J\x9b31m\u202e\r"

@@ -18,8 +18,7 @@ from typer.testing import CliRunner
 
 import ssduck
 from ssduck.adapters import grid_values as grids
-from ssduck.adapters.result import Result
-from ssduck.adapters.table_view import TableView
+from ssduck.adapters.result import Result, TableView
 from ssduck.cli.app import app
 from ssduck.errors import SelectScriptError
 from ssduck.openrave import OccupancyGridMap

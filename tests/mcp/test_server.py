@@ -19,12 +19,11 @@ from mcp import Client, StdioServerParameters
 from PIL import Image
 
 import ssduck
-from ssduck.adapters.highlight import OUTLINE
+from ssduck.adapters.marks import OUTLINE
 from ssduck.cli.worker import Source, WorkerAnswers
 from ssduck.mcp.answers import MAX_LETTERS
-from ssduck.mcp.guide import GUIDE
+from ssduck.mcp.guide import GUIDE, as_text
 from ssduck.mcp.server import create_server
-from ssduck.mcp.texts import as_text
 from ssduck.schema import TABLES
 from tests.support.cases import sampled
 from tests.support.timing import HANGS

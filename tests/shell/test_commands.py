@@ -9,9 +9,7 @@ from urllib.request import urlopen
 import pytest
 
 import ssduck
-from ssduck.shell.commands import COMMANDS
-from ssduck.shell.running import run_lines
-from ssduck.shell.session import Session
+from ssduck.shell.session import COMMANDS, Session, run_lines
 from tests.support.command_line import ssduck_
 from tests.support.timing import HANGS
 

@@ -15,13 +15,12 @@ pytest.importorskip("websockets", reason="the extra view is not installed")
 from websockets.sync.client import connect
 
 from ssduck.adapters.grid_values import Grid
-from ssduck.view.drawings import drawing_of
+from ssduck.view.answers import drawing_of
 from ssduck.view.facts import facts_of
-from ssduck.view.frames import Frame
+from ssduck.view.frames import Frame, track_of
 from ssduck.view.scans import Scan
-from ssduck.view.tracks import track_of
+from ssduck.view.server import SentTicks
 from ssduck.view.view import view_record
-from ssduck.view.viewer import SentTicks
 from tests.support.cases import sampled
 
 CUP = "cup_905a"

@@ -7,8 +7,8 @@ import pytest
 
 import ssduck
 from ssduck.adapters.display import as_json
-from ssduck.view import shown_values
-from ssduck.view.shown_values import MAX_LETTERS, MAX_VALUES, shown_rows
+from ssduck.view import answers
+from ssduck.view.answers import MAX_LETTERS, MAX_VALUES, shown_rows
 
 pytest.importorskip("websockets", reason="the extra view is not installed")
 
@@ -67,7 +67,7 @@ def page():
 )
 def test_a_page_gets_the_beginning_of_a_nested_list(page, monkeypatch, text):
     made = []
-    monkeypatch.setattr(shown_values, "as_json", lambda value: made.append(value) or as_json(value))
+    monkeypatch.setattr(answers, "as_json", lambda value: made.append(value) or as_json(value))
     answer = page.answer({"type": "ask", "text": text, "language": "sql"}, StopRequest())
     assert "error" not in answer
     assert len(made) <= MAX_VALUES

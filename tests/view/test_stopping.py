@@ -40,9 +40,9 @@ class Running:
 
 @pytest.fixture
 def running(monkeypatch):
-    running = Running(answers.value_of)
-    monkeypatch.setattr(answers, "value_of", running)
-    monkeypatch.setattr(scans, "value_of", running)
+    running = Running(answers.value_to_show)
+    monkeypatch.setattr(answers, "value_to_show", running)
+    monkeypatch.setattr(scans, "value_to_show", running)
     return running
 
 

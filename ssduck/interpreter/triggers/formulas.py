@@ -14,8 +14,8 @@ from typing import Any
 
 from sqlglot import exp
 
-from ssduck.adapters.registry import Adapter
-from ssduck.adapters.values import VALUES
+from ssduck.adapters.base import Adapter
+from ssduck.adapters.tabular import VALUES
 from ssduck.columns.arrays import ArrayOperations
 from ssduck.columns.compiler import literal_of
 from ssduck.columns.expressions import Expression, Kind, LeftToDuckDBError

@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary, WeakSet
 
 import numpy as np
 
-from ssduck.adapters.registry import Adapter
+from ssduck.adapters.base import Adapter
 from ssduck.columns.arrays import Array
 from ssduck.columns.expressions import LeftToDuckDBError
 from ssduck.errors import SelectScriptError

@@ -329,7 +329,7 @@ def test_a_recorded_ellipsoid_stays_one_and_pybullet_copies_a_hull(tmp_path):
 def test_pictures_have_the_triangles_of_an_ellipsoid():
     """Of `ssduck render`: on the surface, lit by its normals, and all of it."""
     pytest.importorskip("moderngl")
-    from ssduck.render.triangles import triangles
+    from ssduck.render.canvas import triangles
 
     size = np.array([0.1, 0.2, 0.3])
     corners = triangles(Geometry.primitive("ellipsoid", size))
