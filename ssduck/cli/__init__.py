@@ -7,14 +7,6 @@ from ssduck.lazy import exports
 if TYPE_CHECKING:
     from ssduck.cli.app import app, main
 
-__all__ = [
-    "app",
-    "main",
-]
+__all__ = ["app", "main"]
 
-__getattr__, __dir__ = exports(
-    __name__,
-    {
-        "app": ("app", "main"),
-    },
-)
+__getattr__, __dir__ = exports(__name__, {"app": ("app", "main")})

@@ -29,18 +29,11 @@ from ssduck.cli.options import (
     Program,
     ProgramFile,
     Rows,
+    option,
     program_text,
     writer_of_result,
 )
-from ssduck.cli.records import (
-    check,
-    episodes,
-    export,
-    import_,
-    macros,
-    open_or_load,
-    record,
-)
+from ssduck.cli.records import check, episodes, export, import_, macros, open_or_load, record
 from ssduck.cli.viewing import functions, render, scenes, view
 from ssduck.errors import SelectScriptError, UnknownNameError, nearest
 from ssduck.recording.paths import is_record
@@ -157,22 +150,21 @@ _DemoName = Annotated[
 ]
 OutputFolder = Annotated[
     Path | None,
-    typer.Option(
-        "--out",
-        metavar="FOLDER",
-        help="The folder for pictures and files. It is made if necessary; other files in it stay.",
-        show_default="ssduck-demo/NAME",
+    option(
+        "The folder for pictures and files. It is made if necessary; other files in it stay.",
+        "FOLDER",
+        flags="--out",
+        default="ssduck-demo/NAME",
     ),
 ]
 _PictureFile = Annotated[
     Path | None,
-    typer.Option(
-        "--output",
-        "-o",
-        metavar="FILE",
-        help="For kitchen and scenes: the file of the picture, in the format of its ending. "
+    option(
+        "For kitchen and scenes: the file of the picture, in the format of its ending. "
         "An existing file is replaced.",
-        show_default="NAME.png in the folder, or a free name beside it",
+        "FILE",
+        flags="--output -o",
+        default="NAME.png in the folder, or a free name beside it",
     ),
 ]
 
@@ -181,12 +173,10 @@ _PictureFile = Annotated[
 def demo(
     name: _DemoName = "kitchen",
     listed: Annotated[
-        bool, typer.Option("--list", help="List the demonstrations instead of running one.")
+        bool, option("List the demonstrations instead of running one.", flags="--list")
     ] = False,
     out: OutputFolder = None,
-    seed: Annotated[
-        int, typer.Option("--seed", min=0, metavar="N", help="The seed of random numbers.")
-    ] = 0,
+    seed: Annotated[int, option("The seed of random numbers.", "N", flags="--seed", least=0)] = 0,
     output: _PictureFile = None,
     picture: Annotated[
         bool,
@@ -257,16 +247,14 @@ _SceneOrRecord = Annotated[
 ]
 _Seconds = Annotated[
     float | None,
-    typer.Option(
-        min=0.0, metavar="T", help="Simulate T seconds first, rounded to whole steps of the scene."
-    ),
+    option("Simulate T seconds first, rounded to whole steps of the scene.", "T", least=0.0),
 ]
 _Strict = Annotated[
     bool,
-    typer.Option(
-        "--strict",
-        help="For programs from elsewhere: limit time, memory, rows and SQL, switch files off, and "
+    option(
+        "For programs from elsewhere: limit time, memory, rows and SQL, switch files off, and "
         "refuse probable mistakes instead of warning.",
+        flags="--strict",
     ),
 ]
 
@@ -280,12 +268,8 @@ def query(
     format: FormatOption = None,
     output: Output = None,
     rows: Rows = None,
-    sql: Annotated[
-        bool, typer.Option("--sql", help="The program is SQL, not SelectScript.")
-    ] = False,
-    steps: Annotated[
-        int | None, typer.Option(min=0, metavar="N", help="Simulate N steps first.")
-    ] = None,
+    sql: Annotated[bool, option("The program is SQL, not SelectScript.", flags="--sql")] = False,
+    steps: Annotated[int | None, option("Simulate N steps first.", "N", least=0)] = None,
     seconds: _Seconds = None,
     episode: EpisodeNumber = None,
     strict: _Strict = False,
@@ -330,11 +314,7 @@ app.command("import")(import_)
 
 
 @app.command()
-def mcp(
-    location: Location,
-    seconds: _Seconds = None,
-    episode: EpisodeNumber = None,
-) -> None:
+def mcp(location: Location, seconds: _Seconds = None, episode: EpisodeNumber = None) -> None:
     r"""Answer agents over the Model Context Protocol, on standard input and output.
 
     Programs are confined as with `query --strict`. The extra mcp brings the protocol:
@@ -360,7 +340,7 @@ def shell(
     location: Location = "kitchen",
     seconds: _Seconds = None,
     episode: EpisodeNumber = None,
-    sql: Annotated[bool, typer.Option("--sql", help="Begin with SQL, not SelectScript.")] = False,
+    sql: Annotated[bool, option("Begin with SQL, not SelectScript.", flags="--sql")] = False,
     history: Annotated[
         bool,
         typer.Option("--history/--no-history", help="Whether to keep what is typed for later."),

@@ -16,6 +16,7 @@ from ssduck.cli.options import (
     Program,
     ProgramFile,
     Rows,
+    option,
     program_text,
     write_text,
     writer_of_result,
@@ -33,66 +34,51 @@ Lake = Annotated[
 ]
 Where = Annotated[
     str | None,
-    typer.Option(
-        "--where",
-        "-w",
-        metavar="CONDITION",
-        help="Only episodes for which it holds, in SQL: \"task = 'pick' AND NOT success\".",
-        show_default="all",
+    option(
+        "Only episodes for which it holds, in SQL: \"task = 'pick' AND NOT success\".",
+        "CONDITION",
+        flags="--where -w",
+        default="all",
     ),
 ]
 EngineOption = Annotated[
-    Engine,
-    typer.Option(
-        "--engine", "-e", metavar="local|ray|spark", help="What runs the program: see the guide."
-    ),
+    Engine, option("What runs the program: see the guide.", "local|ray|spark", flags="--engine -e")
 ]
 Processes = Annotated[
     int | None,
-    typer.Option(
-        min=1,
-        metavar="N",
-        help="The number of processes of this machine.",
-        show_default="one a core",
-    ),
+    option("The number of processes of this machine.", "N", default="one a core", least=1),
 ]
 Batch = Annotated[
     int | None,
-    typer.Option(
-        min=1,
-        metavar="N",
-        help="The number of episodes that are asked together.",
-        show_default="at most 100",
-    ),
+    option("The number of episodes that are asked together.", "N", default="at most 100", least=1),
 ]
 Resume = Annotated[
     Path | None,
-    typer.Option(
-        metavar="FOLDER",
-        help="Keep the answers of finished batches there, and go on from them.",
-        show_default="keep nothing",
+    option(
+        "Keep the answers of finished batches there, and go on from them.",
+        "FOLDER",
+        default="keep nothing",
     ),
 ]
 SqlOption = Annotated[
     Dialect | None,
-    typer.Option(
-        "--sql",
-        metavar="duckdb|spark",
-        help="Write the statement that answers a program of formulas without ssduck; ask nothing.",
-        show_default="ask",
+    option(
+        "Write the statement that answers a program of formulas without ssduck; ask nothing.",
+        "duckdb|spark",
+        flags="--sql",
+        default="ask",
     ),
 ]
 Strict = Annotated[
     bool,
-    typer.Option(
-        "--strict",
-        help="For programs from elsewhere: limit time, memory and rows, and refuse probable "
+    option(
+        "For programs from elsewhere: limit time, memory and rows, and refuse probable "
         "mistakes instead of warning.",
+        flags="--strict",
     ),
 ]
 ForgetMissing = Annotated[
-    bool,
-    typer.Option("--forget-missing", help="List episodes whose files are gone no longer."),
+    bool, option("List episodes whose files are gone no longer.", flags="--forget-missing")
 ]
 
 
@@ -180,12 +166,11 @@ def tag(
     ] = None,
     program: Annotated[
         list[str] | None,
-        typer.Option(
-            "--program",
-            "-p",
-            metavar="NAME=PROGRAM",
-            help="A tag whose value is the answer of each episode to a program; may be repeated.",
-            show_default="none",
+        option(
+            "A tag whose value is the answer of each episode to a program; may be repeated.",
+            "NAME=PROGRAM",
+            flags="--program -p",
+            default="none",
         ),
     ] = None,
     where: Where = None,

@@ -13,6 +13,19 @@ import typer
 from ssduck.adapters.display import print_line, terminal_rows
 from ssduck.errors import SelectScriptError
 
+
+def option(
+    help: str,
+    metavar: str | None = None,
+    *,
+    flags: str = "",
+    default: str | bool = True,
+    least: float | None = None,
+) -> Any:
+    """Returns what describes an option; `default` tells in its help what it is by default."""
+    return typer.Option(*flags.split(), metavar=metavar, min=least, help=help, show_default=default)
+
+
 Format: TypeAlias = Literal["table", "csv", "json", "parquet", "markdown"]
 Location = Annotated[
     str, typer.Argument(metavar="SCENE|RECORD", help="A scene, or the path of a record.")
@@ -20,12 +33,7 @@ Location = Annotated[
 RecordPath = Annotated[Path, typer.Argument(metavar="RECORD", help="The record.")]
 EpisodeNumber = Annotated[
     int | None,
-    typer.Option(
-        min=0,
-        metavar="N",
-        help="The number of the episode of a record.",
-        show_default="the last one",
-    ),
+    option("The number of the episode of a record.", "N", default="the last one", least=0),
 ]
 Program = Annotated[
     str | None,
@@ -34,36 +42,33 @@ Program = Annotated[
     ),
 ]
 ProgramFile = Annotated[
-    Path | None,
-    typer.Option("--file", "-f", metavar="FILE", help="Read the program from a file."),
+    Path | None, option("Read the program from a file.", "FILE", flags="--file -f")
 ]
 FormatOption = Annotated[
     Format | None,
-    typer.Option(
-        "--format",
-        "-F",
-        metavar="table|csv|json|parquet|markdown",
-        help="The format of the result.",
-        show_default="that of the ending of --output, or table",
+    option(
+        "The format of the result.",
+        "table|csv|json|parquet|markdown",
+        flags="--format -F",
+        default="that of the ending of --output, or table",
     ),
 ]
 Output = Annotated[
     Path | None,
-    typer.Option(
-        "--output",
-        "-o",
-        metavar="FILE",
-        help="Write the whole result to a file; an existing one is replaced.",
-        show_default="standard output",
+    option(
+        "Write the whole result to a file; an existing one is replaced.",
+        "FILE",
+        flags="--output -o",
+        default="standard output",
     ),
 ]
 Rows = Annotated[
     int | None,
-    typer.Option(
-        min=0,
-        metavar="N",
-        help="Print at most N rows of a table: the first and the last ones.",
-        show_default="40 on a terminal, otherwise all",
+    option(
+        "Print at most N rows of a table: the first and the last ones.",
+        "N",
+        default="40 on a terminal, otherwise all",
+        least=0,
     ),
 ]
 

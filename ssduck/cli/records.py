@@ -14,7 +14,7 @@ import typer
 
 from ssduck.adapters.display import DisplayTable, print_line, print_table
 from ssduck.cli import signals
-from ssduck.cli.options import RecordPath, write_text
+from ssduck.cli.options import RecordPath, option, write_text
 from ssduck.errors import RecordError, warn
 from ssduck.formatting import count_of
 from ssduck.recording.paths import expand_path, is_record
@@ -28,46 +28,38 @@ if TYPE_CHECKING:
 _DUCKDB_SUFFIX = ".duckdb"
 
 _Duration = Annotated[
-    float,
-    typer.Option(
-        min=0.0, metavar="T", help="The simulated time, s, rounded to whole steps of the scene."
-    ),
+    float, option("The simulated time, s, rounded to whole steps of the scene.", "T", least=0.0)
 ]
 _NewRecord = Annotated[
     Path,
-    typer.Option(
-        "--output",
-        "-o",
-        metavar="PATH",
-        help="A folder for Parquet files, or a DuckDB file if the name ends with .duckdb. "
+    option(
+        "A folder for Parquet files, or a DuckDB file if the name ends with .duckdb. "
         "An existing one gets a new episode.",
+        "PATH",
+        flags="--output -o",
     ),
 ]
 _Tables = Annotated[
     list[str] | None,
-    typer.Option(
-        metavar="NAME",
-        help="A table to record: entities, links, joints, shapes, contacts or sensings; "
+    option(
+        "A table to record: entities, links, joints, shapes, contacts or sensings; "
         "may be repeated.",
-        show_default="all",
+        "NAME",
+        default="all",
     ),
 ]
 _Entities = Annotated[
     list[str] | None,
-    typer.Option(
-        metavar="NAME",
-        help="The name of an entity to record; may be repeated.",
-        show_default="all",
-    ),
+    option("The name of an entity to record; may be repeated.", "NAME", default="all"),
 ]
 
 _Tags = Annotated[
     list[str] | None,
-    typer.Option(
-        "--tag",
-        metavar="NAME=VALUE",
-        help="What you say of the run, such as task=pick or success=true; may be repeated.",
-        show_default="none",
+    option(
+        "What you say of the run, such as task=pick or success=true; may be repeated.",
+        "NAME=VALUE",
+        flags="--tag",
+        default="none",
     ),
 ]
 
@@ -78,14 +70,9 @@ def record(
     output: _NewRecord,
     tables: _Tables = None,
     entities: _Entities = None,
-    every: Annotated[int, typer.Option(min=1, metavar="N", help="Record only each N-th step.")] = 1,
+    every: Annotated[int, option("Record only each N-th step.", "N", least=1)] = 1,
     flush_every: Annotated[
-        float,
-        typer.Option(
-            min=0.001,
-            metavar="T",
-            help="The real time, s, after which a step is on the disk.",
-        ),
+        float, option("The real time, s, after which a step is on the disk.", "T", least=0.001)
     ] = 1.0,
     tag: _Tags = None,
 ) -> None:
@@ -147,59 +134,41 @@ def _run(world: World, steps: int, received: Collection[int]) -> None:
 def export(
     path: RecordPath,
     output: Annotated[
-        Path,
-        typer.Option("--output", "-o", metavar="PATH", help="The folder; it is made if necessary."),
+        Path, option("The folder; it is made if necessary.", "PATH", flags="--output -o")
     ],
-    world: Annotated[
-        str | None, typer.Option(metavar="NAME", help="The world to write.", show_default="all")
-    ] = None,
+    world: Annotated[str | None, option("The world to write.", "NAME", default="all")] = None,
     episode: Annotated[
         int | None,
-        typer.Option(
-            min=0,
-            metavar="N",
-            help="The number of the episode.",
-            show_default="the last one of each world",
-        ),
+        option("The number of the episode.", "N", default="the last one of each world", least=0),
     ] = None,
     entities: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="The name of an entity to write; may be repeated.",
-            show_default="all",
-        ),
+        option("The name of an entity to write; may be repeated.", "NAME", default="all"),
     ] = None,
-    start: Annotated[
-        float | None, typer.Option(metavar="T", help="The simulated time of the first tick, s.")
-    ] = None,
-    end: Annotated[
-        float | None, typer.Option(metavar="T", help="The simulated time of the last tick, s.")
-    ] = None,
+    start: Annotated[float | None, option("The simulated time of the first tick, s.", "T")] = None,
+    end: Annotated[float | None, option("The simulated time of the last tick, s.", "T")] = None,
     tag: _Tags = None,
     pairs: Annotated[
         float | None,
-        typer.Option(
-            metavar="D",
-            help="Write also the table of the pairs of entities within D metres.",
-            show_default="none",
+        option(
+            "Write also the table of the pairs of entities within D metres.", "D", default="none"
         ),
     ] = None,
     format: Annotated[
         str,
-        typer.Option(
-            "--format",
-            metavar="FORMAT",
-            help="folder (of Parquet files), lerobot (a dataset), mcap or rrd (files).",
+        option(
+            "folder (of Parquet files), lerobot (a dataset), mcap or rrd (files).",
+            "FORMAT",
+            flags="--format",
         ),
     ] = "folder",
     fps: Annotated[
         int | None,
-        typer.Option(
-            min=1,
-            metavar="N",
-            help="The frames per second of a dataset of LeRobot.",
-            show_default="that of the ticks",
+        option(
+            "The frames per second of a dataset of LeRobot.",
+            "N",
+            default="that of the ticks",
+            least=1,
         ),
     ] = None,
 ) -> None:
@@ -241,9 +210,9 @@ def check(
     path: RecordPath,
     repair: Annotated[
         bool,
-        typer.Option(
-            "--repair",
-            help="Take damaged files out of the record; their names then end in .damaged.",
+        option(
+            "Take damaged files out of the record; their names then end in .damaged.",
+            flags="--repair",
         ),
     ] = False,
 ) -> None:
@@ -282,26 +251,18 @@ def macros(
     ] = None,
     record: Annotated[
         Path | None,
-        typer.Option(
-            "--of",
-            metavar="RECORD",
-            help="A folder whose tables become views, with relations that look things up in them.",
+        option(
+            "A folder whose tables become views, with relations that look things up in them.",
+            "RECORD",
+            flags="--of",
         ),
     ] = None,
-    world: Annotated[
-        str | None, typer.Option(metavar="NAME", help="The world of the record.")
-    ] = None,
+    world: Annotated[str | None, option("The world of the record.", "NAME")] = None,
     episode: Annotated[
-        int | None,
-        typer.Option(
-            min=0, metavar="N", help="The number of the episode.", show_default="the last one"
-        ),
+        int | None, option("The number of the episode.", "N", default="the last one", least=0)
     ] = None,
     output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output", "-o", metavar="FILE", help="The file.", show_default="standard output"
-        ),
+        Path | None, option("The file.", "FILE", flags="--output -o", default="standard output")
     ] = None,
 ) -> None:
     """Write relations as macros for plain DuckDB, which needs no ssduck then.
@@ -366,26 +327,14 @@ def import_(
         typer.Argument(metavar="SOURCE", help="An MCAP file, or a folder with a LeRobot dataset."),
     ],
     output: Annotated[
-        Path,
-        typer.Option(
-            "--output", "-o", metavar="PATH", help="The folder of the record; it may have others."
-        ),
+        Path, option("The folder of the record; it may have others.", "PATH", flags="--output -o")
     ],
     world: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="The name of the world.",
-            show_default="that of the source, or world",
-        ),
+        str | None, option("The name of the world.", "NAME", default="that of the source, or world")
     ] = None,
     rate: Annotated[
         float | None,
-        typer.Option(
-            metavar="N",
-            help="Ticks per second of an MCAP file.",
-            show_default="those of its messages",
-        ),
+        option("Ticks per second of an MCAP file.", "N", default="those of its messages"),
     ] = None,
 ) -> None:
     """Write the poses of an MCAP file or of a LeRobot dataset as a record.

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ssduck.adapters.display import DisplayTable, print_line, print_table
-from ssduck.cli.options import EpisodeNumber, Location
+from ssduck.cli.options import EpisodeNumber, Location, option
 from ssduck.recording.paths import is_record
 
 if TYPE_CHECKING:
@@ -25,9 +25,9 @@ def view(
     episode: EpisodeNumber = None,
     host: Annotated[
         str,
-        typer.Option(
-            metavar="ADDRESS",
-            help="The address to listen at. Another one than 127.0.0.1 lets other computers ask.",
+        option(
+            "The address to listen at. Another one than 127.0.0.1 lets other computers ask.",
+            "ADDRESS",
         ),
     ] = "127.0.0.1",
     port: Annotated[
@@ -90,47 +90,27 @@ def _opened_view(location: str, episode: int | None, host: str, port: int) -> It
 
 def render(
     location: Location,
-    output: Annotated[
-        Path,
-        typer.Option("-o", "--output", metavar="FILE", help="A file .png, .gif or .mp4."),
-    ],
+    output: Annotated[Path, option("A file .png, .gif or .mp4.", "FILE", flags="-o --output")],
     start: Annotated[
-        float | None,
-        typer.Option("--from", metavar="T", help="The simulated time of the first picture, s."),
+        float | None, option("The simulated time of the first picture, s.", "T", flags="--from")
     ] = None,
     end: Annotated[
         float | None,
-        typer.Option(
-            "--to", metavar="T", help="The simulated time of the last picture, or of a PNG, s."
-        ),
+        option("The simulated time of the last picture, or of a PNG, s.", "T", flags="--to"),
     ] = None,
-    speed: Annotated[
-        float, typer.Option(metavar="X", help="Simulated seconds a second of the film.")
-    ] = 1.0,
-    fps: Annotated[float, typer.Option(metavar="N", help="Pictures a second.")] = 30.0,
-    size: Annotated[
-        str, typer.Option(metavar="WxH", help="Width and height, pixels.")
-    ] = "1280x720",
+    speed: Annotated[float, option("Simulated seconds a second of the film.", "X")] = 1.0,
+    fps: Annotated[float, option("Pictures a second.", "N")] = 30.0,
+    size: Annotated[str, option("Width and height, pixels.", "WxH")] = "1280x720",
     eye: Annotated[
-        str | None,
-        typer.Option(
-            metavar="X,Y,Z", help="The place of the camera, m.", show_default="the scene's camera"
-        ),
+        str | None, option("The place of the camera, m.", "X,Y,Z", default="the scene's camera")
     ] = None,
-    target: Annotated[
-        str | None, typer.Option(metavar="X,Y,Z", help="Where the camera looks, m.")
-    ] = None,
-    fov: Annotated[
-        float, typer.Option(metavar="DEGREES", help="The vertical field of view, with --eye.")
-    ] = 50.0,
+    target: Annotated[str | None, option("Where the camera looks, m.", "X,Y,Z")] = None,
+    fov: Annotated[float, option("The vertical field of view, with --eye.", "DEGREES")] = 50.0,
     highlight: Annotated[
         str | None,
-        typer.Option(
-            metavar="QUERY",
-            help="A query, asked at each picture: the entities of its result stand out.",
-        ),
+        option("A query, asked at each picture: the entities of its result stand out.", "QUERY"),
     ] = None,
-    sql: Annotated[bool, typer.Option("--sql", help="The query is SQL, not SelectScript.")] = False,
+    sql: Annotated[bool, option("The query is SQL, not SelectScript.", flags="--sql")] = False,
     episode: EpisodeNumber = None,
 ) -> None:
     r"""Draw a picture or a film of a scene or a record, without a screen.

@@ -10,10 +10,9 @@ from ssduck import validation
 from ssduck.errors import ArgumentError, RecordError, check_known, record_errors, warn
 from ssduck.formatting import short_repr
 from ssduck.interchange import lerobot, lerobot_reader, mcap, mcap_reader, rerun
-from ssduck.interchange.entities import KINDS, Entities, entities_of
 from ssduck.interchange.motion import motion_of
 from ssduck.interchange.pose_batches import Frames
-from ssduck.interchange.record_writer import write_tables
+from ssduck.interchange.record_writer import KINDS, Entities, entities_of, write_tables
 from ssduck.recording.episode import Episode
 from ssduck.recording.stores.parquet_layout import FolderRun
 

@@ -16,7 +16,7 @@ from ssduck.adapters.result import Result
 from ssduck.database.database import Database
 from ssduck.errors import ArgumentError, EvaluationError, record_errors
 from ssduck.formatting import short_repr
-from ssduck.interchange.pairs import checked_distance, pair_query, write_pairs
+from ssduck.interchange.macros import checked_distance, pair_query, write_pairs
 from ssduck.interpreter.planner import Planner
 from ssduck.interpreter.program import CompiledProgram
 from ssduck.interpreter.triggers.registry import TriggerRegistry

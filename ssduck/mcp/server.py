@@ -28,8 +28,7 @@ from ssduck.errors import LimitError, SelectScriptError, printable
 from ssduck.interpreter.archives import episodes
 from ssduck.interpreter.completion import Language
 from ssduck.interpreter.interpreter import Interpreter
-from ssduck.mcp.answers import Answers, InterpreterAnswers, WorkerError
-from ssduck.mcp.guide import as_text
+from ssduck.mcp.answers import Answers, InterpreterAnswers, WorkerError, as_text
 
 
 class _Turns:

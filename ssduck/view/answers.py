@@ -35,9 +35,8 @@ from ssduck.language.analysis import calls_of
 from ssduck.language.tree import Assignment, Call
 from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.view.facts import facts_of, plot_of
-from ssduck.view.live import Source
+from ssduck.view.live import Asked, Source
 from ssduck.view.scans import Scan
-from ssduck.view.sources import Asked
 from ssduck.world.world import World
 
 # The functions whose values are intervals of simulated time.

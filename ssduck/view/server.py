@@ -30,8 +30,7 @@ from ssduck.errors import SelectScriptError, SimulatorError
 from ssduck.interpreter.stopping import StopRequest
 from ssduck.view.answers import Answers, error_message
 from ssduck.view.frames import Frame, Poses, Track, poses_message, track_message
-from ssduck.view.live import Simulation, Source
-from ssduck.view.sources import Ticks
+from ssduck.view.live import Simulation, Source, Ticks
 
 
 class SentTicks:

@@ -12,8 +12,7 @@ from ssduck.adapters.optional import library
 from ssduck.errors import UnknownNameError, check_known
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.simulators.scenes import Camera
-from ssduck.view.live import LiveSource, Simulation, Source
-from ssduck.view.sources import RecordSource
+from ssduck.view.live import LiveSource, RecordSource, Simulation, Source
 from ssduck.world.world import World
 
 _HEIGHT = 640

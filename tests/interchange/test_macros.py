@@ -13,8 +13,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import NumberError, RecordError, UnknownNameError
-from ssduck.interchange.macros import macro_script
-from ssduck.interchange.pairs import pairs_of
+from ssduck.interchange.macros import macro_script, pairs_of
 from ssduck.interpreter.archives import folder_run
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS
 from ssduck.sql.relations.registry import RELATIONS

@@ -21,8 +21,7 @@ from PIL import Image
 import ssduck
 from ssduck.adapters.marks import OUTLINE
 from ssduck.cli.worker import Source, WorkerAnswers
-from ssduck.mcp.answers import MAX_LETTERS
-from ssduck.mcp.guide import GUIDE, as_text
+from ssduck.mcp.answers import GUIDE, MAX_LETTERS, as_text
 from ssduck.mcp.server import create_server
 from ssduck.schema import TABLES
 from tests.support.cases import sampled

@@ -13,7 +13,7 @@ import pytest
 import ssduck
 from ssduck.errors import RecordError
 from ssduck.interchange.conversion import write_runs
-from ssduck.interchange.pairs import COLUMNS, write_pairs
+from ssduck.interchange.macros import COLUMNS, write_pairs
 from ssduck.recording import episode_steps, folder_check
 from ssduck.recording.episode_steps import EpisodeSteps
 from ssduck.recording.folder_episodes import runs_in

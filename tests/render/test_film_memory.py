@@ -5,7 +5,7 @@ import weakref
 import numpy as np
 from PIL import Image
 
-from ssduck.render.film import write_film
+from ssduck.render.rendering import write_film
 
 COUNT, FPS = 30, 12.0
 

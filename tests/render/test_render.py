@@ -315,7 +315,7 @@ def test_a_film_of_too_many_pictures(end):
 def test_ffmpeg_that_fails_leaves_the_file_as_it_was(record, tmp_path, monkeypatch):
     film = tmp_path / "film.mp4"
     film.write_text("old")
-    monkeypatch.setattr("ssduck.render.film._QUALITY", "-crf 18 -f no_such_format -y")
+    monkeypatch.setattr("ssduck.render.rendering._QUALITY", "-crf 18 -f no_such_format -y")
     with pytest.raises(OSError, match=r"ffmpeg could not write the film: .*no_such_format"):
         render(record, film, Film(size=(64, 48), camera=VIEW, fps=2))
     assert film.read_text() == "old"
