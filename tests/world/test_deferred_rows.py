@@ -9,7 +9,7 @@ import pytest
 import ssduck
 from ssduck.geometry.bounds import BoundingBoxes
 from ssduck.geometry.poses import rotation_matrices, unit_quaternions
-from ssduck.simulators.mujoco import link_poses
+from ssduck.simulators.mujoco.link_poses import LinkReader
 from ssduck.simulators.scenes import find_scene
 from ssduck.world import contact_rows
 from ssduck.world.layout import BodyGroup
@@ -178,8 +178,8 @@ def test_a_condition_on_positions_computes_no_velocities(lab, monkeypatch):
     with ssduck.Interpreter(recording=None) as other:
         world = other.add_variable("lab", ssduck.World.attach(model, data))
         program = other.compile("SELECT z(lab.ball) > 0.1 FROM [0] AS list;")
-        calls, states = [], link_poses._states
-        monkeypatch.setattr(link_poses, "_states", lambda *of: calls.append(1) or states(*of))
+        calls, states = [], LinkReader._states
+        monkeypatch.setattr(LinkReader, "_states", lambda *of: calls.append(1) or states(*of))
         for _ in range(3):
             mujoco.mj_step(model, data)
             world.tick()
