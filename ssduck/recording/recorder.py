@@ -30,8 +30,8 @@ from ssduck.recording.stores.base import PairRequest, TickArchive, TickStore
 from ssduck.schema import OFTEN_UNKNOWN
 from ssduck.world import ctrl_c
 from ssduck.world.layout import EntityInfo
+from ssduck.world.sensor_readings import TickState
 from ssduck.world.snapshot import Snapshot
-from ssduck.world.tick_state import TickState
 
 # The largest number of buffered ticks, of a record in a file and in memory.
 BUFFERED_TICKS = 240

@@ -16,9 +16,8 @@ from ssduck.schema import FRAMES, RECORDED, STORED_TABLES, TABLES
 from ssduck.simulators.interface import LinkPoses
 from ssduck.world.contact_rows import CONTACT_SIDES, contact_rows
 from ssduck.world.layout import BodyGroup, TableLayout
-from ssduck.world.sensor_readings import SENSING_COLUMNS, sensing_rows
+from ssduck.world.sensor_readings import SENSING_COLUMNS, TickState, sensing_rows
 from ssduck.world.snapshot import Snapshot
-from ssduck.world.tick_state import TickState
 
 # The tables that have the same rows at each tick as long as the entities are the same.
 FIXED_ROW_TABLES = tuple(table.name for table in STORED_TABLES.values() if table.key)

@@ -44,12 +44,12 @@ from ssduck.world.run_numbers import new_run
 from ssduck.world.sensor_readings import (
     SensorReader,
     TickContext,
+    TickState,
     has_rays,
     sensor_poses,
     write_sensings,
 )
 from ssduck.world.tick_geometry import TickGeometry
-from ssduck.world.tick_state import TickState
 
 
 class Snapshot(TickGeometry):
