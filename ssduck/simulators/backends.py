@@ -26,10 +26,10 @@ from ssduck.simulators.interface import (
     Simulator,
     VisualShape,
 )
+from ssduck.simulators.partial import StaticSimulator
 from ssduck.simulators.recognition import MUJOCO
 from ssduck.simulators.scene_bodies import BodySpec
 from ssduck.simulators.scenes import Scene
-from ssduck.simulators.static import StaticSimulator
 from ssduck.simulators.visuals import stored_visuals, with_grounds
 
 BACKENDS = {

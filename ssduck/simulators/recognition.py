@@ -1,7 +1,9 @@
 """Recognises the simulator of an object or of a scene, without importing any simulator.
 
 Environments keep their simulation in different places. `parts_of` looks into those of gymnasium,
-dm_control and robosuite.
+dm_control and robosuite. Environments may make a new model at each reset. So a simulation is given
+as an object that has model and data, or as a function that returns them, and is asked whenever a
+tick is taken.
 """
 
 from __future__ import annotations
@@ -211,3 +213,55 @@ def _found(part: Any, name: str) -> tuple[Any, _Path]:
 def _is_own(candidate: Any, name: str) -> bool:
     kind = type(candidate)
     return kind.__name__ == name and kind.__module__.partition(".")[0] == MUJOCO
+
+
+# Returns the model and the data as they are now.
+Source: TypeAlias = Callable[[], tuple[Any, Any]]
+
+
+def source_of(simulation: Any) -> Source:
+    """Returns the function that finds the model and the data of a simulation.
+
+    Args:
+        simulation: a pair of model and data, an object that has both, such as an environment, or a
+            function that returns one of these.
+
+    Raises:
+        SimulatorError: there is no model with data.
+    """
+    parts = parts_of(simulation)
+    if parts is None and callable(simulation):
+
+        def made() -> tuple[Any, Any]:
+            found = simulation()
+            return _checked(parts_of(found), found, simulation)
+
+        made()
+        return made
+    found = _checked(parts, simulation, simulation)
+    if isinstance(simulation, tuple):
+        return lambda: found
+    find = parts_finder(simulation)
+    return lambda: _checked(find(), simulation, simulation)
+
+
+def _checked(parts: tuple[Any, Any] | None, found: Any, simulation: Any) -> tuple[Any, Any]:
+    """Returns the model and the data of what was found.
+
+    Raises:
+        SimulatorError: there is no model with data.
+    """
+    if parts is None:
+        returned = "" if found is simulation else f" returned {short_repr(found)}, which"
+        raise SimulatorError(
+            f"attach: {short_repr(simulation)}{returned} has no MuJoCo model with its data: give "
+            "World.attach(model, data), an environment that has both, or a function that returns "
+            "(model, data)"
+        )
+    model, data = parts
+    if getattr(data, "model", model) is not model and data.model.nbody != model.nbody:
+        raise SimulatorError(
+            f"attach: the data is of another model: it has {data.model.nbody} bodies, "
+            f"the model {model.nbody}"
+        )
+    return model, data

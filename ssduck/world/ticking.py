@@ -25,7 +25,7 @@ from ssduck.schema import MARGINS, MASSES, MOMENTS
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.environments import EnvironmentSimulator
 from ssduck.simulators.interface import Simulator
-from ssduck.simulators.static import StaticSimulator
+from ssduck.simulators.partial import StaticSimulator
 from ssduck.world import ctrl_c
 from ssduck.world.drawn_bodies import DrawnBodies
 from ssduck.world.entity_registry import EntityRegistry

@@ -9,7 +9,7 @@ import numpy as np
 from ssduck.geometry.arrays import Array
 from ssduck.simulators.interface import Body, LinkPoses
 from ssduck.simulators.kinematics import Pose, moved_link_poses
-from ssduck.simulators.static import StaticSimulator
+from ssduck.simulators.partial import StaticSimulator
 from ssduck.world.layout import BodyGroup
 from ssduck.world.snapshot import Snapshot
 

@@ -43,15 +43,14 @@ from ssduck.simulators.scenes import Camera, SensorSpec, variable_name
 from ssduck.world.construction import UNNAMED, ConstructibleWorld
 from ssduck.world.entities import HANDLES, Entity, Sensor
 from ssduck.world.entity_registry import no_entity_error, told_of_part
-from ssduck.world.excerpt import excerpt
-from ssduck.world.framing import framing_camera
+from ssduck.world.excerpt import excerpt, new_folder, scene_of, write_scene
 from ssduck.world.handles import Handle
 from ssduck.world.links import Link, links_and_sites_of
 from ssduck.world.manipulation import ManipulableSimulation
 from ssduck.world.openrave_names import OpenRaveWorld
+from ssduck.world.pictures import framing_camera
 from ssduck.world.public_names import INSTEAD_IN_WORLDS, WORLD_INTERNALS, PublicNames
 from ssduck.world.running import run
-from ssduck.world.scene_export import new_folder, scene_of, write_scene
 from ssduck.world.sensor_readings import Reading
 from ssduck.world.snapshot import Snapshot
 from ssduck.world.what_if import what_if_tick

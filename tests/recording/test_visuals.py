@@ -7,7 +7,7 @@ import pytest
 import ssduck
 from ssduck.simulators.backends import drawn_shapes
 from ssduck.simulators.scenes import Camera
-from ssduck.world.framing import framing_camera
+from ssduck.world.pictures import framing_camera
 from ssduck.world.world import World
 
 

@@ -8,7 +8,7 @@ from ssduck.formatting import past_path, past_query
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.schema import ON_DEMAND, TABLES
 from ssduck.simulators.interface import Simulator
-from ssduck.simulators.static import StaticSimulator
+from ssduck.simulators.partial import StaticSimulator
 from ssduck.world.entities import Entity
 from ssduck.world.handles import RecordedTick
 from ssduck.world.snapshot import Snapshot

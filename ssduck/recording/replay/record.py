@@ -40,7 +40,7 @@ from ssduck.schema import (
     entity_of,
     link_of,
 )
-from ssduck.simulators.static import StaticSimulator
+from ssduck.simulators.partial import StaticSimulator
 from ssduck.world.entities import HANDLES, Entity
 from ssduck.world.handles import Handle, RecordedTick
 from ssduck.world.layout import EntityInfo, margins_of

@@ -13,7 +13,7 @@ from ssduck.geometry.poses import rotation_matrices
 from ssduck.recording.replay.caches import RowCache
 from ssduck.schema import FRAMES, ON_DEMAND, POSE, TABLES
 from ssduck.simulators.interface import Body, LinkPoses
-from ssduck.simulators.static import StaticSimulator
+from ssduck.simulators.partial import StaticSimulator
 from ssduck.world.layout import BodyGroup, EntityInfo, TableLayout
 from ssduck.world.snapshot import Snapshot
 

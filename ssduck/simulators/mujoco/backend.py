@@ -33,8 +33,7 @@ from ssduck.simulators.mujoco.flexes import entity_roots
 from ssduck.simulators.mujoco.interventions import add_spare_welds
 from ssduck.simulators.mujoco.library import mujoco
 from ssduck.simulators.mujoco.simulator import MuJoCoSimulator
-from ssduck.simulators.mujoco.sources import source_of
-from ssduck.simulators.recognition import MUJOCO
+from ssduck.simulators.recognition import MUJOCO, source_of
 from ssduck.simulators.scene_bodies import MODEL_FILES, BodySpec
 from ssduck.simulators.scenes import Scene
 

@@ -46,8 +46,8 @@ from ssduck.simulators.mujoco.link_poses import LinkReader
 from ssduck.simulators.mujoco.margins import margin_content, margins_of
 from ssduck.simulators.mujoco.rays import RayCaster
 from ssduck.simulators.mujoco.rendering import Viewpoint, draw, segment
-from ssduck.simulators.mujoco.sources import Source
 from ssduck.simulators.partial import PartialSimulator
+from ssduck.simulators.recognition import Source
 from ssduck.simulators.scenes import Camera
 
 # The numbers of root bodies of which collisions are off, and of those that are hidden.

@@ -17,11 +17,10 @@ from ssduck.simulators.backends import (
     mjcf_scene,
 )
 from ssduck.simulators.interface import Body, Kind, Simulator, VisualShape
-from ssduck.simulators.pybullet.clients import all_handles_of, new_client
-from ssduck.simulators.pybullet.console import pybullet
+from ssduck.simulators.pybullet.clients import all_handles_of, new_client, pybullet
+from ssduck.simulators.pybullet.given_bodies import user_shapes
 from ssduck.simulators.pybullet.scene_loader import load_models
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
-from ssduck.simulators.pybullet.user_shapes import user_shapes
 from ssduck.simulators.recognition import MUJOCO
 from ssduck.simulators.scenes import Scene
 

@@ -21,6 +21,7 @@ from ssduck.geometry.poses import IDENTITY, compose, invert, rotation_matrices
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.interface import Body, Joint, Kind, Link
 from ssduck.simulators.pybullet.bullet_file import SavedShapes
+from ssduck.simulators.pybullet.clients import pybullet
 from ssduck.simulators.pybullet.collision_margins import (
     LinkMargin,
     link_margin,
@@ -28,7 +29,6 @@ from ssduck.simulators.pybullet.collision_margins import (
     margin_of,
     with_margins,
 )
-from ssduck.simulators.pybullet.console import pybullet
 
 Pose: TypeAlias = tuple[Array, Array]
 # The shapes of a link; None if PyBullet does not return them.

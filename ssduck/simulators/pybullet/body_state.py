@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ssduck.simulators.interface import SCALAR_JOINTS, Body
-from ssduck.simulators.pybullet.console import pybullet
+from ssduck.simulators.pybullet.clients import pybullet
 from ssduck.simulators.pybullet.simulator import visual_colours
 
 # The indices of changeDynamics' parameters in the result of getDynamicsInfo. Margins are not among

@@ -25,7 +25,7 @@ import numpy.typing as npt
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.poses import IDENTITY, compose, quaternion_from_matrix, turn_to
 from ssduck.geometry.shapes import Geometry
-from ssduck.simulators.pybullet.console import pybullet
+from ssduck.simulators.pybullet.clients import pybullet
 
 # A geometry with its position (3,) and orientation (4,) in a frame.
 PosedGeometry: TypeAlias = tuple[Geometry, Array, Array]

@@ -17,7 +17,7 @@ import numpy as np
 
 from ssduck.geometry.shapes import PlacedGeometry
 from ssduck.simulators.interface import Body
-from ssduck.simulators.pybullet.console import pybullet
+from ssduck.simulators.pybullet.clients import pybullet
 
 # PyBullet's default for hulls, compounds, and concave meshes that are made by a call, metres.
 DEFAULT = 1e-3

@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.simulators.interface import ContactPoints, Contacts
-from ssduck.simulators.pybullet.console import pybullet
+from ssduck.simulators.pybullet.clients import pybullet
 
 # marshal's format 2, without references: a type code, then the value or the count of elements.
 _FORMAT = 2

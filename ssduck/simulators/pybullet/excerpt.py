@@ -37,8 +37,7 @@ from ssduck.simulators.pybullet.body_state import (
     set_state,
     state_of,
 )
-from ssduck.simulators.pybullet.clients import new_client
-from ssduck.simulators.pybullet.console import pybullet
+from ssduck.simulators.pybullet.clients import new_client, pybullet
 from ssduck.simulators.pybullet.introspection import (
     constraints_of,
     estimated_model,

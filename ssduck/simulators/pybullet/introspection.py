@@ -17,12 +17,12 @@ from ssduck.geometry.mesh_files import load_mesh
 from ssduck.geometry.poses import IDENTITY, compose, invert
 from ssduck.geometry.shapes import Geometry
 from ssduck.simulators.interface import SCALAR_JOINTS, Body, LinkPoses, VisualShape
+from ssduck.simulators.joints import position_nearest_zero
 from ssduck.simulators.kinematics import moved_link_poses
 from ssduck.simulators.pybullet.bodies import Pose, primitive_of, wxyz
-from ssduck.simulators.pybullet.console import pybullet
+from ssduck.simulators.pybullet.clients import pybullet
 from ssduck.simulators.pybullet.scene_loader import CONSTRAINTS
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
-from ssduck.simulators.scene_joints import position_nearest_zero
 from ssduck.simulators.scenes import ConstraintSpec
 from ssduck.simulators.visuals import collision_visuals
 

@@ -16,7 +16,7 @@ from ssduck.geometry.arrays import Array, Indices, are_moderate
 from ssduck.geometry.poses import invert, multiply, rotate, rotation_matrices
 from ssduck.simulators.interface import Body, LinkPoses, PosesSource
 from ssduck.simulators.pybullet.bodies import Pose, is_soft
-from ssduck.simulators.pybullet.console import pybullet
+from ssduck.simulators.pybullet.clients import pybullet
 
 _flatten = chain.from_iterable
 # Parts of a link's state: the pose of the centre of mass; linear and angular velocity.

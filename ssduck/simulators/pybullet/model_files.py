@@ -12,8 +12,13 @@ from ssduck.errors import SceneError
 from ssduck.formatting import joined_names, short_repr
 from ssduck.simulators.model_xml import parse_tolerantly
 from ssduck.simulators.pybullet.bodies import MAX_JOINTS
-from ssduck.simulators.pybullet.ignored_parts import free_bodies, has_unknown_angles, ignored_parts
-from ssduck.simulators.pybullet.model_numbers import check_numbers, first_of
+from ssduck.simulators.pybullet.ignored_parts import (
+    check_numbers,
+    first_of,
+    free_bodies,
+    has_unknown_angles,
+    ignored_parts,
+)
 from ssduck.simulators.pybullet.model_repairs import (
     free_continuous_joints,
     join_numbers,

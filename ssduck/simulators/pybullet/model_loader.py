@@ -15,7 +15,7 @@ from ssduck.geometry.arrays import Array
 from ssduck.geometry.poses import compose
 from ssduck.simulators.naming import body_name, name_by_file
 from ssduck.simulators.pybullet.bodies import wxyz, xyzw
-from ssduck.simulators.pybullet.console import captured, pybullet
+from ssduck.simulators.pybullet.clients import captured, pybullet
 from ssduck.simulators.pybullet.mesh_checks import check_meshes
 from ssduck.simulators.pybullet.model_files import ModelFile
 from ssduck.simulators.scene_bodies import BodySpec, Material, Primitive

@@ -15,7 +15,7 @@ import numpy as np
 
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.simulators.interface import RayHits
-from ssduck.simulators.pybullet.console import pybullet
+from ssduck.simulators.pybullet.clients import pybullet
 
 # PyBullet refuses more rays than its maximum in one call, and returns nothing for the maximum.
 MAX_RAYS: int = pybullet.MAX_RAY_INTERSECTION_BATCH_SIZE - 1

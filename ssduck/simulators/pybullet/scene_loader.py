@@ -11,13 +11,13 @@ from typing import Any
 from ssduck.errors import SceneError, nearest, warn
 from ssduck.formatting import joined_names
 from ssduck.simulators.interface import SCALAR_JOINTS, Joint, Kind, MotorTarget
+from ssduck.simulators.joints import check_joints, position_nearest_zero
 from ssduck.simulators.naming import unique_name
 from ssduck.simulators.pybullet.bodies import BodyDescription, joint_of
-from ssduck.simulators.pybullet.console import pybullet
+from ssduck.simulators.pybullet.clients import pybullet
 from ssduck.simulators.pybullet.model_files import ModelFile
 from ssduck.simulators.pybullet.model_loader import link_names, load_model, names_in_file
 from ssduck.simulators.scene_bodies import MODEL_SUFFIXES, BodySpec
-from ssduck.simulators.scene_joints import check_joints, position_nearest_zero
 from ssduck.simulators.scenes import ConstraintSpec, Scene, check_body
 from ssduck.simulators.toml_reader import Vector
 

@@ -39,13 +39,11 @@ from ssduck.simulators.pybullet.bodies import (
     masses_of,
     xyzw,
 )
-from ssduck.simulators.pybullet.body_names import names_of
 from ssduck.simulators.pybullet.bullet_file import SavedShapes
-from ssduck.simulators.pybullet.clients import all_handles_of, handles_of
+from ssduck.simulators.pybullet.clients import all_handles_of, captured, handles_of, pybullet
 from ssduck.simulators.pybullet.collision_margins import LinkMargin, MarginReader
-from ssduck.simulators.pybullet.console import captured, pybullet
 from ssduck.simulators.pybullet.contacts import PyBulletContacts
-from ssduck.simulators.pybullet.given_bodies import GivenBodies
+from ssduck.simulators.pybullet.given_bodies import GivenBodies, names_of
 from ssduck.simulators.pybullet.link_frames import LinkPosesReader
 from ssduck.simulators.pybullet.rays import cast_rays
 from ssduck.simulators.pybullet.scene_loader import (
