@@ -2,7 +2,7 @@
 
 `interface` defines the protocol `Simulator` and the bodies, joints and poses that it exchanges.
 `backends` lists the simulators by name, with the functions that make simulations. `scenes` reads
-scene files. `static` is a simulator in which nothing moves; it runs recorded ticks and what-if
+scene files. `partial` has a simulator in which nothing moves; it runs recorded ticks and what-if
 worlds.
 """
 

@@ -134,11 +134,6 @@ class EntityJoints:
 def check_joints(spec: BodySpec, joints: Sequence[Joint], place: str) -> None:
     """Checks that the bodies of a scene entry can have their joints as the entry says.
 
-    Args:
-        spec: the entry.
-        joints: the joints of its bodies.
-        place: the place of the entry in errors.
-
     Raises:
         SceneError: there is no such joint, or it cannot be at such a position.
     """

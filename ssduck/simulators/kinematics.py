@@ -171,11 +171,7 @@ def _bounded(value: float, joint: Joint, quantity: str, name: str) -> float:
 
 
 def link_index(body: Body, link: str, name: str) -> int:
-    """Returns the index of a link by its name.
-
-    Raises:
-        UnknownNameError: there is none; with the nearest names.
-    """
+    """Returns the index of a link by its name."""
     names = [part.name for part in body.links]
     if link not in names:
         raise UnknownNameError(f"{name} has no link {link!r}", suggestions=nearest(link, names))
@@ -299,13 +295,6 @@ def _move_link(
     """Moves a link (1, 13), relative to its parent, by its joints, in place.
 
     Its joints that do not move keep their velocities; the others are at rest.
-
-    Args:
-        within: the state of the link.
-        joints: the joints of the body.
-        numbers: the indices of the link's joints, in order.
-        changes: the changes of positions, by the index of the joint.
-        states: the present positions and velocities of the body's joints.
     """
     within[:, 7:] = 0.0
     positions = {n: _position_of(n, joints, states) for n in numbers} if len(numbers) > 1 else {}
@@ -364,14 +353,7 @@ def _product(
 
 
 def _add_velocity(within: Array, joint: Joint, velocity: float, later: Pose) -> None:
-    """Adds the velocity that a joint gives its link, relative to the parent, in place.
-
-    Args:
-        within: the state of the link (1, 13), with its new pose.
-        joint: the joint.
-        velocity: its velocity, rad/s or m/s.
-        later: the pose that the later joints of the link give it.
-    """
+    """Adds the velocity that a joint gives its link, relative to the parent, in place."""
     back = invert(*later)
     to_parent = rotation_matrices(within[:, 3:7])
     axis = velocity * rotate(rotation_matrices(back[1]), np.array([joint.axis]))

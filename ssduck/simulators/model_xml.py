@@ -39,11 +39,7 @@ def parse_xml(content: bytes, *, with_comments: bool = False) -> ET.Element:
     """Returns the root of a model file's content; the names of elements are without namespaces.
 
     MuJoCo and PyBullet know neither encodings nor namespaces: `<include xmlns="a"/>` is an include.
-
-    Args:
-        content: the bytes of the model file.
-        with_comments: whether comments and processing instructions inside the root are children,
-            too; their tags are functions.
+    On request, comments and processing instructions are children, too; their tags are functions.
 
     Raises:
         ET.ParseError: it is no XML in UTF-8.
@@ -59,16 +55,11 @@ def parse_xml(content: bytes, *, with_comments: bool = False) -> ET.Element:
 
 
 def parse_tolerantly(content: bytes) -> tuple[ET.Element, bool]:
-    """Returns the root of a model file's content as PyBullet reads it; prefixes stay in names.
+    """Returns the root of a model file as PyBullet reads it, and whether that is not plain XML.
 
-    It takes prefixes without a namespace, comments with `--`, declarations anywhere, a single `&`,
-    other encodings than UTF-8, and anything behind a null character, as PyBullet does.
-
-    Args:
-        content: the bytes of the model file.
-
-    Returns:
-        The root, and whether it took more than plain XML in UTF-8.
+    Prefixes stay in names, also those without a namespace. Comments with `--`, declarations
+    anywhere, a single `&`, other encodings than UTF-8, and anything behind a null character are
+    taken, as by PyBullet.
 
     Raises:
         ET.ParseError: it is no XML even so.
@@ -90,11 +81,7 @@ def parse_tolerantly(content: bytes) -> tuple[ET.Element, bool]:
 
 
 def _parsed(content: bytes) -> ET.Element:
-    """Parses XML without namespaces.
-
-    Raises:
-        expat.ExpatError: it is no XML in UTF-8.
-    """
+    """Parses XML without namespaces."""
     builder = ET.TreeBuilder()
     parser = expat.ParserCreate("utf-8")  # expat bounds the growth of entities
     parser.buffer_text = True

@@ -56,11 +56,7 @@ def simulator_of(simulation: Any) -> str:
 
 
 def simulator_of_model(model: Any) -> str:
-    """Returns the name of the simulator of a model without its data.
-
-    Raises:
-        SimulatorError: it is none that is known.
-    """
+    """Returns the name of the simulator of a model without its data."""
     if _own(model, _NAMES[0]) is not None:
         return MUJOCO
     raise SimulatorError(
@@ -120,11 +116,7 @@ def parts_finder(simulation: Any) -> Callable[[], tuple[Any, Any] | None]:
 
 
 def client_of(simulation: Any) -> int | None:
-    """Returns the number of the PyBullet client of an environment; None if it has none.
-
-    Args:
-        simulation: an object that has a client as an attribute, itself or in one of its parts.
-    """
+    """Returns the number of the PyBullet client of an environment; None if it has none."""
     return next(_clients(simulation, _MAX_DEPTH), None)
 
 
@@ -246,11 +238,7 @@ def source_of(simulation: Any) -> Source:
 
 
 def _checked(parts: tuple[Any, Any] | None, found: Any, simulation: Any) -> tuple[Any, Any]:
-    """Returns the model and the data of what was found.
-
-    Raises:
-        SimulatorError: there is no model with data.
-    """
+    """Returns the model and the data of what was found."""
     if parts is None:
         returned = "" if found is simulation else f" returned {short_repr(found)}, which"
         raise SimulatorError(

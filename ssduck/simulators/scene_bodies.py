@@ -125,11 +125,7 @@ class BodySpec:
 
 
 def read_body(table: TomlTable, folder: Path) -> BodySpec:
-    """Reads a `[[body]]` table; model files are relative to a folder.
-
-    Raises:
-        SceneError: file, key and reason.
-    """
+    """Reads a `[[body]]` table; model files are relative to a folder."""
     kind = table.text("kind", "") or None
     if kind not in (None, "robot", "kinbody"):
         table.fail(
@@ -174,11 +170,7 @@ def read_body(table: TomlTable, folder: Path) -> BodySpec:
 
 
 def read_floor(table: TomlTable) -> BodySpec:
-    """Reads the values of a `[floor]` table: a horizontal plane of unlimited size.
-
-    Raises:
-        SceneError: file, key and reason.
-    """
+    """Reads the values of a `[floor]` table: a horizontal plane of unlimited size."""
     height = table.number("height", 0.0)
     model = Primitive("plane", (0.0, 0.0, 1.0), material=_material(table))
     visible = table.flag("visible", True)

@@ -128,11 +128,7 @@ class _NamedFile:
 
 
 class _SceneFiles:
-    """The files of a scene by their names.
-
-    Args:
-        folder: the folder of the scene, without links.
-    """
+    """The files of a scene by their names."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -145,22 +141,14 @@ class _SceneFiles:
         self._place_count = self._bytes = 0
 
     def add_model(self, model: Path, source: Path) -> None:
-        """Adds a model file that the scene names.
-
-        Raises:
-            SceneError: it is not in the folder, or a file that it names is not.
-        """
+        """Adds a model file that the scene names."""
         if not model.is_relative_to(self._folder):
             _refuse(source, str(model), self._folder)
         self._add_words(str(model.relative_to(self._folder)))
         self._read(model, "model")
 
     def check(self) -> tuple[Path, ...]:
-        """Checks all files that a simulator may read, and returns them.
-
-        Raises:
-            SceneError: one is elsewhere, is no regular file, or cannot be checked.
-        """
+        """Checks all files that a simulator may read, and returns them."""
         known = -1
         files: tuple[Path, ...] = ()
         while known != len(self._checked):  # a file that is read may name others
@@ -173,11 +161,7 @@ class _SceneFiles:
         return files
 
     def _reachable(self) -> Iterator[Path]:
-        """Yields the files in the folder whose paths are made of the words.
-
-        Raises:
-            SceneError: such a path leaves the folder, or is no regular file.
-        """
+        """Yields the files in the folder whose paths are made of the words."""
         waiting, seen = [self._folder], {self._folder}
         while waiting:
             folder = waiting.pop()
@@ -331,11 +315,7 @@ def _names_in_folder(folder: Path) -> list[str]:
 
 
 def _root(model: Path) -> ET.Element:
-    """Returns the root of a model file.
-
-    Raises:
-        SceneError: it cannot be read, or has a <!DOCTYPE> or a <![CDATA[]]>.
-    """
+    """Returns the root of a model file."""
     try:
         if not model.is_file():  # a pipe would be waited for
             raise SceneError(f"{model} is no regular file (Limits: files)")
@@ -351,11 +331,7 @@ def _root(model: Path) -> ET.Element:
 
 
 def _names_in(model: Path, root: ET.Element) -> Iterator[tuple[str, str]]:
-    """Yields the names of files in a model file, each with its element.
-
-    Raises:
-        SceneError: the text that names a file is not one plain text.
-    """
+    """Yields the names of files in a model file, each with its element."""
     for part in root.iter():
         for attribute, name in part.attrib.items():
             is_urdf = attribute == "filename" and part.tag in _NAMED
@@ -367,11 +343,7 @@ def _names_in(model: Path, root: ET.Element) -> Iterator[tuple[str, str]]:
 
 
 def _plain_text(model: Path, part: ET.Element) -> str:
-    """Returns the text of an element that names a file, as any reader takes it.
-
-    Raises:
-        SceneError: it has blanks around it, or comments or elements inside.
-    """
+    """Returns the text of an element that names a file, as any reader takes it."""
     text = part.text or ""
     if len(part) or text != text.strip():
         whole = "".join(part.itertext())
@@ -383,11 +355,7 @@ def _plain_text(model: Path, part: ET.Element) -> str:
 
 
 def _parts(file: Path, line: str) -> Iterator[str]:
-    """Yields the words of a line, and all that lie side by side: names may have blanks.
-
-    Raises:
-        SceneError: there are too many.
-    """
+    """Yields the words of a line, and all that lie side by side: names may have blanks."""
     spans = [word.span() for word in _WORD.finditer(line)]
     if len(spans) > MAX_WORDS:
         raise SceneError(

@@ -138,13 +138,7 @@ def _hash(file: Path) -> bytes:
 
 @dataclass(frozen=True)
 class _Request:
-    """What the process loads.
-
-    Attributes:
-        scene: the scene.
-        simulator: the name of the simulator.
-        limits: the limits.
-    """
+    """What the process loads."""
 
     scene: Scene
     simulator: str
@@ -152,13 +146,7 @@ class _Request:
 
 
 class _Deadline:
-    """Ends a process when its time is up.
-
-    Args:
-        process: the process.
-        lines: gets an empty line when its time is up.
-        seconds: its time until `restart`, s.
-    """
+    """Ends a process when its time is up."""
 
     def __init__(
         self, process: subprocess.Popen[bytes], lines: SimpleQueue[bytes], seconds: float

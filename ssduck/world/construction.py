@@ -176,11 +176,7 @@ class ConstructibleWorld:
 
 
 def _check_distinct(names: Any) -> None:
-    """Checks that no two bodies have one name.
-
-    Raises:
-        ArgumentError: two have; the error names both.
-    """
+    """Checks that no two bodies have one name."""
     bodies: dict[str, Any] = {}
     for body, name in names.items() if isinstance(names, Mapping) else ():
         if isinstance(name, str) and bodies.setdefault(name, body) is not body:
@@ -193,11 +189,7 @@ def _check_distinct(names: Any) -> None:
 def _simulation(
     client: Any, more: Sequence[Any], names: Any, kinds: Any
 ) -> tuple[Any, tuple[Any, Any]]:
-    """Returns the simulation, names and kinds, of which some have no name in a call.
-
-    Raises:
-        ArgumentError: there are too many values, or names or kinds are given twice.
-    """
+    """Returns the simulation, names and kinds, of which some have no name in a call."""
     values = list(more)
     if values and not (values[0] is None or isinstance(values[0], Mapping)):
         client = client, values.pop(0)

@@ -97,11 +97,7 @@ class EntityRegistry:
             self.entities.append(EntityInfo(self._new_id(), name, body.kind, body=body))
 
     def _new_id(self) -> int:
-        """Returns an id that no entity had.
-
-        Raises:
-            UnsupportedError: the world had too many entities.
-        """
+        """Returns an id that no entity had."""
         id = next(self._ids)
         if id >= LINK_FACTOR:
             raise UnsupportedError(

@@ -201,11 +201,7 @@ class Handle(PublicNames):
         return self.state.snapshot.value(self._row(), name)
 
     def _row(self) -> int:
-        """Returns the number of the row in its table.
-
-        Raises:
-            RemovedEntityError: the world does not have the row any more.
-        """
+        """Returns the number of the row in its table."""
         raise NotImplementedError
 
     def removed(self) -> RemovedEntityError:

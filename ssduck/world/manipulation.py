@@ -84,13 +84,7 @@ class ManipulableSimulation(SteppedSimulation):
             self._simulator.remove_constraint(body, held_body)
 
     def _two_bodies(self, entity: Entity, other: Entity, verb: str) -> tuple[Body, Body]:
-        """Returns the bodies of two different entities of this world.
-
-        Raises:
-            ArgumentError: the other one is the same, of another world or no entity, or one of
-                them is a sensor.
-            RemovedEntityError: one of them was removed.
-        """
+        """Returns the bodies of two different entities of this world."""
         if not isinstance(other, Entity) or other.world is not self:
             raise ArgumentError(f"{verb}: {other!r} is no entity of the world {self.name!r}")
         if other == entity:

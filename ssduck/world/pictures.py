@@ -1,17 +1,22 @@
-"""Renders worlds that have no simulation of their own: past ticks and what-if worlds."""
+"""Pictures of worlds: the camera of those without one, and those of past and what-if worlds."""
 
 from __future__ import annotations
 
 import io
+import math
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from ssduck.simulators.scenes import Camera
+
+if TYPE_CHECKING:
+    from ssduck.geometry.arrays import Array
+    from ssduck.world.snapshot import Snapshot
 
 # The size of pictures in notebooks, pixels.
 NOTEBOOK_SIZE = (640, 480)
@@ -73,3 +78,54 @@ def png(world: Renderable) -> bytes:
     buffer = io.BytesIO()
     picture.save(buffer, "PNG")
     return buffer.getvalue()
+
+
+# The direction along which it looks, and its angle of view, degrees.
+_DIRECTION = np.array([-0.62, 0.62, -0.48]) / np.linalg.norm([-0.62, 0.62, -0.48])
+_FOV = 40.0
+# What is larger than so many times the middle one of the things that move is left out.
+_LARGE = 30.0
+# So is what does not move and is larger than so many times all of them, and than furniture, m.
+_SURROUNDINGS, _FURNITURE = 2.0, 3.0
+# The least radius that is framed, m.
+_LEAST = 0.05
+
+
+def framing_camera(snapshot: Snapshot) -> Camera:
+    """Returns a camera that frames the bodies of a tick.
+
+    A ground, walls and terrain around what moves are not framed. Where nothing moves, all is taken
+    for what does.
+    """
+    boxes, movable = _boxes(snapshot)
+    if not len(boxes):
+        return Camera()
+    if not movable.any():
+        movable[:] = True
+    sizes = np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1)
+    kept = movable & (sizes <= _LARGE * max(float(np.median(sizes[movable])), _LEAST))
+    low, high = _union(boxes[kept])
+    limit = max(_SURROUNDINGS * float(np.linalg.norm(high - low)), _FURNITURE)
+    low, high = _union(boxes[kept | (~movable & (sizes <= limit))])
+    centre, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, _LEAST)
+    eye = centre - _DIRECTION * radius / math.sin(math.radians(_FOV) / 2)
+    x, y, z = eye.tolist()
+    return Camera((x, y, z), tuple(centre.tolist()), _FOV)
+
+
+def _boxes(snapshot: Snapshot) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Returns the boxes of the bodies that have shapes and an end, (n, 2, 3); which can move."""
+    corners = ("xmin", "ymin", "zmin", "xmax", "ymax", "zmax")
+    boxes, movable = [], []
+    for info in snapshot.entities:
+        if info.body is None:
+            continue
+        box = snapshot.doubles_in(snapshot.rows[info.id], corners)
+        if all(number is not None and abs(number) < 1e9 for number in box):
+            boxes.append(box)
+            movable.append(info.body.movable)
+    return np.array(boxes, float).reshape(-1, 2, 3), np.array(movable, bool)
+
+
+def _union(boxes: Array) -> tuple[Array, Array]:
+    return boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)

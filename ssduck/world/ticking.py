@@ -373,11 +373,7 @@ class SteppedSimulation(Observable):
             self._record_tick()
 
     def _check_episode(self) -> None:
-        """Ends the present episode if the simulation was reset since the last tick.
-
-        Raises:
-            StateError: it was, and this tick is none that begins a new one.
-        """
+        """Ends the present episode if the simulation was reset since the last tick."""
         episode = self._simulator.episode
         if episode == self._episode:
             return

@@ -277,13 +277,7 @@ class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicName
         return world.tick()
 
     def _bodies_of(self, by_entity: Mapping[str | Entity, T]) -> Iterator[tuple[str, Body, T]]:
-        """Yields the name, the body and the value of each entity.
-
-        Raises:
-            UnknownNameError: no entity has a name; the error suggests the nearest names.
-            ArgumentError: an entity is of another world, or no body.
-            RemovedEntityError: an entity is no longer in the world.
-        """
+        """Yields the name, the body and the value of each entity."""
         for key, value in by_entity.items():
             entity = key if isinstance(key, Entity) else self[key]
             if entity.world is not self:
@@ -335,13 +329,7 @@ class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicName
         return World.owning(simulator, self.name, sensors, self.camera)
 
     def _id_of(self, entity: str | Entity) -> int:
-        """Returns the id of an entity of this world or of its origin.
-
-        Raises:
-            UnknownNameError: no entity has the name; the error suggests the nearest names.
-            ArgumentError: the entity is of another world.
-            RemovedEntityError: the entity is not in the world at its tick.
-        """
+        """Returns the id of an entity of this world or of its origin."""
         if not isinstance(entity, Entity):
             return self[entity].id
         if entity.world not in (self, self.origin):

@@ -21,13 +21,7 @@ _TOLERANCE = 1e-9
 def drive(
     model: Any, data: Any, entity: str, targets: Mapping[int, tuple[Joint, MotorTarget]]
 ) -> None:
-    """Sets the controls of position and velocity actuators.
-
-    Args:
-        model: the model.
-        data: the data, whose controls are set.
-        entity: the name of the entity in errors.
-        targets: the joints and their targets, by MuJoCo's numbers.
+    """Sets the controls of position and velocity actuators of joints, by MuJoCo's numbers.
 
     Raises:
         UnsupportedError: a joint has no actuator of the kind, or an effort is not the model's.

@@ -116,13 +116,6 @@ def attach(
 ) -> MuJoCoSimulator:
     """Wraps the user's own model and data.
 
-    Args:
-        client: (model, data), an object that has both, or a function that returns one of these.
-        names: names of entities by the number or the name of their root body.
-        kinds: kinds of entities, likewise.
-        shapes: None: MuJoCo gives all of its shapes.
-        forward: whether each tick has the poses of its time; see `MuJoCoSimulator`.
-
     Raises:
         SimulatorError: there is no model with data.
         UnknownNameError: no entity has a name; with the nearest names.
@@ -147,12 +140,7 @@ def attach(
 
 
 def _check_root(model: Any, key: Any, argument: str) -> None:
-    """Checks that a number or a name is that of the root body of an entity.
-
-    Raises:
-        UnknownNameError: no body has the name; with the nearest names.
-        ArgumentError: no body has the number, or the body is a link of another.
-    """
+    """Checks that a number or a name is that of the root body of an entity."""
     names, roots = body_names(model), roots_of(model)
     if isinstance(key, str):
         if key not in names:

@@ -69,11 +69,7 @@ _ITERATIONS = (
 
 
 def check_declared_sizes(file: Path) -> None:
-    """Checks that an MJCF file, with those that it includes and attaches, is of a usual size.
-
-    Raises:
-        SceneError: they describe more.
-    """
+    """Checks that an MJCF file, with those that it includes and attaches, is of a usual size."""
     size = _Models().size(file)
     if size.elements > MAX_ELEMENTS:
         raise SceneError(
@@ -88,15 +84,7 @@ def check_declared_sizes(file: Path) -> None:
 
 
 def check_iterations(options: Any, file: Path) -> None:
-    """Checks that a step of a model does not iterate for hours.
-
-    Args:
-        options: the options of the model as MuJoCo has read them, wherever they are set.
-        file: the file of the scene.
-
-    Raises:
-        SceneError: it may.
-    """
+    """Checks that a step of a model does not iterate for hours."""
     for names in _ITERATIONS:
         numbers = [getattr(options, name) for name in names]
         for name, number in zip(names, numbers, strict=True):
@@ -137,11 +125,7 @@ class _Models:
         self._sizes: dict[Path, _Size | None] = {}
 
     def size(self, file: Path) -> _Size:
-        """Returns the size of a model.
-
-        Raises:
-            SceneError: it attaches itself, which MuJoCo would read until the stack overflows.
-        """
+        """Returns the size of a model."""
         key = file.resolve()
         if key not in self._sizes:
             self._sizes[key] = None
@@ -156,7 +140,7 @@ class _Models:
                 own = own.plus(_Size(numbers=_numbers_of_each(root)), own.elements)
             self._sizes[key] = sum(attached.values(), own)
         size = self._sizes[key]
-        if size is None:
+        if size is None:  # MuJoCo would read it until the stack overflows
             raise SceneError(f"{file}: <model>: the model attaches itself")
         return size
 
@@ -171,11 +155,7 @@ class _Models:
 
 
 class _Files:
-    """The files of a model: the main one, and those that it includes.
-
-    Args:
-        main: the main file.
-    """
+    """The files of a model: the main one, and those that it includes."""
 
     def __init__(self, main: Path) -> None:
         self._main = main
@@ -193,11 +173,7 @@ class _Files:
         return [*reversed(found.values())]
 
     def read(self, file: Path) -> ET.Element | None:
-        """Returns the root of a file, with those of included files within each <include>.
-
-        Raises:
-            SceneError: there are more files than usual.
-        """
+        """Returns the root of a file, with those of included files within each <include>."""
         self._read.add(file.resolve())
         self._folders[file.parent] = None
         if len(self._read) > MAX_FILES:
@@ -253,11 +229,7 @@ def _elements_of_a_point(element: ET.Element) -> int:
 
 
 def _declared_numbers(root: ET.Element, main: Path) -> int:
-    """Returns how many numbers the assets, sensors, actuators and sizes of a model have.
-
-    Raises:
-        SceneError: one of them has too many by itself.
-    """
+    """Returns how many numbers the assets, sensors, actuators and sizes of a model have."""
     within = {
         child: names
         for tag, names in _NUMBERS_WITHIN.items()

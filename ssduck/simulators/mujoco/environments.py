@@ -181,11 +181,7 @@ class MuJoCoEnvironments:
             self._contacts = self._read_contacts()
 
     def _contacts_in(self, states: Sequence[Any], times: Array) -> EnvironmentContacts:
-        """Returns the contacts of a list of `MjData` at the tick.
-
-        Raises:
-            StateError: they have moved on.
-        """
+        """Returns the contacts of a list of `MjData` at the tick."""
         if any(state.time != time for state, time in zip(states, times.tolist(), strict=True)):
             raise StateError(
                 "the simulations have moved on since the last tick, whose contacts nothing had "
@@ -306,11 +302,7 @@ class MuJoCoEnvironments:
         return self._contacts
 
     def _check_known(self, what: str, *names: str) -> None:
-        """Checks that the last states had some arrays.
-
-        Raises:
-            ArgumentError: they had not.
-        """
+        """Checks that the last states had some arrays."""
         if not self._missing.isdisjoint(names):
             arrays = " and ".join(f"{name}=…" for name in names)
             raise ArgumentError(
@@ -415,11 +407,7 @@ class MuJoCoEnvironments:
 
 
 def _check_world(known: Mapping[str, npt.NDArray[Any]]) -> None:
-    """Checks that the world, the first body, is where it always is.
-
-    Raises:
-        ArgumentError: it is not: the arrays are in another order, or of another frame.
-    """
+    """Checks that the world, the first body, is where it always is."""
     for name, place in (("xpos", (0.0, 0.0, 0.0)), ("xquat", (1.0, 0.0, 0.0, 0.0))):
         if name not in known or not known[name].shape[1]:
             continue

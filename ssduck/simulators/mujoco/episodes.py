@@ -42,13 +42,7 @@ class EpisodeClock:
         self._is_told = self._is_reset = True
 
     def begins(self, data: Any, timestep: float, *, is_new: bool) -> bool:
-        """Notes a tick; returns whether it begins an episode.
-
-        Args:
-            data: the data at the tick.
-            timestep: the length of a step, s.
-            is_new: whether the model is another one than at the last tick.
-        """
+        """Notes a tick; returns whether it begins an episode."""
         before, self.last = self.last, float(data.time)
         known, self._unstable = self._unstable, _unstable_states(data)
         is_reset, self._is_reset = self._is_reset, False

@@ -119,12 +119,7 @@ def _trees_of_flexes(model: Any) -> dict[int, Indices]:
 
 
 def flexes_on(model: Any, bodies: Flags) -> Indices:
-    """Returns the numbers of the flexes that have vertices or nodes on some bodies.
-
-    Args:
-        model: the model.
-        bodies: (bodies,), which.
-    """
+    """Returns the numbers of the flexes that have vertices or nodes on some bodies."""
     parts = ((flex.number, np.concatenate((flex.bodies, flex.nodes))) for flex in flexes_of(model))
     on = [number for number, of_flex in parts if bodies[of_flex[of_flex >= 0]].any()]
     return np.array(on, np.intp)
@@ -136,11 +131,6 @@ def flex_shapes(
     """Yields the spheres about the vertices or nodes of flexes that collide.
 
     Each with its body and the number of its flex; the margin is 0, the link that of a base.
-
-    Args:
-        model: the model.
-        disabled: what counts as colliding, though it does not at present; flexes are numbered
-            after all geoms.
     """
     collides = (model.flex_contype | model.flex_conaffinity) != 0
     if disabled is not None:

@@ -126,13 +126,7 @@ def _write(model: Any, saved: Mapping[str, tuple[Indices, Array]]) -> None:
 
 
 def take_out(model: Any, data: Any, is_gone: Flags) -> None:
-    """Takes bodies out of all interactions, and makes them invisible.
-
-    Args:
-        model: the model.
-        data: the data.
-        is_gone: (bodies,), which are to go, with all of their trees.
-    """
+    """Takes bodies, (bodies,) flags of whole trees, out of all interactions, and hides them."""
     of_geoms = is_gone[model.geom_bodyid]
     model.geom_contype[of_geoms] = model.geom_conaffinity[of_geoms] = 0
     model.geom_rgba[of_geoms, 3] = 0.0
@@ -201,14 +195,7 @@ def holds(model: Any, data: Any) -> Iterator[tuple[int, int, int]]:
 
 
 def hold(model: Any, data: Any, poses: Any, holding: int, held: int) -> None:
-    """Welds two bodies together as they are.
-
-    Args:
-        model: the model.
-        data: the data.
-        poses: data with the poses of the bodies as they are to be kept.
-        holding: the number of a body.
-        held: that of the body that it is to hold.
+    """Welds two bodies, by their numbers, together as they are in other data, `poses`.
 
     Raises:
         UnsupportedError: the model has no weld that is free.

@@ -39,13 +39,7 @@ __all__ = ["copied_data", "mujoco"]
 
 
 def copied_data(model: Any, data: Any, target: Any) -> Any:
-    """Returns data with the whole state of other data: the target, or new data in old versions.
-
-    Args:
-        model: the model of the other data.
-        data: the other data.
-        target: data of the same model, or of a copy of it.
-    """
+    """Returns data with the whole state of other data: the target, or new data in old versions."""
     if not hasattr(mujoco, "mj_copyData"):  # MuJoCo 3.3.0
         return copy.copy(data)
     mujoco.mj_copyData(target, model, data)

@@ -32,12 +32,7 @@ _NO_CUTOFF = 1e10
 
 
 class RayCaster:
-    """Casts rays against the shapes of a model.
-
-    Args:
-        model: the model, as it is now.
-        only: the numbers of the root bodies that can be hit; None for all.
-    """
+    """Casts rays against the shapes of a model."""
 
     def __init__(self, model: Any, only: Collection[int] | None = None) -> None:
         self._model = copy.copy(model)

@@ -69,13 +69,6 @@ def draw(
 ) -> npt.NDArray[np.uint8]:
     """Returns a colour picture, (height, width, 3).
 
-    Args:
-        model: the model.
-        data: the data, whose poses are drawn.
-        viewpoint: the camera.
-        size: width and height, pixels.
-        shadow: whether bodies cast shadows.
-
     Raises:
         UnsupportedError: there is no OpenGL.
     """

@@ -161,13 +161,7 @@ def _state(model: Any, data: Any) -> ET.Element:
 
 
 def _copy_files(root: ET.Element, folder: Path | None, assets: Path) -> None:
-    """Copies the files that elements name, and names the copies instead.
-
-    Args:
-        root: the model.
-        folder: the folder that relative names begin in; None if it is not known.
-        assets: the folder of the copies.
-    """
+    """Copies the files that elements name, in a folder if it is known, and names the copies."""
     compilers = root.findall("compiler")
     settings = {key: value for part in compilers for key, value in part.items()}
     names: dict[Path, str] = {}
@@ -321,11 +315,7 @@ def _set_turn(element: ET.Element, quaternion: Any) -> None:
 
 
 def _check(model: Any, file: Path) -> None:
-    """Checks that a file describes a model.
-
-    Raises:
-        UnsupportedError: it describes another one.
-    """
+    """Checks that a file describes a model."""
     try:
         again = mujoco.MjSpec.from_file(str(file)).compile()
     except ValueError as error:

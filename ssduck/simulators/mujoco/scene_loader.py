@@ -123,11 +123,7 @@ def load_bodies(scene: Scene) -> LoadedModel:
 
 
 def _check_supported(scene: Scene) -> None:
-    """Raises an error for what a scene has that MuJoCo's model does not get.
-
-    Raises:
-        UnsupportedError: there is such a thing.
-    """
+    """Raises an error for what a scene has that MuJoCo's model does not get."""
     sources = {body.source for body in scene.bodies}
     reasons = {
         "elastic = true": scene.elastic,
@@ -148,33 +144,21 @@ def _check_supported(scene: Scene) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Entry:
-    """A body of the scene and of the model.
-
-    Attributes:
-        spec: the entry of the scene.
-        name: the name of its base in the model.
-        place: its place in errors.
-    """
+    """A body of the scene and of the model."""
 
     spec: BodySpec
-    name: str
-    place: str
+    name: str  # of its base in the model
+    place: str  # in errors
 
 
 @dataclass(eq=False)
 class _Builder:
-    """A specification that grows body by body.
+    """A specification that grows body by body."""
 
-    Attributes:
-        taken: the names of bodies, links and joints, with those that are still to come.
-        entries: the bodies.
-        undrawn: the files of meshes that are left out of pictures.
-        part_names: the names of links and joints in their files, by those in the model.
-    """
-
-    taken: set[str]
+    taken: set[str]  # names, with those that are still to come
     entries: list[_Entry] = field(default_factory=list)
-    undrawn: set[str] = field(default_factory=set)
+    undrawn: set[str] = field(default_factory=set)  # files of meshes
+    # The names of links and joints in their files, by those in the model.
     part_names: dict[str, str] = field(default_factory=dict)
     _meshes: dict[tuple[str, tuple[float, ...]], str] = field(default_factory=dict)
 
@@ -292,19 +276,12 @@ def _add_shape(body: Any, primitive: Primitive) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Urdf:
-    """The content of a URDF file.
-
-    Attributes:
-        name: the name of the robot.
-        spec: the `mujoco.MjSpec` of the file, which has to live as long as the root.
-        meshes: the names of its meshes in the model, by those in the file.
-        frictions: the sliding friction of its links, where the file states one.
-    """
+    """The content of a URDF file."""
 
     name: str
-    spec: Any
-    meshes: dict[str, str]
-    frictions: dict[str, float]
+    spec: Any  # has to live as long as the root
+    meshes: dict[str, str]  # their names in the model, by those in the file
+    frictions: dict[str, float]  # sliding friction, of links that state one
 
     @property
     def root(self) -> Any:
@@ -313,11 +290,7 @@ class _Urdf:
 
 
 def _read_urdf(file: Path, place: str, builder: _Builder) -> _Urdf:
-    """Reads a URDF file; its meshes get into the model of the builder.
-
-    Raises:
-        SceneError: MuJoCo cannot read it.
-    """
+    """Reads a URDF file; its meshes get into the model of the builder."""
     try:
         root, _ = parse_tolerantly(file.read_bytes())
         _find_meshes(root, file, builder)
@@ -367,11 +340,7 @@ def _child(element: ET.Element, tag: str) -> ET.Element:
 
 
 def _begin(entry: _Entry, body: Body, model: Any, data: Any) -> None:
-    """Puts a body into its initial state.
-
-    Raises:
-        SceneError: it has no such joints.
-    """
+    """Puts a body into its initial state."""
     spec = entry.spec
     check_joints(spec, [joint for joint in body.joints if joint.type != "free"], entry.place)
     for joint in body.joints:

@@ -74,8 +74,7 @@ class MuJoCoSimulator(PartialSimulator):
         part_names: names of links and joints, instead of MuJoCo's.
 
     Attributes:
-        spec: see above.
-        part_names: see above.
+        spec, part_names: see above.
         model: the model at the last tick.
         data: the data at the last tick.
         episode: is incremented when the user has reset the simulation; see `EpisodeClock`.
@@ -404,11 +403,7 @@ class MuJoCoSimulator(PartialSimulator):
         return any(one in numbers_of(body) and held == other.handle for one, held in ends)
 
     def add_constraint(self, body: Body, link: int, other: Body) -> None:
-        """Welds the base of a body to a link of another, as they are.
-
-        Raises:
-            UnsupportedError: the model has no weld that is free.
-        """
+        """Welds the base of a body to a link of another, as they are."""
         rigid = link if body.links[link].region is None else body.links[link].parent
         hold(self.model, self.data, self._state, body.handle + rigid, other.handle)
 

@@ -89,14 +89,6 @@ def describe(
 ) -> BodyDescription:
     """Reads a body.
 
-    Args:
-        client: the client that has it.
-        handle: its number.
-        name: its name.
-        kind: replaces the kind that follows from its joints.
-        saved: the shapes of this body and others in a file that PyBullet saves.
-        user_shapes: the user's own shapes.
-
     Raises:
         ArgumentError: the user gives a shape that the body does not have.
     """
@@ -248,9 +240,6 @@ class _BodyReader:
 
         The user's own shapes take precedence over those that PyBullet returns, and these over those
         that it saves. If a shape is still unknown, the box of the link stands in for all shapes.
-
-        Raises:
-            ArgumentError: the user gives a shape that the link does not have.
         """
         if (link, None) in self._user_shapes:
             shapes: Shapes = self._placed(link, self._user_shapes[link, None])

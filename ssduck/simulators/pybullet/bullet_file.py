@@ -70,12 +70,7 @@ class _Kind(IntEnum):
 
 
 class SavedShapes:
-    """The shapes of a client's bodies, read from a file that PyBullet saves on first use.
-
-    Args:
-        client: the client.
-        handles: the bodies whose shapes may be requested.
-    """
+    """The shapes of a client's bodies, read from a file that PyBullet saves on first use."""
 
     def __init__(self, client: int, handles: Sequence[int]) -> None:
         self._client = client
@@ -84,8 +79,7 @@ class SavedShapes:
     def shapes_of(self, handle: int, link: int) -> list[PosedGeometry] | None:
         """Returns the shapes of a link in the frame of its centre of mass; the base is link 0.
 
-        Returns:
-            None if the shapes are unknown: they are height fields, or PyBullet cannot save.
+        None if they are unknown: they are height fields, or PyBullet cannot save.
         """
         if self._file is None:
             return None

@@ -42,12 +42,7 @@ class LinkMargin:
 
 
 def link_margin(dynamics: Sequence[Any], entries: Sequence[tuple[Any, ...]] | None) -> LinkMargin:
-    """Returns the margin of a link as PyBullet returns it.
-
-    Args:
-        dynamics: the result of `getDynamicsInfo`.
-        entries: the result of `getCollisionShapeData`; None if that must not be called.
-    """
+    """Returns the margin of a link by `getDynamicsInfo` and `getCollisionShapeData`, if called."""
     if entries is None:
         return LinkMargin(None)
     is_offset = [np.abs((*entry[5], *entry[6][:3])).max() > _POSE_TOLERANCE for entry in entries]
@@ -63,10 +58,6 @@ def margin_of(type: str, link_margin: LinkMargin) -> float:
 
     `changeDynamics` does not reach the hulls of a mesh file in a compound. A margin of 0 of
     a compound may have been set or not; it counts as not set.
-
-    Args:
-        type: the type of its geometry.
-        link_margin: the margin of its link.
     """
     if type not in _PADDED:
         return 0.0
@@ -88,12 +79,7 @@ def with_margins(shapes: Sequence[PlacedGeometry], link_margin: LinkMargin) -> l
 def links_with_margins(
     shapes: Sequence[PlacedGeometry], link_margins: Sequence[LinkMargin]
 ) -> frozenset[int]:
-    """Returns the links whose shapes have margins that PyBullet can change.
-
-    Args:
-        shapes: the shapes of a body.
-        link_margins: the margins when the body was described; empty if they do not change.
-    """
+    """Returns the links whose shapes have margins that PyBullet can change."""
     if not link_margins:
         return frozenset()
     links = {shape.frame for shape in shapes if shape.geometry.type in _PADDED}

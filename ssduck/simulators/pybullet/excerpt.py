@@ -67,19 +67,7 @@ from ssduck.simulators.scenes import Scene
 def excerpt(
     source: Simulator | None, originals: Sequence[BodyToCopy], tick: TickToCopy
 ) -> PyBulletSimulator:
-    """Starts a simulation of some bodies as they are at a tick.
-
-    Args:
-        source: the simulator of the world that the tick belongs to, as it is now; None if nothing
-            runs that world any more.
-        originals: the bodies, in load order.
-        tick: the time of the tick and its flags.
-
-    Raises:
-        SimulatorError: the source is gone, or there is no room for another client.
-        UnsupportedError: a body is soft, or has joints that PyBullet does not have.
-        SceneError: a model file can no longer be loaded.
-    """
+    """Starts a simulation of some bodies as they are at a tick; see `Backend.excerpt`."""
     originals = [_with_pybullet_joints(original) for original in originals]
     live = source if isinstance(source, PyBulletSimulator) else None
     with new_client() as client:
@@ -87,11 +75,7 @@ def excerpt(
 
 
 def _with_pybullet_joints(original: BodyToCopy) -> BodyToCopy:
-    """Returns a body that a record may have of another simulator, without the joint of a free base.
-
-    Raises:
-        UnsupportedError: it has other joints than one for each link but the base.
-    """
+    """Returns a body, maybe of another simulator, without the joint of a free base."""
     joints = original.body.joints
     kept = [number for number, joint in enumerate(joints) if joint.type != "free"]
     links = [joints[number].link for number in kept]
@@ -109,23 +93,14 @@ def _with_pybullet_joints(original: BodyToCopy) -> BodyToCopy:
 
 @dataclass(eq=False)
 class _Copier:
-    """Fills a client with copies.
+    """Fills a client with copies."""
 
-    Attributes:
-        source: the simulator that runs the originals now, if any.
-        client: the new client.
-        tick: the time of the tick and its flags.
-        loaded: the copies as loaded bodies.
-        handles: the numbers of the copies.
-        differences: the names of bodies that differ from the originals, by difference.
-    """
-
-    source: PyBulletSimulator | None
-    client: int
+    source: PyBulletSimulator | None  # that runs the originals now
+    client: int  # the new one
     tick: TickToCopy
     loaded: LoadedBodies = field(default_factory=LoadedBodies)
     handles: dict[Body, int] = field(default_factory=dict)
-    differences: dict[str, list[str]] = field(default_factory=dict)
+    differences: dict[str, list[str]] = field(default_factory=dict)  # bodies by difference
 
     def copy(self, originals: Sequence[BodyToCopy]) -> PyBulletSimulator:
         """Copies bodies."""

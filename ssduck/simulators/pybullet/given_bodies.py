@@ -40,11 +40,6 @@ class GivenBodies:
     begins with bodies that were built again. One that is like the first of its number has its name
     and its kind.
 
-    Args:
-        names: names of bodies, instead of those of their models.
-        kinds: kinds of bodies, instead of those that follow from their joints.
-        shapes: the user's own shapes.
-
     Attributes:
         names, kinds, shapes: those of the bodies that are described next.
     """
@@ -108,12 +103,6 @@ def names_of(
     A body has the name of its model. The name of the mesh of its base is better where the two
     disagree and the model's name may not be meant: it tells nothing, it is that of a file, or
     another body has it with another mesh. PyBullet does not tell the files of models.
-
-    Args:
-        client: the client that has the bodies.
-        handles: PyBullet's numbers of all bodies.
-        added: those of the new ones.
-        given: names by number, which count.
     """
     models = {h: pybullet.getBodyInfo(h, client)[1].decode(errors="replace") for h in handles}
     sharing: dict[str, list[int]] = {}

@@ -73,12 +73,7 @@ _NO_EFFECT = {"0", "0.0", "false"}
 
 
 def ignored_parts(format: str, root: ET.Element) -> list[str]:
-    """Returns the parts of a model file that PyBullet ignores, in words.
-
-    Args:
-        format: one of `MODEL_FILES`.
-        root: the root element of the file.
-    """
+    """Returns the parts of a model file that PyBullet ignores, in words."""
     parents = {child: parent for parent in root.iter() for child in parent}
     found = []
     for path in IGNORED[format]:
@@ -143,19 +138,12 @@ def has_unknown_angles(root: ET.Element) -> bool:
 
 @dataclass(frozen=True)
 class _Rule:
-    """What numbers are to be: finite, and a condition on each.
-
-    Attributes:
-        least: the least number.
-        may_be_zero: whether they may be 0.
-        may_be_infinite: whether they may be infinite.
-        count: how many there are; of more, PyBullet takes the first.
-    """
+    """What numbers are to be: finite, and a condition on each."""
 
     least: float = -math.inf
     may_be_zero: bool = True
     may_be_infinite: bool = False
-    count: int | None = None
+    count: int | None = None  # of more, PyBullet takes the first
 
     def fault(self, numbers: list[float]) -> str:
         """Returns what is wrong with numbers, in words; nothing if they are right."""
@@ -220,17 +208,10 @@ _MAX_TOLD = 5
 
 
 def check_numbers(format: str, root: ET.Element) -> list[str]:
-    """Checks the numbers of a model file.
+    """Checks the numbers of a model file; tells, in words, what PyBullet takes for 0.
 
     PyBullet takes negative masses and sizes that are no numbers as they are, and poses and answers
     are wrong or unknown then.
-
-    Args:
-        format: one of `MODEL_FILES`.
-        root: the root element of the file.
-
-    Returns:
-        What PyBullet takes for 0, since it is no number, in words.
 
     Raises:
         SceneError: a number is not finite, or a mass or a size is negative, or a scale is 0, or a

@@ -25,12 +25,7 @@ _pose_and_twist = itemgetter(0, 1, 6, 7)
 
 
 class LinkPosesReader:
-    """Reads the link poses of a fixed list of bodies; the constructor prepares the reading.
-
-    Args:
-        bodies: the bodies.
-        com: for each body, the poses of its links' centres of mass in the link frames.
-    """
+    """Reads the link poses of a fixed list of bodies; the constructor prepares the reading."""
 
     def __init__(self, bodies: Sequence[Body], com: Sequence[Pose]) -> None:
         self._handles = [body.handle for body in bodies]

@@ -40,10 +40,6 @@ _MAX_NUMBER = 2**31 - 1
 def check_meshes(model: Path, root: ET.Element) -> None:
     """Checks the OBJ, STL and COLLADA files that a model file names, where PyBullet finds them.
 
-    Args:
-        model: the model file.
-        root: its root element.
-
     Raises:
         SceneError: a part of one is missing, or a face has a vertex that is not there.
     """
@@ -70,15 +66,7 @@ def _names_in(root: ET.Element) -> Iterator[str]:
 
 
 def find_mesh(model: Path, name: str) -> Path | None:
-    """Returns where PyBullet finds a mesh of a model: beside it, or in a folder above.
-
-    Args:
-        model: the model file.
-        name: the name of the mesh in it, perhaps with a scheme.
-
-    Returns:
-        The file; None if there is none.
-    """
+    """Returns where PyBullet finds a mesh: beside its model, or in a folder above; else None."""
     name = _SCHEME.sub("", name, count=1)
     if not name or "\0" in name:
         return None
@@ -243,11 +231,7 @@ def collada_fault(file: Path) -> str:
 
 
 def _check_mesh(mesh: ET.Element) -> None:
-    """Checks the triangles of a mesh; PyBullet reads no source of a mesh without any.
-
-    Raises:
-        ValueError: a part is missing, or a triangle has a corner that is not there.
-    """
+    """Checks the triangles of a mesh; PyBullet reads no source of a mesh without any."""
     sources = {_attribute(part, "id"): part for part in _children(mesh, "source")}
     vertices = _child(mesh, "vertices")
     if next(_children(mesh, "triangles"), None) is None:

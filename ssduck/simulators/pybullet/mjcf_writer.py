@@ -52,13 +52,7 @@ _JOINTS = {"revolute": "hinge", "prismatic": "slide", "spherical": "ball"}
 def write_mjcf(
     simulator: PyBulletSimulator, originals: Sequence[BodyToCopy], tick: TickToCopy, file: Path
 ) -> None:
-    """Writes the bodies of a simulation as they are at a tick.
-
-    Args:
-        simulator: the simulator that has the bodies.
-        originals: the bodies.
-        tick: the time of the tick and its flags.
-        file: the MJCF file; the folder `ASSETS` beside it gets the meshes.
+    """Writes the bodies of a simulation as they are at a tick; meshes into a folder beside.
 
     Raises:
         UnsupportedError: a body is soft.

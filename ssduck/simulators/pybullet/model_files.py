@@ -151,11 +151,7 @@ class ModelFile:
                 raise SceneError(f"the limited joint {joint.get('name', '')!r} has no range")
 
     def ignored(self, fixed: bool) -> list[str]:
-        """Returns what PyBullet ignores or reads otherwise, in words; see `ignored_parts`.
-
-        Args:
-            fixed: whether the scene fixes all bodies of the file.
-        """
+        """Returns what PyBullet ignores or reads otherwise, in words; see `ignored_parts`."""
         parts = ignored_parts(self.format, self.root)
         found = [f"ignores {'; '.join(parts)}"] if parts else []
         if self.format == "mjcf":
@@ -194,12 +190,7 @@ class ModelFile:
 
 
 def _is_cut(content: bytes, root: ET.Element) -> bool:
-    """Checks whether a model is another one as PyBullet reads it, which cuts long lines.
-
-    Args:
-        content: the bytes of the file.
-        root: the root element of the file as it stands there.
-    """
+    """Checks whether a model is another one as PyBullet reads it, which cuts long lines."""
     cut = cut_lines(content, MAX_LINE)
     if cut == content:
         return False
@@ -215,11 +206,7 @@ def _told(root: ET.Element) -> list[tuple[str, dict[str, str], list[str]]]:
 
 
 def _check_formats(root: ET.Element) -> None:
-    """Checks that no text is a format: PyBullet prints texts by C's printf.
-
-    Raises:
-        SceneError: there is a text with %.
-    """
+    """Checks that no text is a format: PyBullet prints texts by C's printf."""
     for part in root.iter():
         texts = [part.tag, *part.attrib, *part.attrib.values()]
         texts += [part.text or ""] if part.tag in _TEXTS else []
@@ -265,11 +252,7 @@ def _check_texts(part: ET.Element) -> None:
 
 
 def _check_count(model: ET.Element, format: str) -> None:
-    """Checks that PyBullet has room for the joints of a model.
-
-    Raises:
-        SceneError: there are too many.
-    """
+    """Checks that PyBullet has room for the joints of a model."""
     count = len(model.findall("joint"))
     if count > MAX_JOINTS:
         other = '; load(…, simulator="mujoco") reads it' if format == "urdf" else ""

@@ -54,11 +54,6 @@ class LoadedModel(NamedTuple):
 def load_model(spec: BodySpec, place: str, client: int) -> LoadedModel:
     """Loads the model of a scene entry.
 
-    Args:
-        spec: the entry.
-        place: its place in errors.
-        client: the client.
-
     Raises:
         SceneError: the model cannot be loaded: file, key and reason.
     """

@@ -80,15 +80,8 @@ def names_folders(root: ET.Element) -> bool:
 def replace_meshes(model: Path, format: str, root: ET.Element) -> tuple[bool, list[str]]:
     """Gives PyBullet meshes that it can read: converts others, and leaves out what cannot be read.
 
-    A shape that collides stays if its file is not there, so that PyBullet refuses the model.
-
-    Args:
-        model: the model file.
-        format: one of `MODEL_FILES`.
-        root: its root element.
-
-    Returns:
-        Whether the model has changed, and what is left out, in words.
+    Returns whether the model has changed, and what is left out, in words. A shape that collides
+    stays if its file is not there, so that PyBullet refuses the model.
 
     Raises:
         SceneError: a shape that collides is of an unknown kind, and cannot be read.
@@ -180,11 +173,7 @@ def _version(file: Path) -> tuple[int, int]:
 
 @lru_cache(maxsize=256)
 def _converted(file: Path, _time: int, _size: int) -> Path:
-    """Returns an OBJ file of the triangles of a mesh file.
-
-    Raises:
-        ValueError: the file cannot be read, or has no triangles.
-    """
+    """Returns an OBJ file of the triangles of a mesh file."""
     mesh = load_mesh(file, (1.0, 1.0, 1.0))
     path = Path(_folder().name) / f"{next(_numbers())}_{file.stem}.obj"
     path.write_text(obj_text(mesh.vertices, mesh.faces), encoding="utf-8")

@@ -73,11 +73,7 @@ class LoadedBodies:
 
 
 def load_models(scene: Scene, client: int) -> LoadedBodies:
-    """Fills a new client with a scene.
-
-    Raises:
-        SceneError: a model cannot be loaded, or a constraint cannot be made: file, key and reason.
-    """
+    """Fills a new client with a scene."""
     pybullet.setTimeStep(scene.timestep, client)
     pybullet.setGravity(*scene.gravity, physicsClientId=client)
     engine = {name: value for name, value in asdict(scene.engine).items() if value is not None}
@@ -102,11 +98,7 @@ def load_models(scene: Scene, client: int) -> LoadedBodies:
 
 
 def _check_poses(handle: int, place: str, client: int) -> None:
-    """Checks that the links of a body have poses: a joint about an axis of length 0 gives none.
-
-    Raises:
-        SceneError: a number is not finite.
-    """
+    """Checks that the links of a body have poses: a joint about an axis of length 0 gives none."""
     count = pybullet.getNumJoints(handle, client)
     links = pybullet.getLinkStates(handle, range(count), physicsClientId=client) if count else ()
     names = ["its base"] + [f"the joint {joint.name!r}" for joint in _joints_of(handle, client)]
@@ -205,12 +197,6 @@ def gravity_of(parameters: Mapping[str, float]) -> Vector:
 
 def load_body(spec: BodySpec, place: str, loaded: LoadedBodies, client: int) -> Sequence[int]:
     """Loads a scene entry and returns the numbers of its bodies; a file may hold several.
-
-    Args:
-        spec: the entry.
-        place: its place in errors.
-        loaded: the bodies loaded so far; receives these.
-        client: the client.
 
     Raises:
         SceneError: the model cannot be loaded: file, key and reason.

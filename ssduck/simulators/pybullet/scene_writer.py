@@ -65,17 +65,11 @@ def _link_name(body: Body, link: int) -> str | None:
 
 @dataclass(eq=False)
 class _ModelWriter:
-    """Writes the models of a saved scene.
-
-    Attributes:
-        simulator: the simulator that has the bodies.
-        folder: the folder of the scene.
-        copies: the copies of model files; None for files that cannot be copied.
-    """
+    """Writes the models of a saved scene."""
 
     simulator: PyBulletSimulator
     folder: Path
-    copies: dict[Path, Path | None] = field(default_factory=dict)
+    copies: dict[Path, Path | None] = field(default_factory=dict)  # None for what cannot be copied
 
     def spec_of(self, original: BodyToCopy, tick: TickToCopy) -> BodySpec:
         """Returns the scene's entry of a body."""
@@ -143,10 +137,7 @@ class _ModelWriter:
 
 
 def _referenced_files(file: Path) -> list[Path] | None:
-    """Returns the files that a URDF file refers to, relative to its folder.
-
-    None if some lie elsewhere.
-    """
+    """Returns the files that a URDF file refers to, in its folder; None if some are elsewhere."""
     try:
         root = ET.parse(file).getroot()  # noqa: S314  # PyBullet has read it
     except ET.ParseError:  # PyBullet may read it all the same

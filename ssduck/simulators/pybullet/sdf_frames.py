@@ -39,9 +39,6 @@ def place_frames(root: ET.Element) -> bool:
     """Writes all poses and axes of an SDF file as PyBullet reads them.
 
     What is relative to a frame that is not there stays as it is.
-
-    Returns:
-        Whether an element has changed.
     """
     world = root.find("world")
     scope = root if world is None else world
@@ -55,19 +52,12 @@ def place_frames(root: ET.Element) -> bool:
 
 @dataclass(frozen=True)
 class _Change:
-    """A new text of an element, or of a child that it gets if it has none.
-
-    Attributes:
-        owner: the element.
-        tag: the child.
-        text: the text; None if the child goes.
-        drops: an attribute that the owner loses.
-    """
+    """A new text of an element, or of a child that it gets if it has none."""
 
     owner: ET.Element
     tag: str
-    text: str | None
-    drops: str = ""
+    text: str | None  # None if the child goes
+    drops: str = ""  # an attribute that the owner loses
 
     def make(self) -> None:
         self.owner.attrib.pop(self.drops, None)
@@ -87,12 +77,7 @@ class _Change:
 
 @dataclass(frozen=True)
 class _Frames:
-    """The frames of a model, or of a world.
-
-    Attributes:
-        parts: the elements that are frames, by name.
-        places: the frames found so far, by name.
-    """
+    """The frames of a model, or of a world."""
 
     parts: dict[str, ET.Element]
     places: dict[str, Pose] = field(default_factory=dict)
@@ -103,11 +88,7 @@ class _Frames:
         return cls({part.get("name", ""): part for part in scope if part.tag in _FRAMES})
 
     def __getitem__(self, name: str) -> Pose:
-        """Returns where a frame is.
-
-        Raises:
-            _UnknownFrameError: it is not there, or relative to itself.
-        """
+        """Returns where a frame is."""
         if name in _OWN:
             return _identity()
         if name not in self.places:
@@ -214,12 +195,7 @@ def _relative_to(part: ET.Element) -> str:
 
 
 def _pose_of(part: ET.Element) -> Pose:
-    """Returns the pose of an element in the frame that it is relative to.
-
-    Raises:
-        _UnknownFrameError: a number is none.
-        SceneError: it has too few or too many numbers.
-    """
+    """Returns the pose of an element in the frame that it is relative to."""
     pose = part.find("pose")
     numbers = [] if pose is None else [_number(w, math.nan) for w in (pose.text or "").split()]
     if pose is None or not numbers:

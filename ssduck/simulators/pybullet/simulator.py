@@ -237,11 +237,7 @@ class PyBulletSimulator:
         return description
 
     def _check_shapes(self, bodies: Iterable[Body]) -> None:
-        """Warns of shapes with numbers that are not finite in PyBullet.
-
-        Raises:
-            SceneError: a body with such a shape is of a scene.
-        """
+        """Warns of shapes with numbers that are not finite in PyBullet."""
         for body in bodies:
             wrong = next((shape for shape in body.shapes if not _is_finite(shape)), None)
             if wrong is not None:

@@ -353,11 +353,7 @@ class BatchWorld(World):
         super().pin(tables, is_read=is_read, is_settled=is_settled)
 
     def _check_open(self) -> None:
-        """Checks that one of the environments is read.
-
-        Raises:
-            UnsupportedError: none is.
-        """
+        """Checks that one of the environments is read."""
         if not self._is_open:
             raise UnsupportedError(
                 f"{self.name!r} is a batch of {self.count} environments, and this is a question to "
