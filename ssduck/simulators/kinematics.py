@@ -113,18 +113,13 @@ def motor_targets(
         validation.mapping(values, f"{name}: {quantity} are given by the joints' names, in a dict")
     joints = _joints_by_name(body)
     position_values = joint_positions(positions, body, name) if positions is not None else {}
-    velocity_values = {
-        (n := _scalar_joint(key, joints, body, name)): _bounded(
-            value, body.joints[n], "velocity", name
-        )
-        for key, value in (velocities or {}).items()
-    }
-    effort_values = {
-        (n := _scalar_joint(key, joints, body, name)): _bounded(
-            value, body.joints[n], "effort", name
-        )
-        for key, value in (efforts or {}).items()
-    }
+    velocity_values, effort_values = (
+        {
+            (n := _scalar_joint(key, joints, body, name)): _bounded(value, body.joints[n], of, name)
+            for key, value in (values or {}).items()
+        }
+        for values, of in ((velocities, "velocity"), (efforts, "effort"))
+    )
     for number in position_values.keys() & velocity_values.keys():
         raise ArgumentError(
             f"{name}: joint {body.joints[number].name!r} has both a position and a velocity"

@@ -371,10 +371,6 @@ def _flat(name: str) -> str:
     return re.sub(r"\s", " ", name).casefold()
 
 
-def _text(file: Path) -> str:
-    return file.read_bytes().decode("utf-8", errors="surrogateescape")
-
-
 def _text_as_read(file: Path) -> str:
     """Returns the text of a file, then the same as PyBullet reads it, if that is another one."""
     content = file.read_bytes()

@@ -13,7 +13,8 @@ from __future__ import annotations
 import copy
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
+from itertools import chain, count
 from pathlib import Path
 from typing import Any, TypeAlias
 from xml.etree import ElementTree as ET
@@ -181,7 +182,7 @@ def _copy_files(root: ET.Element, folder: Path | None, assets: Path) -> None:
                     "that MuJoCo does not tell; a world of ssduck.load knows its folder"
                 )
             if path not in names:
-                names[path] = _free_name(path, names.values())
+                names[path] = _free_name(path, set(names.values()))
                 assets.mkdir(exist_ok=True)
                 shutil.copyfile(path, assets / names[path])
             if attribute == "file" and part.get("name") is None:
@@ -195,13 +196,9 @@ def _copy_files(root: ET.Element, folder: Path | None, assets: Path) -> None:
         compiler.set("assetdir", ASSETS)
 
 
-def _free_name(path: Path, taken: Iterable[str]) -> str:
-    used, number = set(taken), 1
-    name = path.name
-    while name in used:
-        number += 1
-        name = f"{path.stem}_{number}{path.suffix}"
-    return name
+def _free_name(path: Path, taken: Container[str]) -> str:
+    numbered = (f"{path.stem}_{number}{path.suffix}" for number in count(2))
+    return next(name for name in chain([path.name], numbered) if name not in taken)
 
 
 # -- digits ----------------------------------------------------------------------------------

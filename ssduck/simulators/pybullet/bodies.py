@@ -17,7 +17,7 @@ import numpy as np
 from ssduck.errors import ArgumentError, SimulatorError
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.mesh_files import load_hulls, load_mesh
-from ssduck.geometry.poses import IDENTITY, compose, invert, rotation_matrices
+from ssduck.geometry.poses import IDENTITY, compose, rotation_matrices
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.interface import Body, Joint, Kind, Link
 from ssduck.simulators.pybullet.bullet_file import SavedShapes
@@ -297,8 +297,7 @@ class _BodyReader:
             visuals = self._visual_shapes(link)
             return [[shape] for shape in (visuals if _are_equal(visuals, saved) else saved)]
         if entries is None:
-            visuals = self._visual_shapes(link)
-            return [[shape] for shape in visuals] if self._match_box(visuals, link) else None
+            return [] if self._is_bare(link) else None
         return entries or None
 
     def _saved_shapes(self, link: int) -> Shapes:
@@ -396,37 +395,6 @@ class _BodyReader:
         ]
         return shapes if len(shapes) == len(entries) else []
 
-    def _match_box(self, shapes: Sequence[PlacedGeometry], link: int) -> bool:
-        """Checks whether PyBullet's bounding box of a link is that of these shapes.
-
-        Its box of several shapes bounds their boxes in the frame of the centre of mass. PyBullet
-        widens it there by at most 4 cm on each side, and then rotates it.
-        """
-        if not shapes:
-            return self._is_bare(link)
-        if any(shape.geometry.type == "plane" for shape in shapes):
-            return False  # visual planes have no normal
-        inverse = invert(*self._com_in_link(link))
-        lows, highs = [], []
-        for shape in shapes:
-            centre, turn = compose(*inverse, shape.position[None], shape.orientation[None])
-            half = np.abs(rotation_matrices(turn)[0]) @ _half_extents(shape.geometry)
-            lows.append(centre[0] - half)
-            highs.append(centre[0] + half)
-        low, high = np.min(lows, axis=0), np.max(highs, axis=0)
-        position, orientation = self._com_in_world(link)
-        matrix = rotation_matrices(orientation)[0]
-        aabb_low, aabb_high = self._aabb(link)
-        shift = (aabb_low + aabb_high) / 2 - (position[0] + matrix @ ((low + high) / 2))
-        widened = (aabb_high - aabb_low) / 2 - np.abs(matrix) @ ((high - low) / 2)
-        widened = widened / np.abs(matrix).sum(axis=1)
-        return bool(
-            np.abs(shift).max() < 1e-3
-            and np.ptp(widened) < 1e-3
-            and widened.min() > -1e-4
-            and widened.max() < 0.041
-        )
-
     def _stand_in(self, link: int) -> PlacedGeometry:
         """Returns the present bounding box of a link, for shapes that PyBullet does not return."""
         low, high = self._aabb(link)
@@ -489,18 +457,3 @@ def primitive_of(kind: int, size: Sequence[float]) -> Geometry | None:
     if kind == pybullet.GEOM_PLANE:
         return Geometry.primitive("plane", (a, b, c))
     return None
-
-
-def _half_extents(shape: Geometry) -> Array:
-    """Returns the half extents of a bounded primitive in its own frame."""
-    a, b, c = shape.size
-    match shape.type:
-        case "box":
-            return np.array([a, b, c]) / 2
-        case "sphere":
-            return np.array([a, a, a])
-        case "cylinder":
-            return np.array([a, a, b / 2])
-        case "capsule":
-            return np.array([a, a, a + b / 2])
-    raise AssertionError(shape.type)

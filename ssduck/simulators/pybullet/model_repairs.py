@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 import tempfile
-from collections.abc import Iterator
 from functools import cache, lru_cache
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -98,16 +97,20 @@ def replace_meshes(model: Path, format: str, root: ET.Element) -> tuple[bool, li
             if not is_pointer(file) and mesh_fault(file):
                 continue  # which is an error
             try:
-                _set_name(part, str(_converted(file, *_version(file))))
+                _set_name(
+                    part, str(_converted(file, (status := file.stat()).st_mtime_ns, status.st_size))
+                )
                 changed = True
                 continue
             except (OSError, ValueError) as error:
-                fault = _fault(file, error)
+                fault = str(error)
+                if is_pointer(file):
+                    fault = f"{file} is a pointer of Git LFS; `git lfs pull` fetches the mesh"
         shape = parents.get(parents.get(part, root), root)  # <visual><geometry><mesh/>
         if format == "mjcf":  # PyBullet tells of what is not there
             told += [f"the mesh {name!r} is left out: {fault}"] if file is not None else []
             continue
-        if shape.tag == "collision" and not _is_known(name):
+        if shape.tag == "collision" and not name.lower().endswith((".obj", ".stl", ".dae")):
             owner = named_owner(shape, parents)
             raise SceneError(f"the mesh {name!r} of {owner} cannot be read: {fault}")
         if shape.tag == "collision" and file is None:
@@ -155,27 +158,11 @@ def _set_name(part: ET.Element, name: str) -> None:
         part.set("file" if part.get("file") else "filename", name)
 
 
-def _is_known(name: str) -> bool:
-    return name.lower().endswith((".obj", ".stl", ".dae"))
-
-
-def _fault(file: Path, error: Exception) -> str:
-    """Returns why a mesh file cannot be read, in words."""
-    if is_pointer(file):
-        return f"{file} is a pointer of Git LFS; `git lfs pull` fetches the mesh"
-    return str(error)
-
-
-def _version(file: Path) -> tuple[int, int]:
-    status = file.stat()
-    return status.st_mtime_ns, status.st_size
-
-
 @lru_cache(maxsize=256)
 def _converted(file: Path, _time: int, _size: int) -> Path:
     """Returns an OBJ file of the triangles of a mesh file."""
     mesh = load_mesh(file, (1.0, 1.0, 1.0))
-    path = Path(_folder().name) / f"{next(_numbers())}_{file.stem}.obj"
+    path = Path(tempfile.mkdtemp(dir=_folder().name)) / f"{file.stem}.obj"
     path.write_text(obj_text(mesh.vertices, mesh.faces), encoding="utf-8")
     return path
 
@@ -184,8 +171,3 @@ def _converted(file: Path, _time: int, _size: int) -> Path:
 def _folder() -> tempfile.TemporaryDirectory[str]:
     """Returns the folder of the converted meshes, which is there as long as the process."""
     return tempfile.TemporaryDirectory(prefix="ssduck")
-
-
-@cache
-def _numbers() -> Iterator[int]:
-    return iter(range(1_000_000_000))
