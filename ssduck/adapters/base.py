@@ -265,6 +265,11 @@ class Adapter:
         return f"AS {' | '.join(self.names)}" + (f"({arguments})" if arguments else "")
 
 
+def form(*names: str, help: str = "", **settings: Any) -> Callable[[Callable[..., Any]], Adapter]:
+    """Makes a function a built-in form of some names; the docstring is its help by default."""
+    return lambda make: Adapter(names, help or inspect.getdoc(make) or "", make, **settings)
+
+
 def _refuse_reading(_: int | None) -> Rows:
     raise ArgumentError("the query has ended; a form must read its rows before it returns")
 
@@ -276,9 +281,6 @@ def _collect_entities(value: Any, entities: dict[tuple[Handle, int | None], Hand
     elif isinstance(value, list | tuple):
         for part in value:
             _collect_entities(part, entities)
-
-
-# -- sizes ------------------------------------------------------------------------------------
 
 
 # A simulation of its own takes so much at least, bytes.
@@ -316,9 +318,6 @@ def made_bytes(value: Any) -> int:
 _OF_MESH = ("vertices", "faces")
 
 
-# -- shapes -----------------------------------------------------------------------------------
-
-
 # The table that these result forms read.
 SHAPES = frozenset(("shapes",))
 
@@ -343,9 +342,6 @@ def placed_shapes(world: World, entities: Sequence[Handle]) -> PlacedSolids:
         name = world.handle(id).full_name
         raise ArgumentError(f"{name!r}: the pose is not a number; exclude the entity by WHERE")
     return shapes.placed(ids)
-
-
-# -- files ------------------------------------------------------------------------------------
 
 
 def check_file(selection: Selection, file: Any) -> Path:

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck import validation
-from ssduck.adapters.optional import library
+from ssduck.adapters.optional import axes_of
 from ssduck.errors import ArgumentError
 from ssduck.formatting import error_text
 
@@ -218,11 +218,7 @@ class Grid:
         Raises:
             UnsupportedError: matplotlib is not installed; the message says how to install it.
         """
-        if ax is None:
-            library("matplotlib", "plot")
-            from matplotlib.figure import Figure
-
-            ax = Figure().subplots()
+        ax = axes_of(ax)
         (left, bottom), (right, top) = (corner[:2] for corner in self.bounds)
         values = self._flat().T
         is_boolean = values.dtype == np.bool_

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ssduck import validation
-from ssduck.adapters.base import SHAPES, Adapter, Selection, placed_shapes, shapes_of
+from ssduck.adapters.base import SHAPES, Selection, form, placed_shapes, shapes_of
 from ssduck.adapters.grid_values import MAX_CELLS, OccupancyGrid, PlaneGrid, SensorGrid, VoxelGrid
 from ssduck.errors import ArgumentError
 from ssduck.formatting import short_repr
@@ -39,6 +39,14 @@ _PLANES = {"XY": (0, 1), "XZ": (0, 2), "YZ": (1, 2)}
 # -- occupied cells ------------------------------------------------------------------------------
 
 
+@form(
+    "occupancygrid",
+    "map",
+    help="The grid of cells that shapes occupy at a height, or between two heights [lowest, "
+    "highest]; all lengths in m.",
+    needs="entities",
+    tables=SHAPES,
+)
 def _occupancy(
     selection: Selection, z_pos: Any, grid_size: Any, bounds: Any = None
 ) -> OccupancyGrid:
@@ -49,34 +57,34 @@ def _occupancy(
         raise ArgumentError(f"z_pos: the lowest height {low:g} is above the highest, {high:g}")
     size = validation.length(grid_size, "the size of a cell")
     placed = shapes_of(selection)
-    lower, upper = _bounds(bounds, placed, 2)
-    counts = _counts(selection, lower, upper, size)
-    return _occupied_cells(placed, lower, size, counts, (low, high))
+    return _occupied_cells(placed, _raster(selection, bounds, placed, size), (low, high))
 
 
+@form(
+    "roombaGrid",
+    help="The grid of AS occupancygrid with the sizes of SelectScript's tutorial, in m, and one "
+    "more cell along each axis.",
+    needs="entities",
+    tables=SHAPES,
+)
 def _roomba_grid(selection: Selection, z_pos: Any = 0.22, grid_size: Any = 0.025) -> OccupancyGrid:
     z, size = validation.number(z_pos, "z_pos"), validation.length(grid_size, "the size of a cell")
     placed = shapes_of(selection)
-    lower, upper = _bounds(None, placed, 2)
     # The tutorial requests one cell more than the bounds have.
-    nx, ny = (count + 1 for count in _counts(selection, lower, upper, size))
-    return _occupied_cells(placed, lower, size, (nx, ny), (z, z))
+    return _occupied_cells(placed, _raster(selection, None, placed, size, more=1), (z, z))
 
 
 def _occupied_cells(
-    placed: PlacedSolids,
-    lower: tuple[float, ...],
-    size: float,
-    counts: tuple[int, ...],
-    heights: tuple[float, float],
+    placed: PlacedSolids, raster: Raster, heights: tuple[float, float]
 ) -> OccupancyGrid:
-    raster = Raster((lower[0], lower[1]), size, (counts[0], counts[1]))
     cells = Rasterizer(placed).cells(raster, *heights)
     z = heights[0] if heights[0] == heights[1] else heights
-    return OccupancyGrid(cells, raster.origin, size, z)
+    return OccupancyGrid(cells, raster.origin, raster.size, z)
 
 
+@form("voxelgrid", needs="entities", tables=SHAPES)
 def _voxels(selection: Selection, grid_size: Any, bounds: Any = None) -> VoxelGrid:
+    """The grid of cubes that shapes occupy; all lengths in m."""
     size = validation.length(grid_size, "the size of a cell")
     placed = shapes_of(selection)
     lower, upper = _bounds(bounds, placed, 3)
@@ -95,6 +103,13 @@ def _voxels(selection: Selection, grid_size: Any, bounds: Any = None) -> VoxelGr
 # -- sensor coverage ------------------------------------------------------------------------------
 
 
+@form(
+    "sensorgrid",
+    help="The grid of the number of selected sensors that see each cell at a height; all lengths "
+    "in m.",
+    needs="entities",
+    tables=SHAPES,
+)
 def _sensor_grid(
     selection: Selection, z_pos: Any, grid_size: Any, bounds: Any = None
 ) -> SensorGrid:
@@ -105,10 +120,9 @@ def _sensor_grid(
     world = selection.world
     placed = placed_shapes(world, [e for e in world if not isinstance(e, Sensor)])
     bounded = placed.select(np.asarray(np.isfinite(placed.boxes).all(axis=1)))
-    lower, upper = _bounds(bounds, bounded, 2)
-    nx, ny = _counts(selection, lower, upper, size)
+    raster = _raster(selection, bounds, bounded, size)
+    nx, ny = raster.shape
     cells = np.zeros((nx, ny), dtype=np.int32)
-    raster = Raster((lower[0], lower[1]), size, (nx, ny))
     columns = max(1, _BATCH // ny)
     for first in range(0, nx, columns):
         batch = slice(first, first + columns)
@@ -140,6 +154,29 @@ def _visible_points(sensor: Sensor, placed: PlacedSolids, points: Array, toleran
 # -- values over a plane --------------------------------------------------------------------------
 
 
+def _with_entity(query: Query) -> Query:
+    """Adds the entity of the only source as a column; its position selects the cell."""
+    if len(query.sources) != 1 or not query.items or any(map(_is_entity, query.items)):
+        return query
+    span = query.span
+    alias = query.sources[0].alias
+    entity = Call(span, "obj", (This(span, alias),), span)
+    return replace(query, items=(*query.items, entity))
+
+
+def _is_entity(item: Any) -> bool:
+    return isinstance(item, This) or (
+        isinstance(item, Name | UnresolvedName | Call) and item.name == "obj"
+    )
+
+
+@form(
+    "plane",
+    help="The grid of the sums of the rows' values in each cell of a plane such as 'XY', by "
+    "position; size is [cells, cells, side of a cell in m].",
+    needs="entities",
+    select=_with_entity,
+)
 def _plane(selection: Selection, axes: Any, origin: Any, size: Any, blur: Any = 1) -> PlaneGrid:
     plane = axes.upper() if isinstance(axes, str) else ""
     if plane not in _PLANES:
@@ -208,23 +245,16 @@ def _sum(value: Any, name: str) -> float:
     raise ArgumentError(f"column {name!r} cannot be summed: {short_repr(value)} is no number")
 
 
-def _with_entity(query: Query) -> Query:
-    """Adds the entity of the only source as a column; its position selects the cell."""
-    if len(query.sources) != 1 or not query.items or any(map(_is_entity, query.items)):
-        return query
-    span = query.span
-    alias = query.sources[0].alias
-    entity = Call(span, "obj", (This(span, alias),), span)
-    return replace(query, items=(*query.items, entity))
-
-
-def _is_entity(item: Any) -> bool:
-    return isinstance(item, This) or (
-        isinstance(item, Name | UnresolvedName | Call) and item.name == "obj"
-    )
-
-
 # -- bounds ---------------------------------------------------------------------------------------
+
+
+def _raster(
+    selection: Selection, bounds: Any, placed: PlacedSolids, size: float, more: int = 0
+) -> Raster:
+    """Returns the cells of bounds in the plane, and some more at their upper sides."""
+    lower, upper = _bounds(bounds, placed, 2)
+    nx, ny = _counts(selection, lower, upper, size)
+    return Raster((lower[0], lower[1]), size, (nx + more, ny + more))
 
 
 def _bounds(
@@ -295,44 +325,4 @@ def _finite_position(entity: Handle) -> list[float]:
     return position
 
 
-GRIDS = (
-    Adapter(
-        ("occupancygrid", "map"),
-        "The grid of cells that shapes occupy at a height, or between two heights [lowest, "
-        "highest]; all lengths in m.",
-        _occupancy,
-        needs="entities",
-        tables=SHAPES,
-    ),
-    Adapter(
-        ("roombaGrid",),
-        "The grid of AS occupancygrid with the sizes of SelectScript's tutorial, in m, and one "
-        "more cell along each axis.",
-        _roomba_grid,
-        needs="entities",
-        tables=SHAPES,
-    ),
-    Adapter(
-        ("voxelgrid",),
-        "The grid of cubes that shapes occupy; all lengths in m.",
-        _voxels,
-        needs="entities",
-        tables=SHAPES,
-    ),
-    Adapter(
-        ("sensorgrid",),
-        "The grid of the number of selected sensors that see each cell at a height; all lengths "
-        "in m.",
-        _sensor_grid,
-        needs="entities",
-        tables=SHAPES,
-    ),
-    Adapter(
-        ("plane",),
-        "The grid of the sums of the rows' values in each cell of a plane such as 'XY', by "
-        "position; size is [cells, cells, side of a cell in m].",
-        _plane,
-        needs="entities",
-        select=_with_entity,
-    ),
-)
+GRIDS = (_occupancy, _roomba_grid, _voxels, _sensor_grid, _plane)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 from ssduck import validation
-from ssduck.adapters.base import Adapter, Selection
+from ssduck.adapters.base import Selection, form
 from ssduck.adapters.columns import plain_value
 from ssduck.errors import ArgumentError
 from ssduck.formatting import short_repr, type_in_words
@@ -92,9 +92,6 @@ def _mentioned_sources(value: Node, query: Query) -> tuple[Node, ...]:
     return tuple(This(value.span, a) for a in aliases_of(query) if a in mentioned)
 
 
-# -- texts of clauses -------------------------------------------------------------------------
-
-
 Term: TypeAlias = Callable[[Any], str]
 
 
@@ -124,7 +121,9 @@ def _not_a_term(value: Any) -> ArgumentError:
 # -- Prolog -----------------------------------------------------------------------------------
 
 
+@form("prolog", select=with_arguments)
 def _prolog(selection: Selection) -> list[str]:
+    """The selected relations as Prolog clauses: a sorted list of texts, without the final dot."""
     return _clause_texts(clauses(selection), _atom, _term)
 
 
@@ -178,6 +177,12 @@ def _in_quotes(letter: str) -> str:
 _INTEGERS = range(-(2**31), 2**31)
 
 
+@form(
+    "asp",
+    help="The selected relations as facts for clingo: a sorted list of texts, with the final "
+    "dot. Fractions become strings, or integers if they are multiplied by scale.",
+    select=with_arguments,
+)
 def _asp(selection: Selection, scale: float | None = None) -> list[str]:
     if scale is not None:
         validation.number_above_0(scale, "scale must be a number above 0")
@@ -235,18 +240,4 @@ def _string(text: str) -> str:
     return f'"{escaped}"'
 
 
-LOGIC = (
-    Adapter(
-        ("prolog",),
-        "The selected relations as Prolog clauses: a sorted list of texts, without the final dot.",
-        _prolog,
-        select=with_arguments,
-    ),
-    Adapter(
-        ("asp",),
-        "The selected relations as facts for clingo: a sorted list of texts, with the final "
-        "dot. Fractions become strings, or integers if they are multiplied by scale.",
-        _asp,
-        select=with_arguments,
-    ),
-)
+LOGIC = (_prolog, _asp)

@@ -91,9 +91,6 @@ def marks_of(world: World, rows: Iterable[Sequence[Any]]) -> list[Mark]:
     return list(dict.fromkeys(mark for row in rows for mark in marks.of(row)))
 
 
-# -- pictures ---------------------------------------------------------------------------------
-
-
 OUTLINE = (255, 90, 0)
 # The share of white in a faded pixel, and the width of an outline, pixels.
 _FADE = 0.5

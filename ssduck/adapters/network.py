@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
-from ssduck.adapters.base import Adapter, Selection
+from ssduck.adapters.base import Selection, form
 from ssduck.adapters.columns import checked_names, plain_value
 from ssduck.adapters.display import readable
 from ssduck.adapters.logic import Clause, clauses, with_arguments
@@ -153,6 +153,13 @@ def _add_row(network: _Network, names: tuple[str, ...], row: tuple[Any, ...], ke
 # -- forms ------------------------------------------------------------------------------------
 
 
+@form(
+    "graph",
+    help="A networkx graph: entities are nodes, relations of two entities are directed edges. "
+    "Extra: graph.",
+    needs="entities",
+    select=_graph_query,
+)
 def _graph(selection: Selection, multi: bool = False) -> Any:
     library("networkx", "graph")
     from ssduck.adapters.entity_graphs import EntityGraph, EntityMultiGraph
@@ -181,7 +188,9 @@ def _entity_attributes(entity: Handle) -> dict[str, Any]:
 _SHAPES = {"robot": "box", "kinbody": "ellipse", "sensor": "diamond", "link": "ellipse"}
 
 
+@form("dot", needs="entities", select=_graph_query)
 def _dot(selection: Selection) -> str:
+    """The graph of AS graph as a text for Graphviz, each edge with its relations."""
     network = _network(selection, multi=not _selects_relations(selection.query))
     lines = ["digraph {"]
     for name, attributes in network.nodes.items():
@@ -209,20 +218,4 @@ def _quoted(text: str) -> str:
     return '"' + "".join(_ESCAPES.get(letter, letter) for letter in text) + '"'
 
 
-NETWORK = (
-    Adapter(
-        ("graph",),
-        "A networkx graph: entities are nodes, relations of two entities are directed edges. "
-        "Extra: graph.",
-        _graph,
-        needs="entities",
-        select=_graph_query,
-    ),
-    Adapter(
-        ("dot",),
-        "The graph of AS graph as a text for Graphviz, each edge with its relations.",
-        _dot,
-        needs="entities",
-        select=_graph_query,
-    ),
-)
+NETWORK = (_graph, _dot)

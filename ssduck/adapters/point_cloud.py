@@ -84,13 +84,9 @@ class PointCloud:
         Raises:
             UnsupportedError: matplotlib is not installed; the message says how to install it.
         """
-        from ssduck.adapters.optional import library
+        from ssduck.adapters.optional import axes_of
 
-        if ax is None:
-            library("matplotlib", "plot")
-            from matplotlib.figure import Figure
-
-            ax = Figure().add_subplot(projection="3d")
+        ax = axes_of(ax, projection="3d")
         for index, name in enumerate(self.names):
             x, y, z = self.points[self.owners == index].T
             ax.scatter(x, y, z, s=1, label=name)

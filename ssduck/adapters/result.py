@@ -311,9 +311,6 @@ def _type_name(type: pa.DataType) -> str:
     return _TYPES.get(type, str(type))
 
 
-# -- frames of users --------------------------------------------------------------------------
-
-
 def arrow_of(frame: Any) -> pa.Table:
     """Returns an Arrow table with a copy of the rows of a frame; see `Interpreter.register`."""
     try:
@@ -346,9 +343,6 @@ def _table_of(frame: Any) -> pa.Table | None:
     if type(frame).__module__.partition(".")[0] == "pandas":
         return pa.Table.from_pandas(frame, preserve_index=False).replace_schema_metadata()
     return pa.table(frame) if hasattr(frame, "__arrow_c_stream__") else None
-
-
-# -- views of tables --------------------------------------------------------------------------
 
 
 # The number of rows shown by default.

@@ -12,9 +12,9 @@ from ssduck import validation
 from ssduck.adapters.base import (
     SHAPES,
     WORLD_BYTES,
-    Adapter,
     Selection,
     check_file,
+    form,
     replace_file,
     shapes_of,
 )
@@ -30,6 +30,11 @@ if TYPE_CHECKING:
     from PIL import Image
 
 
+@form(
+    "environment",
+    help="A new, running world of the selected entities, in its own simulation.",
+    needs="entities",
+)
 def environment(selection: Selection) -> World:
     """Returns a new, running world of the selected entities, and those of links.
 
@@ -39,17 +44,7 @@ def environment(selection: Selection) -> World:
     return selection.world.excerpt([handle.entity for handle in selection.entities])
 
 
-WORLDS = (
-    Adapter(
-        ("environment",),
-        "A new, running world of the selected entities, in its own simulation.",
-        environment,
-        needs="entities",
-    ),
-)
-
-
-# -- points, meshes and pictures --------------------------------------------------------------
+WORLDS = (environment,)
 
 
 # In glTF, y points up and cameras look along -z.
@@ -65,6 +60,13 @@ _COLOURS = {
 }
 
 
+@form(
+    "points",
+    help="Random points on the surfaces of shapes, in m, one for each square with the side "
+    "spacing, in m.",
+    needs="entities",
+    tables=SHAPES,
+)
 def _points(selection: Selection, spacing: Any = 0.02, seed: Any = 0) -> PointCloud:
     placed = shapes_of(selection)
     ids = {entity.id: entity.full_name for entity in selection.entities}
@@ -79,7 +81,9 @@ def _points(selection: Selection, spacing: Any = 0.02, seed: Any = 0) -> PointCl
     return sample_points(placed, ids, mean_distance, whole_seed, check)
 
 
+@form("mesh", needs="entities", tables=SHAPES)
 def _mesh(selection: Selection) -> trimesh.Scene:
+    """A trimesh scene of the shapes in the world frame, in m, with a node for each shape."""
     import_whole("trimesh")
     from ssduck.adapters.mesh_scene import MeshScene
 
@@ -130,9 +134,17 @@ def _triangles(solid: Solid) -> Any:
     return trimesh.Trimesh(solid.core, solid.faces, process=False)
 
 
+@form(
+    "glb",
+    help="Writes the scene of AS mesh to a glTF file, with y up as viewers expect, and returns "
+    "its path.",
+    needs="entities",
+    tables=SHAPES,
+    writes=True,
+)
 def _glb(selection: Selection, path: Any) -> str:
     file = check_file(selection, path)
-    scene: Any = _mesh(selection)
+    scene: Any = _mesh.make(selection)
     if not scene.geometry:
         raise ArgumentError("no selected entity has shapes; a glTF file needs some")
     scene.apply_transform(_UPRIGHT)
@@ -141,6 +153,11 @@ def _glb(selection: Selection, path: Any) -> str:
     return str(file)
 
 
+@form(
+    "image",
+    help="A picture of the scene in which all but the selected entities and links, or those whose "
+    "names are selected, are faded; sensors appear as their bodies. Sizes in pixels.",
+)
 def _image(selection: Selection, width: Any = 960, height: Any = 720) -> Image.Image:
     size = (
         validation.integer_between(width, "width", 1, validation.MAX_PIXELS),
@@ -165,35 +182,4 @@ def _image(selection: Selection, width: Any = 960, height: Any = 720) -> Image.I
     return highlighted(world, found, *size)
 
 
-SPATIAL = (
-    Adapter(
-        ("points",),
-        "Random points on the surfaces of shapes, in m, one for each square with the side "
-        "spacing, in m.",
-        _points,
-        needs="entities",
-        tables=SHAPES,
-    ),
-    Adapter(
-        ("mesh",),
-        "A trimesh scene of the shapes in the world frame, in m, with a node for each shape.",
-        _mesh,
-        needs="entities",
-        tables=SHAPES,
-    ),
-    Adapter(
-        ("glb",),
-        "Writes the scene of AS mesh to a glTF file, with y up as viewers expect, and returns "
-        "its path.",
-        _glb,
-        needs="entities",
-        tables=SHAPES,
-        writes=True,
-    ),
-    Adapter(
-        ("image",),
-        "A picture of the scene in which all but the selected entities and links, or those whose "
-        "names are selected, are faded; sensors appear as their bodies. Sizes in pixels.",
-        _image,
-    ),
-)
+SPATIAL = (_points, _mesh, _glb, _image)

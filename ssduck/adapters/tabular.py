@@ -6,14 +6,14 @@ import json
 from collections import namedtuple
 from functools import lru_cache
 from itertools import chain
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
 from ssduck import validation
-from ssduck.adapters.base import Adapter, Selection, check_file, replace_file
+from ssduck.adapters.base import Selection, check_file, form, replace_file
 from ssduck.adapters.columns import checked_names, plain_value, table_of
 from ssduck.adapters.display import DisplayTable, as_json
 from ssduck.adapters.formats import FORMATS, text_of
@@ -26,7 +26,9 @@ from ssduck.sql.types import EXACT
 _KEY_BYTES = 32
 
 
+@form("dict", "dictionary", needs="columns")
 def _dicts(selection: Selection) -> list[dict[Any, Any]]:
+    """A list of dicts, one for each row, with the names of the columns as keys. The default."""
     rows = selection.read()
     selection.charge(sum(map(len, rows.values[:1])) * len(rows.values) * _KEY_BYTES)
     if isinstance(rows.names, list):
@@ -40,37 +42,25 @@ def _dicts(selection: Selection) -> list[dict[Any, Any]]:
     return [dict(zip(rows.names, values, strict=True)) for values in rows.values]
 
 
+@form("list")
 def _flat(selection: Selection) -> list[Any]:
+    """One flat list of the values, row by row."""
     return list(chain.from_iterable(selection.rows))
 
 
 _NO_DEFAULT: Any = ()
 
 
+@form("value", "val")
 def _single_value(selection: Selection, default: Any = _NO_DEFAULT) -> Any:
+    """The value in the first column of the first row; default, or [], if there is no row."""
     rows = selection.rows
     if rows:
         return rows[0][0]
     return [] if default is _NO_DEFAULT else default
 
 
-VALUES = (
-    Adapter(
-        ("dict", "dictionary"),
-        "A list of dicts, one for each row, with the names of the columns as keys. The default.",
-        _dicts,
-        needs="columns",
-    ),
-    Adapter(("list",), "One flat list of the values, row by row.", _flat),
-    Adapter(
-        ("value", "val"),
-        "The value in the first column of the first row; default, or [], if there is no row.",
-        _single_value,
-    ),
-)
-
-
-# -- tables and texts -------------------------------------------------------------------------
+VALUES = (_dicts, _flat, _single_value)
 
 
 # The upper bound of numpy's 64-bit integers.
@@ -79,10 +69,25 @@ _INT64_END = 2**63
 _MAX_INDENT = 80
 
 
+@form(
+    "table",
+    help="A table with df(), pl(), arrow() and fetchall(), as Interpreter.sql returns; notebooks "
+    "display it.",
+    needs="columns",
+    joins_groups=True,
+)
 def _result(selection: Selection) -> Result:
     return Result(table_of(selection))
 
 
+@form(
+    "df",
+    "pandas",
+    "dataframe",
+    help="A pandas data frame. Extra: pandas.",
+    needs="columns",
+    joins_groups=True,
+)
 def _df(selection: Selection) -> Any:
     """Returns a data frame; integers and booleans keep their type if values are missing."""
     pandas = library("pandas", "pandas")
@@ -97,7 +102,9 @@ def _df(selection: Selection) -> Any:
     return pandas.DataFrame(frame)
 
 
+@form("polars", "pl", needs="columns", joins_groups=True)
 def _polars(selection: Selection) -> Any:
+    """A polars data frame. Extra: polars."""
     polars = library("polars", "polars")
     table = table_of(selection)
     # Only integral decimals become integers; a program may also return decimal fractions.
@@ -109,7 +116,9 @@ def _polars(selection: Selection) -> Any:
     return polars.from_arrow(table).with_columns(polars.col(large).cast(polars.Int128))
 
 
+@form("json", needs="columns")
 def _json(selection: Selection, indent: int | None = None) -> str:
+    """A JSON text, a list of objects. Entities appear by name, NaN and infinities as null."""
     if indent is not None:
         validation.integer_between(indent, "indent", 0, _MAX_INDENT)
     names = checked_names(selection.columns)
@@ -121,11 +130,15 @@ def _json(selection: Selection, indent: int | None = None) -> str:
     return f"[{', '.join(texts)}]"
 
 
+@form("csv", needs="columns")
 def _csv(selection: Selection) -> str:
+    """A CSV text with a line of the columns' names. Entities appear by name, lists as JSON."""
     return text_of(_named_rows(selection), FORMATS["csv"])
 
 
+@form("markdown", needs="columns")
 def _markdown(selection: Selection) -> str:
+    """A table in Markdown, with numbers rounded to six digits."""
     return text_of(_named_rows(selection), FORMATS["markdown"])
 
 
@@ -133,7 +146,9 @@ def _named_rows(selection: Selection) -> DisplayTable:
     return DisplayTable(checked_names(selection.columns), selection.timed_rows)
 
 
+@form("records")
 def _records(selection: Selection) -> list[tuple[Any, ...]]:
+    """A list of named tuples, one for each row."""
     row_class = _row_class(tuple(map(str, selection.columns)))
     return [row_class._make(row) for row in selection.timed_rows]
 
@@ -144,6 +159,12 @@ def _row_class(names: tuple[str, ...]) -> Any:
     return namedtuple("Row", names, rename=True)  # noqa: PYI024
 
 
+@form(
+    "parquet",
+    help="Writes the rows to a Parquet file, replaces an existing one, and returns its path.",
+    needs="columns",
+    writes=True,
+)
 def _parquet(selection: Selection, file: str) -> str:
     """Writes a Parquet file and atomically replaces an existing file of that name."""
     import pyarrow.parquet as pq
@@ -157,6 +178,12 @@ def _parquet(selection: Selection, file: str) -> str:
 # -- numpy ------------------------------------------------------------------------------------
 
 
+@form(
+    "numpy",
+    "tensor",
+    help="A 2-D NumPy array if all columns are numbers, or lists of equally many numbers, side "
+    "by side; else a structured array. Over a batch, an array of the library of its states.",
+)
 def _numpy(selection: Selection) -> npt.NDArray[Any]:
     rows = selection.copied_rows
     if not rows:
@@ -211,60 +238,6 @@ def _flattened(column: list[Any]) -> tuple[tuple[int, ...], list[Any]]:
     return shape, column
 
 
-TABULAR = (
-    Adapter(
-        ("table",),
-        "A table with df(), pl(), arrow() and fetchall(), as Interpreter.sql returns; notebooks "
-        "display it.",
-        _result,
-        needs="columns",
-        joins_groups=True,
-    ),
-    Adapter(("arrow",), "A pyarrow table.", table_of, needs="columns", joins_groups=True),
-    Adapter(
-        ("df", "pandas", "dataframe"),
-        "A pandas data frame. Extra: pandas.",
-        _df,
-        needs="columns",
-        joins_groups=True,
-    ),
-    Adapter(
-        ("polars", "pl"),
-        "A polars data frame. Extra: polars.",
-        _polars,
-        needs="columns",
-        joins_groups=True,
-    ),
-    Adapter(
-        ("numpy", "tensor"),
-        "A 2-D NumPy array if all columns are numbers, or lists of equally many numbers, side "
-        "by side; else a structured array. Over a batch, an array of the library of its states.",
-        _numpy,
-    ),
-    Adapter(
-        ("json",),
-        "A JSON text, a list of objects. Entities appear by name, NaN and infinities as null.",
-        _json,
-        needs="columns",
-    ),
-    Adapter(
-        ("csv",),
-        "A CSV text with a line of the columns' names. Entities appear by name, lists as JSON.",
-        _csv,
-        needs="columns",
-    ),
-    Adapter(
-        ("markdown",),
-        "A table in Markdown, with numbers rounded to six digits.",
-        _markdown,
-        needs="columns",
-    ),
-    Adapter(("records",), "A list of named tuples, one for each row.", _records),
-    Adapter(
-        ("parquet",),
-        "Writes the rows to a Parquet file, replaces an existing one, and returns its path.",
-        cast("Any", _parquet),
-        needs="columns",
-        writes=True,
-    ),
-)
+_arrow = form("arrow", help="A pyarrow table.", needs="columns", joins_groups=True)(table_of)
+
+TABULAR = (_result, _arrow, _df, _polars, _numpy, _json, _csv, _markdown, _records, _parquet)

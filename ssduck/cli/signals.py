@@ -21,6 +21,10 @@ import typer
 from ssduck.errors import LimitError
 from ssduck.limits import GRACE, Limits, ending_text, limit_process_memory
 
+# The signals that end a process; Windows lacks the last one.
+_ENDING = [
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+]
 Handler = Callable[[int, Any], object]
 
 
@@ -69,9 +73,7 @@ def _handlers() -> dict[int, Any]:
     """Returns the handlers of the signals that end a process; none in other threads."""
     if threading.current_thread() is not threading.main_thread():
         return {}
-    names = ("SIGINT", "SIGTERM", "SIGHUP")  # Windows has no SIGHUP
-    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
-    return {number: signal.getsignal(number) for number in numbers}
+    return {number: signal.getsignal(number) for number in _ENDING}
 
 
 @contextmanager
@@ -92,10 +94,6 @@ def _handled_by(
 
 
 _BEGINS, _ENDS = b"b", b"e"
-# The signals that end both processes; Windows, which has no fork, lacks the last one.
-_ENDING = [
-    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
-]
 
 
 def supervised(limits: Limits) -> AbstractContextManager[None]:

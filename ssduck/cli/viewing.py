@@ -85,9 +85,6 @@ def _opened_view(location: str, episode: int | None, host: str, port: int) -> It
         yield page
 
 
-# -- ssduck render ----------------------------------------------------------------------------
-
-
 def render(
     location: Location,
     output: Annotated[Path, option("A file .png, .gif or .mp4.", "FILE", flags="-o --output")],
@@ -179,9 +176,6 @@ def _progress() -> Iterator[Callable[[int, int], Any]]:
     with Progress(console=console, disable=not console.is_terminal, transient=True) as progress:
         task = progress.add_task("pictures", total=None)
         yield lambda number, count: progress.update(task, completed=number, total=count)
-
-
-# -- lists of scenes and functions ------------------------------------------------------------
 
 
 def scenes() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
 
@@ -11,8 +11,8 @@ from ssduck.errors import ArgumentError, RecordError, check_known, record_errors
 from ssduck.formatting import short_repr
 from ssduck.interchange import lerobot, lerobot_reader, mcap, mcap_reader, rerun
 from ssduck.interchange.motion import motion_of
-from ssduck.interchange.pose_batches import Frames
-from ssduck.interchange.record_writer import KINDS, Entities, entities_of, write_tables
+from ssduck.interchange.pose_batches import Frames, ImportedPoses, PoseBatch, batch_of
+from ssduck.interchange.record_writer import KINDS, Entities, RecordWriter, entities_of
 from ssduck.recording.episode import Episode
 from ssduck.recording.stores.parquet_layout import FolderRun
 
@@ -112,7 +112,8 @@ def import_poses(
             tags.setdefault("task", about["task"])
         name = world or about.get("world") or "world"
         try:
-            written.append(write_tables(folder, described, poses.tables, world=name, tags=tags))
+            writer = RecordWriter(folder, described, world=name, tags=tags)
+            written.append(writer.write_whole(_batches(writer, poses)))
         except ArgumentError as error:
             is_of_caller = entities is not None or world is not None
             kind = ArgumentError if is_of_caller else RecordError
@@ -121,6 +122,12 @@ def import_poses(
     unread = list(dict.fromkeys(each for poses in episodes for each in poses.unread))
     warn(_missing(place, unread, has_entities=entities is not None))
     return written
+
+
+def _batches(writer: RecordWriter, poses: ImportedPoses) -> Iterator[PoseBatch]:
+    """Yields the poses of tables; an entity is there when all of its links are."""
+    for table in poses.tables:
+        yield batch_of(writer.frames, table, None, None, writer.last, are_whole=False)
 
 
 def _entities(names: Sequence[str], kinds: Any, given: Entities | None) -> Entities:

@@ -195,7 +195,7 @@ class _Dataset:
                 "ssduck/id": motion.run.id,
                 "ssduck/world": motion.run.world,
                 "ssduck/episode": motion.run.number,
-                "ssduck/tags": json.dumps(dict(motion.tags), sort_keys=True),
+                "ssduck/tags": json.dumps(dict(motion.run.tags), sort_keys=True),
             }
         )
         self.frames += count
@@ -240,7 +240,7 @@ def _write_json(file: Path, content: Mapping[str, Any]) -> None:
 
 def _task(motion: Motion) -> str:
     """Returns the text of an episode's task: its tag, or the name of the world."""
-    return str(motion.tags.get("task", motion.run.world))
+    return str(motion.run.tags.get("task", motion.run.world))
 
 
 def _task_table(tasks: Mapping[str, int]) -> pa.Table:

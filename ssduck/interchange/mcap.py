@@ -22,7 +22,7 @@ import numpy as np
 from ssduck.adapters.optional import library
 from ssduck.errors import ArgumentError
 from ssduck.geometry.shapes import PlacedGeometry
-from ssduck.interchange.motion import Frame, Motion, mesh_of
+from ssduck.interchange.motion import Motion, mesh_of
 from ssduck.recording.stores.atomic_files import write_with_folders
 
 WORLD_FRAME = "world"
@@ -31,6 +31,8 @@ METADATA = "ssduck"
 NANO = 10**9
 # Times are less, s: signed integers of 64 bits have their nanoseconds.
 END = 9.2e9
+# The type of a deletion of one entity.
+_MATCHING_ID = 0
 _COLOUR = (0.7, 0.7, 0.7, 1.0)
 _TICK_SCHEMA = {
     "type": "object",
@@ -104,7 +106,7 @@ def _about(motion: Motion) -> dict[str, str]:
         "world": motion.run.world,
         "episode": motion.run.number,
         "id": motion.run.id,
-        "tags": dict(motion.tags),
+        "tags": dict(motion.run.tags),
         "kinds": kinds,
     }
     return {name: json.dumps(value) for name, value in values.items()}
@@ -118,21 +120,19 @@ def _stamp(moment: int) -> Any:
 
 
 def _transforms(motion: Motion, number: int, present: Any, moment: int) -> Any:
-    from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
     from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 
-    stamp, transforms = _stamp(moment), []
+    stamp, told = _stamp(moment), FrameTransforms()
     for frame, pose, is_there in zip(
         motion.frames, motion.poses[number].tolist(), present.tolist(), strict=True
     ):
         if is_there:
-            one = FrameTransform(
+            one = told.transforms.add(
                 timestamp=stamp, parent_frame_id=WORLD_FRAME, child_frame_id=frame.name
             )
             one.translation.x, one.translation.y, one.translation.z = pose[:3]
             one.rotation.w, one.rotation.x, one.rotation.y, one.rotation.z = pose[3:]
-            transforms.append(one)
-    return FrameTransforms(transforms=transforms)
+    return told
 
 
 # -- shapes -----------------------------------------------------------------------------------
@@ -140,36 +140,20 @@ def _transforms(motion: Motion, number: int, present: Any, moment: int) -> Any:
 
 def _scene(motion: Motion, present: Any, before: Any, moment: int) -> Any:
     """Returns the entities that came since the tick before, and those that went."""
-    from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
     from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
     stamp, update = _stamp(moment), SceneUpdate()
     for frame, is_there, was_there in zip(motion.frames, present, before, strict=True):
         if is_there and not was_there:
-            update.entities.append(_scene_entity(frame, stamp))
+            entity = update.entities.add(
+                timestamp=stamp, frame_id=frame.name, id=frame.name, frame_locked=True
+            )
+            entity.metadata.add(key="kind", value=frame.entity.kind)
+            for shape in frame.shapes.values():
+                _add_shape(entity, shape)
         elif was_there and not is_there:
-            kind = SceneEntityDeletion.MATCHING_ID
-            update.deletions.append(SceneEntityDeletion(timestamp=stamp, type=kind, id=frame.name))
+            update.deletions.add(timestamp=stamp, type=_MATCHING_ID, id=frame.name)
     return update
-
-
-def _scene_entity(frame: Frame, stamp: Any) -> Any:
-    from foxglove_schemas_protobuf.KeyValuePair_pb2 import KeyValuePair
-    from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
-
-    kind = KeyValuePair(key="kind", value=frame.entity.kind)
-    entity = SceneEntity(
-        timestamp=stamp,
-        frame_id=frame.name,
-        id=frame.name,
-        frame_locked=True,
-        metadata=[kind],
-    )
-    shapes = frame.entity.body.shapes if frame.entity.body else ()
-    for shape in shapes:
-        if shape.frame == frame.link:
-            _add_shape(entity, shape)
-    return entity
 
 
 def _add_shape(entity: Any, shape: PlacedGeometry) -> None:

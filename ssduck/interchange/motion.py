@@ -12,13 +12,12 @@ import pyarrow as pa
 import trimesh
 
 from ssduck.geometry.arrays import Array, Flags, Indices, Triangles
-from ssduck.geometry.shapes import Geometry
+from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.geometry.solids import solid_of
 from ssduck.recording.episode_steps import EpisodeSteps, recorded_steps
 from ssduck.recording.model_checks import check_models
 from ssduck.recording.static_tables import members_of
 from ssduck.recording.stores.parquet_layout import FolderRun
-from ssduck.recording.tags import Tags
 from ssduck.schema import FRAMES, MODELS, POSE
 from ssduck.world.layout import EntityInfo
 
@@ -35,6 +34,12 @@ class Frame:
     name: str
     entity: EntityInfo
     link: int
+
+    @property
+    def shapes(self) -> dict[int, PlacedGeometry]:
+        """The shapes that move with it, by their numbers among those of the entity."""
+        shapes = self.entity.body.shapes if self.entity.body else ()
+        return {number: each for number, each in enumerate(shapes) if each.frame == self.link}
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,11 +71,6 @@ class Motion:
     def names(self) -> list[str]:
         """The names of the frames."""
         return [frame.name for frame in self.frames]
-
-    @property
-    def tags(self) -> Tags:
-        """What the user says of the run."""
-        return self.run.tags
 
     @property
     def present(self) -> Flags:
@@ -161,9 +161,6 @@ def _joints(
     return tuple(name for _, _, name in named), positions[:, :, 0]
 
 
-# -- meshes -----------------------------------------------------------------------------------
-
-
 _SIDES = 32
 # Half the edge of the square that stands for a plane, m.
 PLANE_HALF_SIZE = 10.0
@@ -176,21 +173,27 @@ def mesh_of(geometry: Geometry) -> tuple[Array, Triangles]:
     """
     match geometry.type:
         case "plane":
-            return _square(np.array(geometry.size))
+            return square(np.array(geometry.size), PLANE_HALF_SIZE)
         case "capsule":
-            radius, length, _ = geometry.size
-            capsule = trimesh.creation.capsule(radius=radius, height=length, count=[_SIDES, _SIDES])
-            capsule.apply_translation(-capsule.bounds.mean(axis=0))
+            capsule = capsule_mesh(geometry, _SIDES)
             return np.array(capsule.vertices), np.array(capsule.faces, dtype=np.int32)
         case _:
             surface = solid_of(geometry).surface
             return surface.vertices, surface.faces.astype(np.int32)
 
 
-def _square(normal: Array) -> tuple[Array, Triangles]:
+def capsule_mesh(geometry: Geometry, sides: int) -> Any:
+    """Returns a mesh of trimesh of a capsule around the origin."""
+    radius, length, _ = geometry.size
+    capsule = trimesh.creation.capsule(radius=radius, height=length, count=[sides, sides])
+    return capsule.apply_translation(-capsule.bounds.mean(axis=0))
+
+
+def square(normal: Array, half_size: float) -> tuple[Array, Triangles]:
+    """Returns the corners, m, and the two triangles of a square that stands for a plane."""
     along = np.eye(3)[np.argmin(np.abs(normal))]
     first = np.cross(normal, along)
     first /= np.linalg.norm(first)
     sides = np.array([first, np.cross(normal, first)])
     signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    return PLANE_HALF_SIZE * (signs @ sides), np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
+    return half_size * (signs @ sides), np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)

@@ -341,9 +341,6 @@ def _with_unit_quaternions(batch: PoseBatch, frames: Frames) -> Array:
     return poses
 
 
-# -- imported poses ---------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class ImportedPoses:
     """The poses of an episode.

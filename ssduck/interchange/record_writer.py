@@ -275,24 +275,6 @@ def write_record(
     return writer.write_whole([batch_of(writer.frames, poses, times, velocities, None)])
 
 
-def write_tables(
-    folder: str | Path,
-    entities: Entities,
-    tables: Iterable[pa.Table],
-    *,
-    world: str,
-    tags: Tags | None,
-) -> Episode:
-    """Writes tables of poses as an episode, one after the other; see `write_record`.
-
-    Frames come and go by themselves: an entity is there when all of its links are.
-    """
-    writer = RecordWriter(folder, entities, world=world, tags=tags)
-    return writer.write_whole(
-        batch_of(writer.frames, table, None, None, writer.last, are_whole=False) for table in tables
-    )
-
-
 class RecordWriter:
     """Writes an episode in batches of ticks: a context manager for long runs.
 

@@ -32,10 +32,8 @@ def _write(rerun: Any, file: Path, motion: Motion) -> None:
         for number, frame in enumerate(motion.frames):
             place = rerun.new_entity_path(["world", frame.name])
             stream.log(place, rerun.AnyValues(kind=frame.entity.kind), static=True)
-            shapes = frame.entity.body.shapes if frame.entity.body else ()
-            for index, shape in enumerate(shapes):
-                if shape.frame == frame.link:
-                    stream.log(f"{place}/shape_{index}", *_shape(rerun, shape), static=True)
+            for index, shape in frame.shapes.items():
+                stream.log(f"{place}/shape_{index}", *_shape(rerun, shape), static=True)
             _send_poses(rerun, stream, place, motion, number)
         stream.flush()
     stream.disconnect()

@@ -103,9 +103,6 @@ def _forms() -> Iterator[str]:
         yield f"- `{form.usage}`: {first_sentence(form.help)}"
 
 
-# -- texts for agents -------------------------------------------------------------------------
-
-
 # The largest length of a name in the guide, letters.
 MAX_NAME = 200
 

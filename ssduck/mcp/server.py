@@ -69,9 +69,6 @@ class _Turns:
                     self._present = None
 
 
-# -- messages that cannot be read -------------------------------------------------------------
-
-
 class StandardStreamsServer(MCPServer[Any]):
     """A server that answers each request on standard input, unreadable ones with an error."""
 
@@ -152,10 +149,9 @@ def _answer_to(error: ValidationError) -> JSONRPCError | None:
         return None
 
 
-# -- server -----------------------------------------------------------------------------------
-
-
 T = TypeVar("T")
+# What is told of an episode.
+_TOLD = ("world", "number", "started", "ticks", "start", "end", "tables")
 
 
 def create_server(ss: Interpreter | Answers, record: Path | None = None) -> MCPServer[Any]:
@@ -171,24 +167,20 @@ def create_server(ss: Interpreter | Answers, record: Path | None = None) -> MCPS
         "write instead.",
         log_level="WARNING",
     )
-    asking = _Asking(InterpreterAnswers(ss) if isinstance(ss, Interpreter) else ss)
+    asking = _Asking(InterpreterAnswers(ss) if isinstance(ss, Interpreter) else ss, record)
     tools: list[Callable[..., Any]] = [asking.schema, asking.help, asking.query, asking.picture]
     if record is not None:
-        tools.append(_episodes_of(record))
+        tools.append(asking.episodes)
     for tool in tools:
         server.tool(structured_output=False)(tool)
     return server
 
 
 class _Asking:
-    """The questions that agents ask: the docstrings are written for them.
+    """The questions that agents ask: the docstrings are written for them."""
 
-    Args:
-        answers: answers the questions.
-    """
-
-    def __init__(self, answers: Answers) -> None:
-        self._answers = answers
+    def __init__(self, answers: Answers, record: Path | None) -> None:
+        self._answers, self._record = answers, record
         self._turns = _Turns(answers)
 
     async def _answer(self, method: Callable[..., T], *arguments: Any) -> T:
@@ -243,27 +235,12 @@ class _Asking:
         data = await self._answer(self._answers.picture, program, language, width, height)
         return Image(data=data, format="png")
 
-
-def _episodes_of(record: Path) -> Callable[[], str]:
-    def list_episodes() -> str:
+    def episodes(self) -> str:
         """Lists the episodes of the record as JSON: world, number, ticks, times (s), tables."""
+        assert self._record is not None
         with _errors_as_texts():
-            rows = [
-                {
-                    "world": episode.world,
-                    "number": episode.number,
-                    "started": episode.started,
-                    "ticks": episode.ticks,
-                    "start": episode.start,
-                    "end": episode.end,
-                    "tables": list(episode.tables),
-                }
-                for episode in episodes(record)
-            ]
-            return as_text(rows)
-
-    list_episodes.__name__ = "episodes"
-    return list_episodes
+            listed = episodes(self._record)
+            return as_text([{name: getattr(one, name) for name in _TOLD} for one in listed])
 
 
 @contextlib.contextmanager

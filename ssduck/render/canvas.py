@@ -19,6 +19,7 @@ from ssduck.errors import UnsupportedError
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
+from ssduck.interchange.motion import capsule_mesh, square
 from ssduck.simulators.scenes import Camera
 
 # Half the side of the square that is drawn of a plane, m.
@@ -31,7 +32,10 @@ _SIDES = 48
 def triangles(geometry: Geometry) -> Array:
     """Returns the corners of a geometry's triangles, (3 n, 6): x y z, and the normal there."""
     if geometry.type == "plane":
-        return _plane(np.array(geometry.size))
+        normal = np.array(geometry.size)
+        vertices, faces = square(normal, PLANE_HALF_SIZE)
+        corners = vertices[faces].reshape(-1, 3)
+        return np.hstack((corners, np.broadcast_to(normal, corners.shape)))
     mesh = _mesh(geometry)
     corners = mesh.vertices[mesh.faces].reshape(-1, 3)
     return np.hstack((corners, _normals(mesh)))
@@ -47,22 +51,10 @@ def _mesh(geometry: Geometry) -> Any:
         case "cylinder":
             return trimesh.creation.cylinder(radius=a, height=b, sections=_SIDES)
         case "capsule":
-            capsule = trimesh.creation.capsule(radius=a, height=b, count=[_SIDES, _SIDES])
-            return capsule.apply_translation(-capsule.bounds.mean(axis=0))
+            return capsule_mesh(geometry, _SIDES)
         case _:
             surface = solid_of(geometry).surface
             return trimesh.Trimesh(surface.vertices, surface.faces, process=False)
-
-
-def _plane(normal: Array) -> Array:
-    """Returns two triangles of a half-space's surface through the origin."""
-    along = np.eye(3)[np.argmin(np.abs(normal))]
-    first = np.cross(normal, along)
-    first /= np.linalg.norm(first)
-    second = np.cross(normal, first)
-    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, -1], [1, 1], [-1, 1]])
-    corners = PLANE_HALF_SIZE * (signs @ np.array([first, second]))
-    return np.hstack((corners, np.broadcast_to(normal, corners.shape)))
 
 
 def _normals(mesh: Any) -> Array:

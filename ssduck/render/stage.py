@@ -110,17 +110,12 @@ class Stage:
         colours[~chosen, :3] = _KEPT * colours[~chosen, :3] + (1 - _KEPT) * DIMMED
         return colours
 
-    @cached_property
-    def is_finite(self) -> Array:
-        """Which shapes have an end: all but planes."""
-        return np.array([each.type != "plane" for each in self.geometries], dtype=bool)
-
     def bounds(self, matrices: Array) -> tuple[Array, Array]:
         """Returns the lower and upper corner, (3,) each, of the box of all finite shapes, m."""
         radii = np.array([_radius(each) for each in self.geometries])
         centres = np.einsum("nij,nj->ni", matrices[:, :3, :3], self._middles) + matrices[:, :3, 3]
         # The largest shapes are walls and floors around the others.
-        kept = self.is_finite & np.isfinite(centres).all(axis=1) & (radii > 0)
+        kept = np.isfinite(centres).all(axis=1) & (radii > 0)
         if not kept.any():
             return np.array([-1.0, -1.0, 0.0]), np.array([1.0, 1.0, 1.0])
         low = (centres - radii[:, None])[kept].min(axis=0)

@@ -264,9 +264,6 @@ def _world(session: Session, name: str) -> World:
     return worlds[name]
 
 
-# -- statements -------------------------------------------------------------------------------
-
-
 def run(session: Session, text: str) -> bool:
     """Runs a command or a program, and prints its result or its error.
 

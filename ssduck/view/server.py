@@ -134,9 +134,6 @@ class Viewer:
         self.news.set()
 
 
-# -- server -----------------------------------------------------------------------------------
-
-
 # The shortest real time between two updates of a page, s; a little less than a thirtieth, as timers
 # are late.
 PERIOD = 1.0 / 32.0
