@@ -46,7 +46,8 @@ _ARITHMETIC: dict[type[exp.Expr], Callable[[Any, Any], Any]] = {
 }
 # Functions that SQL and Python take from C, with the same results to the last digit.
 _REAL_FUNCTIONS = {
-    function.__name__: function for function in (math.sin, math.cos, math.tan, math.atan, math.tanh)
+    function.__name__: function
+    for function in (math.exp, math.sin, math.cos, math.tan, math.atan, math.tanh)
 }
 _EXTREMES = {
     **dict.fromkeys(("list_min", "arraymin"), operator.le),

@@ -26,6 +26,7 @@ from ssduck.sql.sql_values import (
     StatementContext,
     copied,
     failure,
+    literal,
     or_failure,
     wrapped,
 )
@@ -277,7 +278,7 @@ def _real_function(context: StatementContext, name: str, value: SqlValue) -> Sql
 def _exponential(context: StatementContext, value: SqlValue) -> SqlValue:
     """Returns e to the power of a number; where the result is no double it fails, as in Python."""
     context.note_possible_failure()
-    largest = exp.Literal.number(repr(MAX_EXPONENT_OF_E))
+    largest = literal(MAX_EXPONENT_OF_E)
     fits = exp.LTE(this=wrapped(double_of(value)), expression=largest)
     power = exp.Exp(this=copied(double_of(value)))
     return SqlValue(_unless_null(fits, power), DOUBLE, is_non_negative=True)
