@@ -54,7 +54,7 @@ _EXTREMES = {
     **dict.fromkeys(("list_max", "arraymax"), operator.ge),
 }
 # Expressions that are as fast to evaluate again as to look up.
-_LEAVES = (exp.Parameter, exp.Column, exp.Literal, exp.Boolean, exp.Null)
+_LEAVES = (exp.Parameter, exp.Column, exp.Literal, exp.Boolean)
 # Literals of more digits may round in another way as a DECIMAL.
 _MAX_DIGITS = 15
 
@@ -211,8 +211,6 @@ class Compiler:
                 return leaf
             case exp.Boolean():
                 return self._constant("boolean", bool(sql.this))
-            case exp.Null():
-                return self._left
             case exp.Literal():
                 return self._literal(sql)
             case exp.Cast() if sql.to.sql("duckdb") == "DOUBLE":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import reduce
@@ -277,29 +278,28 @@ def _real_function(context: StatementContext, name: str, value: SqlValue) -> Sql
 
 def _exponential(context: StatementContext, value: SqlValue) -> SqlValue:
     """Returns e to the power of a number; where the result is no double it fails, as in Python."""
-    context.note_possible_failure()
-    largest = literal(MAX_EXPONENT_OF_E)
-    fits = exp.LTE(this=wrapped(double_of(value)), expression=largest)
     power = exp.Exp(this=copied(double_of(value)))
-    return SqlValue(_unless_null(fits, power), DOUBLE, is_non_negative=True)
+    return _unless_above(context, MAX_EXPONENT_OF_E, double_of(value), power)
 
 
 def _norm(context: StatementContext, elements: Sequence[SqlValue]) -> SqlValue:
     """Returns the root of a sum of squares; where that overflows, Python's has another way."""
-    context.note_possible_failure()
     squares: list[exp.Expr] = [
         exp.Mul(this=wrapped(copied(double_of(e))), expression=wrapped(copied(double_of(e))))
         for e in elements
     ]
     total = reduce(lambda a, b: exp.Add(this=a, expression=b), squares)
-    fits = exp.func("isfinite", copied(total))
-    return SqlValue(_unless_null(fits, exp.Sqrt(this=total)), DOUBLE, is_non_negative=True)
+    return _unless_above(context, sys.float_info.max, total, exp.Sqrt(this=copied(total)))
 
 
-def _unless_null(holds: exp.Expr, sql: exp.Expr) -> exp.Expr:
-    """Returns a value where a condition holds, NULL where that is, and else a failure."""
-    is_null = exp.Is(this=wrapped(copied(holds)), expression=exp.null())
-    return exp.case().when(holds, sql).when(is_null, exp.null()).else_(failure(DOUBLE))
+def _unless_above(
+    context: StatementContext, limit: float, number: exp.Expr, sql: exp.Expr
+) -> SqlValue:
+    """Returns what is not negative, a failure where a number is above a limit, or NaN."""
+    context.note_possible_failure()
+    is_above = exp.GT(this=wrapped(number), expression=literal(limit))
+    result = exp.case().when(is_above, failure(DOUBLE)).else_(sql)
+    return SqlValue(result, DOUBLE, is_non_negative=True)
 
 
 def _clipped(values: Sequence[SqlValue]) -> SqlValue:
