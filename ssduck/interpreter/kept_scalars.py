@@ -174,11 +174,7 @@ class KeptScalars:
         return key
 
     def _note_world(self, name: str, frame: Frame) -> None:
-        """Notes that a variable, and the entities of its world, have to stay the same.
-
-        Raises:
-            ValueError: it is neither a world nor an entity.
-        """
+        """Notes that a variable, and the entities of its world, have to stay the same."""
         value = frame.scope.variable(name)
         world = value.world if isinstance(value, Handle) else value
         if not isinstance(world, World):
@@ -214,11 +210,7 @@ def _variable_reader(name: str, sql_type: SqlType) -> _Reader:
 
 
 def _checked(value: Any, sql_type: SqlType) -> Any:
-    """Returns a value if it has the type that the plan relies on.
-
-    Raises:
-        _ChangedError: it has another one.
-    """
+    """Returns a value if it has the type that the plan relies on."""
     is_same = is_exactly(value, sql_type)
     if is_same and sql_type.type == "list":
         is_same = bool(value) and (len(value) == 3) == (sql_type.length == 3)
@@ -245,11 +237,7 @@ def _names_in(node: Node) -> list[str] | None:
 
 
 def _literals(node: Node) -> list[Any]:
-    """Returns the values of a list of literals.
-
-    Raises:
-        ValueError: it is something else.
-    """
+    """Returns the values of a list of literals."""
     if not isinstance(node, ListLiteral):
         raise ValueError("a source is no list of literals")  # noqa: TRY004
     values = [item.value for item in node.items if isinstance(item, Literal)]

@@ -256,11 +256,7 @@ class Namespace:
                 self.variables.pop(name)
 
     def _check_kept(self, name: str) -> None:
-        """Checks that a program of a stranger leaves a world of the user's as it is.
-
-        Raises:
-            LimitError: it would not.
-        """
+        """Checks that a program of a stranger leaves a world of the user's as it is."""
         if self._limits.select_only and name not in self._assigned and self.is_world(name):
             raise LimitError(f"{name} is a world, which programs cannot replace here")
 

@@ -182,11 +182,7 @@ def open_record(
 
 
 def _bind(interpreter: Interpreter, world: ReplayedWorld, path: Path) -> None:
-    """Binds a recorded world to its name.
-
-    Raises:
-        RecordError: no variable can have the name, as SQL or another world has it.
-    """
+    """Binds a recorded world to its name."""
     try:
         interpreter.add_variable(world.name, world)
     except ArgumentError as error:

@@ -143,11 +143,7 @@ def _together(selected: Selected) -> Rows:
 
 
 def _scalar(rows: Rows, query: Query) -> Any:
-    """Returns the value of a nested query of SQL: nothing if it has no row.
-
-    Raises:
-        EvaluationError: it has several rows.
-    """
+    """Returns the value of a nested query of SQL: nothing if it has no row."""
     if len(rows.values) > 1:
         raise EvaluationError(
             f"the nested query has {len(rows.values)} rows, and its value is compared or computed "

@@ -245,11 +245,7 @@ def _columns(plan: Plan, select: exp.Select, span: SourceSpan) -> tuple[Selected
 
 
 def _full_name(key: exp.Expr, span: SourceSpan) -> exp.Expr:
-    """Returns the name of the entity of a row, in place of its key.
-
-    Raises:
-        UnsupportedError: it is another one, that of a function.
-    """
+    """Returns the name of the entity of a row, in place of its key."""
     column = key.find(exp.Column)
     if column is None or key != past_value("", column.table).sql:
         raise UnsupportedError(

@@ -172,11 +172,7 @@ class BatchExpressions:
         return [_assembled(*parts, count) for parts in zip(found, rows, single, strict=True)]
 
     def _check_contacts(self) -> None:
-        """Checks that contacts have what sums of whole forces need.
-
-        Raises:
-            ArgumentError: they have not.
-        """
+        """Checks that contacts have what sums of whole forces need."""
         contacts = self._world.environments.contacts if self._sums else None
         if contacts is not None and not contacts.is_whole:
             raise ArgumentError(
@@ -316,12 +312,7 @@ class _KeptFold:
             self._failure = error, self._world.version
 
     def update(self) -> None:
-        """Adds the present tick, unless the state has it.
-
-        Raises:
-            SelectScriptError: the expression failed, at this tick or at an earlier one of an
-                episode that goes on.
-        """
+        """Adds the present tick, unless the state has it."""
         world = self._world
         if self._version == world.version:
             return

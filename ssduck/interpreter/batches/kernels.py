@@ -276,11 +276,7 @@ def _of_contacts(
     values: ArrayValues,
     ids: Sequence[Array],
 ) -> Array:
-    """Returns the values of a function of the contacts of two entities or links, (1, rows).
-
-    Raises:
-        ArgumentError: the contacts, or their forces or normals, are not known.
-    """
+    """Returns the values of a function of the contacts of two entities or links, (1, rows)."""
     contacts = world.environments.contacts
     if contacts is None:
         raise ArgumentError(NO_CONTACTS)

@@ -94,11 +94,7 @@ class BatchMethods:
         return cast("list[int]", written)
 
     def _batch(self, world: str | BatchWorld | None) -> BatchWorld:
-        """Returns a batch of the interpreter, by its name; the only one for None.
-
-        Raises:
-            ArgumentError: there is none, or several.
-        """
+        """Returns a batch of the interpreter, by its name; the only one for None."""
         worlds = self._execution.worlds
         batches = [one for one in worlds if isinstance(one, BatchWorld)]
         found = batches if world is None else [b for b in batches if world in (b, b.name)]
