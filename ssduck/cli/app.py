@@ -293,7 +293,7 @@ def query(
     limits = Limits.strict() if strict else None
     program_time: AbstractContextManager[None] = contextlib.nullcontext()
     if limits is not None and context.obj is _OWN_PROCESS:
-        from ssduck.cli.signals import supervised
+        from ssduck.cli.child_process import supervised
 
         program_time = supervised(limits)
     # The output of a program is not its result.

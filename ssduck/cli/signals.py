@@ -1,28 +1,18 @@
-"""Handles the signals that end a command, and runs strict programs in a child process.
-
-The interpreter keeps most limits itself. A call in C that takes long, and memory that libraries
-take, end with the process.
-"""
+"""Handles the signals that end a command: Ctrl-C, SIGTERM and SIGHUP."""
 
 from __future__ import annotations
 
-import contextlib
 import os
-import select
 import signal
-import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from typing import Any, NoReturn
 
 import typer
 
-from ssduck.errors import LimitError
-from ssduck.limits import GRACE, Limits, ending_text, limit_process_memory
-
 # The signals that end a process; Windows lacks the last one.
-_ENDING = [
+ENDING = [
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 ]
 Handler = Callable[[int, Any], object]
@@ -73,7 +63,7 @@ def _handlers() -> dict[int, Any]:
     """Returns the handlers of the signals that end a process; none in other threads."""
     if threading.current_thread() is not threading.main_thread():
         return {}
-    return {number: signal.getsignal(number) for number in _ENDING}
+    return {number: signal.getsignal(number) for number in ENDING}
 
 
 @contextmanager
@@ -88,81 +78,3 @@ def _handled_by(
     finally:
         for number, old in before.items():
             signal.signal(number, old)
-
-
-# -- strict programs in a child process -------------------------------------------------------
-
-
-_BEGINS, _ENDS = b"b", b"e"
-
-
-def supervised(limits: Limits) -> AbstractContextManager[None]:
-    """Forks, and returns in the child; the parent waits for it, and ends as the child does."""
-    if not hasattr(os, "fork"):  # Windows: the interpreter alone keeps the limits
-        return contextlib.nullcontext()
-    sys.stdout.flush()
-    sys.stderr.flush()
-    reading, writing = os.pipe()
-    # A signal that comes before the parent can handle it would leave the child alone.
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
-    child = os.fork()
-    if child:
-        os.close(writing)
-        _wait(child, reading, limits, mask)
-    signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-    os.close(reading)
-    return _program_time(writing, limits)
-
-
-@contextlib.contextmanager
-def _program_time(pipe: int, limits: Limits) -> Iterator[None]:
-    """Tells the parent when the program begins and ends, and limits memory meanwhile."""
-    limit_process_memory(limits)
-    os.write(pipe, _BEGINS)
-    try:
-        yield
-    except MemoryError as error:
-        raise LimitError("the program needs too much memory") from error
-    finally:
-        os.write(pipe, _ENDS)
-
-
-def _wait(child: int, pipe: int, limits: Limits, mask: set[int | signal.Signals]) -> NoReturn:
-    """Waits for the child, and ends this process as the child ends."""
-
-    def interrupted(number: int, _: object) -> NoReturn:
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(child, signal.SIGKILL)
-        os._exit(128 + number)
-
-    for number in _ENDING:
-        signal.signal(number, interrupted)
-    signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-    timeout = None
-    while True:
-        ready, _, _ = select.select([pipe], [], [], timeout)
-        if not ready:
-            os.kill(child, signal.SIGKILL)
-            os.waitpid(child, 0)
-            raise LimitError(late_text(limits))
-        message = os.read(pipe, 1)
-        if not message:
-            break
-        is_running = message == _BEGINS
-        timeout = limits.seconds + GRACE if is_running and limits.seconds is not None else None
-    _, status = os.waitpid(child, 0)
-    code = os.waitstatus_to_exitcode(status)
-    if code < 0:
-        raise LimitError(f"the process of the program ended by {signal_text(-code)}")
-    sys.stdout.flush()
-    os._exit(code)
-
-
-def late_text(limits: Limits) -> str:
-    """Returns the message that a process was ended as its program took too long."""
-    return f"the program took more than {limits.seconds:g} s, and its process was ended"
-
-
-def signal_text(number: int) -> str:
-    """Returns the name of the signal that ended a process, with its likely reason."""
-    return f"{ending_text(-number)}; it may have needed more memory than available"

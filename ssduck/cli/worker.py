@@ -18,8 +18,8 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Any, TextIO
 
+from ssduck.cli.child_process import late_text, signal_text
 from ssduck.cli.records import open_or_load
-from ssduck.cli.signals import late_text, signal_text
 from ssduck.errors import LimitError, SelectScriptError
 from ssduck.interpreter.completion import Language
 from ssduck.limits import GRACE, Limits, ending_text, limit_process_memory, python_command

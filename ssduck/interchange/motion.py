@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
-import trimesh
 
 from ssduck.geometry.arrays import Array, Flags, Indices, Triangles
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
@@ -184,6 +183,8 @@ def mesh_of(geometry: Geometry) -> tuple[Array, Triangles]:
 
 def capsule_mesh(geometry: Geometry, sides: int) -> Any:
     """Returns a mesh of trimesh of a capsule around the origin."""
+    import trimesh
+
     radius, length, _ = geometry.size
     capsule = trimesh.creation.capsule(radius=radius, height=length, count=[sides, sides])
     return capsule.apply_translation(-capsule.bounds.mean(axis=0))

@@ -129,7 +129,7 @@ def test_a_strict_query_takes_no_more_memory_than_it_may():
 
 PROGRAM = """
 import os, signal, sys, time
-from ssduck.cli.signals import supervised
+from ssduck.cli.child_process import supervised
 from ssduck.errors import LimitError
 from ssduck.limits import Limits
 try:
