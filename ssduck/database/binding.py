@@ -111,10 +111,6 @@ class BoundWorld:
             tick: the number of its tick.
             id: the id of the entity.
             pose: its x, y, z (m), qw, qx, qy, qz; None for an unknown number.
-
-        Raises:
-            EvaluationError: the run is not that of this world, the pose not that of the tick, or
-                there is no such entity.
         """
         run_number = self.world.snapshot.run
         if run != run_number:
@@ -218,10 +214,6 @@ class BoundWorld:
             tick: the number of the tick; None for the present one.
             ids: the ids of entities whose shapes are needed; None for all.
             with_sites: whether sites have their regions as shapes.
-
-        Raises:
-            EvaluationError: the tick is not recorded.
-            UnsupportedError: the world is not recorded.
         """
         snapshot = self.world.snapshot
         if tick is None or tick == snapshot.number:
@@ -320,11 +312,7 @@ class BoundWorld:
         return next((member.name for member in members), f"entity {entity_of(id)}")
 
     def joints(self, tick: int, id: int) -> EntityJoints:
-        """Returns the joints of an entity at a tick.
-
-        Raises:
-            UnsupportedError: they are not recorded.
-        """
+        """Returns the joints of an entity at a tick."""
         if id >= LINK_FACTOR:
             raise UnsupportedError(
                 "a link has no joints of its own: ask its entity, as in joint(entity(link), name)"
@@ -352,9 +340,6 @@ class BoundWorld:
 
         Returns:
             None if a velocity is unknown.
-
-        Raises:
-            UnsupportedError: they are not recorded.
         """
         if id >= LINK_FACTOR:
             return 0.0
@@ -369,12 +354,7 @@ class BoundWorld:
         return None if math.isnan(greatest) else greatest
 
     def contacts(self) -> ContactPairs:
-        """Returns the contacts of the present tick.
-
-        Raises:
-            EvaluationError: a number is unknown, which is NULL in SQL.
-            UnsupportedError: they are not recorded.
-        """
+        """Returns the contacts of the present tick."""
         snapshot = self.world.snapshot
         if "contacts" in snapshot.unavailable:
             raise UnsupportedError(snapshot.unavailable["contacts"])
@@ -403,11 +383,7 @@ class BoundWorld:
         return record.rows(table, tick)
 
     def recorded_numbers(self, kind: str, tick: int, a: int, b: int) -> list[float]:
-        """Returns the values of contacts or sensors at a recorded tick.
-
-        Raises:
-            UnsupportedError: they are not recorded.
-        """
+        """Returns the values of contacts or sensors at a recorded tick."""
         if kind == "wrench" and self.history is not None:
             self.history.record.warn_of_missing_entities()
         return LOOKUPS[kind](partial(self._recorded, tick=tick), a, b)

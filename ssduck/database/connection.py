@@ -173,12 +173,7 @@ class Connection(StatementRunner):
         return self._finalizer.alive
 
     def close(self) -> None:
-        """Stores the waiting ticks, and closes the connection.
-
-        Raises:
-            SqlError: the ticks cannot be stored, for example on a full disk; the connection is
-                closed.
-        """
+        """Stores the waiting ticks, and closes the connection."""
         self.on_demand.clear()
         if self.is_open and not (self.is_file or self._is_altered or self._recorders):
             with suppress(duckdb.Error):
@@ -235,11 +230,7 @@ class Connection(StatementRunner):
         self._schemas.discard(name)
 
     def attach(self, path: Path) -> str:
-        """Attaches a DuckDB file to be read, and returns its name.
-
-        Raises:
-            RecordError: it is no DuckDB file, in use by another process, or its log is a link.
-        """
+        """Attaches a DuckDB file to be read, and returns its name."""
         try:
             file = exp.Literal.string(absolute_path(str(path))).sql("duckdb")
             check_beside(str(path))

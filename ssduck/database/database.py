@@ -116,12 +116,7 @@ class Database:
         self.connection.apply_limits()
 
     def close(self) -> None:
-        """Closes the connection; in a file, it drops the views and macros on live worlds.
-
-        Raises:
-            SqlError: waiting ticks cannot be stored, for example on a full disk; the connection is
-                closed nevertheless.
-        """
+        """Closes the connection; in a file, it drops the views and macros on live worlds."""
         with ctrl_c.deferred(), self._lock:  # views of a file are dropped, too
             if not self.connection.is_open:
                 return
@@ -142,10 +137,6 @@ class Database:
         Args:
             sql: the statement.
             parameters: the values of its parameters.
-
-        Raises:
-            LimitError: it exceeds a limit, or is not permitted.
-            SqlError: DuckDB cannot run it.
         """
         with self._lock:
             over_batches = self._raw_sql.over_batches(sql)
@@ -224,10 +215,7 @@ class Database:
         self._record_folders.append(folder.absolute())
 
     def _names_all(self, sql: str, words: StatementWords) -> bool:
-        """Checks whether a statement names all views and macros that it needs.
-
-        Views and macros of users may need more: those in a file, too.
-        """
+        """Checks whether a statement names all views and macros that it needs."""
         return not (
             self._schemas.has_comments
             or self._raw_sql.has_stored_queries
@@ -236,12 +224,7 @@ class Database:
         )
 
     def _describe(self, words: StatementWords, *, is_all: bool = True) -> None:
-        """Creates the views, macros and comments that a user's statement may need.
-
-        Args:
-            words: the words of the statement.
-            is_all: whether it may need all of them; otherwise, it names what it needs.
-        """
+        """Creates the views, macros and comments that a user's statement may need."""
         schemas = list(self._worlds.by_schema)
         only = schemas[0] if len(self.worlds) == 1 else None
         if not is_all:
@@ -257,10 +240,7 @@ class Database:
                     bound.history.record.warn_of_masses()
 
     def _describe_after(self, refused: SqlError, words: StatementWords) -> None:
-        """Creates all views and macros, as DuckDB's message suggests the names that there are.
-
-        It takes long in a database that has none of them yet.
-        """
+        """Creates all views and macros, as DuckDB's message suggests the names that there are."""
         self._describe(words)
         try:
             self.connection.meter.check_time()
@@ -309,11 +289,7 @@ class Database:
         self.connection.withdraw_function(name)
 
     def register(self, name: str, table: pa.Table) -> None:
-        """Makes a table of Arrow a table of raw SQL; replaces an earlier one of that name.
-
-        Raises:
-            ArgumentError: there is another table of that name.
-        """
+        """Makes a table of Arrow a table of raw SQL; replaces an earlier one of that name."""
         with self._lock:
             known = name.lower() in (table.lower() for table in self._registered)
             if name.lower() in WORLD_TABLES or (not known and self._is_table(name)):
@@ -340,12 +316,7 @@ class Database:
     # -- worlds ---------------------------------------------------------------------------
 
     def bind(self, name: str, world: World) -> None:
-        """Makes a schema of that name for a world's tables; a world may have several.
-
-        Raises:
-            ArgumentError: DuckDB has a schema or a database of that name, or another world has
-                one that differs in case only, which DuckDB does not tell apart.
-        """
+        """Makes a schema of that name for a world's tables; a world may have several."""
         with self._lock:
             self._worlds.bind(name, world)
 
@@ -446,11 +417,7 @@ class Database:
             return self._worlds.entry(world).history
 
     def record_of(self, world: World) -> Record:
-        """Returns the record of a world.
-
-        Raises:
-            EvaluationError: the world is not recorded.
-        """
+        """Returns the record of a world."""
         with self._lock:
             history = self._worlds.entry(world).history
             if history is None:
@@ -473,11 +440,6 @@ class Database:
         """Writes the record of a world to a folder as a new episode; returns its ticks' folder.
 
         The caller discards what has `begun` if anything fails, as in `whole_record`.
-
-        Raises:
-            RecordError: the folder holds other files, or cannot be written; or a row of the record
-                is of none of its ticks.
-            EvaluationError: the world is not recorded, or not at that time.
         """
         record = self.record_of(world)
         with self._lock, world.pinned():

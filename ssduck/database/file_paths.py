@@ -17,11 +17,7 @@ from ssduck.sql.relations.relation import IDENTIFYING_COLUMNS
 
 
 def absolute_path(path: str, *, is_written: bool = False) -> str:
-    """Returns the absolute path of a file, because `md:x` would name a service for DuckDB.
-
-    Raises:
-        SqlError: DuckDB would misread a character of the path.
-    """
+    """Returns the absolute path of a file, because `md:x` would name a service for DuckDB."""
     try:
         absolute = str(expand_path(path).absolute())
         absolute.encode()
@@ -60,9 +56,6 @@ def check_beside(path: str, *, is_written: bool = False) -> None:
     Args:
         path: the path of the DuckDB file.
         is_written: whether the file is opened to be written, too.
-
-    Raises:
-        SqlError: there is a link, or a pipe or another file that is no regular one.
     """
     log = log_of(Path(path))
     for ending in ("", *_OTHER_LOGS):

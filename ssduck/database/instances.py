@@ -87,10 +87,6 @@ def open_file(path: str) -> duckdb.DuckDBPyConnection:
     """Returns a connection to a DuckDB file, which is created if there is none.
 
     Its database has the name `FILE_NAME`; each other connection has to `USE` it.
-
-    Raises:
-        duckdb.Error: the file cannot be opened.
-        SqlError: there is a link beside it that DuckDB would follow.
     """
     check_beside(path, is_written=True)
     literal = exp.Literal.string(path).sql("duckdb")
@@ -126,11 +122,7 @@ def set_up(connection: duckdb.DuckDBPyConnection) -> None:
 
 
 def reach_objects(connection: duckdb.DuckDBPyConnection) -> bool:
-    """Lets a connection read objects of the S3 store of the environment; returns True.
-
-    Raises:
-        UnsupportedError: the extra `s3` is not installed.
-    """
+    """Lets a connection read objects of the S3 store of the environment; returns True."""
     try:
         from ssduck.recording.stores.duckdb_objects import DuckdbObjects
     except ModuleNotFoundError as error:

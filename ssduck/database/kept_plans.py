@@ -262,10 +262,7 @@ def _is_scan(operator: Mapping[str, Any]) -> bool:
 
 
 def _is_kept(operator: Mapping[str, Any]) -> bool:
-    """Checks whether an operator of a plan neither prevents that it is kept nor multiplies rows.
-
-    In a correlated subquery, a list of rows would be made for each row around it.
-    """
+    """Checks whether an operator of a plan neither prevents that it is kept nor multiplies rows."""
     inner = operator["children"]
     while inner and inner[0]["name"] == "PROJECTION":
         inner = inner[0]["children"]

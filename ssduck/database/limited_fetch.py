@@ -65,11 +65,7 @@ class _RowSizes:
     others: tuple[itemgetter[int], ...]
 
     def first_count(self, expected: int) -> int:
-        """Returns how many rows are fetched first; the first one tells how large others may be.
-
-        Args:
-            expected: how many rows there were last time; 0 if that is not known.
-        """
+        """Returns how many rows are fetched first; the first one tells how large others may be."""
         if self.texts or self.others:
             return min(expected + 1, _VECTOR)
         return _MOST_BYTES // self.fixed
@@ -187,9 +183,6 @@ class _RepeatedRows:
     If there were many last time, they are fetched by column, in half of the time: measured before
     they are Python's values. Those of a prepared statement are not: DuckDB runs it, and keeps all
     rows, when the relation is made, which takes longer.
-
-    Args:
-        sql: the statement.
     """
 
     def __init__(self, sql: str) -> None:
@@ -303,14 +296,7 @@ def _read(
     max_rows: int | None,
     take: Callable[[pa.RecordBatch], None],
 ) -> pa.Schema:
-    """Passes rows on, until there are enough; returns their columns.
-
-    Args:
-        relation: the relation.
-        size: how many rows there are in a batch.
-        max_rows: see `limited_rows`.
-        take: a function that is called with each batch.
-    """
+    """Passes rows on, until there are enough; returns their columns."""
     count = 0
     try:
         with relation.to_arrow_reader(size) as reader:

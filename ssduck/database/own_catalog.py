@@ -70,12 +70,7 @@ class OwnCatalog:
 
     @contextmanager
     def guarded(self, sql: str) -> Iterator[None]:
-        """Runs a user's statements that are more than a query.
-
-        Raises:
-            SqlError: they would change what ssduck keeps, or have changed views, which are made
-                anew; or they begin a transaction and do not end it.
-        """
+        """Runs a user's statements that are more than a query."""
         statements = self._connection.statements(sql) or []
         statements = [(_kind_run(kind, text), text) for kind, text in statements]
         kinds = [kind for kind, _ in statements]

@@ -33,9 +33,6 @@ def pair_rows(
         lookup: the look-up.
         bound: its world; the caller pins it, with its shapes read.
         parameters: the values of the query's parameters.
-
-    Raises:
-        ArgumentError: the search does not take the distance.
     """
     entities = bound.world.snapshot.tables["entities"]
     rows = _found(lookup, bound, parameters)

@@ -162,10 +162,6 @@ class RawSql:
             parameters: the values of its parameters.
             words: what its words say.
             reads: the data that it may read.
-
-        Raises:
-            LimitError: it exceeds a limit.
-            SqlError: DuckDB cannot run it.
         """
         sql = _without_ticks(sql)
         if not (words.has_semi_joins and self._has_range_joins):

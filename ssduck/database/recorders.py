@@ -151,11 +151,7 @@ class Recorders:
 
 
 def check_is_live(world: World) -> None:
-    """Checks that a world is no record.
-
-    Raises:
-        UnsupportedError: it is one.
-    """
+    """Checks that a world is no record."""
     if isinstance(world, ReplayedWorld):
         raise UnsupportedError(
             f"{world.name!r} is itself a record, without new ticks; export(…) copies it"

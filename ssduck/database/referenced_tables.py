@@ -75,11 +75,7 @@ MAX_DIGITS = 1_000
 
 
 def _tables_of(word: str) -> frozenset[str]:
-    """Returns the tables that a word refers to: a table's name, or a relation that reads tables.
-
-    Args:
-        word: the word, in small letters.
-    """
+    """Returns the tables that a word refers to: a table's name, or a relation that reads tables."""
     if word in _WORLD_TABLES:
         return _with_read_columns(_WORLD_TABLES[word])
     if word in _PAIR_TABLES:
@@ -124,9 +120,6 @@ def types_and_texts(
 
     A type is the name of one of `duckdb.StatementType`. That of a SELECT is WITH if a query of WITH
     may change rows or write a file.
-
-    Raises:
-        SqlError: a statement is of a kind that DuckDB's Python does not know.
     """
     try:
         return [_type_and_text(statement) for statement in connection.extract_statements(sql)]
@@ -228,12 +221,7 @@ def qualified_formulas(sql: str) -> set[str]:
 
 
 def check_length(sql: str) -> None:
-    """Checks that DuckDB can parse a statement in a short time; parsing cannot be interrupted.
-
-    Raises:
-        LimitError: the statement is too long, or nested too deeply.
-        SqlError: it has half of a surrogate pair, which is no character.
-    """
+    """Checks that DuckDB can parse a statement in a short time; parsing cannot be interrupted."""
     if len(sql) > MAX_LETTERS:
         raise LimitError(
             f"the SQL has {len(sql):,} letters; under a limit it may have {MAX_LETTERS:,}"
@@ -260,12 +248,7 @@ def check_length(sql: str) -> None:
 
 
 def _check_grouping_sets(letters: bytes, words: Sequence[tuple[int, duckdb.token_type]]) -> None:
-    """Checks that a statement has few grouping sets.
-
-    Args:
-        letters: the statement in UTF-8.
-        words: its tokens.
-    """
+    """Checks that a statement has few grouping sets."""
     if _GROUPING.search(letters) is None:
         return
     tokens = [

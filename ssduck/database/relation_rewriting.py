@@ -121,19 +121,7 @@ def lookup_of(sql: str, tree: exp.Expr, names: WorldNames) -> PairLookup | None:
 
 @dataclass(frozen=True, eq=False)
 class _Call:
-    """A call of a relation for two rows of entities of one world.
-
-    Attributes:
-        sql: the statement.
-        node: the call, with the schema before it.
-        start: the index of its first character.
-        end: the index after its last one.
-        relation: the relation.
-        entities: the sources of its rows.
-        numbers: its further arguments.
-        schema: the schema of the world.
-        scope: the names where it stands.
-    """
+    """A call of a relation for two rows of entities of one world."""
 
     sql: str
     node: exp.Expr
@@ -156,10 +144,7 @@ class _Call:
         return pairs.search
 
     def _is_of_whole_tables(self) -> bool:
-        """Checks whether no condition leaves only few rows of the two sources of its SELECT.
-
-        Conditions on both rows count as such, and ranges of one: they may leave most of them.
-        """
+        """Checks whether no condition leaves only few rows of the two sources of its SELECT."""
         sources = self.scope.sources
         if [*sources.values()] not in ([*self.entities], [*self.entities][::-1]):
             return False
@@ -174,12 +159,7 @@ class _Call:
         return True
 
     def edits(self, name: str, tokens: list[Token]) -> Iterator[Edit]:
-        """Yields the changes of the statement.
-
-        Args:
-            name: the name of the table of pairs.
-            tokens: the tokens of the statement.
-        """
+        """Yields the changes of the statement."""
         search, place = self.search, self.join_place()
         if search is None:
             yield Edit(self.start, self.end, self.formula())
@@ -197,13 +177,7 @@ class _Call:
             yield self._paired(search, name, range(2))
 
     def _paired(self, search: PairSearch, name: str, places: Iterable[int]) -> Edit:
-        """Returns the change of the call to the condition that entities are those of a pair.
-
-        Args:
-            search: the search for the pairs.
-            name: the name of the table of pairs.
-            places: which of the two entities.
-        """
+        """Returns the change of the call to the condition that entities are those of a pair."""
         condition = " AND ".join(self._is_in_pair(place, name) for place in places)
         if not search.is_exact:
             condition += f" AND {self.formula()}"
@@ -215,11 +189,6 @@ class _Call:
         """Yields the changes of EXISTS to whether the entity around it is one of the pairs'.
 
         The subquery gets a row of this entity of its own if it needs more than its id.
-
-        Args:
-            search: the search for the pairs.
-            exists: the EXISTS.
-            name: the name of the table of pairs.
         """
         place = self.join_place()
         assert place is not None
@@ -270,14 +239,7 @@ class _Call:
     def _outer_edits(
         self, search: PairSearch, table: exp.Table, place: int, name: str
     ) -> Iterator[Edit]:
-        """Yields the changes of a call in the condition of an outer join.
-
-        Args:
-            search: the search for the pairs.
-            table: the table on the right of the join.
-            place: which of the two entities is its row.
-            name: the name of the table of pairs.
-        """
+        """Yields the changes of a call in the condition of an outer join."""
         start, end = start_of(table), _end_of(table)
         assert start is not None
         assert end is not None
@@ -421,12 +383,6 @@ def _calls(sql: str, tree: exp.Expr, names: WorldNames, tokens: list[Token]) -> 
     """Yields the calls of relations that can be rewritten.
 
     Their numbers are literals or parameters with names, which may be written several times.
-
-    Args:
-        sql: the statement.
-        tree: its tree.
-        names: the names of the worlds.
-        tokens: its tokens.
     """
     ends = _closing_brackets(tokens)
     for node in tree.find_all(exp.Anonymous, exp.Contains):

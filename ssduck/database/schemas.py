@@ -113,11 +113,7 @@ class Schemas:
     def _make_partly(
         self, schema: str, view: str, bound: BoundWorld, first: int, last: int
     ) -> bool:
-        """Creates the view of a history of which some ticks are checked, if it has many parts.
-
-        Returns:
-            Whether it is there; if not, all of its rows have to be checked.
-        """
+        """Creates the view of a history of which some ticks are checked, if it has many parts."""
         table, history = _HISTORY_VIEWS[view], bound.history
         stored = None if history is None else history.record.stored
         if history is None or stored is None or table.view_columns:
@@ -406,10 +402,6 @@ def _link_columns(entities: str, kind: str) -> dict[str, str]:
     """Returns the columns that only views of links and sites have, in SQL.
 
     Subqueries that depend on no row run once, and a join could change the order of the rows.
-
-    Args:
-        entities: the view of the entities of the same ticks.
-        kind: link or site.
     """
 
     def is_not_among(condition: str) -> str:

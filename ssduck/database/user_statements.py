@@ -216,10 +216,6 @@ class UserStatements:
             statement: the query.
             parameters: the values of its parameters.
             names: the names of the worlds.
-
-        Raises:
-            LimitError: it exceeds a limit.
-            SqlError: DuckDB cannot run it.
         """
         if statement.query is None:
             statement.query = self._query(statement, parameters, names)
@@ -422,10 +418,7 @@ class UserStatements:
 
 
 def _depends_on_order(tree: exp.Expr) -> bool:
-    """Checks whether the order in which rows are joined decides on the values of a result.
-
-    Another plan may join them in another order.
-    """
+    """Checks whether the order in which rows are joined decides on the values of a result."""
     for part in tree.walk():
         match part:
             case exp.Query() if part.args.get("limit") is not None:

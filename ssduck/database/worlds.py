@@ -69,12 +69,7 @@ class WorldRegistry:
         self._gone: list[weakref.ref[World]] = []
 
     def bind(self, name: str, world: World) -> None:
-        """Makes a schema of that name for a world's tables; a world may have several.
-
-        Raises:
-            ArgumentError: DuckDB has a schema or a database of that name, or another world has
-                one that differs in case only, which DuckDB does not tell apart.
-        """
+        """Makes a schema of that name for a world's tables; a world may have several."""
         self._check_schema(name)
         self._unbind(name, world)
         if world.name == UNNAMED:

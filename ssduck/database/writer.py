@@ -51,11 +51,7 @@ class WriterConnection:
         self._reading_lock = threading.RLock()
 
     def run(self, sql: str) -> None:
-        """Runs a statement.
-
-        Raises:
-            SqlError: DuckDB cannot run it, for example on a full disk.
-        """
+        """Runs a statement."""
         with self._lock, _storing_errors():
             self._connection.execute(sql).fetchall()
 
@@ -63,9 +59,6 @@ class WriterConnection:
         """Makes DuckDB move stored rows from its log into its file, if there are many.
 
         DuckDB would do so by itself, but invalidates the database if the disk is full then.
-
-        Raises:
-            SqlError: DuckDB cannot.
         """
         if self._file is None:
             return

@@ -93,9 +93,6 @@ def select_runs(
 
     They are in the order in which the worlds were added, or that of their names where the record
     does not have it.
-
-    Raises:
-        RecordError: there is no such run.
     """
     if not runs:
         raise RecordError("nothing is recorded there")
@@ -132,11 +129,7 @@ def _order(run: RecordedRun) -> int:
 
 
 def folder_run(path: str | Path, world: str | None, number: int | None) -> FolderRun:
-    """Returns one run of a folder: of a number, or the last one with ticks.
-
-    Raises:
-        RecordError: there is no such folder or run, or runs of several worlds.
-    """
+    """Returns one run of a folder: of a number, or the last one with ticks."""
     folder = expand_path(path).absolute()
     if not folder.is_dir():
         raise RecordError(f"there is no folder of Parquet files {folder}")
@@ -150,11 +143,7 @@ def folder_run(path: str | Path, world: str | None, number: int | None) -> Folde
 
 
 def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
-    """Returns the world of a recorded run.
-
-    Raises:
-        RecordError: a file is missing or damaged.
-    """
+    """Returns the world of a recorded run."""
     archive: ParquetArchive | DuckDBStore
     if isinstance(run, FolderRun):
         tables = [table for table in run.tables if table in RECORDABLE]
@@ -219,11 +208,7 @@ class StoredRun:
 
     @cached_property
     def description(self) -> dict[str, Any]:
-        """The description of the run in the file.
-
-        Raises:
-            RecordError: it is damaged, or of a newer version.
-        """
+        """The description of the run in the file."""
         rows = self.file.read(self.reader, self.schema, ABOUT, {"about": "string"})
         return _description(self.path, self.schema, rows["about"].to_pylist())
 

@@ -220,11 +220,7 @@ class BatchInterpreter:
         return [row for row in rows if past.first <= row[0] <= past.last]
 
     def _rows_of_all(self, past: Past, rows_of: RowsOf) -> list[Rows] | None:
-        """Returns the rows of each episode; None if an episode has an error.
-
-        Raises:
-            DamagedEpisodeError: a file of an episode is damaged or missing.
-        """
+        """Returns the rows of each episode; None if an episode has an error."""
         episode = self._episodes[self._present]
         ticks = self._record.ticks
         self._archive.show(0, len(self._episodes))

@@ -46,9 +46,6 @@ class QueryPart:
         Args:
             elements: the elements of the row, one of each source.
             names: the names of the sources.
-
-        Raises:
-            ArgumentError: there are not as many elements as names.
         """
         if len(elements) != len(names):
             raise ArgumentError(f"{len(elements)} elements and {len(names)} names of sources")

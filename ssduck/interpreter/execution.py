@@ -65,14 +65,7 @@ _SHORT = 16
 
 @dataclass(frozen=True, slots=True)
 class _LastRead:
-    """What a node read last; it keeps neither the node nor the worlds alive.
-
-    Attributes:
-        node: the node.
-        stamp: what gave its variables their meaning.
-        tables: the tables that it reads.
-        worlds: the worlds that it reads, which variables have; None for all.
-    """
+    """What a node read last; it keeps neither the node nor the worlds alive."""
 
     node: ReferenceType[Node]
     stamp: tuple[object, ...]
@@ -286,11 +279,7 @@ class Execution(Namespace):
             yield node
 
     def report(self, suspicions: Iterable[SelectScriptError]) -> None:
-        """Warns of probable mistakes, once of each, or collects them in `doubts`: of the first.
-
-        Raises:
-            SelectScriptError: the first of them, in strict interpreters.
-        """
+        """Warns of probable mistakes, once of each, or collects them in `doubts`: of the first."""
         for suspicion in suspicions:
             if self.strict:
                 raise suspicion
@@ -527,14 +516,7 @@ class Execution(Namespace):
 
 
 class _Transaction:
-    """Restores the variables if anything inside fails, and adds the place to the error.
-
-    A class is faster than a generator: an environment runs a program at each step.
-
-    Args:
-        execution: has the variables.
-        text: the text of the program.
-    """
+    """Restores the variables if anything inside fails, and adds the place to the error."""
 
     __slots__ = ("_before", "_execution", "_text")
 

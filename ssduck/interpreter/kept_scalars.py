@@ -183,13 +183,7 @@ class KeptScalars:
 
 
 def _column_reader(handle: Handle, row: int | None, column: str) -> _Reader:
-    """Returns the reader of a column at the last tick, while the entities are the same.
-
-    Args:
-        handle: the entity or the link.
-        row: the row of an entity; None for a link.
-        column: the column.
-    """
+    """Returns the reader of a column at the last tick, while the entities are the same."""
     world = handle.world
     if row is None:
         return lambda _: handle.column(column)

@@ -47,11 +47,6 @@ class _LiveCopy(MirroredWorld):
     """A copy of the last tick of a live world that also has what its sensors perceive there.
 
     Rays are cast in the live world, and only for a program that asks for them.
-
-    Args:
-        world: the live world.
-        name: the name of the copy.
-        history: its recorded ticks; None if there are none.
     """
 
     _has_sensings = False
@@ -177,14 +172,7 @@ class Mirror:
 
 @dataclass(frozen=True, eq=False)
 class _HistoryCopy:
-    """A copy of recorded ticks in memory.
-
-    Attributes:
-        store: stores the rows.
-        record: reads them.
-        ticks: the ticks.
-        members: the entities, by id.
-    """
+    """A copy of recorded ticks in memory."""
 
     store: MemoryStore
     record: Record
@@ -244,12 +232,7 @@ def _past_in_a_file(world: str) -> str:
 
 
 class _FileArchive(TickArchive):
-    """Recorded ticks that a mirror cannot read.
-
-    Args:
-        archive: stores them.
-        world: the name of the world.
-    """
+    """Recorded ticks that a mirror cannot read."""
 
     def __init__(self, archive: TickArchive, world: str) -> None:
         self.recording, self.tables, self._world = archive.recording, archive.tables, world

@@ -118,11 +118,7 @@ class Namespace:
         self._variables = values if isinstance(values, Variables) else Variables(values)
 
     def variable(self, name: str) -> Any:
-        """Returns the value of a variable.
-
-        Raises:
-            UnknownNameError: no variable has that name; the error suggests the nearest names.
-        """
+        """Returns the value of a variable."""
         if type(name) is not str:  # programs read variables at each step
             validation.text(name, "the name of a variable is a text")
         variables = self._variables
@@ -216,11 +212,7 @@ class Namespace:
 
     @contextmanager
     def with_parameters(self, parameters: Mapping[str, Any]) -> Iterator[None]:
-        """Binds values to names in a context, after which the variables are as before.
-
-        Raises:
-            ArgumentError: a name is none of a variable, or stands for a world.
-        """
+        """Binds values to names in a context, after which the variables are as before."""
         with self.lock:
             before = {name: self.variables[name] for name in parameters if name in self.variables}
             for name, value in parameters.items():
@@ -261,11 +253,7 @@ class Namespace:
             raise LimitError(f"{name} is a world, which programs cannot replace here")
 
     def check_variables(self) -> None:
-        """Checks the size of the variables that programs have set.
-
-        Raises:
-            LimitError: they take more memory than allowed.
-        """
+        """Checks the size of the variables that programs have set."""
         maximum = self._limits.memory
         if maximum is None or not self._assigned:
             return
@@ -322,11 +310,7 @@ class Namespace:
         return marked_name(name) if name in self._overrides else name
 
     def add_function(self, function: Function) -> None:
-        """Adds a user's function; warns if it overrides a part of the language.
-
-        Raises:
-            ArgumentError: a function of that name cannot be replaced.
-        """
+        """Adds a user's function; warns if it overrides a part of the language."""
         name = function.name
         known = self.functions.get(name)
         if name in NOT_OVERRIDABLE:
@@ -348,11 +332,7 @@ class Namespace:
         )
 
     def remove_function(self, name: str) -> None:
-        """Removes a user's function; the one that it overrode is back.
-
-        Raises:
-            UnknownNameError: there is none; the error suggests the nearest names.
-        """
+        """Removes a user's function; the one that it overrode is back."""
         is_name = isinstance(name, str) and name == written_name(name)
         if not is_name or not self.is_users(self.resolved_name(name)):
             raise UnknownNameError(
@@ -379,12 +359,7 @@ class Namespace:
         return BUILTINS.get(name)
 
     def check_call(self, node: Call) -> None:
-        """Checks that a function is known, and the number of its arguments.
-
-        Raises:
-            UnknownNameError: there is no such function; the error suggests the nearest names.
-            ArgumentError: the number of arguments is wrong.
-        """
+        """Checks that a function is known, and the number of its arguments."""
         count, name = len(node.arguments), written_name(node.name)
         if node.name in RELATIONS:
             relation = RELATIONS[node.name]
@@ -424,9 +399,6 @@ class Namespace:
         """Returns the names of all functions, or the help of one or of a result form.
 
         `AS` lists the result forms.
-
-        Raises:
-            UnknownNameError: nothing has that name; the error suggests the nearest names.
         """
         if name is None:
             return sorted(self._known_functions(), key=str.casefold)
@@ -529,13 +501,7 @@ class Namespace:
 
 
 def _size_kept(value: Any, before: Any, size_before: int) -> int:
-    """Returns the size of a variable's values in bytes, roughly.
-
-    Args:
-        value: what is bound to its name.
-        before: what was bound to it before.
-        size_before: the size of that.
-    """
+    """Returns the size of a variable's values in bytes, roughly."""
     if value is before:
         return size_before
     if not isinstance(value, ValueHistory):
@@ -548,11 +514,7 @@ def _size_kept(value: Any, before: Any, size_before: int) -> int:
 
 
 def check_name(name: str, owner: str) -> None:
-    """Checks the name of a variable or a function.
-
-    Raises:
-        ArgumentError: the name is no identifier, or a word of the language.
-    """
+    """Checks the name of a variable or a function."""
     validation.identifier(name, owner)
     if is_reserved(name):
         raise ArgumentError(f"{name!r} cannot be {owner}'s name: it is a word of the language")

@@ -84,9 +84,6 @@ def with_usable_name(scene: Scene, name: str | None = None) -> Scene:
     Args:
         scene: the scene.
         name: another name; None for that of the scene, or, with a warning, one like it.
-
-    Raises:
-        ArgumentError: no world can have the other name.
     """
     if name is not None:
         _check_world_name(name)
@@ -109,12 +106,7 @@ def _check_world_name(name: str) -> None:
 
 
 def load_tried(scene: Scene, trial: Trial, simulator: str | None = None) -> World:
-    """Loads a scene once its trial has passed, for the arguments see `load`.
-
-    Raises:
-        SceneError: the scene cannot be loaded, or its files change meanwhile; no world is left.
-        LimitError: the process that loads it first takes too long, or too much memory.
-    """
+    """Loads a scene once its trial has passed, for the arguments see `load`."""
     with ExitStack() as stack:
         with trial.passed():
             world = World.load(scene, simulator=simulator)

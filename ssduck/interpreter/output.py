@@ -66,9 +66,6 @@ class AsClause:
             query: the query to run.
             frame: the scope and the rows around it.
             run: the function that runs it, while the caller pins the worlds.
-
-        Raises:
-            LimitError: the form writes a file and files are switched off, or the time is up.
         """
         meter = frame.scope.meter
         if self.adapter.writes and not meter.limits.files:
@@ -161,12 +158,7 @@ def _scalar(rows: Rows, query: Query) -> Any:
 
 
 def as_clause_of(query: Query, frame: Frame) -> AsClause:
-    """Returns the result form of a query, its arguments evaluated; `dict` if it has none.
-
-    Raises:
-        UnknownNameError: no form has that name; the error suggests the nearest names.
-        ArgumentError: the form does not take these arguments.
-    """
+    """Returns the result form of a query, its arguments evaluated; `dict` if it has none."""
     clause = query.adapter
     if clause is None:
         return AsClause("dict", find("dict"))

@@ -47,12 +47,7 @@ _UNKNOWN = SqlType("any")
 
 
 class _SmallQueryError(NotSqlError):
-    """A query is faster row by row.
-
-    Attributes:
-        values: the values of its sources.
-        shapes: the types of its sources.
-    """
+    """A query is faster row by row."""
 
     def __init__(self, values: list[Any], shapes: tuple[SourceType, ...]) -> None:
         super().__init__()
@@ -251,12 +246,6 @@ class Planner:
         purpose: Purpose,
     ) -> tuple[PlannedQuery, list[Any]]:
         """Returns the plan for the types of a query's sources, and the values of these.
-
-        Args:
-            query: the query.
-            frame: the scope and the rows around it.
-            types: the types and names in the frame.
-            purpose: what the SQL is for.
 
         Raises:
             NotSqlError: the query runs row by row.

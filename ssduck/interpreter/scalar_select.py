@@ -143,16 +143,7 @@ def _checked(value: Any, kind: Kind) -> Any:
 
 
 class _Leaves:
-    """The parameters of a SELECT, and the element of its list.
-
-    Args:
-        plan: its plan.
-        kinds: the types of the parameters by name.
-        list_name: the parameter that is the list; None if there is none.
-
-    Attributes:
-        read: the parameters that were asked for, without the list.
-    """
+    """The parameters of a SELECT, and the element of its list."""
 
     def __init__(self, plan: Plan, kinds: Mapping[str, Kind], list_name: str | None) -> None:
         self._kinds = kinds

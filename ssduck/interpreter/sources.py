@@ -40,9 +40,6 @@ def elements_of(value: Any) -> Sequence[Any]:
             pandas, polars, Arrow or of `Interpreter.sql`, or a structured array (its rows as
             dicts); any other value is the only element.
 
-    Raises:
-        ArgumentError: two columns of a table have the same name.
-
     >>> elements_of([1, 2])
     [1, 2]
     >>> elements_of(3)
@@ -138,9 +135,6 @@ def source_types(
         query: the query.
         values: the values of its sources; `INLINE` for a nested query that is a part of the SQL.
         schema_of: a function that returns the schema of a world.
-
-    Raises:
-        ArgumentError: two sources have the same name.
     """
     aliases = aliases_of(query)
     return tuple(
@@ -228,9 +222,6 @@ def with_present_ticks(values: Sequence[Any], elements: Sequence[Any]) -> list[A
     Args:
         values: the values of the sources of a query.
         elements: the elements of the queries around it on which it depends.
-
-    Raises:
-        EvaluationError: a past is no longer kept.
     """
     records = {
         value.world: cast("Record", value.moment.record)
@@ -280,11 +271,7 @@ def worlds_in(value: Any) -> list[World] | None:
 
 
 def check_tick(node: Call, values: Iterable[Any]) -> None:
-    """Checks that entities whose shapes, contacts or joints are compared are of one tick.
-
-    Raises:
-        ArgumentError: they are of several.
-    """
+    """Checks that entities whose shapes, contacts or joints are compared are of one tick."""
     if not RELATIONS[node.name].tables:
         return
     handles = [value for value in values if isinstance(value, Handle) and value.moment is not None]

@@ -196,9 +196,6 @@ def check_one_group(query: Query, selected: Sequence[Node]) -> None:
     Args:
         query: the query, bare names looked up.
         selected: what it selects.
-
-    Raises:
-        ArgumentError: it is in HAVING, or beside an aggregate in SELECT.
     """
     if not is_one_group(query):
         return

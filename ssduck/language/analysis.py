@@ -154,11 +154,7 @@ def variables_of(node: Node) -> frozenset[str]:
 
 
 def aliases_of(query: Query) -> list[str]:
-    """Returns the aliases of a query's sources.
-
-    Raises:
-        ArgumentError: two have the same name.
-    """
+    """Returns the aliases of a query's sources."""
     aliases = [
         source.alias or (f"source_{index + 1}" if index else "this")
         for index, source in enumerate(query.sources)

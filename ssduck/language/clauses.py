@@ -353,11 +353,7 @@ def _sorted(
 
 
 def checked_count(value: Any, clause: str, node: Node) -> int:
-    """Returns a number of rows, of levels or of results.
-
-    Raises:
-        EvaluationError: it is not a whole number ≥ 0.
-    """
+    """Returns a number of rows, of levels or of results."""
     if not isinstance(value, int) or isinstance(value, bool) or value < 0:
         raise EvaluationError(
             f"{clause} takes a whole number, not {short_repr(value)}", span=node.span
@@ -366,11 +362,7 @@ def checked_count(value: Any, clause: str, node: Node) -> int:
 
 
 def printed(value: Any, node: Node) -> str:
-    """Returns a value as a group's key: an entity by its name, a text without quotes.
-
-    Raises:
-        EvaluationError: it cannot be printed.
-    """
+    """Returns a value as a group's key: an entity by its name, a text without quotes."""
     try:
         name = getattr(value, "name", None)
         if isinstance(name, str) and not isinstance(value, str):
@@ -466,11 +458,7 @@ def row_frames(
 
 
 def check_columns(columns: Sequence[SelectedValue]) -> None:
-    """Checks that no two columns have the same name: a dict would lose one of them.
-
-    Raises:
-        ArgumentError: two have the same name.
-    """
+    """Checks that no two columns have the same name: a dict would lose one of them."""
     names = [column.name for column in columns]
     for index, column in enumerate(columns):
         if isinstance(column.name, str) and column.name in names[:index]:

@@ -205,11 +205,7 @@ class Frame:
         return [e for alias, e in self.elements.items() if self.outer_elements.get(alias) is not e]
 
     def value(self, node: Node) -> Any:
-        """Returns the value of an expression.
-
-        Raises:
-            SelectScriptError: the evaluation failed; the error has the place.
-        """
+        """Returns the value of an expression."""
         return compiled(node, self.scope)(self)
 
 
@@ -587,11 +583,7 @@ def _variable(frame: Frame, name: str) -> Any:
 
 
 def resolved(deferred: LazyList, frame: Frame) -> Any:
-    """Returns the value of a deferred list in the query that uses it.
-
-    Raises:
-        UnknownNameError: the query has no such source.
-    """
+    """Returns the value of a deferred list in the query that uses it."""
     try:
         return frame.value(deferred.node)
     except SelectScriptError as error:

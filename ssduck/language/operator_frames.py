@@ -103,11 +103,7 @@ def binary(compiler: OperandCompiler, node: Binary) -> Thunk:
 
 
 def counted(frame: Frame, value: Any) -> Any:
-    """Checks and counts the size of a value that an operator or a function has made.
-
-    Raises:
-        EvaluationError: it is a list whose lists and texts are too large.
-    """
+    """Checks and counts the size of a value that an operator or a function has made."""
     size = own_size_of(value)
     if size > SMALL_BYTES:
         check_size(value)

@@ -34,11 +34,7 @@ SMALL_BITS = 8 * SMALL_BYTES
 
 
 def is_like(text: Any, pattern: Any) -> bool:
-    """Checks whether a text matches a pattern: `%` for any characters, `_` for any one.
-
-    Raises:
-        EvaluationError: both are so long that the search would take seconds.
-    """
+    """Checks whether a text matches a pattern: `%` for any characters, `_` for any one."""
     if not isinstance(text, str) or not isinstance(pattern, str):
         raise TypeError
     if len(text) < len(pattern.replace("%", "")):
@@ -131,12 +127,7 @@ _NO_LIST = {"IN": "IN looks into a list or a text; what is in a thing or a regio
 
 
 def apply(sign: str, left: Any, right: Any, span: SourceSpan | None = None) -> Any:
-    """Returns the value of a binary operator other than AND and OR.
-
-    Raises:
-        EvaluationError: a division by zero, or a result that is too large.
-        ArgumentError: values that the operator does not take.
-    """
+    """Returns the value of a binary operator other than AND and OR."""
     if sign in GROWING and _is_too_large(sign, left, right):
         raise EvaluationError(f"the result of {sign} is too large", span=span)
     try:
@@ -193,12 +184,7 @@ def _is_too_large(sign: str, left: Any, right: Any) -> bool:
 
 
 def check_size(value: Any, span: SourceSpan | None = None) -> None:
-    """Checks the size of a nested list, which may be too large to print or to compare.
-
-    Raises:
-        EvaluationError: it and the lists in it have more than `MAX_ELEMENTS` elements, and letters
-            of texts.
-    """
+    """Checks the size of a nested list, which may be too large to print or to compare."""
     if type(value) is list and _element_total(value, {}) > MAX_ELEMENTS:
         raise EvaluationError("the list is too large", span=span)
 
@@ -240,11 +226,7 @@ def own_size_of(value: Any) -> int:
 
 
 def apply_unary(sign: str, value: Any, span: SourceSpan | None = None) -> Any:
-    """Returns the value of - or +.
-
-    Raises:
-        ArgumentError: the operand is not a number.
-    """
+    """Returns the value of - or +."""
     try:
         return _UNARY[sign](value)
     except TypeError as error:
@@ -256,11 +238,7 @@ def apply_unary(sign: str, value: Any, span: SourceSpan | None = None) -> Any:
 
 
 def truth(value: Any, node: Node) -> bool:
-    """Checks whether a value holds.
-
-    Raises:
-        EvaluationError: it is neither true nor false.
-    """
+    """Checks whether a value holds."""
     try:
         return bool(value)
     except (SelectScriptError, RecursionError):
@@ -270,12 +248,7 @@ def truth(value: Any, node: Node) -> bool:
 
 
 def indexed(value: Any, index: Any, span: SourceSpan) -> Any:
-    """Returns an element of a value.
-
-    Raises:
-        EvaluationError: there is no such element.
-        ArgumentError: the value has no elements, or none of that kind.
-    """
+    """Returns an element of a value."""
     try:
         return value[index]
     except RecursionError:

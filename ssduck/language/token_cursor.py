@@ -124,31 +124,19 @@ class Cursor:
         return False
 
     def expect(self, kind: TokenType, expected: str) -> Token:
-        """Takes a token of that type; `expected` describes it in the error.
-
-        Raises:
-            ParseError: something else comes next.
-        """
+        """Takes a token of that type; `expected` describes it in the error."""
         token = self.take(kind)
         if token is None:
             self.fail(f"expected {expected}")
         return token
 
     def expect_word(self, word: str) -> None:
-        """Takes a keyword.
-
-        Raises:
-            ParseError: something else comes next.
-        """
+        """Takes a keyword."""
         if not self.take_words(word):
             self.fail(f"expected {word}")
 
     def expect_name(self, expected: str) -> Token:
-        """Takes a name; `expected` describes it in the error.
-
-        Raises:
-            ParseError: something else comes next.
-        """
+        """Takes a name; `expected` describes it in the error."""
         if self.token is not None and self.token.text.upper() in RESERVED_WORDS:
             self.fail(f"expected {expected}")
         return self.expect(TokenType.VAR, expected)
@@ -181,11 +169,7 @@ class Cursor:
         return tuple(parts)
 
     def descend(self) -> None:
-        """Goes one nesting level deeper.
-
-        Raises:
-            ParseError: the program is nested too deeply.
-        """
+        """Goes one nesting level deeper."""
         self.depth += 1
         if self.depth > MAXIMUM_DEPTH:
             raise ParseError(
@@ -242,11 +226,7 @@ class Cursor:
         return False
 
     def fail(self, message: str) -> NoReturn:
-        """Raises the error for the current token.
-
-        Raises:
-            ParseError: always; with a suggestion for a word of SQL.
-        """
+        """Raises the error for the current token."""
         token = self.token
         if (signed := self._name_with_signs()) is not None:
             message += f" (a name with other signs is written {signed})"

@@ -38,11 +38,7 @@ class SelectScriptTokenizer(Tokenizer):
 
 
 def tokenize(text: str) -> list[Token]:
-    """Returns the tokens of a program.
-
-    Raises:
-        ParseError: a text or a comment has no end.
-    """
+    """Returns the tokens of a program."""
     try:
         return SelectScriptTokenizer().tokenize(without_dashes(text))
     except TokenError as error:

@@ -108,9 +108,6 @@ class ValueHistory:
         """Returns the value in force at a time: the last one that was assigned then or before.
 
         In the future that is the last one.
-
-        Raises:
-            EvaluationError: the time is before the kept values.
         """
         recent, times = self.until(now), self.log.times
         if recent.first == recent.end:
@@ -152,9 +149,6 @@ def with_assignment(before: Any, value: Any, horizon: float, now: float) -> Valu
         value: the new value.
         horizon: the horizon, s, from `horizon_of`.
         now: the current simulated time, s.
-
-    Raises:
-        ArgumentError: such values have no history.
     """
     if isinstance(value, LazyList):
         raise ArgumentError(
@@ -175,10 +169,6 @@ def past_value(
         variable_value: the value of the variable: a history, or a value without one.
         age: the value in the braces; an empty tuple if they are empty.
         now: a function that returns the current simulated time, s.
-
-    Raises:
-        ArgumentError: the variable has no history, or the age is no finite number.
-        EvaluationError: the time is before the kept values.
     """
     history = history_of(name, variable_value)
     present = now()
@@ -194,11 +184,7 @@ def past_value(
 
 
 def history_of(name: str, variable_value: Any) -> ValueHistory:
-    """Returns the history that a variable holds.
-
-    Raises:
-        ArgumentError: it has none.
-    """
+    """Returns the history that a variable holds."""
     if not isinstance(variable_value, ValueHistory):
         raise ArgumentError(
             f"{name} has no history; {name}{{5.0}} = … keeps one of 5 s, {name}{{}} = … all of it"
@@ -207,11 +193,7 @@ def history_of(name: str, variable_value: Any) -> ValueHistory:
 
 
 def horizon_of(value: Any) -> float:
-    """Returns the time for which `name{value} = …` keeps values, in seconds.
-
-    Raises:
-        ArgumentError: it is not a finite number ≥ 0.
-    """
+    """Returns the time for which `name{value} = …` keeps values, in seconds."""
     seconds = validation.seconds(value, "a horizon")
     if seconds < 0:
         raise ArgumentError(f"a horizon must be at least 0 s, not {short_repr(value)}")

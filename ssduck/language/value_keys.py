@@ -72,11 +72,7 @@ def tuple_or_vector(parts: list[Any]) -> list[Any] | tuple[Any, ...]:
 
 
 def equality_key(value: Any) -> Any:
-    """Returns a hashable key of a value: equal for equal values, lists and dicts included.
-
-    Raises:
-        ArgumentError: values of its type have no keys.
-    """
+    """Returns a hashable key of a value: equal for equal values, lists and dicts included."""
     kind = type(value)
     if kind in ATOMS:
         return value
@@ -101,9 +97,6 @@ def exact_key(value: Any) -> Any:
 
     1, 1.0 and True are equal, and so are 0.0 and -0.0, but `str` distinguishes them. Equal values
     of other types may differ in such ways, too.
-
-    Raises:
-        ArgumentError: values of its type have no keys.
     """
     kind = type(value)
     if kind in _EXACT_ATOMS:

@@ -44,7 +44,6 @@ def call(sql: ExpressionScope, node: Call) -> SqlValue:
 
     Raises:
         NotSqlError: it is left to Python.
-        SelectScriptError: there is no such function, or its arguments are wrong.
     """
     sql.names.check_call(node)
     if node.name in IMPURE or node.name in OVER_TIME:

@@ -73,9 +73,6 @@ def resolve(
         source_types: what its sources are.
         names: the variables and functions.
         outer: the state variables of outer hierarchical queries.
-
-    Raises:
-        UnknownNameError: it is none of these.
     """
     return _Resolver(query, source_types, names, outer).resolved()
 

@@ -192,12 +192,7 @@ def _comparisons(query: Query) -> Iterator[Comparison]:
 
 
 def _compared_with_values(node: Node, names: set[str]) -> Iterator[tuple[Node, Node]]:
-    """Yields what may be an entity or a relation, with each value that it is compared with.
-
-    Args:
-        node: the comparison.
-        names: the state variables.
-    """
+    """Yields what may be an entity or a relation, with each value that it is compared with."""
     match node:
         case Binary(operator="==" | "!=" | "IN" as operator, left=left, right=right):
             sides = [(left, right)] if operator == "IN" else [(left, right), (right, left)]

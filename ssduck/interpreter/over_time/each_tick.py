@@ -46,9 +46,6 @@ class ExpressionsAtTicks:
         expressions: the expressions.
         world: the name of the world.
         variables: the names of the variables whose values differ from tick to tick.
-
-    Raises:
-        UnsupportedError: an expression is none of these.
     """
 
     def __init__(
@@ -116,9 +113,6 @@ class ExpressionsAtTicks:
 
         Returns:
             None if the record has other ticks.
-
-        Raises:
-            SelectScriptError: an expression fails at a tick, perhaps at one that does not matter.
         """
         series = {key: self._values_of(call) for key, call in self._series.items()}
         if not all(time in values for values in series.values() for time in times):

@@ -110,10 +110,6 @@ class TemporalEvaluator:
             record_of: a function that returns the record of a world.
             run: a function that returns the rows of a query, from the values of its placeholders.
             meter: checks the limits of the running program.
-
-        Raises:
-            ArgumentError: the expression contains no entity.
-            UnsupportedError: the expression contains a query, or entities of two worlds.
         """
         expression, _ = parts_of(call)
         places, world, values, handles = self._given(call, frame)

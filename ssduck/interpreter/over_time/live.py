@@ -147,11 +147,6 @@ class LiveFolds:
             call: a call that it takes.
             form: its function, which is a fold.
             series_of: a function that returns the ticks of its expression.
-
-        Raises:
-            EvaluationError: the world is not recorded, and the call was not asked at an earlier
-                tick of the episode.
-            SelectScriptError: its expression fails, or failed at an earlier tick.
         """
         fold = form.fold
         assert fold is not None

@@ -112,9 +112,6 @@ class GeometryQuery:
     def formula(self, entities: Sequence[str]) -> str:
         """Returns the formula of a relation of these entities.
 
-        Raises:
-            ValueError: the first two of several entities are not called a and b.
-
         >>> GeometryQuery(ShapeQueries.volume).formula(["object"])
         '"narrow volume"($world, object.tick, object.id)'
         """

@@ -314,11 +314,7 @@ class Relation:
 
 
 def by_name(relations: Iterable[Relation]) -> dict[str, Relation]:
-    """Relations by their names; an alias is a relation that differs only in its name.
-
-    Raises:
-        ValueError: two have the same name.
-    """
+    """Relations by their names; an alias is a relation that differs only in its name."""
     result: dict[str, Relation] = {}
     for relation in relations:
         seconds = (

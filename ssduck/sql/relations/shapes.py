@@ -53,9 +53,6 @@ def shape_relation(
         element: the type of the elements, if the result is a list.
         candidate_pairs: the pairs of a tick of which it may hold, if they can be found at once.
         aliases: other names.
-
-    Raises:
-        ValueError: the value beyond the bound, or the arguments with options, are not stated.
     """
     entities = [parameter.name for parameter in parameters if parameter.type == "entity"]
     if len(entities) > 1 and result != "boolean" and geometry.otherwise == "FALSE":
