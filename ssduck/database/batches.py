@@ -16,7 +16,7 @@ from ssduck.database.statement_names import WorldNames, source_tables
 from ssduck.errors import UnsupportedError
 from ssduck.recording.stores.history_sql import quoted
 from ssduck.sql.relations.registry import RELATIONS
-from ssduck.sql.text_edits import Edit, edited
+from ssduck.sql.user_sql import Edit, edited
 from ssduck.world.batches.batch_world import BatchWorld
 
 _RELATIONS = {name.lower(): name for name in RELATIONS}
@@ -41,11 +41,6 @@ def over_batches(
     sql: str, names: WorldNames, worlds: Mapping[str, BoundWorld]
 ) -> BatchStatement | None:
     """Returns a statement as a query that reads batches; None if it is no such query.
-
-    Args:
-        sql: the statement.
-        names: the names of the worlds.
-        worlds: the worlds by schema.
 
     Raises:
         UnsupportedError: it calls relations.

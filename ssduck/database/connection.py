@@ -16,7 +16,17 @@ import duckdb
 import pyarrow as pa
 from sqlglot import exp
 
-from ssduck.database.fetched_rows import FetchedRows, Header, fetched
+from ssduck.database.fetched_rows import (
+    EXECUTE,
+    Bound,
+    FetchedRows,
+    Header,
+    RepeatedStatements,
+    fetched,
+    limited_rows,
+    limited_table,
+    whole_table,
+)
 from ssduck.database.file_paths import (
     absolute_path,
     check_beside,
@@ -29,14 +39,6 @@ from ssduck.database.instances import (
     open_file,
     reach_objects,
     set_up,
-)
-from ssduck.database.limited_fetch import (
-    EXECUTE,
-    Bound,
-    RepeatedStatements,
-    limited_rows,
-    limited_table,
-    whole_table,
 )
 from ssduck.database.on_demand import OnDemand
 from ssduck.database.referenced_tables import types_and_texts

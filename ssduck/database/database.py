@@ -26,7 +26,6 @@ from ssduck.database.functions import (
     offer_user_function,
     shape_functions,
 )
-from ssduck.database.pinning import PinnedWorlds
 from ssduck.database.raw_sql import RawSql
 from ssduck.database.recorders import Recorders, check_is_live
 from ssduck.database.referenced_tables import (
@@ -41,7 +40,7 @@ from ssduck.database.statement import PreparedPlans, Statement
 from ssduck.database.strict.bounded_texts import bounding_statements, has_expressions
 from ssduck.database.strict.select_check import SelectCheck
 from ssduck.database.values import Converter
-from ssduck.database.worlds import WorldRegistry
+from ssduck.database.worlds import PinnedWorlds, WorldRegistry
 from ssduck.errors import ArgumentError, EvaluationError, LimitError, SqlError
 from ssduck.language.builtins import Function
 from ssduck.limits import Limits
@@ -132,12 +131,7 @@ class Database:
     # -- statements -----------------------------------------------------------------------
 
     def user_rows(self, sql: str, parameters: Parameters) -> FetchedRows | pa.Table:
-        """Returns all rows of a user's statement, for which the tables that it names are read.
-
-        Args:
-            sql: the statement.
-            parameters: the values of its parameters.
-        """
+        """Returns all rows of a user's statement, for which the tables that it names are read."""
         with self._lock:
             over_batches = self._raw_sql.over_batches(sql)
             if over_batches is not None:

@@ -24,7 +24,7 @@ from ssduck.geometry.pair_batch import PairQuestion, QuestionKind
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.tick_shapes import depth
 from ssduck.language.builtins import Function
-from ssduck.language.memo import Memo
+from ssduck.language.value_keys import Memo
 from ssduck.recording.replay.pair_answers import PairQueries
 from ssduck.recording.replay.record import Record
 from ssduck.recording.spec import no_ticks_message
@@ -139,6 +139,12 @@ class _WorldParts(Mapping[str, T]):
         return len(self._worlds)
 
 
+def _bound(worlds: Mapping[str, BoundWorld], world: str) -> BoundWorld:
+    if world not in worlds:
+        raise UnknownNameError(f"there is no world {world!r} here any more")
+    return worlds[world]
+
+
 def _record_of(bound: BoundWorld) -> Record:
     assert bound.history is not None
     return bound.history.record
@@ -242,8 +248,7 @@ def _geometry_function(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Ca
     def call(world: str, *arguments: Any) -> Any:
         if None in arguments:
             return None
-        if world not in worlds:
-            raise UnknownNameError(f"there is no world {world!r} here any more")
+        bound = _bound(worlds, world)
         ticks = set(arguments[:id_count:2])
         if len(ticks) > 1:
             raise UnsupportedError(
@@ -255,17 +260,17 @@ def _geometry_function(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Ca
         has_links = max(ids) >= LINK_FACTOR
         entities = [entity_of(id) for id in ids] if has_links else ids
         needed = None if udf.needs_whole_tick else entities
-        shapes = worlds[world].shapes(tick, needed, with_sites=has_links)
+        shapes = bound.shapes(tick, needed, with_sites=has_links)
         if has_links:
             shapes = shapes.of(ids)
         if udf.uses_margins:
-            worlds[world].warn_of_changed_margins(tick)
-        worlds[world].warn_of_filled_meshes(udf.function, shapes, ids)
+            bound.warn_of_changed_margins(tick)
+        bound.warn_of_filled_meshes(udf.function, shapes, ids)
         if udf.needs_whole_tick:
-            worlds[world].warn_of_missing_entities(tick)
+            bound.warn_of_missing_entities(tick)
         answer = udf.function(shapes, *ids, *arguments[id_count:])
         if udf.function is ShapeQueries.inside and answer is not None and 0.0 < answer < 1.0:
-            worlds[world].warn_of_overlaps(shapes, ids[1])
+            bound.warn_of_overlaps(shapes, ids[1])
         return answer
 
     return call
@@ -280,19 +285,18 @@ def _pair_search(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Callable
     def call(world: str, kind: PairKind, *values: Any) -> list[int] | None:
         if None in values:
             return None
-        if world not in worlds:
-            raise UnknownNameError(f"there is no world {world!r} here any more")
+        bound = _bound(worlds, world)
         if udf.of_boxes:
-            of_boxes: IdPairs = udf.function(worlds[world].world.snapshot.boxes())
+            of_boxes: IdPairs = udf.function(bound.world.snapshot.boxes())
             return of_boxes.numbers
-        shapes = worlds[world].shapes(None, None)
+        shapes = bound.shapes(None, None)
         if udf.uses_margins:
-            worlds[world].warn_of_changed_margins(None)
+            bound.warn_of_changed_margins(None)
         if kind == "links":
             shapes = shapes.links
         elif kind == "links and entities":
             shapes = shapes.links_and_entities
-        worlds[world].warn_of_filled_meshes(udf.function, shapes)
+        bound.warn_of_filled_meshes(udf.function, shapes)
         found: IdPairs | list[int] = udf.function(shapes, *values)
         return found.numbers if isinstance(found, IdPairs) else found
 
@@ -315,9 +319,7 @@ def _checked_tick(
     """Returns the tick of a row of entities, checked against the record of the world."""
     if tick is None or id is None:
         return None
-    if world not in worlds:
-        raise UnknownNameError(f"there is no world {world!r} here any more")
-    worlds[world].check_row(run, tick, id, pose)
+    _bound(worlds, world).check_row(run, tick, id, pose)
     return tick
 
 
@@ -333,10 +335,8 @@ def _joint_value(
     """
     if None in arguments:
         return None
-    if world not in worlds:
-        raise UnknownNameError(f"there is no world {world!r} here any more")
     tick, id, *more = arguments
-    return function(worlds[world].joints(tick, id), *more)
+    return function(_bound(worlds, world).joints(tick, id), *more)
 
 
 def _link_speed(
@@ -345,9 +345,7 @@ def _link_speed(
     """Returns the greatest magnitude of a velocity of an entity's links but its base."""
     if None in (tick, id):
         return None
-    if world not in worlds:
-        raise UnknownNameError(f"there is no world {world!r} here any more")
-    return worlds[world].fastest_link(tick, id, columns)
+    return _bound(worlds, world).fastest_link(tick, id, columns)
 
 
 def _contact_value(

@@ -217,12 +217,7 @@ def relations_with_tables() -> Iterator[Relation]:
 
 
 def formula_statements(names: Iterable[str], schema: str) -> Iterator[str]:
-    """Yields the statements that add relations without tables to a world's schema.
-
-    Args:
-        names: the names of the relations.
-        schema: the schema of the world.
-    """
+    """Yields the statements that add relations without tables to a world's schema."""
     for name in names:
         yield RELATIONS[name].macro(schema, inside=True)
         yield RELATIONS[name].comment(schema)

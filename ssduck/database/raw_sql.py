@@ -22,11 +22,10 @@ from ssduck.database.referenced_tables import (
 from ssduck.database.schemas import Schemas
 from ssduck.database.statement import NAME_PREFIX, PreparedPlans
 from ssduck.database.statement_names import WorldNames
-from ssduck.database.stored_queries import stored_queries
 from ssduck.database.user_statements import UserStatement, UserStatements
 from ssduck.database.worlds import WorldRegistry
 from ssduck.recording.stores.model_tables import RUN_SCHEMA
-from ssduck.schema import HISTORIES, MARGINS, MASSES, ON_DEMAND, TABLES
+from ssduck.schema import HISTORIES, MARGINS, MASSES, MODELS, ON_DEMAND, TABLES
 from ssduck.sql.relations.registry import RELATIONS
 
 _NAME = r'(?:"[^"]*"|\w+)'
@@ -155,14 +154,7 @@ class RawSql:
         words: StatementWords,
         reads: ReadData,
     ) -> FetchedRows | pa.Table:
-        """Returns all rows of a user's statement; the caller pins the worlds.
-
-        Args:
-            sql: the statement.
-            parameters: the values of its parameters.
-            words: what its words say.
-            reads: the data that it may read.
-        """
+        """Returns all rows of a user's statement; the caller pins the worlds."""
         sql = _without_ticks(sql)
         if not (words.has_semi_joins and self._has_range_joins):
             return self._rows(sql, parameters, reads, is_kept=True)
@@ -256,3 +248,36 @@ def _without_ticks(sql: str) -> str:
     return _NESTED_SHOW.sub(
         lambda part: f"({_ALL_SHOWN if 'all' in part[1].lower() else _SHOWN})", sql
     )
+
+
+# The views that ssduck leaves in a file.
+_OWN_VIEWS = [
+    *(table.history_view for table in HISTORIES.values()),
+    *(table.model_view for table in MODELS.values()),
+]
+_OF_VIEWS = (
+    "FROM duckdb_views() WHERE NOT internal AND NOT temporary "
+    "AND (database_name <> current_database()) = $1 AND NOT list_contains($2, view_name)"
+)
+# DuckDB writes the texts of all views for any of them, and each episode has some of ssduck's.
+_HAS_VIEWS = f"SELECT view_name {_OF_VIEWS} LIMIT 1"
+_VIEWS = f"SELECT sql {_OF_VIEWS}"
+_MACROS = (
+    "SELECT macro_definition FROM duckdb_functions() "
+    "WHERE NOT internal AND macro_definition IS NOT NULL AND database_name <> 'temp' "
+    "AND (database_name <> current_database()) = $1"
+)
+
+
+def stored_queries(connection: Connection, *, of_attached: bool = False) -> list[str]:
+    """Returns the texts of the users' views and macros.
+
+    Args:
+        connection: the connection to the database.
+        of_attached: whether those of attached databases are returned, instead of those of the
+            connection's own.
+    """
+    rows = connection.internal_rows(_MACROS, [of_attached])
+    if connection.internal_rows(_HAS_VIEWS, [of_attached, _OWN_VIEWS]):
+        rows += connection.internal_rows(_VIEWS, [of_attached, _OWN_VIEWS])
+    return [text for (text,) in rows]

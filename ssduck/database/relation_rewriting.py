@@ -38,9 +38,8 @@ from ssduck.sql.relations.geometry_query import UNKNOWN_UDF, PairSearch
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.relations.relation import Relation, in_schema
 from ssduck.sql.sql_values import SqlValue
-from ssduck.sql.statement_trees import MAX_LENGTH, statement_trees
-from ssduck.sql.text_edits import Edit, edited
 from ssduck.sql.types import DOUBLE, SqlType
+from ssduck.sql.user_sql import MAX_LENGTH, Edit, edited, statement_trees
 
 _RELATIONS = {
     relation.name.lower(): relation
@@ -93,13 +92,7 @@ def number_parameters(sql: str, tree: exp.Expr, names: WorldNames) -> frozenset[
 
 
 def lookup_of(sql: str, tree: exp.Expr, names: WorldNames) -> PairLookup | None:
-    """Returns the look-up that replaces a query of all pairs; None if it does more than look up.
-
-    Args:
-        sql: the statement.
-        tree: its tree.
-        names: the names of the worlds.
-    """
+    """Returns the look-up that replaces a query of all pairs; None if it does more than look up."""
     tokens = sqlglot.tokenize(sql, dialect="duckdb")
     calls = list(_calls(sql, tree, names, tokens))
     clauses = {name for name, value in tree.args.items() if value}

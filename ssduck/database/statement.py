@@ -10,17 +10,17 @@ from typing import Any, Literal
 
 from sqlglot import exp
 
-from ssduck.database.answer_bounds import answer_bound
 from ssduck.database.binding import BoundWorld
 from ssduck.database.connection import Connection, execution_of
+from ssduck.database.fetched_rows import Bound
 from ssduck.database.kept_plans import (
     KeptPlans,
     KeptQuery,
     RowSource,
+    answer_bound,
     live_source,
     parameter_source,
 )
-from ssduck.database.limited_fetch import Bound
 from ssduck.database.statement_names import may_read_unnamed
 from ssduck.errors import SelectScriptError, SqlError
 from ssduck.schema import RECORDED, TABLES, Column

@@ -283,12 +283,7 @@ _RELATIONS = {name.lower(): relation for name, relation in RELATIONS.items()}
 
 
 def unread_columns(statement: exp.Expr, sql: str) -> frozenset[str]:
-    """Returns the data of `_READ_FOR` that a statement does not read.
-
-    Args:
-        statement: its tree.
-        sql: its text.
-    """
+    """Returns the data of `_READ_FOR` that a statement does not read."""
     words = set(map(str.lower, _WORD.findall(sql)))
     inputs = [_RELATIONS[word].macro_inputs for word in words if word in _RELATIONS]
     if may_read_unnamed(statement, sql):

@@ -50,7 +50,7 @@ from ssduck.database.statement_names import (
 from ssduck.errors import ArgumentError, SelectScriptError, SqlError
 from ssduck.recording.stores.history_sql import quoted
 from ssduck.sql.pair_lookup import PairLookup
-from ssduck.sql.text_edits import Edit, edited, numbered, with_parameters
+from ssduck.sql.user_sql import Edit, edited, numbered, with_parameters
 
 # The number of texts that are known at a time.
 MAX_STATEMENTS = 256
@@ -181,12 +181,7 @@ class UserStatements:
         return statement
 
     def statement(self, sql: str, tables: AbstractSet[str]) -> UserStatement | None:
-        """Returns what is known of a text; None if it is not a single query.
-
-        Args:
-            sql: the text.
-            tables: the tables that it reads.
-        """
+        """Returns what is known of a text; None if it is not a single query."""
         if sql in self._statements:
             self._statements.move_to_end(sql)
             return self._statements[sql]
@@ -210,13 +205,7 @@ class UserStatements:
     def rows(
         self, statement: UserStatement, parameters: Parameters, names: WorldNames
     ) -> FetchedRows | pa.Table:
-        """Returns the rows of a query; the caller pins the worlds, all columns written or not.
-
-        Args:
-            statement: the query.
-            parameters: the values of its parameters.
-            names: the names of the worlds.
-        """
+        """Returns the rows of a query; the caller pins the worlds, all columns written or not."""
         if statement.query is None:
             statement.query = self._query(statement, parameters, names)
         is_rewritten = statement.query != statement.text or statement.row is not None

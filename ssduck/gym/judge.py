@@ -10,9 +10,8 @@ from ssduck.errors import ArgumentError, SelectScriptError, UnknownNameError
 from ssduck.formatting import joined_names, short_repr
 from ssduck.gym.terms import CONDITIONS, Judgement, Term, Terms, is_nan
 from ssduck.interpreter.interpreter import Interpreter
-from ssduck.interpreter.over_time.each_tick import ExpressionsAtTicks
+from ssduck.interpreter.over_time.each_tick import ExpressionsAtTicks, JudgedFolds
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, parts_of
-from ssduck.interpreter.over_time.judged import JudgedFolds
 from ssduck.interpreter.program import CompiledProgram
 from ssduck.language.tree import (
     Call,
@@ -28,8 +27,8 @@ from ssduck.language.tree import (
 )
 from ssduck.schema import RECORDABLE, TWIST
 from ssduck.simulators.interface import Body
+from ssduck.sql.relation_calls import tables_of
 from ssduck.sql.relations.registry import RELATIONS
-from ssduck.sql.table_use import tables_of
 from ssduck.world.world import World
 
 # What to do about the past of a variable.

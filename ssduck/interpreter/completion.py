@@ -16,8 +16,7 @@ from ssduck import validation
 from ssduck.adapters.registry import all_adapters, loaded_adapters
 from ssduck.errors import ArgumentError, nearest
 from ssduck.interpreter.interpreter import Interpreter
-from ssduck.language.comments import DelimitedText, delimited
-from ssduck.language.quoting import escaped
+from ssduck.language.tokenizer import DelimitedText, delimited, escaped
 from ssduck.schema import HISTORIES, TABLES
 from ssduck.sql.relations import RELATIONS
 from ssduck.world.entities import Entity

@@ -16,7 +16,7 @@ import numpy as np
 
 from ssduck import validation
 from ssduck.database.database import Database
-from ssduck.database.pinning import PinnedWorlds
+from ssduck.database.worlds import PinnedWorlds
 from ssduck.errors import (
     ArgumentError,
     EvaluationError,
@@ -37,17 +37,16 @@ from ssduck.interpreter.sources import check_tick
 from ssduck.language.analysis import calls_of, is_impure, variables_of
 from ssduck.language.clauses import formed
 from ssduck.language.deferred import LazyList
+from ssduck.language.evaluation_errors import unknown_function
 from ssduck.language.evaluator import Frame
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS, are_intervals
-from ssduck.language.missing_names import unknown_function
 from ssduck.language.overrides import with_overrides
 from ssduck.language.parser import parse
 from ssduck.language.sql_readings import SqlReader
 from ssduck.language.tree import Call, Node, Placeholder, Program, Query
 from ssduck.limits import Limits, UsageMeter
 from ssduck.recording.replay.past import pin_to_common_tick
-from ssduck.sql.dialects import in_dialect
-from ssduck.sql.explain import explained
+from ssduck.sql.explain import explained, in_dialect
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.world.handles import Handle
 from ssduck.world.links import Link

@@ -24,8 +24,8 @@ from ssduck.interpreter.sources import worlds_in
 from ssduck.language.analysis import calls_of, forms_of, variables_of
 from ssduck.language.builtins import AGGREGATES, BUILTINS, EXTREMES, Function
 from ssduck.language.deferred import LazyList
+from ssduck.language.evaluation_errors import unknown_function
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS
-from ssduck.language.missing_names import unknown_function
 from ssduck.language.operators import SMALL_BYTES, check_size, size_of
 from ssduck.language.overrides import (
     BINARY_SIGNS,
@@ -43,9 +43,9 @@ from ssduck.language.value_keys import python_value
 from ssduck.limits import Limits
 from ssduck.recording.replay.past import Past, past_of
 from ssduck.sql.name_resolution import SCALARS
+from ssduck.sql.relation_calls import tables_of
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.relations.relation import Relation
-from ssduck.sql.table_use import tables_of
 from ssduck.world.links import Links
 from ssduck.world.world import World
 

@@ -30,10 +30,10 @@ from ssduck.limits import Limits
 from ssduck.recording.replay.past import Past
 from ssduck.sql.name_resolution import ResolvedQuery, resolve
 from ssduck.sql.plan import Plan, Purpose, SourceType
+from ssduck.sql.relation_calls import tables_of
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.sql_values import NotSqlError
 from ssduck.sql.subqueries import is_inline
-from ssduck.sql.table_use import tables_of
 from ssduck.sql.translator import NotInlineError, translate
 from ssduck.sql.types import Signature, SqlType
 from ssduck.world.handles import Handle

@@ -32,7 +32,7 @@ from ssduck.language.tree import (
     Unary,
 )
 from ssduck.schema import TABLES
-from ssduck.sql.dialects import select_for
+from ssduck.sql.explain import select_for
 from ssduck.sql.from_clause import past_value
 from ssduck.sql.plan import ParameterBinding, Plan
 from ssduck.sql.relations.registry import RELATIONS

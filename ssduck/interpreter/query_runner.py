@@ -41,14 +41,13 @@ from ssduck.language.clauses import (
     row_frames,
 )
 from ssduck.language.evaluator import EvaluationScope, ExpressionCompiler, Frame, Thunk
-from ssduck.language.graph_paths import Vertex, simple_paths
-from ssduck.language.hierarchy import Hierarchy
-from ssduck.language.memo import MEMOS
+from ssduck.language.hierarchy import Hierarchy, Vertex, simple_paths
 from ssduck.language.operators import ELEMENT_BYTES
 from ssduck.language.tree import Call, Node, Query
+from ssduck.language.value_keys import MEMOS
 from ssduck.simulators.joints import JointError
-from ssduck.sql.history_windows import history_windows
 from ssduck.sql.name_resolution import ResolvedQuery
+from ssduck.sql.past_ticks import history_windows
 from ssduck.sql.plan import OutputColumn, PathSearch, Plan, SourceType
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.sql_values import NotSqlError, with_values

@@ -55,11 +55,7 @@ class ScalarSelect:
         return self._kinds.keys()
 
     def rows(self, parameters: Mapping[str, Any]) -> list[tuple[Any, ...]] | None:
-        """Returns the rows that DuckDB would return; None if DuckDB has to evaluate them.
-
-        Args:
-            parameters: the values of the parameters.
-        """
+        """Returns the rows that DuckDB would return; None if DuckDB has to evaluate them."""
         values: dict[str, Any] = {}
         if self._list is not None:
             elements = parameters[self._list]

@@ -110,14 +110,7 @@ _IDS = ("entity", "sensor", "a", "b")
 def add_hint(
     error: SqlError, sql: str, worlds: Mapping[str, World], functions: Collection[str]
 ) -> None:
-    """Adds a hint to the error of a user's statement, if there is one.
-
-    Args:
-        error: the error.
-        sql: the statement.
-        worlds: the worlds by name.
-        functions: the names of the user's functions.
-    """
+    """Adds a hint to the error of a user's statement, if there is one."""
     message = error.message
     if (match := _TABLE.match(message)) and (world := _same(match.group(1), worlds)):
         error.message = (

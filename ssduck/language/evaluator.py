@@ -18,17 +18,25 @@ from ssduck.errors import (
     UnsupportedError,
 )
 from ssduck.formatting import as_evaluation_error, short_repr
-from ssduck.language.aggregate_arguments import argument_check
 from ssduck.language.analysis import OVER_TIME, aliases_of, free_aliases, is_impure
 from ssduck.language.deferred import LazyList
-from ssduck.language.memo import MEMOS, Memo
-from ssduck.language.missing_names import (
+from ssduck.language.evaluation_errors import (
+    argument_check,
     key_not_variable_error,
     missing_source_error,
     unknown_name_error,
 )
-from ssduck.language.operator_frames import binary, chain, counted, is_short_circuit, unary
-from ssduck.language.operators import ELEMENT_BYTES, check_size, indexed, truth
+from ssduck.language.operators import (
+    ELEMENT_BYTES,
+    binary,
+    chain,
+    check_size,
+    counted,
+    indexed,
+    is_short_circuit,
+    truth,
+    unary,
+)
 from ssduck.language.tree import (
     Assignment,
     Binary,
@@ -50,7 +58,7 @@ from ssduck.language.tree import (
     UnresolvedName,
 )
 from ssduck.language.value_history import horizon_of
-from ssduck.language.value_keys import NUMPYS, node_key, python_value
+from ssduck.language.value_keys import MEMOS, NUMPYS, Memo, node_key, python_value
 from ssduck.limits import UsageMeter
 
 # The types of elements that become Python's and the language's.

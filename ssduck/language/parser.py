@@ -16,13 +16,11 @@ from sqlglot.tokenizer_core import Token, TokenType
 
 from ssduck.errors import LimitError, ParseError, SourceSpan, nearest
 from ssduck.formatting import RESERVED_WORDS
-from ssduck.language.comments import divisions
 from ssduck.language.operator_chains import OperandRow
-from ssduck.language.quoting import unquoted
 from ssduck.language.sql_suggestions import STATEMENTS
 from ssduck.language.sql_syntax import CHAIN_OF_EQUALS, RELATIONAL, SqlForms, numbered_column
 from ssduck.language.token_cursor import LEVEL_OF, is_kind, is_word, slice_of, span_of
-from ssduck.language.tokenizer import LETTERS_PER_WORD, tokenize
+from ssduck.language.tokenizer import LETTERS_PER_WORD, divisions, tokenize, unquoted
 from ssduck.language.tree import (
     AdapterClause,
     Assignment,

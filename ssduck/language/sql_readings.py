@@ -90,12 +90,7 @@ class SqlReader:
         self._read: WeakKeyDictionary[Program, tuple[object, Program]] = WeakKeyDictionary()
 
     def read(self, program: Program, local: Collection[str] = ()) -> Program:
-        """Returns the program with its SQL spellings replaced; the same one if there are none.
-
-        Args:
-            program: the program.
-            local: the state variables at its place.
-        """
+        """Returns the program with its SQL spellings replaced; the same one if there are none."""
         doubtful = self._doubtful.get(program)
         if doubtful is None:
             doubtful = self._doubtful[program] = _doubts_of(program)

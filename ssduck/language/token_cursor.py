@@ -10,7 +10,6 @@ from sqlglot.tokenizer_core import Token, TokenType
 
 from ssduck.errors import ParseError, SourceSpan, nearest
 from ssduck.formatting import RESERVED_WORDS
-from ssduck.language.quoting import unquoted
 from ssduck.language.sql_suggestions import (
     NO_COMMA,
     NO_NUMBER,
@@ -22,6 +21,7 @@ from ssduck.language.sql_suggestions import (
     suggestion_for,
     suggestion_for_name,
 )
+from ssduck.language.tokenizer import unquoted
 from ssduck.language.tree import Suspicion
 
 T = TypeVar("T")

@@ -14,8 +14,8 @@ from ssduck.language.analysis import IMPURE, OVER_TIME
 from ssduck.language.overrides import BINARY_SIGNS, UNARY_SIGNS
 from ssduck.language.tree import Binary, Call, Node, Query, Unary
 from ssduck.sql import subqueries
-from ssduck.sql.arithmetic import double_of
 from ssduck.sql.lists import element_at
+from ssduck.sql.operators import double_of
 from ssduck.sql.relation_calls import expanded, in_world, note_pair
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.relations.relation import Parameter, Relation

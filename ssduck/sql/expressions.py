@@ -33,10 +33,17 @@ from ssduck.language.tree import (
     Unary,
 )
 from ssduck.sql import subqueries
-from ssduck.sql.arithmetic import arithmetic
 from ssduck.sql.calls import call
-from ssduck.sql.comparisons import COMPARISONS, comparison, like_match, membership, missing, truth
 from ssduck.sql.lists import concatenation, indexed, list_literal
+from ssduck.sql.operators import (
+    COMPARISONS,
+    arithmetic,
+    comparison,
+    like_match,
+    membership,
+    missing,
+    truth,
+)
 from ssduck.sql.plan import ParameterBinding
 from ssduck.sql.scope import ExpressionScope
 from ssduck.sql.sql_values import (

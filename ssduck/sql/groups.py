@@ -29,9 +29,9 @@ from ssduck.language.tree import (
     Unary,
 )
 from ssduck.sql import subqueries
-from ssduck.sql.comparisons import truth
 from ssduck.sql.expressions import Expressions
 from ssduck.sql.from_clause import FromItem, ascending, column_of
+from ssduck.sql.operators import truth
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.sql_values import FloatDomain, NotSqlError, SqlValue, failure, or_failure
 from ssduck.sql.types import DOUBLE, EXACT, IDS, INTEGER, SqlType

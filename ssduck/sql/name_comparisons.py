@@ -11,7 +11,7 @@ from typing import Any, Literal, TypeAlias
 from sqlglot import exp
 
 from ssduck.errors import SourceSpan
-from ssduck.sql.statement_trees import MAX_LENGTH, statement_trees
+from ssduck.sql.user_sql import MAX_LENGTH, statement_trees
 
 # What a name is of: an entity, a link as in its model, a link with its entity, a joint; or a kind.
 NameKind: TypeAlias = Literal["entity", "link", "full link", "joint", "kind", "kind of link"]

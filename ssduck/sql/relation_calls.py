@@ -1,4 +1,4 @@
-"""Replaces the parameters of a relation's formula by its arguments."""
+"""Replaces the parameters of a relation's formula; finds the tables that relations read."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ from dataclasses import dataclass
 
 from sqlglot import exp
 
-from ssduck.schema import TABLES
+from ssduck.language.analysis import cached_by_node, sees_outside
+from ssduck.language.tree import Call, Name, Node, QualifiedName, Query, UnresolvedName
+from ssduck.schema import ALL_ENTITIES, TABLES
+from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.relations.relation import Relation, in_schema
 from ssduck.sql.sql_values import NotSqlError, SqlValue, wrapped
 
@@ -152,3 +155,18 @@ def _at_tick(formula: exp.Expr, schema: str, tick: exp.Expr) -> exp.Expr:
         )
         table.replace(rows.subquery(alias))
     return result.transform(_as_exists)
+
+
+@cached_by_node
+def tables_of(node: Node) -> frozenset[str]:
+    """Returns the tables that relations in a part read, and masses if they read these.
+
+    A nested query about rows of the queries around it depends on all entities of the tick.
+    """
+    is_nested = isinstance(node, Query) and sees_outside(node)
+    tables = frozenset((ALL_ENTITIES,)) if is_nested else frozenset()
+    # A bare name may be a relation of the only source, a key a relation of its source.
+    name = node.key if isinstance(node, QualifiedName) else getattr(node, "name", None)
+    if isinstance(node, Call | UnresolvedName | Name | QualifiedName) and name in RELATIONS:
+        tables = RELATIONS[name].inputs
+    return tables.union(*map(tables_of, node.children()))

@@ -23,7 +23,7 @@ from ssduck.language.tree import (
     TimeIndex,
     UnresolvedName,
 )
-from ssduck.sql.comparisons import truth
+from ssduck.sql.operators import truth
 from ssduck.sql.past_ticks import QueryTicks
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.sql_values import NotSqlError, SqlValue, StatementContext

@@ -17,7 +17,6 @@ from ssduck.language import tree
 from ssduck.language.aggregates import is_grouped
 from ssduck.language.analysis import aliases_of, is_impure
 from ssduck.language.tree import Binary, ListLiteral, Name, Node, Query
-from ssduck.sql.comparisons import comparison
 from ssduck.sql.from_clause import (
     FromItem,
     column_of,
@@ -27,6 +26,7 @@ from ssduck.sql.from_clause import (
     world_table,
 )
 from ssduck.sql.name_resolution import ResolvedQuery, resolve
+from ssduck.sql.operators import comparison
 from ssduck.sql.plan import ParameterBinding, SourceType
 from ssduck.sql.scope import ExpressionScope
 from ssduck.sql.sql_values import (

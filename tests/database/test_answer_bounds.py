@@ -9,11 +9,10 @@ from hypothesis import given
 from sqlglot import parse_one
 
 import ssduck
-from ssduck.database import limited_fetch
-from ssduck.database.answer_bounds import answer_bound
+from ssduck.database import fetched_rows
 from ssduck.database.connection import execution_of
-from ssduck.database.kept_plans import parameter_source
-from ssduck.database.limited_fetch import RepeatedStatements, _measured_rows
+from ssduck.database.fetched_rows import RepeatedStatements, _measured_rows
+from ssduck.database.kept_plans import answer_bound, parameter_source
 from ssduck.errors import LimitError
 from ssduck.schema import Column
 from ssduck.world.live_tables import LiveTable
@@ -101,12 +100,12 @@ JOINED = "SELECT a.id + b.id FROM a=kitchen, b=kitchen AS list;"
     ],
 )
 def test_answers_that_are_surely_small_are_fetched_by_column(program, limits, runs):
-    fetched, measured = [], limited_fetch._measured_rows
+    fetched, measured = [], fetched_rows._measured_rows
     limits = ssduck.Limits.strict(progress=False, **limits)
     with ssduck.load("kitchen", limits=limits) as ss, ssduck.load("kitchen") as free:
         wanted, compiled = free.eval(program), ss.compile(program)
         with patch.object(
-            limited_fetch, "_measured_rows", lambda *args: fetched.append(1) or measured(*args)
+            fetched_rows, "_measured_rows", lambda *args: fetched.append(1) or measured(*args)
         ):
             for _ in range(7):
                 assert ss.eval(compiled) == wanted
@@ -137,7 +136,7 @@ def test_rows_that_are_fetched_by_column_are_measured_exactly():
         plain.execute(f'PREPARE "texts" AS SELECT n, {text} FROM range(300) t(n)')
         wanted = plain.execute(execution).fetchall()
         for bound in (None, lambda *_: None, lambda *_: 10**9, lambda *_: 50_000):
-            with patch.object(limited_fetch, "_measured_rows", wraps=_measured_rows) as measured:
+            with patch.object(fetched_rows, "_measured_rows", wraps=_measured_rows) as measured:
                 for _ in range(2):
                     sizes.clear()
                     rows = statements.rows(plain, execution, None, 10**6, sizes.append, bound)

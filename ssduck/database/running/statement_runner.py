@@ -10,17 +10,17 @@ from typing import NoReturn, TypeVar
 
 import duckdb
 
+from ssduck.database.fetched_rows import (
+    is_duckdb_error,
+)
 from ssduck.database.file_paths import (
     damage_text,
     hint_of,
     is_damage,
     needed_extension,
 )
-from ssduck.database.limited_fetch import (
-    is_duckdb_error,
-)
 from ssduck.database.running import interrupts as ctrl_c
-from ssduck.database.running.deadlines import DEADLINES
+from ssduck.database.running.interrupts import DEADLINES
 from ssduck.database.strict.bounded_texts import MARK
 from ssduck.errors import (
     EvaluationError,

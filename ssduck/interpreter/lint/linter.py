@@ -25,10 +25,17 @@ from ssduck.errors import (
 from ssduck.formatting import name_path, short_repr
 from ssduck.interpreter.lint.angles import degrees_in, degrees_in_sql
 from ssduck.interpreter.lint.known_names import KnownNames, handle_of
-from ssduck.interpreter.lint.misread_relations import VOLUME_NOTE, has_volume_in_sql, unfit
+from ssduck.interpreter.lint.misread_relations import (
+    CARRIED,
+    VOLUME_NOTE,
+    SwappedRoles,
+    has_volume_in_sql,
+    spelled_relation,
+    swapped,
+    unfit,
+)
 from ssduck.interpreter.lint.statement_facts import NameSite, StatementFacts, facts_of
 from ssduck.interpreter.lint.suspect_values import VECTORS, mistakes_in
-from ssduck.interpreter.lint.swapped_roles import CARRIED, SwappedRoles, spelled_relation, swapped
 from ssduck.language.analysis import OVER_TIME
 from ssduck.language.tree import (
     Call,
@@ -96,13 +103,7 @@ class Linter:
     def check(
         self, text: str, statement: Node, local: Mapping[str, Any]
     ) -> list[SelectScriptError]:
-        """Returns the probable mistakes in a statement, as errors.
-
-        Args:
-            text: the text of the program.
-            statement: the statement.
-            local: the state variables at its place.
-        """
+        """Returns the probable mistakes in a statement, as errors."""
         try:
             facts = self._facts[statement]
         except KeyError:

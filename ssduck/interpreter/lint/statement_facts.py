@@ -12,14 +12,15 @@ from ssduck.errors import SourceSpan
 from ssduck.interpreter.lint.angles import AngleSite, angle_sites
 from ssduck.interpreter.lint.columns import is_comparison, unnamed
 from ssduck.interpreter.lint.misread_relations import (
+    RowRole,
     as_conditions,
     has_volume,
     misread_calls,
     of_entities,
+    row_roles,
     same_rows,
 )
 from ssduck.interpreter.lint.suspect_values import Suspects, suspects_of
-from ssduck.interpreter.lint.swapped_roles import RowRole, row_roles
 from ssduck.language.analysis import states
 from ssduck.language.tree import (
     Assignment,

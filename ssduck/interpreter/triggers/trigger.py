@@ -19,7 +19,7 @@ from ssduck.interpreter.triggers.diff import copy_of
 from ssduck.interpreter.triggers.formulas import Meaning
 from ssduck.language.analysis import IMPURE, calls_of, variables_of
 from ssduck.language.tree import Program, Query, UnresolvedName
-from ssduck.sql.table_use import tables_of
+from ssduck.sql.relation_calls import tables_of
 from ssduck.world.world import World
 
 # The largest number of different errors of one trigger that become warnings.

@@ -1,4 +1,4 @@
-"""Replaces parts of a statement's text, and keeps the rest as the user wrote it."""
+"""Parses users' SQL, and replaces parts of its text: the rest stays as the user wrote it."""
 
 from __future__ import annotations
 
@@ -7,6 +7,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import sqlglot
+from sqlglot import exp
+from sqlglot.dialects.dialect import Dialect
+from sqlglot.errors import SqlglotError
+from sqlglot.parsers.duckdb import DuckDBParser
 from sqlglot.tokenizer_core import TokenType
 
 
@@ -56,3 +60,37 @@ def with_parameters(sql: str, value: Callable[[str], str]) -> str:
         if sign.token_type == TokenType.PARAMETER and name.start == sign.end + 1
     ]
     return edited(sql, edits)
+
+
+# Longer texts are not parsed: sqlglot's time grows with them.
+MAX_LENGTH = 20_000
+_DIALECT = Dialect.get_or_raise("duckdb")
+
+
+class _Parser(DuckDBParser):
+    """A parser that does not warn of statements that it does not know, such as EXPLAIN.
+
+    The column `force` of contacts is no word of DuckDB's, but one of sqlglot's.
+    """
+
+    ID_VAR_TOKENS = DuckDBParser.ID_VAR_TOKENS | {TokenType.FORCE}
+
+    def _warn_unsupported(self) -> None:
+        pass
+
+
+def statement_trees(sql: str) -> list[exp.Expr]:
+    """Returns the trees of the statements of a text; none if sqlglot cannot parse it.
+
+    >>> [type(tree).__name__ for tree in statement_trees("SELECT 1; EXPLAIN SELECT 2")]
+    ['Select', 'Command']
+    >>> statement_trees("SELECT (")
+    []
+    """
+    if len(sql) > MAX_LENGTH:
+        return []
+    try:
+        trees = _Parser(dialect=_DIALECT).parse(_DIALECT.tokenize(sql), sql)
+    except (SqlglotError, RecursionError):
+        return []
+    return [tree for tree in trees if tree is not None]

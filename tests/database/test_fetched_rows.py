@@ -6,8 +6,8 @@ import duckdb
 import pytest
 
 import ssduck
-from ssduck.database import limited_fetch
-from ssduck.database.limited_fetch import (
+from ssduck.database import fetched_rows
+from ssduck.database.fetched_rows import (
     RepeatedStatements,
     limited_rows,
     limited_table,
@@ -64,7 +64,7 @@ def test_the_types_of_a_kept_statement_are_read_once():
         program, read = ss.compile(PAIRS), []
         for _ in range(5):
             ss.eval(program)
-        with patch.object(limited_fetch, "types_of", lambda r: read.append(r) or types_of(r)):
+        with patch.object(fetched_rows, "types_of", lambda r: read.append(r) or types_of(r)):
             for _ in range(5):
                 found = ss.eval(program)
         assert not read
@@ -111,8 +111,8 @@ BY_COLUMN = ("numbers", "texts", "nulls", "NaN", "integers")
 @pytest.fixture
 def read(monkeypatch):
     """The relations that are read by column."""
-    found, plain = [], limited_fetch._read
-    monkeypatch.setattr(limited_fetch, "_read", lambda *args: found.append(args[0]) or plain(*args))
+    found, plain = [], fetched_rows._read
+    monkeypatch.setattr(fetched_rows, "_read", lambda *args: found.append(args[0]) or plain(*args))
     return found
 
 
@@ -181,9 +181,9 @@ def test_an_error_of_an_answer_by_column_is_duckdbs():
 def test_statements_that_ran_long_ago_are_forgotten():
     statements = RepeatedStatements()
     with duckdb.connect() as plain:
-        for number in range(limited_fetch._MOST_KNOWN + 50):
+        for number in range(fetched_rows._MOST_KNOWN + 50):
             statements.rows(plain, f"SELECT {number}", None, None, None)
-    assert len(statements._known) == limited_fetch._MOST_KNOWN
+    assert len(statements._known) == fetched_rows._MOST_KNOWN
 
 
 @pytest.mark.slow
