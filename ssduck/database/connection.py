@@ -264,13 +264,7 @@ class Connection(StatementRunner):
             self._connection.unregister(name)
 
     def offer_function(self, name: str, *function: Any, **options: Any) -> None:
-        """Has a Python function registered with SQL when a statement names it.
-
-        Args:
-            name: the name of the function.
-            function: the function and its types, as `add_function` takes them.
-            options: the options, likewise.
-        """
+        """Has a function registered, as by `register_function`, when a statement names it."""
         self.on_demand.offer(
             (None, name), lambda own: own.register_function(name, *function, **options)
         )
@@ -281,7 +275,7 @@ class Connection(StatementRunner):
         if name in self._functions:
             self.remove_function(name)
 
-    def add_function(
+    def register_function(
         self,
         name: str,
         function: Callable[..., Any],
@@ -303,22 +297,6 @@ class Connection(StatementRunner):
             at_start: a function that is called before each statement.
             options: other options of DuckDB.
         """
-        self.on_demand.withdraw((None, name))
-        self.register_function(
-            name, function, parameter_types, result_type, at_start=at_start, **options
-        )
-
-    def register_function(
-        self,
-        name: str,
-        function: Callable[..., Any],
-        parameter_types: Sequence[str],
-        result_type: str,
-        *,
-        at_start: Callable[[], None] | None = None,
-        **options: Any,
-    ) -> None:
-        """Registers a function of ssduck's own with SQL, as `add_function` does a user's."""
         if name in self._functions:
             self.remove_function(name)
         raised = self._raised

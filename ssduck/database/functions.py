@@ -68,7 +68,7 @@ def add_user_function(
         return memo(list(arguments))
 
     types = [sql_type.duckdb_type for sql_type in signature.parameters]
-    connection.add_function(
+    connection.register_function(
         signature.name, call, types, signature.result.duckdb_type, at_start=memo.forget
     )
 

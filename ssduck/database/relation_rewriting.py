@@ -239,11 +239,8 @@ class _Call:
         pairs, condition = self._pair_table(search, name), self._is_in_pair(place, name)
         yield Edit(start, start, "(")
         yield Edit(end, end, f" JOIN {pairs} ON {condition})")
-        condition = self._is_in_pair(1 - place, name)
-        if not search.is_exact:
-            condition += f" AND {self.formula()}"
         yield from self._expanded_stars()
-        yield Edit(self.start, self.end, f"({condition})")
+        yield self._paired(search, name, [1 - place])
 
     def _outer_table(self) -> tuple[exp.Table, int] | None:
         """Returns the table on the right of an outer join, and which entity is its row.

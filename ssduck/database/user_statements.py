@@ -16,6 +16,7 @@ from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import pyarrow as pa
 from sqlglot import exp
@@ -437,12 +438,16 @@ def _calls_own(tree: exp.Expr, sql: str, names: WorldNames) -> bool:
     return any(part.this.name.lower() not in names.schemas for part in calls)
 
 
+def _by_name(parameters: Parameters) -> dict[str, Any]:
+    """Returns the parameters by name or place."""
+    if isinstance(parameters, Mapping):
+        return dict(parameters)
+    return {str(place): value for place, value in enumerate(parameters or (), 1)}
+
+
 def _are_distances(names: AbstractSet[str], parameters: Parameters) -> bool:
     """Checks whether parameters are numbers that are finite and not negative."""
-    if isinstance(parameters, Mapping):
-        values = dict(parameters)
-    else:
-        values = {str(place): value for place, value in enumerate(parameters or (), 1)}
+    values = _by_name(parameters)
     return all(_is_distance(values.get(name)) for name in names)
 
 
@@ -451,10 +456,7 @@ def _numbers_of(parameters: Parameters) -> dict[str, int | float] | None:
 
     DuckDB does not distinguish names by case.
     """
-    if isinstance(parameters, Mapping):
-        values = dict(parameters)
-    else:
-        values = {str(place): value for place, value in enumerate(parameters or (), 1)}
+    values = _by_name(parameters)
     is_numeric = all(
         type(value) is float or (type(value) is int and abs(value) < 2**31)
         for value in values.values()

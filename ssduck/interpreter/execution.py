@@ -396,9 +396,8 @@ class Execution(Namespace):
         """Returns the values of the expression in such a call; the caller pins the worlds."""
 
         def rows(query: Query, placeholders: dict[str, Any]) -> Sequence[Sequence[Any]]:
-            selected = self.planner.run(
-                query, Frame(self, placeholders=placeholders), _accept_columns
-            )
+            frame = Frame(self, placeholders=placeholders)
+            selected = self.planner.run(query, frame, lambda _: None)  # any columns
             fetched: Sequence[Sequence[Any]] = formed(selected, lambda part: part.values)
             return fetched
 
@@ -564,7 +563,3 @@ def _is_short_plain_list(value: object) -> bool:
 def _is_vector(value: Any) -> bool:
     """Checks whether a value is an array of numbers, which relations take as a list."""
     return isinstance(value, np.ndarray) and value.ndim == 1 and value.dtype.kind in "iuf"
-
-
-def _accept_columns(_: object) -> None:
-    """Accepts any columns, also two of one name."""

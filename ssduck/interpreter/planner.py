@@ -261,9 +261,9 @@ class Planner:
             shapes = source_types(query, values, self._database.schema_of)
             if purpose != "portable" and query.sources and is_small(query, shapes, values):
                 raise _SmallQueryError(values, shapes)
-            planned = self._cached_plan(query, shapes, types, purpose)
-            if planned is not None:
-                return planned, values
+            for planned in self._plans.get(query, ()):
+                if planned.plan.purpose == purpose and types.fits(planned.plan, shapes):
+                    return planned, values
             try:
                 step = frame.scope.meter.step
                 plan = translate(query, shapes, types, purpose, step=step)
@@ -284,20 +284,6 @@ class Planner:
             else frame.value(source.value)
             for alias, source in zip(aliases_of(query), query.sources, strict=True)
         ]
-
-    def _cached_plan(
-        self,
-        query: Query,
-        shapes: tuple[SourceType, ...],
-        types: InterpreterTypes,
-        purpose: Purpose,
-    ) -> PlannedQuery | None:
-        """Returns the cached plan for these types; None if there is none."""
-        for planned in self._plans.get(query, ()):
-            plan = planned.plan
-            if plan.purpose == purpose and types.fits(plan, shapes):
-                return planned
-        return None
 
     def _cache_plan(self, query: Query, plan: Plan) -> PlannedQuery:
         """Caches a plan, and registers the users' functions in it with the database."""

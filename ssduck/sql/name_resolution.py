@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
-from ssduck.errors import ArgumentError, SelectScriptError
+from ssduck.errors import ArgumentError, SelectScriptError, SourceSpan
 from ssduck.language.aggregates import is_grouped, is_one_group, over_rows
 from ssduck.language.analysis import free_aliases, states
 from ssduck.language.builtins import AGGREGATES, NUMBER_FUNCTIONS
@@ -242,14 +242,10 @@ class _Resolver:
                 return None
         elif only is not None and (only.dicts or not only.known):
             return None
-        name = self._names.resolved_name(part.name)
-        call = Call(part.span, name, (This(part.span, None),), part.span)
-        try:
-            self._names.check_call(call)
-        except SelectScriptError:
-            self._bare[part.name] = False
-            return self._resolved(self._named_columns[part.name])
-        return None
+        if self._function_of_only(part.name, part.span) is not None:
+            return None
+        self._bare[part.name] = False
+        return self._resolved(self._named_columns[part.name])
 
     def _in_where(self, part: Node) -> Node | None:
         """Returns a bare name in WHERE: a function of the only element if there is no variable."""
@@ -268,26 +264,25 @@ class _Resolver:
             if is_record and not self._is_known(only, part.name):
                 return self._column_or(part, self._looked_up)
             return self._looked_up(part)
-        name = self._names.resolved_name(part.name)
-        call = Call(part.span, name, (This(part.span, None),), part.span)
-        try:
-            self._names.check_call(call)
-        except SelectScriptError:  # the error at its evaluation is more precise
+        call = self._function_of_only(part.name, part.span)
+        if call is None:  # the error at its evaluation is more precise
             return self._column_or(part, lambda name: name)
         return part if only is None else call
+
+    def _function_of_only(self, name: str, span: SourceSpan) -> Call | None:
+        """Returns the call of a function of the only element; None if there is no such function."""
+        call = Call(span, self._names.resolved_name(name), (This(span, None),), span)
+        try:
+            self._names.check_call(call)
+        except SelectScriptError:
+            return None
+        return call
 
     def _is_known(self, source_type: SourceType, name: str) -> bool:
         """Checks whether a name is a key of records, or a function."""
         fields = () if source_type.sql_type is None else source_type.sql_type.fields
-        if any(key == name for key, _ in fields):
-            return True
-        this = (This(self._query.span, None),)
-        call = Call(self._query.span, self._names.resolved_name(name), this, self._query.span)
-        try:
-            self._names.check_call(call)
-        except SelectScriptError:
-            return False
-        return True
+        is_key = any(key == name for key, _ in fields)
+        return is_key or self._function_of_only(name, self._query.span) is not None
 
     def _column_or(self, part: Name, other: Callable[[Node], Node | None]) -> Node | None:
         """Returns the column that AS names; of a name that SELECT does not have, another part."""

@@ -120,7 +120,8 @@ class LiveFolds:
 
     def takes(self, call: Call, frame: Frame) -> bool:
         """Checks whether the state of a call can be kept: it depends on no row around it."""
-        if frame.local or frame.placeholders or any(map(_is_row, frame.elements.values())):
+        has_rows = any(isinstance(element, Handle) for element in frame.elements.values())
+        if frame.local or frame.placeholders or has_rows:
             return False
         if call not in self._are_simple:
             self._are_simple[call] = not free_aliases(call) and self._is_simple(parts_of(call)[0])
@@ -378,7 +379,3 @@ def _names_in(expression: Node) -> tuple[str, ...]:
 def _has_entity(state: Any) -> bool:
     parts: Sequence[Any] = state if isinstance(state, list | tuple) else ()
     return isinstance(state, Handle) or any(map(_has_entity, parts))
-
-
-def _is_row(element: Any) -> bool:
-    return isinstance(element, Handle)
