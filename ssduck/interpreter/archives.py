@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 
 from ssduck.database.database import Database
 from ssduck.errors import RecordError, nearest, record_errors
-from ssduck.recording.episode import Episode
+from ssduck.recording.episode import Episode, extent_of
 from ssduck.recording.folder_episodes import runs_in
 from ssduck.recording.opened_record import OpenedRecord
 from ssduck.recording.paths import expand_path
@@ -235,18 +235,18 @@ class StoredRun:
     def episode(self) -> Episode:
         """The contents of the run."""
         history = self.history(self.reader)
-        return Episode.of(
+        return Episode(
             self.path,
             self.world,
             self.number,
             started=self.description["started"],
-            tables=history.recording.tables,
+            tables=tuple(sorted(history.recording.tables)),
             every=history.recording.every,
             entities=history.recording.entities,
-            ticks=history.ticks(),
             complete=self.description["complete"],
             id=self.description["id"],
-            tags=self.tags,
+            tags=dict(self.tags),
+            **extent_of(history.ticks()),
         )
 
 

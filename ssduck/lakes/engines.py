@@ -49,9 +49,6 @@ def answer_locally(question: Question, batches: Sequence[Batch], processes: int)
 
     The processes are kept for the next question. If one that was kept is killed, new processes
     answer the rest.
-
-    Raises:
-        EvaluationError: one of the processes was killed.
     """
     rest = dict(enumerate(batches))
     if processes == 1:
@@ -159,9 +156,6 @@ def answer_on_ray(
         options: the arguments of `ray.init`, unless Ray runs already; by default, a cluster on
             this machine only, without a dashboard. Its processes import nothing from the current
             folder, unless the options have a `runtime_env` or a `job_config`.
-
-    Raises:
-        UnsupportedError: Ray is not installed.
     """
     try:
         import ray
@@ -205,9 +199,6 @@ def answer_on_spark(question: Question, batches: Sequence[Batch], session: Any) 
         batches: the batches.
         session: the `SparkSession`; None for one on this machine, `local[*]`, whose workers import
             nothing from the current folder.
-
-    Raises:
-        UnsupportedError: PySpark is not installed.
     """
     try:
         from pyspark.sql import SparkSession
@@ -261,11 +252,7 @@ def _answer_parts(parts: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
 def engine_of(
     name: str, *, processes: int | None, options: dict[str, Any] | None, session: Any
 ) -> Answerer:
-    """Returns the function of an engine that answers batches.
-
-    Raises:
-        ArgumentError: there is no such engine.
-    """
+    """Returns the function of an engine that answers batches."""
     match name:
         case "local":
             count = processes or 1

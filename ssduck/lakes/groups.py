@@ -10,10 +10,9 @@ from __future__ import annotations
 import base64
 import re
 import zlib
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import TypeAlias, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -38,10 +37,6 @@ from ssduck.recording.stores.parquet_layout import LOG, FolderRun
 from ssduck.recording.stores.row_checks import RowChecks, repeated_columns
 from ssduck.recording.stores.summaries import StoredFile, present_at_end
 from ssduck.schema import MODELS
-
-T = TypeVar("T")
-# Work that is done in steps, and returns a value in the end.
-Steps: TypeAlias = Generator[None, None, T]
 
 
 class EpisodeGroup:
@@ -76,24 +71,10 @@ class EpisodeGroup:
     def check(self, entry: EpisodeEntry, parts: ReadParts) -> EntryFiles:
         """Checks that an episode is of the group; returns its files.
 
-        Args:
-            entry: the episode.
-            parts: reads its parts.
-
         Raises:
             RecordError: it is not, or a file of it is damaged.
             OSError: a file cannot be read.
         """
-        steps = self.steps(entry, parts)
-        while True:
-            try:
-                next(steps)
-            except StopIteration as end:
-                files: EntryFiles = end.value
-                return files
-
-    def steps(self, entry: EpisodeEntry, parts: ReadParts) -> Steps[EntryFiles]:
-        """Does the same in steps, each of which reads another kind of file."""
         known, key = self._members.get(entry.key, ((), ""))
         if known and known == entry.files:
             return EntryFiles(entry, key)
@@ -102,9 +83,7 @@ class EpisodeGroup:
             raise RecordError(f"{run.about_file} describes another recording than its group has")
         files = EntryFiles(entry, run.key)
         for model in MODELS:
-            yield
             self._check_model(run, files, model)
-        yield
         if not np.array_equal(present_at_end(_last_rows(files, parts)), self._present):
             raise RecordError(f"{run.place('entities')} has other entities than its group has")
         self._members[entry.key] = entry.files, run.key
@@ -204,10 +183,6 @@ class ModelPart:
         """Checks from the bytes of a part whether it is this one with another label.
 
         One of another run, or that was written otherwise, may have the same rows: see `is_like`.
-
-        Args:
-            content: the bytes.
-            label: the label of the part.
         """
         if self._footer is None or len(content) != len(self.content):
             return False
@@ -310,11 +285,7 @@ class EntryFiles:
             self._sums.setdefault(folder, {})[name] = file.checksum
 
     def parts(self, table: str) -> list[BatchedFile]:
-        """Returns the files of a table, or of a model such as `models/links`, in their order.
-
-        Raises:
-            RecordError: there are none, or others than complete parts.
-        """
+        """Returns the files of a table, or of a model such as `models/links`, in their order."""
         folder = f"{table}{self._end}"
         sums: Mapping[str, int] = self._sums.get(folder, {})
         names = [part_name(number) for number in range(len(sums))]

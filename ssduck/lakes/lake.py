@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import glob
+import math
 import os
+import time
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import replace
 from functools import cached_property
 from itertools import islice
@@ -29,18 +32,13 @@ from ssduck.lakes.manifest import (
     write_manifest,
 )
 from ssduck.lakes.pool import pools
-from ssduck.lakes.progress import counted, shown_progress
 from ssduck.lakes.questions import ProgramQuestion, Question, ScoreQuestion
-from ssduck.lakes.scan import (
-    DUCKDB_SUFFIX,
-    entries_of_records,
-    missing,
-    records_of,
-)
+from ssduck.lakes.scan import DUCKDB_SUFFIX, entries_of_records, missing, records_of
 from ssduck.lakes.statements import SqlDialect, statement
 from ssduck.lakes.where import condition, no_episode
 from ssduck.limits import Limits
 from ssduck.recording.paths import expand_path
+from ssduck.recording.replay.progress import Progress
 from ssduck.recording.stores.descriptions import checked_description
 from ssduck.recording.stores.object_store import ObjectPath
 from ssduck.recording.stores.parquet import write_tags
@@ -108,7 +106,11 @@ class Lake:
         forget_missing = validation.boolean(forget_missing, "refresh: forget_missing")
         before = read_manifest(self.manifest)
         known = {entry.key: entry for entry in before}
-        entries = list(counted(entries_of_records(records_of(self.path), known)))
+        entries = []
+        with closing(Progress("episodes", None, time.monotonic())) as progress:
+            for entry in entries_of_records(records_of(self.path), known):
+                entries.append(entry)
+                progress.advance(1)
         found = {entry.key for entry in entries}
         if not forget_missing:
             gone = [entry for entry in before if entry.key not in found and entry.ticks is not None]
@@ -248,7 +250,6 @@ class Lake:
                 has it.
         """
         question = ProgramQuestion(program, limits, validation.boolean(strict, "ask: strict"))
-        question.check()
         engines = {"processes": processes, "options": options, "session": session}
         answered = self._answered(question, where, engine, batch, resume, progress, engines)
         return whole_table(answered)
@@ -275,7 +276,6 @@ class Lake:
         answers.
         """
         question = ProgramQuestion(program, limits, validation.boolean(strict, "ask: strict"))
-        question.check()
         engines = {"processes": processes, "options": options, "session": session}
         answered = self._answered(question, where, engine, batch, resume, progress, engines)
         return _tables(answered, batch or BATCH)
@@ -408,7 +408,6 @@ class Lake:
         validation.text(program, "tag takes a program (set_tags takes tags)")
         strict = validation.boolean(arguments.pop("strict", False), "tag: strict")
         question = ProgramQuestion(program, arguments.pop("limits", None), strict)
-        question.check()
         engines = {key: arguments.pop(key, None) for key in ("processes", "options", "session")}
         batch, resume = arguments.pop("batch", None), arguments.pop("resume", None)
         progress = arguments.pop("progress", True)
@@ -524,15 +523,15 @@ def _in_order(
     }
     missing = [index for index in range(len(entries)) if index not in ready]
     batches = [missing[start : start + size] for start in range(0, len(missing), size)]
-    with shown_progress(len(entries), shown=progress) as advance:
-        advance(len(ready))
+    with closing(Progress("episodes", len(entries), -math.inf, is_shown=progress)) as shown:
+        shown.advance(len(ready))
         results = answer(question, [[entries[index] for index in batch] for batch in batches])
         for index, entry in enumerate(entries):
             while index not in ready:
                 place, answers = next(results)
                 kept.write([entries[one] for one in batches[place]], answers)
                 ready.update(zip(batches[place], answers, strict=True))
-                advance(len(answers))
+                shown.advance(len(answers))
             answered = AnsweredEpisode(entry, *ready.pop(index))
             _warn_of(answered, warned)
             yield answered

@@ -56,9 +56,6 @@ def safe_path(**others: str) -> Iterator[None]:
     """Lets processes that start not import from the current folder, which may be a stranger's.
 
     They get the path of their parent before they import more than the standard library.
-
-    Args:
-        others: other variables of their environment.
     """
     settings = {_SAFE: "1", **others}
     with _starting:

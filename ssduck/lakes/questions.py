@@ -66,9 +66,6 @@ class Question(ABC):
 class ProgramQuestion(Question):
     """A program, whose value is the answer.
 
-    Raises:
-        ArgumentError: it is no text.
-
     Attributes:
         text: the program.
         limits: the limits of the program.
@@ -81,6 +78,7 @@ class ProgramQuestion(Question):
 
     def __post_init__(self) -> None:
         text(self.text, "a program for a lake is a text of SelectScript")
+        _ = self._tree  # fails if the text is no program
 
     @property
     def key(self) -> str:
@@ -90,14 +88,6 @@ class ProgramQuestion(Question):
     @property
     def _tree(self) -> Program:
         return parse(self.text, None if self.limits is None else self.limits.words)
-
-    def check(self) -> None:
-        """Checks that the text is a program.
-
-        Raises:
-            ParseError: it is none.
-        """
-        _ = self._tree
 
     @property
     def is_batchable(self) -> bool:
@@ -125,13 +115,7 @@ class ProgramQuestion(Question):
 
 
 def add_hint_of_episode(error: UnknownNameError, program: Program, entry: EpisodeEntry) -> None:
-    """Adds to the error for a name what an episode has of that name: a column, a variable.
-
-    Args:
-        error: the error.
-        program: the program.
-        entry: the episode.
-    """
+    """Adds to the error for a name what an episode has of that name: a column, a variable."""
     parts = (part for statement in program.statements for part in statement.walk())
     names = {part.name for part in parts if isinstance(part, Name) and part.span == error.span}
     columns = {*entry.tags, *(field.name for field in fields(entry))} - {"group", "files"}
@@ -234,9 +218,6 @@ def plain(value: Any) -> Any:
     """Returns an answer as None, True, False, numbers, texts, and lists and dicts of such.
 
     Entities and links become their full names.
-
-    Raises:
-        ArgumentError: it is another value.
     """
     match value:
         case None | bool() | int() | float() | str():

@@ -45,6 +45,9 @@ _OF_EPISODE = re.compile(
 )
 # What a name has that is not the same as a path: empty parts, and those that are no names.
 _NO_PATH = re.compile(r"(?:^|/)\.{0,2}(?:/|$)")
+# What an entry says as an episode does, and as a summary does, of its ticks.
+_EXTENT = ("ticks", "first_tick", "last_tick", "start", "end")
+_OF_RUN = ("id", "started", "complete", *_EXTENT, "every", "tables", "entities")
 MISSING = "is missing: its files were there when the manifest was made"
 
 
@@ -94,11 +97,7 @@ def records_below(place: Path) -> Iterator[Path]:
 
 
 def records_of(pattern: str) -> list[Path]:
-    """Returns the records below a folder, or below whatever a pattern of paths matches.
-
-    Raises:
-        RecordError: there is no such path.
-    """
+    """Returns the records below a folder, or below whatever a pattern of paths matches."""
     place = expand_path(pattern)
     if isinstance(place, ObjectPath):
         return _records_in_store(place)
@@ -144,7 +143,8 @@ def found_in(record: Path) -> list[FoundEpisode]:
     if record.is_file():
         return _found_in_file(record)
     try:
-        runs = [*runs_named(record), *lost_runs(record, _keys(record))]
+        runs = runs_named(record)
+        runs += lost_runs(record, [(run.world, run.number) for run in runs])
     except (RecordError, OSError) as error:
         return [_unreadable(record, "", 0, error)]
     return [_found_run(run) for run in runs]
@@ -195,10 +195,6 @@ def _found_listed(record: ObjectPath, world: str, number: int, listing: Listing)
         )
         return _unreadable(record, world, number, error)
     return FoundEpisode(record, world, number, listing)
-
-
-def _keys(record: Path) -> list[tuple[str, int]]:
-    return [(run.world, run.number) for run in runs_named(record)]
 
 
 def _listing(run: FolderRun) -> dict[str, tuple[int, int]]:
@@ -266,20 +262,10 @@ def _found_in_file(file: Path) -> list[FoundEpisode]:
             str(file),
             one.world,
             one.number,
-            one.id,
-            one.started,
-            one.complete,
-            VERSION,
-            one.ticks,
-            one.first_tick,
-            one.last_tick,
-            one.start,
-            one.end,
-            one.every,
-            one.tables,
-            one.entities,
-            dict(one.tags),
+            version=VERSION,
+            tags=dict(one.tags),
             files=files,
+            **{name: getattr(one, name) for name in _OF_RUN},
         )
         for one in listed
     ]
@@ -289,12 +275,7 @@ def _found_in_file(file: Path) -> list[FoundEpisode]:
 def entries_of_records(
     records: Iterable[Path], known: Mapping[tuple[str, str, int], EpisodeEntry]
 ) -> Iterator[EpisodeEntry]:
-    """Yields an entry for each episode, those that are known and did not change as they are.
-
-    Args:
-        records: the records.
-        known: the entries of a manifest, by their keys.
-    """
+    """Yields an entry for each episode, those that are known and did not change as they are."""
     of_files: dict[str, list[EpisodeEntry]] = {}
     for one in known.values():
         of_files.setdefault(one.path, []).append(one)
@@ -368,11 +349,7 @@ def _entry_of(run: FolderRun, entry: EpisodeEntry, listing: Listing) -> EpisodeE
         started=run.description["started"],
         complete=run.is_complete,
         version=VERSION,
-        ticks=summary.ticks,
-        first_tick=summary.first_tick,
-        last_tick=summary.last_tick,
-        start=summary.start,
-        end=summary.end,
+        **{name: getattr(summary, name) for name in _EXTENT},
         every=run.recording.get("every", 1),
         tables=tuple(run.tables),
         entities=summary.entities,

@@ -66,21 +66,7 @@ _HADOOP_PATTERN = re.compile(r"([\\*?\[\]{}])")
 def statement(
     entries: Sequence[EpisodeEntry], program: str, dialect: str, limits: Limits | None = None
 ) -> str:
-    """Returns the statement that answers a program for some episodes.
-
-    Args:
-        entries: the episodes.
-        program: the program.
-        dialect: duckdb or spark.
-        limits: the limits of the program.
-
-    Raises:
-        UnknownNameError: there is no such dialect.
-        ParseError: the text is no program.
-        UnsupportedError: SQL alone cannot answer it, or an episode is not in Parquet files.
-        ArgumentError: there is no episode without an error.
-        SelectScriptError: the program is wrong.
-    """
+    """Returns the statement that answers a program for some episodes."""
     if dialect not in DIALECTS:
         raise UnknownNameError(
             f"there is no SQL dialect {short_repr(dialect)} for lakes",
@@ -531,11 +517,7 @@ _TABLES = ("ticks", "entities")
 
 
 def footer_errors(runs: Mapping[int, FolderRun]) -> dict[int, Exception]:
-    """Returns why the footers of episodes cannot be relied on, of those whose cannot.
-
-    Args:
-        runs: the episodes, by any numbers.
-    """
+    """Returns why the footers of episodes cannot be relied on, of those whose cannot."""
     errors: dict[int, Exception] = {}
     records: dict[tuple[str, str], dict[int, FolderRun]] = {}
     for number, run in runs.items():

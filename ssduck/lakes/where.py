@@ -62,9 +62,6 @@ def condition(text: str, columns: Collection[str]) -> exp.Expr:
             arithmetic, and a few functions. It has no queries.
         columns: the columns.
 
-    Raises:
-        ArgumentError: it is no such expression, or names another column.
-
     >>> condition("ticks > 100 AND NOT success", ["ticks", "success"]).sql("duckdb")
     '"ticks" > 100 AND NOT "success"'
     """

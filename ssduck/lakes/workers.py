@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from itertools import islice
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -25,7 +26,7 @@ from ssduck.gym.terms import Terms
 from ssduck.interpreter.episode_batches import BatchInterpreter, collected_doubts
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.opening import open_record
-from ssduck.lakes.groups import EpisodeGroup, Steps
+from ssduck.lakes.groups import EpisodeGroup
 from ssduck.lakes.manifest import EpisodeEntry
 from ssduck.lakes.pool import pools
 from ssduck.lakes.questions import Answering, Question, StepsQuestion, from_text, to_text
@@ -34,14 +35,12 @@ from ssduck.limits import Limits
 from ssduck.recording.paths import expand_path
 from ssduck.recording.recorded_visuals import camera_of
 from ssduck.recording.spec import Recording
-from ssduck.recording.stores.batched_parts import BatchedFile
 from ssduck.recording.stores.checksums import checksum_of
 from ssduck.recording.stores.episode_batch import BatchedEpisode, DamagedEpisodeError
 from ssduck.recording.stores.object_store import ObjectPath, is_address
 from ssduck.recording.stores.summaries import size_and_time
 from ssduck.schema import RECORDABLE
 
-T = TypeVar("T")
 # What reading a forged file may raise: its columns and their types may be any.
 UNREADABLE = (SelectScriptError, OSError, pa.ArrowException, KeyError, TypeError, ValueError)
 # The number of groups whose models and plans a process keeps.
@@ -60,14 +59,6 @@ class Answer(NamedTuple):
     text: str | None
     error: str | None = None
     doubts: tuple[str, ...] = ()
-
-
-class _EpisodeRows(NamedTuple):
-    """What was read of an episode: see `BatchedEpisode`."""
-
-    ticks: pa.Table
-    files: Mapping[str, Sequence[BatchedFile]]
-    starts: Sequence[int]
 
 
 class _Reader:
@@ -115,8 +106,10 @@ class _Reader:
 
     def _load(self, entries: Sequence[EpisodeEntry]) -> list[int]:
         """Loads episodes; returns the indices of those whose files are as the manifest says."""
-        read = _in_turns([self._read(entry) for entry in entries])
-        episodes = {index: self._episode(rows) for index, rows in read.items()}
+        episodes: dict[int, BatchedEpisode] = {}
+        for index, entry in enumerate(entries):
+            with suppress(*UNREADABLE):
+                episodes[index] = self._read(entry)
         while episodes:
             try:
                 self._batch.load(list(episodes.values()))
@@ -125,12 +118,11 @@ class _Reader:
                 del episodes[list(episodes)[error.index]]
         return list(episodes)
 
-    def _read(self, entry: EpisodeEntry) -> Steps[_EpisodeRows]:
-        """Checks that an episode is of the group; returns its files and the rows of its ticks."""
+    def _read(self, entry: EpisodeEntry) -> BatchedEpisode:
+        """Checks that an episode is of the group; its ticks come after those of all others."""
         if entry.tables != self._tables:
             raise RecordError(f"{entry.path} has other tables than its manifest says")
-        listed = yield from self._group.steps(entry, self._batch.parts)
-        yield
+        listed = self._group.check(entry, self._batch.parts)
         files = {table: listed.parts(table) for table in self._tables}
         if len({len(own) for own in files.values()}) != 1:
             raise RecordError(f"{entry.path} has other files than complete parts")
@@ -145,35 +137,14 @@ class _Reader:
         if not is_whole or not ascend:
             raise RecordError(f"{entry.path} has other ticks than its manifest says")
         starts = [int(part["tick"][0].as_py()) for part in ticks_of_parts]
-        return _EpisodeRows(rows, files, starts)
-
-    def _episode(self, read: _EpisodeRows) -> BatchedEpisode:
-        """Returns an episode whose ticks come after those of all others so far."""
-        first, last = (int(read.ticks["tick"][place].as_py()) for place in (0, -1))
+        first, last = int(ticks[0]), int(ticks[-1])
         offset = self._next_tick - first
         self._next_tick += last - first + 1
-        return BatchedEpisode(offset, *read)
+        return BatchedEpisode(offset, rows, files, starts)
 
     def close(self) -> None:
         """Closes the interpreter."""
         self._batch.close()
-
-
-def _in_turns(works: Sequence[Steps[T]]) -> dict[int, T]:
-    """Does a step of each work, then the next step of each; returns the values by their indices."""
-    values: dict[int, T] = {}
-    going = dict(enumerate(works))  # what a step needs stays in the caches of the processor
-    while going:
-        for index, work in list(going.items()):
-            try:
-                next(work)
-                continue
-            except StopIteration as end:
-                values[index] = end.value
-            except UNREADABLE:
-                pass
-            del going[index]
-    return dict(sorted(values.items()))
 
 
 # By the group, whether its files are objects of a store, and the limits. They answer one question
@@ -286,15 +257,7 @@ _PORTION = 64
 def step_scores(
     folder: Path, world: str, numbers: Sequence[int], terms: Terms, limits: Limits | None
 ) -> Iterator[EpisodeScore | None]:
-    """Yields the score of each episode; None of one that has to be opened by itself.
-
-    Args:
-        folder: the record.
-        world: the name of the world.
-        numbers: the numbers of the episodes.
-        terms: the terms.
-        limits: the limits of the terms.
-    """
+    """Yields the score of each episode; None of one that has to be opened by itself."""
     entries = {one.episode: one for one in entries_of_records([folder], {}) if one.world == world}
     question, left = StepsQuestion(terms, limits), iter(numbers)
     while portion := list(islice(left, _PORTION)):

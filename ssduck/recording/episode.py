@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 from uuid import uuid4
 
 from ssduck.recording.buffers import TickBuffer
@@ -54,27 +54,12 @@ class Episode:
     id: str
     tags: Tags = field(default_factory=dict[str, Tag], hash=False)
 
-    @classmethod
-    def of(
-        cls,
-        path: Path,
-        world: str,
-        number: int,
-        *,
-        started: str,
-        tables: Iterable[str],
-        every: int,
-        entities: tuple[str, ...] | None,
-        ticks: TickBuffer,
-        complete: bool,
-        id: str,
-        tags: Mapping[str, Tag],
-    ) -> Episode:
-        """Makes the description of an episode with these ticks; sorts the tables."""
-        common = started, tuple(sorted(tables)), every, entities, len(ticks)
-        about = complete, id, dict(tags)
-        if not len(ticks):
-            return cls(path, world, number, *common, None, None, None, None, *about)
-        first, last = ticks.numbers[[0, -1]].tolist()
-        start, end = ticks.times[[0, -1]].tolist()
-        return cls(path, world, number, *common, first, last, start, end, *about)
+
+def extent_of(ticks: TickBuffer) -> dict[str, Any]:
+    """Returns what an episode says of its ticks: their number, the first, and the last one."""
+    if not len(ticks):
+        none = dict.fromkeys(("first_tick", "last_tick", "start", "end"))
+        return {"ticks": 0, **none}
+    first, last = ticks.numbers[[0, -1]].tolist()
+    start, end = ticks.times[[0, -1]].tolist()
+    return {"ticks": len(ticks), "first_tick": first, "last_tick": last, "start": start, "end": end}

@@ -21,7 +21,6 @@ from ssduck import validation
 from ssduck.errors import ArgumentError, RecordError
 from ssduck.formatting import short_repr
 from ssduck.recording.paths import check_inside
-from ssduck.recording.stores.atomic_files import write_atomically
 from ssduck.recording.stores.checksums import write_json
 from ssduck.recording.stores.descriptions import Value, check_description, read_description
 from ssduck.recording.tags import Tag
@@ -150,12 +149,7 @@ class EpisodeSteps:
         return tags if self.success is None else tags | {"success": self.success}
 
     def write(self, folder: Path, world: str, number: int) -> None:
-        """Writes the file of the episode.
-
-        Raises:
-            RecordError: it cannot be written, its ticks are not those of one episode, or a link
-                leads it out of the record.
-        """
+        """Writes the file of the episode."""
         if not (_are_times(self.times) and _are_ticks(self.ticks)):
             raise RecordError(
                 f"episode {number} of {world!r}: its ticks or their times fall, so that they are "
@@ -178,7 +172,7 @@ class EpisodeSteps:
         check_inside(folder, file)
         try:
             file.parent.mkdir(exist_ok=True)
-            write_atomically(file, lambda place: write_json(content, place))
+            write_json(content, file)
         except OSError as error:
             raise RecordError(f"{file} cannot be written: {error.strerror}") from error
 

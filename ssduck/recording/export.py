@@ -45,11 +45,6 @@ def export(
             an episode would pass for all of it.
         tags: what the user says of the run, added to the tags of the record.
         order: a number that is less than those of the worlds that were added later.
-
-    Raises:
-        RecordError: the folder has something else in it, or cannot be written.
-        EvaluationError: no tick of that time is recorded.
-        ArgumentError: no entity has one of the names.
     """
     numbers = _ticks(record, between)
     record.warn_of_masses()

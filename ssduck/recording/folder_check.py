@@ -21,7 +21,7 @@ from ssduck.recording.episode_steps import (
 )
 from ssduck.recording.folder_episodes import ABOUT, DESCRIPTION, check_about, lost_runs, runs_named
 from ssduck.recording.paths import check_inside, part_name
-from ssduck.recording.stores.atomic_files import create_file, write_atomically
+from ssduck.recording.stores.atomic_files import create_file
 from ssduck.recording.stores.checksums import (
     footer_of,
     json_text,
@@ -74,9 +74,6 @@ def check_folder(path: Path, *, repair: bool = False) -> list[Damage]:
         path: the folder.
         repair: whether damaged parts are taken out of the record. Their files stay, under names
             that end in `.damaged`.
-
-    Raises:
-        RecordError: the folder is no record, or one of a newer version; or it cannot be written.
     """
     try:
         return _checked_folder(path, repair=repair)
@@ -131,11 +128,7 @@ def _step_damages(path: Path) -> Iterator[tuple[Damage, RecordError]]:
 
 
 def partial_run(run: FolderRun) -> FolderRun:
-    """Returns an episode without its damaged parts; warns of each damaged file.
-
-    Raises:
-        RecordError: the file that describes the episode, or a model, is damaged.
-    """
+    """Returns an episode without its damaged parts; warns of each damaged file."""
     damages = list(damages_of(run))
     for damage in damages:
         if damage.part is None and damage.log is None:
@@ -252,7 +245,7 @@ def _repair_run(run: FolderRun, damages: Sequence[_RunDamage]) -> list[Damage]:
         about = read_description(run.about_file)
         removed = sorted({*about.get("removed", ()), *parts})
         content = about | {"removed": removed}
-        write_atomically(run.about_file, lambda file: write_json(content, file))
+        write_json(content, run.about_file)
         for part in parts:
             for table in run.tables:
                 set_aside(run.place(table) / part_name(part))

@@ -15,10 +15,7 @@ from ssduck.errors import RecordError
 from ssduck.formatting import short_repr
 from ssduck.recording.episode_steps import FOLDER as STEPS
 from ssduck.recording.paths import FORMAT, check_inside, episode_numbers, names_in
-from ssduck.recording.stores.atomic_files import (
-    create_file,
-    is_temporary,
-)
+from ssduck.recording.stores.atomic_files import create_file, is_temporary
 from ssduck.recording.stores.checksums import json_text
 from ssduck.recording.stores.descriptions import read_description
 from ssduck.recording.stores.object_store import ObjectPath, remove_tree
@@ -231,12 +228,7 @@ def runs_named(path: Path) -> list[FolderRun]:
 
 
 def lost_runs(path: Path, keys: Iterable[tuple[str, int]]) -> Iterator[FolderRun]:
-    """Yields episodes that have ticks, and no file that describes them.
-
-    Args:
-        path: the folder.
-        keys: the worlds and numbers of the files that are there.
-    """
+    """Yields episodes that have ticks, and no file that describes them."""
     numbers: dict[str, set[int]] = {}
     for world, number in keys:
         numbers.setdefault(world, set()).add(number)

@@ -20,16 +20,6 @@ class ParquetRecording:
 
     If the user resets the simulation, the recording goes on in a new episode.
 
-    Args:
-        world: the recorded world.
-        recording: what is recorded.
-        path: the folder.
-        name: the name of the world there.
-        part_ticks: the largest number of ticks of a part.
-        recorders: the running recorders of the database, to which it adds its own.
-        tags: what the user says of the run, of each of its episodes.
-        order: a number that is less than those of the worlds that were added later.
-
     Attributes:
         world: the recorded world.
     """

@@ -44,15 +44,7 @@ _SHORTEST = 1e-6
 
 
 def check_models(models: Mapping[str, pa.Table], place: Callable[[str], str]) -> None:
-    """Checks the rows of the models of entities, whose columns have the right types.
-
-    Args:
-        models: the rows of each table.
-        place: returns the place of a table, to begin the message.
-
-    Raises:
-        RecordError: a value is missing or out of bounds, or refers to nothing.
-    """
+    """Checks the rows of the models of entities, whose columns have the right types."""
     checks = {
         "entities": _check_entities,
         "geometries": _check_geometries,

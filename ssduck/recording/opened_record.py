@@ -51,9 +51,6 @@ class OpenedRecord:
         """Checks that this process has opened the record, and that no other one took its place.
 
         Parts that are replaced by themselves are not noticed.
-
-        Raises:
-            RecordError: it was forked from that process, or the episode was removed or replaced.
         """
         if os.getpid() != self._process:
             raise RecordError(
@@ -74,9 +71,6 @@ class OpenedRecord:
         """Returns the error for a message of DuckDB's; None if it names no file of the record.
 
         A part may have been removed or changed since it was checked.
-
-        Args:
-            text: the message.
         """
         if isinstance(self.path, ObjectPath):
             named = str(self.path) in text

@@ -105,11 +105,7 @@ def names_in(place: Path) -> list[str]:
 
 
 def files_in(folder: Path, place: Path) -> set[str]:
-    """Returns the names of the files in a folder of a record.
-
-    Raises:
-        RecordError: a link leaves the folder of the record.
-    """
+    """Returns the names of the files in a folder of a record."""
     if isinstance(place, ObjectPath):
         return {entry.name for entry in place.iterdir()}
     entries = list(os.scandir(place))

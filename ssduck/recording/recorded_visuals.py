@@ -29,10 +29,6 @@ def visuals_text(visuals: Sequence[VisualShape], geometry_id: Callable[[Geometry
 
     These are link, geometry, x y z, qw qx qy qz in the frame of the link, and red, green, blue,
     alpha from 0 to 1, which a shape without a colour lacks.
-
-    Args:
-        visuals: the shapes.
-        geometry_id: returns the number of a geometry.
     """
     rows = [
         [
@@ -73,11 +69,6 @@ def visuals_of(
 
 def check_visuals(text: str, links: int, geometries: Collection[int]) -> None:
     """Checks visual shapes of a record.
-
-    Args:
-        text: the text.
-        links: the number of links of the body.
-        geometries: the numbers of the recorded geometries.
 
     Raises:
         RecordError: they are no such list, or a number is out of bounds.

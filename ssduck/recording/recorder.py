@@ -133,13 +133,7 @@ class Recorder:
             self._record(snapshot)
 
     def settle(self) -> None:
-        """Writes the rows of all recorded ticks, for readers of the buffers.
-
-        Raises:
-            RecordError: a number is unknown, so that rows have to be stored in a folder, and cannot
-                be.
-            SqlError: the same of a database.
-        """
+        """Writes the rows of all recorded ticks, for readers of the buffers."""
         if self._pending:
             with self._lock:
                 if self._write_pending():

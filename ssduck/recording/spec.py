@@ -126,11 +126,7 @@ def chosen_members(members: Collection[EntityInfo], names: Collection[str]) -> l
 
 
 def check_names(recording: Recording, members: Collection[EntityInfo]) -> None:
-    """Checks that entities have the names of a recording.
-
-    Raises:
-        ArgumentError: no entity has one of the names; suggests the nearest ones.
-    """
+    """Checks that entities have the names of a recording."""
     known = [member.name for member in members]
     for name in recording.entities or ():
         if name not in known:

@@ -141,11 +141,7 @@ def members_of(models: Mapping[str, pa.Table]) -> dict[int, EntityInfo]:
 
 
 def run_of(models: Mapping[str, pa.Table]) -> int | None:
-    """Returns the number of the run of the rows of models; None if there are no entities.
-
-    Raises:
-        RecordError: the rows have several runs.
-    """
+    """Returns the number of the run of the rows of models; None if there are no entities."""
     runs = np.unique(models["entities"]["run"].to_numpy()).tolist()
     if len(runs) > 1:
         raise RecordError("it is damaged: its entities are of several runs")
@@ -208,12 +204,6 @@ def _geometry(row: Mapping[str, Any]) -> Geometry:
 
 def join_model(table: str, rows: pa.Table, model: pa.Table, names: Iterable[str]) -> pa.Table:
     """Joins the rows of ticks with the model of their table.
-
-    Args:
-        table: the name of the table.
-        rows: the columns that differ from tick to tick.
-        model: the columns that do not.
-        names: the columns of the result, in order.
 
     Raises:
         RecordError: a row is of an entity without a model.

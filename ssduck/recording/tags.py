@@ -56,11 +56,7 @@ def checked_tags(tags: Any, argument: str = "tags") -> dict[str, Tag]:
 
 
 def given_tags(tags: Any) -> dict[str, Tag]:
-    """Returns tags that a user gives, as `checked_tags`, and warns of programs among them.
-
-    Raises:
-        ArgumentError: they are no dict of texts, booleans and finite numbers by name.
-    """
+    """Returns tags that a user gives, as `checked_tags`, and warns of programs among them."""
     checked = checked_tags(tags)
     for name, value in checked.items():
         if isinstance(value, str) and _is_program(value):

@@ -215,7 +215,8 @@ class Terminal(io.StringIO):
 
 @pytest.mark.parametrize("patience", [0.0, 60.0])
 def test_a_terminal_shows_how_many_episodes_a_long_listing_has_read(folder, monkeypatch, patience):
-    monkeypatch.setattr("ssduck.lakes.progress.PATIENCE", patience)
+    monkeypatch.setattr("ssduck.recording.replay.progress.DELAY", patience)
+    monkeypatch.setattr("ssduck.recording.replay.progress.INTERVAL", 0.0)
     monkeypatch.setattr("sys.stderr", terminal := Terminal())
     assert len(ssduck.lake(folder)) == EPISODES
     assert (f"{EPISODES}/?" in terminal.getvalue()) == (patience == 0)

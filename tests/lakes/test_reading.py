@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from itertools import groupby
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -17,7 +16,6 @@ from ssduck.recording.stores import batched_parts
 from ssduck.recording.stores.batched_parts import BatchedFile, ReadParts
 from ssduck.recording.stores.checksums import write_parquet
 from ssduck.recording.stores.parquet import _options as options
-from ssduck.schema import MODELS
 from tests.support.archive import Archive
 from tests.support.cases import sampled
 from tests.support.forged import with_column
@@ -75,27 +73,11 @@ def read(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     return counts
 
 
-@pytest.mark.usefixtures("together")
-def test_the_files_of_a_batch_are_read_one_kind_after_the_other(record, monkeypatch) -> None:
-    tables: list[str] = []
-    content = BatchedFile.content
-
-    def noted(file: BatchedFile) -> memoryview:
-        tables.append(file.table)
-        return content(file)
-
-    monkeypatch.setattr(BatchedFile, "content", noted)
-    asked(record, PROGRAMS[0])
-    kinds = [*(f"models/{model}" for model in MODELS), "entities", "ticks"]
-    runs = [(table, len(list(files))) for table, files in groupby(tables)]
-    assert [table for table, count in runs if count == EPISODES] == kinds
-
-
 @pytest.mark.slow
 @pytest.mark.usefixtures("together")
 @sampled("program", PROGRAMS, every=2)
 def test_episodes_that_are_known_are_asked_with_others(record, program) -> None:
-    """Those that the process knows are read in fewer steps; each has its own answer."""
+    """Those that the process knows are checked less; each has its own answer."""
     entries = ssduck.lake(record).entries
     expected = by_themselves(record, program)
     workers.answer_episodes(ProgramQuestion(program, None), entries[2:])

@@ -129,7 +129,7 @@ def test_a_repair_on_a_full_disk_is_an_error(
     record = recorded(tmp_path / "record", 2)
     (record / "entities/world=lab/episode=1/part-000000.parquet").write_bytes(b"torn")
     before = files_in(record)
-    monkeypatch.setattr(folder_check, "write_atomically", no_room)
+    monkeypatch.setattr(folder_check, "write_json", no_room)
     with pytest.raises(RecordError, match="record cannot be repaired: No space left on device"):
         ssduck.check(record, repair=True)
     assert files_in(record) == before

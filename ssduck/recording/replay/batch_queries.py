@@ -82,11 +82,7 @@ class PairSide:
 
 
 class EntityShapes:
-    """The shapes of recorded entities; shapes of the same geometry share a solid.
-
-    Args:
-        members: the entities, by id.
-    """
+    """The shapes of recorded entities; shapes of the same geometry share a solid."""
 
     def __init__(self, members: Mapping[int, EntityInfo]) -> None:
         self._members = members

@@ -21,13 +21,7 @@ MAX_BLOCKS = 8
 
 
 class RowCache:
-    """The rows of a record, with a cache of the least recently used blocks.
-
-    Args:
-        fetch: returns the rows of a table at the ticks from a first to a last one.
-        ticks: the recorded ticks.
-        source: the folder or the file that has them, for messages.
-    """
+    """The rows of a record, with a cache of the least recently used blocks."""
 
     def __init__(
         self, fetch: Callable[[str, int, int], pa.Table], ticks: TickBuffer, source: str

@@ -32,7 +32,7 @@ _ROWS_OF_MEMBER = 16
 
 @dataclass(frozen=True, eq=False)
 class CheckedRows:
-    """The rows of an archive, checked.
+    """The rows of an archive, checked: a RecordError tells what is wrong with them.
 
     Attributes:
         archive: has the rows.
@@ -49,11 +49,7 @@ class CheckedRows:
     _checked_groups: dict[PartGroup, set[str]] = field(default_factory=dict)
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
-        """Returns the rows of a table at the ticks from first to last, both included.
-
-        Raises:
-            RecordError: they are of unknown ticks, entities or links, twice there, or incomplete.
-        """
+        """Returns the rows of a table at the ticks from first to last, both included."""
         rows = self.archive.fetch(table, first, last)
         self._require(table, self._checks.problem(table, rows, self.ticks))
         return rows
@@ -65,19 +61,12 @@ class CheckedRows:
             table: the table.
             bodies: whether to check that the bodies with parts are those of the table of entities,
                 whose rows are checked, too.
-
-        Raises:
-            RecordError: they are of unknown ticks, entities or links, twice there, or incomplete.
         """
         if table not in self._checked:
             self._check_blocks(table, self._blocks, self._checked, bodies=bodies)
 
     def check_groups(self, table: str, first: int, last: int) -> None:
-        """Checks the rows that SQL reads of a table for the ticks from first to last, each once.
-
-        Raises:
-            RecordError: as for all rows.
-        """
+        """Checks the rows that SQL reads of a table for the ticks from first to last, each once."""
         groups = self.archive.part_groups(table, first, last)
         found = [
             group
@@ -131,11 +120,7 @@ class CheckedRows:
         return max(_ROWS_AT_ONCE // rows, 1)
 
     def near_pairs(self, request: PairRequest) -> pa.Table:
-        """Returns the pairs of entities whose boxes are near at a tick, or unknown.
-
-        Raises:
-            RecordError: they are of unknown ticks or entities, or an entity is twice there.
-        """
+        """Returns the pairs of entities whose boxes are near at a tick, or unknown."""
         pairs = self.archive.near_pairs(request, None)
         ticks, a, b = (pairs[name].to_numpy() for name in ("tick", "a", "b"))
         if not np.isin(ticks, self.ticks.numbers).all():

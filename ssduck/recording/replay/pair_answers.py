@@ -39,12 +39,7 @@ class PairAnswers:
 
 
 class PairQueries:
-    """The questions about pairs of entities of a record.
-
-    Args:
-        record: the record.
-        meter: checks the time limit, and shows the progress.
-    """
+    """The questions about pairs of entities of a record."""
 
     def __init__(self, record: Record, meter: UsageMeter) -> None:
         self._record = record

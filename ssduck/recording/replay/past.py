@@ -35,9 +35,6 @@ def past_of(record: Record, age: float | None, now: int | None = None) -> Past:
         age: if not negative, a simulated time, s, to select the last tick until then; if negative,
             to select the ticks of so many last seconds; None for all ticks.
         now: the number of a recorded tick that takes the place of the current one.
-
-    Raises:
-        EvaluationError: no tick is recorded, or none of that time.
     """
     numbers, times = record.ticks_until_now(now)
     name = record.world.name

@@ -20,13 +20,7 @@ _ENTITY_DOUBLES = TABLES["entities"].tick_columns.doubles
 
 
 class PastWorld(World):
-    """A world as it was at a recorded tick, which never changes.
-
-    Args:
-        moment: the tick and the record of the world.
-        simulator: has the poses of the bodies at the tick.
-        snapshot: the snapshot of the tick.
-    """
+    """A world as it was at a recorded tick, which never changes."""
 
     def __init__(
         self, moment: RecordedTick, simulator: StaticSimulator, snapshot: Snapshot

@@ -1,4 +1,4 @@
-"""Shows the progress of long programs: on terminals, and in notebooks."""
+"""Shows the progress of long programs and questions: on terminals, and in notebooks."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import Any, TypeAlias
 
 from ssduck.limits import UsageMeter
@@ -18,22 +18,17 @@ INTERVAL = 0.1
 
 
 class TerminalDisplay:
-    """A bar on a terminal, which disappears at the end.
-
-    Args:
-        console: the rich console of the terminal.
-    """
+    """A bar on a terminal, by its rich console; it disappears at the end."""
 
     def __init__(self, console: Any) -> None:
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-        from rich.progress import TimeRemainingColumn as Remaining
+        from rich import progress as rich
 
-        text = TextColumn("{task.description}")
-        columns = text, BarColumn(), MofNCompleteColumn(), Remaining()
-        self._bar = Progress(*columns, console=console, transient=True, auto_refresh=False)
-        self._task = self._bar.add_task("", start=True)
+        text, remaining = rich.TextColumn("{task.description}"), rich.TimeRemainingColumn()
+        columns = text, rich.BarColumn(), rich.MofNCompleteColumn(), remaining
+        self._bar = rich.Progress(*columns, console=console, transient=True, auto_refresh=False)
+        self._task = self._bar.add_task("", total=None)
 
-    def show(self, description: str, done: int, total: int) -> None:
+    def show(self, description: str, done: int, total: int | None) -> None:
         """Shows the bar."""
         self._bar.update(self._task, description=description, completed=done, total=total)
         self._bar.start()
@@ -52,9 +47,11 @@ class NotebookDisplay:
 
         self._handle: Any = display({"text/plain": ""}, raw=True, display_id=True)
 
-    def show(self, description: str, done: int, total: int) -> None:
+    def show(self, description: str, done: int, total: int | None) -> None:
         """Replaces the line."""
-        text = f"{description}: {done:,} of {total:,} ({done / max(total, 1):.0%})"
+        text = f"{description}: {done:,}"
+        if total is not None:
+            text += f" of {total:,} ({done / max(total, 1):.0%})"
         self._handle.update({"text/plain": text}, raw=True)
 
     def close(self) -> None:
@@ -93,8 +90,6 @@ def _is_notebook() -> bool:
 def task(meter: UsageMeter, description: str, total: int) -> Iterator[Callable[[int], None]]:
     """Begins a task of a program, whose progress is shown if the program takes long.
 
-    Only the main thread shows anything, so that displays do not mix.
-
     Args:
         meter: checks the time limit; its limits say whether progress is shown.
         description: what is done, in a few words.
@@ -104,24 +99,38 @@ def task(meter: UsageMeter, description: str, total: int) -> Iterator[Callable[[
         A function to call with the number of parts that were done since the last call. It raises
         a LimitError if the time is up.
     """
-    current = _Task(meter, description, total)
-    try:
-        yield current.advance
-    finally:
-        current.close()
+    progress = Progress(description, total, meter.start, is_shown=meter.limits.progress)
+
+    def advance(count: int) -> None:
+        meter.check_time()
+        progress.advance(count)
+
+    with closing(progress):
+        yield advance
 
 
-class _Task:
-    def __init__(self, meter: UsageMeter, description: str, total: int) -> None:
-        self._meter = meter
+class Progress:
+    """Shows how much of a task is done, if it takes long; `close` removes what is shown.
+
+    Only the main thread shows anything, so that displays do not mix.
+
+    Args:
+        description: what is done, in a few words.
+        total: the number of its parts; None if it is unknown.
+        since: when it began, s of `time.monotonic`.
+        is_shown: whether to show anything.
+    """
+
+    def __init__(
+        self, description: str, total: int | None, since: float, *, is_shown: bool = True
+    ) -> None:
         self._description, self._total, self._done = description, total, 0
-        self._next_update = meter.start + DELAY
-        is_main = threading.current_thread() is threading.main_thread()
-        self._is_shown = meter.limits.progress and is_main
+        self._next_update = since + DELAY
+        self._is_shown = is_shown and threading.current_thread() is threading.main_thread()
         self._display: Display | None = None
 
     def advance(self, count: int) -> None:
-        self._meter.check_time()
+        """Adds the number of parts that were done since the last call."""
         self._done += count
         now = time.monotonic()
         if not self._is_shown or now < self._next_update:
@@ -134,5 +143,6 @@ class _Task:
         self._next_update = now + INTERVAL
 
     def close(self) -> None:
+        """Removes what is shown."""
         if self._display is not None:
             self._display.close()

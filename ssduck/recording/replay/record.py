@@ -141,11 +141,7 @@ class Record:
 
     @property
     def world(self) -> World:
-        """The recorded world, which the record does not keep alive.
-
-        Raises:
-            EvaluationError: the world is gone.
-        """
+        """The recorded world, which the record does not keep alive."""
         world = None if self._world is None else self._world()
         if world is None:
             raise EvaluationError("the world that was recorded is gone")
@@ -187,11 +183,7 @@ class Record:
         return handle_of(link)(self.world, id, link.name, member.name, RecordedTick(self, tick))
 
     def at(self, tick: int) -> PastWorld:
-        """Returns the world at a tick.
-
-        Raises:
-            EvaluationError: the tick is not recorded, or was dropped.
-        """
+        """Returns the world at a tick."""
         with self.world.lock:
             self._index_of(tick)
             if tick not in self._worlds:
@@ -202,11 +194,7 @@ class Record:
             return self._worlds[tick]
 
     def restore(self, tick: int) -> tuple[StaticSimulator, Snapshot]:
-        """Restores the static simulator and the snapshot of a tick.
-
-        Raises:
-            EvaluationError: the tick is not recorded, or was dropped.
-        """
+        """Restores the static simulator and the snapshot of a tick."""
         with self.world.lock:
             self._index_of(tick)
             snapshot = self._restorer.snapshot(tick, _unavailable(self))
@@ -214,21 +202,13 @@ class Record:
             return self.restore_into(snapshot, tick), snapshot
 
     def restore_into(self, snapshot: Snapshot, tick: int) -> StaticSimulator:
-        """Restores a tick into a snapshot, and returns the static simulator of the tick.
-
-        Raises:
-            EvaluationError: the tick is not recorded, or was dropped.
-        """
+        """Restores a tick into a snapshot, and returns the static simulator of the tick."""
         with self.world.lock:
             time = float(self.ticks.times[self._index_of(tick)])
             return self._restorer.restore_into(snapshot, tick, time)
 
     def check_open(self) -> None:
-        """Checks that the record was not discarded.
-
-        Raises:
-            EvaluationError: the world is recorded anew since, or not at all.
-        """
+        """Checks that the record was not discarded."""
         if self.is_closed:
             raise EvaluationError(
                 f"what was recorded of {self.world.name!r} is kept no longer: it is recorded anew, "
@@ -380,9 +360,6 @@ def index_at(world: str, time: float, times: Array, now: float, advice: str = ""
         times: the times of the ticks, s, (n,).
         now: the current time of the world, s.
         advice: is added to the error of a time before the first tick.
-
-    Raises:
-        EvaluationError: the time is before the first tick, or later than now.
     """
     place = int(np.searchsorted(times, time + TIME_TOLERANCE, side="right")) - 1
     if place < 0 or time > max(now, float(times[-1])) + TIME_TOLERANCE:

@@ -174,11 +174,7 @@ class ReplayedWorld(PastWorld):
         return self
 
     def seek_tick(self, number: int) -> ReplayedWorld:
-        """Goes to the tick of a number.
-
-        Raises:
-            RecordError: it is not recorded.
-        """
+        """Goes to the tick of a number."""
         with self.lock:
             self._check_not_pinned()
             if number not in self._record.ticks.numbers:
@@ -190,11 +186,7 @@ class ReplayedWorld(PastWorld):
         return self
 
     def advance(self, count: int, on_progress: Callable[[int], object] | None = None) -> None:
-        """Advances by a number of recorded times, without notifying observers.
-
-        Raises:
-            EvaluationError: the record ends before that.
-        """
+        """Advances by a number of recorded times, without notifying observers."""
         with self.lock:
             self._check_not_pinned()
             times, first_ticks = self._distinct_times

@@ -35,14 +35,7 @@ class _Template:
 
 
 class SnapshotRestorer:
-    """Restores recorded ticks; caches what ticks with the same entities share.
-
-    Args:
-        members: the entities, by id.
-        tables: the recorded tables.
-        rows: the rows of these tables.
-        empty: a snapshot of the run without entities.
-    """
+    """Restores recorded ticks; caches what ticks with the same entities share."""
 
     def __init__(
         self,
@@ -59,12 +52,7 @@ class SnapshotRestorer:
         self._templates: dict[tuple[int, ...], _Template] = {}
 
     def snapshot(self, tick: int, unavailable: Mapping[str, str]) -> Snapshot:
-        """Returns a snapshot with the entities of a tick, to restore the tick into.
-
-        Args:
-            tick: the number of the tick.
-            unavailable: the unavailable tables, with the reasons.
-        """
+        """Returns a snapshot with the entities of a tick, to restore the tick into."""
         return self._template_at(tick).snapshot.past(tick, unavailable)
 
     def restore_into(self, snapshot: Snapshot, tick: int, time: float) -> StaticSimulator:

@@ -26,7 +26,7 @@ def temporary_path(place: Path) -> Path:
     return place.with_name(f".{secrets.token_hex(8)}.unfinished")
 
 
-def write_atomically(place: Path, write: Callable[[Path], None]) -> None:
+def write_atomically(place: Path, write: Callable[[Path], object]) -> None:
     """Writes a file under a temporary name, and renames it when it is on the disk."""
     if isinstance(place, ObjectPath):
         written(place, write)
@@ -44,11 +44,7 @@ def write_atomically(place: Path, write: Callable[[Path], None]) -> None:
 
 
 def write_with_folders(place: Path, write: Callable[[Path], None]) -> None:
-    """Writes a file, all or nothing, and the folders that it is in.
-
-    Raises:
-        RecordError: it cannot be written; or `write` raises one.
-    """
+    """Writes a file, all or nothing, and the folders that it is in."""
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(place, write)

@@ -218,10 +218,6 @@ class TickArchive(ABC):
         NULL or NaN. For `links`, those of bodies of one link may be left out.
         """
 
-    def fetch_stored(self, table: str, first: int, last: int) -> pa.Table:
-        """Returns the same rows, with all those that SQL reads: none is left out."""
-        return self.fetch(table, first, last)
-
     def key_rows(self, table: str, starts: Sequence[int]) -> Iterator[RowBlock]:  # noqa: ARG002
         """Yields all stored rows that SQL reads of a table, for a check of them.
 

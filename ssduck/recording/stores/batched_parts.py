@@ -44,12 +44,7 @@ Columns: TypeAlias = dict[str, pa.ChunkedArray]
 
 
 def ticks_of_parts(starts: Sequence[int], last: int) -> list[tuple[int, int]]:
-    """Returns the first and the last tick of each part.
-
-    Args:
-        starts: the first ticks.
-        last: the last tick of all.
-    """
+    """Returns the first and the last tick of each part."""
     return list(zip(starts, [*(start - 1 for start in starts[1:]), last], strict=True))
 
 
@@ -117,20 +112,12 @@ class ReadPart:
 
     @cached_property
     def parquet(self) -> pq.ParquetFile:
-        """The part as Arrow reads it; its columns are those of its table.
-
-        Raises:
-            RecordError: it lacks columns of the table, or claims more rows than a part has.
-        """
+        """The part as Arrow reads it; its columns are those of its table."""
         return checked_parquet(self.file.path, self.content, self.file.table)
 
     @property
     def row_count(self) -> int:
-        """The number of rows.
-
-        Raises:
-            RecordError: it lacks columns of the table, or claims more rows than a part has.
-        """
+        """The number of rows."""
         for column in self.columns.values():
             return len(column)
         count: int = self.parquet.metadata.num_rows
@@ -144,9 +131,6 @@ class ReadPart:
 
     def rows(self, names: Sequence[str] | None = None) -> pa.Table:
         """Returns the rows, of some columns or of all.
-
-        Args:
-            names: the names of the columns; None for all.
 
         Raises:
             RecordError: it lacks columns of the table, or claims more rows than a part has.
@@ -168,16 +152,7 @@ class ReadPart:
         return self.rows(key_types(self.file.table).names)
 
     def check(self, checks: RowChecks, ticks: TickBuffer, between: tuple[int, int]) -> None:
-        """Checks the rows, except that the bodies with parts are those that are there.
-
-        Args:
-            checks: checks the rows.
-            ticks: the ticks of the episode.
-            between: the first and the last tick of the part.
-
-        Raises:
-            RecordError: they are of unknown ticks, entities or links, twice there, or incomplete.
-        """
+        """Checks the rows, except that the bodies with parts are those that are there."""
         block = RowBlock(*between, self.keys())
         self.require(checks.problem_of_block(self.file.table, block, ticks))
 
@@ -189,11 +164,7 @@ class ReadPart:
 
 
 class RepeatedColumns:
-    """Checks what the rows of parts repeat of the models of their group.
-
-    Args:
-        models: the rows of the models.
-    """
+    """Checks what the rows of parts repeat of the models of their group."""
 
     def __init__(self, models: Mapping[str, pa.Table]) -> None:
         self._models = models
@@ -206,9 +177,6 @@ class RepeatedColumns:
         Args:
             part: the part.
             names: the columns to check; others than those that repeat something are passed over.
-
-        Raises:
-            RecordError: a column has another value.
         """
         table = part.file.table
         chosen = tuple(name for name in repeated_columns(table) if name in names and name != RUN)
@@ -235,12 +203,7 @@ class ReadParts:
         self._kept_size = 0
 
     def read(self, file: BatchedFile) -> ReadPart:
-        """Returns the part of a file.
-
-        Raises:
-            OSError: the file cannot be read.
-            RecordError: it was changed, or is no such part.
-        """
+        """Returns the part of a file."""
         part = self._parts.get(file)
         if part is None:
             content = file.content()
@@ -268,12 +231,7 @@ class ReadParts:
 
 
 class PartsDataset(ds.InMemoryDataset):  # type: ignore[misc]  # it has no types
-    """Rows that DuckDB reads, which are decoded when it does, and only the columns that it asks.
-
-    Args:
-        schema: the columns.
-        rows: returns the rows of some columns, piece by piece.
-    """
+    """Rows that DuckDB reads, which are decoded when it does, and only the columns that it asks."""
 
     def __init__(
         self, schema: pa.Schema, rows: Callable[[Sequence[str]], Iterable[pa.Table]]
@@ -282,13 +240,7 @@ class PartsDataset(ds.InMemoryDataset):  # type: ignore[misc]  # it has no types
         self._rows = rows
 
     def scanner(self, *, columns: Sequence[str], filter: Any = None, **options: Any) -> ds.Scanner:
-        """Returns what reads some columns, as a dataset of Arrow does.
-
-        Args:
-            columns: the names of the columns.
-            filter: the rows to read, an expression of Arrow; None for all.
-            options: further options of Arrow.
-        """
+        """Returns what reads some columns, as a dataset of Arrow does."""
         words = set(columns)
         if filter is not None:  # its columns are some of these words
             words.update(re.findall(r"\w+", str(filter)))

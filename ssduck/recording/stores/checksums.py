@@ -60,14 +60,6 @@ def write_parquet(rows: pa.Table, place: Path, **options: Any) -> int:
 
     Returns:
         The CRC-32 of all bytes of the file.
-
-    Args:
-        rows: the rows.
-        place: the path of the file.
-        options: the options of the Parquet library.
-
-    Raises:
-        OSError: the file cannot be written.
     """
     sink = pa.BufferOutputStream()
     with pq.ParquetWriter(sink, rows.schema, write_page_checksum=True, **options) as writer:
@@ -76,12 +68,9 @@ def write_parquet(rows: pa.Table, place: Path, **options: Any) -> int:
         writer.add_key_value_metadata({_KEY: sums})
     content = memoryview(sink.getvalue())
     length = int.from_bytes(content[-_TAIL:-4], "little") + _TAIL
-    data, footer = content[:-length], bytearray(content[-length:])
-    match = _last(_FOOTER_SUMS, footer)
-    assert match is not None
+    data = content[:-length]
     data_sum = zlib.crc32(data)
-    footer[slice(*match.span(1))] = _hex(data_sum)
-    footer[slice(*match.span(2))] = _hex(zlib.crc32(footer))
+    footer = with_footer_sums(bytes(content[-length:]), data_sum)
 
     def write(file: Path) -> None:
         with file.open("wb", buffering=0) as stream:
@@ -116,12 +105,7 @@ def footer_of(file: Path) -> bytes | None:
 
 
 def footer_problem(footer: bytes | None, *, has_checksums: bool) -> str | None:
-    """Returns what is wrong with a footer; None for nothing.
-
-    Args:
-        footer: the footer; None if the file does not end in one.
-        has_checksums: whether it must have checksums.
-    """
+    """Returns what is wrong with a footer; None for nothing."""
     if footer is None:
         return NOT_COMPLETE
     match = _last(_FOOTER_SUMS, footer)
@@ -142,9 +126,6 @@ def parquet_problem(file: Path, *, has_checksums: bool, footer: bytes | None = N
         file: the file.
         has_checksums: whether it must have checksums.
         footer: its footer, if that was read and has no problem.
-
-    Raises:
-        OSError: the file cannot be read.
     """
     if isinstance(file, ObjectPath):
         return content_problem(file.read_bytes(), has_checksums=has_checksums)
@@ -167,9 +148,6 @@ def checksum_of(file: Path, left_out: int = 0) -> int:
     Args:
         file: the file.
         left_out: the number of bytes at its end that do not count.
-
-    Raises:
-        OSError: it cannot be read.
     """
     checksum, piece = 0, memoryview(bytearray(_PIECE))
     with file.open("rb", buffering=0) as stream:
@@ -197,15 +175,7 @@ def content_of(file: Path) -> bytes:
 
 
 def size_problem(file: Path | str, size: int) -> str | None:
-    """Returns that a file of a record has more bytes than it can; None if it has not.
-
-    Args:
-        file: the file, not an object.
-        size: the number of its bytes.
-
-    Raises:
-        OSError: it cannot be read.
-    """
+    """Returns that a file of a record has more bytes than it can; None if it has not."""
     if size <= _SMALL_FILE:
         return None
     told = _LARGEST_FILE
@@ -262,12 +232,7 @@ def footer_in(content: Content) -> Content:
 
 
 def with_footer_sums(footer: bytes, data_sum: int) -> bytes:
-    """Returns a footer with the checksums that it is to have.
-
-    Args:
-        footer: the footer, with any checksums.
-        data_sum: the CRC-32 of the bytes before it.
-    """
+    """Returns a footer with the checksums that it is to have."""
     match = _last(_FOOTER_SUMS, footer)
     assert match is not None
     first, last = match.span(1)
@@ -294,11 +259,7 @@ UNSEALED = {_KEY: b"crc32 of file " + _NONE}
 
 
 def write_sealed(content: memoryview, place: Path) -> None:
-    """Writes a file with its checksum in the place of the metadata `UNSEALED`.
-
-    Raises:
-        OSError: it cannot be written.
-    """
+    """Writes a file with its checksum in the place of the metadata `UNSEALED`."""
     match = _FILE_SUM.search(content)
     assert match is not None
     start, end = match.span(1)
@@ -323,8 +284,8 @@ def log_problem(content: bytes, *, has_checksums: bool) -> str | None:
 
 
 def write_json(content: Mapping[str, Any], file: Path) -> None:
-    """Writes a JSON object with its checksum to a file."""
-    file.write_text(json_text(content), encoding="utf-8")
+    """Writes a JSON object with its checksum to a file, all or nothing."""
+    write_atomically(file, lambda place: place.write_text(json_text(content), encoding="utf-8"))
 
 
 def json_text(content: Mapping[str, Any]) -> str:

@@ -16,7 +16,7 @@ from ssduck.errors import RecordError, record_error
 from ssduck.formatting import short_repr
 from ssduck.limits import check_opening
 from ssduck.recording.recorded_visuals import is_camera
-from ssduck.recording.stores.atomic_files import sole_writer, write_atomically
+from ssduck.recording.stores.atomic_files import sole_writer
 from ssduck.recording.stores.checksums import (
     CHECKSUM_KEY,
     WRONG_CHECKSUM,
@@ -52,16 +52,18 @@ class Value:
 Description = Mapping[str, Value]
 
 
-def _is_whole(value: Any, least: int) -> bool:
+def is_whole(value: Any, least: int) -> bool:
+    """Checks whether a value is a whole number from `least` on that a double has exactly."""
     return type(value) is int and least <= value < 1 << 53
 
 
-def _is_names(value: Any) -> bool:
+def is_names(value: Any) -> bool:
+    """Checks whether a value is a list of texts."""
     return isinstance(value, list) and all(isinstance(name, str) for name in value)
 
 
 def _is_parts(value: Any) -> bool:
-    return isinstance(value, list) and all(_is_whole(number, 0) for number in value)
+    return isinstance(value, list) and all(is_whole(number, 0) for number in value)
 
 
 def _is_id(value: Any) -> bool:
@@ -70,54 +72,49 @@ def _is_id(value: Any) -> bool:
 
 def _is_tables(value: Any) -> bool:
     """Checks a list of recorded tables, whose names are those of folders."""
-    has_right_names = _is_names(value) and RECORDED.keys() >= set(value)
+    has_right_names = is_names(value) and RECORDED.keys() >= set(value)
     return has_right_names and len(set(value)) == len(value) and {"ticks", "entities"} <= set(value)
 
 
-_TEXT = Value("a text", lambda value: isinstance(value, str))
+TEXT = Value("a text", lambda value: isinstance(value, str))
 _OBJECT = Value("an object", lambda value: isinstance(value, dict))
-_IDENTITY = {
+# What describes an episode wherever it is.
+_EPISODE = {
     "id": Value("a UUID", _is_id),
     "tags": Value("an object of texts and numbers", are_tags, is_required=False),
+    "started": TEXT,
+    "recording": _OBJECT,
+    "camera": Value("a camera that sees something", is_camera, is_required=False),
+    "order": Value("a number", lambda value: is_whole(value, 0), is_required=False),
 }
-_ORDER = Value("a number", lambda value: _is_whole(value, 0), is_required=False)
-_CAMERA = Value("a camera that sees something", is_camera, is_required=False)
-_COUNT = Value("a number of parts", lambda value: _is_whole(value, 0), is_required=False)
+_COUNT = Value("a number of parts", lambda value: is_whole(value, 0), is_required=False)
 # What describes an episode in a folder.
 EPISODE: Description = {
     "world": Value("a name", lambda value: isinstance(value, str), is_required=False),
-    "episode": Value("a number", lambda value: _is_whole(value, 0), is_required=False),
-    "key": _TEXT,
+    "episode": Value("a number", lambda value: is_whole(value, 0), is_required=False),
+    "key": TEXT,
     "tables": Value("a list of recorded tables, with ticks and entities", _is_tables),
-    "started": _TEXT,
-    "recording": _OBJECT,
     "parts": Value("an object", lambda value: isinstance(value, dict), is_required=False),
     "checksums": Value("a text", lambda value: isinstance(value, str), is_required=False),
     "removed": Value("a list of parts", _is_parts, is_required=False),
-    **_IDENTITY,
-    "camera": _CAMERA,
-    "order": _ORDER,
+    **_EPISODE,
 }
 # What it says of the recording, and of the number of complete parts.
 RECORDING: Description = {
-    "every": Value("a number of ticks", lambda value: _is_whole(value, 1), is_required=False),
+    "every": Value("a number of ticks", lambda value: is_whole(value, 1), is_required=False),
     "entities": Value(
         "a list of names, or null",
-        lambda value: value is None or _is_names(value),
+        lambda value: value is None or is_names(value),
         is_required=False,
     ),
 }
 PARTS: Description = {"ticks": _COUNT, "models": _COUNT}
 # What describes an episode in a DuckDB file.
 DATABASE_EPISODE: Description = {
-    "version": Value("a number", lambda value: _is_whole(value, 1)),
-    "world": _TEXT,
-    "started": _TEXT,
-    "recording": _OBJECT,
+    "version": Value("a number", lambda value: is_whole(value, 1)),
+    "world": TEXT,
     "complete": Value("true or false", lambda value: isinstance(value, bool)),
-    **_IDENTITY,
-    "camera": _CAMERA,
-    "order": _ORDER,
+    **_EPISODE,
 }
 
 
@@ -141,11 +138,7 @@ def read_description(file: Path) -> dict[str, Any]:
 
 
 def checked_description(content: bytes, source: str) -> dict[str, Any]:
-    """Returns the JSON object in the content of a file, whose checksum is right.
-
-    Raises:
-        RecordError: there is no JSON object, or its checksum is wrong.
-    """
+    """Returns the JSON object in the content of a file, whose checksum is right."""
     description = parse_description(content, source)
     if not pop_checksum(description):
         raise RecordError(
@@ -171,8 +164,7 @@ def change_description(file: Path, change: Callable[[dict[str, Any]], Mapping[st
         )
         return
     with sole_writer(file.parent):
-        content = change(read_description(file))
-        write_atomically(file, lambda place: write_json(content, place))
+        write_json(change(read_description(file)), file)
 
 
 def parse_description(text: str | bytes, source: str) -> dict[str, Any]:

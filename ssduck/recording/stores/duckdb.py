@@ -43,7 +43,7 @@ from ssduck.recording.stores.row_checks import key_types
 from ssduck.recording.stores.stored_columns import tick_types
 from ssduck.recording.stores.tick_index import checked_ticks
 from ssduck.recording.tags import Tags
-from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES, recorded_tables
+from ssduck.schema import FRAMES, RECORDED, TABLES, recorded_tables
 from ssduck.simulators.scenes import Camera
 from ssduck.world.layout import EntityInfo
 
@@ -246,10 +246,7 @@ class DuckDBStore(TickStore, TickArchive):
 
     def models(self) -> dict[str, str]:
         """Returns the SELECT of the view of each model, by the name of the view."""
-        return {
-            table.model_view: f"SELECT * FROM {self.model_source(table.name)}"  # noqa: S608
-            for table in MODELS.values()
-        }
+        return self._models.views()
 
     @property
     def views(self) -> dict[str, str]:

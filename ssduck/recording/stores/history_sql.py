@@ -62,12 +62,7 @@ def known(name: str, type: str) -> str:
 
 
 def all_columns(rows: str, columns: Mapping[str, str]) -> str:
-    """Returns a SELECT of all columns of a stored table.
-
-    Args:
-        rows: the rows, in SQL.
-        columns: the types of the columns, by name.
-    """
+    """Returns a SELECT of all columns of a stored table."""
     return f"SELECT {', '.join(starmap(known, columns.items()))} FROM {rows}"  # noqa: S608
 
 
@@ -167,11 +162,7 @@ def file_list(files: Sequence[Path]) -> str:
 
 
 def exact_path(place: Path) -> str:
-    """Returns a path with `*`, `?` and `[` escaped, which DuckDB reads as patterns.
-
-    Raises:
-        RecordError: the path also has a backslash, which DuckDB takes for a slash then.
-    """
+    """Returns a path with `*`, `?` and `[` escaped, which DuckDB reads as patterns."""
     return pattern_of(str(place.resolve()))
 
 

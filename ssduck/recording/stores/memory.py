@@ -35,7 +35,7 @@ from ssduck.recording.stores.history_sql import (
     near_pair_rows,
 )
 from ssduck.recording.stores.model_tables import ModelTables
-from ssduck.schema import MODELS, POSE, RECORDED, TABLES, recorded_tables
+from ssduck.schema import POSE, RECORDED, TABLES, recorded_tables
 from ssduck.world.layout import EntityInfo
 from ssduck.world.live_tables import new_version
 
@@ -44,14 +44,7 @@ _MIN_ROWS = 4096
 
 
 class MemoryStore(TickStore, TickArchive):
-    """The recorded ticks of a world in memory.
-
-    Args:
-        schema: the name of the DuckDB schema for the models.
-        connection: the store's own connection.
-        recording: what is recorded of each tick.
-        world: the name of the world.
-    """
+    """The recorded ticks of a world in memory."""
 
     is_in_place = True
 
@@ -191,17 +184,11 @@ class MemoryStore(TickStore, TickArchive):
             " UNION ALL ".join(buffered_rows(name, view) for view in buffer_views(name))
             for name in (table, "entities")
         )
-        return history(TABLES[table], rows, entities, self._model_source)
+        return history(TABLES[table], rows, entities, self._models.source)
 
     def models(self) -> dict[str, str]:
         """Returns the SELECT of the view of each model, by the name of the view."""
-        return {
-            table.model_view: f"SELECT * FROM {self._model_source(table.name)}"  # noqa: S608
-            for table in MODELS.values()
-        }
-
-    def _model_source(self, table: str) -> str:
-        return self._models.source(table)
+        return self._models.views()
 
 
 def _last_rows(rows: BufferedRows) -> int:

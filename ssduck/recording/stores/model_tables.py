@@ -58,15 +58,7 @@ class ModelTables:
         camera: Camera | None = None,
         order: int = 0,
     ) -> None:
-        """Creates the schema, a table that describes the record, and empty models.
-
-        Args:
-            world: the name of the world.
-            recording: what is recorded.
-            tags: what the user says of the run.
-            camera: the camera of the world; None if it is not stored.
-            order: a number that is less than those of the worlds that were added later.
-        """
+        """Creates the schema, a table that describes the record, and empty models."""
         about = {
             "version": VERSION,
             "world": world,
@@ -134,11 +126,7 @@ class ModelTables:
         self._geometries |= set(models["geometries"]["id"].to_pylist())
 
     def rows(self) -> dict[str, pa.Table]:
-        """Returns the stored rows of each model in a file.
-
-        Raises:
-            RecordError: a table is missing or damaged.
-        """
+        """Returns the stored rows of each model in a file."""
         file = self._file
         assert file is not None
         models = {
@@ -157,6 +145,13 @@ class ModelTables:
             return place
         self._file.check(self.connection, self.schema, f"{table} model", types_of(model))
         return f"({all_columns(place, {column.name: column.sql for column in model})})"
+
+    def views(self) -> dict[str, str]:
+        """Returns the SELECT of the view of each model, by the name of the view."""
+        return {
+            table.model_view: f"SELECT * FROM {self.source(table.name)}"  # noqa: S608
+            for table in MODELS.values()
+        }
 
     def close(self, *, forget: bool) -> None:
         """Closes the connection; drops the schema first if `forget` is set."""

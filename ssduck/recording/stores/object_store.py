@@ -53,7 +53,8 @@ class MissingObjectError(ObjectError, FileNotFoundError):
 class ObjectPath(type(Path())):  # type: ignore[misc]  # the path of this system
     """An address in an object store, `s3://bucket/run`: a path whose files are objects.
 
-    Credentials, region and endpoint are those of the environment (`AWS_…`).
+    Credentials, region and endpoint are those of the environment (`AWS_…`). What cannot be read
+    raises an ObjectError.
     """
 
     @property
@@ -136,11 +137,7 @@ class ObjectPath(type(Path())):  # type: ignore[misc]  # the path of this system
         yield from (entry for entry in self.iterdir() if fnmatch.fnmatchcase(entry.name, pattern))
 
     def open(self, mode: str = "r", *_: Any, **__: Any) -> Any:
-        """Opens an object to be read.
-
-        Raises:
-            ObjectError: it cannot be read, or is too large; so does reading.
-        """
+        """Opens an object to be read."""
         if mode != "rb":
             raise OSError(95, "an object is written as a whole", str(self))
         with reading(self):
@@ -148,21 +145,13 @@ class ObjectPath(type(Path())):  # type: ignore[misc]  # the path of this system
         return ObjectStream(self, stream)
 
     def read_bytes(self) -> bytes:
-        """Returns the content of an object.
-
-        Raises:
-            ObjectError: it cannot be read, or is too large.
-        """
+        """Returns the content of an object."""
         with self.open("rb") as stream:
             content: bytes = stream.readall()
         return content
 
     def write_bytes(self, content: Any) -> int:
-        """Writes an object.
-
-        Raises:
-            OSError: the store refuses it.
-        """
+        """Writes an object."""
         with _writing(self), self._store.open_output_stream(self.key) as stream:
             stream.write(content)
         return len(content)
@@ -187,15 +176,7 @@ class ObjectPath(type(Path())):  # type: ignore[misc]  # the path of this system
 
 
 class ObjectStream(io.RawIOBase):
-    """An object that is being read; the errors are ssduck's.
-
-    Args:
-        path: its address.
-        stream: the stream of the library.
-
-    Raises:
-        ObjectError: it is too large.
-    """
+    """An object that is being read; the errors are ssduck's."""
 
     def __init__(self, path: ObjectPath, stream: Any) -> None:
         self._path = path
@@ -307,11 +288,7 @@ def _types() -> Any:
 
 
 def file_system() -> FileSystem:
-    """Returns the S3 store of the environment.
-
-    Raises:
-        RecordError: this pyarrow cannot reach one.
-    """
+    """Returns the S3 store of the environment."""
     return _s3(*endpoint_and_region(), os.getpid())
 
 
@@ -347,7 +324,7 @@ def is_address(text: object) -> bool:
     return str(text).startswith(_PREFIX) and str(text) != _PREFIX
 
 
-def written(place: ObjectPath, write: Callable[[Path], None]) -> None:
+def written(place: ObjectPath, write: Callable[[Path], object]) -> None:
     """Writes an object as a whole, by a function that writes a file."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / place.name
@@ -364,11 +341,7 @@ def remove_tree(place: Path) -> None:
 
 
 def parquet_source(file: Path) -> Any:
-    """Returns what the Parquet library opens: a path, or the content of an object.
-
-    Raises:
-        ObjectError: an object cannot be read.
-    """
+    """Returns what the Parquet library opens: a path, or the content of an object."""
     import pyarrow as pa
 
     return pa.BufferReader(file.read_bytes()) if isinstance(file, ObjectPath) else file

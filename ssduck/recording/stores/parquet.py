@@ -29,9 +29,7 @@ from ssduck.recording.paths import FORMAT, check_inside, expand_path, part_name
 from ssduck.recording.recorded_visuals import camera_text
 from ssduck.recording.spec import Recording
 from ssduck.recording.static_tables import IdProvider, complete_rows, model_rows
-from ssduck.recording.stores.atomic_files import (
-    sync_folder,
-)
+from ssduck.recording.stores.atomic_files import sync_folder
 from ssduck.recording.stores.base import TickStore
 from ssduck.recording.stores.checksums import write_parquet
 from ssduck.recording.stores.descriptions import EPISODE, change_description, check_description
@@ -63,10 +61,6 @@ class ParquetStore(TickStore):
         tags: what the user says of the run.
         camera: the camera of the world; None if it is not stored.
         order: a number that is less than those of the worlds that were added later.
-
-    Raises:
-        RecordError: the path is that of a file, or of a folder with something else in it, or it
-            cannot be written.
     """
 
     def __init__(
@@ -174,11 +168,7 @@ class ParquetStore(TickStore):
         self.last_tick = int(np.max(rows["ticks"]["tick"].to_numpy()))
 
     def finish(self) -> None:
-        """Marks the episode as complete, with the number of its parts.
-
-        Raises:
-            RecordError: the file cannot be written.
-        """
+        """Marks the episode as complete, with the number of its parts."""
         parts = {"ticks": self._part_count, "models": self._model_count}
 
         def finished(about: dict[str, Any]) -> dict[str, Any]:
@@ -207,16 +197,11 @@ class ParquetStore(TickStore):
         if self._made is not None:
             remove_empty(self.path, self._made)
 
-    @property
-    def _places(self) -> tuple[str, ...]:
-        """The names of the folders of the episode."""
-        return folders_of(self.tables)
-
     def _move_staged(self) -> None:
         """Moves the files of an export to their places."""
         if self._staged is self.run:
             return
-        for name in self._places:
+        for name in folders_of(self.tables):
             staged, place = self._staged.place(name), self.run.place(name)
             if staged.is_dir():
                 place.parent.mkdir(parents=True, exist_ok=True)
@@ -236,12 +221,7 @@ class ParquetStore(TickStore):
 
 
 def write_tags(run: FolderRun, tags: Tags) -> None:
-    """Adds tags to the description of an episode, and replaces those of the same names.
-
-    Raises:
-        ArgumentError: a tag is no text, boolean or finite number.
-        RecordError: the file that describes the episode is damaged, or cannot be written.
-    """
+    """Adds tags to the description of an episode, and replaces those of the same names."""
     added = checked_tags(tags)
     check_inside(run.path, run.about_file)
 

@@ -52,18 +52,9 @@ _ROWS_AT_ONCE = 1 << 16
 class ParquetArchive(TickArchive):
     """The ticks of an episode in a folder.
 
-    Args:
-        run: the episode.
-        recording: what was recorded of each tick.
-        connection: the archive's own connection, which reads the files.
-        opened: the record, which must still be there whenever it is read.
-
     Attributes:
         ticks: the numbers and times of the stored ticks.
         visible_rows: the rows of the log, which DuckDB reads from memory, by table.
-
-    Raises:
-        RecordError: a file is missing or damaged, or nothing was stored.
     """
 
     has_single_links = True
@@ -210,13 +201,6 @@ class ParquetArchive(TickArchive):
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """Returns the rows of a table at the ticks from first to last."""
-        rows = self.fetch_stored(table, first, last)
-        if table == "links":  # the rows of bodies with one link repeat the pose of the body
-            rows = rows.filter(pa.array(np.isin(rows["entity"].to_numpy(), self._linked)))
-        return rows
-
-    def fetch_stored(self, table: str, first: int, last: int) -> pa.Table:
-        """Returns the same rows, with the links of all bodies."""
         self._opened.check()
         if table == FRAMES and table not in self._files:  # no body has several links
             return arrow_types(table).empty_table()
@@ -227,7 +211,10 @@ class ParquetArchive(TickArchive):
         if self._log:
             logged = self._log[table].arrow.select(types.names).cast(types)
             parts.append(_between(logged, first, last))
-        return pa.concat_tables([types.empty_table(), *parts])
+        rows = pa.concat_tables([types.empty_table(), *parts])
+        if table == "links":  # the rows of bodies with one link repeat the pose of the body
+            rows = rows.filter(pa.array(np.isin(rows["entity"].to_numpy(), self._linked)))
+        return rows
 
     def _parts_with(self, table: str, first: int, last: int) -> range:
         """Returns the numbers of the parts with the ticks from first to last."""

@@ -36,7 +36,7 @@ import pyarrow as pa
 
 from ssduck.errors import RecordError, record_errors
 from ssduck.recording.buffers import TickBuffer
-from ssduck.recording.episode import Episode
+from ssduck.recording.episode import Episode, extent_of
 from ssduck.recording.opened_record import FileStatus, file_status
 from ssduck.recording.paths import (
     check_inside,
@@ -88,6 +88,8 @@ RESCUE = (
 @dataclass(frozen=True)
 class FolderRun:
     """A run of a world that is recorded in a folder.
+
+    Whatever reads a file that is missing or damaged raises a RecordError.
 
     Attributes:
         path: the folder.
@@ -146,11 +148,7 @@ class FolderRun:
 
     @property
     def tables(self) -> tuple[str, ...]:
-        """The tables that have parts, `ticks` among them.
-
-        Raises:
-            RecordError: the file that describes the episode is damaged.
-        """
+        """The tables that have parts, `ticks` among them."""
         return tuple(self.description["tables"])
 
     @property
@@ -184,9 +182,6 @@ class FolderRun:
         """The rows of the part that is not complete, by table; nothing if there are none.
 
         They have the columns that differ from tick to tick.
-
-        Raises:
-            RecordError: a file of the log is missing or damaged.
         """
         return self._parts_and_log[1]
 
@@ -278,11 +273,7 @@ class FolderRun:
 
     @property
     def has_ticks(self) -> bool:
-        """Whether anything was stored, and all of it if an export wrote it.
-
-        Raises:
-            RecordError: the file that describes the episode is damaged.
-        """
+        """Whether anything was stored, and all of it if an export wrote it."""
         return not self.is_empty and self._has_rows and not self.is_unfinished_export
 
     @property
@@ -290,22 +281,14 @@ class FolderRun:
         return bool(part_numbers(self.place("ticks"))) or is_log(self.place(LOG))
 
     def files(self, table: str) -> list[Path]:
-        """Returns the files of a table, of complete parts only.
-
-        Raises:
-            RecordError: a file is missing or damaged.
-        """
+        """Returns the files of a table, of complete parts only."""
         files = self.listed_files(table)
         self.check(table, map(part_number, files))
         return files
 
     @record_errors()
     def listed_files(self, table: str) -> list[Path]:
-        """Returns the files of a table, of complete parts only; looks into none of them.
-
-        Raises:
-            RecordError: a file is missing.
-        """
+        """Returns the files of a table, of complete parts only; looks into none of them."""
         place, numbers = self.place(table), self._parts_of(table)
         check_inside(self.path, place)
         present = files_in(self.path, place) if numbers and place.is_dir() else set()
@@ -319,11 +302,7 @@ class FolderRun:
         return label_of(self.key, table, number)
 
     def check(self, table: str, numbers: Iterable[int]) -> None:
-        """Checks that the files of parts are there and complete, with right footers.
-
-        Raises:
-            RecordError: a file is missing or damaged.
-        """
+        """Checks that the files of parts are there and complete, with right footers."""
         for number in numbers:
             footer, problem = self._footer_of(table, number)
             if footer is None or problem is not None:
@@ -331,23 +310,14 @@ class FolderRun:
             checked_parquet(str(self.place(table) / part_name(number)), footer, table)
 
     def check_data(self, table: str, numbers: Iterable[int]) -> None:
-        """Checks all bytes of the files of parts.
-
-        Raises:
-            RecordError: a file is missing or damaged.
-        """
+        """Checks all bytes of the files of parts."""
         for number in numbers:
             problem = self.problem(table, number)
             if problem is not None:
                 raise self._error_of(table, number, problem)
 
     def problem(self, table: str, number: int) -> str | None:
-        """Returns what is wrong with the file of a part, all of which is read; None for nothing.
-
-        Args:
-            table: the table, or the model such as `models/entities`.
-            number: the number of the part.
-        """
+        """Returns what is wrong with the file of a part, all of which is read; None for nothing."""
         file = self.place(table) / part_name(number)
         try:
             check_inside(self.path, file)
@@ -392,22 +362,14 @@ class FolderRun:
         return RecordError(f"{self.place(table) / part_name(number)} {problem}{hint}")
 
     def read(self, table: str) -> pa.Table:
-        """Returns all rows of a table, with NULL for NaN.
-
-        Raises:
-            RecordError: a file is missing or damaged, or there is none.
-        """
+        """Returns all rows of a table, with NULL for NaN."""
         files = self.listed_files(table)
         if not files:
             raise RecordError(f"{self.place(table)} has no complete part: nothing was stored")
         return with_nulls(pa.concat_tables(self._rows(table, files)))
 
     def parts_of(self, table: str) -> Iterator[pa.Table]:
-        """Yields the rows of each complete part of a table, checked.
-
-        Raises:
-            RecordError: a file is missing or damaged.
-        """
+        """Yields the rows of each complete part of a table, checked."""
         for file in self.listed_files(table):
             yield from self._rows(table, [file])
 
@@ -416,11 +378,7 @@ class FolderRun:
         return [rows_of_part(file, table, self._content_of(table, file)) for file in files]
 
     def ticks(self) -> tuple[list[int], TickBuffer]:
-        """Returns the first tick of each part, then of the log if it has rows, and all ticks.
-
-        Raises:
-            RecordError: a file is damaged, or nothing was stored.
-        """
+        """Returns the first tick of each part, then of the log if it has rows, and all ticks."""
         files = self.listed_files("ticks")
         check_inside(self.path, self.place(INDEX))
         parts = []
@@ -441,24 +399,20 @@ class FolderRun:
 
     @property
     def episode(self) -> Episode:
-        """The description of the episode.
-
-        Raises:
-            RecordError: a file is damaged.
-        """
+        """The description of the episode."""
         run = FolderRun(self.path, self.world, self.number)  # as it is now
         ticks = run.ticks()[1] if run.has_ticks else TickBuffer()
         entities = self.recording.get("entities")
-        return Episode.of(
+        return Episode(
             self.path,
             self.world,
             self.number,
             started=self.description["started"],
-            tables=[table for table in self.tables if table in RECORDABLE],
+            tables=tuple(sorted(table for table in self.tables if table in RECORDABLE)),
             every=self.recording.get("every", 1),
             entities=None if entities is None else tuple(entities),
-            ticks=ticks,
             complete=run.is_complete,
             id=run.id,
-            tags=run.tags,
+            tags=dict(run.tags),
+            **extent_of(ticks),
         )

@@ -36,12 +36,7 @@ _ATTEMPTS = 100
 
 
 class PartLog:
-    """The log of an episode that is being recorded.
-
-    Args:
-        place: the folder of its files.
-        key: the text that identifies the episode.
-    """
+    """The log of an episode that is being recorded."""
 
     def __init__(self, place: Path, key: str) -> None:
         self.place = place
@@ -68,11 +63,7 @@ class PartLog:
         return self._counts[table]
 
     def append(self, part: int, rows: Mapping[str, pa.Table]) -> None:
-        """Stores rows of a part, all or nothing.
-
-        Raises:
-            OSError: the folder cannot be written.
-        """
+        """Stores rows of a part, all or nothing."""
         self.place.mkdir(parents=True, exist_ok=True)
         file = self.place / _file_name(part, len(self._batches))
         label = _label(self._key, file.name)
@@ -82,11 +73,7 @@ class PartLog:
         self._files.append(file)
 
     def clear(self) -> None:
-        """Removes the rows, which a part has now.
-
-        Raises:
-            OSError: a file cannot be removed.
-        """
+        """Removes the rows, which a part has now."""
         self._batches = []
         self._counts.clear()
         while self._files:
@@ -96,13 +83,7 @@ class PartLog:
 
 @dataclass(frozen=True)
 class LogFile:
-    """A file of a log, which was read.
-
-    Attributes:
-        path: where it was.
-        part: the number of the part that gets its rows.
-        rows: the rows of each table.
-    """
+    """A file of a log, which was read."""
 
     path: Path
     part: int
@@ -112,18 +93,7 @@ class LogFile:
 def read_log(
     place: Path, key: str, *, has_checksums: bool, end: int | None = None
 ) -> list[LogFile]:
-    """Returns the files of a log, in order.
-
-    Args:
-        place: the folder of the files.
-        key: the text that identifies the episode.
-        has_checksums: whether the files must have checksums.
-        end: the number of files that are read; None for all.
-
-    Raises:
-        RecordError: a file is damaged, of another episode, missing before others, or listed by a
-            store that does not have it.
-    """
+    """Returns the files of a log, in order."""
     before: list[Path] = []
     for _ in range(_ATTEMPTS):
         listed = log_files(place)[:end]
@@ -145,11 +115,7 @@ def is_log(place: Path) -> bool:
 
 
 def following_rows(files: Sequence[LogFile], part: int) -> dict[str, pa.Table]:
-    """Returns the rows of a part that is incomplete, by table; nothing if there are none.
-
-    Raises:
-        RecordError: a file is missing before others.
-    """
+    """Returns the rows of a part that is incomplete, by table; nothing if there are none."""
     chosen = [file for file in files if file.part == part]
     for number, file in enumerate(chosen):
         if _numbers(file.path)[1] != number:

@@ -132,9 +132,6 @@ def check_statistics(
         files: the files, of episodes of one world.
         table: the table, or `models/<table>`.
         found: of files that were read, what values some columns have; others are read now.
-
-    Raises:
-        RecordError: a footer says what is not so, or a part has a Bloom filter or a page index.
     """
     expected, places = part_columns(table), _by_path(files)
     depth = _NAMES_OF_OBJECT if isinstance(files[0], ObjectPath) else 0

@@ -83,12 +83,6 @@ class RecordFile:
     ) -> None:
         """Checks a table, once.
 
-        Args:
-            connection: reads the file.
-            schema: the schema of the table.
-            table: the name of the table.
-            expected: the types of the columns that it is to have, by name.
-
         Raises:
             RecordError: it is no base table, lacks columns, or has too many values to be read.
         """
@@ -115,11 +109,7 @@ class RecordFile:
         table: str,
         expected: Mapping[str, ColumnType],
     ) -> pa.Table:
-        """Returns the rows of a table with the columns that it is to have.
-
-        Raises:
-            RecordError: see `check`; or it has too many values to be read.
-        """
+        """Returns the rows of a table with the columns that it is to have."""
         self.check(connection, schema, table, expected)
         place = self.place(schema, table)
         values = self.rows[schema, table] * len(expected)
@@ -133,11 +123,7 @@ class RecordFile:
         return connection.rows(f"SELECT {listed} FROM {place}")  # noqa: S608
 
     def check_size(self, source: str, values: int) -> None:
-        """Checks that a number of values fits into memory.
-
-        Raises:
-            RecordError: they are too many.
-        """
+        """Checks that a number of values fits into memory."""
         if values > MAX_VALUES:
             raise RecordError(f"{source} is damaged: it has {values:,} values, too many to be read")
 

@@ -138,11 +138,7 @@ def _are_equal(found: pa.Array, model: pa.Array, places: Integers) -> bool:
 
 
 class RowChecks:
-    """Checks rows against the models of the entities of a record.
-
-    Args:
-        members: the recorded entities, by id.
-    """
+    """Checks rows against the models of the entities of a record."""
 
     def __init__(self, members: Mapping[int, EntityInfo]) -> None:
         self._members = members

@@ -110,16 +110,7 @@ def unreadable_because(file: Path, error: OSError) -> str:
 
 
 def rows_of_part(file: Path, table: str, content: bytes) -> pa.Table:
-    """Returns the rows of a part from its content, with the columns that it is to have.
-
-    Args:
-        file: the file, to begin the message.
-        table: the table, or `models/<table>`.
-        content: the bytes of the file.
-
-    Raises:
-        RecordError: see `checked_parquet`; or it is damaged elsewhere.
-    """
+    """Returns the rows of a part from its content, with the columns that it is to have."""
     types = {name: ARROW_TYPES[type] for name, type in part_columns(table).items()}
     part = checked_parquet(str(file), content, table)
     try:
@@ -170,16 +161,7 @@ def _value_count(metadata: pq.FileMetaData, table: str) -> int:
 
 
 def check_stream(source: str, schema: pa.Schema, table: str) -> None:
-    """Checks the columns of the rows of a log.
-
-    Args:
-        source: the file and the table, to begin the message.
-        schema: the columns.
-        table: the table.
-
-    Raises:
-        RecordError: a column is missing or of another type.
-    """
+    """Checks the columns of the rows of a log."""
     booleans = RECORDED[table].tick_columns.booleans
     present = [
         (name, "boolean" if type == "uint8" and name in booleans else type)
@@ -214,9 +196,6 @@ def _is_list(type: pa.DataType) -> bool:
 
 def parts_of(values: pa.Array) -> list[pa.Array]:
     """Returns the columns within one of a nested type; the elements of lists are one after another.
-
-    Args:
-        values: the column.
 
     Returns:
         The columns; none for another type.

@@ -23,13 +23,16 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError
+from ssduck.recording.episode import extent_of
 from ssduck.recording.paths import check_inside, part_number
-from ssduck.recording.stores.atomic_files import write_atomically
 from ssduck.recording.stores.checksums import write_json
 from ssduck.recording.stores.descriptions import (
+    TEXT,
     Description,
     Value,
     check_description,
+    is_names,
+    is_whole,
     read_description,
 )
 from ssduck.recording.stores.object_store import ObjectPath, file_system, reading
@@ -115,18 +118,13 @@ def summary_of(
         run: the episode.
         files: the files of its parts.
         are_whole: whether their bytes have their checksums.
-
-    Raises:
-        RecordError: a file is missing or damaged, or there are no ticks.
     """
     models = {table: run.read(f"models/{table}") for table in MODELS}
     order = np.argsort(models["entities"]["id"].to_numpy(), kind="stable")
     names = models["entities"]["name"].take(pa.array(order)).to_pylist()
-    ticks = run.ticks()[1]
-    first, last = ticks.numbers[[0, -1]].tolist()
-    start, end = ticks.times[[0, -1]].tolist()
     group = _group_of(run, models) if are_whole else None
-    return EpisodeSummary(len(ticks), first, last, start, end, tuple(names), group, files)
+    extent = extent_of(run.ticks()[1])
+    return EpisodeSummary(**extent, entities=tuple(names), group=group, files=files)
 
 
 def _group_of(run: FolderRun, models: Mapping[str, pa.Table]) -> str | None:
@@ -160,15 +158,7 @@ def present_at_end(rows: pa.Table) -> npt.NDArray[np.int64]:
 
 
 def write_summary(run: FolderRun, checksums: Mapping[str, int]) -> None:
-    """Writes the summary of an episode that has been closed.
-
-    Args:
-        run: the episode.
-        checksums: the CRC-32 of each file of a part, by its name in the record.
-
-    Raises:
-        RecordError: a file is missing or damaged, or the summary cannot be written.
-    """
+    """Writes the summary of an episode that has been closed."""
     files = {
         name: StoredFile(name, *size_and_time(run.path / name), checksum)
         for name, checksum in checksums.items()
@@ -177,17 +167,13 @@ def write_summary(run: FolderRun, checksums: Mapping[str, int]) -> None:
     content |= {"key": run.key, "files": {name: astuple(file)[1:] for name, file in files.items()}}
     place = run.path / summary_name(run)
     place.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(place, lambda file: write_json(content, file))
+    write_json(content, place)
 
 
 def read_summary(run: FolderRun, listing: Listing) -> EpisodeSummary | None:
     """Returns the summary of an episode; None if it is missing, damaged or of other files.
 
     It may come from a stranger, with the record: it says no more of an episode than a manifest may.
-
-    Args:
-        run: the episode.
-        listing: the files of the episode that are there.
     """
     file = run.path / summary_name(run)
     if summary_name(run) not in listing or run.removed_parts:
@@ -212,33 +198,27 @@ def _is_number(value: Any) -> bool:
     return type(value) is float and math.isfinite(value)
 
 
-def _is_whole(value: Any, end: int = 1 << 53) -> bool:
-    return type(value) is int and 0 <= value < end
-
-
 def _is_file(value: Any) -> bool:
     return (
         isinstance(value, list)
         and len(value) == len(_FILE_ENDS)
-        and all(map(_is_whole, value, _FILE_ENDS))
+        and all(type(number) is int for number in value)
+        and all(0 <= number < end for number, end in zip(value, _FILE_ENDS, strict=True))
     )
 
 
 # No size, time or checksum reaches these.
 _FILE_ENDS = (1 << 53, 1 << 63, 1 << 32)
-_WHOLE = Value("a whole number", _is_whole)
+_WHOLE = Value("a whole number", lambda value: is_whole(value, 0))
 _NUMBER = Value("a number", _is_number)
 _SUMMARY: Description = {
-    "key": Value("a text", lambda value: isinstance(value, str)),
-    "ticks": Value("a number of ticks", lambda value: _is_whole(value) and value > 0),
+    "key": TEXT,
+    "ticks": Value("a number of ticks", lambda value: is_whole(value, 1)),
     "first_tick": _WHOLE,
     "last_tick": _WHOLE,
     "start": _NUMBER,
     "end": _NUMBER,
-    "entities": Value(
-        "a list of names",
-        lambda value: isinstance(value, list) and all(isinstance(name, str) for name in value),
-    ),
+    "entities": Value("a list of names", is_names),
     "group": Value("a text, or null", lambda value: value is None or isinstance(value, str)),
     "files": Value(
         "an object of files",

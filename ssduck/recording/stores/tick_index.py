@@ -34,12 +34,7 @@ _LABEL = b"ssduck index"
 
 
 class TickIndex:
-    """The index of an episode that is being recorded.
-
-    Args:
-        place: its folder.
-        key: the text that identifies the episode.
-    """
+    """The index of an episode that is being recorded."""
 
     def __init__(self, place: Path, key: str) -> None:
         self._file = index_file(place)
@@ -47,11 +42,7 @@ class TickIndex:
         self._parts: list[pa.Table] = []
 
     def add(self, ticks: pa.Table) -> None:
-        """Adds the ticks of a part; writes the index if it is time.
-
-        Raises:
-            OSError: the folder cannot be written.
-        """
+        """Adds the ticks of a part; writes the index if it is time."""
         part = pa.array(np.full(ticks.num_rows, len(self._parts)))
         rows = pa.table([part, *(ticks[name] for name in _COLUMNS)], names=["part", *_COLUMNS])
         self._parts.append(rows)
@@ -59,11 +50,7 @@ class TickIndex:
             self.write()
 
     def write(self) -> None:
-        """Writes the ticks so far, unless they are few.
-
-        Raises:
-            OSError: the folder cannot be written.
-        """
+        """Writes the ticks so far, unless they are few."""
         if len(self._parts) < MIN_PARTS:
             return
         self._file.parent.mkdir(parents=True, exist_ok=True)
@@ -72,14 +59,7 @@ class TickIndex:
 
 
 def indexed_ticks(place: Path, key: str, parts: int, *, has_checksums: bool) -> list[pa.Table]:
-    """Returns the numbers and times of the ticks of each part that an index knows, in order.
-
-    Args:
-        place: the folder of the index.
-        key: the text that identifies the episode.
-        parts: the number of parts that are there.
-        has_checksums: whether the index must have checksums.
-    """
+    """Returns the numbers and times of the ticks of each part that an index knows, in order."""
     file = index_file(place)
     if not file.is_file():
         return []
@@ -113,15 +93,7 @@ def _by_part(rows: pa.Table, parts: Sequence[int]) -> list[pa.Table]:
 
 
 def checked_ticks(rows: pa.Table, source: str) -> TickBuffer:
-    """Returns the ticks of a record in order.
-
-    Args:
-        rows: their numbers and times, `tick` and `time`.
-        source: the file or folder that has them, to begin the message.
-
-    Raises:
-        RecordError: a number or a time is missing or out of bounds, or they do not ascend.
-    """
+    """Returns the ticks of a record in order."""
     if rows["tick"].null_count or rows["time"].null_count:
         raise RecordError(f"{source} is damaged: a tick lacks its number or its time")
     numbers, times = rows["tick"].to_numpy(), rows["time"].to_numpy()
