@@ -24,7 +24,7 @@ from ssduck.recording.background_writer import BackgroundWriter, BufferedRows
 from ssduck.recording.buffers import MAX_BUFFERED_ROWS, RowBuffer, TickBuffer, new_buffer
 from ssduck.recording.mass_changes import MassChanges
 from ssduck.recording.row_selection import RecordedRows
-from ssduck.recording.spec import RETENTION_PARTS, Recording
+from ssduck.recording.spec import RETENTION_PARTS, Recording, quarters_of
 from ssduck.recording.static_tables import IdProvider
 from ssduck.recording.stores.base import PairRequest, TickArchive, TickStore
 from ssduck.schema import OFTEN_UNKNOWN
@@ -374,17 +374,14 @@ class Recorder:
         buffered = self._buffers["ticks"].count + len(self._pending)
         if not buffered:
             return False
-        recording = self.recording
-        if recording.seconds is not None:
-            start = self.ticks.times[-buffered]
-            if time - start >= recording.seconds / RETENTION_PARTS:
-                return True
-        if isinstance(recording.max_bytes, int) and not self._pending:
-            size = sum(buffer.count * buffer.row_bytes for buffer in self._buffers.values())
-            if size * (1 + self._most_pending / buffered) > recording.max_bytes / RETENTION_PARTS:
-                return True
-        quarter = self._max_ticks if recording.ticks is None else recording.ticks // RETENTION_PARTS
-        return buffered >= min(self._max_ticks, self._most_buffered, max(quarter, 1))
+        if buffered >= min(self._max_ticks, self._most_buffered):
+            return True
+        size = 0.0
+        if not self._pending:
+            stored = sum(buffer.count * buffer.row_bytes for buffer in self._buffers.values())
+            size = stored * (1 + self._most_pending / buffered)
+        seconds = time - float(self.ticks.times[-buffered])
+        return quarters_of(self.recording, buffered, seconds, size) >= 1.0
 
     def _first_tick_to_keep(self) -> int | None:
         """Returns the first tick to keep; None if all are kept."""

@@ -112,6 +112,25 @@ def with_size_limit(recording: Recording, *, in_memory: bool) -> Recording:
     return replace(recording, max_bytes=DEFAULT_MAX_BYTES if is_limited else None)
 
 
+def quarters_of(recording: Recording, ticks: int, seconds: float, size: float) -> float:
+    """Returns how many quarters of what is retained some rows fill, by the nearest limit.
+
+    Args:
+        recording: has the limits; without one, there is nothing to fill.
+        ticks: the number of their ticks.
+        seconds: their simulated time, s.
+        size: their size, bytes.
+    """
+    filled = [0.0]
+    if recording.ticks is not None:
+        filled.append(ticks / max(recording.ticks // RETENTION_PARTS, 1))
+    if recording.seconds is not None:
+        filled.append(seconds / (recording.seconds / RETENTION_PARTS))
+    if isinstance(recording.max_bytes, int):
+        filled.append(size / (recording.max_bytes / RETENTION_PARTS))
+    return max(filled)
+
+
 def bytes_before_dropping(recording: Recording) -> float:
     """Returns the largest size of stored rows, bytes, that leaves room for the buffered ones."""
     if not isinstance(recording.max_bytes, int):

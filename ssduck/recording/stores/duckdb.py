@@ -19,7 +19,7 @@ import pyarrow as pa
 
 from ssduck.recording.background_writer import NO_LOCK, CommitLock
 from ssduck.recording.buffers import TickBuffer
-from ssduck.recording.spec import RETENTION_PARTS, Recording, bytes_before_dropping
+from ssduck.recording.spec import RETENTION_PARTS, Recording, bytes_before_dropping, quarters_of
 from ssduck.recording.static_tables import IdProvider
 from ssduck.recording.stores.base import (
     BufferViews,
@@ -155,16 +155,11 @@ class DuckDBStore(TickStore, TickArchive):
         if not self._slot_ticks:
             self._used_slots[-1] = self._used_slots[-1][0], tick
             return
-        count, seconds = self._slot_ticks, self._slot_times[1] - self._slot_times[0]
-        recording = self.recording
-        is_full = recording.ticks is not None and count >= recording.ticks // RETENTION_PARTS
-        # Batches end a tick before a quarter is over.
-        if recording.seconds is not None and seconds >= recording.seconds / RETENTION_PARTS / 2:
-            is_full = True
-        if isinstance(recording.max_bytes, int):
-            is_full |= self._slot_bytes[-1] >= recording.max_bytes / RETENTION_PARTS
+        # Batches end a tick before a quarter is over: half of its time is enough.
+        seconds = 2.0 * (self._slot_times[1] - self._slot_times[0])
+        filled = quarters_of(self.recording, self._slot_ticks, seconds, self._slot_bytes[-1])
         free = set(range(SLOTS)) - {number for number, _ in self._used_slots}
-        if is_full and free:
+        if filled >= 1.0 and free:
             self._used_slots.append((free.pop(), tick))
             self._slot_bytes.append(0)
             self._slot_ticks = 0

@@ -18,7 +18,7 @@ import pyarrow as pa
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.recording.background_writer import NO_LOCK, BufferedRows, CommitLock
 from ssduck.recording.buffers import RowBuffer, buffer_schema
-from ssduck.recording.spec import RETENTION_PARTS, Recording, bytes_before_dropping
+from ssduck.recording.spec import Recording, bytes_before_dropping, quarters_of
 from ssduck.recording.static_tables import IdProvider
 from ssduck.recording.stores.base import (
     PAIR_COLUMNS,
@@ -106,15 +106,9 @@ class MemoryStore(TickStore, TickArchive):
         """Checks whether further ticks are joined with the last part, as it is small."""
         if not self._parts or max(map(_last_rows, self._stored.values())) > _MIN_ROWS:
             return False
-        recording = self.recording
         size += sum(stored.parts[-1].nbytes for stored in self._stored.values())
-        if isinstance(recording.max_bytes, int) and size > recording.max_bytes / RETENTION_PARTS:
-            return False
         ticks += self._stored["ticks"].parts[-1].num_rows
-        if recording.ticks is not None and ticks > recording.ticks // RETENTION_PARTS:
-            return False
-        seconds = end - self._parts[-1][1]
-        return recording.seconds is None or seconds <= recording.seconds / RETENTION_PARTS
+        return quarters_of(self.recording, ticks, end - self._parts[-1][1], size) <= 1.0
 
     def drop_before(self, tick: int) -> int:
         """Drops parts whose ticks are all older; returns the first tick of the oldest one left."""

@@ -6,6 +6,7 @@ file of a few bytes may claim any number of rows.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from functools import cache, lru_cache
 from pathlib import Path
@@ -213,9 +214,8 @@ def parts_of(values: pa.Array) -> list[pa.Array]:
 def with_nulls(rows: pa.Table) -> pa.Table:
     """Returns rows with NULL for unknown numbers, which may be NaN: SQL takes that for a number."""
     for place, column in enumerate(rows.columns):
-        if pa.types.is_floating(column.type):
-            unknown = pc.is_nan(column)
-            if pc.any(unknown).as_py():
-                known = pc.if_else(unknown, pa.scalar(None, column.type), column)
-                rows = rows.set_column(place, rows.column_names[place], known)
+        # A sum that is a number has no NaN in it.
+        if column.type == pa.float64() and math.isnan(pc.sum(column).as_py() or 0.0):
+            known = pc.if_else(pc.is_nan(column), pa.scalar(None, column.type), column)
+            rows = rows.set_column(place, rows.column_names[place], known)
     return rows
