@@ -14,6 +14,7 @@ from functools import lru_cache
 from sqlglot import exp
 
 from ssduck.language.intervals import ABOUT_INTERVALS, INTERVALS, RELATIONS_OF_INTERVALS
+from ssduck.recording.stores.history_sql import quoted
 from ssduck.schema import MODELS, TABLES
 from ssduck.sql.from_clause import pair_table
 from ssduck.sql.relations.geometry_query import COLLIDING, WITHIN, PairKind, PairSearch
@@ -97,7 +98,7 @@ TABLE_MACROS = (
 
 
 def _dotted(path: Sequence[str], name: str) -> str:
-    return ".".join(exp.to_identifier(part, quoted=True).sql("duckdb") for part in (*path, name))
+    return ".".join(map(quoted, (*path, name)))
 
 
 @lru_cache(maxsize=16)

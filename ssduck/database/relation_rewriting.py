@@ -29,6 +29,7 @@ from sqlglot import exp
 from sqlglot.tokenizer_core import Token, TokenType
 
 from ssduck.database.statement_names import Scope, Source, WorldNames, is_inner, is_one_sided
+from ssduck.recording.stores.history_sql import quoted
 from ssduck.schema import ID_FACTOR
 from ssduck.sql.exists_conditions import ExistsCondition, NamedColumns, exists_condition
 from ssduck.sql.from_clause import pair_table
@@ -189,10 +190,10 @@ class _Call:
         entity, places = self.entities[outer], [1 - outer]
         joined = f" CROSS JOIN {self._pair_table(search, name)}"
         if exists.reads_outer:
-            joined += f" CROSS JOIN {_quoted(self.schema)}.entities AS {_quoted(entity.text)}"
+            joined += f" CROSS JOIN {quoted(self.schema)}.entities AS {quoted(entity.text)}"
             places.append(outer)
         column = f"{name} {'ab'[outer]}"
-        selected = f"{_quoted(name)}.{_quoted(column)}"
+        selected = f"{quoted(name)}.{quoted(column)}"
         # Of a row that a LEFT JOIN did not find, the id is NULL, and nothing exists.
         yield Edit(exists.start, exists.list_start, f"COALESCE({_id_of(entity)} IN (")
         yield Edit(exists.list_start, exists.list_end, f"SELECT {selected} ")
@@ -221,8 +222,8 @@ class _Call:
 
     def _is_in_pair(self, place: int, name: str) -> str:
         """Returns the condition that an entity is that of a row of a table of pairs."""
-        column = _quoted(f"{name} {'ab'[place]}")
-        return f"{_id_of(self.entities[place])} = {_quoted(name)}.{column}"
+        column = quoted(f"{name} {'ab'[place]}")
+        return f"{_id_of(self.entities[place])} = {quoted(name)}.{column}"
 
     @property
     def is_joined(self) -> bool:
@@ -312,7 +313,7 @@ class _Call:
             return
         hidden = {j.this.alias_or_name for j in self.scope.joins if j.kind in ("SEMI", "ANTI")}
         sources = [s.text for s in self.scope.sources.values() if s.text not in hidden]
-        columns = ", ".join(f"{_quoted(source)}.*" for source in sources)
+        columns = ", ".join(f"{quoted(source)}.*" for source in sources)
         for star in select.expressions:
             if isinstance(star, exp.Star):
                 start = star.meta["start"]
@@ -497,8 +498,4 @@ def _entity_value(schema: str, alias: str) -> SqlValue:
 
 
 def _id_of(entity: Source) -> str:
-    return f"{_quoted(entity.text)}.id"
-
-
-def _quoted(name: str) -> str:
-    return exp.to_identifier(name, quoted=True).sql("duckdb")
+    return f"{quoted(entity.text)}.id"

@@ -13,6 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from ssduck.adapters.result import Result, python_values
+from ssduck.database.fetched_rows import ARROW_TYPES
 from ssduck.database.values import SchemaOf, common_sql_type, to_sql
 from ssduck.errors import ArgumentError
 from ssduck.language.analysis import aliases_of
@@ -179,15 +180,8 @@ def _element_type(elements: Sequence[Any], schema_of: SchemaOf) -> SqlType:
         return ANY
     if sql_type.type == "record":
         return sql_type
-    return (
-        sql_type
-        if (sql_type.comes_back and sql_type.element is not None) or _is_scalar(sql_type)
-        else ANY
-    )
-
-
-def _is_scalar(sql_type: SqlType) -> bool:
-    return sql_type.type in ("entity", "double", "integer", "string", "boolean")
+    is_empty = sql_type.type == "list" and sql_type.element is None
+    return sql_type if sql_type.comes_back and not is_empty else ANY
 
 
 def arrow_table(elements: Sequence[Any], sql_type: SqlType) -> pa.Table:
@@ -203,17 +197,7 @@ def arrow_table(elements: Sequence[Any], sql_type: SqlType) -> pa.Table:
 def _arrow_type(sql_type: SqlType) -> pa.DataType:
     if sql_type.type == "list":
         return pa.list_(_arrow_type(sql_type.element or INTEGER))
-    return _ARROW_TYPES[sql_type.type]
-
-
-_ARROW_TYPES = {
-    "entity": pa.int64(),
-    "integer": pa.int64(),
-    "double": pa.float64(),
-    "number": pa.float64(),
-    "string": pa.string(),
-    "boolean": pa.bool_(),
-}
+    return ARROW_TYPES[sql_type.duckdb_type]
 
 
 def with_present_ticks(values: Sequence[Any], elements: Sequence[Any]) -> list[Any]:
