@@ -1,7 +1,8 @@
 """Checks the arguments of public functions.
 
 NumPy's numbers count as Python's. True, False and texts of digits are not numbers.
-Each function takes the value and the name of the argument for the message, such as "run: seconds".
+Each function takes the value and the name of the argument for the message, such as "run: seconds",
+and raises an ArgumentError that has it.
 """
 
 from __future__ import annotations
@@ -39,9 +40,6 @@ def no_others(
         function: the name of the function.
         known: the names of its own arguments.
         instead: what to write for names that users of other libraries know.
-
-    Raises:
-        ArgumentError: there is one.
     """
     for name in given:
         told = instead.get(name, f"the arguments are {joined_names(known)}")
@@ -71,9 +69,6 @@ def integer(
         maximum: the upper bound; None for no bound.
         expected: the description of a right value in the message; by default the bounds.
 
-    Raises:
-        NumberError: the value is no integer, or out of bounds.
-
     >>> integer(3, "show: rows", minimum=0)
     3
     >>> integer(-1, "show: rows", minimum=0)
@@ -89,11 +84,7 @@ def integer(
 
 
 def tick_interval(value: Any, argument: str) -> int | None:
-    """Returns the number of steps between two ticks, 1 or more, or None.
-
-    Raises:
-        ArgumentError: the value is no such number.
-    """
+    """Returns the number of steps between two ticks, 1 or more, or None."""
     if value is None:
         return None
     return integer(value, argument, minimum=1, expected="number of steps; 1 or more")
@@ -107,9 +98,6 @@ def step_count(value: Any, argument: str, call_with_seconds: str) -> int:
         argument: the name of the argument, which begins the message.
         call_with_seconds: the call that takes seconds, with {} in their place; the message
             suggests it for a number that is no integer.
-
-    Raises:
-        NumberError: the value is no integer, negative, or more than `MAX_STEPS`.
 
     >>> step_count(0.5, "step", "run({})")
     Traceback (most recent call last):
@@ -133,9 +121,6 @@ def steps_in(seconds: float, timestep: float, argument: str) -> int:
         seconds: the duration, s.
         timestep: the length of a step, s.
         argument: the name of the argument, which begins the message.
-
-    Raises:
-        NumberError: the steps are more than `MAX_STEPS`.
     """
     count = seconds / timestep + 0.5
     if not count < MAX_STEPS:
@@ -144,11 +129,7 @@ def steps_in(seconds: float, timestep: float, argument: str) -> int:
 
 
 def finite_number(value: Any, argument: str, unit: str) -> float:
-    """Returns a finite number; the message names its unit, for example "seconds".
-
-    Raises:
-        NumberError: the value is no finite number.
-    """
+    """Returns a finite number; the message names its unit, for example "seconds"."""
     number = as_float(value)
     if number is None or not math.isfinite(number):
         raise NumberError(f"{argument}: {short_repr(value)} is no finite number of {unit}")
@@ -156,22 +137,14 @@ def finite_number(value: Any, argument: str, unit: str) -> float:
 
 
 def duration(value: Any, argument: str) -> float:
-    """Returns a finite duration of 0 s or more.
-
-    Raises:
-        NumberError: the value is none.
-    """
+    """Returns a finite duration of 0 s or more."""
     if not _is_duration(value):
         raise NumberError(f"{argument}: {short_repr(value)} is no time; seconds, 0 or more")
     return float(value)
 
 
 def positive_number(value: Any, argument: str, expected: str) -> float:
-    """Returns a finite number above 0; the message names the expected kind of value.
-
-    Raises:
-        NumberError: the value is none.
-    """
+    """Returns a finite number above 0; the message names the expected kind of value."""
     number = as_float(value)
     if number is None or not 0.0 < number < math.inf:
         raise NumberError(f"{argument}: {short_repr(value)} is no {expected}")
@@ -179,11 +152,7 @@ def positive_number(value: Any, argument: str, expected: str) -> float:
 
 
 def picture_size(width: Any, height: Any, argument: str) -> tuple[int, int]:
-    """Returns the width and height of a picture, pixels.
-
-    Raises:
-        NumberError: one is no integer from 1 to `MAX_PIXELS`.
-    """
+    """Returns the width and height of a picture, pixels."""
     return (
         integer(width, f"{argument}: width", minimum=1, maximum=MAX_PIXELS),
         integer(height, f"{argument}: height", minimum=1, maximum=MAX_PIXELS),
@@ -201,9 +170,6 @@ def number(value: Any, subject: str, unit: str = "") -> float:
         subject: the argument as the subject of the message: "an age".
         unit: the unit of the number in the message; none by default.
 
-    Raises:
-        ArgumentError: the value is no finite number.
-
     >>> number("2", "an age", "seconds")
     Traceback (most recent call last):
     ssduck.errors.ArgumentError: an age is a number of seconds, not '2'
@@ -218,11 +184,7 @@ def number(value: Any, subject: str, unit: str = "") -> float:
 
 
 def seconds(value: Any, subject: str = "an age") -> float:
-    """Returns a finite number of seconds, which may be negative.
-
-    Raises:
-        ArgumentError: the value is none.
-    """
+    """Returns a finite number of seconds, which may be negative."""
     return number(value, subject, "seconds")
 
 
@@ -235,9 +197,6 @@ def number_list(values: Any, count: int, subject: str, expected: str) -> list[fl
         subject: the argument as the subject of the message.
         expected: the description of a right list in the message.
 
-    Raises:
-        ArgumentError: the values are no such list.
-
     >>> number_list([1, 2], 3, "size", "[x, y, z]")
     Traceback (most recent call last):
     ssduck.errors.ArgumentError: size is [x, y, z], not [1, 2]
@@ -248,11 +207,7 @@ def number_list(values: Any, count: int, subject: str, expected: str) -> list[fl
 
 
 def length(value: Any, subject: str) -> float:
-    """Returns a finite length above 0 m.
-
-    Raises:
-        ArgumentError: the value is none.
-    """
+    """Returns a finite length above 0 m."""
     result = number(value, subject)
     if result <= 0.0:
         raise ArgumentError(f"{subject} is above 0 m, not {short_repr(value)}")
@@ -260,11 +215,7 @@ def length(value: Any, subject: str) -> float:
 
 
 def integer_between(value: Any, subject: str, minimum: int, maximum: int) -> int:
-    """Returns an integer within bounds, which are included.
-
-    Raises:
-        ArgumentError: the value is no integer, or out of bounds.
-    """
+    """Returns an integer within bounds, which are included."""
     if not is_integer(value) or not minimum <= value <= maximum:
         raise ArgumentError(
             f"{subject} is a whole number from {minimum} to {maximum}, not {short_repr(value)}"
@@ -273,22 +224,14 @@ def integer_between(value: Any, subject: str, minimum: int, maximum: int) -> int
 
 
 def integer_above_0(value: Any, rule: str) -> int:
-    """Returns an integer above 0; the message is the rule and the value.
-
-    Raises:
-        NumberError: the value is none.
-    """
+    """Returns an integer above 0; the message is the rule and the value."""
     if not is_integer(value) or value < 1:
         raise NumberError(f"{rule}, not {short_repr(value)}")
     return int(value)
 
 
 def number_above_0(value: Any, rule: str, *, may_be_infinite: bool = False) -> float:
-    """Returns a number above 0; the message is the rule and the value.
-
-    Raises:
-        NumberError: the value is none, or infinite.
-    """
+    """Returns a number above 0; the message is the rule and the value."""
     result = as_float(value)
     if result is None or not result > 0.0 or not (may_be_infinite or math.isfinite(result)):
         raise NumberError(f"{rule}, not {short_repr(value)}")
@@ -297,9 +240,6 @@ def number_above_0(value: Any, rule: str, *, may_be_infinite: bool = False) -> f
 
 def finite_array(values: Any, count: int, argument: str) -> npt.NDArray[np.float64]:
     """Returns finite numbers as an array of shape (count,).
-
-    Raises:
-        StateError: the values are no such numbers; the message begins with `argument`.
 
     >>> finite_array([0, 0, 1], 3, "cup: position")
     array([0., 0., 1.])
@@ -320,9 +260,6 @@ def finite_array(values: Any, count: int, argument: str) -> npt.NDArray[np.float
 def boolean(value: Any, argument: str) -> bool:
     """Returns True or False; 1 and 0 stand for them.
 
-    Raises:
-        ArgumentError: the value is none of these.
-
     >>> boolean(1, "Interpreter: strict")
     True
     """
@@ -332,31 +269,20 @@ def boolean(value: Any, argument: str) -> bool:
 
 
 def path(value: Any, argument: str) -> str:
-    """Returns a path as text.
-
-    Raises:
-        ArgumentError: the value is neither a text nor a path.
-    """
+    """Returns a path as text."""
     if not isinstance(value, str | PathLike):
         raise ArgumentError(f"{argument}: {short_repr(value)} is no path")
     return str(value)
 
 
 def instance(value: Any, kind: type, argument: str) -> None:
-    """Checks that a value is None or of a class.
-
-    Raises:
-        ArgumentError: the value is neither.
-    """
+    """Checks that a value is None or of a class."""
     if value is not None and not isinstance(value, kind):
         raise ArgumentError(f"{argument}: {short_repr(value)} is no {kind.__name__}")
 
 
 def function(value: Any, argument: str) -> Callable[..., Any]:
     """Returns a callable.
-
-    Raises:
-        ArgumentError: the value cannot be called.
 
     >>> function(3, "add_trigger: callback")
     Traceback (most recent call last):
@@ -375,9 +301,6 @@ def identifier(value: Any, owner: str) -> str:
         value: the value to check.
         owner: the owner of the name in the message, for example "a variable".
 
-    Raises:
-        ArgumentError: the value is no such name.
-
     >>> identifier("2nd", "a variable")
     Traceback (most recent call last):
     ssduck.errors.ArgumentError: '2nd' cannot be a variable's name: letters, digits and _ only
@@ -390,11 +313,7 @@ def identifier(value: Any, owner: str) -> str:
 
 
 def world_name(name: Any) -> str:
-    """Returns the name of a world, whose tables are a schema of that name.
-
-    Raises:
-        ArgumentError: it is no name, or DuckDB has a schema or database of that name.
-    """
+    """Returns the name of a world, whose tables are a schema of that name."""
     if identifier(name, "a world").casefold() in _SCHEMAS:
         raise ArgumentError(
             f"a world cannot have the name {name!r}: DuckDB has a schema or database so named, "
@@ -409,9 +328,6 @@ def text(value: Any, rule: str) -> str:
     Args:
         value: the value to check.
         rule: the beginning of the message: "eval takes a text".
-
-    Raises:
-        ArgumentError: the value is no text.
 
     >>> text(3, "eval takes a text")
     Traceback (most recent call last):
@@ -429,9 +345,6 @@ def sequence(value: Any, length: int, rule: str) -> list[Any] | tuple[Any, ...]:
         value: the value to check.
         length: the number of elements.
         rule: the beginning of the message: "bounds are [low, high]".
-
-    Raises:
-        ArgumentError: the value is no such list.
     """
     if not isinstance(value, list | tuple) or len(value) != length:
         raise ArgumentError(f"{rule}, not {short_repr(value)}")
@@ -444,9 +357,6 @@ def mapping(value: Any, rule: str) -> Mapping[Any, Any]:
     Args:
         value: the value to check.
         rule: the beginning of the message: "velocities are given in a dict".
-
-    Raises:
-        ArgumentError: the value is no dict.
     """
     if not isinstance(value, Mapping | None):
         raise ArgumentError(f"{rule}, not as {short_repr(value)}")

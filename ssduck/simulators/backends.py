@@ -91,11 +91,7 @@ class Backend(Protocol):
     """
 
     def load(self, scene: Scene) -> Simulator:
-        """Starts a simulation of a scene.
-
-        Raises:
-            SceneError: the scene cannot be loaded: key and reason.
-        """
+        """Starts a simulation of a scene."""
 
     def attach(
         self,
@@ -120,11 +116,6 @@ class Backend(Protocol):
                 nothing runs that world any more.
             originals: the bodies, in load order.
             tick: the time of the tick and its flags.
-
-        Raises:
-            SimulatorError: the source does not answer, or there is no room for another simulation.
-            UnsupportedError: a body is soft.
-            SceneError: a model file can no longer be loaded.
         """
 
     def scene_of(
@@ -145,25 +136,14 @@ class Backend(Protocol):
             tick: the time of the tick and its flags.
             folder: the folder of the scene.
             target: the name of the simulator that is to load the scene.
-
-        Raises:
-            UnsupportedError: the other simulator has no models of this kind.
         """
 
     def visual_shapes(self, simulator: Simulator, body: Body) -> list[VisualShape]:
-        """Returns what a simulation of this backend draws of a body; the mesh files are read.
-
-        Raises:
-            SimulatorError: the simulation does not answer.
-        """
+        """Returns what a simulation of this backend draws of a body; the mesh files are read."""
 
 
 def backend(name: str = DEFAULT_BACKEND) -> Backend:
-    """Returns the backend of a name in `BACKENDS`.
-
-    Raises:
-        UnknownNameError: there is no such backend; with the nearest names.
-    """
+    """Returns the backend of a name in `BACKENDS`."""
     if name not in BACKENDS:
         raise UnknownNameError(
             f"there is no simulator {name!r}; the simulators are {', '.join(BACKENDS)}",

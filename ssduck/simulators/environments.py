@@ -75,11 +75,7 @@ class Environments(Protocol):
         """The names of the arrays of a state."""
 
     def update(self, states: States, arrays: Mapping[str, Any]) -> None:
-        """Takes the states that are read from now on.
-
-        Raises:
-            ArgumentError: an array is of another name, shape or type, or one is missing.
-        """
+        """Takes the states that are read from now on."""
 
     def reset(self, environments: Indices) -> None:
         """Notes that some environments begin a new episode, at the next states."""
@@ -103,11 +99,7 @@ class Environments(Protocol):
         """
 
     def check_joints(self, body: Body) -> None:
-        """Checks that the positions of a body's joints are known.
-
-        Raises:
-            ArgumentError: they are not.
-        """
+        """Checks that the positions of a body's joints are known."""
 
     @property
     def knows_contacts(self) -> bool:
@@ -207,9 +199,6 @@ def to_numpy(value: Any, name: str) -> npt.NDArray[Any]:
     Args:
         value: the array.
         name: its name, for messages.
-
-    Raises:
-        ArgumentError: it is none, or not of numbers.
     """
     if isinstance(value, np.ndarray):
         array = value
@@ -257,9 +246,6 @@ def checked(value: Any, name: str, shape: tuple[int | str, ...]) -> npt.NDArray[
         value: the array.
         name: its name, for messages.
         shape: its shape; a text stands for any number.
-
-    Raises:
-        ArgumentError: it has another shape; the message says what each axis is.
     """
     array = to_numpy(value, name)
     fits = array.ndim == len(shape) and all(
@@ -277,11 +263,7 @@ def checked(value: Any, name: str, shape: tuple[int | str, ...]) -> npt.NDArray[
 
 
 def times_of(time: Any, count: int) -> Array:
-    """Returns the simulated times of environments, s, (count,), from one number or an array.
-
-    Raises:
-        ArgumentError: there are other numbers of them, or one is not finite.
-    """
+    """Returns the simulated times of environments, s, (count,), from one number or an array."""
     given = to_numpy(time, "tick: time")
     times = checked(given, "tick: time", (count,)) if given.ndim else np.full(count, given)
     if not np.isfinite(times).all():
@@ -290,11 +272,7 @@ def times_of(time: Any, count: int) -> Array:
 
 
 def check_lengths(orientations: npt.NDArray[Any], name: str) -> None:
-    """Checks that quaternions (n, m, 4) are of length 1; NaN is of a state that diverged.
-
-    Raises:
-        ArgumentError: one is not.
-    """
+    """Checks that quaternions (n, m, 4) are of length 1; NaN is of a state that diverged."""
     w, x, y, z = (orientations[..., axis] for axis in range(4))
     squares = w * w + x * x + y * y + z * z
     if not (np.abs(squares - 1.0) <= _LENGTH_TOLERANCE).all():

@@ -78,11 +78,7 @@ class EntityJoints:
     positions: Sequence[float]
 
     def position(self, name: str) -> float | None:
-        """Returns the position of a joint, rad or m; None if it is unknown.
-
-        Raises:
-            JointError: there is no such joint, or its position is not one number.
-        """
+        """Returns the position of a joint, rad or m; None if it is unknown."""
         joint, position = self._find(name)
         if joint.type not in SCALAR_JOINTS:
             raise JointError(
@@ -92,11 +88,7 @@ class EntityJoints:
         return None if math.isnan(position) else position
 
     def openness(self, name: str) -> float | None:
-        """Returns the openness of a joint; None if its position is unknown.
-
-        Raises:
-            JointError: there is no such joint, or it has no limits.
-        """
+        """Returns the openness of a joint; None if its position is unknown."""
         joint, position = self._find(name)
         fraction = openness(joint, position)
         if fraction is None:
@@ -132,11 +124,7 @@ class EntityJoints:
 
 
 def check_joints(spec: BodySpec, joints: Sequence[Joint], place: str) -> None:
-    """Checks that the bodies of a scene entry can have their joints as the entry says.
-
-    Raises:
-        SceneError: there is no such joint, or it cannot be at such a position.
-    """
+    """Checks that the bodies of a scene entry can have their joints as the entry says."""
     model = "" if isinstance(spec.model, Primitive) else spec.model.name
     for key in ("joints", "held"):
         for name, value in getattr(spec, key).items():

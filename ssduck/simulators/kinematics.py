@@ -47,20 +47,13 @@ def parse_pose(values: Sequence[float], of: str) -> Pose:
     """Returns the pose of the numbers w, x, y, z, x, y, z.
 
     The orientation is scaled to unit length.
-
-    Raises:
-        StateError: these are not seven finite numbers, or the orientation is all 0.
     """
     numbers = validation.finite_array(values, 7, f"{of}: pose w, x, y, z, x, y, z")
     return numbers[4:], unit(numbers[:4], of)
 
 
 def unit(orientation: Array, of: str) -> Array:
-    """Returns a quaternion, scaled to unit length.
-
-    Raises:
-        StateError: all its numbers are 0.
-    """
+    """Returns a quaternion, scaled to unit length."""
     # Otherwise the squares of huge numbers would be infinite, and those of tiny ones 0.
     largest = float(np.abs(orientation).max())
     if largest < 1e-9:
@@ -76,12 +69,6 @@ def joint_positions(values: JointValues, body: Body, name: str) -> dict[int, flo
         values: positions by joint name, or one for each revolute or prismatic joint, in order.
         body: the body that has the joints.
         name: the name of the body in errors.
-
-    Raises:
-        UnknownNameError: there is no joint of a name; with the nearest names.
-        ArgumentError: there are too many values or too few, or a joint's position is not one
-            number.
-        StateError: a value is not finite, or beyond the joint's limits.
     """
     joints = _joints_by_name(body)
     if not isinstance(values, Mapping):
@@ -228,9 +215,6 @@ def moved_link_poses(
         joints: the changes of joint positions, rad or m, by the index of the joint.
         states: the present positions and velocities of all joints, (joints, 2 or more); needed
             where a link with several joints moves.
-
-    Raises:
-        UnsupportedError: a link with several joints moves, and the position of one is unknown.
     """
     old = link_poses.states_at(link_poses.positions, np.arange(len(body.links)))
     parents = np.array([link.parent for link in body.links], dtype=np.intp)

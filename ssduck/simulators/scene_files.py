@@ -64,9 +64,6 @@ def check_scene_inside(scene: str | Path, folder: Path | None = None) -> None:
     Args:
         scene: the file, or its folder.
         folder: the folder; None for the one that the path of the file names.
-
-    Raises:
-        SceneError: the file is a link to one elsewhere, or too large.
     """
     file = scene_file(Path(scene))
     own = Path(os.path.realpath(file.parent if folder is None else folder))
@@ -84,10 +81,6 @@ def check_files_inside(scene: Scene) -> tuple[Path, ...]:
 
     Returns:
         The files that it may read, and others of such names in the folder.
-
-    Raises:
-        SceneError: a file is elsewhere, is no regular file, or cannot be checked; or there are so
-            many names, or so large files, that this would take long.
     """
     files = _SceneFiles(scene.path.resolve().parent)
     for body in scene.bodies:

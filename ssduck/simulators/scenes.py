@@ -198,10 +198,6 @@ def find_scene(name: str | Path) -> Scene:
 
     >>> find_scene("kitchen").name
     'kitchen'
-
-    Raises:
-        UnknownNameError: there is no such scene and no such file; with the nearest shipped names.
-        SceneError: the file cannot be used: file, key and reason.
     """
     shipped = shipped_scenes()
     if str(name) in shipped:
@@ -240,11 +236,7 @@ def _is(path: Path, check: Callable[[Path], bool]) -> bool:
 
 
 def read_scene(path: Path) -> Scene:
-    """Reads a scene file.
-
-    Raises:
-        SceneError: with file, key and reason.
-    """
+    """Reads a scene file."""
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:  # a TOMLDecodeError is a ValueError
@@ -326,9 +318,6 @@ def check_body(name: str, bodies: Collection[str] | None, place: str) -> None:
         name: the name.
         bodies: the names of the bodies; None if they are not known yet.
         place: the key that has the name, with its file.
-
-    Raises:
-        SceneError: there is no such body, with the nearest names.
     """
     if bodies is not None and name not in bodies:
         raise SceneError(
@@ -366,11 +355,7 @@ def _constraint(table: TomlTable, bodies: Collection[str] | None) -> ConstraintS
 
 
 def read_sensor(values: Mapping[str, Any], bodies: Collection[str]) -> SensorSpec:
-    """Reads a sensor from the values of a `[[sensor]]` table.
-
-    Raises:
-        SceneError: key and reason.
-    """
+    """Reads a sensor from the values of a `[[sensor]]` table."""
     return _sensor(TomlTable(None, "", dict(values)), bodies)
 
 

@@ -125,11 +125,7 @@ class BatchExpressions:
     # -- evaluation -------------------------------------------------------------------------
 
     def answers(self) -> list[Answers]:
-        """Returns the values of the expressions.
-
-        Raises:
-            SelectScriptError: an expression fails in an environment, whose number the error has.
-        """
+        """Returns the values of the expressions."""
         execution = self._execution
         with execution.lock, self._world.lock:  # in this order, as other programs
             if not execution.is_running:
@@ -261,11 +257,7 @@ class BatchExpressions:
 
 
 def plain(value: Any, node: Node) -> Any:
-    """Returns a value that is no entity: a handle has one world, and no environment.
-
-    Raises:
-        UnsupportedError: it is one.
-    """
+    """Returns a value that is no entity: a handle has one world, and no environment."""
     for part in value if isinstance(value, list) else ():
         plain(part, node)
     if isinstance(value, Handle | World):
@@ -400,11 +392,7 @@ def per_environment(execution: Execution, name: str, count: int) -> bool:
 
 
 def per_environment_values(execution: Execution, name: str, count: int) -> Array:
-    """Returns the values of such a variable, (n,) or (n, length).
-
-    Raises:
-        ArgumentError: it is none any more.
-    """
+    """Returns the values of such a variable, (n,) or (n, length)."""
     if not per_environment(execution, name, count):
         raise ArgumentError(
             f"{name} had a value for each of {count} environments, and is now "
@@ -415,11 +403,7 @@ def per_environment_values(execution: Execution, name: str, count: int) -> Array
 
 
 def without_unknown(answers: Answers, what: str) -> Array:
-    """Returns values; unknown numbers are NaN.
-
-    Raises:
-        ArgumentError: it is unknown whether a condition holds.
-    """
+    """Returns values; unknown numbers are NaN."""
     values, unknown = answers.values, answers.unknown
     if not unknown.any():
         return values

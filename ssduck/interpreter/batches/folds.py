@@ -32,11 +32,7 @@ class ArrayFold:
 
 
 def fold_of(name: str) -> ArrayFold:
-    """Returns a function of time without a state.
-
-    Raises:
-        UnsupportedError: it needs the record of all ticks, which a batch has not.
-    """
+    """Returns a function of time without a state."""
     match name:
         case "since" | "heldFor":
             held = _Since()

@@ -32,11 +32,7 @@ class BatchPrograms:
         self._compiled: WeakKeyDictionary[Program, _Compiled] = WeakKeyDictionary()
 
     def batch_of(self, program: Program) -> BatchWorld | None:
-        """Returns the batch that a program reads; None if it reads none.
-
-        Raises:
-            UnsupportedError: it reads several.
-        """
+        """Returns the batch that a program reads; None if it reads none."""
         names = frozenset().union(*map(variables_of, program.statements))
         values = [self._execution.variable_or_none(name) for name in names]
         if any("getTime" in calls_of(statement) for statement in program.statements):
@@ -48,11 +44,7 @@ class BatchPrograms:
         return batches[0] if batches else None
 
     def value(self, program: Program, world: BatchWorld) -> Any:
-        """Returns the value of a program over a batch.
-
-        Raises:
-            SelectScriptError: it fails in an environment, whose number the error has.
-        """
+        """Returns the value of a program over a batch."""
         execution = self._execution
         with execution.transaction(program), world.lock:
             if program.explain:

@@ -57,12 +57,7 @@ class BatchQuery:
         return Call(item.span, "to", (item, Literal(item.span, ENV)), item.span)
 
     def value(self) -> Any:
-        """Returns the result of the query in its form; the caller has the lock of the batch.
-
-        Raises:
-            UnsupportedError: the form is of a single world.
-            SelectScriptError: the query fails in an environment, whose number the error has.
-        """
+        """Returns the result of the query in its form; the caller has the lock of the batch."""
         form = as_clause_of(self._query, Frame(self._execution))
         if form.adapter.needs not in ("rows", "columns"):
             raise UnsupportedError(

@@ -31,10 +31,6 @@ def batch_table(world: BatchWorld, name: str) -> pa.Table:
     Args:
         world: the batch.
         name: the table.
-
-    Raises:
-        UnsupportedError: a batch does not have it.
-        ArgumentError: the states lack it.
     """
     if name not in _MADE_BY:
         raise UnsupportedError(

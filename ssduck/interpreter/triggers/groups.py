@@ -92,11 +92,7 @@ class Formula:
         return None if self.group is None else self.group.rows_of(self.place)
 
     def value(self) -> Any:
-        """Returns the result of the program for the rows of its last evaluation.
-
-        Raises:
-            SelectScriptError: the program fails for these rows.
-        """
+        """Returns the result of the program for the rows of its last evaluation."""
         rows = [] if self.found is None else self.found.values
         query, planned, form, frame = self._planned
         execution = frame.scope

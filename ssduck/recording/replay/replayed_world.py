@@ -159,10 +159,6 @@ class ReplayedWorld(PastWorld):
 
         Args:
             time: the simulated time, s.
-
-        Raises:
-            EvaluationError: no tick of that time is recorded.
-            ArgumentError: the time is no finite number.
         """
         time = validation.seconds(time, "a time")
         with self.lock:

@@ -65,12 +65,7 @@ class BatchedFile:
     table: str
 
     def content(self) -> memoryview:
-        """Returns the bytes of the file.
-
-        Raises:
-            OSError: it cannot be read.
-            RecordError: they are not those that the manifest knows, or those of another part.
-        """
+        """Returns the bytes of the file."""
         if is_address(self.path):
             content = memoryview(ObjectPath(self.path).read_bytes())
         else:
@@ -130,11 +125,7 @@ class ReadPart:
         return len(self.content) + values * _VALUE_BYTES
 
     def rows(self, names: Sequence[str] | None = None) -> pa.Table:
-        """Returns the rows, of some columns or of all.
-
-        Raises:
-            RecordError: it lacks columns of the table, or claims more rows than a part has.
-        """
+        """Returns the rows, of some columns or of all."""
         names = self.parquet.schema_arrow.names if names is None else names
         missing = [name for name in names if name not in self.columns]
         if missing:

@@ -160,12 +160,7 @@ def checksum_of(file: Path, left_out: int = 0) -> int:
 
 
 def content_of(file: Path) -> bytes:
-    """Returns the bytes of a file of a record.
-
-    Raises:
-        RecordError: it has more bytes than it can have.
-        OSError: it cannot be read.
-    """
+    """Returns the bytes of a file of a record."""
     check_opening()
     if not isinstance(file, ObjectPath):  # which is bounded when it is opened
         problem = size_problem(file, file.stat().st_size)
@@ -200,12 +195,7 @@ def _told_size(footer: bytes | None) -> int:
 
 
 def verified_parquet(file: Path, *, has_checksums: bool) -> pq.ParquetFile:
-    """Returns a Parquet file, which is in memory and was checked.
-
-    Raises:
-        RecordError: the file is damaged.
-        OSError: it cannot be read.
-    """
+    """Returns a Parquet file, which is in memory and was checked."""
     content = content_of(file)
     problem = content_problem(content, has_checksums=has_checksums)
     if problem is not None:

@@ -119,11 +119,7 @@ DATABASE_EPISODE: Description = {
 
 
 def read_description(file: Path) -> dict[str, Any]:
-    """Returns the JSON object in a file.
-
-    Raises:
-        RecordError: the file cannot be read, or has no JSON object.
-    """
+    """Returns the JSON object in a file."""
     check_opening()
     if not file.is_file():  # a pipe would be waited for
         raise RecordError(f"{file} cannot be read: there is no such file")
@@ -151,10 +147,6 @@ def change_description(file: Path, change: Callable[[dict[str, Any]], Mapping[st
     """Replaces the JSON object in a file by what a function makes of it.
 
     Of several processes that do so at the same time, each sees what the one before has written.
-
-    Raises:
-        RecordError: the file cannot be read, or has no JSON object.
-        OSError: it cannot be written.
     """
     if isinstance(file, ObjectPath):
         source = str(file)
@@ -173,9 +165,6 @@ def parse_description(text: str | bytes, source: str) -> dict[str, Any]:
     Args:
         text: the text; bytes are UTF-8.
         source: what has the text, to begin the message.
-
-    Raises:
-        RecordError: there is no JSON object.
     """
     try:
         decoded = text.decode() if isinstance(text, bytes) else text
@@ -209,9 +198,6 @@ def check_description(
         description: the values that it may have.
         source: what has the object, to begin the message.
         lack: what is missing without a required value, to end the message.
-
-    Raises:
-        RecordError: a value is missing or of the wrong kind.
     """
     for key, value in description.items():
         if key not in content:

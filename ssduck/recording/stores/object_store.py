@@ -236,11 +236,7 @@ class ObjectStream(io.RawIOBase):
 
 @contextmanager
 def reading(path: ObjectPath) -> Iterator[None]:
-    """Makes errors of the library those of a record, which name the object and what to do.
-
-    Raises:
-        ObjectError: the store refuses to read, or fails.
-    """
+    """Makes errors of the library those of a record, which name the object and what to do."""
     try:
         yield
     except RecordError:
@@ -362,12 +358,7 @@ class _ChangedMeanwhileError(Exception):
 
 
 def create_object(place: ObjectPath, content: bytes) -> bool:
-    """Creates an object unless there is one; returns whether there was none.
-
-    Raises:
-        RecordError: boto3 is not installed.
-        OSError: the store refuses it.
-    """
+    """Creates an object unless there is one; returns whether there was none."""
     try:
         with _answers(place):
             _client().put_object(**_address(place), Body=content, IfNoneMatch="*")
@@ -380,10 +371,6 @@ def change_object(place: ObjectPath, change: Callable[[bytes], bytes]) -> None:
     """Replaces the content of an object by what a function makes of it.
 
     If somebody else changes the object meanwhile, it is read and changed again.
-
-    Raises:
-        RecordError: boto3 is not installed; others changed the object each time.
-        OSError: there is no such object, or the store refuses it.
     """
     for _ in range(ATTEMPTS):
         with _answers(place):

@@ -81,11 +81,7 @@ class RecordFile:
         table: str,
         expected: Mapping[str, ColumnType],
     ) -> None:
-        """Checks a table, once.
-
-        Raises:
-            RecordError: it is no base table, lacks columns, or has too many values to be read.
-        """
+        """Checks a table, once."""
         key = schema, table
         if key not in self._checked:
             check_opening()

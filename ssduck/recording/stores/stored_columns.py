@@ -60,9 +60,6 @@ def check_columns(
         source: the file, and the table if the file has several, to begin the message.
         present: the names of its columns, and their types: of `ColumnType`, or any other text.
         expected: the types of the columns that it is to have, by name.
-
-    Raises:
-        RecordError: a column is missing, twice there, in another case, or of another type.
     """
     found: dict[str, str] = {}
     folded = {name.casefold(): name for name in expected}
@@ -94,11 +91,7 @@ def unreadable(source: object, error: Exception) -> RecordError:
 
 
 def unreadable_because(file: Path, error: OSError) -> str:
-    """Returns what is wrong with a file of a record that cannot be read, for an error.
-
-    Raises:
-        RecordPermissionError: the file may not be read; a repair must not drop it.
-    """
+    """Returns what is wrong with a file of a record that cannot be read, for an error."""
     if isinstance(error, RecordPermissionError):
         raise error
     if isinstance(error, PermissionError):
@@ -131,10 +124,6 @@ def checked_parquet(source: str, content: bytes | memoryview, table: str) -> pq.
         source: the file, to begin the message.
         content: its bytes, or its footer with the magic number at its end.
         table: the table, or `models/<table>`.
-
-    Raises:
-        RecordError: the footer is damaged, a column is missing or of another type, or the part has
-            too many rows to be read.
     """
     try:
         part = pq.ParquetFile(pa.BufferReader(content))

@@ -21,12 +21,7 @@ _TOLERANCE = 1e-9
 def drive(
     model: Any, data: Any, entity: str, targets: Mapping[int, tuple[Joint, MotorTarget]]
 ) -> None:
-    """Sets the controls of position and velocity actuators of joints, by MuJoCo's numbers.
-
-    Raises:
-        UnsupportedError: a joint has no actuator of the kind, or an effort is not the model's.
-        StateError: a control is beyond its range.
-    """
+    """Sets the controls of position and velocity actuators of joints, by MuJoCo's numbers."""
     controls = {}
     for number, (joint, target) in targets.items():
         place = f"{entity}: joint {joint.name!r}"

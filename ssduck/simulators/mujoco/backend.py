@@ -45,10 +45,6 @@ def load(scene: Scene) -> MuJoCoSimulator:
 
     An MJCF file by itself begins with the key `ssduck`, if it has one, as those that `World.save`
     writes.
-
-    Raises:
-        SceneError: MuJoCo cannot load a file.
-        UnsupportedError: the scene has what MuJoCo's model does not get.
     """
     file = _mjcf_file(scene)
     if file is None:
@@ -114,13 +110,7 @@ def attach(
     shapes: ShapesByBody | None = None,
     forward: bool = False,
 ) -> MuJoCoSimulator:
-    """Wraps the user's own model and data.
-
-    Raises:
-        SimulatorError: there is no model with data.
-        UnknownNameError: no entity has a name; with the nearest names.
-        ArgumentError: a number is not that of a root, a kind is unknown, or shapes are given.
-    """
+    """Wraps the user's own model and data."""
     if shapes:
         raise ArgumentError("attach: shapes: MuJoCo gives all of its shapes; leave them out")
     forward = validation.boolean(forward, "attach: forward")
@@ -178,11 +168,7 @@ def scene_of(
     folder: Path,
     target: str,
 ) -> Scene:
-    """Describes a simulation as a scene of an MJCF file, without its sensors.
-
-    Raises:
-        UnsupportedError: the scene is for PyBullet, or the source of the model is not known.
-    """
+    """Describes a simulation as a scene of an MJCF file, without its sensors."""
     from ssduck.simulators.mujoco import saving  # few sessions need it
 
     assert isinstance(simulator, MuJoCoSimulator)

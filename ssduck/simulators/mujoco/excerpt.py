@@ -26,12 +26,7 @@ from ssduck.simulators.mujoco.simulator import MuJoCoSimulator
 def excerpt(
     source: Simulator | None, originals: Sequence[BodyToCopy], tick: TickToCopy
 ) -> MuJoCoSimulator:
-    """Starts a simulation of some bodies as they are at a tick; see `Backend.excerpt`.
-
-    Raises:
-        UnsupportedError: the simulation is gone, a body is of an earlier model, or the position of
-            a joint at the tick is unknown.
-    """
+    """Starts a simulation of some bodies as they are at a tick; see `Backend.excerpt`."""
     if not isinstance(source, MuJoCoSimulator):
         raise UnsupportedError("a record holds no MuJoCo model: copy entities of the running world")
     earlier = [one.name for one in originals if not source.has(one.body)]

@@ -195,11 +195,7 @@ def holds(model: Any, data: Any) -> Iterator[tuple[int, int, int]]:
 
 
 def hold(model: Any, data: Any, poses: Any, holding: int, held: int) -> None:
-    """Welds two bodies, by their numbers, together as they are in other data, `poses`.
-
-    Raises:
-        UnsupportedError: the model has no weld that is free.
-    """
+    """Welds two bodies, by their numbers, together as they are in other data, `poses`."""
     welds = spare_welds(model)
     free = [number for number in welds if not data.eq_active[number]]
     if not free:

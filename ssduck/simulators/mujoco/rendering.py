@@ -67,11 +67,7 @@ class Viewpoint:
 def draw(
     model: Any, data: Any, viewpoint: Viewpoint, size: tuple[int, int], *, shadow: bool
 ) -> npt.NDArray[np.uint8]:
-    """Returns a colour picture, (height, width, 3).
-
-    Raises:
-        UnsupportedError: there is no OpenGL.
-    """
+    """Returns a colour picture, (height, width, 3)."""
     with _renderer(model, data, viewpoint, size) as renderer:
         renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadow
         picture: npt.NDArray[np.uint8] = renderer.render().copy()

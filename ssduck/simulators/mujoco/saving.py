@@ -68,9 +68,6 @@ def write_model(model: Any, data: Any, spec: Any, kinds: Mapping[str, str], file
             MuJoCo read last.
         kinds: the kinds of entities whose joints do not tell them, by the names of their roots.
         file: the file; the folder `ASSETS` beside it gets meshes and pictures.
-
-    Raises:
-        UnsupportedError: the source of the model is not known, or one of its files is not there.
     """
     welds = list(_welds(model, data))
     root = ET.fromstring(_source(_without_holds(model), spec))  # noqa: S314  # MuJoCo wrote it

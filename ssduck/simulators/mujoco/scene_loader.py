@@ -77,12 +77,7 @@ class LoadedModel:
 
 
 def load_bodies(scene: Scene) -> LoadedModel:
-    """Makes a model of the bodies of a scene.
-
-    Raises:
-        SceneError: a model cannot be loaded, or has no such joints: file, key and reason.
-        UnsupportedError: MuJoCo loads no such scenes.
-    """
+    """Makes a model of the bodies of a scene."""
     _check_supported(scene)
     builder = _Builder({"world", FLOOR, *(str(body.name) for body in scene.bodies if body.name)})
     spec = builder.spec

@@ -28,11 +28,7 @@ __all__ = ["attach", "environments", "excerpt", "load", "scene_of", "visual_shap
 
 
 def load(scene: Scene) -> PyBulletSimulator:
-    """Starts a PyBullet simulation of a scene.
-
-    Raises:
-        SceneError: a model cannot be loaded: file, key and reason.
-    """
+    """Starts a PyBullet simulation of a scene."""
     with new_client() as client:
         loaded = load_models(scene, client)
         return PyBulletSimulator(
@@ -55,13 +51,7 @@ def attach(
     shapes: ShapesByBody | None = None,
     forward: bool = False,
 ) -> PyBulletSimulator:
-    """Wraps the user's own client: its number, or an object that holds it as `_client`.
-
-    Raises:
-        SimulatorError: the client is not connected.
-        SelectScriptError: a number is not that of a body, or a kind is unknown.
-        ArgumentError: a shape is not valid, or a forward pass is requested.
-    """
+    """Wraps the user's own client: its number, or an object that holds it as `_client`."""
     if forward:
         raise ArgumentError("attach: forward is for MuJoCo; PyBullet has the poses of its time")
     number = getattr(client, "_client", client)

@@ -87,11 +87,7 @@ def describe(
     saved: SavedShapes | None = None,
     user_shapes: UserShapes | None = None,
 ) -> BodyDescription:
-    """Reads a body.
-
-    Raises:
-        ArgumentError: the user gives a shape that the body does not have.
-    """
+    """Reads a body."""
     saved = saved or SavedShapes(client, [handle])
     return _BodyReader(client, handle, name, saved, user_shapes or {}).read(kind)
 

@@ -15,11 +15,7 @@ from ssduck.errors import SimulatorError
 
 @contextmanager
 def new_client() -> Iterator[int]:
-    """Connects a new client, and disconnects it if the body of the `with` statement fails.
-
-    Raises:
-        SimulatorError: PyBullet has no room for another client.
-    """
+    """Connects a new client, and disconnects it if the body of the `with` statement fails."""
     client = _connected()
     if client < 0:
         # Worlds that are no longer referenced keep their clients until they are collected.

@@ -140,12 +140,7 @@ _MESHES = "a trimesh.Trimesh, (vertices, faces), the path of a mesh file, or a l
 def user_shapes(
     client: int, handles: Sequence[int], shapes: ShapesByBody | None
 ) -> dict[int, UserShapes]:
-    """Returns the user's own shapes by body.
-
-    Raises:
-        ArgumentError: a key is not valid, there is no such body or link, two keys select the same
-            shapes, or a value is not a mesh.
-    """
+    """Returns the user's own shapes by body."""
     by_body: dict[int, dict[tuple[int, int | None], Sequence[Geometry]]] = {}
     for key, value in (shapes or {}).items():
         body, link, number = _key(client, handles, key)

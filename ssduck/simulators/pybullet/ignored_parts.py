@@ -212,10 +212,6 @@ def check_numbers(format: str, root: ET.Element) -> list[str]:
 
     PyBullet takes negative masses and sizes that are no numbers as they are, and poses and answers
     are wrong or unknown then.
-
-    Raises:
-        SceneError: a number is not finite, or a mass or a size is negative, or a scale is 0, or a
-            pose has less than six numbers.
     """
     rules = _RULES[format]
     parents = {child: parent for parent in root.iter() for child in parent}

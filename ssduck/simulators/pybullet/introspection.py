@@ -88,11 +88,7 @@ class BodyModel:
 
 
 def model_of(simulator: PyBulletSimulator, body: Body) -> BodyModel:
-    """Returns the model of a body.
-
-    Raises:
-        UnsupportedError: the body is soft.
-    """
+    """Returns the model of a body."""
     client, handle = simulator.client, body.handle
     dynamics = [pybullet.getDynamicsInfo(handle, i, client) for i in range(-1, len(body.joints))]
     if dynamics[0][10] == _SOFT_BODY:

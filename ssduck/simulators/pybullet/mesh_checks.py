@@ -38,11 +38,7 @@ _MAX_NUMBER = 2**31 - 1
 
 
 def check_meshes(model: Path, root: ET.Element) -> None:
-    """Checks the OBJ, STL and COLLADA files that a model file names, where PyBullet finds them.
-
-    Raises:
-        SceneError: a part of one is missing, or a face has a vertex that is not there.
-    """
+    """Checks the OBJ, STL and COLLADA files that a model file names, where PyBullet finds them."""
     for name in _names_in(root):
         file = find_mesh(model, name)
         if file is not None and (fault := mesh_fault(file)):

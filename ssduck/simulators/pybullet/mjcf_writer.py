@@ -52,11 +52,7 @@ _JOINTS = {"revolute": "hinge", "prismatic": "slide", "spherical": "ball"}
 def write_mjcf(
     simulator: PyBulletSimulator, originals: Sequence[BodyToCopy], tick: TickToCopy, file: Path
 ) -> None:
-    """Writes the bodies of a simulation as they are at a tick; meshes into a folder beside.
-
-    Raises:
-        UnsupportedError: a body is soft.
-    """
+    """Writes the bodies of a simulation as they are at a tick; meshes into a folder beside."""
     writer = _Writer(simulator, tick, file.parent / ASSETS)
     for original in originals:
         _Tree(writer, original).write()

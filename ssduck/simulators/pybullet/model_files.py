@@ -73,11 +73,7 @@ class ModelFile:
 
     @classmethod
     def read(cls, spec: BodySpec) -> ModelFile:
-        """Reads the file of a scene entry.
-
-        Raises:
-            SceneError: it is no XML.
-        """
+        """Reads the file of a scene entry."""
         assert isinstance(spec.model, Path)
         try:
             content = spec.model.read_bytes()
@@ -106,9 +102,6 @@ class ModelFile:
 
         Returns:
             What PyBullet leaves out, or takes for 0, in words.
-
-        Raises:
-            SceneError: the file would crash it, or a number is out of bounds.
         """
         _check_formats(self.root)
         if self.format == "mjcf":

@@ -52,11 +52,7 @@ class LoadedModel(NamedTuple):
 
 
 def load_model(spec: BodySpec, place: str, client: int) -> LoadedModel:
-    """Loads the model of a scene entry.
-
-    Raises:
-        SceneError: the model cannot be loaded: file, key and reason.
-    """
+    """Loads the model of a scene entry."""
     if isinstance(spec.model, Primitive):
         with captured():  # PyBullet warns about the picture of a plane, and draws it
             return LoadedModel((_create_primitive(spec, spec.model, client),))

@@ -81,9 +81,6 @@ def replace_meshes(model: Path, format: str, root: ET.Element) -> tuple[bool, li
 
     Returns whether the model has changed, and what is left out, in words. A shape that collides
     stays if its file is not there, so that PyBullet refuses the model.
-
-    Raises:
-        SceneError: a shape that collides is of an unknown kind, and cannot be read.
     """
     changed, told = False, []
     parents = {child: parent for parent in root.iter() for child in parent}

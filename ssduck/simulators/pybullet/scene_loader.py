@@ -196,11 +196,7 @@ def gravity_of(parameters: Mapping[str, float]) -> Vector:
 
 
 def load_body(spec: BodySpec, place: str, loaded: LoadedBodies, client: int) -> Sequence[int]:
-    """Loads a scene entry and returns the numbers of its bodies; a file may hold several.
-
-    Raises:
-        SceneError: the model cannot be loaded: file, key and reason.
-    """
+    """Loads a scene entry and returns the numbers of its bodies; a file may hold several."""
     handles, messages = load_model(spec, place, client)
     if messages and isinstance(spec.model, Path):
         loaded.skipped[spec.model] = messages
