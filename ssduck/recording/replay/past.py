@@ -113,7 +113,11 @@ class Past:
             return numbers[chosen].tolist(), self.record.ticks.times[chosen].tolist()
 
     def check(self) -> None:
-        """Checks that none of the ticks was dropped."""
+        """Checks that none of the ticks was dropped.
+
+        Raises:
+            EvaluationError: some were dropped, or the record was discarded.
+        """
         self.record.check_open()
         numbers = self.record.ticks.numbers
         if not len(numbers) or self.first < numbers[0]:
@@ -135,7 +139,11 @@ class Past:
                 yield world.handle(self.id)
 
     def at(self, tick: int) -> PastWorld:
-        """Returns the world at one of the ticks, by its number."""
+        """Returns the world at one of the ticks, by its number.
+
+        Raises:
+            EvaluationError: the tick is none of them.
+        """
         if not validation.is_integer(tick) or not self.first <= tick <= self.last:
             raise EvaluationError(
                 f"{short_repr(tick)} is none of the ticks {self.first} to {self.last}"
@@ -143,7 +151,12 @@ class Past:
         return self.record.at(tick)
 
     def __getitem__(self, name: str) -> Entity:
-        """Returns the entity of a name at the tick."""
+        """Returns the entity of a name at the tick.
+
+        Raises:
+            UnknownNameError: there is none; suggests the nearest names.
+            ArgumentError: these may be several ticks.
+        """
         if self.is_window:
             world = self.world.name
             raise ArgumentError(

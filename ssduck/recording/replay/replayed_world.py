@@ -159,6 +159,10 @@ class ReplayedWorld(PastWorld):
 
         Args:
             time: the simulated time, s.
+
+        Raises:
+            EvaluationError: no tick of that time is recorded.
+            ArgumentError: the time is no finite number.
         """
         time = validation.seconds(time, "a time")
         with self.lock:

@@ -109,6 +109,10 @@ class TickStore(ABC):
         Args:
             members: entities that were not stored before.
             id_provider: gives the numbers of their run and of their geometries.
+
+        Raises:
+            RecordError: a folder cannot be written.
+            SqlError: a database cannot be written.
         """
 
     @abstractmethod
@@ -121,6 +125,10 @@ class TickStore(ABC):
         Args:
             rows: the rows of each of `tables`, by ascending tick, later than all stored ones.
             commit_lock: is held while the rows become readable.
+
+        Raises:
+            RecordError: a folder cannot be written.
+            SqlError: a database cannot be written.
         """
 
     def append(self, rows: Mapping[str, pa.Table], commit_lock: CommitLock = NO_LOCK) -> None:
@@ -131,10 +139,19 @@ class TickStore(ABC):
         self.add(rows, commit_lock)
 
     def complete(self) -> None:  # noqa: B027  # most stores have one form only
-        """Gives appended rows the form of added ones."""
+        """Gives appended rows the form of added ones.
+
+        Raises:
+            RecordError: a folder cannot be written; the rows remain as they were appended.
+        """
 
     def finish(self) -> None:  # noqa: B027  # a record in memory ends with the process
-        """Marks the record as complete: its recorder was not killed."""
+        """Marks the record as complete: its recorder was not killed.
+
+        Raises:
+            RecordError: a folder cannot be written.
+            SqlError: a database cannot be written.
+        """
 
     def drop_before(self, tick: int) -> int:  # noqa: ARG002  # a folder keeps all ticks
         """Drops rows of ticks before a number, as far as whole parts are older.
