@@ -18,6 +18,8 @@ from ssduck.language.operators import apply, apply_unary, check_size
 from ssduck.language.overrides import BINARY_NAMES
 from ssduck.language.value_keys import ATOMS, NUMPYS, equality_key, python_key, tuple_or_vector
 
+# Sums of squares below this may have lost digits.
+LEAST_SQUARE = 1e-290
 # The largest number of digits of a double before or after the decimal point.
 MAX_DIGITS = 400
 
@@ -163,7 +165,8 @@ def _median(values: list[float]) -> float:
 def _norm(vector: list[float]) -> float:
     # In the order of SQL, with its last bit; newer Pythons' sum rounds in another way.
     total = reduce(operator.add, (x * x for x in vector), 0.0)
-    return math.sqrt(total) if total < math.inf else math.hypot(*vector)
+    is_exact = LEAST_SQUARE <= total < math.inf or not any(vector)
+    return math.sqrt(total) if is_exact else math.hypot(*vector)
 
 
 def _list_function(call: Callable[[Any], Any]) -> Callable[[Any], Any]:

@@ -71,6 +71,7 @@ class Recorder:
         # The ticks whose rows are not in the buffers yet, the largest number of them, and that of
         # buffered ticks.
         self._pending: list[TickState] = []
+        self._write_failure: Exception | None = None
         self._most_pending = self._most_buffered = 1
         columns = {table: buffer.arrow.schema for table, buffer in self._buffers.items()}
         self._writer = BackgroundWriter(store.append, columns)
@@ -135,9 +136,10 @@ class Recorder:
     def settle(self) -> None:
         """Writes the rows of all recorded ticks, for readers of the buffers."""
         if self._pending:
-            with self._lock:
+            with ctrl_c.deferred(), self._lock:  # no row may be lost or written twice
                 if self._write_pending():
                     self.flush()
+                self._raise_write_failure()
 
     def check_masses(self, snapshot: Snapshot) -> None:
         """Compares the masses of a snapshot, which were read anew, with the recorded ones."""
@@ -167,6 +169,13 @@ class Recorder:
             error = error or self._error_of(self.flush)
         if error is not None:
             raise error
+        self._raise_write_failure()
+
+    def _raise_write_failure(self) -> None:
+        """Raises the error of a tick that could not be written, once."""
+        failure, self._write_failure = self._write_failure, None
+        if failure is not None:
+            raise failure
 
     def _follow(self, snapshot: Snapshot, state: TickState) -> bool:
         """Prepares to write the rows of a tick; returns whether rows before have unknown numbers.
@@ -184,12 +193,27 @@ class Recorder:
         return is_unknown
 
     def _write_pending(self) -> bool:
-        """Writes the rows of ticks into the buffers; returns whether they have unknown numbers."""
-        states = self._pending
+        """Writes the rows of ticks into the buffers; returns whether they have unknown numbers.
+
+        A tick whose rows cannot be made is not recorded; its error is raised later.
+        """
+        states, self._pending = self._pending, []
         if not states:
             return False
         assert self._rows is not None
-        rows = self._rows.of_ticks(states)
+        try:
+            rows = self._rows.of_ticks(states)
+        except Exception as error:  # noqa: BLE001  # `_raise_write_failure` raises it
+            if len(states) == 1:
+                self._write_failure = self._write_failure or error
+                is_other = self.ticks.numbers != states[0].number
+                self.ticks.replace(self.ticks.numbers[is_other], self.ticks.times[is_other])
+                return False
+            are_unknown = []
+            for state in states:
+                self._pending = [state]
+                are_unknown.append(self._write_pending())
+            return any(are_unknown)
         counts = {table: -(-len(of_table) // len(states)) for table, of_table in rows.items()}
         self._most_buffered = self._ticks_per_buffer(counts)
         links = max(self._rows.link_count, 1)
@@ -204,7 +228,6 @@ class Recorder:
             if not buffer.has_room(len(of_table)):
                 buffer.reserve(len(of_table), 1)
             buffer.add(of_table)
-        self._pending = []
         often = OFTEN_UNKNOWN.intersection(rows)
         return any(np.isnan(rows[table].doubles).any() for table in rows.keys() - often)
 

@@ -11,6 +11,7 @@ from sqlglot import exp
 
 from ssduck.errors import ArgumentError
 from ssduck.language.analysis import IMPURE, OVER_TIME
+from ssduck.language.builtins import LEAST_SQUARE
 from ssduck.language.overrides import BINARY_SIGNS, UNARY_SIGNS
 from ssduck.language.tree import Binary, Call, Node, Query, Unary
 from ssduck.sql import subqueries
@@ -277,27 +278,26 @@ def _real_function(context: StatementContext, name: str, value: SqlValue) -> Sql
 
 def _exponential(context: StatementContext, value: SqlValue) -> SqlValue:
     """Returns e to the power of a number; where the result is no double it fails, as in Python."""
-    power = exp.Exp(this=copied(double_of(value)))
-    return _unless_above(context, MAX_EXPONENT_OF_E, double_of(value), power)
+    is_above = exp.GT(this=wrapped(double_of(value)), expression=literal(MAX_EXPONENT_OF_E))
+    return _unless(context, is_above, exp.Exp(this=copied(double_of(value))))
 
 
 def _norm(context: StatementContext, elements: Sequence[SqlValue]) -> SqlValue:
-    """Returns the root of a sum of squares; where that overflows, Python's has another way."""
-    squares: list[exp.Expr] = [
-        exp.Mul(this=wrapped(copied(double_of(e))), expression=wrapped(copied(double_of(e))))
-        for e in elements
-    ]
+    """Returns the root of a sum of squares; where that is too large or small, Python has a way."""
+    parts = [wrapped(copied(double_of(e))) for e in elements]
+    squares: list[exp.Expr] = [exp.Mul(this=part, expression=copied(part)) for part in parts]
     total = reduce(lambda a, b: exp.Add(this=a, expression=b), squares)
-    return _unless_above(context, sys.float_info.max, total, exp.Sqrt(this=copied(total)))
+    is_large = exp.GT(this=wrapped(total), expression=literal(sys.float_info.max))
+    is_small = exp.LT(this=wrapped(copied(total)), expression=literal(LEAST_SQUARE))
+    others = [exp.NEQ(this=copied(part), expression=literal(0.0)) for part in parts]
+    fails = exp.or_(is_large, exp.and_(is_small, exp.or_(*others)))
+    return _unless(context, fails, exp.Sqrt(this=copied(total)))
 
 
-def _unless_above(
-    context: StatementContext, limit: float, number: exp.Expr, sql: exp.Expr
-) -> SqlValue:
-    """Returns what is not negative, a failure where a number is above a limit, or NaN."""
+def _unless(context: StatementContext, fails: exp.Expr, sql: exp.Expr) -> SqlValue:
+    """Returns what is not negative, or a failure where a condition holds."""
     context.note_possible_failure()
-    is_above = exp.GT(this=wrapped(number), expression=literal(limit))
-    result = exp.case().when(is_above, failure(DOUBLE)).else_(sql)
+    result = exp.case().when(fails, failure(DOUBLE)).else_(sql)
     return SqlValue(result, DOUBLE, is_non_negative=True)
 
 

@@ -175,7 +175,8 @@ class Handle(PublicNames):
     @property
     def aabb(self) -> tuple[list[float], list[float]]:
         """The lower and the upper corner of the exact axis-aligned box, m, world frame."""
-        return self._numbers("xmin", "zmin"), self._numbers("xmax", "zmax")
+        corners = self._numbers("xmin", "zmax")  # of one tick, whoever takes the next one
+        return corners[:3], corners[3:]
 
     @property
     def mass(self) -> float:

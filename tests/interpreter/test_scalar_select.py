@@ -116,6 +116,7 @@ def set_variables(ss, a, b, c, n, text):
 @example(0.0, -0.0, 0.0, 0, "")
 @example(math.inf, 1.0, -math.inf, 0, "")
 @example(math.inf, math.inf, -1.0, 0, "")
+@example(3e-170, -4e-170, 0.0, 0, "")
 @example(math.nan, 1.0, 2.0, 0, "")
 def test_values_are_those_of_duckdb(ss, a, b, c, n, text):
     set_variables(ss, a, b, c, n, text)

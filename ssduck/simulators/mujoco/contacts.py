@@ -135,7 +135,8 @@ class SleepingContacts:
         # The tree of what does not move is -1: it does not sleep either.
         trees = np.append(model.body_treeid, -1)
         sleepers = is_asleep[trees[:-1]]
-        key = sleepers.tobytes(), data.xpos[sleepers].tobytes(), data.xquat[sleepers].tobytes()
+        poses = data.xpos[sleepers].tobytes(), data.xquat[sleepers].tobytes()
+        key = sleepers.tobytes(), *poses, bytes([model.opt.cone])
         is_awake = ~is_asleep[trees] & (trees >= 0)
         if self._known is None or self._known[0] != key:
             known = _awakened(model, data, owners)

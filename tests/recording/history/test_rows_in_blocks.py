@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 
 import ssduck
 from ssduck import Recording
+from ssduck.recording.buffers import RowBuffer
 from ssduck.schema import RECORDED
 from ssduck.world.world import World
 
@@ -103,3 +105,61 @@ def test_rows_of_the_history_are_those_of_the_ticks(
             found = ss.sql(query).fetchall()
             assert sorted(map(repr, found)) == sorted(repr(tuple(row)) for row in rows)
             assert len(rows) > 99
+
+
+@pytest.fixture
+def falling():
+    """A box that falls onto the floor, with a recorded world that is attached to it."""
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><option cone="elliptic"/><worldbody><geom type="plane" size="3 3 0.1"/>'
+        '<body name="box" pos="0 0 0.1"><freejoint/><geom type="box" size="0.1 0.1 0.1"/></body>'
+        "</worldbody></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    with ssduck.Interpreter() as ss:
+        world = ss.add_variable("sim", ssduck.World.attach(model, data))
+        yield ss, world, model, data
+
+
+def rows_of_ticks(ss, table):
+    (row,) = ss.sql(f"SELECT count(*), count(DISTINCT tick) FROM sim.{table}_history").fetchall()
+    return row
+
+
+def test_a_tick_that_cannot_be_written_loses_no_other(falling):
+    ss, world, model, data = falling
+    errors = 0
+    for number in range(200):
+        mujoco.mj_step(model, data)
+        if number == 50:
+            model.opt.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL  # between a step and its tick
+        try:
+            world.tick()
+        except IndexError:
+            errors += 1
+    assert errors == 1
+    assert rows_of_ticks(ss, "ticks") == (200, 200)  # with the one before the first step
+    assert rows_of_ticks(ss, "entities") == (400, 200)
+    assert ss.eval("heldFor(z(sim.box) > 0.0);") > 0.3
+
+
+def test_ctrl_c_while_rows_are_written_writes_them_once(falling, monkeypatch):
+    ss, world, model, data = falling
+    for _ in range(30):
+        mujoco.mj_step(model, data)
+        world.tick()
+    add, calls = RowBuffer.add, []
+
+    def interrupted(buffer, rows):
+        calls.append(1)
+        if len(calls) == 2:  # between two tables
+            signal.raise_signal(signal.SIGINT)
+        add(buffer, rows)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(RowBuffer, "add", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            ss.sql("SELECT count(*) FROM sim.entities_history")
+    assert len(calls) > 1
+    assert rows_of_ticks(ss, "ticks") == (31, 31)
+    assert rows_of_ticks(ss, "entities") == (62, 31)
