@@ -96,7 +96,8 @@ JOINED = "SELECT a.id + b.id FROM a=kitchen, b=kitchen AS list;"
         (PAIRS, {}, 3),
         (PAIRS, {"rows": 2_000}, 3),
         (JOINED, {}, 0),
-        ("SELECT id(a), max(z(b)) FROM a=kitchen, b=kitchen GROUP BY id(a), id(b) AS list;", {}, 3),
+        # DuckDB makes the groups, and how many there are is not known before.
+        ("SELECT id(a), max(z(b)) FROM a=kitchen, b=kitchen GROUP BY id(a), id(b) AS list;", {}, 0),
     ],
 )
 def test_answers_that_are_surely_small_are_fetched_by_column(program, limits, runs):
