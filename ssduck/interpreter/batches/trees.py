@@ -205,10 +205,7 @@ class TreeCompiler:
             return self._of_list(name, arguments[0])
         if name == "int" and self.of(arguments[0]).kind == "boolean":
             part = self.of(arguments[0])
-            compute = part.compute
-            return replace(
-                part, kind="integer", compute=lambda values: compute(values).astype(np.int64)
-            )
+            return replace(part, kind="integer", compute=operations.integer(part.compute))
         parts = [self._double(argument) for argument in arguments]
         computes = self._computes(parts)
         if name in _NUMBER_FUNCTIONS and len(parts) == 1:
