@@ -18,7 +18,6 @@ from sqlglot import exp
 
 from ssduck.database.fetched_rows import (
     EXECUTE,
-    Bound,
     FetchedRows,
     Header,
     RepeatedStatements,
@@ -323,24 +322,19 @@ class Connection(StatementRunner):
 
     # -- statements -----------------------------------------------------------------------
 
-    def rows(
-        self, sql: str, parameters: Parameters = None, *, bound: Bound | None = None
-    ) -> list[tuple[Any, ...]]:
+    def rows(self, sql: str, parameters: Parameters = None) -> list[tuple[Any, ...]]:
         """Returns all rows of a statement from the translator; the caller pins the worlds.
 
         Args:
             sql: the statement.
             parameters: the values of its parameters.
-            bound: returns the greatest size of its answer; None if that is not known.
         """
         if not sql.startswith(EXECUTE):  # what it names is there
             self.on_demand.provide(sql, self)
 
         def fetch() -> list[tuple[Any, ...]]:
             charge = self.meter.charge if self.has_limited_rows else None
-            return self._repeated.rows(
-                self._connection, sql, parameters, self._max_rows, charge, bound
-            )
+            return self._repeated.rows(self._connection, sql, parameters, self._max_rows, charge)
 
         rows = self._execute(sql, fetch)
         self.meter.check_rows(len(rows))

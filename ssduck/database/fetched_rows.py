@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import sys
+from collections import UserList
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from itertools import chain
 from operator import itemgetter
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import duckdb
+import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from ssduck.errors import LimitError, SqlError
 from ssduck.formatting import short_repr
+from ssduck.language.intervals import column_of
 from ssduck.recording.stores.stored_columns import parts_of
 
 # DuckDB's types whose values are the same in Python's rows, in NumPy and in Arrow.
@@ -48,25 +50,62 @@ class Header:
     is_long: bool | None = None
 
 
+class ColumnRows(UserList[tuple[Any, ...]]):
+    """Rows that are columns until they are read as tuples.
+
+    Args:
+        columns: the columns, masked where there is no value.
+    """
+
+    def __init__(self, columns: Sequence[npt.NDArray[Any]]) -> None:
+        self.columns = columns
+
+    @cached_property
+    def data(self) -> list[tuple[Any, ...]]:  # type: ignore[override]
+        """The rows as tuples."""
+        return list(zip(*(column.tolist() for column in self.columns), strict=True))
+
+    def __len__(self) -> int:
+        return len(self.columns[0])
+
+    def __iter__(self) -> Iterator[tuple[Any, ...]]:
+        return iter(self.data)
+
+    def __getitem__(self, place: Any) -> Any:
+        if place == 0:  # which tells how many columns there are
+            return tuple(column[:1].tolist()[0] for column in self.columns)
+        return self.data[place]
+
+
+def columns_of(rows: Sequence[Sequence[Any]]) -> Sequence[npt.NDArray[Any]]:
+    """Returns rows by column: arrays of their types where DuckDB has these, else of objects."""
+    if isinstance(rows, ColumnRows):
+        return rows.columns
+    return [column_of(column) for column in zip(*rows, strict=True)]
+
+
+def _rows_of(columns: Iterable[npt.NDArray[Any]]) -> list[tuple[Any, ...]]:
+    return cast("list[tuple[Any, ...]]", ColumnRows(list(columns)))  # it does what a list does
+
+
+def _joined(head: Sequence[Any], rest: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Returns a column with some values before it, None where there is none."""
+    known = np.array([rest.dtype.type() if value is None else value for value in head], rest.dtype)
+    unknown = np.append([value is None for value in head], np.ma.getmaskarray(rest))
+    whole = np.append(known, np.ma.getdata(rest))
+    return np.ma.array(whole, mask=unknown) if unknown.any() else whole
+
+
 class FetchedRows:
     """All rows of a statement; tuples and the Arrow table are made when they are needed.
 
     Args:
         header: their columns.
-        first: the first rows.
-        rest: the columns of the other rows.
+        values: the rows.
     """
 
-    def __init__(
-        self,
-        header: Header,
-        first: list[tuple[Any, ...]],
-        rest: Sequence[npt.NDArray[Any]] = (),
-    ) -> None:
-        self._header = header
-        self._first = first
-        self._rest = rest
-        self._count = len(first) + (len(rest[0]) if rest else 0)
+    def __init__(self, header: Header, values: list[tuple[Any, ...]]) -> None:
+        self._header, self._values = header, values
 
     @property
     def columns(self) -> Sequence[str]:
@@ -81,7 +120,7 @@ class FetchedRows:
     @property
     def header(self) -> Header:
         """The columns, and whether there are many rows."""
-        is_long = self._count >= MAX_TUPLES
+        is_long = len(self) >= MAX_TUPLES
         return (
             self._header
             if self._header.is_long is is_long
@@ -89,30 +128,27 @@ class FetchedRows:
         )
 
     def __len__(self) -> int:
-        return self._count
+        return len(self._values)
 
     def renamed(self, columns: tuple[str, ...]) -> FetchedRows:
         """Returns the same rows with other names of the columns."""
         if self._header.names == columns:
             return self
-        return FetchedRows(replace(self._header, names=columns), self._first, self._rest)
+        return FetchedRows(replace(self._header, names=columns), self._values)
 
-    @cached_property
+    @property
     def rows(self) -> list[tuple[Any, ...]]:
         """The rows as tuples."""
-        if not self._rest:
-            return self._first
-        return [*self._first, *zip(*(column.tolist() for column in self._rest), strict=True)]
+        return self._values.data if isinstance(self._values, ColumnRows) else self._values
 
     @cached_property
     def table(self) -> pa.Table:
         """The rows as an Arrow table, as DuckDB makes it."""
         names, types = self._header.names, self._header.types
-        first = list(zip(*self._first, strict=True)) or [()] * len(names)
-        rest = [column.tolist() for column in self._rest] or [[]] * len(names)
+        columns = columns_of(self._values) or [np.zeros(0)] * len(names)
         arrays = [
-            pa.array(list(chain(start, end)), ARROW_TYPES[name])
-            for start, end, name in zip(first, rest, types, strict=True)
+            pa.array(column.tolist(), ARROW_TYPES[name])
+            for column, name in zip(columns, types, strict=True)
         ]
         fields = [(name, array.type) for name, array in zip(names, arrays, strict=True)]
         return pa.Table.from_arrays(arrays, schema=pa.schema(fields))
@@ -155,7 +191,7 @@ def fetched(
         return FetchedRows(header, result.fetchall())
     rows = [] if header.is_long else result.fetchmany(MAX_TUPLES)
     if header.is_long or len(rows) == MAX_TUPLES:
-        return FetchedRows(header, rows, list(result.fetchnumpy().values()))
+        rows = _with_rest(rows, result)
     return FetchedRows(header, rows)
 
 
@@ -164,17 +200,21 @@ def all_rows(result: duckdb.DuckDBPyConnection) -> list[tuple[Any, ...]]:
     rows: list[tuple[Any, ...]] = result.fetchmany(MANY_ROWS)
     if len(rows) == MANY_ROWS:
         if all(str(column[1]) in ARROW_TYPES for column in result.description):
-            columns = result.fetchnumpy().values()
-            rows.extend(zip(*(column.tolist() for column in columns), strict=True))
-        else:
-            rows.extend(result.fetchall())
+            return _with_rest(rows, result)
+        rows.extend(result.fetchall())
     return rows
+
+
+def _with_rest(
+    first: Sequence[tuple[Any, ...]], result: duckdb.DuckDBPyConnection
+) -> list[tuple[Any, ...]]:
+    """Returns some rows, and those that are not fetched yet, of plain types."""
+    rest = list(result.fetchnumpy().values())
+    return _rows_of(map(_joined, zip(*first, strict=True), rest) if first else rest)
 
 
 # Counts the size of values, bytes.
 Charge: TypeAlias = Callable[[int], None]
-# Returns the greatest size of an answer; see `ssduck.database.answer_bounds.AnswerBound.size`.
-Bound: TypeAlias = Callable[[Sequence[str], int], int | None]
 
 # The largest number of rows that are fetched at a time, and their expected size, bytes.
 _MOST_ROWS, _MOST_BYTES = 10_000, 10_000_000
@@ -301,7 +341,6 @@ class RepeatedStatements:
         parameters: Any,
         max_rows: int | None,
         charge: Charge | None,
-        bound: Bound | None = None,
     ) -> list[tuple[Any, ...]]:
         """Returns the rows of a statement as tuples.
 
@@ -311,7 +350,6 @@ class RepeatedStatements:
             parameters: the values of its parameters.
             max_rows: see `limited_rows`.
             charge: see there; None for no limits.
-            bound: returns the greatest size of the answer; None if that is not known.
         """
         if not parameters:
             known = self._known.get(sql)
@@ -319,7 +357,7 @@ class RepeatedStatements:
                 if len(self._known) >= _MOST_KNOWN:
                     del self._known[next(iter(self._known))]
                 known = self._known[sql] = _RepeatedRows(sql)
-            return known.rows(connection, max_rows, charge, bound)
+            return known.rows(connection, max_rows, charge)
         result = connection.execute(sql, parameters)
         if charge is None:
             return all_rows(result)
@@ -349,9 +387,10 @@ class _RepeatedRows:
         connection: duckdb.DuckDBPyConnection,
         max_rows: int | None,
         charge: Charge | None,
-        bound: Bound | None,
     ) -> list[tuple[Any, ...]]:
         """Returns the rows as tuples; for the arguments see `RepeatedStatements.rows`."""
+        if charge is None:
+            return all_rows(connection.execute(self._sql))
         rows = None
         if self._expected >= MANY_ROWS and self._is_plain:
             relation = connection.sql(self._sql)
@@ -359,65 +398,37 @@ class _RepeatedRows:
             if self._is_plain:
                 rows = _rows_by_column(relation, max_rows, charge)
         if rows is None:
-            rows = self._rows_by_row(connection.execute(self._sql), max_rows, charge, bound)
+            result = connection.execute(self._sql)
+            if not (self._types and self._is_prepared):  # a prepared statement keeps them
+                self._types = types_of(result)
+            rows = limited_rows(result, self._types, max_rows, charge, self._expected)
         self._expected = len(rows)
         return rows
 
-    def _rows_by_row(
-        self,
-        result: duckdb.DuckDBPyConnection,
-        max_rows: int | None,
-        charge: Charge | None,
-        bound: Bound | None,
-    ) -> list[tuple[Any, ...]]:
-        if charge is None:
-            return all_rows(result)
-        if not (self._types and self._is_prepared):  # a prepared statement keeps them
-            self._types = types_of(result)
-        if self._expected >= MANY_ROWS and bound is not None and are_plain(self._types):
-            size = bound(self._types, _sizes_of(self._types).fixed)
-            if size is not None and size <= _MOST_BYTES:  # as many as are fetched at a time
-                return _measured_rows(result, self._types, charge)
-        return limited_rows(result, self._types, max_rows, charge, self._expected)
-
-
-def _measured_rows(
-    result: duckdb.DuckDBPyConnection, types: tuple[str, ...], charge: Charge
-) -> list[tuple[Any, ...]]:
-    """Returns all rows of a result that is not large; for the arguments see `limited_rows`."""
-    columns = [column.tolist() for column in result.fetchnumpy().values()]
-    rows = list(zip(*columns, strict=True))
-    size = len(rows) * _sizes_of(types).fixed
-    for type_, column in zip(types, columns, strict=True):
-        if type_ == "VARCHAR":
-            size += len("".join(filter(None, column)))
-    charge(size)
-    return rows
-
 
 def _rows_by_column(
-    relation: duckdb.DuckDBPyRelation, max_rows: int | None, charge: Charge | None
+    relation: duckdb.DuckDBPyRelation, max_rows: int | None, charge: Charge
 ) -> list[tuple[Any, ...]]:
     """Returns the rows of columns of plain types; for the arguments see `limited_rows`."""
-    rows: list[tuple[Any, ...]] = []
+    batches: list[pa.RecordBatch] = []
 
     def take(batch: pa.RecordBatch) -> None:
-        columns = batch.columns
-        if charge is not None:
-            texts = sum(column.nbytes for column in columns if column.type == _TEXTS)
-            charge(batch.num_rows * (_ROW + _VALUE * len(columns)) + texts)
-        rows.extend(zip(*map(_values, columns), strict=True))
+        texts = sum(column.nbytes for column in batch.columns if column.type == _TEXTS)
+        charge(batch.num_rows * (_ROW + _VALUE * batch.num_columns) + texts)
+        batches.append(batch)
 
-    _read(relation, _BATCH, max_rows, take)
-    return rows
+    schema = _read(relation, _BATCH, max_rows, take)
+    return _rows_of(map(_values, pa.Table.from_batches(batches, schema).columns))
 
 
-def _values(column: pa.Array) -> list[Any]:
-    """Returns Python's values of a column of a plain type."""
-    if column.null_count and column.type != _TEXTS:
-        values: list[Any] = column.to_pylist()  # NumPy has no NULL among numbers
+def _values(column: pa.ChunkedArray) -> npt.NDArray[Any]:
+    """Returns a column of a plain type, masked where there is no value."""
+    values: npt.NDArray[Any]
+    if not column.null_count or column.type == _TEXTS:
+        values = column.to_numpy()
     else:
-        values = column.to_numpy(zero_copy_only=False).tolist()
+        known = column.fill_null(column.type.to_pandas_dtype()()).to_numpy()
+        values = np.ma.array(known, mask=column.is_null().to_numpy())
     return values
 
 

@@ -12,12 +12,10 @@ from sqlglot import exp
 
 from ssduck.database.binding import BoundWorld
 from ssduck.database.connection import Connection, execution_of
-from ssduck.database.fetched_rows import Bound
 from ssduck.database.kept_plans import (
     KeptPlans,
     KeptQuery,
     RowSource,
-    answer_bound,
     live_source,
     parameter_source,
 )
@@ -86,10 +84,6 @@ class PreparedPlans:
             self.connection.prepare(name, sql)
             self._deferred[name] = self._kept.readable(name, sql, _DEFERRED)
         self._own[name] = tables
-
-    def is_kept(self, name: str) -> bool:
-        """Checks whether DuckDB keeps the plan of one of ssduck's own valid statements."""
-        return self._own[name] is _LAYOUT
 
     def deferred_columns(self, name: str) -> frozenset[str]:
         """Returns the columns of entities that have to be written before a statement runs."""
@@ -160,7 +154,6 @@ class Statement:
         self._tree = tree
         self._runs = 0
         self._may_be_kept = True
-        self._bound: Bound | None = None
 
     def rows(self, values: Mapping[str, float]) -> list[tuple[Any, ...]]:
         """Returns all rows for these values of the parameters; the caller pins the worlds."""
@@ -176,8 +169,7 @@ class Statement:
             self._plans.prepare(self._name, self._select, self._reads, self._kept_query())
             self._runs = 0
         try:
-            bound = self._bound if self._plans.is_kept(self._name) else None
-            return self._connection.rows(self._execute, bound=bound)
+            return self._connection.rows(self._execute)
         except SqlError as error:
             self._release()
             if error.is_final or not self._may_be_kept:
@@ -197,7 +189,6 @@ class Statement:
         is_pruned = not may_read_unnamed(tree, "")
         expressions = {cte.alias for cte in tree.find_all(exp.CTE)}
         sources: list[RowSource] = []
-        named: dict[str, RowSource] = {}
         for table in tree.find_all(exp.Table):
             if not table.db and table.name in expressions:
                 continue
@@ -210,9 +201,6 @@ class Statement:
             table.set("db", None)
             table.set("alias", exp.TableAlias(this=exp.to_identifier(alias, quoted=True)))
             sources.append(source)
-            named[alias] = source
-        bound = answer_bound(tree, named)
-        self._bound = None if bound is None else bound.size
         return KeptQuery(tree.sql("duckdb"), sources, has_known_columns=True, is_pruned=is_pruned)
 
     def _source(self, table: exp.Table) -> RowSource | None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -18,7 +17,7 @@ import pyarrow as pa
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, parts_of
-from ssduck.interpreter.over_time.series import RowsOf
+from ssduck.interpreter.over_time.series import ColumnsOf, TickColumns
 from ssduck.language.builtins import BUILTINS
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS
 from ssduck.language.tree import (
@@ -53,7 +52,6 @@ from ssduck.recording.stores.episode_batch import (
 )
 from ssduck.simulators.scenes import Camera
 
-Rows = Sequence[Sequence[Any]]
 # Parts of a program that give the same value in any world, if their own parts do.
 _OF_VALUES = (Literal, ListLiteral, Unary, Binary, OperatorChain, Branch, If)
 
@@ -163,7 +161,7 @@ class BatchInterpreter:
         self._episodes: Sequence[BatchedEpisode] = ()
         self._present = 0
         self._offset = 0
-        self._series: dict[Hashable, list[Rows] | None] = {}
+        self._series: dict[Hashable, TickColumns | None] = {}
         self._least: dict[tuple[int, int], list[tuple[int, float] | None]] = {}
         self._execution.temporal.reader = self
 
@@ -206,40 +204,31 @@ class BatchInterpreter:
         finally:
             self._execution.variables = before
 
-    def rows(self, key: Hashable | None, past: Past, rows_of: RowsOf) -> Rows:
-        """Returns the rows of an expression over time, evaluated for all episodes at once."""
+    def columns(self, key: Hashable | None, past: Past, columns_of: ColumnsOf) -> TickColumns:
+        """Returns the values of an expression over time, evaluated for all episodes at once."""
         if key is not None and key not in self._series:
-            self._series[key] = self._rows_of_all(past, rows_of)
+            self._series[key] = self._columns_of_all(past, columns_of)
         of_all = None if key is None else self._series[key]
         if of_all is None:
             self._archive.show(self._present, self._present + 1)
-            return rows_of(past)
-        rows = of_all[self._present]
-        if not rows or (past.first <= rows[0][0] and rows[-1][0] <= past.last):
-            return rows
-        return [row for row in rows if past.first <= row[0] <= past.last]
+            return columns_of(past)
+        return of_all.between(past.first, past.last)
 
-    def _rows_of_all(self, past: Past, rows_of: RowsOf) -> list[Rows] | None:
-        """Returns the rows of each episode; None if an episode has an error."""
+    def _columns_of_all(self, past: Past, columns_of: ColumnsOf) -> TickColumns | None:
+        """Returns the values in all episodes; None if an episode has an error."""
         episode = self._episodes[self._present]
         ticks = self._record.ticks
         self._archive.show(0, len(self._episodes))
         ticks.replace(self._numbers, self._times)
         try:
             whole = Past(past.record, int(self._numbers[0]), int(self._numbers[-1]), is_window=True)
-            rows = rows_of(whole)
+            return columns_of(whole)
         except DamagedEpisodeError:
             raise
         except SelectScriptError:
             return None
         finally:
             ticks.replace(episode.numbers, episode.times)
-        numbers = np.array([row[0] for row in rows], dtype=np.int64)
-        if (np.diff(numbers) < 0).any():
-            return None
-        ends = np.searchsorted(numbers, [e.numbers[-1] for e in self._episodes], side="right")
-        starts = [0, *ends[:-1].tolist()]
-        return [rows[start:end] for start, end in zip(starts, ends.tolist(), strict=True)]
 
     def least_clearance(self, past: Past, a: int, b: int) -> tuple[int, float] | None:
         """Returns the least clearance of two entities, found for all episodes at once."""

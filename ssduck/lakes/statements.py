@@ -292,8 +292,6 @@ def _answers(plan: TickPlan, files: _Files) -> tuple[dict[str, exp.Expr], exp.Se
 def _of_all_episodes(plan: TickPlan) -> tuple[exp.Select, list[str]]:
     """Returns a program's SQL over the ticks of all episodes, and the columns that it reads."""
     select = plan.select.copy()
-    if not plan.is_query:
-        select.set("order", None)  # the series has one
     from_, joins = select.find(exp.From), select.args.get("joins") or []
     assert from_ is not None
     sources = [from_.this, *(join.this for join in joins)]

@@ -9,10 +9,13 @@ The relations are those of Allen, "Maintaining knowledge about temporal interval
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
 
 from ssduck.errors import ArgumentError
 from ssduck.formatting import short_repr
@@ -21,38 +24,47 @@ from ssduck.language.builtins import Function
 Interval: TypeAlias = list[float]
 
 
-def intervals_of(times: Sequence[float], holding: Sequence[bool]) -> list[Interval]:
+def intervals_of(times: npt.ArrayLike, holding: npt.ArrayLike) -> list[Interval]:
     """Returns the maximal intervals during which something held, in order.
 
     >>> intervals_of([0.0, 0.5, 1.0, 1.5], [True, True, False, True])
     [[0.0, 1.0], [1.5, 1.5]]
 
     Args:
-        times: the times of the recorded ticks, s.
-        holding: whether the condition held at each tick.
+        times: the times of the n recorded ticks, s, (n,).
+        holding: whether the condition held at each tick, (n,).
     """
-    result: list[Interval] = []
-    start: float | None = None
-    for time, holds in zip(times, holding, strict=True):
-        if holds and start is None:
-            start = time
-        elif not holds and start is not None:
-            result.append([start, time])
-            start = None
-    if start is not None:
-        result.append([start, times[-1]])
+    ends = np.flatnonzero(np.diff(np.asarray(holding, np.bool_), prepend=False, append=False))
+    # At the last tick it still holds.
+    points = np.asarray(times)
+    result: list[Interval] = points[np.minimum(ends, len(points) - 1)].reshape(-1, 2).tolist()
     return result
 
 
-def changes_of(times: Sequence[float], values: Sequence[Any]) -> list[list[Any]]:
+def column_of(values: Iterable[Any]) -> npt.NDArray[Any]:
+    """Returns values as an array of objects, in which lists are values, too."""
+    return np.fromiter(values, dtype=object)
+
+
+def changes_of(times: npt.NDArray[Any], values: npt.NDArray[Any]) -> list[list[Any]]:
     """Returns the list [time, value] at the first tick, and at each tick where the value changes.
 
-    >>> changes_of([0.0, 0.5, 1.0], ["on", "on", "off"])
+    >>> changes_of(np.array([0.0, 0.5, 1.0]), column_of(["on", "on", "off"]))
     [[0.0, 'on'], [1.0, 'off']]
+
+    Args:
+        times: the times of the n recorded ticks, s, (n,).
+        values: the values at these, (n,); masked, or None of objects, where there is none.
     """
-    result = [[time, value] for time, value in zip(times[:1], values[:1], strict=True)]
-    steps = zip(times[1:], pairwise(values), strict=True)
-    return result + [[time, now] for time, (before, now) in steps if not _same(before, now)]
+    data, unknown = np.ma.getdata(values), np.ma.getmaskarray(values)
+    if data.dtype == np.object_:
+        pairs = pairwise(values.tolist())
+        changed = np.fromiter((not _same(*pair) for pair in pairs), np.bool_)
+    else:
+        is_other = (data[1:] != data[:-1]) & ((data[1:] == data[1:]) | (data[:-1] == data[:-1]))
+        changed = np.where(unknown[1:] | unknown[:-1], unknown[1:] != unknown[:-1], is_other)
+    places = np.flatnonzero(np.concatenate((np.ones(len(data[:1]), np.bool_), changed)))
+    return list(map(list, zip(times[places].tolist(), values[places].tolist(), strict=True)))
 
 
 def _same(a: Any, b: Any) -> bool:

@@ -340,7 +340,7 @@ class AdapterClause(Node):
 
 @dataclass(frozen=True, eq=False)
 class Query(Node):
-    """A SELECT; no items mean `*`."""
+    """A SELECT; no items mean `*`. Without `is_ordered`, its rows may come in any order."""
 
     items: tuple[Node, ...]
     sources: tuple[Source, ...]
@@ -353,6 +353,7 @@ class Query(Node):
     adapter: AdapterClause | None = None
     distinct: bool = False
     offset: Node | None = None
+    is_ordered: bool = True
 
 
 @dataclass(frozen=True)

@@ -399,7 +399,8 @@ class _Translator:
         # nested query.
         inline = any(not source_type.has_values for source_type in self.result.source_types)
         nested = any(part.find(exp.Select) for part in (*self.columns, *conditions))
-        if len(self.elements) > 1 or ordered or self.context.bindings or inline or nested:
+        may_mix = len(self.elements) > 1 or ordered or self.context.bindings or inline or nested
+        if self.query.is_ordered and may_mix:
             is_ordered = False
             for source_type, element in zip(self.result.source_types, self.elements, strict=True):
                 both = self.positions.get(source_type.alias)

@@ -9,6 +9,7 @@ import ssduck
 from ssduck.database import fetched_rows
 from ssduck.database.fetched_rows import (
     RepeatedStatements,
+    columns_of,
     limited_rows,
     limited_table,
     types_of,
@@ -84,6 +85,23 @@ def test_a_statement_that_is_prepared_anew_has_its_own_types():
         assert len(ss.eval(program)) == 3 * len(ss.eval("SELECT id FROM kitchen AS list;")) ** 2
 
 
+@pytest.mark.slow
+def test_more_rows_than_allowed_are_an_error_of_a_kept_statement():
+    program = "SELECT a.id, b.id, a.z FROM a=kitchen, b=kitchen WHERE a.z <= height AS list;"
+    limits = ssduck.Limits.strict(progress=False, rows=1_000)
+    with ssduck.load("kitchen", limits=limits) as ss:
+        ss.add_variable("height", -1.0)
+        compiled = ss.compile(program)
+        for _ in range(6):
+            assert ss.eval(compiled) == []
+        for _ in range(3):
+            ss.add_variable("height", 9.0)
+            with pytest.raises(LimitError, match="more than 1000 rows"):
+                ss.eval(compiled)
+        ss.add_variable("height", -1.0)
+        assert ss.eval(compiled) == []
+
+
 def test_texts_beyond_the_memory_are_an_error():
     limits = ssduck.Limits.strict(memory=20_000_000, progress=False)
     with ssduck.Interpreter(limits=limits) as ss, pytest.raises(LimitError, match="20,000,000"):
@@ -132,7 +150,12 @@ def test_statements_that_run_again_have_the_same_rows(name, charged, read):
             if charged:
                 assert sum(sizes) >= len(wanted) * (ROW + VALUE * len(wanted[0])) + letters
             if name in BY_COLUMN:
-                assert len(read) == run
+                columns = columns_of(rows)
+                found = zip(*(column.tolist() for column in columns), strict=True)
+                assert list(found) == wanted
+                assert len(read) == (run if charged else 0)
+                has_types = any(column.dtype != object for column in columns)
+                assert has_types == (run > 0 or not charged)
     if name not in BY_COLUMN:
         assert read == []
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
 import pybullet
 import pytest
 from hypothesis import given
@@ -15,7 +17,7 @@ from hypothesis import strategies as st
 import ssduck
 from ssduck.errors import ArgumentError, EvaluationError, UnknownNameError, UnsupportedError
 from ssduck.interpreter.over_time import series
-from ssduck.language.intervals import RELATIONS_OF_INTERVALS, changes_of, intervals_of
+from ssduck.language.intervals import RELATIONS_OF_INTERVALS, changes_of, column_of, intervals_of
 from tests.support.bodies import client_of
 from tests.support.cases import sampled
 
@@ -93,13 +95,56 @@ def test_intervals_are_those_of_a_loop(holding: list[bool]) -> None:
 @given(st.lists(st.sampled_from([True, False, 1, 0, "a", None, 1.5]), max_size=30))
 def test_changes_are_those_of_a_loop(values: list[Any]) -> None:
     times = list(map(float, range(len(values))))
-    found = changes_of(times, values)
+    found = changes_of(np.array(times), column_of(values))
     wanted = [
         [time, value]
         for place, (time, value) in enumerate(zip(times, values, strict=True))
         if place == 0 or repr(values[place - 1]) != repr(value)
     ]
     assert repr(found) == repr(wanted)
+
+
+@pytest.mark.slow
+@given(st.sampled_from([[0.5, 0.0, -0.0, math.nan], [1, 2, 3], [True, False, True]]), st.data())
+def test_changes_of_columns_are_those_of_objects(some: list[Any], data: st.DataObject) -> None:
+    values = data.draw(st.lists(st.sampled_from([*some, None]), min_size=1, max_size=30))
+    known = np.array([some[0] if value is None else value for value in values])
+    column = np.ma.array(known, mask=[value is None for value in values])
+    times = np.arange(float(len(values)))
+    assert repr(changes_of(times, column)) == repr(changes_of(times, column_of(values)))
+
+
+def test_a_long_window_is_what_numpy_finds_by_hand(lab: Any) -> None:
+    """Of the ticks of one time the last one counts; at the first ones the entity is not there."""
+    _, _, world = lab
+    client = world._simulator.client
+    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    early = [world.time]
+    for _ in range(150):
+        world.step()
+        early.append(world.time)
+    body = pybullet.createMultiBody(1, shape, physicsClientId=client)
+    heights, late = np.round(np.random.default_rng(5).uniform(0.5, 1.5, 250), 1), []
+    for height in heights.tolist():
+        world._simulator.step(1)
+        pybullet.resetBasePositionAndOrientation(body, [0, 0, height], [0, 0, 0, 1], client)
+        world.tick()
+        late.append(world.time)
+    (new,) = [entity for entity in world if entity.id == 3]
+    for each in lab[:2]:
+        each.add_variable("new", new)
+    times = np.array([*early, *late])
+    z = np.concatenate((np.full(len(early), np.nan), heights))
+    both_unknown = np.isnan(z[1:]) & np.isnan(z[:-1])
+    places = np.flatnonzero(np.append(True, (z[1:] != z[:-1]) & ~both_unknown))
+    changes = [[times[i], None if np.isnan(z[i]) else z[i]] for i in places]
+    edges = np.flatnonzero(np.diff(z > 0.9, prepend=False, append=False))
+    held = np.append(times, times[-1])[edges].reshape(-1, 2).tolist()
+    assert _evaluated(lab, "changes(z(new));") == changes
+    assert _evaluated(lab, "holds(z(new) > 0.9);") == held
+    assert _evaluated(lab, "least(z(new));") == [times[np.nanargmin(z)], np.nanmin(z)]
+    assert _evaluated(lab, "greatest(z(new));") == [times[np.nanargmax(z)], np.nanmax(z)]
+    pybullet.removeBody(body, client)
 
 
 ENDS = st.tuples(st.integers(0, 6), st.integers(0, 6)).map(lambda ends: sorted(map(float, ends)))

@@ -9,7 +9,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import SelectScriptError
-from ssduck.language.intervals import changes_of
+from ssduck.language.intervals import changes_of, column_of
 
 pytest.importorskip("websockets", reason="the extra view is not installed")
 from websockets.sync.client import connect
@@ -125,7 +125,7 @@ def test_a_scan_finds_each_change(record, program):
         while scan.advance(0.05):
             pass
         progress = scan.progress
-    changes = [time for time, _ in changes_of(times.tolist(), values)]
+    changes = [time for time, _ in changes_of(times, column_of(values))]
     assert [start for start, _, _ in progress["runs"]] == changes
     assert progress["done"]
     assert progress["exact"]

@@ -133,7 +133,7 @@ class ExpressionsAtTicks:
         with execution.lock, execution.worlds_pinned(call):
             execution.begin_meter()
             series = execution.series(call, Frame(execution))
-            times, values = series.at(series.past(None))
+            times, values = (column.tolist() for column in series.at(series.past(None)))
         if None in values:
             raise UnsupportedError("whether it is known is found at each tick", span=call.span)
         fold = TEMPORAL_FUNCTIONS[call.name].fold

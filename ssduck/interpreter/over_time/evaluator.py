@@ -7,11 +7,9 @@ computes the result from these.
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from operator import itemgetter
 from typing import Any, Protocol, TypeAlias
 from weakref import WeakKeyDictionary
 
@@ -19,7 +17,7 @@ import numpy as np
 
 from ssduck.errors import ArgumentError, LimitError, SelectScriptError, UnsupportedError
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, parts_of
-from ssduck.interpreter.over_time.series import RowsOf, TickSeries
+from ssduck.interpreter.over_time.series import ColumnsOf, TickColumns, TickSeries
 from ssduck.language.analysis import free_aliases
 from ssduck.language.builtins import BUILTINS, EXTREMES
 from ssduck.language.evaluator import Frame
@@ -44,7 +42,6 @@ from ssduck.sql.relations.registry import RELATIONS
 from ssduck.world.handles import Handle, removal_of
 from ssduck.world.world import World
 
-_TICK = itemgetter(0)
 # The largest number of rows that are read of all entities at once, for the rows of a query.
 MOST_ROWS = 100_000
 # Returns the rows of a query, from the values of its placeholders.
@@ -55,14 +52,14 @@ _PLACES = (Name, This, TimeIndex, Placeholder, UnresolvedName)
 class SeriesReader(Protocol):
     """Reads the values of an expression at ticks, for several records at once."""
 
-    def rows(self, key: Hashable | None, past: Past, rows_of: RowsOf) -> Sequence[Sequence[Any]]:
-        """Returns the rows [tick, time, value] of some ticks.
+    def columns(self, key: Hashable | None, past: Past, columns_of: ColumnsOf) -> TickColumns:
+        """Returns the values at some ticks.
 
         Args:
             key: what identifies the expression, with its entities and values; None if it looks at
                 ticks itself, and so depends on the record.
             past: the ticks.
-            rows_of: a function that returns the rows of any ticks.
+            columns_of: a function that returns the values at any ticks.
         """
 
     def least_clearance(self, past: Past, a: int, b: int) -> tuple[int, float] | None:
@@ -119,10 +116,10 @@ class TemporalEvaluator:
         moment = common_moment(world, (), frame.own_elements())
         now = None if moment is None else moment.tick
 
-        def of_one(past: Past) -> Sequence[Sequence[Any]]:
-            return run(query, _placeholders(values, handles, past))
+        def of_one(past: Past) -> TickColumns:
+            return TickColumns.of(run(query, _placeholders(values, handles, past)))
 
-        rows: RowsOf = of_one
+        columns: ColumnsOf = of_one
         reader, least = self.reader, None
         are_entities = all(handles) and all(value.TABLE == "entities" for value in values)
         if are_entities and _is_clearance(expression) and len({v.id for v in values}) == 2:
@@ -132,25 +129,21 @@ class TemporalEvaluator:
         if reader is None and now is None:
             if len(of_rows) == 1 and handles[of_rows[0]] and values[of_rows[0]].TABLE == "entities":
                 of_all = self._query(call, places, handles, of_rows[0])
-                rows = _for_each(of_one, of_all, values, handles, of_rows[0], run, cache)
-            return TickSeries(record, rows, expression, least)
+                columns = _for_each(of_one, of_all, values, handles, of_rows[0], run, cache)
+            return TickSeries(record, columns, expression, least)
         key = (query, _keys(values, handles))
         if reader is None:
 
-            def rows_of(past: Past) -> Sequence[Sequence[Any]]:
+            def from_all(past: Past) -> TickColumns:
                 if key not in cache:  # of all ticks at once, for the next rows of the query
-                    cache[key] = rows(past_of(record, None))
-                of_all: Sequence[Sequence[Any]] = cache[key]
-                return of_all[
-                    bisect_left(of_all, past.first, key=_TICK) : bisect_right(
-                        of_all, past.last, key=_TICK
-                    )
-                ]
+                    cache[key] = columns(past_of(record, None))
+                of_all: TickColumns = cache[key]
+                return of_all.between(past.first, past.last)
 
-            return TickSeries(record, rows_of, expression, least, now)
+            return TickSeries(record, from_all, expression, least, now)
         shared = None if _reads_ticks(query, values, handles) else key
         return TickSeries(
-            record, lambda past: reader.rows(shared, past, rows), expression, least, now
+            record, lambda past: reader.columns(shared, past, columns), expression, least, now
         )
 
     def query_over_ticks(
@@ -234,21 +227,21 @@ def _is_clearance(expression: Node) -> bool:
 
 
 def _for_each(
-    rows: RowsOf,
+    columns: ColumnsOf,
     query: Query,
     values: Sequence[Any],
     handles: Sequence[bool],
     number: int,
     run: RunQuery,
     cache: dict[Any, Any],
-) -> RowsOf:
+) -> ColumnsOf:
     """Returns a function that reads ticks for all entities at once, for the rows of a query.
 
     The first entity is read by itself, as there may be no other. So is each one if the expression
     fails for any, as a condition of the query may exclude that.
 
     Args:
-        rows: a function that returns the rows of the entity.
+        columns: a function that returns the values of the entity.
         query: a query with the rows of all entities.
         values: the entities and other values of the expression.
         handles: which of these are entities that follow the ticks.
@@ -259,13 +252,13 @@ def _for_each(
     keys, entity = _keys(values, handles), values[number]
     others = keys[:number] + keys[number + 1 :]
 
-    def rows_of(past: Past) -> Sequence[Sequence[Any]]:
+    def columns_of(past: Past) -> TickColumns:
         key = query, others, past.first, past.last
         if (past.last - past.first + 1) * len(past.world) > MOST_ROWS:
-            return rows(past)
+            return columns(past)
         if key not in cache:
             cache[key] = None
-            return rows(past)
+            return columns(past)
         if cache[key] is None:
             try:
                 cache[key] = _by_entity(run(query, _placeholders(values, handles, past, number)))
@@ -274,11 +267,10 @@ def _for_each(
             except SelectScriptError:
                 cache[key] = False
         if cache[key] is False:
-            return rows(past)
-        found: Sequence[Sequence[Any]] = cache[key].get(entity.id, ())
-        return found
+            return columns(past)
+        return TickColumns.of(cache[key].get(entity.id, ()))
 
-    return rows_of
+    return columns_of
 
 
 def _by_entity(rows: Sequence[Sequence[Any]]) -> dict[int, list[Sequence[Any]]]:
@@ -381,4 +373,4 @@ def _query_of(
     value = parts_of(call)[0].replaced(replaced)
     of_row = () if number_of_row is None else (This(span, f"entity_{number_of_row}"),)
     items = (*(Call(span, name, (first,), span) for name in ("tick", "time")), value, *of_row)
-    return Query(span, items, tuple(sources))
+    return Query(span, items, tuple(sources), is_ordered=False)

@@ -9,6 +9,7 @@ from operator import gt, lt
 from typing import Any, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from ssduck.errors import ArgumentError
 from ssduck.formatting import short_repr
@@ -87,11 +88,11 @@ def _since(series: TickSeries, _: Any) -> float | None:
     start: float | None = None
     for past in series.backwards():
         times, holding = series.holding(past)
-        holding.reverse()
-        if False in holding:
-            count = holding.index(False)
-            return times[-count] if count else start
-        start = times[0]
+        before = np.flatnonzero(~holding)
+        if len(before):
+            following = times[before[-1] + 1 :]
+            return float(following[0]) if len(following) else start
+        start = float(times[0])
     series.record.warn_of_dropped_ticks()
     return start
 
@@ -123,14 +124,20 @@ def _changes(series: TickSeries, age: Any) -> list[list[Any]]:
 def _initially(series: TickSeries, _: Any) -> Any:
     series.record.warn_of_dropped_ticks()
     start = series.ticks()[1][0]
-    return series.at(series.window(start, start))[1][0]
+    return _values_in(series, start, start)[1][0]
+
+
+def _values_in(series: TickSeries, first: float, last: float) -> tuple[list[float], list[Any]]:
+    """Returns the times of few ticks, and the values at these; None where there is none."""
+    times, values = series.at(series.window(first, last))
+    return times.tolist(), values.tolist()
 
 
 def _previous(series: TickSeries, _: Any) -> Any:
     times = series.ticks()[1]
     before = times[: np.searchsorted(times, series.time)]
     time = before[-1] if len(before) else times[0]
-    return series.at(series.window(time, time))[1][0]
+    return _values_in(series, time, time)[1][0]
 
 
 def _rate(series: TickSeries, _: Any) -> Any:
@@ -144,7 +151,7 @@ _LastTwo: TypeAlias = tuple[tuple[float, Any], tuple[float, Any]]
 def _last_two(series: TickSeries) -> _LastTwo:
     times = series.ticks()[1]
     before = times[: np.searchsorted(times, times[-1])]
-    ends = series.at(series.window(before[-1] if len(before) else times[-1], times[-1]))
+    ends = _values_in(series, before[-1] if len(before) else times[-1], times[-1])
     first, *others = zip(*ends, strict=True)
     return first, others[-1] if others else first
 
@@ -176,7 +183,7 @@ def _at(series: TickSeries, time: Any) -> Any:
             "at takes a time from 0 s on, then an expression: at(0.5, x(cup)); for half a second "
             "ago, or the beginning until then, write at(max([0, getTime() - 0.5]), x(cup))"
         )
-    return series.at(series.past(time))[1][-1]
+    return series.at(series.past(time))[1].tolist()[-1]
 
 
 def _lifted(call: Call) -> Node:
@@ -191,28 +198,34 @@ def _lifted(call: Call) -> Node:
 def _least(series: TickSeries, age: Any) -> list[Any] | None:
     if series.least_clearance is not None:
         past = series.whole(age)
-        ticks, times = past.ticks, past.times
-        found = series.least_clearance(past) if len(set(times)) == len(times) else None
+        ticks, times = past.ticks_and_times
+        found = None if (times[1:] == times[:-1]).any() else series.least_clearance(past)
         if found is not None:
-            return [times[ticks.index(found[0])], found[1]]
-    return _extreme(series, age, "least", min)
+            return [float(times[np.searchsorted(ticks, found[0])]), found[1]]
+    return _extreme(series, age, "least", np.argmin)
 
 
 def _greatest(series: TickSeries, age: Any) -> list[Any] | None:
-    return _extreme(series, age, "greatest", max)
+    return _extreme(series, age, "greatest", np.argmax)
 
 
 def _extreme(
-    series: TickSeries, age: Any, name: str, choose: Callable[..., tuple[float, Any]]
+    series: TickSeries, age: Any, name: str, choose: Callable[[npt.NDArray[Any]], np.intp]
 ) -> list[Any] | None:
     """Returns [time, value] of the first of the extreme values; None without numbers."""
     times, values = series.at(series.whole(age))
-    entries = [
-        (time, value) for time, value in zip(times, values, strict=True) if _is_number(value)
-    ]
-    for value in values:
-        _check_is_number(name, value)
-    return list(choose(entries, key=lambda entry: entry[1])) if entries else None
+    data, are_numbers = np.ma.getdata(values), ~np.ma.getmaskarray(values)
+    if data.dtype == np.object_:
+        for value in values.tolist():
+            _check_is_number(name, value)
+        are_numbers = np.array(list(map(_is_number, values.tolist())), np.bool_)
+    elif data.dtype == np.float64:
+        are_numbers &= ~np.isnan(data)
+    places = np.flatnonzero(are_numbers)
+    if not len(places):
+        return None
+    place = places[choose(data[places])]
+    return [float(times[place]), *data[place : place + 1].tolist()]
 
 
 def _check_is_number(name: str, value: Any) -> None:

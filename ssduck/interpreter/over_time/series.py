@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
+from ssduck.database.fetched_rows import columns_of
+from ssduck.geometry.arrays import Array, Flags
 from ssduck.language.operators import truth
 from ssduck.language.tree import Node
 from ssduck.recording.replay.past import Past, past_of
@@ -15,10 +18,45 @@ from ssduck.recording.replay.record import Record
 
 # The number of ticks that `since` reads first; each further read is twice as long.
 FIRST_TICKS = 240
-# Returns rows [tick, time, value] of some ticks.
-RowsOf: TypeAlias = Callable[[Past], Sequence[Sequence[Any]]]
+# The times of n ticks, s, (n,), each later than the one before, and the values at these, (n,):
+# masked, or None of objects, where there is none.
+_Values: TypeAlias = tuple[Array, npt.NDArray[Any]]
 # Returns the first tick with the least clearance of two entities, and the clearance, m.
 LeastClearance: TypeAlias = Callable[[Past], tuple[int, float] | None]
+
+
+@dataclass(frozen=True, eq=False)
+class TickColumns:
+    """The values of an expression at some ticks.
+
+    Attributes:
+        ticks: the numbers of n ticks in ascending order, (n,).
+        values: the values, (n,); masked, or None of objects, where there is none.
+    """
+
+    ticks: npt.NDArray[np.int64]
+    values: npt.NDArray[Any]
+
+    @classmethod
+    def of(cls, rows: Sequence[Sequence[Any]]) -> TickColumns:
+        """Returns those of rows [tick, time, value] in any order."""
+        if not rows:
+            return cls(np.zeros(0, np.int64), np.zeros(0, np.object_))
+        numbers, _, values, *_ = columns_of(rows)
+        ticks = np.asarray(numbers, np.int64)
+        if (ticks[1:] < ticks[:-1]).any():
+            places = np.argsort(ticks, kind="stable")
+            ticks, values = ticks[places], values[places]
+        return cls(ticks, values)
+
+    def between(self, first: int, last: int) -> TickColumns:
+        """Returns those of the ticks from one to another."""
+        ends = np.searchsorted(self.ticks, first), np.searchsorted(self.ticks, last, "right")
+        return TickColumns(self.ticks[slice(*ends)], self.values[slice(*ends)])
+
+
+# Returns the values of an expression at some ticks.
+ColumnsOf: TypeAlias = Callable[[Past], TickColumns]
 
 
 class TickSeries:
@@ -26,7 +64,7 @@ class TickSeries:
 
     Args:
         record: the record of the world.
-        run: a function that returns rows [tick, time, value] of some ticks.
+        run: a function that returns the values at some ticks.
         node: the expression.
         least_clearance: returns the least value of the expression at some ticks, of which no two
             have the same time, with its first tick; None if it is not the clearance of two
@@ -38,7 +76,7 @@ class TickSeries:
     def __init__(
         self,
         record: Record,
-        run: RowsOf,
+        run: ColumnsOf,
         node: Node,
         least_clearance: LeastClearance | None = None,
         now: int | None = None,
@@ -73,23 +111,31 @@ class TickSeries:
         start, end = np.searchsorted(times, first), np.searchsorted(times, last, side="right")
         return Past(self.record, int(numbers[start]), int(numbers[end - 1]), is_window=True)
 
-    def at(self, past: Past) -> tuple[list[float], list[Any]]:
-        """Returns the times and values at some ticks; None where an entity was not there.
+    def at(self, past: Past) -> _Values:
+        """Returns the times and values at some ticks; none where an entity was not there.
 
         Of several ticks of the same time, the last one replaces the others.
         """
-        rows = self._run(past)
-        ticks, times = past.ticks_and_times
-        if [row[0] for row in rows] == ticks and len(set(times)) == len(times):
-            return times, [row[2] for row in rows]
-        values = {row[0]: row[2] for row in rows}
-        last_ticks = dict(zip(times, ticks, strict=True))
-        return list(last_ticks), [values.get(tick) for tick in last_ticks.values()]
+        found = self._run(past)
+        numbers, times = past.ticks_and_times
+        if (times[1:] == times[:-1]).any():
+            are_last = np.append(times[1:] != times[:-1], True)
+            numbers, times = numbers[are_last], times[are_last]
+        if np.array_equal(found.ticks, numbers):
+            return times, found.values
+        if not len(found.ticks):
+            return times, np.full(len(times), None)
+        places = np.searchsorted(found.ticks, numbers, side="right") - 1
+        values = np.ma.array(found.values[places])
+        values[found.ticks[places] != numbers] = np.ma.masked
+        return times, values
 
-    def holding(self, past: Past) -> tuple[list[float], list[bool]]:
+    def holding(self, past: Past) -> tuple[Array, Flags]:
         """Returns the times, and whether the expression was true."""
         times, values = self.at(past)
-        return times, list(map(self.is_true, values))
+        if values.dtype == np.bool_:
+            return times, np.ma.filled(values, False)
+        return times, np.array(list(map(self.is_true, values.tolist())), np.bool_)
 
     def is_true(self, value: Any) -> bool:
         """Returns whether the expression is true where it has a value."""

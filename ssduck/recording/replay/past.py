@@ -11,10 +11,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ssduck import validation
 from ssduck.errors import ArgumentError, EvaluationError, UnknownNameError
 from ssduck.formatting import name_path, short_repr
+from ssduck.geometry.arrays import Array
 from ssduck.recording.replay.past_world import PastWorld
 from ssduck.recording.replay.record import TIME_TOLERANCE, Record, index_at
 from ssduck.schema import EntityTable, entity_of
@@ -92,16 +94,18 @@ class Past:
     @property
     def ticks(self) -> list[int]:
         """The numbers of the ticks."""
-        return self.ticks_and_times[0]
+        ticks: list[int] = self.ticks_and_times[0].tolist()
+        return ticks
 
     @property
     def times(self) -> list[float]:
         """The simulated time of each tick, s."""
-        return self.ticks_and_times[1]
+        times: list[float] = self.ticks_and_times[1].tolist()
+        return times
 
     @property
-    def ticks_and_times(self) -> tuple[list[int], list[float]]:
-        """The numbers of the ticks, and the simulated time of each, s."""
+    def ticks_and_times(self) -> tuple[npt.NDArray[np.int64], Array]:
+        """The numbers of the n ticks, (n,), and the simulated time of each, s, (n,)."""
         with self.record.world.lock:
             self.check()
             numbers = self.record.ticks.numbers
@@ -110,7 +114,7 @@ class Past:
                 np.searchsorted(numbers, self.last, "right"),
             )
             chosen = slice(*ends)
-            return numbers[chosen].tolist(), self.record.ticks.times[chosen].tolist()
+            return numbers[chosen].copy(), self.record.ticks.times[chosen].copy()
 
     def check(self) -> None:
         """Checks that none of the ticks was dropped.
