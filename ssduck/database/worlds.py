@@ -200,9 +200,9 @@ class WorldRegistry:
         for bound, snapshot in self._snapshots():
             if columns is None:
                 snapshot.settle()
-                self.register(bound)  # its buffers may be others
-            elif columns:
+            else:
                 snapshot.tables["entities"].settle(columns)
+            self.register(bound)  # its buffers may be others
 
     def write_contacts(self) -> None:
         """Writes the contacts of the ticks, of which there may be more or fewer than before."""

@@ -116,6 +116,10 @@ class Judge:
         for name in self._elements:
             self._interpreter.add_variable(name, None)
 
+    def begin_step(self) -> None:
+        """Tells that the tick that follows is to be judged; `settle` ends it."""
+        self._folds.are_asked = True
+
     def begin_tick(self, values: Mapping[str, Any], *, is_first: bool = False) -> None:
         """Sets the variables of the present tick.
 
@@ -217,6 +221,7 @@ class Judge:
 
     def settle(self) -> None:
         """Adds the present tick to functions of time that no term has needed at it."""
+        self._folds.are_asked = False
         self._folds.settle()
 
     def _judgement(self) -> Judgement:

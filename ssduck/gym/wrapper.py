@@ -190,21 +190,13 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             judgement = self._begin_episode(None, None)
             return observation, reward, terminated, truncated, info | {INFO: described(judgement)}
         simulation = self._simulation
-        run = simulation.snapshot.run
-        if self._client is None:
-            simulation.tick()
-        else:
-            steps = len(self._steps.times)
-            time = None if self._step_time is None else steps * self._step_time
-            simulation.tick(time=time)
-        if simulation.snapshot.run != run:
-            self._steps = None
-            raise SimulatorError(
-                "step: the environment made its simulation anew within an episode, whose past is "
-                "gone: call reset"
-            )
-        values = self._set_variables(is_first=False)
-        judgement = self._judge.judgement()
+        self._judge.begin_step()
+        try:
+            self._take_tick(simulation, self._steps)
+            values = self._set_variables(is_first=False)
+            judgement = self._judge.judgement()
+        finally:
+            self._judge.settle()
         if judgement.reward is not None:
             reward = judgement.reward
         if self._forward_check is not None:
@@ -219,6 +211,20 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         if terminated or truncated:
             self._save()
         return observation, reward, terminated, truncated, info | {INFO: described(judgement)}
+
+    def _take_tick(self, simulation: World, steps: EpisodeSteps) -> None:
+        """Takes the tick of a step."""
+        run = simulation.snapshot.run
+        if self._client is None or self._step_time is None:
+            simulation.tick()
+        else:
+            simulation.tick(time=len(steps.times) * self._step_time)
+        if simulation.snapshot.run != run:
+            self._steps = None
+            raise SimulatorError(
+                "step: the environment made its simulation anew within an episode, whose past is "
+                "gone: call reset"
+            )
 
     def close(self) -> None:
         """Completes the record, and closes the environment."""

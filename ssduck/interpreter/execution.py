@@ -137,6 +137,8 @@ class Execution(Namespace):
         # that gives them their meaning.
         self._last_row: tuple[Program, tuple[object, ...], Query] | None = None
         self._last_read: _LastRead | None = None
+        # Whether `row_again` has pinned the worlds.
+        self._is_row = False
         self._reader = SqlReader(self)
 
     def transaction(self, program: Program) -> _Transaction:
@@ -232,9 +234,12 @@ class Execution(Namespace):
             try:
                 self.begin_program()
                 with self.worlds_pinned(query, is_settled=False):
+                    self._is_row = True
                     return self.planner.row_again(query, Frame(self))
             except SelectScriptError:
                 return None
+            finally:
+                self._is_row = False
 
     def _row_of(self, whole: Program) -> Query | None:
         """Returns the only statement if it is such a SELECT, without a probable mistake."""
@@ -387,7 +392,10 @@ class Execution(Namespace):
         form = TEMPORAL_FUNCTIONS[node.name]
         is_fold = form.fold is not None and other is None and self.temporal.reader is None
         is_fold = is_fold and self.folds.takes(node, frame)
-        with self.worlds_pinned(node, is_settled=not (is_fold and self.folds.need_no_tables(node))):
+        needs_tables = not (is_fold and self.folds.need_no_tables(node))
+        if not needs_tables and self._is_row:  # whose worlds are pinned
+            return self.folds.value(node, form, series)
+        with self.worlds_pinned(node, is_settled=needs_tables):
             if is_fold:
                 return self.folds.value(node, form, series)
             return form.make(series(), None if age is None else validation.seconds(age))

@@ -19,8 +19,7 @@ from ssduck.language.evaluator import EvaluationScope, Frame
 from ssduck.language.tree import Index, ListLiteral, Literal, Name, Node, QualifiedName
 from ssduck.sql.plan import ParameterBinding
 from ssduck.sql.types import SqlType
-from ssduck.world.entities import Entity
-from ssduck.world.handles import Handle
+from ssduck.world.handles import Handle, place_of
 from ssduck.world.layout import EntityInfo
 from ssduck.world.world import World
 
@@ -54,8 +53,8 @@ class KeptScalars:
         self._variables: set[str] = set()
         # Each value is read once, however often a program names it.
         self._readers: dict[tuple[Any, ...], _Reader] = {}
-        # The columns of entities that are read, by world and row.
-        self._columns: dict[tuple[World, int], dict[str, tuple[Any, ...]]] = {}
+        # The columns of entities and links that are read, by world, table and row.
+        self._columns: dict[tuple[World, str, int], dict[str, tuple[Any, ...]]] = {}
         self._sources = {
             shape.alias: _literals(source.value)
             for shape, source in zip(plan.source_types, plan.query.sources, strict=True)
@@ -119,11 +118,11 @@ class KeptScalars:
                 return None
         try:
             values = {key: read(frame) for key, read in self._readers.items()}
+            for (world, table, row), keys in self._columns.items():
+                numbers = world.snapshot.doubles_in(row, tuple(keys), table)
+                values.update(zip(keys.values(), numbers, strict=True))
         except (_ChangedError, ArgumentError, EvaluationError):
             return None
-        for (world, row), keys in self._columns.items():
-            numbers = world.snapshot.doubles_in(row, tuple(keys))
-            values.update(zip(keys.values(), numbers, strict=True))
         parameters = self._parameters | {name: values[key] for name, key in self._bindings}
         rows = self._select.rows(parameters)
         scope.meter.check_time()
@@ -156,12 +155,11 @@ class KeptScalars:
                 self._note_world(name, frame)
             column = binding.column or "id"
             key: tuple[Any, ...] = value.world.serial, value.id, column
-            snapshot = value.world.snapshot
-            row = snapshot.rows.get(value.id) if isinstance(value, Entity) else None
-            if row is not None and snapshot.has_double(column):
-                self._columns.setdefault((value.world, row), {})[column] = key
+            table, row = place_of(value)
+            if value.world.snapshot.has_double(column, table):
+                self._columns.setdefault((value.world, table, row), {})[column] = key
             else:
-                self._readers[key] = _column_reader(value, row, column)
+                self._readers[key] = _column_reader(value, column)
             return key
         if binding.column is not None:
             raise ValueError("it names an entity in another way")
@@ -182,16 +180,13 @@ class KeptScalars:
         self._worlds[name] = value, world, world.snapshot.load_order
 
 
-def _column_reader(handle: Handle, row: int | None, column: str) -> _Reader:
+def _column_reader(handle: Handle, column: str) -> _Reader:
     """Returns the reader of a column at the last tick, while the entities are the same."""
-    world = handle.world
-    if row is None:
-        return lambda _: handle.column(column)
     if column == "id":
         return lambda _: handle.id
     if column == "tick":
-        return lambda _: world.snapshot.number
-    return lambda _: world.snapshot.value(row, column)
+        return lambda _: handle.world.snapshot.number
+    return lambda _: handle.column(column)
 
 
 def _variable_reader(name: str, sql_type: SqlType) -> _Reader:

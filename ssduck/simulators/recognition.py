@@ -9,9 +9,10 @@ tick is taken.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator
-from functools import reduce
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from importlib.util import find_spec
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -100,16 +101,23 @@ def parts_finder(simulation: Any) -> Callable[[], tuple[Any, Any] | None]:
     It looks first where it found them last: an environment may make them anew, in the same place.
     So it stays there, even if an outer part gets a model and data later.
     """
-    known: tuple[_Path, _Path] | None = None
+    getters: Sequence[Callable[[Any], Any]] = ()
+    types: Sequence[type] = ()
 
     def find() -> tuple[Any, Any] | None:
-        nonlocal known
-        if known is not None:
-            model, data = (reduce(_attribute, path, simulation) for path in known)
-            if _is_own(model, _NAMES[0]) and _is_own(data, _NAMES[1]):
-                return model, data
+        nonlocal getters, types
+        with suppress(AttributeError):
+            if getters:
+                model, data = getters[0](simulation), getters[1](simulation)
+                if (type(model), type(data)) == types:
+                    return model, data
         found = next(_places(simulation, _MAX_DEPTH, ()), None)
-        known, pair = (None, None) if found is None else found
+        if found is None:
+            getters = types = ()
+            return None
+        paths, pair = found
+        getters = [attrgetter(".".join(path)) for path in paths]
+        types = tuple(map(type, pair))
         return pair
 
     return (lambda: parts_of(simulation)) if isinstance(simulation, tuple) else find

@@ -230,6 +230,11 @@ class Handle(PublicNames):
         return self
 
 
+def place_of(handle: Handle) -> tuple[str, int]:
+    """Returns the table that has the row of a handle, and the number of the row."""
+    return TABLES[handle.TABLE].source, handle._row()  # noqa: SLF001  # one module
+
+
 def removal_of(handle: Handle) -> str:
     """Returns when the entity of a handle was removed, for an error; '' if it is there."""
     if entity_of(handle.id) in handle.world.snapshot.rows:

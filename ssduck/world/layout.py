@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from itertools import accumulate
 
 import numpy as np
@@ -26,6 +26,7 @@ from ssduck.geometry.poses import (
     rotation_matrices,
 )
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
+from ssduck.schema import BOX, POSE, TWIST
 from ssduck.simulators.interface import Body, Kind, LinkPoses
 from ssduck.simulators.scenes import SensorSpec
 from ssduck.world.live_tables import LiveTable
@@ -228,6 +229,7 @@ class BodyGroup:
         self._row_frames = np.concatenate((self._bases, mounts))
         # The last link poses, with the boxes of the links and sensors, and of the entities.
         self._last_boxes: tuple[LinkPoses, Array] | None = None
+        self._last_states: tuple[LinkPoses, Array] | None = None
         self._last_shape_boxes: tuple[LinkPoses, Array] | None = None
         self._last_shapes: tuple[LinkPoses, tuple[Array, Array, Array]] | None = None
         self._last_entity_boxes: tuple[LinkPoses, Array] | None = None
@@ -278,11 +280,9 @@ class BodyGroup:
         is_later = link_poses.are_finite and table.is_complete and not self._mounts
         if is_later:
             parts = link_poses, block
-            in_row = partial(self._write_position, *parts)
-            table.defer("x", "z", partial(self._write_positions, *parts), in_row)
+            table.defer("x", "z", partial(self._write_positions, *parts))
             table.defer("qw", "wz", partial(self.write_states, *parts))
-            in_row = partial(self._write_box, *parts)
-            table.defer("xmin", "zmax", partial(self.write_boxes, *parts), in_row)
+            table.defer("xmin", "zmax", partial(self.write_boxes, *parts))
             return True
         if self.write_states(link_poses, block) and table.is_complete:
             table.defer("xmin", "zmax", partial(self.write_boxes, link_poses, block))
@@ -294,17 +294,38 @@ class BodyGroup:
         """Writes the positions of these rows, if there are no sensors."""
         block[:3, self._rows, 0] = link_poses.positions.take(self._row_frames, axis=0).T
 
-    def _write_position(self, link_poses: LinkPoses, block: Array, row: int) -> None:
-        """Writes the position of a row, likewise."""
-        place = self._places.get(row)
-        if place is not None:
-            block[:3, row, 0] = link_poses.positions[self._bases[place]]
+    def numbers_in(
+        self, link_poses: LinkPoses, table: str, row: int, columns: tuple[str, ...]
+    ) -> list[float] | None:
+        """Returns numbers of a body or a link at finite poses, those that its row is to have.
 
-    def _write_box(self, link_poses: LinkPoses, block: Array, row: int) -> None:
-        """Writes the box of a row, likewise."""
-        place = self._places.get(row)
-        if place is not None:
-            block[-6:, row, 0] = self._box_of_body(link_poses, place)
+        None if the row is of another group, or a column is none of x to zmax.
+        """
+        is_link, places = table == "links", _places_of(columns)
+        place = (self._link_places if is_link else self._places).get(row)
+        if place is None or places is None:
+            return None
+        last, link = max(places), place if is_link else self._bases[place]
+        read = link_poses.positions if last < _STATE else self._states(link_poses)
+        numbers: list[float] = read[link].tolist()
+        if last >= _BOX and is_link:
+            numbers += self._boxes(link_poses)[:, link].tolist()
+        elif last >= _BOX:
+            numbers += self._box_of_body(link_poses, place)
+        return [numbers[place] for place in places]
+
+    def _states(self, link_poses: LinkPoses) -> Array:
+        """Returns the poses and velocities of the links at one tick, (links, 13)."""
+        last = self._last_states
+        if last is None or last[0] is not link_poses:
+            states = link_poses.states_at(link_poses.positions, np.arange(self.link_count))
+            last = self._last_states = link_poses, states
+        return last[1]
+
+    @cached_property
+    def _link_places(self) -> dict[int, int]:
+        """The place of a row's link among the links."""
+        return {row: place for place, row in enumerate(self._link_rows.tolist())}
 
     @cached_property
     def _places(self) -> dict[int, int]:
@@ -418,11 +439,12 @@ class BodyGroup:
             return box
         return self._single_box(link_poses, range(number, number + 1))
 
-    def _box_of_body(self, link_poses: LinkPoses, place: int) -> Array | list[float]:
+    def _box_of_body(self, link_poses: LinkPoses, place: int) -> list[float]:
         """Returns the box of a body at finite poses, that of `write_boxes`."""
-        last, shapes = self._last_entity_boxes, self._shape_ranges[place]
-        if not shapes or (last is not None and last[0] is link_poses):
-            box: Array = self._entity_boxes(link_poses)[:, place]
+        shapes, single = self._shape_ranges[place], self._last_single_boxes
+        lasts = self._last_entity_boxes, single if single and len(single[1]) >= _FEW else None
+        if not shapes or any(last is not None and last[0] is link_poses for last in lasts):
+            box: list[float] = self._entity_boxes(link_poses)[:, place].tolist()
             return box
         return self._single_box(link_poses, shapes)
 
@@ -546,6 +568,19 @@ class BodyGroup:
 
 
 _POINT = Geometry.primitive("sphere", (0, 0, 0))
+# The columns of a row that follow from link poses, by place; where those after the position and
+# after the velocities begin.
+_COLUMNS = {name: place for place, name in enumerate((*POSE, *TWIST, *BOX))}
+_STATE, _BOX = _COLUMNS["qw"], _COLUMNS["xmin"]
+# Of more boxes of single bodies at a tick, all are computed at once.
+_FEW = 4
+
+
+@lru_cache(maxsize=1024)
+def _places_of(columns: tuple[str, ...]) -> list[int] | None:
+    """Returns the places of columns that follow from link poses; None if any does not."""
+    places = [_COLUMNS[name] for name in columns if name in _COLUMNS]
+    return places if len(places) == len(columns) else None
 
 
 def _centred(frame: int, geometry: Geometry) -> PlacedGeometry:

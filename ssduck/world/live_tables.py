@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Collection, Iterable
-from dataclasses import dataclass, field
 from itertools import count
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -33,8 +32,6 @@ ARROW_TYPES: dict[ColumnType, pa.DataType] = {
 _versions = count(1)
 # A table that becomes larger than its buffers gets such a part of its size more.
 _SPARE_FRACTION = 4
-# After so many entities of a table, or this part of them, columns are written for all of them.
-_MAX_SINGLE, _SINGLE_FRACTION = 4, 16
 # The version that was given out last; each is unique in the process, whatever thread asks.
 _last_version = 0
 
@@ -51,21 +48,16 @@ def last_version() -> int:
     return _last_version
 
 
-@dataclass(eq=False, slots=True)
-class _Deferred:
+class _Deferred(NamedTuple):
     """Adjacent columns of doubles that are still to be written.
 
     Attributes:
         columns: the rows of the block that hold them.
         write: a function that writes them.
-        write_row: a function that writes them in one row of the table; None if there is none.
-        written: the rows of the table in which they are written.
     """
 
     columns: range
     write: Callable[[], object]
-    write_row: Callable[[int], object] | None
-    written: set[int] = field(default_factory=set)
 
 
 class LiveTable:
@@ -100,7 +92,6 @@ class LiveTable:
         self._block = np.zeros((len(doubles), count))
         self._row = {name: row for row, name in enumerate(doubles)}
         self._block_rows: dict[tuple[str, ...], slice | Indices] = {}
-        self._columns: dict[tuple[str, ...], frozenset[int]] = {}
         for name, kind in buffered:
             if kind == "double":
                 self._numbers[name] = self._block[self._row[name]]
@@ -240,15 +231,13 @@ class LiveTable:
         column = self._numbers.get(name)
         if column is None:
             return self.values(name)[row]
-        if self._deferred and name in self._row:
-            self._settle_row(row, (name,))
+        self._settle(name)
         number = column[row].item()
         return None if number != number else number  # noqa: PLR0124  # NaN is unknown
 
     def doubles_in(self, row: int, names: tuple[str, ...]) -> list[float | None]:
         """Returns the values of columns of doubles in a row, None for unknown ones."""
-        if self._deferred:
-            self._settle_row(row, names)
+        self.settle(names)
         numbers = self._block[self.block_rows(names), row].tolist()
         return [None if number != number else number for number in numbers]  # noqa: PLR0124
 
@@ -263,13 +252,7 @@ class LiveTable:
         self.settle()
         return self._block
 
-    def defer(
-        self,
-        first: str,
-        last: str,
-        write: Callable[[], object],
-        write_row: Callable[[int], object] | None = None,
-    ) -> None:
+    def defer(self, first: str, last: str, write: Callable[[], object]) -> None:
         """Has adjacent columns of doubles written later, before anything reads any of them.
 
         Their numbers must all be finite. Until then, the columns have those of an earlier tick.
@@ -279,12 +262,10 @@ class LiveTable:
             first: the first column.
             last: the last column.
             write: a function that writes them.
-            write_row: a function that writes them in one row of the table, which takes less than
-                all if few are read; None if there is none.
         """
         columns = range(self._row[first], self._row[last] + 1)
-        deferred = _Deferred(columns, write, write_row)
-        self._deferred = [*self._deferred, deferred]  # a clone has the same list
+        # A clone has the same list.
+        self._deferred = [*self._deferred, _Deferred(columns, write)]
 
     def settle(self, names: Iterable[str] | None = None) -> None:
         """Writes the columns that were deferred: all, or those that are written with some."""
@@ -311,21 +292,6 @@ class LiveTable:
             return
         low, high = self._row[first], self._row[last or first]
         self._write([d for d in self._deferred if low < d.columns.stop and high >= d.columns.start])
-
-    def _settle_row(self, row: int, names: tuple[str, ...]) -> None:
-        """Writes the deferred columns that are written with some, in one row if that is enough."""
-        columns = self._columns.get(names)
-        if columns is None:
-            columns = self._columns[names] = frozenset(self._row[name] for name in names)
-        for deferred in self._deferred:
-            if row in deferred.written or columns.isdisjoint(deferred.columns):
-                continue
-            is_few = len(deferred.written) < max(_MAX_SINGLE, self.count // _SINGLE_FRACTION)
-            if deferred.write_row is None or not is_few:
-                self._write([deferred])
-            else:
-                deferred.write_row(row)
-                deferred.written.add(row)
 
     @property
     def names_of_doubles(self) -> list[str]:

@@ -272,15 +272,37 @@ class Snapshot(TickGeometry):
 
     def value(self, row: int, column: str, table: str = "entities") -> Any:
         """Returns a value of a table; None if it is unknown."""
-        return (self._tables if table == "entities" else self.tables)[table].value(column, row)
+        numbers = self._numbers_in(table, row, (column,))
+        return self._table_of(table).value(column, row) if numbers is None else numbers[0]
 
-    def has_double(self, column: str) -> bool:
-        """Checks whether a column of the entities has doubles."""
-        return column in self._live["entities"].names_of_doubles
+    def _table_of(self, name: str) -> LiveTable:
+        return (self.tables if name == "contacts" else self._tables)[name]
 
-    def doubles_in(self, row: int, columns: tuple[str, ...]) -> list[float | None]:
-        """Returns the values of columns of doubles of an entity; None for unknown ones."""
-        return self._tables["entities"].doubles_in(row, columns)
+    def has_double(self, column: str, table: str = "entities") -> bool:
+        """Checks whether a column of a table has doubles."""
+        return column in self._live[table].names_of_doubles
+
+    def doubles_in(
+        self, row: int, columns: tuple[str, ...], table: str = "entities"
+    ) -> Sequence[float | None]:
+        """Returns the values of columns of doubles in a row; None for unknown ones."""
+        numbers = self._numbers_in(table, row, columns)
+        return self._table_of(table).doubles_in(row, columns) if numbers is None else numbers
+
+    def _numbers_in(
+        self, table: str, row: int, columns: tuple[str, ...]
+    ) -> Sequence[float | None] | None:
+        """Returns numbers that follow from poses, for which no row need be written; else None."""
+        if table not in ("entities", "links") or not self._link_poses:
+            return None
+        static, moving = self._link_poses
+        if moving.are_finite:
+            found = self._layout.moving_bodies.numbers_in(moving, table, row, columns)
+            if found is not None:
+                return found
+        if not static.are_finite:
+            return None
+        return self._layout.static_bodies.numbers_in(static, table, row, columns)
 
     # -- a tick ---------------------------------------------------------------------------
 

@@ -504,10 +504,8 @@ class SteppedSimulation(Observable):
                 self._stale_tick_check.check(self.name, self._simulator, self.snapshot)
             if tables:
                 self.request_tables(tables)
-            if self.is_restored:
-                self.snapshot.write_rows()
-                if is_settled:
-                    self.snapshot.settle()
+            if is_settled and self.is_restored:
+                self.snapshot.settle()
             self._queries += 1
         except BaseException:
             self.lock.release()

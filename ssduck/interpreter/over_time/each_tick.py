@@ -161,6 +161,7 @@ class JudgedFolds:
 
     Attributes:
         need_record: whether an expression needs the record of past ticks.
+        are_asked: whether expressions are to be evaluated at the next tick, and `settle` follows.
     """
 
     def __init__(
@@ -171,6 +172,7 @@ class JudgedFolds:
         found = [part for expression in expressions for part in self._temporal(expression)]
         self._calls = [part for part in found if isinstance(part, Call) and self._is_fold(part)]
         self.need_record = len(self._calls) < len(found)
+        self.are_asked = False
 
     def _temporal(self, node: Node) -> Iterator[Node]:
         """Yields the parts of an expression that read the past."""
@@ -203,7 +205,8 @@ class JudgedFolds:
 
     def ticked(self, _: object) -> None:
         """Adds the tick, whoever has taken it."""
-        self.settle()
+        if not self.are_asked:
+            self.settle()
 
     def settle(self) -> None:
         """Adds the present tick to the functions that no expression needed at it."""

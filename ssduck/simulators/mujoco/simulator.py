@@ -126,7 +126,7 @@ class MuJoCoSimulator(PartialSimulator):
         self.episode = 0
         self._episodes = EpisodeClock(self.data)
         # Those of the joints at the last tick.
-        self._positions = self.data.qpos.copy()
+        self._positions = self.data.qpos.tobytes()
 
     # -- bodies ---------------------------------------------------------------------------
 
@@ -187,7 +187,7 @@ class MuJoCoSimulator(PartialSimulator):
             self.episode += 1
         if is_new:
             self._switches = Switches(self.model)
-        self._positions = self.data.qpos.copy()
+        self._positions = self.data.qpos.tobytes()
         # The first number is 0 in data whose poses MuJoCo never computed, or reset since.
         if not self._forward and self.data.xquat[0, 0]:
             self._state = self.data
@@ -205,7 +205,7 @@ class MuJoCoSimulator(PartialSimulator):
         return (
             model is not self.model
             or float(data.time) != self._episodes.last
-            or not np.array_equal(data.qpos, self._positions, equal_nan=True)
+            or data.qpos.tobytes() != self._positions
         )
 
     def begin_episode(self) -> None:
