@@ -234,23 +234,28 @@ def test_rows_that_are_read_one_by_one_are_those_of_all(monkeypatch):
     """The boxes of few entities are computed alone, to the last bit."""
     model = mujoco.MjModel.from_xml_string(SHAPES)
     data = mujoco.MjData(model)
-    calls, write = [], BodyGroup.write_boxes
-    monkeypatch.setattr(BodyGroup, "write_boxes", lambda *of: calls.append(1) or write(*of))
+    calls = []
+    for name in ("write_boxes", "write_links"):
+        write = getattr(BodyGroup, name)
+        monkeypatch.setattr(BodyGroup, name, lambda *of, write=write: calls.append(1) or write(*of))
     with ssduck.Interpreter(recording=None) as ss:
         world = ss.add_variable("lab", ssduck.World.attach(model, data))
         for _ in range(3):
             mujoco.mj_step(model, data, 20)
             world.tick()
             calls.clear()
-            snapshot, names = world.snapshot, ("x", "y", "z", "xmin", "ymin", "zmin", "xmax")
-            rows = range(len(snapshot.entities))
-            alone = [snapshot.doubles_in(row, names) for row in rows]
-            tops = [snapshot.value(row, "zmax") for row in rows]
-            assert not calls
-            table = snapshot.tables["entities"]
-            assert np.array(alone).T.tolist() == [table[name].tolist() for name in names]
-            assert tops == table["zmax"].tolist()
-            assert calls == [1]
+            world.request_tables(("links",))
+            snapshot = world.snapshot
+            names = ("x", "y", "z", "qw", "vx", "wz", "xmin", "ymin", "zmin", "xmax")
+            for name in ("entities", "links"):
+                rows = range(snapshot.table(name).count)
+                alone = [snapshot.doubles_in(row, names, name) for row in rows]
+                tops = [snapshot.value(row, "zmax", name) for row in rows]
+                assert not calls
+                table = snapshot.tables[name]
+                assert np.array(alone).T.tolist() == [table[column].tolist() for column in names]
+                assert tops == table["zmax"].tolist()
+                assert calls.pop() == 1
 
 
 @pytest.mark.slow
@@ -282,8 +287,8 @@ def test_many_rows_are_computed_at_once(monkeypatch):
         for n in range(40)
     )
     model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
-    calls, write = [], BodyGroup.write_boxes
-    monkeypatch.setattr(BodyGroup, "write_boxes", lambda *of: calls.append(1) or write(*of))
+    calls, boxes = [], BoundingBoxes.boxes
+    monkeypatch.setattr(BoundingBoxes, "boxes", lambda *of: calls.append(1) or boxes(*of))
     world = ssduck.World.attach(model, mujoco.MjData(model))
     world.tick()
     calls.clear()
