@@ -301,18 +301,19 @@ class BodyGroup:
 
         None if the row is of another group, or a column is none of x to zmax.
         """
-        is_link, places = table == "links", _places_of(columns)
+        is_link, chosen = table == "links", _chosen(columns)
         place = (self._link_places if is_link else self._places).get(row)
-        if place is None or places is None:
+        if place is None or chosen is None:
             return None
-        last, link = max(places), place if is_link else self._bases[place]
-        read = link_poses.positions if last < _STATE else self._states(link_poses)
+        places, has_state, has_box = chosen
+        link, box = place if is_link else self._bases[place], list[float]()
+        if has_box and is_link:
+            box = self._boxes(link_poses)[:, link].tolist()
+        elif has_box:
+            box = self._box_of_body(link_poses, place)
+        read = self._states(link_poses) if has_state else link_poses.positions
         numbers: list[float] = read[link].tolist()
-        if last >= _BOX and is_link:
-            numbers += self._boxes(link_poses)[:, link].tolist()
-        elif last >= _BOX:
-            numbers += self._box_of_body(link_poses, place)
-        return [numbers[place] for place in places]
+        return [(box if number < 0 else numbers)[number] for number in places]
 
     def _states(self, link_poses: LinkPoses) -> Array:
         """Returns the poses and velocities of the links at one tick, (links, 13)."""
@@ -568,8 +569,7 @@ class BodyGroup:
 
 
 _POINT = Geometry.primitive("sphere", (0, 0, 0))
-# The columns of a row that follow from link poses, by place; where those after the position and
-# after the velocities begin.
+# The columns of a row that follow from link poses; where orientation and box begin.
 _COLUMNS = {name: place for place, name in enumerate((*POSE, *TWIST, *BOX))}
 _STATE, _BOX = _COLUMNS["qw"], _COLUMNS["xmin"]
 # Of more boxes of single bodies at a tick, all are computed at once.
@@ -577,10 +577,16 @@ _FEW = 4
 
 
 @lru_cache(maxsize=1024)
-def _places_of(columns: tuple[str, ...]) -> list[int] | None:
-    """Returns the places of columns that follow from link poses; None if any does not."""
-    places = [_COLUMNS[name] for name in columns if name in _COLUMNS]
-    return places if len(places) == len(columns) else None
+def _chosen(columns: tuple[str, ...]) -> tuple[list[int], bool, bool] | None:
+    """Returns the places of columns among pose and twist, of the box from its end; None for others.
+
+    Likewise, whether any is of the orientation or the twist, and of the box.
+    """
+    if not _COLUMNS.keys() >= set(columns):
+        return None
+    places = [_COLUMNS[name] for name in columns]
+    numbers = [place if place < _BOX else place - len(_COLUMNS) for place in places]
+    return numbers, any(_STATE <= p < _BOX for p in places), max(places) >= _BOX
 
 
 def _centred(frame: int, geometry: Geometry) -> PlacedGeometry:
