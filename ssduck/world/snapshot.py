@@ -271,38 +271,18 @@ class Snapshot(TickGeometry):
         return self.geometries.setdefault(geometry.key, len(self.geometries) + 1)
 
     def value(self, row: int, column: str, table: str = "entities") -> Any:
-        """Returns a value of a table; None if it is unknown."""
+        """Returns a value of a table other than that of contacts; None if it is unknown."""
         numbers = self._numbers_in(table, row, (column,))
-        return self._table_of(table).value(column, row) if numbers is None else numbers[0]
-
-    def _table_of(self, name: str) -> LiveTable:
-        return (self.tables if name == "contacts" else self._tables)[name]
+        return self._tables[table].value(column, row) if numbers is None else numbers[0]
 
     def has_double(self, column: str, table: str = "entities") -> bool:
         """Checks whether a column of a table has doubles."""
         return column in self._live[table].names_of_doubles
 
-    def doubles_in(
-        self, row: int, columns: tuple[str, ...], table: str = "entities"
-    ) -> Sequence[float | None]:
+    def doubles_in(self, row: int, columns: tuple[str, ...], table: str = "entities") -> list[Any]:
         """Returns the values of columns of doubles in a row; None for unknown ones."""
         numbers = self._numbers_in(table, row, columns)
-        return self._table_of(table).doubles_in(row, columns) if numbers is None else numbers
-
-    def _numbers_in(
-        self, table: str, row: int, columns: tuple[str, ...]
-    ) -> Sequence[float | None] | None:
-        """Returns numbers that follow from poses, for which no row need be written; else None."""
-        if table not in ("entities", "links") or not self._link_poses:
-            return None
-        static, moving = self._link_poses
-        if moving.are_finite:
-            found = self._layout.moving_bodies.numbers_in(moving, table, row, columns)
-            if found is not None:
-                return found
-        if not static.are_finite:
-            return None
-        return self._layout.static_bodies.numbers_in(static, table, row, columns)
+        return self._tables[table].doubles_in(row, columns) if numbers is None else numbers
 
     # -- a tick ---------------------------------------------------------------------------
 
@@ -542,10 +522,9 @@ class Snapshot(TickGeometry):
         self, layout: TableLayout, number: int, *, all_sensors: bool
     ) -> list[EntityInfo]:
         """Returns all sensors, or those that were requested by themselves not long ago."""
-        requested = {
+        self._requested_sensors = requested = {
             id: at for id, at in self._requested_sensors.items() if number - at <= FORGOTTEN_AFTER
         }
-        self._requested_sensors = requested
         if not (all_sensors or requested):
             return []
         sensors = [info for info in layout.entities if info.sensor is not None]

@@ -55,6 +55,19 @@ class TickGeometry(ABC):
             (self._layout.static_bodies, self._layout.moving_bodies), self._link_poses, strict=True
         )
 
+    def _numbers_in(self, table: str, row: int, columns: tuple[str, ...]) -> list[float] | None:
+        """Returns numbers that follow from poses, for which no row need be written; else None."""
+        if table not in ("entities", "links") or not self._link_poses:
+            return None
+        static, moving = self._link_poses
+        if moving.are_finite:
+            found = self._layout.moving_bodies.numbers_in(moving, table, row, columns)
+            if found is not None:
+                return found
+        if not static.are_finite:
+            return None
+        return self._layout.static_bodies.numbers_in(static, table, row, columns)
+
     def shapes(self) -> ShapeQueries:
         """Returns the shape queries of this tick; the table of shapes must have been requested."""
         if self._shapes is None:
