@@ -177,17 +177,24 @@ class BoundingBoxes:
             (n, 6, groups).
         """
         # What stands still does so in all of them.
-        is_same = bool((positions == positions[0]).all() and (matrices == matrices[0]).all())
+        is_same = all(
+            (poses[-1] == poses[0]).all() and (poses == poses[0]).all()
+            for poses in (positions, matrices)
+        )
         if is_same or self._vectors is None:
             rows = range(1 if is_same else len(positions))
             each = np.stack([self.boxes(positions[row], matrices[row]) for row in rows])
             return np.broadcast_to(each, (len(positions), *each.shape[1:]))
-        rotations = matrices.take(self._frames, axis=1).transpose(2, 3, 0, 1).copy()
-        origins = positions.take(self._frames, axis=1).transpose(2, 0, 1).copy()
+        rotations = matrices.transpose(2, 3, 0, 1).take(self._frames, axis=-1)
+        origins = positions.transpose(2, 0, 1).take(self._frames, axis=-1)
         low, high = self._core_boxes(origins, rotations, self._vectors[:, :, None])
-        boxes = np.repeat(self._empty[None], len(positions), axis=0)
-        boxes[:, :3, self._groups] = np.minimum.reduceat(low, self._starts, axis=-1).swapaxes(0, 1)
-        boxes[:, 3:, self._groups] = np.maximum.reduceat(high, self._starts, axis=-1).swapaxes(0, 1)
+        if len(self._groups) < len(self._frames):  # several cores in a group
+            low = np.minimum.reduceat(low, self._starts, axis=-1)
+            high = np.maximum.reduceat(high, self._starts, axis=-1)
+        boxes = np.concatenate((low, high)).swapaxes(0, 1)
+        if len(self._groups) < self._count:
+            own, boxes = boxes, np.repeat(self._empty[None], len(positions), axis=0)
+            boxes[..., self._groups] = own
         planes = [poses.take(self._plane_frames, axis=1) for poses in (positions, matrices)]
         if all((poses == poses[0]).all() for poses in planes):
             self._extend(boxes, positions[0], matrices[0])

@@ -92,9 +92,9 @@ def placed_point(
 
 def cross(first: Array, second: Array) -> Array:
     """Returns cross products of the rows of two arrays (n, 3)."""
-    products = first.take(_CROSSED, axis=1)
-    products *= second.take(_CROSSED_WITH, axis=1)
-    product: Array = products[:, :3] - products[:, 3:]
+    products = first.T.take(_CROSSED, axis=0)
+    products *= second.T.take(_CROSSED_WITH, axis=0)
+    product: Array = (products[:3] - products[3:]).T
     return product
 
 

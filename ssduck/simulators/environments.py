@@ -275,7 +275,8 @@ def check_lengths(orientations: npt.NDArray[Any], name: str) -> None:
     """Checks that quaternions (n, m, 4) are of length 1; NaN is of a state that diverged."""
     w, x, y, z = (orientations[..., axis] for axis in range(4))
     squares = w * w + x * x + y * y + z * z
-    if not (np.abs(squares - 1.0) <= _LENGTH_TOLERANCE).all():
+    least, most = squares.min(initial=1.0), squares.max(initial=1.0)
+    if not 1.0 - _LENGTH_TOLERANCE <= least <= most <= 1.0 + _LENGTH_TOLERANCE:
         for environment, place in np.argwhere(np.abs(squares - 1.0) > _LENGTH_TOLERANCE).tolist():
             raise ArgumentError(
                 f"{name}: the quaternion w, x, y, z at ({environment}, {place}) is of length "

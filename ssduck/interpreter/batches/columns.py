@@ -9,7 +9,7 @@ import numpy as np
 from ssduck.columns.arrays import Array
 from ssduck.columns.expressions import LeftToDuckDBError
 from ssduck.geometry.bounds import BoundingBoxes
-from ssduck.geometry.poses import IDENTITY, rotation_matrices
+from ssduck.geometry.poses import IDENTITY, flat_rotation_matrices
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.schema import BOX, LINK_FACTOR, POSE, TWIST, entity_of, link_of
 from ssduck.simulators.interface import Body
@@ -101,8 +101,12 @@ class EnvironmentColumns:
             placed = [replace(shape, frame=links.index(shape.frame)) for shape in shapes]
             self._boxers[id] = BoundingBoxes(placed, [0] * len(placed), 1)
         frames = [self._world.environments.frames(body, number) for number in links]
-        positions, orientations = (np.stack(parts, axis=1) for parts in zip(*frames, strict=True))
+        count = len(frames[0][0])
+        if all((part == part[:1]).all() for frame in frames for part in frame):  # it stands still
+            frames = [(position[:1], orientation[:1]) for position, orientation in frames]
+        positions = np.stack([position.T for position, _ in frames], axis=-1)
         with np.errstate(invalid="ignore"):
-            matrices = rotation_matrices(orientations.reshape(-1, 4))
-            boxer = self._boxers[id]
-            return boxer.over(positions, matrices.reshape(*positions.shape, 3))[..., 0]
+            matrices = [flat_rotation_matrices(turn).reshape(3, 3, -1) for _, turn in frames]
+            turns = np.stack(matrices, axis=-1)
+            boxes = self._boxers[id].over(positions.transpose(1, 2, 0), turns.transpose(2, 3, 0, 1))
+        return np.broadcast_to(boxes[..., 0], (count, 6))

@@ -29,6 +29,7 @@ from ssduck.interpreter.over_time.live import select_of
 from ssduck.interpreter.query_runner import PlannedQuery
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import Name, Node, Placeholder
+from ssduck.language.value_keys import ATOMS
 from ssduck.schema import BOX, POSE, TWIST
 from ssduck.sql.plan import ParameterBinding
 from ssduck.sql.relation_calls import PAIR_CALL, PairCall
@@ -92,7 +93,7 @@ class Leaves:
         self._parts: dict[str, Expression] = {}
         # Variables, whose values may be others at the next evaluation, by the keys of leaves; and
         # those that are entities.
-        self._variables: dict[str, tuple[Node, type]] = {}
+        self._variables: dict[str, tuple[Node, Any]] = {}
         self._entities: list[tuple[Node, Handle]] = []
 
     # -- compilation ------------------------------------------------------------------------
@@ -141,7 +142,7 @@ class Leaves:
         """Notes an expression without columns, whose value may be another one later."""
         key = f"{id(node)} value"
         self._constant(key, value)
-        self._variables[key] = node, type(value)
+        self._variables[key] = node, value
         return key
 
     def tree(
@@ -215,10 +216,13 @@ class Leaves:
 
     def is_current(self, frame: Frame) -> bool:
         """Takes the present values of variables; returns whether they have the same types."""
-        for key, (node, kind) in self._variables.items():
+        for key, (node, before) in self._variables.items():
             value = frame.value(node)
-            if type(value) is not kind:
+            if value is before and type(value) in ATOMS:
+                continue
+            if type(value) is not type(before):
                 return False
+            self._variables[key] = node, value
             try:
                 self._constant(key, value)
             except LeftToDuckDBError:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from functools import partial
+from operator import attrgetter
 from types import SimpleNamespace
 from typing import Any
 
@@ -155,7 +156,8 @@ class MuJoCoEnvironments:
         if not {"xpos", "xquat"} <= known.keys():
             known = self._forward(known)
         self._missing = self._shapes.keys() - known.keys()
-        unknown = {n: np.full((self.count, *self._shapes[n]), np.nan) for n in self._missing}
+        shapes = {name: (self.count, *self._shapes[name]) for name in self._missing}
+        unknown = {name: np.broadcast_to(np.nan, shape) for name, shape in shapes.items()}
         self._arrays, self._contacts, self._read_contacts = known | unknown, contacts, None
         self._columns = {}
         self.times, self.has_times = times, time is not None
@@ -167,9 +169,11 @@ class MuJoCoEnvironments:
             raise ArgumentError(
                 f"tick: give a list of {self.count} MjData, one for each environment"
             )
-        stacked = {
-            name: np.stack([getattr(state, name) for state in states]).reshape(self.count, *shape)
-            for name, shape in self._shapes.items()
+        names = [name for name, shape in self._shapes.items() if 0 not in shape]
+        columns = zip(*map(attrgetter(*names), states), strict=True)
+        stacked = self._arrays | {
+            name: np.concatenate(parts).reshape(self.count, *self._shapes[name])
+            for name, parts in zip(names, columns, strict=True)
         }
         self._arrays, self._contacts, self.sample = stacked, None, None
         self._columns = {}
@@ -267,7 +271,9 @@ class MuJoCoEnvironments:
         twists = self._column("cvel", number)
         root = int(self._model.body_rootid[number])
         arms = self.frames(body, link)[0] - self._column("subtree_com", root)
-        return np.hstack((twists[:, 3:] + cross(twists[:, :3], arms), twists[:, :3]))
+        # Each column is contiguous, here as everywhere.
+        angular, linear = twists.T[:3], twists.T[3:]
+        return np.concatenate((linear + cross(angular.T, arms).T, angular)).T
 
     def joints(self, body: Body) -> Array:
         """Returns positions, velocities and efforts of a body's joints, (n, joints, 3)."""
@@ -412,8 +418,9 @@ def _check_world(known: Mapping[str, npt.NDArray[Any]]) -> None:
         if name not in known or not known[name].shape[1]:
             continue
         own = known[name][:, 0]
-        if (np.abs(own - np.array(place)) > _WORLD_TOLERANCE).any():
-            first = own[np.abs(own - np.array(place)).max(axis=1).argmax()].tolist()
+        errors = np.abs(own.T.copy() - np.array(place)[:, None])
+        if np.fmax.reduce(errors, axis=None) > _WORLD_TOLERANCE:
+            first = own[errors.max(axis=0).argmax()].tolist()
             raise ArgumentError(
                 f"tick: {name}: the first body is the world, at {list(place)}, and it is at "
                 f"{short_repr(first)}: the bodies are in the order of the model, quaternions are "
