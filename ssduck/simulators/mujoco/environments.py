@@ -98,6 +98,9 @@ class MuJoCoEnvironments:
             name: np.broadcast_to(getattr(data, name), (count, *shape))
             for name, shape in self._shapes.items()
         }
+        self._unknown = {
+            name: np.broadcast_to(np.nan, array.shape) for name, array in self._arrays.items()
+        }
         # The numbers of bodies and sites that were read, by the name of the array and their place.
         self._columns: dict[tuple[str, int], Array] = {}
         # Before the first tick there are none, so that terms can be checked.
@@ -156,9 +159,7 @@ class MuJoCoEnvironments:
         if not {"xpos", "xquat"} <= known.keys():
             known = self._forward(known)
         self._missing = self._shapes.keys() - known.keys()
-        shapes = {name: (self.count, *self._shapes[name]) for name in self._missing}
-        unknown = {name: np.broadcast_to(np.nan, shape) for name, shape in shapes.items()}
-        self._arrays, self._contacts, self._read_contacts = known | unknown, contacts, None
+        self._arrays, self._contacts, self._read_contacts = self._unknown | known, contacts, None
         self._columns = {}
         self.times, self.has_times = times, time is not None
         self.sample = given.get("xpos", given.get("qpos"))
