@@ -215,7 +215,7 @@ def test_since_when_and_how_long(lab: Any) -> None:
 
 
 @pytest.mark.slow
-@sampled("ticks", [239, 240, 241, 720, 1000], every=3)
+@sampled("ticks", [239, 240, 241, 1200, 1000], every=3)
 def test_since_looks_back_as_far_as_it_has_to(lab: Any, ticks: int) -> None:
     ss, _, world = lab
     world["ball"].move([0, 0, 5])
@@ -227,7 +227,7 @@ def test_since_looks_back_as_far_as_it_has_to(lab: Any, ticks: int) -> None:
     assert ss.eval("since(z(ball) < 2);") == 0.0
     blocks = [sql for sql in told if "entities_history" in sql]
     # Three ticks are of the time 0, and stay together.
-    assert len(blocks) == (1 if ticks < 240 else 2 if ticks < 719 else 3)
+    assert len(blocks) == (1 if ticks < 240 else 2 if ticks < 1199 else 3)
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from ssduck.language.tree import Node
 from ssduck.recording.replay.past import Past, past_of
 from ssduck.recording.replay.record import Record
 
-# The number of ticks that `since` reads first; each further read is twice as long.
+# The number of ticks that `since` reads first; each further read is four times as long.
 FIRST_TICKS = 240
 # The times of n ticks, s, (n,), each later than the one before, and the values at these, (n,):
 # masked, or None of objects, where there is none.
@@ -142,14 +142,14 @@ class TickSeries:
         return is_true(value, self.node)
 
     def backwards(self) -> Iterator[Past]:
-        """Yields all ticks in pieces, the last ones first, each twice as long as the one before."""
+        """Yields all ticks in pieces, the last ones first, each four times as long as the last."""
         numbers, all_times = self.ticks()
         end, size = len(numbers), FIRST_TICKS
         while end > 0:
             # Ticks of the same time are in the same piece.
             start = int(np.searchsorted(all_times, all_times[max(end - size, 0)]))
             yield Past(self.record, int(numbers[start]), int(numbers[end - 1]), is_window=True)
-            end, size = start, size * 2
+            end, size = start, size * 4
 
 
 def is_true(value: Any, node: Node) -> bool:
