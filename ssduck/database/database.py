@@ -139,7 +139,7 @@ class Database:
             statement = None if parameters else self._raw_sql.ready(sql)
             if statement is not None and statement.reads is not None:
                 with PinnedWorlds(self._lock, self._worlds, statement.reads, is_settled=False):
-                    self._worlds.write_contacts()
+                    self._worlds.write_rows()
                     return self._raw_sql.ready_rows(statement)
             self._confine(sql)
             words = words_of(sql)

@@ -200,15 +200,19 @@ class WorldRegistry:
         for bound, snapshot in self._snapshots():
             if columns is None:
                 snapshot.settle()
-            else:
+                self.register(bound)  # its buffers may be others
+            elif columns:
                 snapshot.tables["entities"].settle(columns)
-            self.register(bound)  # its buffers may be others
 
-    def write_contacts(self) -> None:
-        """Writes the contacts of the ticks, of which there may be more or fewer than before."""
+    def write_rows(self) -> None:
+        """Writes the rows of the ticks, but for what is deferred, before a plan is chosen.
+
+        A plan that reads buffers ends where these are replaced.
+        """
         for bound, snapshot in self._snapshots():
-            if snapshot.write_contacts():
-                self.register(bound)
+            snapshot.write_rows()
+            snapshot.write_contacts()
+            self.register(bound)
 
     def _snapshots(self) -> Iterator[tuple[BoundWorld, Snapshot]]:
         """Yields the worlds whose tables have a tick, each with its snapshot."""

@@ -122,14 +122,12 @@ class Snapshot(TickGeometry):
         """Returns a table other than that of contacts, whose rows may be left for later."""
         return self._tables[name]
 
-    def write_contacts(self) -> bool:
-        """Writes the table of contacts if it was left for later; returns whether it was."""
-        if self._are_contacts_written:
-            return False
-        self._are_contacts_written = True
-        write_contacts(self._live["contacts"], self.contact_points.all(), self._layout)
-        self._publish("contacts")
-        return True
+    def write_contacts(self) -> None:
+        """Writes the table of contacts if it was left for later."""
+        if not self._are_contacts_written:
+            self._are_contacts_written = True
+            write_contacts(self._live["contacts"], self.contact_points.all(), self._layout)
+            self._publish("contacts")
 
     def settle(self) -> None:
         """Writes all rows of this tick that were left for later: DuckDB reads without asking."""
@@ -442,7 +440,6 @@ class Snapshot(TickGeometry):
         if not self._is_past:
             self._live["ticks"]["wall_time"].fill(state.wall_time)
         self._finish(known)
-        self._are_rows_written = True
 
     def is_still_of(self, simulator: Simulator, load_order: list[EntityInfo]) -> bool:
         """Checks whether the simulator is in the state of this tick, as far as this has it.
@@ -569,6 +566,7 @@ class Snapshot(TickGeometry):
         """
         for name in ("entities", "ticks", *self._read.difference(("contacts",))):
             self._publish(name, are_known=name in known)
+        self._are_rows_written = True
         # The warning for a past tick was given when it was taken.
         if not self._is_past:
             self._warn_of_unknown()
@@ -583,7 +581,7 @@ class Snapshot(TickGeometry):
 
     def entities_with_nan(self) -> list[EntityInfo]:
         """Returns the entities with a pose, a box or a velocity that is not a number."""
-        table = self._live["entities"]
+        table = self._tables["entities"]
         if table.is_complete:
             return []
         unknown = np.isnan(table.doubles("x", "zmax")).any(axis=0)

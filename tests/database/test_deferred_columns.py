@@ -63,3 +63,21 @@ def test_a_prepared_statement_reads_the_present_tick(sql, recording):
             expected.append(STATEMENTS[sql](data))
             assert (value or 0) == pytest.approx(expected[-1], rel=1e-12), f"tick {len(expected)}"
     assert len(set(expected)) > TICKS // 2  # it changed meanwhile
+
+
+@pytest.mark.filterwarnings("ignore:b0. the simulator gives a pose")
+def test_a_plan_is_made_anew_after_numbers_were_unknown():
+    model = mujoco.MjModel.from_xml_string(MODEL)
+    data = mujoco.MjData(model)
+    told, counts = [], {0.5: 81, float("nan"): 72, 0.7: 81}
+    with ssduck.Interpreter(tracer=told.append, recording=None) as ss:
+        world = ss.add_variable("sim", ssduck.World.attach(model, data))
+        for height, wanted in counts.items():
+            data.qpos[2] = height
+            mujoco.mj_kinematics(model, data)
+            world.tick()
+            for _ in range(RUNS_BEFORE_PLAN + 3):
+                told.clear()
+                ((count,),) = ss.sql("SELECT count(a.z) FROM entities a, entities b").fetchall()
+                assert count == wanted
+            assert [sql.split()[0] for sql in told] == ["EXECUTE"]

@@ -254,3 +254,12 @@ def test_pybullet():
 def test_other_arguments_are_errors(nan):
     with pytest.raises(ArgumentError, match="nan"):
         QueryWrapper(Broken(), reward="x(sim.a)", nan=nan)
+
+
+def test_a_term_that_fails_after_all_numbers_are_known_again_is_an_error():
+    text, variables = "IF(count > 3; log(z(sim.b) - 9); 0.0)", {"count": lambda env: env.steps}
+    env = QueryWrapper(Broken(2, until=4), reward=text, variables=variables, forward=False, nan=-7)
+    env.reset()
+    assert [env.step(None)[1] for _ in range(3)] == [0.0] * 3
+    with pytest.raises(ArgumentError, match="log does not take -8"):
+        env.step(None)
