@@ -31,7 +31,7 @@ ARROW_TYPES = {
 }
 # More rows are fetched by column, which takes half of the time.
 MAX_TUPLES = 200
-# The same for ssduck's own statements, whose columns become tuples again.
+# The same for ssduck's own statements, whose columns become tuples when they are read so.
 MANY_ROWS = 100
 
 
