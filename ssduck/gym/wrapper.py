@@ -306,11 +306,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             self._interpreter.record(self._world, Recording(tables=tuple(self._judge.past_tables)))
 
     def _set_variables(self, *, is_first: bool) -> dict[str, Any]:
-        """Sets the variables to their values now, and returns these.
-
-        Args:
-            is_first: whether the tick is the first one of an episode.
-        """
+        """Sets the variables to their values now, and returns these."""
         environment = self.env.unwrapped
         values = {}
         for name, read in self._variables.items():

@@ -178,20 +178,15 @@ def _places(
     simulation: Any, depth: int, path: _Path
 ) -> Iterator[tuple[tuple[_Path, _Path], tuple[Any, Any]]]:
     """Yields the models and data of an object, the outermost first, after the ways to them."""
-    model, to_model = _found(_attribute(simulation, "model"), _NAMES[0])
-    data, to_data = _found(_attribute(simulation, "data"), _NAMES[1])
+    model, to_model = _found(getattr(simulation, "model", None), _NAMES[0])
+    data, to_data = _found(getattr(simulation, "data", None), _NAMES[1])
     if model is not None and data is not None:
         yield ((*path, "model", *to_model), (*path, "data", *to_data)), (model, data)
     if depth:
         for name in _INNER:
-            inner = _attribute(simulation, name)
+            inner = getattr(simulation, name, None)
             if inner is not None and inner is not simulation:
                 yield from _places(inner, depth - 1, (*path, name))
-
-
-def _attribute(part: Any, name: str) -> Any:
-    """Returns an attribute; None if there is none."""
-    return getattr(part, name, None)
 
 
 def _own(part: Any, name: str) -> Any:
@@ -204,7 +199,7 @@ def _found(part: Any, name: str) -> tuple[Any, _Path]:
     if _is_own(part, name):
         return part, ()
     for pointer in _POINTERS:
-        candidate = _attribute(part, pointer)
+        candidate = getattr(part, pointer, None)
         if _is_own(candidate, name):
             return candidate, (pointer,)
     return None, ()

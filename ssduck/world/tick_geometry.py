@@ -59,14 +59,12 @@ class TickGeometry(ABC):
         """Returns numbers that follow from poses, for which no row need be written; else None."""
         if table not in ("entities", "links") or not self._link_poses:
             return None
-        static, moving = self._link_poses
-        if moving.are_finite:
-            found = self._layout.moving_bodies.numbers_in(moving, table, row, columns)
-            if found is not None:
-                return found
-        if not static.are_finite:
-            return None
-        return self._layout.static_bodies.numbers_in(static, table, row, columns)
+        for group, poses in reversed(list(self.body_groups)):  # most asked for can move
+            if poses.are_finite:
+                found = group.numbers_in(poses, table, row, columns)
+                if found is not None:
+                    return found
+        return None
 
     def shapes(self) -> ShapeQueries:
         """Returns the shape queries of this tick; the table of shapes must have been requested."""
