@@ -227,6 +227,10 @@ class LimitError(SelectScriptError, RuntimeError):
     """A program exceeded the limits of the interpreter, or its search would not end."""
 
 
+class SandboxError(SelectScriptError, RuntimeError):
+    """A sandbox cannot be had on this system, or its process does not answer as it should."""
+
+
 class SceneError(SelectScriptError, ValueError):
     """A scene cannot be loaded; the message has file, key and reason."""
 

@@ -10,7 +10,7 @@ import math
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -128,15 +128,16 @@ _START = (
 )
 
 
-def python_command(module: str, *arguments: str) -> list[str]:
+def python_command(module: str, *arguments: str, path: Sequence[str] | None = None) -> list[str]:
     """Returns the command of a new process of Python that runs the `main` of a module of ssduck.
 
     Args:
         module: the full name of the module.
         arguments: what `sys.argv` holds after its first element.
+        path: where it looks for modules; by default where this process does.
     """
-    path = json.dumps(list(map(str, sys.path)))
-    return [sys.executable, "-P", "-c", _START.format(module=module), path, *arguments]
+    listed = json.dumps(list(map(str, sys.path)) if path is None else list(path))
+    return [sys.executable, "-P", "-c", _START.format(module=module), listed, *arguments]
 
 
 def ending_text(status: int) -> str:

@@ -149,12 +149,12 @@ def _named_rows(selection: Selection) -> DisplayTable:
 @form("records")
 def _records(selection: Selection) -> list[tuple[Any, ...]]:
     """A list of named tuples, one for each row."""
-    row_class = _row_class(tuple(map(str, selection.columns)))
+    row_class = class_of_rows(tuple(map(str, selection.columns)))
     return [row_class._make(row) for row in selection.timed_rows]
 
 
 @lru_cache
-def _row_class(names: tuple[str, ...]) -> Any:
+def class_of_rows(names: tuple[str, ...]) -> Any:
     """Returns the tuple class of columns, always the same one, so that results compare equal."""
     return namedtuple("Row", names, rename=True)  # noqa: PYI024
 

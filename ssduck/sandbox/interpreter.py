@@ -1,0 +1,414 @@
+"""An interpreter whose programs, record and scene are in a process that can do no harm."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal, Never, Self
+
+from ssduck import validation
+from ssduck.adapters.result import MAX_ROWS, Result, TableView
+from ssduck.errors import LimitError, SandboxError, UnsupportedError, warn
+from ssduck.interpreter.namespace import check_name
+from ssduck.interpreter.program import check_parameters
+from ssduck.limits import GRACE, LEAST_OPENING, Limits
+from ssduck.recording.spec import Recording
+from ssduck.sandbox.budget import ANSWER_BYTES
+from ssduck.sandbox.effects import EFFECTS, check_present, checked_effects
+from ssduck.sandbox.processes import WorkerEndedError, WorkerProcess, Zygote, shared_zygote
+from ssduck.sandbox.references import RUN_SECONDS, SandboxedWorld
+from ssduck.sandbox.seal import Walls
+from ssduck.simulators.scenes import scene_file, shipped_scenes
+
+_GONE = "variables that programs have set are gone, and its worlds begin anew"
+# A worker's address space beside the memory of its programs, bytes.
+_SPARE = 10**9
+# A folder with more entries than that is no scene's.
+_MAX_ENTRIES = 500
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a worker opens.
+
+    Attributes:
+        kind: a scene, a record, or nothing.
+        location: the name of a shipped scene, or an absolute path.
+        options: arguments of `load`, `open` or `Interpreter`.
+        readable: the files and folders that this takes.
+    """
+
+    kind: Literal["scene", "record", "nothing"] = "nothing"
+    location: str = ""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    readable: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class SandboxedProgram:
+    """A program that the sandbox has parsed, and parses not again.
+
+    Attributes:
+        text: the text of the program.
+    """
+
+    text: str
+    _owner: SandboxedInterpreter
+
+    def sql(self, dialect: str = "duckdb") -> str:
+        """Returns the SQL of the query that ends the program, as `CompiledProgram.sql` does."""
+        return str(self._owner.ask("sql_of", self.text, dialect))
+
+
+class SandboxedInterpreter:
+    """Runs SelectScript programs and SQL in a process that can do no harm.
+
+    It has the methods of `Interpreter`. Entities in results are `EntityReference`s, worlds are
+    `SandboxedWorld`s. A program that takes too long, or ends its process, is a LimitError; the next
+    question starts another process, with the variables that the host has set.
+
+    Args:
+        source: what the process opens.
+        limits: the limits of programs: their time, memory, depth, rows, and `eval`.
+        require: the effects that the sandbox must have; see `EFFECTS`.
+        answer_bytes: the largest size of an answer, bytes.
+        strict: whether probable mistakes are errors.
+        zygote: the process from which it is forked; by default that of this process.
+
+    Raises:
+        SandboxError: the system lacks an effect, or the process does not start.
+        SelectScriptError: the scene or record cannot be opened.
+    """
+
+    def __init__(
+        self,
+        source: Source | None = None,
+        *,
+        limits: Limits | None = None,
+        require: Collection[str] = tuple(EFFECTS),
+        answer_bytes: int = ANSWER_BYTES,
+        strict: bool = False,
+        zygote: Zygote | None = None,
+    ) -> None:
+        self._limits = Limits.strict() if limits is None else limits
+        validation.instance(self._limits, Limits, "sandbox: limits")
+        self._source = source or Source()
+        self._required = checked_effects(require)
+        rule = "sandbox: answer_bytes must be a whole number above 0"
+        self._answer_bytes = validation.integer_above_0(answer_bytes, rule)
+        self._strict = validation.boolean(strict, "sandbox: strict")
+        self._zygote = zygote
+        self._lock = threading.RLock()
+        self._variables: dict[str, Any] = {}
+        self._worker: WorkerProcess | None = None
+        self._is_closed = False
+        self._start()
+
+    @classmethod
+    def load(
+        cls,
+        scene: str | Path,
+        *,
+        recording: Recording | Literal["default"] | None = "default",
+        simulator: str | None = None,
+        name: str | None = None,
+        readable: Collection[str | Path] = (),
+        **others: Any,
+    ) -> Self:
+        """Returns an interpreter with the world of a scene, as `ssduck.load` does.
+
+        Args:
+            scene: the name of a shipped scene, or the path of a scene or a model. Of its folder all
+                can be read that is not hidden.
+            recording: the recording of the world.
+            simulator: the simulator.
+            name: the name of the world.
+            readable: other files and folders that the scene needs.
+            **others: arguments of this class.
+        """
+        options = {"simulator": simulator, "name": name, "recording": _plain(recording)}
+        if str(scene) in shipped_scenes():
+            return cls(Source("scene", str(scene), options, _absolute(readable)), **others)
+        path = scene_file(Path(scene).expanduser()).absolute()
+        around = _entries(path.parent.resolve())
+        own = (str(path), *around, *_absolute(readable))
+        return cls(Source("scene", str(path), options, own), **others)
+
+    @classmethod
+    def open(
+        cls,
+        path: str | Path,
+        world: str | None = None,
+        episode: int | None = None,
+        *,
+        partial: bool = False,
+        **others: Any,
+    ) -> Self:
+        """Returns an interpreter on a record, as `ssduck.open` does.
+
+        Args:
+            path: a folder, or a DuckDB file.
+            world: the name of the world.
+            episode: the number of the episode.
+            partial: whether damaged parts are left out.
+            **others: arguments of this class.
+
+        Raises:
+            UnsupportedError: the record is in an object store.
+        """
+        if "://" in str(path):
+            raise UnsupportedError(
+                f"{path} is in an object store, which the sandbox cannot reach; copy it to a folder"
+            )
+        place = Path(path).expanduser().absolute()
+        options = {"world": world, "episode": episode, "partial": partial}
+        own = (str(place), str(place.resolve()), f"{place}.wal")
+        return cls(Source("record", str(place), options, own), **others)
+
+    def close(self) -> None:
+        """Ends the process."""
+        with self._lock:
+            self._is_closed = True
+            if self._worker is not None:
+                self._worker.end()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # -- the process ----------------------------------------------------------------------
+
+    def ask(self, request: str, *arguments: Any, seconds: float | None = 0.0) -> Any:
+        """Asks the process, which is started again after it has ended.
+
+        Args:
+            request: the name of a request.
+            arguments: its arguments.
+            seconds: the time beside that of a program, s.
+
+        Raises:
+            LimitError: there is no answer, because it took too long or the process ended.
+        """
+        with self._lock:
+            if self._is_closed:
+                raise LimitError("the interpreter is closed")
+            if self._worker is not None and not self._worker.is_alive:
+                self._worker = None
+                warn(f"the process of the sandbox has ended; {_GONE}")
+            if self._worker is None:
+                self._start()
+            assert self._worker is not None
+            try:
+                time = None if seconds is None else self._seconds(seconds)
+                return self._worker.ask(request, *arguments, seconds=time, world=self._world)
+            except WorkerEndedError as error:
+                self._worker, told = None, str(error)
+                if error.is_late and not seconds:
+                    limit = self._limits.seconds
+                    told = f"the program took more than {limit:g} s, and its process was ended"
+                raise LimitError(f"{told}; {_GONE}") from None
+
+    def _seconds(self, others: float) -> float | None:
+        limit = self._limits.seconds
+        return None if limit is None else limit + others + GRACE / 4
+
+    def _world(self, name: str) -> SandboxedWorld:
+        return SandboxedWorld(name, self.ask)
+
+    def _start(self) -> None:
+        """Starts a process, shows its effects, and has it open the source."""
+        zygote = self._zygote or shared_zygote()
+        memory = self._limits.memory or 10**9
+        walls = Walls("", self._source.readable, 2 * memory + _SPARE)
+        worker = zygote.worker(walls, {"answer_bytes": self._answer_bytes})
+        limits = {
+            name: getattr(self._limits, name) for name in ("seconds", "rows", "depth", "eval")
+        }
+        source, opening = self._source, max(self._limits.seconds or 0.0, LEAST_OPENING)
+
+        def ask(request: str, *arguments: Any) -> Any:
+            return worker.ask(request, *arguments, seconds=opening, world=self._world)
+
+        try:
+            effects = ask("effects")
+            check_present(self._required, effects["holes"], effects["lacking"])
+            ask("open", source.kind, source.location, dict(source.options), limits)
+            if self._strict:
+                ask("set_strict", True)
+            if self._variables:
+                ask("set_variables", self._variables)
+        except WorkerEndedError as error:
+            worker.end()
+            raise LimitError(f"{source.location or 'the sandbox'}: {error}") from None
+        except BaseException:
+            worker.end()
+            raise
+        self._worker = worker
+
+    @property
+    def effects(self) -> dict[str, list[str]]:
+        """What the process can do although an effect forbids it, by the effect: nothing, mostly."""
+        holes: dict[str, list[str]] = self.ask("effects")["holes"]
+        return holes
+
+    # -- programs and SQL -----------------------------------------------------------------
+
+    @property
+    def strict(self) -> bool:
+        """Whether a probable mistake in a program is an error instead of a warning."""
+        return self._strict
+
+    @strict.setter
+    def strict(self, strict: bool) -> None:
+        self._strict = validation.boolean(strict, "Interpreter: strict")
+        self.ask("set_strict", self._strict)
+
+    def compile(self, text: str) -> SandboxedProgram:
+        """Parses a program, as `Interpreter.compile` does."""
+        text = validation.text(text, "a program is a text or a compiled program")
+        self.ask("check", text)
+        return SandboxedProgram(text, self)
+
+    def eval(
+        self,
+        program: str | SandboxedProgram,
+        elements: Mapping[str, Any] | None = None,
+        *,
+        parameters: Mapping[str, Any] | None = None,
+        **others: Any,
+    ) -> Any:
+        """Runs a program, as `Interpreter.eval` does."""
+        given = elements if parameters is None else parameters
+        if others or given is not None:
+            check_parameters("eval", given, others)
+        text, is_compiled = _text_of(program)
+        return self.ask("eval", text, None if given is None else dict(given), is_compiled)
+
+    def show(self, program: str | SandboxedProgram, rows: int = MAX_ROWS) -> TableView:
+        """Returns the result of a program as a table, as `Interpreter.show` does."""
+        rows = validation.integer(rows, "show: rows", minimum=0)
+        return TableView(self.ask("show", _text_of(program)[0]), rows)
+
+    def explain(self, program: str | SandboxedProgram) -> str:
+        """Returns the SQL of a program and what Python evaluates, as `Interpreter.explain` does."""
+        return str(self.ask("explain", _text_of(program)[0]))
+
+    def sql(
+        self,
+        text: str,
+        parameters: Sequence[Any] | Mapping[str, Any] | None = None,
+        **others: Any,
+    ) -> Result:
+        """Runs SQL on the worlds' tables, as `Interpreter.sql` does."""
+        validation.text(text, "sql: a statement is a text")
+        check_parameters("sql", parameters, others)
+        if parameters is not None:
+            is_named = isinstance(parameters, Mapping)
+            parameters = dict(parameters) if is_named else list(parameters)
+        result: Result = self.ask("sql", text, parameters)
+        return result
+
+    def help(self, name: str | None = None) -> Any:
+        """Returns the names of all functions, or the help of one, as `Interpreter.help` does."""
+        return self.ask("help", name)
+
+    def history(self, name: str) -> list[tuple[float, Any]]:
+        """Returns the values of a variable with a history, as `Interpreter.history` does."""
+        values: list[tuple[float, Any]] = self.ask("history", name)
+        return values
+
+    # -- variables and worlds -------------------------------------------------------------
+
+    def add_variable(self, name: str, value: Any) -> Any:
+        """Binds a plain value, an array, a table or an `EntityReference` to a name.
+
+        It stays bound when the process of a program has to be ended.
+
+        Raises:
+            UnsupportedError: the value cannot go into the sandbox.
+        """
+        check_name(name, "a variable")
+        self.ask("set_variables", {name: value})
+        self._variables[name] = value
+        return value
+
+    def __setitem__(self, name: str, value: Any) -> None:
+        """Binds a value to a name, as `add_variable` does."""
+        self.add_variable(name, value)
+
+    def __getitem__(self, name: str) -> Any:
+        """Returns the value of a variable; a world is a handle of it."""
+        return self.ask("variable", name)
+
+    call_variable = __getitem__
+    addVariable, callVariable = add_variable, __getitem__  # noqa: N815  # the tutorial's names
+
+    def __contains__(self, name: object) -> bool:
+        """Checks whether a variable has a name."""
+        return isinstance(name, str) and bool(self.ask("has", name))
+
+    def __iter__(self) -> Iterator[str]:
+        """Yields the names of the variables."""
+        return iter(self.ask("names"))
+
+    @property
+    def worlds(self) -> list[SandboxedWorld]:
+        """The worlds, the first one first."""
+        return [self._world(name) for name in self.ask("worlds")]
+
+    def run(self, seconds: float, *, every: int | None = 1) -> None:
+        """Runs all worlds for a simulated time, s, as `Interpreter.run` does."""
+        seconds = validation.duration(seconds, "run: seconds")
+        self.ask("run", None, seconds, every, seconds=seconds * RUN_SECONDS)
+
+    def __repr__(self) -> str:
+        return f"<SandboxedInterpreter: {self._source.location or 'empty'}>"
+
+    def __getattr__(self, name: str) -> Never:
+        if name in _NOT_HERE:
+            raise UnsupportedError(f"{name}: {_NOT_HERE[name]}")
+        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+
+
+# What an interpreter has besides, and why a sandbox has it not.
+_FUNCTIONS = "a function of yours would run outside the sandbox; give programs its values instead"
+_NOT_HERE = {
+    **dict.fromkeys(("add_function", "addFunction", "add_trigger", "addTrigger"), _FUNCTIONS),
+    **dict.fromkeys(("record", "record_to", "export"), "a program in the sandbox writes no record"),
+    "view": "the page shows worlds of this process",
+}
+
+
+def _text_of(program: Any) -> tuple[str, bool]:
+    if isinstance(program, SandboxedProgram):
+        return program.text, True
+    return validation.text(program, "a program is a text or a compiled program"), False
+
+
+def _plain(recording: Any) -> Any:
+    return asdict(recording) if isinstance(recording, Recording) else recording
+
+
+def _absolute(paths: Collection[str | Path]) -> tuple[str, ...]:
+    return tuple(str(Path(path).expanduser().absolute()) for path in paths)
+
+
+def _entries(folder: Path) -> list[str]:
+    """Returns what is in the folder of a scene, without hidden files.
+
+    Raises:
+        SandboxError: that is too much for one scene.
+    """
+    if not folder.is_dir():
+        return []
+    entries = sorted(str(entry) for entry in folder.iterdir() if not entry.name.startswith("."))
+    if len(entries) > _MAX_ENTRIES:
+        raise SandboxError(
+            f"{folder} has more than {_MAX_ENTRIES} entries, all of which a scene could read; put "
+            "the scene and its models into a folder of their own"
+        )
+    return entries

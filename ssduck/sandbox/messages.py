@@ -1,0 +1,141 @@
+"""Sends and receives messages over a socket: a head, JSON, and a body of bytes.
+
+The head says which question it belongs to, and how long both are, so that a receiver can refuse a
+message before it takes memory.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import struct
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from ssduck.sandbox.budget import InvalidAnswerError
+
+# The mark, the number of the question, the sizes of the JSON and of the body, bytes.
+_HEAD = struct.Struct("<4sIQQ")
+_MARK = b"duck"
+# Whoever waits looks at what else is to be looked at so often, s.
+LOOK_EVERY = 0.1
+
+
+@dataclass(frozen=True)
+class Message:
+    """A message.
+
+    Attributes:
+        number: the number of the question.
+        document: the JSON, not parsed.
+        body: the bytes to which the JSON refers.
+    """
+
+    number: int
+    document: bytes
+    body: memoryview
+
+
+def send(
+    descriptor: int,
+    number: int,
+    document: bytes,
+    parts: Sequence[bytes | memoryview] = (),
+    wait: Callable[[int], None] | None = None,
+) -> None:
+    """Sends a message.
+
+    Args:
+        descriptor: the socket.
+        number: the number of the question.
+        document: the JSON.
+        parts: the parts of the body.
+        wait: waits until the socket can be written to, where it does not block; see `Waiting`.
+    """
+    size = sum(len(part) for part in parts)
+    head = _HEAD.pack(_MARK, number, len(document), size) + document
+    for part in (head, *parts):
+        data = memoryview(part)
+        while data:
+            try:
+                data = data[os.write(descriptor, data) :]
+            except BlockingIOError:
+                assert wait is not None
+                wait(select.POLLOUT)
+
+
+def receive(
+    descriptor: int,
+    check: Callable[[int, int], None] | None = None,
+    wait: Callable[[int], None] | None = None,
+) -> Message:
+    """Receives a message.
+
+    Args:
+        descriptor: the socket.
+        check: is called with the sizes of the JSON and of the body before they are read; it raises
+            an error if they are too large.
+        wait: as for `send`.
+
+    Raises:
+        EOFError: the other process has closed the socket.
+        InvalidAnswerError: this is no message.
+    """
+    head = _read(descriptor, _HEAD.size, wait)
+    mark, number, length, size = _HEAD.unpack(head)
+    if mark != _MARK:
+        raise InvalidAnswerError("it does not begin as a message does")
+    if check is not None:
+        check(length, size)
+    document = _read(descriptor, length, wait)
+    return Message(number, bytes(document), memoryview(_read(descriptor, size, wait)))
+
+
+def _read(descriptor: int, count: int, wait: Callable[[int], None] | None) -> bytearray:
+    data = bytearray(count)
+    view, done = memoryview(data), 0
+    while done < count:
+        try:
+            read = os.readv(descriptor, [view[done:]])
+        except BlockingIOError:
+            assert wait is not None
+            wait(select.POLLIN)
+            continue
+        if not read:
+            raise EOFError
+        done += read
+    return data
+
+
+class Waiting:
+    """Waits for a socket until a time, and looks at something else now and then.
+
+    Args:
+        descriptor: the socket.
+        seconds: how long it may take in all, s; None for ever.
+        look: is called about ten times a second; it raises an error if the wait is to end.
+    """
+
+    def __init__(self, descriptor: int, seconds: float | None, look: Callable[[], None]) -> None:
+        self._descriptor = descriptor
+        self._deadline = None if seconds is None else time.monotonic() + seconds
+        self._look = look
+        self._poll = select.poll()
+
+    def __call__(self, events: int) -> None:
+        """Waits for an event of `select.poll`.
+
+        Raises:
+            TimeoutError: the time is up.
+        """
+        self._poll.register(self._descriptor, events)
+        while True:
+            left = LOOK_EVERY
+            if self._deadline is not None:
+                left = min(left, self._deadline - time.monotonic())
+                if left <= 0:
+                    raise TimeoutError
+            if self._poll.poll(1000 * left):
+                return
+            self._look()

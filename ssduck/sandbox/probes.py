@@ -1,0 +1,210 @@
+"""Shows which effects a sealed process has, by trying what each forbids.
+
+A probe does no harm where it gets through. It asks for what the process could have without the
+wall, so that its failure shows the wall.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import resource
+import signal
+import socket
+import struct
+from collections.abc import Callable
+from contextlib import suppress
+from mmap import MAP_ANONYMOUS, MAP_PRIVATE, mmap
+from pathlib import Path
+from typing import Any
+
+from ssduck.sandbox.kernel import PR_SET_PDEATHSIG, death_signal, prctl, system_call
+from ssduck.sandbox.seal import Walls
+from ssduck.sandbox.system_calls import number_of
+
+Probe = Callable[[Walls], object]
+# What a call raises that is refused; a call that the kernel lacks is refused, too.
+_REFUSALS = (PermissionError, MemoryError, ValueError)
+_NOT_THERE = 38  # ENOSYS
+_TRACE_PEEK = 2  # fails of a process that is not traced, without harm
+# A signal that is none, with the code of one that a program queues.
+_QUEUED = struct.pack("=iii", 0, 0, -1).ljust(128, b"\0")
+
+
+def holes(walls: Walls) -> dict[str, list[str]]:
+    """Returns what this process can do although an effect forbids it, by the effect."""
+    return {
+        effect: [name for name, probe in probes.items() if _gets_through(probe, walls)]
+        for effect, probes in _PROBES.items()
+    }
+
+
+def _gets_through(probe: Probe, walls: Walls) -> bool:
+    try:
+        probe(walls)
+    except _REFUSALS:
+        return False
+    except OSError as error:
+        return error.errno != _NOT_THERE
+    return True
+
+
+# -- files ------------------------------------------------------------------------------------
+
+
+def _open(path: Any, flags: int) -> None:
+    os.close(os.open(path, flags, 0o600))
+
+
+def _read_outside(walls: Walls) -> None:
+    _open(walls.own_files[1], os.O_RDONLY)
+
+
+def _list_outside(walls: Walls) -> None:
+    list(Path(walls.folder).iterdir())
+
+
+def _write_readable(walls: Walls) -> None:
+    _open(walls.own_files[0], os.O_WRONLY)
+
+
+def _cut_readable(walls: Walls) -> None:
+    _open(walls.own_files[0], os.O_RDONLY | os.O_TRUNC)
+
+
+def _make_outside(walls: Walls) -> None:
+    path = Path(walls.folder, "new")
+    _open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL)
+    path.unlink()
+
+
+def _change_mode(walls: Walls) -> None:
+    walls.own_files[0].chmod(0o600)
+
+
+def _link_outside(walls: Walls) -> None:
+    link = walls.scratch / "link"
+    link.hardlink_to(walls.own_files[1])
+    link.unlink()
+
+
+# -- network, processes, signals -------------------------------------------------------------
+
+
+def _socket(family: int, kind: int) -> Probe:
+    return lambda _: socket.socket(family, kind).close()
+
+
+def _fork(_: Walls) -> None:
+    if (child := os.fork()) == 0:
+        os._exit(0)
+    os.waitpid(child, 0)
+
+
+def _execute(walls: Walls) -> None:
+    with suppress(FileNotFoundError):  # it was looked for
+        os.execve(walls.scratch / "none", ["none"], {})  # noqa: S606
+
+
+def _raw(name: str, *arguments: int | bytes | None) -> Probe:
+    """Returns a probe that makes a system call; an error of its arguments is none of the wall."""
+
+    def probe(_: Walls) -> None:
+        number = number_of(name, os.uname().machine)
+        if number is None:
+            raise PermissionError
+        system_call(number, *arguments)
+
+    return probe
+
+
+def _to_parent(name: str, *arguments: int | bytes | None, is_second: bool = False) -> Probe:
+    def probe(walls: Walls) -> None:
+        first = arguments[:1] if is_second else ()
+        _raw(name, *first, os.getppid(), *arguments[len(first) :])(walls)
+
+    return probe
+
+
+def _kill(_: Walls) -> None:
+    os.kill(os.getppid(), 0)
+
+
+def _own_signals(_: Walls) -> None:
+    reading, writing = os.pipe()
+    try:
+        fcntl.fcntl(reading, fcntl.F_SETOWN, os.getppid())
+    finally:
+        os.close(reading)
+        os.close(writing)
+
+
+def _limit_parent(_: Walls) -> None:
+    resource.prlimit(os.getppid(), resource.RLIMIT_CORE)
+
+
+# -- memory and time --------------------------------------------------------------------------
+
+
+def _take_memory(walls: Walls) -> None:
+    try:
+        mmap(-1, walls.memory + 2**20, flags=MAP_PRIVATE | MAP_ANONYMOUS).close()
+    except OSError as error:
+        raise MemoryError from error
+
+
+def _raise_limit(limit: int) -> Probe:
+    def probe(_: Walls) -> None:
+        hard = resource.getrlimit(limit)[1]
+        if hard != resource.RLIM_INFINITY:
+            resource.setrlimit(limit, (hard, hard + 1))
+
+    return probe
+
+
+def _outlive_parent(_: Walls) -> None:
+    if death_signal() == signal.SIGKILL:
+        prctl(PR_SET_PDEATHSIG, signal.SIGKILL)  # it is refused to change it
+
+
+_PROBES: dict[str, dict[str, Probe]] = {
+    "files": {
+        "read a file": _read_outside,
+        "list a folder": _list_outside,
+        "write to a file": _write_readable,
+        "cut a file": _cut_readable,
+        "make a file": _make_outside,
+        "change a file's mode": _change_mode,
+        "link to a file": _link_outside,
+    },
+    "network": {
+        "open a TCP socket": _socket(socket.AF_INET, socket.SOCK_STREAM),
+        "open a UDP socket of IPv6": _socket(socket.AF_INET6, socket.SOCK_DGRAM),
+        "open a local socket": _socket(socket.AF_UNIX, socket.SOCK_STREAM),
+        "open a socket to the kernel": _socket(getattr(socket, "AF_NETLINK", 16), socket.SOCK_RAW),
+    },
+    "processes": {
+        "fork": _fork,
+        "start a program": _execute,
+        "trace a process": _to_parent("ptrace", _TRACE_PEEK, is_second=True),
+        "read a process's memory": _to_parent("process_vm_readv", None, 0, None, 0, 0),
+        "make a namespace": _raw("unshare", 0),
+        "use the kernel's rings": _raw("io_uring_setup", 1, None),
+    },
+    "signals": {
+        "send a signal": _kill,
+        "send one to a thread": _to_parent("tkill", 0),
+        "queue one": _to_parent("rt_sigqueueinfo", 0, _QUEUED),
+        "have the kernel send one": _own_signals,
+        "read another process's limits": _limit_parent,
+    },
+    "memory": {
+        "take more memory": _take_memory,
+        "raise its limit": _raise_limit(resource.RLIMIT_AS),
+        "share memory": _raw("shmget", 0, 0, 0),
+    },
+    "time": {
+        "raise its limit of processor time": _raise_limit(resource.RLIMIT_CPU),
+        "outlive its host": _outlive_parent,
+    },
+}

@@ -1,0 +1,370 @@
+"""The host's side of the zygote and of its workers: starts, asks, watches and ends them."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import select
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import weakref
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict, replace
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from ssduck.errors import LimitError, SandboxError, UnsupportedError
+from ssduck.limits import GRACE, python_command
+from ssduck.sandbox.budget import Budget, InvalidAnswerError
+from ssduck.sandbox.messages import Message, Waiting, receive, send
+from ssduck.sandbox.references import SandboxedWorld
+from ssduck.sandbox.reports import error_of, warn_again
+from ssduck.sandbox.seal import SCRATCH, Walls
+from ssduck.sandbox.values import Decoder, Encoder
+from ssduck.sandbox.zygote import FAILED, FORKED, READY
+
+# What a worker's processes inherit of the host's environment: nothing that may be a secret.
+_KEPT = ("LANG", "LANGUAGE", "TZ", "LD_LIBRARY_PATH", "PYTHONHOME")
+# Libraries start no threads when they are imported.
+_ENVIRONMENT = {
+    **dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
+    "JE_ARROW_MALLOC_CONF": "background_thread:false",
+}
+# The largest size of all files in a scratch folder, bytes, and numbers of files and of threads.
+_MAX_SCRATCH, _MAX_FILES, _MAX_THREADS = 256 * 2**20, 1000, 64
+# A worker may run for so long, in several questions, before its host looks at them, s.
+_UNWATCHED = 0.01
+# How long a process may take to begin, and to end once it is told to, s.
+_BEGINNING, _ENDING = 60.0, 10.0
+
+
+# Why a worker was ended.
+_LATE = "the program took too long, and its process was ended"
+
+
+class WorkerEndedError(Exception):
+    """The process of a worker has ended, or had to be ended; the message says why.
+
+    Attributes:
+        is_late: whether it did not answer in time.
+    """
+
+    def __init__(self, message: str, *, is_late: bool = False) -> None:
+        super().__init__(message)
+        self.is_late = is_late
+
+
+class Zygote:
+    """The process from which this host's workers are forked.
+
+    Args:
+        module: the module whose `main` it runs.
+    """
+
+    def __init__(self, module: str = "ssduck.sandbox.zygote") -> None:
+        self.host = os.getpid()
+        self._lock = threading.Lock()
+        self._numbers = itertools.count()
+        self._is_ready = False
+        self._folder = tempfile.mkdtemp(prefix="ssduck-sandbox-")
+        self._orders, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        settings = json.dumps([there.fileno(), self.host, self._folder])
+        kept = {name: os.environ[name] for name in os.environ if name in _KEPT or name[:3] == "LC_"}
+        self._process = subprocess.Popen(  # noqa: S603  # this package
+            python_command(module, settings, path=_path()),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            cwd="/",
+            env={**kept, **_ENVIRONMENT},
+            pass_fds=[there.fileno()],
+            start_new_session=True,  # Ctrl-C in a terminal is the host's
+        )
+        there.close()
+        self._finalizer = weakref.finalize(
+            self, _end_zygote, self._process, self._orders, self._folder, self.host
+        )
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether it can be asked for workers by this process."""
+        is_own = self.host == os.getpid()
+        return is_own and self._finalizer.alive and self._process.poll() is None
+
+    def close(self) -> None:
+        """Ends it, and its workers."""
+        self._finalizer()
+
+    def worker(self, walls: Walls, order: dict[str, Any]) -> WorkerProcess:
+        """Returns a new worker.
+
+        Args:
+            walls: what it may use; the folder is set here.
+            order: what else it is told.
+
+        Raises:
+            SandboxError: it cannot be started.
+        """
+        with self._lock:
+            self._await_ready()
+            folder = Path(self._folder, f"worker{next(self._numbers)}")
+            walls = replace(walls, folder=str(folder))
+            walls.prepare()
+            here, there = socket.socketpair()
+            with there:
+                text = json.dumps({**order, "walls": asdict(walls)}).encode()
+                try:
+                    socket.send_fds(self._orders, [text], [there.fileno()])
+                except OSError as error:
+                    here.close()
+                    raise SandboxError(f"the sandbox cannot start a process: {error}") from error
+        here.settimeout(_BEGINNING)
+        try:
+            answer, descriptors, _, _ = socket.recv_fds(here, 1, 1)
+        except OSError as error:
+            here.close()
+            raise SandboxError(f"the sandbox cannot start a process: {error}") from error
+        if answer != FORKED or not descriptors:
+            here.close()
+            raise SandboxError("the sandbox cannot start a process: its zygote has ended")
+        return WorkerProcess(here, descriptors[0], folder, order["answer_bytes"])
+
+    def _await_ready(self) -> None:
+        """Waits until it has imported ssduck."""
+        if self._is_ready:
+            return
+        self._orders.settimeout(_BEGINNING)
+        try:
+            answer = self._orders.recv(2000)
+        except TimeoutError:
+            answer = FAILED + b"it takes too long"
+        if answer != READY:
+            self.close()
+            told = answer[len(FAILED) :].decode(errors="replace") or "its process ended"
+            raise SandboxError(f"the sandbox cannot start: {told}")
+        self._orders.settimeout(None)
+        self._is_ready = True
+
+
+def _path() -> list[str]:
+    """Returns where the zygote looks for modules, without what is relative to this folder."""
+    own = str(Path(str(files("ssduck"))).parent)
+    return [*(path for path in map(str, sys.path) if Path(path).is_absolute()), own]
+
+
+def _end_zygote(
+    process: subprocess.Popen[bytes], orders: socket.socket, folder: str, host: int
+) -> None:
+    orders.close()
+    if os.getpid() != host:  # a forked child leaves it to its parent
+        return
+    with suppress(subprocess.TimeoutExpired):
+        process.wait(_ENDING)
+    process.kill()
+    process.wait()
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+_shared: list[Zygote] = []
+_starting = threading.Lock()
+
+
+def shared_zygote() -> Zygote:
+    """Returns the zygote of this process; starts one, in the background, if there is none."""
+    with _starting:
+        if not (_shared and _shared[0].is_alive):
+            _shared[:] = [Zygote()]
+        return _shared[0]
+
+
+class WorkerProcess:
+    """A worker.
+
+    It is stopped, and takes no processor time, while it is not asked.
+
+    Args:
+        connection: the socket to it.
+        process: the descriptor of its process.
+        folder: its private folder.
+        answer_bytes: the largest size of an answer, bytes.
+    """
+
+    def __init__(
+        self, connection: socket.socket, process: int, folder: Path, answer_bytes: int
+    ) -> None:
+        connection.setblocking(False)
+        self._connection = connection
+        self._process = process
+        self._scratch = folder / SCRATCH
+        self._answer_bytes = answer_bytes
+        self._number, self._unwatched = 0, 0.0
+        self._pid = _pid_of(process)
+        self.host = os.getpid()
+        self._finalizer = weakref.finalize(
+            self, _end_worker, process, connection, folder, self.host
+        )
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether it can be asked."""
+        is_running = self._finalizer.alive and not select.select([self._process], [], [], 0)[0]
+        return is_running and self.host == os.getpid()
+
+    def end(self) -> None:
+        """Ends it, and removes its files."""
+        self._finalizer()
+
+    def ask(
+        self,
+        request: str,
+        *arguments: Any,
+        seconds: float | None,
+        world: Callable[[str], Any],
+    ) -> Any:
+        """Returns the answer to a request.
+
+        Args:
+            request: the name of the request.
+            arguments: its arguments.
+            seconds: how long it may take, s; None for any time.
+            world: returns the host's handle of a world.
+
+        Raises:
+            SelectScriptError: the worker tells of it.
+            WorkerEndedError: there is no answer, and there will be none.
+        """
+        encoder = Encoder(Budget(1 << 60), _name_of)
+        document = encoder.text([request, *arguments])
+        self._number = (self._number + 1) % 2**32
+        began = time.monotonic()
+        try:
+            self._signal(signal.SIGCONT)
+            answer = self._exchange(document, encoder, seconds)
+            warnings, error, value = self._read(answer, world)
+            self._signal(signal.SIGSTOP)
+            self._unwatched += time.monotonic() - began
+            if self._unwatched > _UNWATCHED:
+                self._look()
+        except TimeoutError:
+            told = _LATE
+        except InvalidAnswerError as error_of_answer:
+            told = f"the process of the program sent no answer ({error_of_answer}), and was ended"
+        except (EOFError, ConnectionError, ProcessLookupError):
+            told = "the process of the program ended; it may have needed more memory than it may"
+            told += " take, or crashed"
+        except _HarmError as harm:
+            told = str(harm)
+        except _InterruptedError:
+            raise KeyboardInterrupt from None
+        except BaseException:
+            self.end()
+            raise
+        else:
+            warn_again(warnings)
+            if error is not None:
+                raise error
+            return value
+        self.end()
+        raise WorkerEndedError(told, is_late=told is _LATE) from None
+
+    def _exchange(self, document: bytes, encoder: Encoder, seconds: float | None) -> Message:
+        """Sends a question, and returns the answer; Ctrl-C stops the program first."""
+        descriptor = self._connection.fileno()
+        wait = Waiting(descriptor, seconds, self._look)
+        send(descriptor, self._number, document, encoder.parts, wait)
+        try:
+            return receive(descriptor, self._check_size, wait)
+        except KeyboardInterrupt:
+            # The program ends as it does in this process, with its variables as before; its answer
+            # is of no use, but the next question needs the socket.
+            self._signal(signal.SIGINT)
+            receive(descriptor, self._check_size, Waiting(descriptor, GRACE, self._look))
+            self._signal(signal.SIGSTOP)
+            raise _InterruptedError from None
+
+    def _check_size(self, document: int, body: int) -> None:
+        if document + body > self._answer_bytes:
+            raise InvalidAnswerError(f"it has more than {self._answer_bytes:,} bytes")
+
+    def _read(
+        self, answer: Message, world: Callable[[str], Any]
+    ) -> tuple[list[list[str]], Exception | None, Any]:
+        """Returns the warnings, the error and the value of an answer."""
+        if answer.number != self._number:
+            raise InvalidAnswerError("it answers another question")
+        budget = Budget(self._answer_bytes)
+        budget.charge(len(answer.body))
+        try:
+            value, warnings, *told = Decoder(answer.body, budget, world=world).value(
+                answer.document
+            )
+            for name, message in warnings:
+                if not (isinstance(name, str) and isinstance(message, str)):
+                    raise InvalidAnswerError("this is no warning")
+            return warnings, error_of(told[0]) if told else None, value
+        except (LimitError, ValueError, TypeError, AttributeError) as error:
+            raise InvalidAnswerError(str(error)) from error
+
+    def _signal(self, number: int) -> None:
+        signal.pidfd_send_signal(self._process, number)
+
+    def _look(self) -> None:
+        """Checks that it has not filled its scratch folder, nor started too many threads."""
+        self._unwatched, size, files = 0.0, 0, 0
+        folders = [self._scratch]
+        while folders:
+            with suppress(FileNotFoundError), os.scandir(folders.pop()) as entries:
+                for entry in entries:
+                    files += 1
+                    size += entry.stat(follow_symlinks=False).st_size
+                    if entry.is_dir(follow_symlinks=False):
+                        folders.append(Path(entry.path))
+                    if size > _MAX_SCRATCH or files > _MAX_FILES:
+                        raise _HarmError("the program filled the disk, and its process was ended")
+        with suppress(OSError):
+            status = Path(f"/proc/{self._pid}/stat").read_text(encoding="ascii", errors="replace")
+            if int(status.rpartition(")")[2].split()[17]) > _MAX_THREADS:
+                raise _HarmError("the program started many threads, and its process was ended")
+
+
+class _HarmError(Exception):
+    """A worker does what no seal forbids, but its host."""
+
+
+class _InterruptedError(KeyboardInterrupt):
+    """Ctrl-C has ended a program; the worker waits for the next question."""
+
+
+def _end_worker(process: int, connection: socket.socket, folder: Path, host: int) -> None:
+    connection.close()
+    if os.getpid() == host:
+        with suppress(ProcessLookupError):
+            signal.pidfd_send_signal(process, signal.SIGKILL)
+        select.select([process], [], [], _ENDING)
+        shutil.rmtree(folder, ignore_errors=True)
+    os.close(process)
+
+
+def _name_of(world: Any) -> str:
+    """Returns the name of a world of the sandbox."""
+    if not isinstance(world, SandboxedWorld):
+        raise UnsupportedError(
+            f"{world!r} is a world of this process, which a sandbox cannot have: record it, and "
+            "open the record in a sandbox"
+        )
+    return world.name
+
+
+def _pid_of(process: int) -> int:
+    """Returns the number of the process that a descriptor stands for."""
+    lines = Path(f"/proc/self/fdinfo/{process}").read_text(encoding="ascii").splitlines()
+    return int(next(line.split()[1] for line in lines if line.startswith("Pid:")))

@@ -1,0 +1,97 @@
+"""Stands in the host for what stays in a worker: entities and worlds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Never, Protocol, Self
+
+from ssduck import validation
+from ssduck.errors import LimitError
+
+
+@dataclass(frozen=True)
+class EntityReference:
+    """An entity, a link or a site of a world in the sandbox; it can be a variable of programs.
+
+    Attributes:
+        world: the name of the world.
+        id: the number of the entity, or of the link.
+        name: its name.
+        kind: `"robot"`, `"kinbody"`, `"sensor"`, `"link"` or `"site"`.
+        tick: the number of the past tick that it is of; None for the current tick.
+    """
+
+    world: str
+    id: int
+    name: str
+    kind: str
+    tick: int | None = None
+
+    def __getattr__(self, name: str) -> Never:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        raise LimitError(
+            f"{self.world}.{self.name} is in the sandbox, and its {name!r} is not known here; "
+            "a program can give it"
+        )
+
+
+class Asking(Protocol):
+    """Asks a worker."""
+
+    def __call__(self, request: str, *arguments: Any, seconds: float | None = None) -> Any:
+        """Returns the answer to a request; `seconds` is the time beside that of a program."""
+
+
+class SandboxedWorld:
+    """A world that lives in the sandbox.
+
+    Args:
+        name: the name of the variable that has it.
+        ask: asks the worker.
+    """
+
+    def __init__(self, name: str, ask: Asking) -> None:
+        self.name = name
+        self._ask = ask
+
+    @property
+    def time(self) -> float:
+        """The simulated time, s."""
+        return float(self._ask("state", self.name)["time"])
+
+    @property
+    def tick_number(self) -> int:
+        """The number of the current tick."""
+        return int(self._ask("state", self.name)["tick"])
+
+    @property
+    def timestep(self) -> float:
+        """The time step, s; 0 if the world cannot be stepped."""
+        return float(self._ask("state", self.name)["timestep"])
+
+    def step(self, count: int = 1, *, every: int | None = 1) -> Self:
+        """Runs steps of the simulator, as `World.step` does."""
+        count = validation.step_count(count, "step", "run({})")
+        self._ask("step", self.name, count, every, seconds=count * _STEP_SECONDS)
+        return self
+
+    def run(self, seconds: float, *, every: int | None = 1) -> None:
+        """Runs the world for a simulated time, s, as `World.run` does."""
+        seconds = validation.duration(seconds, "run: seconds")
+        self._ask("run", [self.name], seconds, every, seconds=seconds * RUN_SECONDS)
+
+    def tick(self) -> Self:
+        """Takes a tick."""
+        self._ask("tick", self.name)
+        return self
+
+    def __len__(self) -> int:
+        return int(self._ask("state", self.name)["entities"])
+
+    def __repr__(self) -> str:
+        return f"<SandboxedWorld: {self.name!r}>"
+
+
+# What a slow machine takes for a step and for a simulated second, s, beside the time of a program.
+_STEP_SECONDS, RUN_SECONDS = 0.1, 30.0

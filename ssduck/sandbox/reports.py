@@ -1,0 +1,94 @@
+"""Carries errors and warnings of a worker to the host: class, message, place, suggestions."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+from ssduck import errors
+from ssduck.errors import (
+    MAX_MESSAGE_LENGTH,
+    LimitError,
+    ProgramWarning,
+    SandboxError,
+    SelectScriptError,
+    SourceSpan,
+    SqlError,
+    warn,
+)
+from ssduck.formatting import error_text
+from ssduck.sandbox.budget import InvalidAnswerError
+
+_ERRORS = {
+    name: kind
+    for name, kind in vars(errors).items()
+    if isinstance(kind, type) and issubclass(kind, SelectScriptError)
+}
+_WARNINGS = {kind.__name__: kind for kind in (ProgramWarning, UserWarning, RuntimeWarning)}
+# Of each answer, so many warnings and suggestions cross.
+_MOST = 20
+
+
+def told_error(error: BaseException) -> dict[str, Any]:
+    """Returns what the host is told of an error."""
+    if isinstance(error, MemoryError):
+        error = LimitError("the program needs more memory than it may take")
+    elif isinstance(error, RecursionError):
+        error = LimitError("the program is nested too deeply")
+    if not isinstance(error, SelectScriptError):
+        return {"class": "", "message": f"{type(error).__name__}: {error_text(error)}"}
+    kinds = (kind.__name__ for kind in type(error).__mro__ if kind.__name__ in _ERRORS)
+    told: dict[str, Any] = {"class": next(kinds), "message": error.message}
+    if error.text is not None and error.span is not None:
+        told |= {"text": error.text, "span": [error.span.start, error.span.end]}
+    if error.suggestions:
+        told["suggestions"] = list(error.suggestions[:_MOST])
+    if isinstance(error, SqlError):
+        told |= {"final": error.is_final, "refused": error.is_refused}
+    return told
+
+
+def error_of(told: dict[str, Any]) -> SelectScriptError:
+    """Returns the error that a worker tells of; of ssduck's own classes, or a SandboxError."""
+    message, suggestions = told.get("message"), told.get("suggestions", [])
+    text, span = told.get("text"), told.get("span", [0, 0])
+    are_texts = all(isinstance(part, str) for part in (message, text or "", *suggestions))
+    if not (are_texts and all(type(end) is int and end >= 0 for end in span)):
+        raise InvalidAnswerError("this is no error")
+    kind = _ERRORS.get(str(told.get("class")))
+    if kind is None:
+        return SandboxError(f"the program failed in its sandbox: {message}")
+    error = kind(str(message))
+    error.text, error.span = text, None if text is None else SourceSpan(*span)
+    error.suggestions = tuple(suggestions)
+    if isinstance(error, SqlError):
+        error.is_final, error.is_refused = bool(told.get("final")), bool(told.get("refused"))
+    return error
+
+
+class WarningLog:
+    """Keeps the warnings of a worker for the next answer."""
+
+    def __init__(self) -> None:
+        self._told: list[list[str]] = []
+        warnings.simplefilter("always")
+        for kind in (DeprecationWarning, ImportWarning, ResourceWarning, PendingDeprecationWarning):
+            warnings.simplefilter("ignore", kind)
+        warnings.showwarning = self._keep  # type: ignore[assignment]  # it takes less
+
+    def _keep(self, message: Warning | str, category: type[Warning], *_: Any) -> None:
+        kinds = (kind.__name__ for kind in category.__mro__ if kind.__name__ in _WARNINGS)
+        if len(self._told) < _MOST:
+            self._told.append([next(kinds, "UserWarning"), str(message)[:MAX_MESSAGE_LENGTH]])
+
+    def taken(self) -> list[list[str]]:
+        """Returns the warnings, and forgets them."""
+        told, self._told = self._told, []
+        return told
+
+
+def warn_again(told: Sequence[Sequence[str]]) -> None:
+    """Warns in the host of what a worker has warned of."""
+    for name, message in told[:_MOST]:
+        warn(str(message)[:MAX_MESSAGE_LENGTH], _WARNINGS.get(name, UserWarning))

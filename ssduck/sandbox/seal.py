@@ -1,0 +1,160 @@
+"""Seals a worker for good: what it can read, write, call and take from then on."""
+
+from __future__ import annotations
+
+import os
+import resource
+import sys
+import sysconfig
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+from ssduck.errors import SandboxError
+from ssduck.sandbox import landlock, seccomp
+from ssduck.sandbox.kernel import drop_capabilities
+from ssduck.sandbox.system_calls import ALLOWED
+
+# In the private folder of a worker: what it may write, and files by which probes try the wall.
+SCRATCH, READABLE, OUTSIDE = "scratch", "readable", "outside"
+# What a Python process reads beside its own files: the linker's cache, the clock's zone, the sizes
+# of the machine.
+_SYSTEM = (
+    *("/lib", "/lib64", "/usr/lib", "/usr/lib64", "/usr/local/lib", "/etc/ld.so.cache"),
+    *("/etc/localtime", "/usr/share/zoneinfo", "/dev/urandom", "/dev/random"),
+    *("/proc/meminfo", "/proc/cpuinfo", "/sys/devices/system/cpu", "/sys/fs/cgroup"),
+)
+_NULL = Path(os.devnull)
+_DESCRIPTORS = 256
+# What a test that takes an effect away lets through.
+_OPENED = {
+    "files": ("chmod", "fchmodat", "link", "linkat"),
+    "network": ("socket", "connect"),
+    "processes": (
+        *("clone", "fork", "wait4", "execve", "ptrace", "process_vm_readv", "unshare"),
+        "io_uring_setup",
+    ),
+    "signals": ("kill", "tkill", "rt_sigqueueinfo", "fcntl", "prlimit64"),
+    "memory": ("shmget",),
+    "time": ("prctl",),
+}
+
+
+@dataclass(frozen=True)
+class Walls:
+    """What a worker may use.
+
+    Attributes:
+        folder: its private folder, with `SCRATCH`, `READABLE` and `OUTSIDE`.
+        readable: the files and folders that it can read beside the libraries.
+        memory: how much more address space it may take than when it seals itself, bytes.
+        file_bytes: the largest size of a file that it writes.
+        processor_seconds: the processor time that it may take in all, s.
+    """
+
+    folder: str
+    readable: tuple[str, ...] = ()
+    memory: int = 2 * 10**9
+    file_bytes: int = 64 * 2**20
+    processor_seconds: int = 36_000
+
+    @property
+    def scratch(self) -> Path:
+        """The only folder that it can write to."""
+        return Path(self.folder, SCRATCH)
+
+    @property
+    def own_files(self) -> tuple[Path, Path]:
+        """The files by which probes try the wall: one that it can read, and one that it cannot."""
+        return Path(self.folder, READABLE), Path(self.folder, OUTSIDE)
+
+    def prepare(self) -> None:
+        """Makes the private folder; it must not be there."""
+        self.scratch.mkdir(parents=True, mode=0o700)
+        for file in self.own_files:
+            file.write_bytes(b"probe")
+
+
+def seal(walls: Walls, without: Collection[str] = ()) -> list[str]:
+    """Seals this process, which has one thread.
+
+    Args:
+        walls: what it may use.
+        without: effects that a test takes away.
+
+    Returns:
+        What the system lacks for that.
+
+    Raises:
+        SandboxError: there is another thread, which would stay outside.
+    """
+    check_one_thread()
+    lacking = [told for told in (landlock.missing(), seccomp.missing()) if told]
+    drop_capabilities()
+    for limit, size in _limits(walls, without):
+        hard = resource.getrlimit(limit)[1]
+        most = size if hard == resource.RLIM_INFINITY else min(size, hard)
+        resource.setrlimit(limit, (most, most))
+    readable: list[str | Path] | None = None
+    if "files" not in without and not landlock.missing():
+        # Its entry of /proc tells nothing that it does not know. The kernel makes an entry anew,
+        # for which there is no rule then, unless somebody has it open.
+        os.open("/proc/self", os.O_PATH)
+        readable = [*libraries(), *_SYSTEM, "/proc/self", walls.own_files[0], *walls.readable]
+    landlock.confine(
+        readable,
+        (walls.scratch, _NULL),
+        tcp="network" in without,
+        signals="signals" in without,
+    )
+    if not seccomp.missing():
+        opened = [call for effect in without for call in _OPENED.get(effect, ())]
+        seccomp.refuse_calls(ALLOWED.union(opened))
+    return lacking
+
+
+def _limits(walls: Walls, without: Collection[str]) -> Iterator[tuple[int, int]]:
+    yield resource.RLIMIT_CORE, 0
+    yield resource.RLIMIT_FSIZE, walls.file_bytes
+    yield resource.RLIMIT_NOFILE, _DESCRIPTORS
+    if "memory" not in without:
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        yield resource.RLIMIT_AS, pages * resource.getpagesize() + walls.memory
+    if "time" not in without:
+        yield resource.RLIMIT_CPU, walls.processor_seconds
+
+
+def check_one_thread() -> None:
+    """Checks that this process has one thread only.
+
+    Raises:
+        SandboxError: it has more; it names them.
+    """
+    names = [
+        (task / "comm").read_text(encoding="utf-8", errors="replace").strip()
+        for task in sorted(Path("/proc/self/task").iterdir())
+    ]
+    if len(names) != 1:
+        raise SandboxError(
+            f"the sandbox cannot start: a library that it imports has started threads "
+            f"({', '.join(names[1:])}); update it, or remove it from this environment"
+        )
+
+
+def libraries() -> list[str]:
+    """Returns the folders of Python and of the packages that are installed, and ssduck's own.
+
+    The other folders of Python's path, as the current one, are not among them.
+    """
+    names = ("stdlib", "platstdlib", "purelib", "platlib")
+    installed = {sysconfig.get_path(name) for name in names}
+    installed |= {
+        path for path in sys.path if Path(path).name in ("site-packages", "dist-packages")
+    }
+    package = find_spec("ssduck")
+    assert package is not None
+    assert package.submodule_search_locations is not None
+    own = Path(package.submodule_search_locations[0])
+    beside = own.parent / "scenes"  # in a checkout
+    return [*sorted(installed), str(own), *([str(beside)] if beside.is_dir() else [])]

@@ -1,0 +1,150 @@
+"""Writes Arrow tables for the host, and checks those that come from a worker.
+
+A table may name more rows, in fewer bytes, than the host has memory for: by compression, by types
+that repeat values, and by those without bytes. Only plain types cross.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from ssduck.sandbox.budget import Budget, InvalidAnswerError
+
+# What each element of a column, or of a list in one, takes at least, bytes.
+_LEAST = 8
+_TYPES = pa.types
+_PLAIN: tuple[Callable[[pa.DataType], bool], ...] = (
+    *(_TYPES.is_boolean, _TYPES.is_integer, _TYPES.is_floating, _TYPES.is_decimal),
+    *(_TYPES.is_string, _TYPES.is_large_string, _TYPES.is_binary, _TYPES.is_large_binary),
+    *(_TYPES.is_date, _TYPES.is_time, _TYPES.is_timestamp, _TYPES.is_duration, _TYPES.is_interval),
+    *(_TYPES.is_null, _TYPES.is_fixed_size_binary),
+)
+# In the metadata of a message (a table of FlatBuffers): the fields for the type of its header and
+# for the header itself, the number of a batch of rows, and the field of a batch for compression.
+_HEADER_TYPE, _HEADER, _RECORD_BATCH, _COMPRESSION = 1, 2, 3, 3
+_SCHEMA = 1
+
+
+def table_bytes(table: pa.Table) -> memoryview:
+    """Returns a table as a stream of Arrow: with plain types, and nothing but the columns."""
+    columns = [_plain(column) for column in table.columns]
+    plain = pa.table(columns, names=table.column_names)
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, plain.schema) as stream:
+        stream.write_table(plain)
+    return memoryview(sink.getvalue())
+
+
+def _plain(column: pa.ChunkedArray) -> pa.ChunkedArray:
+    """Returns a column with a type that crosses."""
+    kind = column.type
+    if isinstance(kind, pa.BaseExtensionType):
+        return _plain(column.cast(kind.storage_type))
+    if _TYPES.is_dictionary(kind):
+        return _plain(column.cast(kind.value_type))
+    if is_plain(kind):
+        return column
+    try:
+        return column.cast(pa.string())
+    except pa.ArrowException:
+        return pa.chunked_array([pc.cast(column, pa.binary())])
+
+
+def is_plain(kind: pa.DataType) -> bool:
+    """Checks whether values of a type cross the wall as they are."""
+    if isinstance(kind, pa.BaseExtensionType):
+        return False
+    if _TYPES.is_struct(kind):
+        return all(is_plain(kind.field(i).type) for i in range(kind.num_fields))
+    if _TYPES.is_list(kind) or _TYPES.is_large_list(kind) or _TYPES.is_fixed_size_list(kind):
+        return is_plain(kind.value_type)
+    if _TYPES.is_map(kind):
+        return is_plain(kind.key_type) and is_plain(kind.item_type)
+    return any(check(kind) for check in _PLAIN)
+
+
+def checked_table(data: memoryview, budget: Budget) -> pa.Table:
+    """Returns the table that a stream of a worker holds.
+
+    Args:
+        data: the stream.
+        budget: counts its elements; the stream itself has been counted.
+
+    Raises:
+        InvalidAnswerError: it is no stream of plain columns.
+        LimitError: it has too many elements.
+    """
+    try:
+        source = pa.py_buffer(data)
+        _check_messages(source)
+        with pa.ipc.open_stream(source) as stream:
+            if not all(is_plain(field.type) for field in stream.schema):
+                raise InvalidAnswerError("a table has a column of a type that does not cross")
+            schema, batches = stream.schema.remove_metadata(), []
+            for batch in stream:
+                for column in batch.columns:
+                    _charge(column, budget)
+                batches.append(batch.replace_schema_metadata(None))
+        table = pa.Table.from_batches(batches, schema)
+        table.validate(full=True)
+    except (pa.ArrowException, ValueError, struct.error, OSError) as error:
+        raise InvalidAnswerError(f"a table is damaged: {error}") from error
+    return table
+
+
+def _charge(array: Any, budget: Budget) -> None:
+    """Counts the elements of an array, and of those inside it."""
+    budget.charge(_LEAST * len(array))
+    kind = array.type
+    if _TYPES.is_struct(kind):
+        for i in range(kind.num_fields):
+            _charge(array.field(i), budget)
+    elif _TYPES.is_fixed_size_list(kind):
+        budget.charge(_LEAST * len(array) * kind.list_size)
+        _charge(array.values, budget)
+    elif _TYPES.is_map(kind):
+        _charge(array.keys, budget)
+        _charge(array.items, budget)
+    elif _TYPES.is_list(kind) or _TYPES.is_large_list(kind):
+        _charge(array.values, budget)
+
+
+def _check_messages(source: pa.Buffer) -> None:
+    """Checks that a stream is one schema and batches of rows that are not compressed."""
+    reader, is_first = pa.ipc.MessageReader.open_stream(source), True
+    for message in reader:
+        kind, is_compressed = _kind_of(bytes(message.metadata))
+        if kind != (_SCHEMA if is_first else _RECORD_BATCH) or is_compressed:
+            raise InvalidAnswerError("a table has a part that is compressed, or none of a table")
+        is_first = False
+
+
+def _kind_of(metadata: bytes) -> tuple[int, bool]:
+    """Returns the type of a message's header, and whether it has the field for compression."""
+    (message,) = struct.unpack_from("<I", metadata, 0)
+    place = _field(metadata, message, _HEADER_TYPE)
+    header = _field(metadata, message, _HEADER)
+    kind = metadata[place] if place else 0
+    if not header:
+        return kind, False
+    (offset,) = struct.unpack_from("<I", metadata, header)
+    return kind, kind == _RECORD_BATCH and _field(metadata, header + offset, _COMPRESSION) != 0
+
+
+def _field(data: bytes, table: int, number: int) -> int:
+    """Returns the place of a field of a table of FlatBuffers; 0 if the table has it not."""
+    (back,) = struct.unpack_from("<i", data, table)
+    start = table - back
+    if start < 0:
+        raise InvalidAnswerError("a table has metadata that point outside")
+    (size,) = struct.unpack_from("<H", data, start)
+    at = 4 + 2 * number
+    if at + 2 > size:
+        return 0
+    (offset,) = struct.unpack_from("<H", data, start + at)
+    return table + offset if offset else 0

@@ -1,0 +1,430 @@
+"""Turns values into JSON and a body of bytes, and back: nothing that is sent is run.
+
+JSON holds nothing, numbers, texts and lists as they are; everything else is an object of one key,
+its *tag*. Many numbers, long texts, arrays and tables are in the body, and the JSON says where.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from decimal import Decimal
+from functools import cache
+from itertools import chain
+from operator import itemgetter
+from typing import Any
+from uuid import UUID
+
+import numpy as np
+import pyarrow as pa
+
+from ssduck.adapters.grid_values import OccupancyGrid, PlaneGrid, SensorGrid, VoxelGrid
+from ssduck.adapters.optional import library
+from ssduck.adapters.result import Result
+from ssduck.adapters.tabular import class_of_rows
+from ssduck.errors import LimitError, SelectScriptError, UnsupportedError
+from ssduck.sandbox.budget import ELEMENT, Budget, InvalidAnswerError
+from ssduck.sandbox.references import EntityReference, SandboxedWorld
+from ssduck.sandbox.tables import checked_table, table_bytes
+from ssduck.world.handles import Handle
+from ssduck.world.world import World
+
+# Lists of so many numbers, and texts of so many characters, are in the body.
+_LEAST_PACKED, _LEAST_TEXT = 16, 1000
+# Each part of the body begins at a multiple of this, bytes.
+_ALIGNMENT = 64
+# What a dict takes beside its values, bytes.
+_DICT = 360
+_MAX_DEPTH = 100
+# The kinds of numpy's types: of numbers, truth values, texts and times.
+_KINDS = "biufcUSMm"
+_MODES = {"1": 1, "L": 1, "RGB": 3, "RGBA": 4}
+_OBJECTS = {kind.__name__: kind for kind in (OccupancyGrid, PlaneGrid, SensorGrid, VoxelGrid)}
+_NULLABLE = ("Int64", "boolean")
+_PLAIN = frozenset((type(None), bool, int, float, str))
+_INT64 = 2**63
+
+
+class Encoder:
+    """Turns values into JSON and the parts of a body.
+
+    Args:
+        budget: counts what the receiver takes for them.
+        name: returns the name of a world by which the other side knows it.
+
+    Attributes:
+        parts: the parts of the body, in order.
+    """
+
+    def __init__(self, budget: Budget, name: Callable[[Any], str]) -> None:
+        self.parts: list[bytes | memoryview] = []
+        self._name = cache(name)
+        self._size = 0
+        self._budget = budget
+
+    def text(self, value: Any) -> bytes:
+        """Returns the JSON of a value.
+
+        Raises:
+            UnsupportedError: such a value cannot cross.
+            LimitError: it is too large, or lists are nested too deeply.
+        """
+        text = json.dumps(self.node(value), separators=(",", ":")).encode()
+        self._budget.charge_json(text)
+        return text
+
+    def node(self, value: Any, depth: int = 0) -> Any:
+        """Returns what JSON holds of a value."""
+        kind = type(value)
+        if kind in _PLAIN:
+            if kind is str and len(value) >= _LEAST_TEXT:
+                return {"text": self._part(value.encode("utf-8", "surrogatepass"))}
+            if kind is int and not -_INT64 <= value < _INT64:
+                return {"int": hex(value)}
+            return value
+        if depth > _MAX_DEPTH:
+            raise LimitError(f"a value is nested more than {_MAX_DEPTH} times")
+        if kind is list:
+            return self._list(value, depth + 1)
+        if kind is dict:
+            pairs = [[key, part] for key, part in value.items()]
+            return {"dict": self._each(chain.from_iterable(pairs), depth + 1)}
+        for base, tag, encode in _ENCODERS:
+            if isinstance(value, base):
+                return {tag: encode(self, value, depth + 1)}
+        raise AssertionError("the last encoder is of any object")
+
+    def _each(self, values: Any, depth: int) -> list[Any]:
+        return [self.node(one, depth) for one in values]
+
+    def _part(self, data: bytes | memoryview) -> list[int]:
+        """Adds a part to the body, and returns its place and its size."""
+        place, size = self._size, len(data)
+        padding = -size % _ALIGNMENT
+        self._budget.charge(size + padding)
+        self.parts += [data, bytes(padding)]
+        self._size += size + padding
+        return [place, size]
+
+    def _list(self, values: list[Any], depth: int) -> Any:
+        if len(values) < _LEAST_PACKED:
+            return self._each(values, depth)
+        kinds = set(map(type, values))
+        if kinds == {dict} and (columns := _columns(values)) is not None:
+            self._budget.charge(_DICT * len(values))
+            encoded = [self._list(column, depth) for column in columns.values()]
+            return {"rows": [len(values), self._each(columns, depth), encoded]}
+        if kinds == {list} and len(widths := set(map(len, values))) == 1 and widths != {0}:
+            flat = list(chain.from_iterable(values))
+            if (packed := self._packed(flat, set(map(type, flat)))) is not None:
+                self._budget.charge(ELEMENT * 2 * len(values))
+                return {"lists": [*widths, packed]}
+        packed = self._packed(values, kinds)
+        return self._each(values, depth) if packed is None else packed
+
+    def _packed(self, values: list[Any], kinds: set[type]) -> Any:
+        """Returns a list of floats, or of integers, as numbers in the body; None if it is none."""
+        if kinds not in ({float}, {int}):
+            return None
+        try:
+            array = np.array(values, np.float64 if kinds == {float} else np.int64)
+        except OverflowError:
+            return None
+        self._budget.charge(ELEMENT * len(values))
+        return {"numbers": [array.dtype.str, self._part(array.data.cast("B"))]}
+
+    def array(self, array: np.ndarray[Any, Any], depth: int) -> Any:
+        """Returns what JSON holds of an array."""
+        shape = list(array.shape)
+        if array.dtype.names is not None:
+            parts = [[name, self.array(array[name], depth + 1)] for name in array.dtype.names]
+            return ["fields", shape, parts]
+        if array.dtype.kind in _KINDS:
+            return [array.dtype.str, shape, self._part(array.tobytes())]
+        return ["objects", shape, self._list(array.ravel().tolist(), depth + 1)]
+
+    def scalar(self, value: np.generic, depth: int) -> Any:
+        """Returns what JSON holds of a number of numpy."""
+        return self.array(np.asarray(value), depth)
+
+    def row(self, row: Any, depth: int) -> Any:
+        """Returns what JSON holds of a tuple, or of a named one."""
+        return [list(getattr(row, "_fields", ())), self._each(row, depth)]
+
+    def table(self, table: pa.Table, _: int) -> Any:
+        """Returns the place of a table."""
+        return self._part(table_bytes(table))
+
+    def entity(self, entity: Any, depth: int) -> Any:
+        """Returns what JSON holds of an entity, or of a reference to one."""
+        if isinstance(entity, EntityReference):
+            world, tick = entity.world, entity.tick
+        else:
+            world, tick = self._name(entity.world), entity.moment and entity.moment.tick
+        return self._each([world, entity.id, entity.name, entity.kind, tick], depth)
+
+    def object(self, value: Any, depth: int) -> Any:
+        """Returns what JSON holds of a grid."""
+        parts = [[field.name, getattr(value, field.name)] for field in fields(value)]
+        return [type(value).__name__, [[name, self.node(part, depth)] for name, part in parts]]
+
+    def other(self, value: Any, depth: int) -> Any:
+        """Returns what JSON holds of a frame or of a picture, whose classes are imported late."""
+        library = type(value).__module__.partition(".")[0]
+        if library == "PIL" and value.mode in _MODES:
+            return ["picture", value.mode, *value.size, self._part(memoryview(value.tobytes()))]
+        if library == "pandas" and type(value).__name__ == "DataFrame":
+            table = pa.Table.from_pandas(value, preserve_index=False)
+            return ["pandas", list(map(str, value.dtypes)), self.table(table, depth)]
+        if library == "polars" and type(value).__name__ == "DataFrame":
+            return ["polars", [], self.table(value.to_arrow(), depth)]
+        raise UnsupportedError(
+            f"a {type(value).__name__} cannot cross the wall of the sandbox; select its values in "
+            "another form, as AS dict, list, df, numpy or json"
+        )
+
+
+def _columns(rows: list[dict[Any, Any]]) -> dict[Any, list[Any]] | None:
+    """Returns the values of dicts by their keys; None if these differ."""
+    if set(map(len, rows)) != {len(rows[0])}:
+        return None
+    try:
+        return {key: list(map(itemgetter(key), rows)) for key in rows[0]}
+    except KeyError:
+        return None
+
+
+_ENCODERS: tuple[tuple[Any, str, Callable[[Encoder, Any, int], Any]], ...] = (
+    (np.generic, "scalar", Encoder.scalar),
+    (np.ndarray, "array", Encoder.array),
+    (tuple, "tuple", Encoder.row),
+    (list, "list", lambda self, value, depth: self._each(value, depth)),
+    ((Handle, EntityReference), "entity", Encoder.entity),
+    ((World, SandboxedWorld), "world", lambda self, world, _: self._name(world)),
+    (Result, "result", lambda self, result, depth: self.table(result.arrow(), depth)),
+    (pa.Table, "table", Encoder.table),
+    (tuple(_OBJECTS.values()), "object", Encoder.object),
+    (bytes | bytearray, "bytes", lambda self, data, _: self._part(bytes(data))),
+    (dt.datetime, "datetime", lambda _self, value, _: value.isoformat()),
+    (dt.date, "date", lambda _self, value, _: value.isoformat()),
+    (dt.time, "time", lambda _self, value, _: value.isoformat()),
+    (dt.timedelta, "duration", lambda _s, v, _: [v.days, v.seconds, v.microseconds]),
+    (Decimal, "decimal", lambda _self, value, _: str(value)),
+    (UUID, "uuid", lambda _self, value, _: str(value)),
+    (object, "other", Encoder.other),
+)
+
+
+class Decoder:
+    """Makes values of JSON and a body.
+
+    Args:
+        body: the body.
+        budget: counts what the values take; the body has been counted.
+        entity: returns the entity of a world, a number, a name, a kind and a tick.
+        world: returns the world of a name.
+    """
+
+    def __init__(
+        self,
+        body: memoryview,
+        budget: Budget,
+        *,
+        entity: Callable[..., Any] = EntityReference,
+        world: Callable[[str], Any],
+    ) -> None:
+        self._body = body
+        self._budget = budget
+        self._entity = entity
+        self._world = world
+
+    def value(self, document: bytes) -> Any:
+        """Returns the value of a text of JSON.
+
+        Raises:
+            InvalidAnswerError: no `Encoder` has made it.
+            LimitError: it takes too much memory.
+        """
+        self._budget.charge_json(document)
+        try:
+            return self.node(json.loads(document))
+        except (InvalidAnswerError, SelectScriptError):
+            raise
+        except Exception as error:
+            raise InvalidAnswerError(f"{type(error).__name__}: {error}") from error
+
+    def node(self, node: Any) -> Any:
+        """Returns the value of what JSON holds of it."""
+        kind = type(node)
+        if kind is list:
+            is_plain = _PLAIN.issuperset(map(type, node))
+            return node if is_plain else [self.node(part) for part in node]
+        if kind is not dict:
+            return node
+        ((tag, content),) = node.items()
+        return _DECODERS[tag](self, content)
+
+    def part(self, place: Any) -> memoryview:
+        """Returns a part of the body."""
+        start, size = place
+        if not (0 <= start <= start + size <= len(self._body)):
+            raise InvalidAnswerError("a part lies outside its body")
+        return self._body[start : start + size]
+
+    def numbers(self, content: Any) -> list[Any]:
+        """Returns a list of numbers."""
+        kind, place = content
+        if kind not in ("<f8", "<i8"):
+            raise InvalidAnswerError("a list is of no numbers")
+        data = np.frombuffer(self.part(place), kind)
+        self._budget.charge(ELEMENT * len(data))
+        numbers: list[Any] = data.tolist()
+        return numbers
+
+    def lists(self, content: Any) -> list[Any]:
+        """Returns lists of numbers, all of one length."""
+        width, node = content
+        flat = self.node(node)
+        self._budget.charge(ELEMENT * 2 * (len(flat) // width))
+        return [flat[i : i + width] for i in range(0, len(flat), width)]
+
+    def rows(self, content: Any) -> list[dict[Any, Any]]:
+        """Returns dicts, all with the same keys."""
+        count, keys, columns = content
+        names = self.node(keys)
+        self._budget.charge(_DICT * count)
+        if not names:
+            return [{} for _ in range(count)]
+        parts = [self.node(column) for column in columns]
+        rows = [dict(zip(names, row, strict=True)) for row in zip(*parts, strict=True)]
+        if len(rows) != count:
+            raise InvalidAnswerError("columns differ in length")
+        return rows
+
+    def dict(self, content: Any) -> dict[Any, Any]:
+        """Returns a dict."""
+        parts = self.node(content)
+        self._budget.charge(_DICT + ELEMENT * len(parts))
+        return dict(zip(parts[::2], parts[1::2], strict=True))
+
+    def row(self, content: Any) -> tuple[Any, ...]:
+        """Returns a tuple, or a named one."""
+        names, values = content
+        parts = self.node(values)
+        if not names:
+            return tuple(parts)
+        row: tuple[Any, ...] = class_of_rows(tuple(names))._make(parts)
+        return row
+
+    def array(self, content: Any) -> np.ndarray[Any, Any]:
+        """Returns an array."""
+        kind, shape, data = content
+        if kind == "fields":
+            arrays = {name: self.array(part) for name, part in data}
+            depth = len(shape)
+            types: Any = [
+                (name, array.dtype, array.shape[depth:]) for name, array in arrays.items()
+            ]
+            self._budget.charge(sum(array.nbytes for array in arrays.values()))
+            structured = np.zeros(shape, types)
+            for name, array in arrays.items():
+                if list(array.shape[:depth]) != shape:
+                    raise InvalidAnswerError("the fields of an array differ in length")
+                structured[name] = array
+            return structured
+        if kind == "objects":
+            values = self.node(data)
+            objects = np.full(len(values), None, object)
+            for i, value in enumerate(values):
+                objects[i] = value
+            return objects.reshape(shape)
+        sort, raw = np.dtype(kind), self.part(data)
+        if sort.kind not in _KINDS or sort.hasobject or sort.names or sort.shape:
+            raise InvalidAnswerError("an array is of no plain type")
+        if not sort.itemsize:  # texts without characters
+            self._budget.charge(ELEMENT * math.prod(shape))
+            return np.zeros(shape, sort)
+        return np.frombuffer(raw, sort).reshape(shape)
+
+    def table(self, content: Any) -> pa.Table:
+        """Returns a table."""
+        return checked_table(self.part(content), self._budget)
+
+    def entity(self, content: Any) -> Any:
+        """Returns an entity, or a reference to one."""
+        world, number, name, kind, tick = content
+        is_right = type(number) is int and (tick is None or type(tick) is int)
+        if not (is_right and {type(world), type(name), type(kind)} == {str}):
+            raise InvalidAnswerError("this is no entity")
+        return self._entity(world, number, name, kind, tick)
+
+    def object(self, content: Any) -> Any:
+        """Returns a grid."""
+        name, parts = content
+        values = {field: self.node(part) for field, part in parts}
+        if not isinstance(values.get("cells"), np.ndarray):
+            raise InvalidAnswerError("a grid has no cells")
+        return _OBJECTS[name](**values)
+
+    def other(self, content: Any) -> Any:
+        """Returns a frame or a picture."""
+        kind, *rest = content
+        if kind == "picture":
+            from PIL import Image
+
+            mode, width, height, place = rest
+            self._budget.charge(4 * abs(width * height))
+            return Image.frombytes(
+                mode if mode in _MODES else "L", (width, height), self.part(place)
+            )
+        dtypes, place = rest
+        table = self.table(place)
+        if kind == "polars":
+            return library("polars", "polars").from_arrow(table)
+        return _frame(table, dtypes)
+
+    def text(self, content: Any) -> str:
+        """Returns a long text."""
+        return bytes(self.part(content)).decode("utf-8", "surrogatepass")
+
+
+def _frame(table: pa.Table, dtypes: Sequence[str]) -> Any:
+    """Returns a frame of pandas, some of whose columns have types that know missing values."""
+    pandas = library("pandas", "pandas")
+    nullable = {pa.int64(): pandas.Int64Dtype(), pa.bool_(): pandas.BooleanDtype()}
+    frame = table.to_pandas()
+    for i, dtype in enumerate(dtypes):
+        if dtype in _NULLABLE:
+            column = table.column(i)
+            frame.isetitem(i, column.to_pandas(types_mapper=nullable.get))
+    return frame
+
+
+_DECODERS: dict[str, Callable[[Decoder, Any], Any]] = {
+    "int": lambda _, content: int(content, 16),
+    "text": Decoder.text,
+    "bytes": lambda self, content: bytes(self.part(content)),
+    "numbers": Decoder.numbers,
+    "lists": Decoder.lists,
+    "rows": Decoder.rows,
+    "dict": Decoder.dict,
+    "tuple": Decoder.row,
+    "list": lambda self, content: self.node(content),
+    "array": Decoder.array,
+    "scalar": lambda self, content: self.array(content)[()],
+    "table": Decoder.table,
+    "result": lambda self, content: Result(self.table(content)),
+    "entity": Decoder.entity,
+    "world": lambda self, content: self._world(str(content)),
+    "object": Decoder.object,
+    "other": Decoder.other,
+    "datetime": lambda _, content: dt.datetime.fromisoformat(content),
+    "date": lambda _, content: dt.date.fromisoformat(content),
+    "time": lambda _, content: dt.time.fromisoformat(content),
+    "duration": lambda _, content: dt.timedelta(content[0], content[1], content[2]),
+    "decimal": lambda _, content: Decimal(content),
+    "uuid": lambda _, content: UUID(content),
+}

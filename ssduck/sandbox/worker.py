@@ -1,0 +1,248 @@
+"""Answers questions inside the wall: seals its process first, then opens a scene or a record.
+
+A question is a list of a request and its arguments, an answer a list of the value and the warnings,
+or of the error.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import tempfile
+from collections.abc import Callable, Collection
+from contextlib import ExitStack
+from functools import lru_cache
+from typing import Any
+
+from ssduck.errors import LimitError, UnknownNameError, UnsupportedError
+from ssduck.interpreter.interpreter import Interpreter
+from ssduck.interpreter.opening import load, open_record
+from ssduck.interpreter.program import CompiledProgram, rows_to_show
+from ssduck.limits import Limits
+from ssduck.recording.spec import Recording
+from ssduck.sandbox.budget import ANSWER_BYTES, Budget
+from ssduck.sandbox.messages import Message, receive, send
+from ssduck.sandbox.probes import holes
+from ssduck.sandbox.reports import WarningLog, told_error
+from ssduck.sandbox.seal import Walls, seal
+from ssduck.sandbox.values import Decoder, Encoder
+from ssduck.world.running import run
+from ssduck.world.world import World
+
+# What the host sends is limited by its own memory only.
+_UNLIMITED = 1 << 60
+# The settings of DuckDB that ssduck changes before some statements.
+_CHANGED = "['nested_loop_join_threshold', 'merge_join_threshold', 'search_path', 'schema']"
+# DuckDB gets this share of a worker's memory; the rest is Python's and the simulator's.
+_DUCKDB_SHARE = 2
+
+
+def serve(
+    connection: int, walls: Walls, order: dict[str, Any], without: Collection[str] = ()
+) -> None:
+    """Seals this process, and answers questions until the host has no more.
+
+    Args:
+        connection: the socket to the host.
+        walls: what the process may use.
+        order: `answer_bytes`, the largest size of an answer.
+        without: effects that a test takes away.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    scratch = str(walls.scratch)
+    os.chdir(scratch)
+    names = ("HOME", "TMPDIR", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "MPLCONFIGDIR")
+    os.environ.update(dict.fromkeys(names, scratch))
+    tempfile.tempdir = scratch
+    lacking = seal(walls, without)
+    worker = Worker(walls, {"holes": holes(walls), "lacking": lacking})
+    budget = int(order.get("answer_bytes", ANSWER_BYTES))
+    while True:
+        try:
+            question = receive(connection)
+        except EOFError:
+            return
+        number, document, parts = worker.answer(question, Budget(budget))
+        send(connection, number, document, parts)
+
+
+class Worker:
+    """Answers questions about what it has opened.
+
+    Args:
+        walls: what the process may use.
+        effects: what the host is told of them.
+    """
+
+    def __init__(self, walls: Walls, effects: dict[str, Any]) -> None:
+        self._walls = walls
+        self._effects = effects
+        self._log = WarningLog()
+        self._ss: Interpreter | None = None
+        self._compiled = lru_cache(256)(self._parsed)
+
+    def _parsed(self, text: str) -> CompiledProgram:
+        return self.ss.compile(text)
+
+    @property
+    def ss(self) -> Interpreter:
+        """The interpreter."""
+        if self._ss is None:
+            raise LimitError("nothing is open in the sandbox")
+        return self._ss
+
+    def answer(
+        self, question: Message, budget: Budget
+    ) -> tuple[int, bytes, list[bytes | memoryview]]:
+        """Returns the answer to a question: its number, its JSON and the parts of its body."""
+        encoder = Encoder(budget, self._name_of)
+        try:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            decoder = Decoder(
+                question.body, Budget(_UNLIMITED), entity=self._entity, world=self._world
+            )
+            request, *arguments = decoder.value(question.document)
+            value = _REQUESTS[request](self, *arguments)
+            text = encoder.text([value, self._log.taken()])
+        except BaseException as error:  # noqa: BLE001  # the host raises it
+            encoder = Encoder(Budget(), self._name_of)
+            text = encoder.text([None, self._log.taken(), told_error(error)])
+        finally:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+        return question.number, text, encoder.parts
+
+    def _world(self, name: str) -> World:
+        value = self.ss[name]
+        if not isinstance(value, World):
+            raise UnknownNameError(f"{name!r} is no world of the sandbox")
+        return value
+
+    def _name_of(self, world: World) -> str:
+        """Returns the variable that has a world."""
+        for name in (world.name, *self.ss):
+            if name in self.ss and self.ss[name] is world:
+                return str(name)
+        raise UnsupportedError(
+            "a world that no variable has cannot cross the wall of the sandbox; bind it, as in "
+            "part = SELECT … AS environment;"
+        )
+
+    def _entity(self, world: str, id: int, _name: str, _kind: str, tick: int | None) -> Any:
+        if tick is not None:
+            raise UnsupportedError("an entity of a past tick cannot go back into the sandbox")
+        return self._world(world).handle(id)
+
+    # -- requests -------------------------------------------------------------------------
+
+    def effects(self) -> dict[str, Any]:
+        """Returns what the process can do although an effect forbids it, and what it lacks."""
+        return self._effects
+
+    def open(
+        self, kind: str, location: str, options: dict[str, Any], limits: dict[str, Any]
+    ) -> None:
+        """Opens a scene, a record, or nothing."""
+        allowed = Limits(**limits, progress=False, trial=False)
+        recording = options.get("recording")
+        if isinstance(recording, dict):
+            options["recording"] = Recording(**recording)
+        with ExitStack() as stack:
+            if kind == "scene":
+                ss = load(location, limits=allowed, **options)
+            elif kind == "record":
+                ss = open_record(location, limits=allowed, **options)
+            else:
+                ss = Interpreter(limits=allowed, **options)
+            stack.callback(ss.close)
+            self._confine_database(ss, location if kind == "record" else None)
+            stack.pop_all()
+        self._ss = ss
+
+    def _confine_database(self, ss: Interpreter, record: str | None) -> None:
+        """Switches off what SQL has no business with: the wall holds without it, too."""
+        memory = self._walls.memory // _DUCKDB_SHARE
+        folders = [] if record is None else [f"{record.rstrip('/')}/"]
+        listed = ", ".join("'" + folder.replace("'", "''") + "'" for folder in folders)
+        for setting in (
+            f"memory_limit = '{memory}B'",
+            "temp_directory = ''",  # a query that needs more memory fails
+            f"allowed_directories = [{listed}]",
+            "enable_external_access = false",
+            f"allowed_configs = {_CHANGED}",
+            "lock_configuration = true",
+        ):
+            ss._database.connection.run(f"SET {setting}")  # noqa: SLF001  # the one door to DuckDB
+
+    def eval(self, text: str, parameters: Any, is_compiled: bool) -> Any:
+        """Runs a program."""
+        program = self._compiled(text) if is_compiled else text
+        return self.ss.eval(program, parameters=parameters)
+
+    def show(self, text: str) -> Any:
+        """Runs a program, and returns the columns of its query even if it has no rows."""
+        return rows_to_show(self._compiled(text), self.ss.eval)
+
+    def sql_of(self, text: str, dialect: str) -> str:
+        """Returns the SQL of a program."""
+        program: CompiledProgram = self._compiled(text)
+        return program.sql(dialect)
+
+    def check(self, text: str) -> None:
+        """Parses a program."""
+        self._compiled(text)
+
+    def set_variables(self, values: dict[str, Any]) -> None:
+        """Sets variables."""
+        for name, value in values.items():
+            self.ss.add_variable(name, value)
+
+    def worlds(self) -> list[str]:
+        """Returns the names of the variables that are worlds, in the order of the worlds."""
+        return [name for world in self.ss.worlds for name in self.ss if self.ss[name] is world]
+
+    def state(self, name: str) -> dict[str, Any]:
+        """Returns what a handle of a world tells."""
+        world = self._world(name)
+        return {
+            "time": world.time,
+            "tick": world.tick_number,
+            "timestep": world.timestep,
+            "entities": len(world),
+        }
+
+    def step(self, name: str, count: int, every: int | None) -> None:
+        """Steps a world."""
+        self._world(name).step(count, every=every)
+
+    def run(self, names: list[str] | None, seconds: float, every: int | None) -> None:
+        """Runs worlds, or all of them."""
+        if names is None:
+            self.ss.run(seconds, every=every)
+        else:
+            run([self._world(name) for name in names], seconds, every=every)
+
+    def tick(self, name: str) -> None:
+        """Takes a tick of a world."""
+        self._world(name).tick()
+
+    def set_strict(self, strict: bool) -> None:
+        """Makes probable mistakes errors, or warnings."""
+        self.ss.strict = strict
+
+
+_REQUESTS: dict[str, Callable[..., Any]] = {
+    **{
+        name: getattr(Worker, name)
+        for name in (
+            *("effects", "open", "eval", "show", "sql_of", "check", "set_variables", "worlds"),
+            *("state", "step", "run", "tick", "set_strict"),
+        )
+    },
+    "sql": lambda worker, text, parameters: worker.ss.sql(text, parameters),
+    "explain": lambda worker, text: worker.ss.explain(text),
+    "help": lambda worker, name: worker.ss.help(name),
+    "history": lambda worker, name: worker.ss.history(name),
+    "variable": lambda worker, name: worker.ss[name],
+    "names": lambda worker: list(worker.ss),
+    "has": lambda worker, name: name in worker.ss,
+}

@@ -1,0 +1,132 @@
+"""The process from which workers are forked: it has imported ssduck, and has read nothing.
+
+The host executes it (`main`), so that it has nothing of the host's memory, threads and environment.
+It opens no DuckDB and starts no thread. It ends when its host ends, and its workers end with it.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import select
+import shutil
+import signal
+import socket
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from importlib import import_module
+from typing import Any, NoReturn
+
+from ssduck.errors import SandboxError
+from ssduck.sandbox.kernel import PR_SET_PDEATHSIG, prctl
+from ssduck.sandbox.seal import Walls, check_one_thread
+
+# The largest order, bytes.
+MAX_ORDER = 1 << 17
+READY, FAILED, FORKED = b"r", b"!", b"f"
+# What workers need, and what the first question would import: modules that start no thread.
+_IMPORTED = (
+    *("ssduck.interpreter.interpreter", "ssduck.interpreter.opening", "ssduck.interpreter.lint"),
+    *("ssduck.adapters.registry", "ssduck.columns.selects", "ssduck.interpreter.scalar_select"),
+    *("ssduck.interpreter.query_runner", "ssduck.database.macros", "ssduck.sandbox.worker"),
+    *("ssduck.simulators.pybullet.backend", "ssduck.simulators.mujoco.backend", "trimesh", "fcl"),
+    *("pyarrow.parquet", "pyarrow.compute", "pyarrow.dataset", "scipy.spatial", "scipy.optimize"),
+)
+Serve = Callable[[int, Walls, dict[str, Any]], None]
+
+
+def main() -> None:
+    """Imports ssduck, and forks a worker for each order of the host, until that ends."""
+    from ssduck.sandbox.worker import serve
+
+    run(serve)
+
+
+def run(serve: Serve) -> NoReturn:
+    """Is the process's whole work.
+
+    Args:
+        serve: what a worker does.
+    """
+    descriptor, host, folder = json.loads(sys.argv[1])
+    orders = socket.socket(fileno=descriptor)
+    watched = os.pidfd_open(host)
+    if os.getppid() != host:  # it ended before it could be watched
+        os._exit(0)
+    try:
+        for name in _IMPORTED:
+            with suppress(ImportError):  # one of the simulators
+                import_module(name)
+        # What is made of the relations is kept with them, for all workers.
+        from ssduck.database.macros import description_script
+
+        description_script(("kitchen",), "kitchen", None, frozenset())
+        check_one_thread()
+    except Exception as error:  # noqa: BLE001  # the host tells of it
+        orders.send(FAILED + f"{type(error).__name__}: {error}".encode()[:1000])
+        os._exit(1)
+    gc.collect()
+    gc.freeze()
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    orders.send(READY)
+    _serve_host(orders, watched, folder, serve)
+    os._exit(0)
+
+
+def _serve_host(orders: socket.socket, host: int, folder: str, serve: Serve) -> None:
+    """Forks workers until the host ends; then ends them, and removes their folders."""
+    workers: list[int] = []
+    poll = select.poll()
+    for waiting in (orders.fileno(), host):
+        poll.register(waiting, select.POLLIN)
+    while host not in (ready := {descriptor for descriptor, _ in poll.poll()}):
+        if orders.fileno() in ready:
+            order, descriptors, _, _ = socket.recv_fds(orders, MAX_ORDER, 1)
+            if not order:
+                break
+            workers = [worker for worker in workers if _lives(worker)]
+            workers.append(_fork(json.loads(order), descriptors[0], serve))
+            os.close(descriptors[0])
+    for worker in workers:
+        with suppress(ProcessLookupError):
+            signal.pidfd_send_signal(worker, signal.SIGKILL)
+            select.select([worker], [], [])
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def _lives(worker: int) -> bool:
+    if select.select([worker], [], [], 0)[0]:
+        os.close(worker)
+        return False
+    return True
+
+
+def _fork(order: dict[str, Any], connection: int, serve: Serve) -> int:
+    """Forks a worker, gives the host the descriptor of its process, and returns it."""
+    zygote = os.getpid()
+    check_one_thread()
+    if (worker := os.fork()) == 0:
+        try:
+            _begin(zygote, connection)
+            serve(connection, Walls(**order.pop("walls")), order)
+        finally:
+            os._exit(1)
+    process = os.pidfd_open(worker)
+    with socket.socket(fileno=os.dup(connection)) as there, suppress(OSError):
+        socket.send_fds(there, [FORKED], [process])  # the host may have given up
+    return process
+
+
+def _begin(zygote: int, connection: int) -> None:
+    """Ends with the zygote, and keeps no descriptor but the connection."""
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != zygote:
+        raise SandboxError("the zygote has ended")
+    null = os.open(os.devnull, os.O_RDWR)
+    for standard in range(3):
+        os.dup2(null, standard)
+    os.closerange(3, connection)
+    os.closerange(connection + 1, os.sysconf("SC_OPEN_MAX"))

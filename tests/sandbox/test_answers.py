@@ -1,0 +1,351 @@
+"""Answers of a sandbox equal those of an interpreter in this process."""
+
+from __future__ import annotations
+
+import datetime as dt
+from decimal import Decimal
+
+import numpy as np
+import pandas as pd
+import polars as pl
+import pyarrow as pa
+import pytest
+
+import ssduck
+from ssduck.errors import (
+    LimitError,
+    ParseError,
+    ProgramWarning,
+    SandboxError,
+    SqlError,
+    UnknownNameError,
+    UnsupportedError,
+)
+from ssduck.limits import Limits
+from ssduck.sandbox import EntityReference, SandboxedInterpreter
+from ssduck.sandbox.budget import Budget
+from ssduck.sandbox.values import Decoder, Encoder
+
+
+@pytest.fixture(scope="module")
+def sandbox(zygote):
+    with SandboxedInterpreter.load("kitchen", zygote=zygote) as ss:
+        yield ss
+
+
+@pytest.fixture(scope="module")
+def here():
+    with ssduck.load("kitchen") as ss:
+        yield ss
+
+
+PROGRAMS = [
+    "1 + 1;",
+    "2 ^ 70;",
+    "'text' + \"ü\\u0000\";",
+    "1 / 3;",
+    "True;",
+    "[1, 2.5, 'a', [True, []]];",
+    "SELECT id, z FROM kitchen;",
+    "SELECT id, position, mass FROM kitchen WHERE isRobot(this);",
+    "SELECT id, z FROM kitchen WHERE z > 100;",
+    "SELECT id, position FROM kitchen AS list;",
+    "SELECT type, count(*) AS n FROM kitchen GROUP BY type;",
+    "SELECT z FROM kitchen WHERE id == 'fridge' AS value;",
+    "SELECT id, z FROM kitchen AS json;",
+    "SELECT id, z FROM kitchen AS csv;",
+    "SELECT id, z FROM kitchen AS records;",
+    "SELECT above(kitchen.table, this) FROM kitchen AS prolog;",
+    "SELECT time(this), id FROM kitchen{} AS list;",
+]
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_values_are_the_same(sandbox, here, program):
+    assert sandbox.eval(program) == here.eval(program)
+    assert repr(sandbox.eval(program)) == repr(here.eval(program))
+
+
+def test_tables_are_the_same(sandbox, here):
+    query = "SELECT id, z, kind, position, isRobot(this) AS robot FROM kitchen AS {};"
+    pd.testing.assert_frame_equal(sandbox.eval(query.format("df")), here.eval(query.format("df")))
+    assert sandbox.eval(query.format("arrow")).equals(here.eval(query.format("arrow")))
+    frame = sandbox.eval(query.format("polars"))
+    assert frame.equals(here.eval(query.format("polars")))
+    table, own = (ss.eval(query.format("table")) for ss in (sandbox, here))
+    assert (table.fetchall(), table.columns, table.types) == (
+        own.fetchall(),
+        own.columns,
+        own.types,
+    )
+
+
+def test_arrays_are_the_same(sandbox, here):
+    for columns in ("position", "id, z", "z, isRobot(this)"):
+        query = f"SELECT {columns} FROM kitchen AS numpy;"
+        found, own = sandbox.eval(query), here.eval(query)
+        assert found.dtype == own.dtype
+        np.testing.assert_array_equal(found, own)
+        found[0] = found[1]  # it can be changed, as in this process
+
+
+def test_grids_and_pictures_are_the_same(sandbox, here):
+    for form in ("occupancygrid(0.1, 0.1)", "voxelgrid(0.2)", "sensorgrid(0.2, 0.2)"):
+        query = f"SELECT obj FROM kitchen WHERE NOT isPlane(this) AS {form};"
+        found, own = sandbox.eval(query), here.eval(query)
+        assert type(found) is type(own)
+        np.testing.assert_array_equal(found.cells, own.cells)
+        assert (found.origin, found.resolution) == (own.origin, own.resolution)
+    picture = sandbox.eval("SELECT obj FROM kitchen AS image;")
+    assert picture.tobytes() == here.eval("SELECT obj FROM kitchen AS image;").tobytes()
+
+
+STATEMENTS = [
+    "SELECT name, kind, x, y, z FROM entities ORDER BY name",
+    "SELECT a.name, b.name FROM entities a, entities b WHERE above(a, b) ORDER BY ALL",
+    "SELECT tick, id, name, mass, x FROM links ORDER BY id LIMIT 5",
+    "SELECT 1::HUGEINT AS a, 2::UTINYINT AS b, 0.5::FLOAT AS c, 1.25::DECIMAL(10, 3) AS d",
+    "SELECT DATE '2020-02-29' AS a, TIME '12:34:56' AS b, TIMESTAMP '2020-01-01 00:00:00' AS c",
+    "SELECT INTERVAL 3 DAY AS a, 'x'::BLOB AS b, uuid() IS NULL AS c, NULL AS d",
+    "SELECT [1, 2] AS a, {'x': 1, 'y': [{'z': 2.0}]} AS b, MAP {'k': 1} AS c, [1.0, 2.0]::DOUBLE[2]",
+    "SELECT 'happy'::ENUM ('happy', 'sad') AS mood, 'nan'::DOUBLE AS n, 'inf'::DOUBLE AS i",
+    "SELECT name FROM entities WHERE false",
+    "SELECT range AS i, range * 0.5 AS x, 'name' || range AS s FROM range(20000)",
+    "SELECT count(*) FROM entities_history",
+]
+
+
+@pytest.mark.parametrize("statement", STATEMENTS)
+def test_sql_is_the_same(sandbox, here, statement):
+    found, own = sandbox.sql(statement), here.sql(statement)
+    assert found.columns == own.columns
+    assert repr(found.fetchall()) == repr(own.fetchall())
+
+
+def test_parameters_cross(sandbox):
+    assert sandbox.sql("SELECT ? + 1, ?", [41, "x"]).fetchall() == [(42, "x")]
+    assert sandbox.sql("SELECT $a AS a", {"a": 1.5}).fetchall() == [(1.5,)]
+    assert sandbox.eval("SELECT this FROM [1, 2] WHERE this > low AS list;", {"low": 1}) == [2]
+
+
+def test_programs_are_compiled_explained_and_shown(sandbox, here):
+    text = "SELECT id, z FROM kitchen WHERE z > 1;"
+    program = sandbox.compile(text)
+    assert sandbox.eval(program) == here.eval(text)
+    assert program.sql() == here.compile(text).sql()
+    assert sandbox.explain(program) == here.explain(text)
+    assert str(sandbox.show(program)) == str(here.show(text))
+    assert sandbox.help("above") == here.help("above")
+    assert sandbox.help() == here.help()
+
+
+# -- errors and warnings ----------------------------------------------------------------------
+
+FAILURES = [
+    ("eval", "SELECT FROM;"),
+    ("eval", "SELECT this FROM kitchn;"),
+    ("eval", "kitchen.frigde;"),
+    ("eval", "1 / 0;"),
+    ("eval", "[1][5];"),
+    ("eval", "near(1);"),
+    ("sql", "SELECT * FROM entitys"),
+    ("sql", "SELECT nme FROM entities"),
+    ("sql", "SELEC"),
+    ("compile", "1 +;"),
+    ("help", "abov"),
+]
+
+
+@pytest.mark.parametrize(("method", "text"), FAILURES)
+def test_errors_cross(sandbox, here, method, text):
+    told = []
+    for ss in (sandbox, here):
+        with pytest.raises(ssduck.SelectScriptError) as caught:
+            getattr(ss, method)(text)
+        told.append(caught.value)
+    found, own = told
+    assert type(found) is type(own)
+    assert str(found) == str(own)
+    assert (found.line, found.column, found.suggestions) == (own.line, own.column, own.suggestions)
+
+
+def test_errors_that_are_none_of_ssducks_are_plain(sandbox):
+    with pytest.raises(SandboxError, match="ZeroDivisionError"):
+        sandbox.ask("python", "1 / 0")
+
+
+def test_warnings_cross(sandbox):
+    with pytest.warns(ProgramWarning, match="fridg") as caught:
+        sandbox.sql("SELECT * FROM entities WHERE name = 'fridg'")
+    assert caught[0].filename == __file__
+
+
+def test_a_strict_sandbox_makes_mistakes_errors(zygote):
+    with SandboxedInterpreter.load("kitchen", strict=True, zygote=zygote) as ss:
+        with pytest.raises(UnknownNameError, match="fridge"):
+            ss.sql("SELECT * FROM entities WHERE name = 'fridg'")
+        ss.strict = False
+        with pytest.warns(ProgramWarning):
+            ss.sql("SELECT * FROM entities WHERE name = 'fridg'")
+
+
+# -- variables, worlds, records ---------------------------------------------------------------
+
+VALUES = [
+    *(None, True, 0, -(2**63), 2**64, 1.5, float("inf"), "x", "x" * 5000, "\ud800", b"\0bytes"),
+    *([], [1, [2, {"a": [3]}]], {"a": 1, 2: "b"}, list(range(100)), [[0.0, 1.0]] * 20),
+    *([{"a": 1, "b": None}] * 20, [1, 2.5] * 20, [2**70] * 20, [{"a": 1}, {"b": 2}] * 10),
+    *(dt.datetime(2020, 1, 2, 3, 4, 5, tzinfo=dt.UTC), dt.date(2020, 1, 2), Decimal("1.50")),
+    *(dt.timedelta(1, 2, 3), (1, "a"), [{}] * 20, [[]] * 20, [True, False] * 10),
+]
+
+
+@pytest.mark.parametrize("value", VALUES, ids=lambda value: repr(value)[:30])
+def test_values_cross(value):
+    encoder = Encoder(Budget(), str)
+    text = encoder.text(value)
+    body = memoryview(bytearray(b"".join(encoder.parts)))
+    found = Decoder(body, Budget(), world=str).value(text)
+    assert found == value
+    assert type(found) is type(value)
+    assert repr(found) == repr(value)
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.arange(6.0).reshape(2, 3),
+        np.array([], np.int32),
+        np.array([True, False]),
+        np.array(["a", "bcd"]),
+        np.array(["", ""]),
+        np.array(["2020-01-01"], "datetime64[D]"),
+        np.array([("a", 1.5, [1, 2])], [("s", "U3"), ("x", "f4"), ("v", "i4", (2,))]),
+        np.array([1, "a", None, [1]], object),
+        np.float32(1.5),
+        np.zeros((3, 0)),
+    ],
+    ids=repr,
+)
+def test_arrays_cross(array):
+    encoder = Encoder(Budget(), str)
+    text = encoder.text(array)
+    body = memoryview(bytearray(b"".join(encoder.parts)))
+    found = Decoder(body, Budget(), world=str).value(text)
+    assert (found.dtype, found.shape, type(found)) == (array.dtype, array.shape, type(array))
+    assert np.array_equal(found, array)
+
+
+def test_variables_are_the_hosts_and_outlive_the_process(zygote):
+    with SandboxedInterpreter.load("kitchen", zygote=zygote) as ss:
+        ss["high"] = 1.2
+        ss.add_variable("points", np.eye(3))
+        ss.eval("low = 0.5;")
+        assert (ss["high"], ss["low"], "low" in ss, "none" in ss) == (1.2, 0.5, True, False)
+        assert {"kitchen", "high", "points", "low"} == set(ss)
+        with pytest.raises(LimitError, match="variables that programs have set are gone"):
+            ss.ask("python", "__import__('os')._exit(3)")
+        assert ss.eval("high;") == 1.2
+        np.testing.assert_array_equal(ss["points"], np.eye(3))
+        with pytest.raises(UnknownNameError):
+            ss.eval("low;")
+
+
+def test_entities_are_references_that_go_back(sandbox):
+    fridge = sandbox.eval("kitchen.fridge;")
+    assert fridge == EntityReference("kitchen", fridge.id, "fridge", "robot")
+    sandbox["it"] = fridge
+    assert sandbox.eval("it == kitchen.fridge;") is True
+    assert sandbox.eval("SELECT id(it) FROM [1] AS value;") == "fridge"
+    with pytest.raises(LimitError, match="in the sandbox"):
+        fridge.move([0, 0, 0])
+    rows = sandbox.eval("SELECT this FROM kitchen AS list;")
+    assert len(rows) == 37
+    assert all(isinstance(row, EntityReference) for row in rows)
+
+
+def test_worlds_are_stepped_in_the_sandbox(zygote, here):
+    with SandboxedInterpreter.load("kitchen", zygote=zygote) as ss:
+        kitchen = ss["kitchen"]
+        assert [world.name for world in ss.worlds] == ["kitchen"]
+        assert (kitchen.time, len(kitchen)) == (0.0, 37)
+        kitchen.step(24)
+        assert kitchen.time == pytest.approx(24 * kitchen.timestep)
+        ss.run(0.1)
+        kitchen.run(0.1)
+        assert ss.eval("getTime();") == kitchen.time == pytest.approx(0.3)
+        number = kitchen.tick_number
+        assert kitchen.tick().tick_number == number + 1
+        assert ss.sql("SELECT count(DISTINCT tick) FROM entities_history").fetchone()[0] > 50
+
+
+def test_a_record_is_opened_in_the_sandbox(zygote, tmp_path):
+    with ssduck.load("kitchen") as live:
+        live.run(0.1)
+        live.export(tmp_path / "run")
+        own = live.sql("SELECT tick, name, z FROM entities_history ORDER BY ALL").fetchall()
+    with SandboxedInterpreter.open(tmp_path / "run", zygote=zygote) as ss:
+        found = ss.sql("SELECT tick, name, z FROM entities_history ORDER BY ALL").fetchall()
+        assert found == own
+        assert ss.eval("SELECT count(*) FROM kitchen{0.05} AS value;") == 37
+        past = ss.eval("SELECT this FROM kitchen{0.05} AS list;")[0]
+        assert past.tick is not None
+
+
+def test_a_duckdb_file_is_opened_in_the_sandbox(zygote, tmp_path):
+    with ssduck.load("kitchen", tmp_path / "run.duckdb") as live:
+        live.run(0.1)
+    with SandboxedInterpreter.open(tmp_path / "run.duckdb", zygote=zygote) as ss:
+        assert ss.eval("SELECT count(*) FROM kitchen AS value;") == 37
+        assert ss.sql("SELECT max(time) FROM entities_history").fetchone()[0] == pytest.approx(0.1)
+
+
+def test_what_a_sandbox_has_not_says_why(sandbox, here):
+    for name in ("add_function", "add_trigger", "export", "view"):
+        with pytest.raises(UnsupportedError, match=name):
+            getattr(sandbox, name)
+    with pytest.raises(UnsupportedError, match="world of this process"):
+        sandbox["other"] = here["kitchen"]
+    with pytest.raises(AttributeError):
+        sandbox.nothing  # noqa: B018
+    with pytest.raises(UnsupportedError, match="object store"):
+        SandboxedInterpreter.open("s3://bucket/run")
+
+
+def test_a_closed_one_says_so(zygote):
+    ss = SandboxedInterpreter(zygote=zygote)
+    ss.close()
+    with pytest.raises(LimitError, match="closed"):
+        ss.eval("1;")
+
+
+def test_range_joins_are_planned_in_the_sandbox(zygote):
+    """SQL with a SEMI JOIN changes a setting for a statement, though settings are locked."""
+    query = (
+        "SELECT count(*) FROM entities a SEMI JOIN entities b ON a.x < b.x AND a.y > b.y AND "
+        "a.z < b.z"
+    )
+    with SandboxedInterpreter.load("kitchen", zygote=zygote) as ss, ssduck.load("kitchen") as own:
+        for _ in range(2):
+            assert ss.sql(query).fetchall() == own.sql(query).fetchall()
+        with pytest.raises(SqlError, match="locked"):
+            ss.sql("SET memory_limit = '1GB'")
+
+
+def test_programs_too_long_for_their_limits_are_refused(zygote):
+    with (
+        SandboxedInterpreter(limits=Limits.strict(seconds=5), zygote=zygote) as ss,
+        pytest.raises((LimitError, ParseError)),
+    ):
+        ss.compile("1 +" * 60_000 + "1;")
+
+
+def test_empty_tables_cross(sandbox):
+    assert (
+        sandbox.sql("SELECT 1 AS a WHERE false")
+        .arrow()
+        .equals(pa.table({"a": pa.array([], pa.int32())}))
+    )
+    assert sandbox.eval("SELECT id FROM kitchen WHERE z > 99 AS polars;").equals(
+        pl.DataFrame({"id": []})
+    )

@@ -1,0 +1,235 @@
+"""What a worker that was taken over sends is data, of a bounded size, or an error."""
+
+from __future__ import annotations
+
+import gc
+import json
+import resource
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from ssduck.errors import LimitError, SandboxError
+from ssduck.sandbox import SandboxedInterpreter
+from ssduck.sandbox.budget import ANSWER_BYTES, Budget, InvalidAnswerError
+from ssduck.sandbox.tables import checked_table, table_bytes
+from ssduck.sandbox.values import Decoder
+
+SEND = """
+import os, struct
+def send(document, body=b"", *, mark=b"duck", number=None, length=None, size=None):
+    import gc
+    from ssduck.sandbox.messages import Message
+    asked = [one for one in gc.get_objects() if isinstance(one, Message)][-1].number
+    head = struct.pack("<4sIQQ", mark, asked if number is None else number,
+        len(document) if length is None else length, len(body) if size is None else size)
+    os.write(connection, head + document + body)
+{}
+"""
+# What is sent in place of an answer.
+SENT = {
+    "another mark": "send(b'[1, []]', mark=b'duke')",
+    "another question": "send(b'[1, []]', number=99)",
+    "no JSON": "send(b'[1, [')",
+    "no text": "send(bytes(range(128, 200)))",
+    "nothing": "send(b'')",
+    "a number": "send(b'1')",
+    "no list of warnings": "send(b'[1, 2]')",
+    "an unknown tag": 'send(b\'[{{"pickle": "x"}}, []]\')',
+    "two tags": 'send(b\'[{{"int": "1", "text": [0, 0]}}, []]\')',
+    "a part outside": "send(b'[{{\"text\": [0, 9]}}, []]', b'abc')",
+    "a part before": "send(b'[{{\"text\": [-9, 9]}}, []]', b'abc')",
+    "brackets": "send(b'[' * 50000)",
+    "many empty lists": "send(b'[' + b'[],' * 5000000 + b'[]]')",
+    "a huge body": "send(b'[1, []]', size=1 << 40)",
+    "a huge document": "send(b'[1, []]', length=1 << 62)",
+    "a wrong error": 'send(b\'[null, [], {{"dict": ["class", "SqlError", "message", 5]}}]\')',
+    "a class of errors": "send(b'[null, [], [1]]')",
+    "an end": "os._exit(0)",
+    "a crash": "import ctypes; ctypes.string_at(0)",
+    "half": "os.write(connection, b'duck' + b'x' * 5); os._exit(0)",
+}
+
+
+@pytest.mark.parametrize("name", SENT)
+def test_what_is_no_answer_ends_the_process(zygote, name):
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with SandboxedInterpreter(zygote=zygote) as ss:
+        ss["mine"] = 1
+        with pytest.raises(LimitError, match="process of the program"):
+            ss.ask("python", SEND.format(SENT[name].replace("{{", "{").replace("}}", "}")))
+        assert ss.eval("mine;") == 1
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000
+
+
+def test_an_error_of_another_class_is_plain(zygote):
+    told = 'send(b\'[null, [], {"dict": ["class", "SystemExit", "message", "x"]}]\')'
+    with SandboxedInterpreter(zygote=zygote) as ss, pytest.raises(SandboxError, match=r"x$"):
+        ss.ask("python", SEND.replace("{}", told))
+
+
+def test_answers_as_large_as_allowed_and_larger(zygote):
+    with SandboxedInterpreter(zygote=zygote, answer_bytes=2_000_000) as ss:
+        assert len(ss.eval("'abcdefghij' * 100000;")) == 1_000_000
+        for program in ("'abcdefghij' * 300000;", "[1.5] * 100000;", "['ab'] * 100000;"):
+            with pytest.raises(LimitError, match="answer_bytes"):
+                ss.eval(program)
+        with pytest.raises(LimitError, match="answer_bytes"):
+            ss.sql("SELECT range, range FROM range(300000)")
+        assert ss.eval("1;") == 1  # by the same process
+
+
+# -- tables -----------------------------------------------------------------------------------
+
+
+def stream(table, **options):
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, table.schema, options=pa.ipc.IpcWriteOptions(**options)) as out:
+        out.write_table(table)
+    return memoryview(bytearray(sink.getvalue()))
+
+
+NUMBERS = pa.table({"a": pa.array(range(1000))})
+FORGED = {
+    "compressed": lambda: stream(NUMBERS, compression="zstd"),
+    "compressed otherwise": lambda: stream(NUMBERS, compression="lz4"),
+    "a dictionary": lambda: stream(pa.table({"a": pa.array(["x"] * 9).dictionary_encode()})),
+    "repetitions": lambda: stream(
+        pa.table({"a": pa.RunEndEncodedArray.from_arrays(pa.array([2**30], pa.int32()), [1])})
+    ),
+    "views": lambda: stream(pa.table({"a": pa.array(["x" * 99], pa.string_view())})),
+    "views of lists": lambda: stream(pa.table({"a": pa.array([[1]], pa.list_view(pa.int8()))})),
+    "an extension": lambda: stream(
+        pa.table(
+            {"a": pa.ExtensionArray.from_storage(pa.uuid(), pa.array([b"x" * 16], pa.binary(16)))}
+        )
+    ),
+    "an extension inside": lambda: stream(
+        pa.table({"a": pa.array([[b"x" * 16]], pa.list_(pa.binary(16))).cast(pa.list_(pa.uuid()))})
+    ),
+    "a union": lambda: stream(
+        pa.table(
+            {
+                "a": pa.UnionArray.from_dense(
+                    pa.array([0], pa.int8()), pa.array([0], pa.int32()), [pa.array([1])]
+                )
+            }
+        )
+    ),
+    "no stream": lambda: memoryview(b"x" * 100),
+    "nothing": lambda: memoryview(b""),
+    "a half": lambda: stream(NUMBERS)[:-600],
+    "texts that are none": lambda: stream(
+        pa.table(
+            {
+                "a": pa.Array.from_buffers(
+                    pa.string(),
+                    1,
+                    [None, pa.py_buffer(b"\0\0\0\0\2\0\0\0"), pa.py_buffer(b"\xff\xff")],
+                )
+            }
+        )
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FORGED)
+def test_forged_tables_are_refused(name):
+    data = FORGED[name]()
+    with pytest.raises(InvalidAnswerError):
+        checked_table(data, Budget())
+
+
+def test_tables_of_many_rows_without_bytes_are_counted():
+    many = 2**24
+    nothing = pa.nulls(many)
+    for column in (
+        nothing,
+        pa.FixedSizeListArray.from_arrays(nothing, many),
+        pa.ListArray.from_arrays([0, many], nothing),
+        pa.Array.from_buffers(pa.binary(0), many, [None, pa.py_buffer(b"")]),
+        pa.Array.from_buffers(pa.struct([]), many, [None]),
+    ):
+        with pytest.raises(LimitError, match="answer takes"):
+            checked_table(stream(pa.table({"a": column})), Budget())
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_damaged_tables_are_refused_or_are_tables(seed):
+    """Flipped bytes of a stream never make more of it than a table, or an error."""
+    generator = np.random.default_rng(seed)
+    table = pa.table(
+        {"a": range(50), "s": ["text"] * 50, "l": [[1, 2], None] * 25, "d": [{"x": 1.5}] * 50}
+    )
+    for _ in range(50):
+        data = bytearray(table_bytes(table))
+        for place in generator.integers(0, len(data), 3):
+            data[place] ^= 1 << generator.integers(0, 8)
+        try:
+            found = checked_table(memoryview(data), Budget())
+        except (InvalidAnswerError, LimitError):
+            continue
+        assert found.to_pylist() is not None
+
+
+# -- JSON and arrays --------------------------------------------------------------------------
+
+
+def decoded(document, body=b"", size=ANSWER_BYTES):
+    decoder = Decoder(memoryview(bytearray(body)), Budget(size), world=str)
+    return decoder.value(json.dumps(document).encode())
+
+
+WRONG = [
+    {"array": ["O", [1], [0, 8]]},
+    {"array": ["V8", [1], [0, 8]]},
+    {"array": ["<f8", [2], [0, 8]]},
+    {"array": ["<f8", [-1, -1], [0, 8]]},
+    {"array": ["<f8,<f8", [1], [0, 16]]},
+    {"array": ["fields", [2], [["a", ["<f8", [1], [0, 8]]]]]},
+    {"array": [5, [1], [0, 8]]},
+    {"numbers": ["O", [0, 8]]},
+    {"numbers": ["<f8", [0, 7]]},
+    {"lists": [0, [1]]},
+    {"rows": [3, ["a"], [[1, 2]]]},
+    {"rows": [2, ["a", "b"], [[1, 2], [1]]]},
+    {"dict": [[1], 2]},
+    {"dict": [1]},
+    {"tuple": [["a b"], []]},
+    {"tuple": [["a"], [1, 2]]},
+    {"entity": ["kitchen", "1", "x", "robot", None]},
+    {"entity": [["kitchen"], 1, "x", "robot", None]},
+    {"object": ["os", []]},
+    {"object": ["OccupancyGrid", [["cells", 1]]]},
+    {"object": ["OccupancyGrid", [["cells", {"array": ["<f8", [1], [0, 8]]}], ["x", 1]]]},
+    {"other": ["picture", "RGB", 9, 9, [0, 8]]},
+    {"other": ["pandas", [], [0, 8]]},
+    {"int": "x"},
+    {"decimal": "x"},
+    {"datetime": "x"},
+    {"uuid": "x"},
+    {"text": [0]},
+    {},
+    {"__class__": 1},
+]
+
+
+@pytest.mark.parametrize("document", WRONG, ids=json.dumps)
+def test_wrong_values_are_refused(document):
+    with pytest.raises(InvalidAnswerError):
+        decoded(document, bytes(16))
+
+
+@pytest.mark.parametrize(
+    "document",
+    [
+        {"rows": [10**9, [], []]},
+        {"array": ["<U0", [10**12], [0, 0]]},
+        {"other": ["picture", "RGB", 10**6, 10**6, [0, 0]]},
+    ],
+)
+def test_values_without_bytes_are_counted(document):
+    gc.collect()
+    with pytest.raises((LimitError, InvalidAnswerError)):
+        decoded(document)

@@ -1,0 +1,258 @@
+"""Processes of sandboxes end when they are to, and their hosts go on."""
+
+from __future__ import annotations
+
+import os
+import random
+import resource
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import warnings
+from pathlib import Path
+
+import pytest
+
+from ssduck.errors import LimitError, SandboxError
+from ssduck.limits import Limits
+from ssduck.sandbox import SandboxedInterpreter
+from ssduck.sandbox.processes import Zygote, shared_zygote
+
+PAST_HANGING = 60.0
+
+
+def is_running(pid):
+    """Whether there is a process of a number that is no zombie."""
+    try:
+        text = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return False
+    return text.rpartition(")")[2].split()[0] not in "ZX"
+
+
+def wait_for_end(pids):
+    deadline = time.monotonic() + PAST_HANGING
+    while any(map(is_running, pids)):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def children_of(pid):
+    """The numbers of a process's children."""
+    return [int(n) for n in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+@pytest.mark.slow
+def test_killed_workers_leave_nothing_and_no_question_hangs(zygote):
+    """A hundred kills at random moments: while a worker starts, computes, answers or waits."""
+    generator = random.Random(43)  # noqa: S311
+    pids, answers = set(), 0
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    folder = Path(zygote._folder)
+    with SandboxedInterpreter(limits=Limits.strict(seconds=20), zygote=zygote) as ss:
+        ss["mine"] = 7
+        for _ in range(100):
+            process = ss._worker
+            pids.add(process._pid)
+            killer = threading.Timer(generator.random() * 0.02, os.kill, (process._pid, 9))
+            killer.start()
+            try:
+                while process.is_alive:
+                    assert ss.eval("sum(SELECT a.this FROM a=[1, 2, 3, mine] AS list);") == 13
+                    answers += 1
+            except (LimitError, UserWarning) as error:
+                assert "process of the" in str(error)
+            killer.join()
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                assert ss.eval("1;") == 1
+            assert ss.eval("mine;") == 7
+        pids.add(ss._worker._pid)
+    assert len(pids) >= 100
+    assert answers > 20
+    wait_for_end(pids)
+    assert not any(folder.glob("worker*/scratch/*"))
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000
+
+
+HOST = """
+import sys, time
+from ssduck.limits import Limits
+from ssduck.sandbox import SandboxedInterpreter
+from ssduck.sandbox.processes import shared_zygote
+ss = SandboxedInterpreter(limits=Limits.strict(seconds=100))
+print(shared_zygote()._process.pid, ss._worker._pid, shared_zygote()._folder, flush=True)
+{}
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("work", ["time.sleep(100)", "ss.sql('SELECT sleep_ms(90000)')"])
+def test_all_processes_end_with_their_host(number, work):
+    code = HOST.format(work)
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as host:
+        zygote, worker, folder = host.stdout.readline().split()
+        assert is_running(worker)
+        host.send_signal(number)
+        host.wait(PAST_HANGING)
+    wait_for_end([zygote, worker])
+    deadline = time.monotonic() + PAST_HANGING
+    while Path(folder).exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+@pytest.mark.slow
+def test_a_host_that_ends_normally_leaves_nothing():
+    told = subprocess.run(
+        [sys.executable, "-c", HOST.format("")], capture_output=True, text=True, check=True
+    )
+    zygote, worker, folder = told.stdout.split()
+    wait_for_end([zygote, worker])
+    assert not Path(folder).exists()
+    assert told.stderr == ""
+
+
+@pytest.mark.slow
+def test_workers_end_with_their_zygote_and_the_next_question_has_another():
+    zygote = Zygote()
+    with SandboxedInterpreter(zygote=zygote) as ss:
+        worker = ss._worker._pid
+        zygote._process.kill()
+        zygote._process.wait()
+        wait_for_end([worker])
+        while ss._worker.is_alive:
+            time.sleep(0.01)
+        with pytest.warns(UserWarning, match="has ended"), pytest.raises(SandboxError):
+            ss.eval("1;")
+    zygote.close()
+    first = shared_zygote()
+    with SandboxedInterpreter() as ss:
+        first._process.kill()
+        first._process.wait()
+        while ss._worker.is_alive:
+            time.sleep(0.01)
+        with pytest.warns(UserWarning, match="process of the sandbox has ended"):
+            assert ss.eval("1 + 1;") == 2
+    shared_zygote().close()
+
+
+def test_time_is_ended_by_the_host(zygote):
+    with SandboxedInterpreter(limits=Limits.strict(seconds=0.3), zygote=zygote) as ss:
+        pid = ss._worker._pid
+        with pytest.raises(LimitError, match=r"took more than 0\.3 s, and its process was ended"):
+            ss.ask("python", "__import__('time').sleep(100)")
+        wait_for_end([pid])
+        with pytest.raises(LimitError, match=r"took more than 0\.3 s"):
+            ss.ask(
+                "python",
+                "__import__('signal').pthread_sigmask(0, range(1, 64)) is None or [0 for _ in iter(int, 1)]",
+            )
+        assert ss.eval("1;") == 1
+
+
+def test_ctrl_c_ends_the_program_and_keeps_its_variables(zygote):
+    with SandboxedInterpreter(limits=Limits.strict(seconds=60), zygote=zygote) as ss:
+        ss.eval("low = 0.5;")
+        ss["m"] = list(range(100_000))
+        worker = ss._worker
+        for ask in (
+            lambda: ss.eval("sum(SELECT a.this * b.this FROM a=m, b=m AS list);"),
+            lambda: ss.ask("python", "__import__('time').sleep(60)"),
+            lambda: ss.sql("SELECT sum(a.range * b.range) FROM range(1000000) a, range(1000000) b"),
+        ):
+            threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()
+            with pytest.raises(KeyboardInterrupt):
+                ask()
+            assert ss.eval("low;") == 0.5
+        assert ss._worker is worker
+
+
+def test_ctrl_c_ends_a_process_that_ignores_it(zygote):
+    with SandboxedInterpreter(limits=Limits.strict(seconds=60), zygote=zygote) as ss:
+        threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()
+        ignoring = "__import__('signal').signal(2, __import__('signal').SIG_IGN) and __import__('time').sleep(60)"
+        with pytest.raises((KeyboardInterrupt, LimitError)):
+            ss.ask("python", ignoring)
+        assert ss.eval("1;") == 1
+
+
+def test_threads_of_the_host_take_turns(zygote):
+    with SandboxedInterpreter(zygote=zygote) as ss:
+        found = []
+
+        def ask(number):
+            found.extend(ss.eval(f"{number} * {i};") == number * i for i in range(20))
+
+        threads = [threading.Thread(target=ask, args=(n,)) for n in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert found == [True] * 80
+
+
+def test_sandboxes_share_no_variables(zygote):
+    with SandboxedInterpreter(zygote=zygote) as one, SandboxedInterpreter(zygote=zygote) as other:
+        one["x"] = 1
+        other["x"] = 2
+        assert (one.eval("x;"), other.eval("x;")) == (1, 2)
+        folders = [ss.ask("python", "__import__('os').getcwd()") for ss in (one, other)]
+        with pytest.raises(SandboxError, match="Permission denied"):
+            one.ask("python", f"__import__('os').listdir({folders[1]!r})")
+
+
+def test_one_that_nothing_refers_to_ends(zygote):
+    ss = SandboxedInterpreter(zygote=zygote)
+    worker, folder = ss._worker._pid, ss._worker._scratch
+    del ss
+    wait_for_end([worker])
+    assert not folder.exists()
+
+
+def test_the_zygote_has_one_thread_and_nothing_of_the_host(zygote):
+    pid = zygote._process.pid
+    assert len(list(Path(f"/proc/{pid}/task").iterdir())) == 1
+    assert os.getsid(pid) == pid
+    assert Path(f"/proc/{pid}/cwd").resolve() == Path("/")
+    opened = {str(path.readlink()) for path in Path(f"/proc/{pid}/fd").iterdir()}
+    assert not any(path.startswith(tempfile.gettempdir()) for path in opened)
+
+
+def test_what_cannot_start_says_why(tmp_path, monkeypatch):
+    (tmp_path / "broken_zygote.py").write_text(
+        "import threading\n"
+        "def main():\n"
+        "    from ssduck.sandbox import zygote\n"
+        "    threading.Thread(target=threading.Event().wait, daemon=True).start()\n"
+        "    zygote.run(None)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    zygote = Zygote("broken_zygote")
+    with pytest.raises(SandboxError, match="has started threads"):
+        SandboxedInterpreter(zygote=zygote)
+    with pytest.raises(SandboxError, match="cannot start"):
+        SandboxedInterpreter(zygote=Zygote("no_such_module"))
+
+
+def test_a_forked_child_leaves_the_process_to_its_parent(zygote):
+    with SandboxedInterpreter(zygote=zygote) as ss:
+        reading, writing = os.pipe()
+        if (child := os.fork()) == 0:
+            try:
+                ss.close()
+            finally:
+                os.write(writing, b"x")
+                os._exit(0)
+        os.waitpid(child, 0)
+        assert select.select([reading], [], [], 0)[0]
+        assert ss.eval("1 + 1;") == 2
+        os.close(reading)
+        os.close(writing)
