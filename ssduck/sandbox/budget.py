@@ -8,8 +8,10 @@ from ssduck.errors import LimitError
 ANSWER_BYTES = 32 * 2**20
 # The size of a number or a short text in a list, bytes.
 ELEMENT = 40
-# The size of what JSON makes of a sign of its own, at most, bytes.
-_OF_SIGNS = {b",": 64, b"[": 136, b"{": 248}
+# One wide character makes all of a text so wide, bytes.
+_WIDEST = 4
+# The size of what JSON makes of a comma, and of a bracket and a brace with what follows, bytes.
+_OF_COMMA, _OF_LIST, _OF_DICT = 64, 136, 248
 
 
 class InvalidAnswerError(Exception):
@@ -41,4 +43,10 @@ class Budget:
 
     def charge_json(self, text: bytes) -> None:
         """Counts what a text of JSON becomes, from its length and its signs."""
-        self.charge(len(text) + sum(text.count(sign) * size for sign, size in _OF_SIGNS.items()))
+        width = _WIDEST if b"\\u" in text else 1
+        size = width * len(text) + _OF_COMMA * text.count(b",")
+        self.charge(size + _OF_LIST * text.count(b"[") + _OF_DICT * text.count(b"{"))
+
+    def charge_text(self, data: bytes) -> None:
+        """Counts a text that is in the body, beside its bytes."""
+        self.charge(len(data) * (1 if data.isascii() else _WIDEST))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, Never, Self
@@ -132,8 +132,8 @@ class SandboxedInterpreter:
         if str(scene) in shipped_scenes():
             return cls(Source("scene", str(scene), options, _absolute(readable)), **others)
         path = scene_file(Path(scene).expanduser()).absolute()
-        around = _entries(path.parent.resolve())
-        own = (str(path), *around, *_absolute(readable))
+        around = _entries(path.resolve().parent)
+        own = (str(path.resolve()), *around, *_absolute(readable))
         return cls(Source("scene", str(path), options, own), **others)
 
     @classmethod
@@ -164,7 +164,8 @@ class SandboxedInterpreter:
             )
         place = Path(path).expanduser().absolute()
         options = {"world": world, "episode": episode, "partial": partial}
-        own = (str(place), str(place.resolve()), f"{place}.wal")
+        real = place.resolve()
+        own = (str(real), *_without_links([Path(f"{real}.wal")]))
         return cls(Source("record", str(place), options, own), **others)
 
     def close(self) -> None:
@@ -398,17 +399,22 @@ def _absolute(paths: Collection[str | Path]) -> tuple[str, ...]:
 
 
 def _entries(folder: Path) -> list[str]:
-    """Returns what is in the folder of a scene, without hidden files.
+    """Returns what is in the folder of a scene, without hidden files and links.
 
     Raises:
         SandboxError: that is too much for one scene.
     """
     if not folder.is_dir():
         return []
-    entries = sorted(str(entry) for entry in folder.iterdir() if not entry.name.startswith("."))
+    entries = _without_links(sorted(folder.iterdir()))
     if len(entries) > _MAX_ENTRIES:
         raise SandboxError(
             f"{folder} has more than {_MAX_ENTRIES} entries, all of which a scene could read; put "
             "the scene and its models into a folder of their own"
         )
     return entries
+
+
+def _without_links(paths: Iterable[Path]) -> list[str]:
+    """Returns paths without hidden ones, and without links: a stranger says where they lead."""
+    return [str(one) for one in paths if not (one.name.startswith(".") or one.is_symlink())]

@@ -18,6 +18,8 @@ from ssduck.sandbox.budget import InvalidAnswerError
 # The mark, the number of the question, the sizes of the JSON and of the body, bytes.
 _HEAD = struct.Struct("<4sIQQ")
 _MARK = b"duck"
+# So much is read at first, bytes; the body begins at a multiple of `_ALIGNMENT`.
+_FIRST, _ALIGNMENT = 4096, 64
 # Whoever waits looks at what else is to be looked at so often, s.
 LOOK_EVERY = 0.1
 
@@ -53,6 +55,7 @@ def send(
         parts: the parts of the body.
         wait: waits until the socket can be written to, where it does not block; see `Waiting`.
     """
+    document += b" " * (-(len(document) + _HEAD.size) % _ALIGNMENT)
     size = sum(len(part) for part in parts)
     head = _HEAD.pack(_MARK, number, len(document), size) + document
     for part in (head, *parts):
@@ -82,30 +85,41 @@ def receive(
         EOFError: the other process has closed the socket.
         InvalidAnswerError: this is no message.
     """
-    head = _read(descriptor, _HEAD.size, wait)
-    mark, number, length, size = _HEAD.unpack(head)
+    first = bytearray(_FIRST)
+    done = 0
+    while done < _HEAD.size:
+        done += _read(descriptor, memoryview(first)[done:], wait)
+    mark, number, length, size = _HEAD.unpack_from(first)
     if mark != _MARK:
         raise InvalidAnswerError("it does not begin as a message does")
     if check is not None:
         check(length, size)
-    document = _read(descriptor, length, wait)
-    return Message(number, bytes(document), memoryview(_read(descriptor, size, wait)))
+    total = _HEAD.size + length + size
+    if done > total:
+        raise InvalidAnswerError("it is longer than it says")
+    data = first
+    if total > _FIRST:
+        data = bytearray(total)
+        data[:done] = first[:done]
+    view = memoryview(data)[:total]
+    while done < total:
+        done += _read(descriptor, view[done:], wait)
+    body = _HEAD.size + length
+    return Message(number, bytes(view[_HEAD.size : body]), view[body:])
 
 
-def _read(descriptor: int, count: int, wait: Callable[[int], None] | None) -> bytearray:
-    data = bytearray(count)
-    view, done = memoryview(data), 0
-    while done < count:
+def _read(descriptor: int, space: memoryview, wait: Callable[[int], None] | None) -> int:
+    """Reads what there is, at least a byte, and returns how much."""
+    while True:
         try:
-            read = os.readv(descriptor, [view[done:]])
+            read = os.readv(descriptor, [space])
         except BlockingIOError:
             assert wait is not None
             wait(select.POLLIN)
             continue
         if not read:
             raise EOFError
-        done += read
-    return data
+        return read
 
 
 class Waiting:

@@ -9,13 +9,14 @@ import select
 import shutil
 import signal
 import socket
+import stat
 import subprocess
 import sys
 import tempfile
 import threading
 import time
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, replace
 from importlib.resources import files
@@ -28,7 +29,7 @@ from ssduck.sandbox.budget import Budget, InvalidAnswerError
 from ssduck.sandbox.messages import Message, Waiting, receive, send
 from ssduck.sandbox.references import SandboxedWorld
 from ssduck.sandbox.reports import error_of, warn_again
-from ssduck.sandbox.seal import SCRATCH, Walls
+from ssduck.sandbox.seal import SCRATCH, Walls, remove
 from ssduck.sandbox.values import Decoder, Encoder
 from ssduck.sandbox.zygote import FAILED, FORKED, READY
 
@@ -319,21 +320,29 @@ class WorkerProcess:
 
     def _look(self) -> None:
         """Checks that it has not filled its scratch folder, nor started too many threads."""
-        self._unwatched, size, files = 0.0, 0, 0
-        folders = [self._scratch]
-        while folders:
-            with suppress(FileNotFoundError), os.scandir(folders.pop()) as entries:
-                for entry in entries:
-                    files += 1
-                    size += entry.stat(follow_symlinks=False).st_size
-                    if entry.is_dir(follow_symlinks=False):
-                        folders.append(Path(entry.path))
-                    if size > _MAX_SCRATCH or files > _MAX_FILES:
-                        raise _HarmError("the program filled the disk, and its process was ended")
+        self._unwatched = 0.0
+        sizes = list(itertools.islice(self._sizes(), _MAX_FILES))
+        if sum(sizes) > _MAX_SCRATCH or len(sizes) == _MAX_FILES:
+            raise _HarmError("the program filled the disk, and its process was ended")
         with suppress(OSError):
             status = Path(f"/proc/{self._pid}/stat").read_text(encoding="ascii", errors="replace")
             if int(status.rpartition(")")[2].split()[17]) > _MAX_THREADS:
                 raise _HarmError("the program started many threads, and its process was ended")
+
+    def _sizes(self) -> Iterator[int]:
+        """Yields the sizes of its files, and of those without a name that it has open, bytes."""
+        folders = [str(self._scratch)]
+        while folders:
+            with suppress(OSError), os.scandir(folders.pop()) as entries:
+                for entry in entries:
+                    yield entry.stat(follow_symlinks=False).st_size
+                    if entry.is_dir(follow_symlinks=False):
+                        folders.append(entry.path)
+        with suppress(OSError), os.scandir(f"/proc/{self._pid}/fd") as entries:
+            for entry in entries:
+                found = entry.stat()
+                if stat.S_ISREG(found.st_mode) and not found.st_nlink:
+                    yield found.st_size
 
 
 class _HarmError(Exception):
@@ -350,6 +359,7 @@ def _end_worker(process: int, connection: socket.socket, folder: Path, host: int
         with suppress(ProcessLookupError):
             signal.pidfd_send_signal(process, signal.SIGKILL)
         select.select([process], [], [], _ENDING)
+        remove(folder / SCRATCH)
         shutil.rmtree(folder, ignore_errors=True)
     os.close(process)
 

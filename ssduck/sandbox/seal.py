@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import resource
+import shutil
 import sys
 import sysconfig
 from collections.abc import Collection, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -27,6 +30,8 @@ _SYSTEM = (
 )
 _NULL = Path(os.devnull)
 _DESCRIPTORS = 256
+# What `remove` calls folders that it has moved.
+_MOVED = "moved-"
 # What a test that takes an effect away lets through.
 _OPENED = {
     "files": ("chmod", "fchmodat", "link", "linkat"),
@@ -74,6 +79,21 @@ class Walls:
         self.scratch.mkdir(parents=True, mode=0o700)
         for file in self.own_files:
             file.write_bytes(b"probe")
+
+
+def remove(folder: str | Path) -> None:
+    """Removes a folder of a worker: one that is nested too deeply for `rmtree`, too."""
+    numbers = itertools.count()
+    with suppress(OSError):
+        while inner := [
+            entry for entry in os.scandir(folder) if entry.is_dir(follow_symlinks=False)
+        ]:
+            for entry in inner:
+                for below in list(os.scandir(entry)):
+                    if below.is_dir(follow_symlinks=False):
+                        Path(below).rename(Path(folder, f"{_MOVED}{next(numbers)}"))
+                shutil.rmtree(entry, ignore_errors=True)
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 def seal(walls: Walls, without: Collection[str] = ()) -> list[str]:

@@ -12,7 +12,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from decimal import Decimal
-from functools import cache
 from itertools import chain
 from operator import itemgetter
 from typing import Any
@@ -38,12 +37,15 @@ _LEAST_PACKED, _LEAST_TEXT = 16, 1000
 _ALIGNMENT = 64
 # What a dict takes beside its values, bytes.
 _DICT = 360
-_MAX_DEPTH = 100
+# What a text takes in a column of pandas, bytes.
+_OBJECT = 72
+_MAX_DEPTH, _MAX_NAMES = 100, 1000
 # The kinds of numpy's types: of numbers, truth values, texts and times.
 _KINDS = "biufcUSMm"
 _MODES = {"1": 1, "L": 1, "RGB": 3, "RGBA": 4}
 _OBJECTS = {kind.__name__: kind for kind in (OccupancyGrid, PlaneGrid, SensorGrid, VoxelGrid)}
 _NULLABLE = ("Int64", "boolean")
+_json = json.JSONEncoder(separators=(",", ":")).encode
 _PLAIN = frozenset((type(None), bool, int, float, str))
 _INT64 = 2**63
 
@@ -61,7 +63,8 @@ class Encoder:
 
     def __init__(self, budget: Budget, name: Callable[[Any], str]) -> None:
         self.parts: list[bytes | memoryview] = []
-        self._name = cache(name)
+        self._name = name
+        self._names: dict[int, str] = {}
         self._size = 0
         self._budget = budget
 
@@ -72,7 +75,7 @@ class Encoder:
             UnsupportedError: such a value cannot cross.
             LimitError: it is too large, or lists are nested too deeply.
         """
-        text = json.dumps(self.node(value), separators=(",", ":")).encode()
+        text = _json(self.node(value)).encode()
         self._budget.charge_json(text)
         return text
 
@@ -81,7 +84,9 @@ class Encoder:
         kind = type(value)
         if kind in _PLAIN:
             if kind is str and len(value) >= _LEAST_TEXT:
-                return {"text": self._part(value.encode("utf-8", "surrogatepass"))}
+                data = value.encode("utf-8", "surrogatepass")
+                self._budget.charge_text(data)
+                return {"text": self._part(data)}
             if kind is int and not -_INT64 <= value < _INT64:
                 return {"int": hex(value)}
             return value
@@ -114,7 +119,7 @@ class Encoder:
             return self._each(values, depth)
         kinds = set(map(type, values))
         if kinds == {dict} and (columns := _columns(values)) is not None:
-            self._budget.charge(_DICT * len(values))
+            self._budget.charge((_DICT + ELEMENT * len(columns)) * len(values))
             encoded = [self._list(column, depth) for column in columns.values()]
             return {"rows": [len(values), self._each(columns, depth), encoded]}
         if kinds == {list} and len(widths := set(map(len, values))) == 1 and widths != {0}:
@@ -158,12 +163,18 @@ class Encoder:
         """Returns the place of a table."""
         return self._part(table_bytes(table))
 
+    def world(self, world: Any, _: int) -> str:
+        """Returns the name of a world; the same one each time, as its entities are many."""
+        if id(world) not in self._names:
+            self._names[id(world)] = self._name(world)
+        return self._names[id(world)]
+
     def entity(self, entity: Any, depth: int) -> Any:
         """Returns what JSON holds of an entity, or of a reference to one."""
         if isinstance(entity, EntityReference):
             world, tick = entity.world, entity.tick
         else:
-            world, tick = self._name(entity.world), entity.moment and entity.moment.tick
+            world, tick = self.world(entity.world, 0), entity.moment and entity.moment.tick
         return self._each([world, entity.id, entity.name, entity.kind, tick], depth)
 
     def object(self, value: Any, depth: int) -> Any:
@@ -178,6 +189,7 @@ class Encoder:
             return ["picture", value.mode, *value.size, self._part(memoryview(value.tobytes()))]
         if library == "pandas" and type(value).__name__ == "DataFrame":
             table = pa.Table.from_pandas(value, preserve_index=False)
+            self._budget.charge(_OBJECT * table.num_rows * table.num_columns)
             return ["pandas", list(map(str, value.dtypes)), self.table(table, depth)]
         if library == "polars" and type(value).__name__ == "DataFrame":
             return ["polars", [], self.table(value.to_arrow(), depth)]
@@ -203,7 +215,7 @@ _ENCODERS: tuple[tuple[Any, str, Callable[[Encoder, Any, int], Any]], ...] = (
     (tuple, "tuple", Encoder.row),
     (list, "list", lambda self, value, depth: self._each(value, depth)),
     ((Handle, EntityReference), "entity", Encoder.entity),
-    ((World, SandboxedWorld), "world", lambda self, world, _: self._name(world)),
+    ((World, SandboxedWorld), "world", Encoder.world),
     (Result, "result", lambda self, result, depth: self.table(result.arrow(), depth)),
     (pa.Table, "table", Encoder.table),
     (tuple(_OBJECTS.values()), "object", Encoder.object),
@@ -250,7 +262,7 @@ class Decoder:
         """
         self._budget.charge_json(document)
         try:
-            return self.node(json.loads(document))
+            return self.node(json.loads(str(document, "ascii")))
         except (InvalidAnswerError, SelectScriptError):
             raise
         except Exception as error:
@@ -295,7 +307,7 @@ class Decoder:
         """Returns dicts, all with the same keys."""
         count, keys, columns = content
         names = self.node(keys)
-        self._budget.charge(_DICT * count)
+        self._budget.charge((_DICT + ELEMENT * len(names)) * count)
         if not names:
             return [{} for _ in range(count)]
         parts = [self.node(column) for column in columns]
@@ -316,6 +328,8 @@ class Decoder:
         parts = self.node(values)
         if not names:
             return tuple(parts)
+        if len(names) > _MAX_NAMES:
+            raise InvalidAnswerError("a row has too many names")
         row: tuple[Any, ...] = class_of_rows(tuple(names))._make(parts)
         return row
 
@@ -384,11 +398,14 @@ class Decoder:
         table = self.table(place)
         if kind == "polars":
             return library("polars", "polars").from_arrow(table)
+        self._budget.charge(_OBJECT * table.num_rows * table.num_columns)
         return _frame(table, dtypes)
 
     def text(self, content: Any) -> str:
         """Returns a long text."""
-        return bytes(self.part(content)).decode("utf-8", "surrogatepass")
+        data = bytes(self.part(content))
+        self._budget.charge_text(data)
+        return data.decode("utf-8", "surrogatepass")
 
 
 def _frame(table: pa.Table, dtypes: Sequence[str]) -> Any:

@@ -17,11 +17,12 @@ import sys
 from collections.abc import Callable
 from contextlib import suppress
 from importlib import import_module
+from pathlib import Path
 from typing import Any, NoReturn
 
 from ssduck.errors import SandboxError
 from ssduck.sandbox.kernel import PR_SET_PDEATHSIG, prctl
-from ssduck.sandbox.seal import Walls, check_one_thread
+from ssduck.sandbox.seal import SCRATCH, Walls, check_one_thread, remove
 
 # The largest order, bytes.
 MAX_ORDER = 1 << 17
@@ -93,6 +94,8 @@ def _serve_host(orders: socket.socket, host: int, folder: str, serve: Serve) -> 
         with suppress(ProcessLookupError):
             signal.pidfd_send_signal(worker, signal.SIGKILL)
             select.select([worker], [], [])
+    for of_worker in Path(folder).iterdir():
+        remove(of_worker / SCRATCH)
     shutil.rmtree(folder, ignore_errors=True)
 
 

@@ -349,3 +349,29 @@ def test_empty_tables_cross(sandbox):
     assert sandbox.eval("SELECT id FROM kitchen WHERE z > 99 AS polars;").equals(
         pl.DataFrame({"id": []})
     )
+
+
+def test_scenes_with_meshes_of_both_simulators_are_loaded(zygote, tmp_path):
+    (tmp_path / "part.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+    )
+    (tmp_path / "part.urdf").write_text(
+        '<robot name="part"><link name="base"><collision><geometry><mesh filename="part.obj"/>'
+        "</geometry></collision></link></robot>"
+    )
+    (tmp_path / "part.xml").write_text(
+        '<mujoco><asset><mesh name="part" file="part.obj"/></asset><worldbody><body name="part">'
+        '<freejoint/><geom type="mesh" mesh="part"/></body></worldbody></mujoco>'
+    )
+    for name, simulator in (("part.urdf", None), ("part.xml", "mujoco"), ("part.xml", "pybullet")):
+        path = tmp_path / name
+        with (
+            SandboxedInterpreter.load(path, simulator=simulator, zygote=zygote) as ss,
+            ssduck.load(path, simulator=simulator) as own,
+        ):
+            for found in (ss, own):
+                found["part"].step(5)
+            query = "SELECT id, position, mass FROM part;"
+            assert ss.eval(query) == own.eval(query)
+            ss.eval("piece = (SELECT obj FROM part AS environment);")
+            assert len(ss["piece"]) == len(own["part"])

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+import ssduck
 from ssduck.errors import LimitError, SandboxError, SelectScriptError
 from ssduck.limits import Limits
 from ssduck.sandbox import SandboxedInterpreter
@@ -169,7 +170,31 @@ def test_its_scratch_folder_is_its_own_and_bounded(zygote):
         assert not Path(folder).exists()
         with pytest.raises(LimitError, match="filled the disk"):
             ss.ask("python", "[open(f'f{i}', 'w') and None for i in range(2000)]")
+        with pytest.raises(LimitError, match="filled the disk"):
+            ss.ask("python", HIDDEN)
+        with pytest.raises(LimitError, match="filled the disk"):
+            ss.ask("python", DEEP)
         assert ss.eval("1;") == 1
+        folders = [path.name for path in Path(folder).parents[1].iterdir()]
+    own = int(Path(folder).parent.name.removeprefix("worker"))
+    assert not any(f"worker{number}" in folders for number in range(own, own + 4))
+
+
+# Files that are open and have no name, and folders in folders, by paths too long for the kernel.
+HIDDEN = """
+import os
+files = []
+for i in range(10):
+    files.append(open("hidden", "wb"))
+    os.unlink("hidden")
+    files[-1].write(bytes(50 << 20))
+"""
+DEEP = """
+import os
+for i in range(20000):
+    os.mkdir("d")
+    os.chdir("d")
+"""
 
 
 def test_a_bomb_of_threads_ends_the_process(zygote):
@@ -241,6 +266,7 @@ def test_a_scene_reads_its_folder_and_no_more(zygote, tmp_path):
     folder.mkdir()
     (tmp_path / "secret.obj").write_text("v 0 0 0")
     (folder / ".hidden").write_text("secret")
+    (folder / "link").symlink_to(tmp_path)
     (folder / "box.urdf").write_text(
         '<robot name="box"><link name="base"><collision><geometry><box size="1 1 1"/>'
         "</geometry></collision></link></robot>"
@@ -249,9 +275,19 @@ def test_a_scene_reads_its_folder_and_no_more(zygote, tmp_path):
     with SandboxedInterpreter.load(folder / "box.urdf", limits=limits, zygote=zygote) as ss:
         assert ss.eval("SELECT id(this) FROM box AS list;") == ["box"]
         assert ss.ask("python", f"len(open('{folder}/box.urdf').read())") > 10
-        for path in (tmp_path / "secret.obj", folder / ".hidden"):
+        for path in (tmp_path / "secret.obj", folder / ".hidden", folder / "link" / "secret.obj"):
             with pytest.raises(SandboxError, match="Permission denied"):
                 ss.ask("python", f"open('{path}').read()")
+
+
+def test_a_link_beside_a_record_leads_nowhere(zygote, tmp_path):
+    with ssduck.load("kitchen", tmp_path / "run.duckdb") as live:
+        live.run(0.02)
+    (tmp_path / "secret").write_text("secret")
+    (tmp_path / "run.duckdb.wal").unlink(missing_ok=True)
+    (tmp_path / "run.duckdb.wal").symlink_to(tmp_path / "secret")
+    with pytest.raises(SelectScriptError, match="is a symbolic link"):
+        SandboxedInterpreter.open(tmp_path / "run.duckdb", zygote=zygote)
 
 
 def test_a_scene_of_a_file_outside_is_an_error(zygote, tmp_path):
