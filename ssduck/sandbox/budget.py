@@ -29,11 +29,7 @@ class Budget:
         self._size = self._left = size
 
     def charge(self, size: int) -> None:
-        """Counts something.
-
-        Raises:
-            LimitError: the answer takes more in all.
-        """
+        """Counts something."""
         self._left -= size
         if self._left < 0:
             raise LimitError(

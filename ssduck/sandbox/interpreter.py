@@ -10,7 +10,7 @@ from typing import Any, Literal, Never, Self
 
 from ssduck import validation
 from ssduck.adapters.result import MAX_ROWS, Result, TableView
-from ssduck.errors import LimitError, SandboxError, UnsupportedError, warn
+from ssduck.errors import LimitError, SandboxError, SelectScriptError, UnsupportedError, warn
 from ssduck.interpreter.namespace import check_name
 from ssduck.interpreter.program import check_parameters
 from ssduck.limits import GRACE, LEAST_OPENING, Limits
@@ -183,7 +183,7 @@ class SandboxedInterpreter:
 
     # -- the process ----------------------------------------------------------------------
 
-    def ask(self, request: str, *arguments: Any, seconds: float | None = 0.0) -> Any:
+    def ask(self, request: str, *arguments: Any, seconds: float = 0.0) -> Any:
         """Asks the process, which is started again after it has ended.
 
         Args:
@@ -204,18 +204,14 @@ class SandboxedInterpreter:
                 self._start()
             assert self._worker is not None
             try:
-                time = None if seconds is None else self._seconds(seconds)
+                limit = self._limits.seconds
+                time = None if limit is None else limit + seconds + GRACE / 4
                 return self._worker.ask(request, *arguments, seconds=time, world=self._world)
             except WorkerEndedError as error:
                 self._worker, told = None, str(error)
                 if error.is_late and not seconds:
-                    limit = self._limits.seconds
                     told = f"the program took more than {limit:g} s, and its process was ended"
                 raise LimitError(f"{told}; {_GONE}") from None
-
-    def _seconds(self, others: float) -> float | None:
-        limit = self._limits.seconds
-        return None if limit is None else limit + others + GRACE / 4
 
     def _world(self, name: str) -> SandboxedWorld:
         return SandboxedWorld(name, self.ask)
@@ -240,8 +236,11 @@ class SandboxedInterpreter:
             ask("open", source.kind, source.location, dict(source.options), limits)
             if self._strict:
                 ask("set_strict", True)
-            if self._variables:
-                ask("set_variables", self._variables)
+            for name, value in self._variables.items():
+                try:
+                    ask("set_variables", {name: value})
+                except SelectScriptError as error:  # an entity that is not there yet
+                    warn(f"the variable {name!r} cannot be set again: {error.message}")
         except WorkerEndedError as error:
             worker.end()
             raise LimitError(f"{source.location or 'the sandbox'}: {error}") from None

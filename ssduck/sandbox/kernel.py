@@ -21,21 +21,13 @@ def _library() -> Any:
 
 
 def system_call(number: int, *arguments: int | bytes | None) -> int:
-    """Makes a system call.
-
-    Raises:
-        OSError: it failed.
-    """
+    """Makes a system call."""
     words = [one if isinstance(one, bytes) else ctypes.c_long(one or 0) for one in arguments]
     return _checked(_library().syscall(ctypes.c_long(number), *words))
 
 
 def prctl(option: int, *arguments: int) -> int:
-    """Reads or changes an attribute of this process or thread.
-
-    Raises:
-        OSError: it failed.
-    """
+    """Reads or changes an attribute of this process or thread."""
     words = [ctypes.c_ulong(one) for one in (*arguments, 0, 0, 0, 0)[:4]]
     return _checked(_library().prctl(option, *words))
 

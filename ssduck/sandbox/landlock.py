@@ -49,17 +49,7 @@ def confine(
     tcp: bool = False,
     signals: bool = False,
 ) -> None:
-    """Takes all files but some from this thread and those that it starts, and more, for good.
-
-    Args:
-        readable: the files and folders that can be read; None for all.
-        writable: those that can be written, too.
-        tcp: whether it may use TCP.
-        signals: whether it may send signals to other processes.
-
-    Raises:
-        OSError: the kernel refuses the rules.
-    """
+    """Takes all files but some from this thread and those that it starts, and more, for good."""
     known = version()
     files = (1 << _RIGHTS.get(known, 16)) - 1 if readable is not None else 0
     has_tcp, has_signals = known >= _TCP and not tcp, known >= _SIGNALS and not signals

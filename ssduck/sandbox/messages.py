@@ -46,15 +46,7 @@ def send(
     parts: Sequence[bytes | memoryview] = (),
     wait: Callable[[int], None] | None = None,
 ) -> None:
-    """Sends a message.
-
-    Args:
-        descriptor: the socket.
-        number: the number of the question.
-        document: the JSON.
-        parts: the parts of the body.
-        wait: waits until the socket can be written to, where it does not block; see `Waiting`.
-    """
+    """Sends a message."""
     document += b" " * (-(len(document) + _HEAD.size) % _ALIGNMENT)
     size = sum(len(part) for part in parts)
     head = _HEAD.pack(_MARK, number, len(document), size) + document
@@ -73,18 +65,7 @@ def receive(
     check: Callable[[int, int], None] | None = None,
     wait: Callable[[int], None] | None = None,
 ) -> Message:
-    """Receives a message.
-
-    Args:
-        descriptor: the socket.
-        check: is called with the sizes of the JSON and of the body before they are read; it raises
-            an error if they are too large.
-        wait: as for `send`.
-
-    Raises:
-        EOFError: the other process has closed the socket.
-        InvalidAnswerError: this is no message.
-    """
+    """Receives a message."""
     first = bytearray(_FIRST)
     done = 0
     while done < _HEAD.size:
@@ -138,11 +119,7 @@ class Waiting:
         self._poll = select.poll()
 
     def __call__(self, events: int) -> None:
-        """Waits for an event of `select.poll`.
-
-        Raises:
-            TimeoutError: the time is up.
-        """
+        """Waits for an event of `select.poll`."""
         self._poll.register(self._descriptor, events)
         while True:
             left = LOOK_EVERY

@@ -28,7 +28,7 @@ from ssduck.limits import GRACE, python_command
 from ssduck.sandbox.budget import Budget, InvalidAnswerError
 from ssduck.sandbox.messages import Message, Waiting, receive, send
 from ssduck.sandbox.references import SandboxedWorld
-from ssduck.sandbox.reports import error_of, warn_again
+from ssduck.sandbox.reports import error_of, tell
 from ssduck.sandbox.seal import SCRATCH, Walls, remove
 from ssduck.sandbox.values import Decoder, Encoder
 from ssduck.sandbox.zygote import FAILED, FORKED, READY
@@ -106,15 +106,7 @@ class Zygote:
         self._finalizer()
 
     def worker(self, walls: Walls, order: dict[str, Any]) -> WorkerProcess:
-        """Returns a new worker.
-
-        Args:
-            walls: what it may use; the folder is set here.
-            order: what else it is told.
-
-        Raises:
-            SandboxError: it cannot be started.
-        """
+        """Returns a new worker."""
         with self._lock:
             self._await_ready()
             folder = Path(self._folder, f"worker{next(self._numbers)}")
@@ -130,7 +122,7 @@ class Zygote:
                     raise SandboxError(f"the sandbox cannot start a process: {error}") from error
         here.settimeout(_BEGINNING)
         try:
-            answer, descriptors, _, _ = socket.recv_fds(here, 1, 1)
+            answer, descriptors, _, _ = socket.recv_fds(here, 1, 1, socket.MSG_CMSG_CLOEXEC)
         except OSError as error:
             here.close()
             raise SandboxError(f"the sandbox cannot start a process: {error}") from error
@@ -231,18 +223,7 @@ class WorkerProcess:
         seconds: float | None,
         world: Callable[[str], Any],
     ) -> Any:
-        """Returns the answer to a request.
-
-        Args:
-            request: the name of the request.
-            arguments: its arguments.
-            seconds: how long it may take, s; None for any time.
-            world: returns the host's handle of a world.
-
-        Raises:
-            SelectScriptError: the worker tells of it.
-            WorkerEndedError: there is no answer, and there will be none.
-        """
+        """Returns the answer to a request."""
         encoder = Encoder(Budget(1 << 60), _name_of)
         document = encoder.text([request, *arguments])
         self._number = (self._number + 1) % 2**32
@@ -270,7 +251,7 @@ class WorkerProcess:
             self.end()
             raise
         else:
-            warn_again(warnings)
+            tell(warnings)
             if error is not None:
                 raise error
             return value

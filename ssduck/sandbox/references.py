@@ -39,7 +39,7 @@ class EntityReference:
 class Asking(Protocol):
     """Asks a worker."""
 
-    def __call__(self, request: str, *arguments: Any, seconds: float | None = None) -> Any:
+    def __call__(self, request: str, *arguments: Any, seconds: float = 0.0) -> Any:
         """Returns the answer to a request; `seconds` is the time beside that of a program."""
 
 

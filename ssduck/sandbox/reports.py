@@ -1,7 +1,9 @@
-"""Carries errors and warnings of a worker to the host: class, message, place, suggestions."""
+"""Carries errors, warnings and what programs print from a worker to the host, as data."""
 
 from __future__ import annotations
 
+import io
+import sys
 import warnings
 from collections.abc import Sequence
 from typing import Any
@@ -15,6 +17,7 @@ from ssduck.errors import (
     SelectScriptError,
     SourceSpan,
     SqlError,
+    printable,
     warn,
 )
 from ssduck.formatting import error_text
@@ -28,6 +31,8 @@ _ERRORS = {
 _WARNINGS = {kind.__name__: kind for kind in (ProgramWarning, UserWarning, RuntimeWarning)}
 # Of each answer, so many warnings and suggestions cross.
 _MOST = 20
+# What stands for a kind of warning with what a program prints, and how much of that crosses.
+_PRINTED, _MAX_PRINTED = "print", 100_000
 
 
 def told_error(error: BaseException) -> dict[str, Any]:
@@ -67,11 +72,12 @@ def error_of(told: dict[str, Any]) -> SelectScriptError:
     return error
 
 
-class WarningLog:
-    """Keeps the warnings of a worker for the next answer."""
+class Log:
+    """Keeps the warnings of a worker, and what its programs print, for the next answer."""
 
     def __init__(self) -> None:
         self._told: list[list[str]] = []
+        sys.stdout = self._printed = io.StringIO()
         warnings.simplefilter("always")
         for kind in (DeprecationWarning, ImportWarning, ResourceWarning, PendingDeprecationWarning):
             warnings.simplefilter("ignore", kind)
@@ -83,12 +89,20 @@ class WarningLog:
             self._told.append([next(kinds, "UserWarning"), str(message)[:MAX_MESSAGE_LENGTH]])
 
     def taken(self) -> list[list[str]]:
-        """Returns the warnings, and forgets them."""
+        """Returns the kinds and texts of all, and forgets them."""
         told, self._told = self._told, []
+        if text := self._printed.getvalue():
+            self._printed.seek(0)
+            self._printed.truncate()
+            more = "…\n" if len(text) > _MAX_PRINTED else ""
+            told.append([_PRINTED, f"{text[:_MAX_PRINTED]}{more}"])
         return told
 
 
-def warn_again(told: Sequence[Sequence[str]]) -> None:
-    """Warns in the host of what a worker has warned of."""
-    for name, message in told[:_MOST]:
+def tell(told: Sequence[Sequence[str]]) -> None:
+    """Warns in the host of what a worker has warned of, and prints what it has printed."""
+    for name, message in told[: _MOST + 1]:
+        if name == _PRINTED:
+            sys.stdout.write(printable(message[: _MAX_PRINTED + 2], kept="\n\t"))
+            continue
         warn(str(message)[:MAX_MESSAGE_LENGTH], _WARNINGS.get(name, UserWarning))

@@ -97,18 +97,7 @@ def remove(folder: str | Path) -> None:
 
 
 def seal(walls: Walls, without: Collection[str] = ()) -> list[str]:
-    """Seals this process, which has one thread.
-
-    Args:
-        walls: what it may use.
-        without: effects that a test takes away.
-
-    Returns:
-        What the system lacks for that.
-
-    Raises:
-        SandboxError: there is another thread, which would stay outside.
-    """
+    """Seals this process, which has one thread."""
     check_one_thread()
     lacking = [told for told in (landlock.missing(), seccomp.missing()) if told]
     drop_capabilities()
@@ -146,11 +135,7 @@ def _limits(walls: Walls, without: Collection[str]) -> Iterator[tuple[int, int]]
 
 
 def check_one_thread() -> None:
-    """Checks that this process has one thread only.
-
-    Raises:
-        SandboxError: it has more; it names them.
-    """
+    """Checks that this process has one thread only."""
     names = [
         (task / "comm").read_text(encoding="utf-8", errors="replace").strip()
         for task in sorted(Path("/proc/self/task").iterdir())

@@ -51,14 +51,7 @@ def missing() -> str:
 
 
 def refuse_calls(allowed: Collection[str] = ALLOWED) -> None:
-    """Refuses all but some system calls to this thread, and to those that it starts, for good.
-
-    Args:
-        allowed: the names of calls that are allowed with any arguments.
-
-    Raises:
-        OSError: the kernel takes no filter.
-    """
+    """Refuses all but some system calls to this thread, and to those that it starts, for good."""
     program = filter_program(os.uname().machine, allowed)
     buffer = ctypes.create_string_buffer(program)
     length = len(program) // 8

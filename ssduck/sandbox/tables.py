@@ -69,16 +69,7 @@ def is_plain(kind: pa.DataType) -> bool:
 
 
 def checked_table(data: memoryview, budget: Budget) -> pa.Table:
-    """Returns the table that a stream of a worker holds.
-
-    Args:
-        data: the stream.
-        budget: counts its elements; the stream itself has been counted.
-
-    Raises:
-        InvalidAnswerError: it is no stream of plain columns.
-        LimitError: it has too many elements.
-    """
+    """Returns the table that a stream of a worker holds."""
     try:
         source = pa.py_buffer(data)
         _check_messages(source)

@@ -69,12 +69,7 @@ class Encoder:
         self._budget = budget
 
     def text(self, value: Any) -> bytes:
-        """Returns the JSON of a value.
-
-        Raises:
-            UnsupportedError: such a value cannot cross.
-            LimitError: it is too large, or lists are nested too deeply.
-        """
+        """Returns the JSON of a value."""
         text = _json(self.node(value)).encode()
         self._budget.charge_json(text)
         return text
@@ -254,12 +249,7 @@ class Decoder:
         self._world = world
 
     def value(self, document: bytes) -> Any:
-        """Returns the value of a text of JSON.
-
-        Raises:
-            InvalidAnswerError: no `Encoder` has made it.
-            LimitError: it takes too much memory.
-        """
+        """Returns the value of a text of JSON."""
         self._budget.charge_json(document)
         try:
             return self.node(json.loads(str(document, "ascii")))

@@ -23,7 +23,7 @@ from ssduck.recording.spec import Recording
 from ssduck.sandbox.budget import ANSWER_BYTES, Budget
 from ssduck.sandbox.messages import Message, receive, send
 from ssduck.sandbox.probes import holes
-from ssduck.sandbox.reports import WarningLog, told_error
+from ssduck.sandbox.reports import Log, told_error
 from ssduck.sandbox.seal import Walls, seal
 from ssduck.sandbox.values import Decoder, Encoder
 from ssduck.world.running import run
@@ -40,14 +40,7 @@ _DUCKDB_SHARE = 2
 def serve(
     connection: int, walls: Walls, order: dict[str, Any], without: Collection[str] = ()
 ) -> None:
-    """Seals this process, and answers questions until the host has no more.
-
-    Args:
-        connection: the socket to the host.
-        walls: what the process may use.
-        order: `answer_bytes`, the largest size of an answer.
-        without: effects that a test takes away.
-    """
+    """Seals this process, and answers questions until the host has no more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     scratch = str(walls.scratch)
     os.chdir(scratch)
@@ -77,7 +70,7 @@ class Worker:
     def __init__(self, walls: Walls, effects: dict[str, Any]) -> None:
         self._walls = walls
         self._effects = effects
-        self._log = WarningLog()
+        self._log = Log()
         self._ss: Interpreter | None = None
         self._compiled = lru_cache(256)(self._parsed)
 

@@ -46,11 +46,7 @@ def main() -> None:
 
 
 def run(serve: Serve) -> NoReturn:
-    """Is the process's whole work.
-
-    Args:
-        serve: what a worker does.
-    """
+    """Is the process's whole work."""
     descriptor, host, folder = json.loads(sys.argv[1])
     orders = socket.socket(fileno=descriptor)
     watched = os.pidfd_open(host)

@@ -66,6 +66,7 @@ def test_values_are_the_same(sandbox, here, program):
     assert repr(sandbox.eval(program)) == repr(here.eval(program))
 
 
+@pytest.mark.slow
 def test_tables_are_the_same(sandbox, here):
     query = "SELECT id, z, kind, position, isRobot(this) AS robot FROM kitchen AS {};"
     pd.testing.assert_frame_equal(sandbox.eval(query.format("df")), here.eval(query.format("df")))
@@ -89,6 +90,7 @@ def test_arrays_are_the_same(sandbox, here):
         found[0] = found[1]  # it can be changed, as in this process
 
 
+@pytest.mark.slow
 def test_grids_and_pictures_are_the_same(sandbox, here):
     for form in ("occupancygrid(0.1, 0.1)", "voxelgrid(0.2)", "sensorgrid(0.2, 0.2)"):
         query = f"SELECT obj FROM kitchen WHERE NOT isPlane(this) AS {form};"
@@ -128,6 +130,7 @@ def test_parameters_cross(sandbox):
     assert sandbox.eval("SELECT this FROM [1, 2] WHERE this > low AS list;", {"low": 1}) == [2]
 
 
+@pytest.mark.slow
 def test_programs_are_compiled_explained_and_shown(sandbox, here):
     text = "SELECT id, z FROM kitchen WHERE z > 1;"
     program = sandbox.compile(text)
@@ -180,6 +183,15 @@ def test_warnings_cross(sandbox):
     assert caught[0].filename == __file__
 
 
+def test_what_programs_print_is_printed_here(sandbox, capsys):
+    assert sandbox.eval("print('one', 2);") == 2
+    assert sandbox.eval("3;") == 3
+    assert capsys.readouterr().out == "one 2\n"
+    sandbox.eval("print('red \\u001b[31m');")
+    assert capsys.readouterr().out == "red \\u001b[31m\n"
+
+
+@pytest.mark.slow
 def test_a_strict_sandbox_makes_mistakes_errors(zygote):
     with SandboxedInterpreter.load("kitchen", strict=True, zygote=zygote) as ss:
         with pytest.raises(UnknownNameError, match="fridge"):
@@ -236,6 +248,7 @@ def test_arrays_cross(array):
     assert np.array_equal(found, array)
 
 
+@pytest.mark.slow
 def test_variables_are_the_hosts_and_outlive_the_process(zygote):
     with SandboxedInterpreter.load("kitchen", zygote=zygote) as ss:
         ss["high"] = 1.2
@@ -264,6 +277,7 @@ def test_entities_are_references_that_go_back(sandbox):
     assert all(isinstance(row, EntityReference) for row in rows)
 
 
+@pytest.mark.slow
 def test_worlds_are_stepped_in_the_sandbox(zygote, here):
     with SandboxedInterpreter.load("kitchen", zygote=zygote) as ss:
         kitchen = ss["kitchen"]
@@ -279,6 +293,7 @@ def test_worlds_are_stepped_in_the_sandbox(zygote, here):
         assert ss.sql("SELECT count(DISTINCT tick) FROM entities_history").fetchone()[0] > 50
 
 
+@pytest.mark.slow
 def test_a_record_is_opened_in_the_sandbox(zygote, tmp_path):
     with ssduck.load("kitchen") as live:
         live.run(0.1)
@@ -292,6 +307,7 @@ def test_a_record_is_opened_in_the_sandbox(zygote, tmp_path):
         assert past.tick is not None
 
 
+@pytest.mark.slow
 def test_a_duckdb_file_is_opened_in_the_sandbox(zygote, tmp_path):
     with ssduck.load("kitchen", tmp_path / "run.duckdb") as live:
         live.run(0.1)
@@ -319,6 +335,7 @@ def test_a_closed_one_says_so(zygote):
         ss.eval("1;")
 
 
+@pytest.mark.slow
 def test_range_joins_are_planned_in_the_sandbox(zygote):
     """SQL with a SEMI JOIN changes a setting for a statement, though settings are locked."""
     query = (
@@ -332,6 +349,7 @@ def test_range_joins_are_planned_in_the_sandbox(zygote):
             ss.sql("SET memory_limit = '1GB'")
 
 
+@pytest.mark.slow
 def test_programs_too_long_for_their_limits_are_refused(zygote):
     with (
         SandboxedInterpreter(limits=Limits.strict(seconds=5), zygote=zygote) as ss,
@@ -351,6 +369,7 @@ def test_empty_tables_cross(sandbox):
     )
 
 
+@pytest.mark.slow
 def test_scenes_with_meshes_of_both_simulators_are_loaded(zygote, tmp_path):
     (tmp_path / "part.obj").write_text(
         "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"

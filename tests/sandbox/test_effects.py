@@ -32,6 +32,7 @@ def test_a_sandbox_has_all_effects(empty):
     assert empty.effects == {effect: [] for effect in EFFECTS}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_without_an_effect_it_is_refused_by_name(zygote, lacking, effect):
     lacking(effect)
@@ -44,6 +45,7 @@ def test_without_an_effect_it_is_refused_by_name(zygote, lacking, effect):
         assert ss.eval("1 + 1;") == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_each_probe_gets_through_where_its_wall_is_missing(zygote, lacking, effect):
     lacking(effect)
@@ -53,6 +55,7 @@ def test_each_probe_gets_through_where_its_wall_is_missing(zygote, lacking, effe
         assert ss.ask("python", "__import__('os').getcwd()").endswith("scratch")
 
 
+@pytest.mark.slow
 def test_without_any_wall_all_get_through(zygote, lacking):
     lacking(*EFFECTS)
     with SandboxedInterpreter(zygote=zygote, require=()) as ss:

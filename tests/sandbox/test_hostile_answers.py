@@ -52,6 +52,7 @@ SENT = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SENT)
 def test_what_is_no_answer_ends_the_process(zygote, name):
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -63,12 +64,14 @@ def test_what_is_no_answer_ends_the_process(zygote, name):
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000
 
 
+@pytest.mark.slow
 def test_an_error_of_another_class_is_plain(zygote):
     told = 'send(b\'[null, [], {"dict": ["class", "SystemExit", "message", "x"]}]\')'
     with SandboxedInterpreter(zygote=zygote) as ss, pytest.raises(SandboxError, match=r"x$"):
         ss.ask("python", SEND.replace("{}", f"{told}\nimport time\ntime.sleep(0.5)"))
 
 
+@pytest.mark.slow
 def test_answers_as_large_as_allowed_and_larger(zygote):
     with SandboxedInterpreter(zygote=zygote, answer_bytes=2_000_000) as ss:
         assert len(ss.eval("'abcdefghij' * 90000;")) == 900_000

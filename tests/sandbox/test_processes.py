@@ -91,8 +91,14 @@ print(shared_zygote()._process.pid, ss._worker._pid, shared_zygote()._folder, fl
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
-@pytest.mark.parametrize("work", ["time.sleep(100)", "ss.sql('SELECT sleep_ms(90000)')"])
+@pytest.mark.parametrize(
+    ("number", "work"),
+    [
+        (signal.SIGKILL, "time.sleep(100)"),
+        (signal.SIGKILL, "ss.sql('SELECT sleep_ms(90000)')"),
+        (signal.SIGINT, "ss.sql('SELECT sleep_ms(90000)')"),
+    ],
+)
 def test_all_processes_end_with_their_host(number, work):
     code = HOST.format(work)
     with subprocess.Popen(
@@ -144,6 +150,7 @@ def test_workers_end_with_their_zygote_and_the_next_question_has_another():
     shared_zygote().close()
 
 
+@pytest.mark.slow
 def test_time_is_ended_by_the_host(zygote):
     with SandboxedInterpreter(limits=Limits.strict(seconds=0.3), zygote=zygote) as ss:
         pid = ss._worker._pid
@@ -158,6 +165,7 @@ def test_time_is_ended_by_the_host(zygote):
         assert ss.eval("1;") == 1
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_the_program_and_keeps_its_variables(zygote):
     with SandboxedInterpreter(limits=Limits.strict(seconds=60), zygote=zygote) as ss:
         ss.eval("low = 0.5;")
@@ -175,6 +183,7 @@ def test_ctrl_c_ends_the_program_and_keeps_its_variables(zygote):
         assert ss._worker is worker
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_a_process_that_ignores_it(zygote):
     with SandboxedInterpreter(limits=Limits.strict(seconds=60), zygote=zygote) as ss:
         threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()
@@ -184,6 +193,7 @@ def test_ctrl_c_ends_a_process_that_ignores_it(zygote):
         assert ss.eval("1;") == 1
 
 
+@pytest.mark.slow
 def test_threads_of_the_host_take_turns(zygote):
     with SandboxedInterpreter(zygote=zygote) as ss:
         found = []
@@ -199,6 +209,7 @@ def test_threads_of_the_host_take_turns(zygote):
         assert found == [True] * 80
 
 
+@pytest.mark.slow
 def test_sandboxes_share_no_variables(zygote):
     with SandboxedInterpreter(zygote=zygote) as one, SandboxedInterpreter(zygote=zygote) as other:
         one["x"] = 1
@@ -209,6 +220,7 @@ def test_sandboxes_share_no_variables(zygote):
             one.ask("python", f"__import__('os').listdir({folders[1]!r})")
 
 
+@pytest.mark.slow
 def test_one_that_nothing_refers_to_ends(zygote):
     ss = SandboxedInterpreter(zygote=zygote)
     worker, folder = ss._worker._pid, ss._worker._scratch
@@ -226,6 +238,7 @@ def test_the_zygote_has_one_thread_and_nothing_of_the_host(zygote):
     assert not any(path.startswith(tempfile.gettempdir()) for path in opened)
 
 
+@pytest.mark.slow
 def test_what_cannot_start_says_why(tmp_path, monkeypatch):
     (tmp_path / "broken_zygote.py").write_text(
         "import threading\n"
@@ -242,6 +255,7 @@ def test_what_cannot_start_says_why(tmp_path, monkeypatch):
         SandboxedInterpreter(zygote=Zygote("no_such_module"))
 
 
+@pytest.mark.slow
 def test_a_forked_child_leaves_the_process_to_its_parent(zygote):
     with SandboxedInterpreter(zygote=zygote) as ss:
         reading, writing = os.pipe()

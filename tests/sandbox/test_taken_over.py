@@ -159,6 +159,7 @@ result = sorted(found)
     assert empty.ask("python", code) == list(range(8))
 
 
+@pytest.mark.slow
 def test_its_scratch_folder_is_its_own_and_bounded(zygote):
     with SandboxedInterpreter(zygote=zygote) as ss:
         assert ss.ask("python", "open('mine', 'w').write('x')") == 1
@@ -197,6 +198,7 @@ for i in range(20000):
 """
 
 
+@pytest.mark.slow
 def test_a_bomb_of_threads_ends_the_process(zygote):
     bomb = """
 import threading, time
@@ -211,6 +213,7 @@ time.sleep(5)
         assert ss.eval("1;") == 1
 
 
+@pytest.mark.slow
 def test_nothing_runs_between_questions(zygote):
     count = """
 import threading
@@ -244,6 +247,7 @@ def test_descriptors_are_its_connection_only(empty):
     assert all(path.startswith("/proc/") for path in files)
 
 
+@pytest.mark.slow
 def test_the_environment_has_no_secret(monkeypatch):
     monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "secret")
     monkeypatch.setenv("LANG", "C.UTF-8")
@@ -261,6 +265,7 @@ zygote.close()
     assert '"LANG": "C.UTF-8"' in told.stdout
 
 
+@pytest.mark.slow
 def test_a_scene_reads_its_folder_and_no_more(zygote, tmp_path):
     folder = tmp_path / "scene"
     folder.mkdir()
@@ -280,6 +285,7 @@ def test_a_scene_reads_its_folder_and_no_more(zygote, tmp_path):
                 ss.ask("python", f"open('{path}').read()")
 
 
+@pytest.mark.slow
 def test_a_link_beside_a_record_leads_nowhere(zygote, tmp_path):
     with ssduck.load("kitchen", tmp_path / "run.duckdb") as live:
         live.run(0.02)
@@ -290,6 +296,7 @@ def test_a_link_beside_a_record_leads_nowhere(zygote, tmp_path):
         SandboxedInterpreter.open(tmp_path / "run.duckdb", zygote=zygote)
 
 
+@pytest.mark.slow
 def test_a_scene_of_a_file_outside_is_an_error(zygote, tmp_path):
     (tmp_path / "secret.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     folder = tmp_path / "scene"
