@@ -129,9 +129,9 @@ class SandboxedInterpreter:
             **others: arguments of this class.
         """
         options = {"simulator": simulator, "name": name, "recording": _plain(recording)}
-        if str(scene) in shipped_scenes():
-            return cls(Source("scene", str(scene), options, _absolute(readable)), **others)
         path = scene_file(Path(scene).expanduser()).absolute()
+        if str(scene) in shipped_scenes() or not path.exists():  # which is an error there
+            return cls(Source("scene", str(scene), options, _absolute(readable)), **others)
         around = _entries(path.resolve().parent)
         own = (str(path.resolve()), *around, *_absolute(readable))
         return cls(Source("scene", str(path), options, own), **others)

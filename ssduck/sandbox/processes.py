@@ -42,6 +42,7 @@ _ENVIRONMENT = {
 }
 # The largest size of all files in a scratch folder, bytes, and numbers of files and of threads.
 _MAX_SCRATCH, _MAX_FILES, _MAX_THREADS = 256 * 2**20, 1000, 64
+_BLOCK = 512  # of `st_blocks`
 # A worker may run for so long, in several questions, before its host looks at them, s.
 _UNWATCHED = 0.01
 # How long a process may take to begin, and to end once it is told to, s.
@@ -72,6 +73,10 @@ class Zygote:
     """
 
     def __init__(self, module: str = "ssduck.sandbox.zygote") -> None:
+        if not hasattr(os, "pidfd_open"):
+            raise SandboxError(
+                f"the sandbox lacks all effects on {sys.platform}: it needs Linux 6.2 or later"
+            )
         self.host = os.getpid()
         self._lock = threading.Lock()
         self._numbers = itertools.count()
@@ -316,14 +321,15 @@ class WorkerProcess:
         while folders:
             with suppress(OSError), os.scandir(folders.pop()) as entries:
                 for entry in entries:
-                    yield entry.stat(follow_symlinks=False).st_size
+                    found = entry.stat(follow_symlinks=False)
+                    yield max(found.st_size, found.st_blocks * _BLOCK)
                     if entry.is_dir(follow_symlinks=False):
                         folders.append(entry.path)
         with suppress(OSError), os.scandir(f"/proc/{self._pid}/fd") as entries:
             for entry in entries:
                 found = entry.stat()
                 if stat.S_ISREG(found.st_mode) and not found.st_nlink:
-                    yield found.st_size
+                    yield max(found.st_size, found.st_blocks * _BLOCK)
 
 
 class _HarmError(Exception):

@@ -28,7 +28,7 @@ class EntityReference:
     tick: int | None = None
 
     def __getattr__(self, name: str) -> Never:
-        if name.startswith("__"):
+        if name.startswith("_"):
             raise AttributeError(name)
         raise LimitError(
             f"{self.world}.{self.name} is in the sandbox, and its {name!r} is not known here; "

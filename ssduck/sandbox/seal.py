@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import os
-import resource
 import shutil
 import sys
 import sysconfig
@@ -98,6 +97,8 @@ def remove(folder: str | Path) -> None:
 
 def seal(walls: Walls, without: Collection[str] = ()) -> list[str]:
     """Seals this process, which has one thread."""
+    import resource
+
     check_one_thread()
     lacking = [told for told in (landlock.missing(), seccomp.missing()) if told]
     drop_capabilities()
@@ -124,6 +125,8 @@ def seal(walls: Walls, without: Collection[str] = ()) -> list[str]:
 
 
 def _limits(walls: Walls, without: Collection[str]) -> Iterator[tuple[int, int]]:
+    import resource
+
     yield resource.RLIMIT_CORE, 0
     yield resource.RLIMIT_FSIZE, walls.file_bytes
     yield resource.RLIMIT_NOFILE, _DESCRIPTORS

@@ -316,6 +316,32 @@ def test_a_duckdb_file_is_opened_in_the_sandbox(zygote, tmp_path):
         assert ss.sql("SELECT max(time) FROM entities_history").fetchone()[0] == pytest.approx(0.1)
 
 
+@pytest.mark.slow
+def test_what_cannot_be_opened_is_the_same_error(zygote, tmp_path):
+    (tmp_path / "broken.urdf").write_text("<robot")
+    for scene in ("kitchn", tmp_path / "none.urdf", tmp_path / "broken.urdf"):
+        told = []
+        for load in (lambda s: SandboxedInterpreter.load(s, zygote=zygote), ssduck.load):
+            with pytest.raises(ssduck.SelectScriptError) as caught:
+                load(scene)
+            told.append((type(caught.value), str(caught.value)))
+        assert told[0] == told[1]
+    with pytest.raises(ssduck.errors.RecordError):
+        SandboxedInterpreter.open(tmp_path / "none", zygote=zygote)
+
+
+@pytest.mark.slow
+def test_a_variable_that_cannot_be_set_again_is_told(zygote):
+    with SandboxedInterpreter.load("kitchen", zygote=zygote) as ss:
+        ss.eval("piece = (SELECT obj FROM kitchen WHERE id == 'fridge' AS environment);")
+        ss["it"] = ss.eval("SELECT this FROM piece AS list;")[0]
+        ss["high"] = 1.5
+        with pytest.raises(LimitError):
+            ss.ask("python", "__import__('os')._exit(0)")
+        with pytest.warns(UserWarning, match="'it' cannot be set again"):
+            assert ss["high"] == 1.5
+
+
 def test_what_a_sandbox_has_not_says_why(sandbox, here):
     for name in ("add_function", "add_trigger", "export", "view"):
         with pytest.raises(UnsupportedError, match=name):

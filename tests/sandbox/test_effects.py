@@ -10,6 +10,7 @@ from ssduck.errors import ArgumentError, SandboxError
 from ssduck.sandbox import EFFECTS, SandboxedInterpreter, landlock, seccomp
 from ssduck.sandbox.effects import check_present
 from ssduck.sandbox.probes import _PROBES
+from ssduck.sandbox.processes import Zygote
 from ssduck.sandbox.seccomp import filter_program
 from ssduck.sandbox.system_calls import ALLOWED, MACHINES, number_of
 
@@ -79,6 +80,12 @@ def test_a_machine_without_a_table_is_told(monkeypatch):
     monkeypatch.setattr("os.uname", lambda: type("Machine", (), {"machine": "riscv64"}))
     assert "x86_64 and aarch64" in seccomp.missing()
     assert "Landlock" in landlock.missing()
+
+
+def test_a_system_without_descriptors_of_processes_is_told(monkeypatch):
+    monkeypatch.delattr("os.pidfd_open")
+    with pytest.raises(SandboxError, match="lacks all effects on linux"):
+        Zygote()
 
 
 # -- the filter, run by an interpreter of BPF -------------------------------------------------

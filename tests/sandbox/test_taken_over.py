@@ -16,6 +16,8 @@ import ssduck
 from ssduck.errors import LimitError, SandboxError, SelectScriptError
 from ssduck.limits import Limits
 from ssduck.sandbox import SandboxedInterpreter
+from ssduck.sandbox.seccomp import _CHECKED
+from ssduck.sandbox.system_calls import ALLOWED, MACHINES, number_of
 
 CALL = "__import__('ctypes').CDLL(None, use_errno=True)"
 RAW = f"""
@@ -142,6 +144,22 @@ def test_system_calls_are_refused(empty, name):
     assert empty.eval("1 + 1;") == 2
 
 
+@pytest.mark.skipif(os.uname().machine not in MACHINES, reason="there is no filter")
+def test_the_kernel_refuses_all_other_calls(empty):
+    machine = os.uname().machine
+    checked = (*_CHECKED, "clone")
+    needed = {number_of(name, machine) for name in (*ALLOWED, *checked)}
+    if machine == "x86_64":
+        needed |= {335, 336}  # of debuggers, which the kernel lets through any filter
+    others = [number for number in range(520) if number not in needed]
+    code = RAW.format("0x40000000") + (
+        f"result = {{n for n in {others} if libc.syscall(n, -1, -1, -1, -1, -1, -1) >= 0 "
+        "or ctypes.get_errno() not in (1, 38)}\nresult = list(result)\n"
+    )
+    assert len(others) > 300
+    assert empty.ask("python", code) == []
+
+
 def test_a_shell_is_not_started(empty, tmp_path):
     assert empty.ask("python", f"__import__('os').system('touch {tmp_path}/x')") != 0
     assert list(tmp_path.iterdir()) == []
@@ -255,6 +273,8 @@ def test_the_environment_has_no_secret(monkeypatch):
 import json, os, sys
 from tests.support.taken_over import HookedZygote
 from ssduck.sandbox import SandboxedInterpreter
+from ssduck.sandbox.seccomp import _CHECKED
+from ssduck.sandbox.system_calls import ALLOWED, MACHINES, number_of
 zygote = HookedZygote()
 with SandboxedInterpreter(zygote=zygote) as ss:
     print(json.dumps(ss.ask("python", "dict(__import__('os').environ)")))
