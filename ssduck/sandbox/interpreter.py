@@ -249,6 +249,11 @@ class SandboxedInterpreter:
             raise
         self._worker = worker
 
+    def stop(self) -> None:
+        """Ends the program that another thread has asked for: its answer is a LimitError."""
+        if (worker := self._worker) is not None and worker.is_alive:
+            worker.stop()
+
     @property
     def effects(self) -> dict[str, list[str]]:
         """What the process can do although an effect forbids it, by the effect: nothing, mostly."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import select
 from functools import cache
 from typing import Any
 
@@ -37,6 +38,13 @@ def death_signal() -> int:
     found = ctypes.c_int()
     prctl(PR_GET_PDEATHSIG, ctypes.addressof(found))
     return found.value
+
+
+def has_ended(process: int, seconds: float = 0.0) -> bool:
+    """Checks whether the process of a descriptor has ended, or ends within some time, s."""
+    poll = select.poll()
+    poll.register(process, select.POLLIN)
+    return bool(poll.poll(1000 * seconds))
 
 
 def forbid_new_privileges() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import json
 import os
-import select
 import shutil
 import signal
 import socket
@@ -26,6 +25,7 @@ from typing import Any
 from ssduck.errors import LimitError, SandboxError, UnsupportedError
 from ssduck.limits import GRACE, python_command
 from ssduck.sandbox.budget import Budget, InvalidAnswerError
+from ssduck.sandbox.kernel import has_ended
 from ssduck.sandbox.messages import Message, Waiting, receive, send
 from ssduck.sandbox.references import SandboxedWorld
 from ssduck.sandbox.reports import error_of, tell
@@ -214,8 +214,13 @@ class WorkerProcess:
     @property
     def is_alive(self) -> bool:
         """Whether it can be asked."""
-        is_running = self._finalizer.alive and not select.select([self._process], [], [], 0)[0]
-        return is_running and self.host == os.getpid()
+        is_own = self._finalizer.alive and self.host == os.getpid()
+        return is_own and not has_ended(self._process)
+
+    def stop(self) -> None:
+        """Ends the program that it runs, if any, as Ctrl-C does."""
+        with suppress(OSError):
+            self._signal(signal.SIGINT)
 
     def end(self) -> None:
         """Ends it, and removes its files."""
@@ -273,7 +278,7 @@ class WorkerProcess:
         except KeyboardInterrupt:
             # The program ends as it does in this process, with its variables as before; its answer
             # is of no use, but the next question needs the socket.
-            self._signal(signal.SIGINT)
+            self.stop()
             receive(descriptor, self._check_size, Waiting(descriptor, GRACE, self._look))
             self._signal(signal.SIGSTOP)
             raise _InterruptedError from None
@@ -345,7 +350,7 @@ def _end_worker(process: int, connection: socket.socket, folder: Path, host: int
     if os.getpid() == host:
         with suppress(ProcessLookupError):
             signal.pidfd_send_signal(process, signal.SIGKILL)
-        select.select([process], [], [], _ENDING)
+        has_ended(process, _ENDING)
         remove(folder / SCRATCH)
         shutil.rmtree(folder, ignore_errors=True)
     os.close(process)

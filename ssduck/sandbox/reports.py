@@ -39,6 +39,8 @@ def told_error(error: BaseException) -> dict[str, Any]:
     """Returns what the host is told of an error."""
     if isinstance(error, MemoryError):
         error = LimitError("the program needs more memory than it may take")
+    elif isinstance(error, KeyboardInterrupt):
+        error = LimitError("the program was stopped")
     elif isinstance(error, RecursionError):
         error = LimitError("the program is nested too deeply")
     if not isinstance(error, SelectScriptError):

@@ -25,10 +25,12 @@ SCRATCH, READABLE, OUTSIDE = "scratch", "readable", "outside"
 _SYSTEM = (
     *("/lib", "/lib64", "/usr/lib", "/usr/lib64", "/usr/local/lib", "/etc/ld.so.cache"),
     *("/etc/localtime", "/usr/share/zoneinfo", "/dev/urandom", "/dev/random"),
-    *("/proc/meminfo", "/proc/cpuinfo", "/sys/devices/system/cpu", "/sys/fs/cgroup"),
+    *("/sys/devices/system/cpu", "/sys/fs/cgroup"),
 )
+# What the process is told of itself, and nothing of others.
+_PROCESS = ("/proc/self", "/proc/meminfo", "/proc/cpuinfo")
 _NULL = Path(os.devnull)
-_DESCRIPTORS = 256
+_DESCRIPTORS = 1024
 # What `remove` calls folders that it has moved.
 _MOVED = "moved-"
 # What a test that takes an effect away lets through.
@@ -108,10 +110,12 @@ def seal(walls: Walls, without: Collection[str] = ()) -> list[str]:
         resource.setrlimit(limit, (most, most))
     readable: list[str | Path] | None = None
     if "files" not in without and not landlock.missing():
-        # Its entry of /proc tells nothing that it does not know. The kernel makes an entry anew,
-        # for which there is no rule then, unless somebody has it open.
-        os.open("/proc/self", os.O_PATH)
-        readable = [*libraries(), *_SYSTEM, "/proc/self", walls.own_files[0], *walls.readable]
+        # The kernel makes an entry of /proc anew, for which there is no rule then, unless somebody
+        # has it open.
+        for entry in _PROCESS:
+            os.open(entry, os.O_PATH)
+        own = walls.own_files[0]
+        readable = [*libraries(), *_SYSTEM, *_PROCESS, own, *walls.readable]
     landlock.confine(
         readable,
         (walls.scratch, _NULL),

@@ -21,11 +21,13 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from ssduck.errors import SandboxError
-from ssduck.sandbox.kernel import PR_SET_PDEATHSIG, prctl
+from ssduck.sandbox.kernel import PR_SET_PDEATHSIG, has_ended, prctl
 from ssduck.sandbox.seal import SCRATCH, Walls, check_one_thread, remove
 
 # The largest order, bytes.
 MAX_ORDER = 1 << 17
+# How long a worker that was killed may take to end, s.
+_ENDING = 10.0
 READY, FAILED, FORKED = b"r", b"!", b"f"
 # What workers need, and what the first question would import: modules that start no thread.
 _IMPORTED = (
@@ -89,14 +91,14 @@ def _serve_host(orders: socket.socket, host: int, folder: str, serve: Serve) -> 
     for worker in workers:
         with suppress(ProcessLookupError):
             signal.pidfd_send_signal(worker, signal.SIGKILL)
-            select.select([worker], [], [])
+            has_ended(worker, _ENDING)
     for of_worker in Path(folder).iterdir():
         remove(of_worker / SCRATCH)
     shutil.rmtree(folder, ignore_errors=True)
 
 
 def _lives(worker: int) -> bool:
-    if select.select([worker], [], [], 0)[0]:
+    if has_ended(worker):
         os.close(worker)
         return False
     return True

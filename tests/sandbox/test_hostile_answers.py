@@ -11,10 +11,10 @@ import pyarrow as pa
 import pytest
 
 from ssduck.errors import LimitError, SandboxError
-from ssduck.sandbox import SandboxedInterpreter
+from ssduck.sandbox import EntityReference, SandboxedInterpreter
 from ssduck.sandbox.budget import ANSWER_BYTES, Budget, InvalidAnswerError
 from ssduck.sandbox.tables import checked_table, table_bytes
-from ssduck.sandbox.values import Decoder
+from ssduck.sandbox.values import Decoder, Encoder
 
 SEND = """
 import os, struct
@@ -236,3 +236,25 @@ def test_values_without_bytes_are_counted(document):
     gc.collect()
     with pytest.raises((LimitError, InvalidAnswerError)):
         decoded(document)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_damaged_answers_are_refused_or_are_values(seed):
+    """Changed signs of an answer never raise anything but that it is none, or is too large."""
+    generator = np.random.default_rng(seed)
+    encoder = Encoder(Budget(), str)
+    rows = [{"a": i, "b": "text", "c": [1.5, 2.5]} for i in range(20)]
+    arrays = [np.arange(6.0).reshape(2, 3), np.array([("a", 1)], "U1,i4"), np.array([None, "x"])]
+    plain = ["x" * 2000, 2**80, (1, "a"), {"k": [True, None]}, b"bytes", pa.table({"a": [1, 2]})]
+    text = encoder.text([rows, arrays, plain, EntityReference("kitchen", 1, "x", "robot")])
+    body = bytearray(b"".join(encoder.parts))
+    signs = b'[]{}",:0123456789-.eE\\u<>|fiUSOMV'
+    for _ in range(200):
+        changed = bytearray(text)
+        for place in generator.integers(0, len(text), generator.integers(1, 4)):
+            changed[place] = signs[generator.integers(0, len(signs))]
+        decoder = Decoder(memoryview(bytearray(body)), Budget(4_000_000), world=str)
+        try:
+            assert decoder.value(bytes(changed)) is not ...
+        except (InvalidAnswerError, LimitError):
+            continue

@@ -194,6 +194,20 @@ def test_ctrl_c_ends_a_process_that_ignores_it(zygote):
 
 
 @pytest.mark.slow
+def test_a_program_is_stopped_by_another_thread(zygote):
+    with SandboxedInterpreter(limits=Limits.strict(seconds=60), zygote=zygote) as ss:
+        ss.stop()  # nothing runs
+        ss.eval("low = 0.5;")
+        ss["m"] = list(range(100_000))
+        stopper = threading.Timer(0.3, ss.stop)
+        stopper.start()
+        with pytest.raises(LimitError, match="stopped"):
+            ss.eval("sum(SELECT a.this * b.this FROM a=m, b=m AS list);")
+        stopper.join()
+        assert ss.eval("low;") == 0.5
+
+
+@pytest.mark.slow
 def test_threads_of_the_host_take_turns(zygote):
     with SandboxedInterpreter(zygote=zygote) as ss:
         found = []
