@@ -86,6 +86,10 @@ class SandboxedWorld:
         self._ask("tick", self.name)
         return self
 
+    def table(self, name: str) -> Any:
+        """Returns a table of the current tick, as `"entities"` or `"links"`, as an Arrow table."""
+        return self._ask("table", self.name, name)
+
     def __len__(self) -> int:
         return int(self._ask("state", self.name)["entities"])
 

@@ -14,7 +14,10 @@ from contextlib import ExitStack
 from functools import lru_cache
 from typing import Any
 
-from ssduck.errors import LimitError, UnknownNameError, UnsupportedError
+from sqlglot import exp
+
+from ssduck.errors import LimitError, UnknownNameError, UnsupportedError, check_known
+from ssduck.formatting import short_repr
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.opening import load, open_record
 from ssduck.interpreter.program import CompiledProgram, rows_to_show
@@ -26,6 +29,7 @@ from ssduck.sandbox.probes import holes
 from ssduck.sandbox.reports import Log, told_error
 from ssduck.sandbox.seal import Walls, seal
 from ssduck.sandbox.values import Decoder, Encoder
+from ssduck.schema import TABLES
 from ssduck.world.running import run
 from ssduck.world.world import World
 
@@ -203,6 +207,13 @@ class Worker:
             "entities": len(world),
         }
 
+    def table(self, name: str, table: str) -> Any:
+        """Returns a table of a world's current tick."""
+        self._world(name)
+        check_known(table, TABLES, f"there is no table {short_repr(table)}")
+        path = exp.table_(table, db=name, quoted=True).sql("duckdb")
+        return self.ss.sql(f"FROM {path}").arrow()
+
     def step(self, name: str, count: int, every: int | None) -> None:
         """Steps a world."""
         self._world(name).step(count, every=every)
@@ -228,7 +239,7 @@ _REQUESTS: dict[str, Callable[..., Any]] = {
         name: getattr(Worker, name)
         for name in (
             *("effects", "open", "eval", "show", "sql_of", "check", "set_variables", "worlds"),
-            *("state", "step", "run", "tick", "set_strict"),
+            *("state", "table", "step", "run", "tick", "set_strict"),
         )
     },
     "sql": lambda worker, text, parameters: worker.ss.sql(text, parameters),

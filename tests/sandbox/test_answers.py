@@ -288,6 +288,11 @@ def test_worlds_are_stepped_in_the_sandbox(zygote, here):
         ss.run(0.1)
         kitchen.run(0.1)
         assert ss.eval("getTime();") == kitchen.time == pytest.approx(0.3)
+        tables = {name: kitchen.table(name) for name in ("entities", "links", "joints", "contacts")}
+        assert tables["entities"].num_rows == 37
+        assert set(tables["links"]["time"].to_pylist()) == {kitchen.time}
+        with pytest.raises(UnknownNameError, match="did you mean 'entities'"):
+            kitchen.table("entitys")
         number = kitchen.tick_number
         assert kitchen.tick().tick_number == number + 1
         assert ss.sql("SELECT count(DISTINCT tick) FROM entities_history").fetchone()[0] > 50
