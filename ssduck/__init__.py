@@ -63,11 +63,16 @@ __all__ = [
     "write_record",
 ]
 
-# What a layer below makes: the page of `Interpreter.view`, terms of tasks, and batches of worlds.
+# What a layer below makes: the page of `Interpreter.view`, terms of tasks, batches of worlds, and
+# what `Limits.strict()` opens.
 offer("page", "ssduck.view.view:view")
 offer("batch", "ssduck.world.batches.batch_world:batch_of")
 offer("export batch", "ssduck.interpreter.batches.records:export_batch")
 offer("step scores", "ssduck.lakes.workers:step_scores")
+offer("agent answers", "ssduck.mcp.answers:InterpreterAnswers")
+offer("sandboxed interpreter", "ssduck.sandbox.opening:interpreter")
+offer("sandboxed load", "ssduck.sandbox.opening:load")
+offer("sandboxed open", "ssduck.sandbox.opening:open_record")
 offer("terms", "ssduck.gym.batch_terms:BatchTerms")
 
 _HOMES = {

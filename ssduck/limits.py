@@ -10,15 +10,16 @@ import math
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from ssduck import validation
-from ssduck.errors import LimitError
+from ssduck.errors import ArgumentError, LimitError, nearest
+from ssduck.formatting import joined_names, short_repr
 
 # The time after which a program that does not end by itself is ended with its process, s.
 GRACE = 2.0
@@ -28,6 +29,18 @@ LEAST_OPENING = 10.0
 _SIZES, _SPARE = Path("/proc/self/statm"), 10**9
 # The largest number of words and signs of a program under a limit of time.
 MAX_WORDS = 50_000
+# The effects of a sandbox: what its process cannot do, by whatever mechanism the system gives.
+EFFECTS = {
+    "files": "read other files than the scene or record and the libraries, or write outside its "
+    "scratch folder",
+    "network": "open a socket",
+    "processes": "start, read or change another process",
+    "signals": "send a signal to another process",
+    "memory": "take more memory than it may",
+    "time": "outlive its host, or run on without end",
+}
+# The largest answer of a sandbox by default, bytes.
+ANSWER_BYTES = 32 * 2**20
 _now = time.monotonic
 
 
@@ -50,6 +63,9 @@ class Limits:
             (on standard error) or in a notebook.
         trial: whether a process of its own loads a scene first, unless it comes with ssduck, so
             that a file that crashes the simulator is an error; None for `not files`.
+        require: what a sandbox must keep programs from, of `"files"`, `"network"`, `"processes"`,
+            `"signals"`, `"memory"` and `"time"`; empty for programs that run in this process.
+        answer_bytes: the largest size of an answer of a sandbox, bytes.
 
     Raises:
         ArgumentError: a limit has an invalid value.
@@ -67,11 +83,13 @@ class Limits:
     select_only: bool = False
     progress: bool = True
     trial: bool | None = None
+    require: Collection[str] = ()
+    answer_bytes: int = ANSWER_BYTES
 
     def __post_init__(self) -> None:
-        for name in ("seconds", "rows", "memory", "depth"):
+        for name in ("seconds", "rows", "memory", "depth", "answer_bytes"):
             value = getattr(self, name)
-            if value is None and name != "depth":
+            if value is None and name not in ("depth", "answer_bytes"):
                 continue
             rule = f"limits: {name} must be more than 0"
             if name == "seconds":
@@ -85,6 +103,17 @@ class Limits:
             )
         if self.trial is not None:
             object.__setattr__(self, "trial", validation.boolean(self.trial, "limits: trial"))
+        object.__setattr__(self, "require", _checked_effects(self.require))
+
+    @property
+    def is_sandboxed(self) -> bool:
+        """Whether programs run in a sandbox."""
+        return bool(self.require)
+
+    @property
+    def in_process(self) -> Limits:
+        """The same limits of programs that run in this process."""
+        return replace(self, require=()) if self.require else self
 
     @property
     def words(self) -> int | None:
@@ -98,13 +127,14 @@ class Limits:
 
     @classmethod
     def strict(cls, **changes: Any) -> Limits:
-        """Returns limits for untrusted programs.
+        """Returns limits for untrusted programs, scenes and records.
 
-        10 s, a million rows, 1 GB, no `eval`, no files, of SQL only SELECT, and scenes are loaded
-        by a process of its own first.
+        They are in a sandbox, a process that reads nothing else, writes nothing that stays, and
+        has no network. 10 s, a million rows, 1 GB, no `eval`, no files, of SQL only SELECT.
 
         Args:
-            changes: limits that differ from these.
+            changes: limits that differ from these. Where the system cannot keep a program from all
+                that `require` names, opening the sandbox is an error, which says what is missing.
         """
         return cls(
             **{
@@ -114,9 +144,24 @@ class Limits:
                 "eval": False,
                 "files": False,
                 "select_only": True,
+                "require": tuple(EFFECTS),
                 **changes,
             }
         )
+
+
+def _checked_effects(names: Collection[str]) -> tuple[str, ...]:
+    """Returns the names of effects in order."""
+    if isinstance(names, str) or not isinstance(names, Collection):
+        raise ArgumentError(f"limits: require: give a list of names, not {short_repr(names)}")
+    for name in names:
+        if name not in EFFECTS:
+            raise ArgumentError(
+                f"limits: require: there is no {short_repr(name)}; there are "
+                f"{joined_names(list(EFFECTS))}",
+                suggestions=nearest(name, EFFECTS),
+            )
+    return tuple(name for name in EFFECTS if name in names)
 
 
 # -- processes --------------------------------------------------------------------------------

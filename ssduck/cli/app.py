@@ -12,7 +12,7 @@ import io
 import os
 import signal
 import sys
-from contextlib import AbstractContextManager, closing
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
@@ -71,7 +71,7 @@ def main() -> None:
     _prepare_streams()
     sys.set_int_max_str_digits(0)  # programs may compute longer integers than 4300 digits
     try:
-        app(prog_name="ssduck", obj=_OWN_PROCESS)
+        app(prog_name="ssduck")
     except OSError as error:
         if error.filename is not None:
             raise
@@ -252,8 +252,8 @@ _Seconds = Annotated[
 _Strict = Annotated[
     bool,
     option(
-        "For programs from elsewhere: limit time, memory, rows and SQL, switch files off, and "
-        "refuse probable mistakes instead of warning.",
+        "For programs, scenes and records from elsewhere: run them in a sandbox, limit time, "
+        "memory and rows, and refuse probable mistakes instead of warning.",
         flags="--strict",
     ),
 ]
@@ -261,7 +261,6 @@ _Strict = Annotated[
 
 @app.command()
 def query(
-    context: typer.Context,
     scene: _SceneOrRecord,
     program: Program = None,
     file: ProgramFile = None,
@@ -291,11 +290,6 @@ def query(
     if (steps is not None or seconds is not None) and is_record(scene):
         raise typer.BadParameter("--steps and --seconds: a record cannot be simulated further")
     limits = Limits.strict() if strict else None
-    program_time: AbstractContextManager[None] = contextlib.nullcontext()
-    if limits is not None and context.obj is _OWN_PROCESS:
-        from ssduck.cli.child_process import supervised
-
-        program_time = supervised(limits)
     # The output of a program is not its result.
     with open_or_load(scene, episode, limits) as ss, contextlib.redirect_stdout(sys.stderr):
         ss.strict = strict
@@ -303,8 +297,7 @@ def query(
             steps = steps_in(seconds, ss.worlds[0].timestep, "--seconds")
         if steps:
             ss.worlds[0].step(steps)
-        with program_time:
-            value = value_to_show(ss, text, "sql" if sql else "selectscript")
+        value = value_to_show(ss, text, "sql" if sql else "selectscript")
     write(value)
 
 
@@ -317,22 +310,24 @@ app.command("import")(import_)
 def mcp(location: Location, seconds: _Seconds = None, episode: EpisodeNumber = None) -> None:
     r"""Answer agents over the Model Context Protocol, on standard input and output.
 
-    Programs are confined as with `query --strict`. The extra mcp brings the protocol:
+    Programs run in a sandbox, as with `query --strict`. The extra mcp brings the protocol:
     pip install 'ssduck\[mcp]'
     """
     from ssduck.adapters.optional import library
     from ssduck.limits import Limits
 
     library("mcp", "mcp")
-    from ssduck.cli.worker import Source, WorkerAnswers
     from ssduck.mcp.server import create_server
+    from ssduck.validation import steps_in
 
     if seconds is not None and is_record(location):
         raise typer.BadParameter("--seconds: a record cannot be simulated further")
     record = Path(location) if is_record(location) else None
-    source = Source(location, seconds, episode, Limits.strict(progress=False))
-    with contextlib.closing(WorkerAnswers(source)) as answers:
-        create_server(answers, record).run("stdio")
+    with open_or_load(location, episode, Limits.strict(progress=False)) as ss:
+        ss.strict = True
+        if seconds is not None:
+            ss.worlds[0].step(steps_in(seconds, ss.worlds[0].timestep, "--seconds"))
+        create_server(ss, record).run("stdio")
 
 
 @app.command()

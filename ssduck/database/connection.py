@@ -71,6 +71,8 @@ _ATTACHED = "ssduck record file"
 _ATTACHED_NAME = exp.to_identifier(_ATTACHED, quoted=True).sql("duckdb")
 # A forked process keeps its parent's connections: freeing them would wait for threads it lacks.
 _LEFT_TO_PARENT: list[Sequence[duckdb.DuckDBPyConnection]] = []
+# The settings of DuckDB that ssduck changes before some statements.
+_CHANGED = "['nested_loop_join_threshold', 'merge_join_threshold', 'search_path', 'schema']"
 
 
 class Connection(StatementRunner):
@@ -130,11 +132,13 @@ class Connection(StatementRunner):
             # A query that exceeds the limit fails instead of writing to the working directory.
             self.run("SET temp_directory = ''")
 
-    def seal(self, readable: Sequence[Path]) -> None:
+    def seal(self, readable: Sequence[Path], memory: int | None = None) -> None:
         """Switches files off for all later statements, and changes of settings.
 
         Args:
             readable: the folders whose files statements can still reach.
+            memory: the memory that DuckDB may take, bytes, without files for more; None for what
+                the limits say.
         """
         self._is_altered = True
         if readable:
@@ -147,6 +151,10 @@ class Connection(StatementRunner):
             names = [exp.Literal.string(f"{form}{os.sep}").sql("duckdb") for form in sorted(forms)]
             self.run(f"SET allowed_directories = [{', '.join(names)}]")
         self.run(NO_RANGE_JOINS)  # it cannot be set later
+        if memory is not None:
+            self.run(f"SET memory_limit = '{int(memory)}B'")
+            self.run("SET temp_directory = ''")
+            self.run(f"SET allowed_configs = {_CHANGED}")
         self.run("SET enable_external_access = false")
         self.run("SET lock_configuration = true")
 

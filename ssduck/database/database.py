@@ -204,6 +204,11 @@ class Database:
                     self.connection.define(statement)
                 self._has_bounded_texts = True
 
+    def confine(self, memory: int) -> None:
+        """Switches files and settings off now, and limits DuckDB's memory, bytes."""
+        self.connection.seal(self._record_folders, memory)
+        self._is_sealed = True
+
     def allow_record(self, folder: Path) -> None:
         """Lets ssduck's views read the folder of a record when files are switched off."""
         self._record_folders.append(folder.absolute())

@@ -46,7 +46,9 @@ class ForwardCheck:
         limits: Limits | None,
     ) -> None:
         self._left, self._world = _CHECKED, world
-        self._interpreter = Interpreter(recording=None, limits=limits, strict=True)
+        self._interpreter = Interpreter(
+            recording=None, limits=limits and limits.in_process, strict=True
+        )
         with warnings.catch_warnings():  # those of the world were given before
             warnings.simplefilter("ignore")
             attached = World.attach(environment, forward=True)

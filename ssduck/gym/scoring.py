@@ -85,7 +85,10 @@ def score(
         RecordError: there is no such record, it is damaged, or it has no steps of environments.
         SelectScriptError: a term is wrong.
     """
-    terms = Terms.of(success, failure, reward, stop_when, nan=nan)
+    terms, limits = (
+        Terms.of(success, failure, reward, stop_when, nan=nan),
+        limits and limits.in_process,
+    )
     folder = expand_path(record).absolute()
     numbers = [number for name, number in recorded_steps(folder) if name == world]
     if not numbers:

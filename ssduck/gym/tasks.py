@@ -129,7 +129,7 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
         self.task = task
         self._steps, self._is_closed = 0, False
         self._trial = Trial(task.scene, limits)
-        self._interpreter = Interpreter(recording=None, limits=limits, strict=True)
+        self._interpreter = Interpreter(recording=None, limits=limits.in_process, strict=True)
         try:
             self._load()
             self._check_steps()

@@ -115,7 +115,9 @@ class VectorQueryWrapper(VectorWrapper[Any, Any, Any, Any, Any]):
         self._state = state
         self._ended: Flags = np.zeros(env.num_envs, np.bool_)
         self._is_closed = self._has_told_of_models = False
-        self._interpreter = Interpreter(recording=None, limits=limits, strict=True)
+        self._interpreter = Interpreter(
+            recording=None, limits=limits and limits.in_process, strict=True
+        )
         try:
             self._batch: BatchWorld = World.batch(model, env.num_envs)
             self._interpreter.add_variable(world, self._batch)

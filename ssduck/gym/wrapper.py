@@ -134,7 +134,9 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         self._is_saved, self._is_closed = True, False
         # Whether the environment ended at the last step, and was not reset since.
         self._has_ended = False
-        self._interpreter = Interpreter(recording=None, limits=limits, strict=True)
+        self._interpreter = Interpreter(
+            recording=None, limits=limits and limits.in_process, strict=True
+        )
         try:
             self._client = self._attach()
             self._judge = Judge(

@@ -100,7 +100,8 @@ class Interpreter(
         database: the path of a DuckDB file, or `":memory:"`.
         tracer: a function that is called with each SQL statement before it runs, but for those that
             make views.
-        limits: the limits of programs and SQL; `Limits.strict()` for programs from elsewhere.
+        limits: the limits of programs and SQL; with `Limits.strict()`, for programs from
+            elsewhere, it is a `SandboxedInterpreter`.
         row_by_row: whether every query runs row by row in Python, for comparison.
         strict: whether a probable mistake in a program (a name that no entity has, a variable
             that hides a function) is an error instead of a `ProgramWarning`. The attribute
@@ -120,6 +121,12 @@ class Interpreter(
     """
 
     INSTEAD_OF = INSTEAD_IN_INTERPRETERS
+
+    def __new__(cls, *database: Any, limits: Limits | None = None, **options: Any) -> Any:
+        """Returns an interpreter; one in a sandbox if the limits say so."""
+        if isinstance(limits, Limits) and limits.is_sandboxed:
+            return service("sandboxed interpreter")(*database, limits=limits, **options)
+        return super().__new__(cls)
 
     def __init__(
         self,

@@ -12,6 +12,7 @@ from ssduck.errors import ArgumentError, RecordError, record_errors, warn
 from ssduck.interpreter.archives import recorded_runs, replayed_world, select_runs
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.namespace import check_name
+from ssduck.lazy import service
 from ssduck.limits import Limits, time_of_opening
 from ssduck.recording.folder_check import partial_run
 from ssduck.recording.paths import expand_path
@@ -40,9 +41,10 @@ def load(
             MJCF).
         database: the path of a DuckDB file, or `":memory:"`.
         recording: the recording of the world; see `Interpreter`.
-        limits: the limits of programs and SQL; `Limits.strict()` for programs from elsewhere. With
-            `files=False`, models, meshes and textures must be in the folder of the scene. With
-            `trial=True`, as then, a process of its own loads the scene first, unless it is shipped.
+        limits: the limits of programs and SQL; with `Limits.strict()`, for a scene or programs
+            from elsewhere, the interpreter is a `SandboxedInterpreter`, and the scene reads its
+            own folder only. With `files=False`, models, meshes and textures must be in the folder
+            of the scene.
         simulator: `"mujoco"` or `"pybullet"`; by default MuJoCo, if it is installed, for an MJCF
             file, and PyBullet for everything else.
         name: the name of the world; by default that of the scene or the file. Where this is a word
@@ -60,7 +62,12 @@ def load(
     ['fridge']
     """
     validation.instance(limits, Limits, "load: limits")
-    is_foreign = limits is not None and not limits.files and str(scene) not in shipped_scenes()
+    if limits is not None and limits.is_sandboxed:
+        options = {"recording": recording, "simulator": simulator, "name": name}
+        sandboxed: Interpreter = service("sandboxed load")(scene, database, limits, **options)
+        return sandboxed
+    is_checked = limits is not None and not limits.files and limits.trial is not False
+    is_foreign = is_checked and str(scene) not in shipped_scenes()
     if is_foreign:
         check_scene_inside(scene)
     description = with_usable_name(find_scene(scene), name)
@@ -137,8 +144,9 @@ def open_record(
             record.
         world: the name of the world to open; None for all worlds.
         episode: the number of the episode; None for the last episode with ticks of each world.
-        limits: the limits of programs and SQL; `Limits.strict()` for programs from elsewhere. With
-            `files=False`, SQL is one SELECT, since the record's own files can be reached.
+        limits: the limits of programs and SQL; with `Limits.strict()`, for a record or programs
+            from elsewhere, the interpreter is a `SandboxedInterpreter`. With `files=False`, SQL is
+            one SELECT, since the record's own files can be reached.
         partial: whether parts of a folder that are damaged or missing are left out, with a warning
             for each of their files, in place of an error. All files are read first.
 
@@ -152,7 +160,11 @@ def open_record(
     if episode is not None:
         episode = validation.integer(episode, "open: episode", minimum=0)
     validation.instance(limits, Limits, "open: limits")
-    if limits is not None and not limits.files:
+    if limits is not None and limits.is_sandboxed:
+        places = path, world, episode
+        sandboxed: Interpreter = service("sandboxed open")(*places, limits, partial=partial)
+        return sandboxed
+    if limits is not None and not limits.files and limits.trial is not False:
         limits = replace(limits, select_only=True)
     path = expand_path(path).absolute()  # the working directory may change
     interpreter = Interpreter(recording=None, limits=limits)

@@ -81,7 +81,11 @@ def rows_to_show(compiled: CompiledProgram, evaluate: Callable[[CompiledProgram]
 
 def value_to_show(ss: Any, text: str, language: str) -> Any:
     """Returns the value of a program in SelectScript, or of one in SQL, for an interpreter."""
-    return ss.sql(text) if language == "sql" else rows_to_show(ss.compile(text), ss.eval)
+    if language == "sql":
+        return ss.sql(text)
+    program = ss.compile(text)
+    is_here = isinstance(program, CompiledProgram)  # else it is in a sandbox
+    return rows_to_show(program, ss.eval) if is_here else program.shown()
 
 
 def last_query(compiled: CompiledProgram) -> Query | None:

@@ -249,7 +249,9 @@ class Lake:
             ProgramWarning: a probable mistake in the program, once, with the first episode that
                 has it.
         """
-        question = ProgramQuestion(program, limits, validation.boolean(strict, "ask: strict"))
+        question = ProgramQuestion(
+            program, limits and limits.in_process, validation.boolean(strict, "ask: strict")
+        )
         engines = {"processes": processes, "options": options, "session": session}
         answered = self._answered(question, where, engine, batch, resume, progress, engines)
         return whole_table(answered)
@@ -275,7 +277,9 @@ class Lake:
         the first table. Each table has the types of its own
         answers.
         """
-        question = ProgramQuestion(program, limits, validation.boolean(strict, "ask: strict"))
+        question = ProgramQuestion(
+            program, limits and limits.in_process, validation.boolean(strict, "ask: strict")
+        )
         engines = {"processes": processes, "options": options, "session": session}
         answered = self._answered(question, where, engine, batch, resume, progress, engines)
         return _tables(answered, batch or BATCH)
@@ -310,7 +314,9 @@ class Lake:
             ArgumentError: a term is none, or another argument is wrong.
             UnsupportedError: the engine is not installed.
         """
-        question = ScoreQuestion(Terms.of(success, failure, reward, stop_when, nan=nan), limits)
+        question = ScoreQuestion(
+            Terms.of(success, failure, reward, stop_when, nan=nan), limits and limits.in_process
+        )
         engines = {"processes": processes, "options": options, "session": session}
         answered = self._answered(question, where, engine, batch, resume, progress, engines)
         return whole_table(answered)
@@ -374,7 +380,7 @@ class Lake:
         """
         validation.text(program, "a program for a lake is a text of SelectScript")
         entries = [self._entries[place] for place in self._places(where)]
-        return statement(entries, program, dialect, limits)
+        return statement(entries, program, dialect, limits and limits.in_process)
 
     # -- tags -------------------------------------------------------------------------------
 
@@ -407,7 +413,8 @@ class Lake:
         checked_tags({name: True}, "tag")
         validation.text(program, "tag takes a program (set_tags takes tags)")
         strict = validation.boolean(arguments.pop("strict", False), "tag: strict")
-        question = ProgramQuestion(program, arguments.pop("limits", None), strict)
+        limits = arguments.pop("limits", None)
+        question = ProgramQuestion(program, limits and limits.in_process, strict)
         engines = {key: arguments.pop(key, None) for key in ("processes", "options", "session")}
         batch, resume = arguments.pop("batch", None), arguments.pop("resume", None)
         progress = arguments.pop("progress", True)

@@ -14,13 +14,14 @@ from ssduck.adapters.display import RowsOfColumns, as_json, display_table, numbe
 from ssduck.adapters.formats import png_of
 from ssduck.adapters.marks import highlighted, marks_of
 from ssduck.adapters.registry import all_adapters
-from ssduck.errors import ArgumentError, SelectScriptError, printable
+from ssduck.errors import ArgumentError, LimitError, printable
 from ssduck.formatting import first_sentence, short_repr
 from ssduck.interpreter.completion import Language
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.program import last_query, value_to_show, with_last
 from ssduck.interpreter.stopping import StopRequest
 from ssduck.language.tree import AdapterClause, Literal
+from ssduck.sandbox.interpreter import SandboxedInterpreter
 from ssduck.schema import HISTORIES, TABLES
 
 # The largest number of names of entities of a world.
@@ -130,10 +131,6 @@ def name_text(name: str) -> str:
 MAX_LETTERS, MAX_PIXELS = 50_000, 2_000
 
 
-class WorkerError(SelectScriptError):
-    """An error of another process: the message begins with its type there."""
-
-
 class Answers(Protocol):
     """The answers to the questions that the server's tools ask, one at a time."""
 
@@ -210,6 +207,44 @@ class InterpreterAnswers:
                 f"{short_repr(world.name)}, by itself or by name: let it end with a query for obj"
             )
         return png(highlighted(world, found, *size))
+
+
+class SandboxedAnswers:
+    """The answers of an interpreter in a sandbox, which are made there as a whole."""
+
+    def __init__(self, ss: SandboxedInterpreter) -> None:
+        self._ss = ss
+        self._is_stopped = False
+
+    def begin(self) -> None:
+        """Forgets what was stopped before."""
+        self._is_stopped = False
+
+    def stop(self) -> None:
+        """Ends the question that was begun last; any thread may call it."""
+        self._is_stopped = True
+        self._ss.stop()
+
+    def schema(self) -> str:
+        """Returns the guide, the worlds, tables and functions."""
+        return str(self._ask("schema"))
+
+    def help(self, name: str) -> str:
+        """Returns the description of a function, a relation or a result form."""
+        return str(self._ask("help", name))
+
+    def query(self, program: str, language: Language, max_rows: int) -> str:
+        """Returns the result of a program as JSON, cut to a number of rows and a largest size."""
+        return str(self._ask("query", program, language, max_rows))
+
+    def picture(self, program: str, language: Language, width: int, height: int) -> bytes:
+        """Returns the PNG picture of a result, or one where what a program selects stands out."""
+        return bytes(self._ask("picture", program, language, width, height))
+
+    def _ask(self, method: str, *arguments: Any) -> Any:
+        if self._is_stopped:
+            raise LimitError("the request was cancelled")
+        return self._ss.ask("answer", method, list(arguments))
 
 
 def _text(value: Any, max_rows: int) -> str:

@@ -1,7 +1,7 @@
 """Serves a scene or a record to agents: its schema, help, queries, episodes and pictures.
 
 The server speaks the Model Context Protocol with the official SDK. `ssduck mcp` runs the programs
-of agents under `Limits.strict()`, in a process of their own. Results have a largest size.
+of agents under `Limits.strict()`, in a sandbox. Results have a largest size.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ from ssduck.errors import LimitError, SelectScriptError, printable
 from ssduck.interpreter.archives import episodes
 from ssduck.interpreter.completion import Language
 from ssduck.interpreter.interpreter import Interpreter
-from ssduck.mcp.answers import Answers, InterpreterAnswers, WorkerError, as_text
+from ssduck.mcp.answers import Answers, InterpreterAnswers, SandboxedAnswers, as_text
+from ssduck.sandbox.interpreter import SandboxedInterpreter
 
 
 class _Turns:
@@ -154,11 +155,13 @@ T = TypeVar("T")
 _TOLD = ("world", "number", "started", "ticks", "start", "end", "tables")
 
 
-def create_server(ss: Interpreter | Answers, record: Path | None = None) -> MCPServer[Any]:
+def create_server(
+    ss: Interpreter | SandboxedInterpreter, record: Path | None = None
+) -> MCPServer[Any]:
     """Returns the server of an interpreter.
 
     Args:
-        ss: the interpreter, with its limits, or the answers of a worker (`ssduck.cli.worker`).
+        ss: the interpreter, with its limits.
         record: the path of the record that it reads; None for a scene.
     """
     server = StandardStreamsServer(
@@ -167,7 +170,10 @@ def create_server(ss: Interpreter | Answers, record: Path | None = None) -> MCPS
         "write instead.",
         log_level="WARNING",
     )
-    asking = _Asking(InterpreterAnswers(ss) if isinstance(ss, Interpreter) else ss, record)
+    answers: Answers = (
+        SandboxedAnswers(ss) if isinstance(ss, SandboxedInterpreter) else InterpreterAnswers(ss)
+    )
+    asking = _Asking(answers, record)
     tools: list[Callable[..., Any]] = [asking.schema, asking.help, asking.query, asking.picture]
     if record is not None:
         tools.append(asking.episodes)
@@ -249,7 +255,5 @@ def _errors_as_texts() -> Iterator[None]:
     try:
         with contextlib.redirect_stdout(sys.stderr):
             yield
-    except WorkerError as error:
-        raise ToolError(printable(error.message, kept="\n")) from error
     except SelectScriptError as error:
         raise ToolError(printable(f"{type(error).__name__}: {error}", kept="\n")) from error

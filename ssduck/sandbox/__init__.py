@@ -11,16 +11,14 @@ from typing import TYPE_CHECKING
 from ssduck.lazy import exports
 
 if TYPE_CHECKING:
-    from ssduck.sandbox.effects import EFFECTS
     from ssduck.sandbox.interpreter import SandboxedInterpreter
     from ssduck.sandbox.references import EntityReference
 
-__all__ = ["EFFECTS", "EntityReference", "SandboxedInterpreter"]
+__all__ = ["EntityReference", "SandboxedInterpreter"]
 
 __getattr__, __dir__ = exports(
     __name__,
     {
-        "effects": ("EFFECTS",),
         "interpreter": ("SandboxedInterpreter",),
         "references": ("EntityReference",),
     },

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from ssduck.errors import LimitError
+from ssduck.limits import ANSWER_BYTES
 
-# The size of an answer by default, bytes.
-ANSWER_BYTES = 32 * 2**20
 # The size of a number or a short text in a list, bytes.
 ELEMENT = 40
 # One wide character makes all of a text so wide, bytes.

@@ -1,40 +1,14 @@
-"""Names the effects of a sandbox, and the error of one that is missing."""
+"""Tells which effects of a sandbox are missing."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 
-from ssduck.errors import ArgumentError, SandboxError, nearest
-from ssduck.formatting import joined_names, short_repr
+from ssduck.errors import SandboxError
+from ssduck.limits import EFFECTS
 
-# What a sandboxed process cannot do, each by whatever mechanism the system gives.
-EFFECTS = {
-    "files": "read other files than the scene or record and the libraries, or write outside its "
-    "scratch folder",
-    "network": "open a socket",
-    "processes": "start, read or change another process",
-    "signals": "send a signal to another process",
-    "memory": "take more memory than it may",
-    "time": "outlive its host, or run on without end",
-}
 # How many of an effect's holes a message names.
 _MAX_HOLES = 3
-
-
-def checked_effects(names: Collection[str]) -> frozenset[str]:
-    """Returns the names of effects as a set.
-
-    Raises:
-        ArgumentError: there is no such effect.
-    """
-    for name in names:
-        if name not in EFFECTS:
-            raise ArgumentError(
-                f"require: there is no effect {short_repr(name)}; there are "
-                f"{joined_names(list(EFFECTS))}",
-                suggestions=nearest(name, EFFECTS),
-            )
-    return frozenset(names)
 
 
 def check_present(

@@ -15,8 +15,7 @@ from ssduck.interpreter.namespace import check_name
 from ssduck.interpreter.program import check_parameters
 from ssduck.limits import GRACE, LEAST_OPENING, Limits
 from ssduck.recording.spec import Recording
-from ssduck.sandbox.budget import ANSWER_BYTES
-from ssduck.sandbox.effects import EFFECTS, check_present, checked_effects
+from ssduck.sandbox.effects import check_present
 from ssduck.sandbox.processes import WorkerEndedError, WorkerProcess, Zygote, shared_zygote
 from ssduck.sandbox.references import RUN_SECONDS, SandboxedWorld
 from ssduck.sandbox.seal import Walls
@@ -57,6 +56,10 @@ class SandboxedProgram:
     text: str
     _owner: SandboxedInterpreter
 
+    def shown(self) -> Any:
+        """Returns the value of the program; the empty table of its columns if there are no rows."""
+        return self._owner.ask("show", self.text)
+
     def sql(self, dialect: str = "duckdb") -> str:
         """Returns the SQL of the query that ends the program, as `CompiledProgram.sql` does."""
         return str(self._owner.ask("sql_of", self.text, dialect))
@@ -71,9 +74,7 @@ class SandboxedInterpreter:
 
     Args:
         source: what the process opens.
-        limits: the limits of programs: their time, memory, depth, rows, and `eval`.
-        require: the effects that the sandbox must have; see `EFFECTS`.
-        answer_bytes: the largest size of an answer, bytes.
+        limits: the limits of programs, and the effects that the sandbox must have.
         strict: whether probable mistakes are errors.
         zygote: the process from which it is forked; by default that of this process.
 
@@ -87,17 +88,12 @@ class SandboxedInterpreter:
         source: Source | None = None,
         *,
         limits: Limits | None = None,
-        require: Collection[str] = tuple(EFFECTS),
-        answer_bytes: int = ANSWER_BYTES,
         strict: bool = False,
         zygote: Zygote | None = None,
     ) -> None:
         self._limits = Limits.strict() if limits is None else limits
         validation.instance(self._limits, Limits, "sandbox: limits")
         self._source = source or Source()
-        self._required = checked_effects(require)
-        rule = "sandbox: answer_bytes must be a whole number above 0"
-        self._answer_bytes = validation.integer_above_0(answer_bytes, rule)
         self._strict = validation.boolean(strict, "sandbox: strict")
         self._zygote = zygote
         self._lock = threading.RLock()
@@ -213,6 +209,11 @@ class SandboxedInterpreter:
                     told = f"the program took more than {limit:g} s, and its process was ended"
                 raise LimitError(f"{told}; {_GONE}") from None
 
+    def stop(self) -> None:
+        """Ends the program that runs, as Ctrl-C does; any thread may call it."""
+        if self._worker is not None:
+            self._worker.stop()
+
     def _world(self, name: str) -> SandboxedWorld:
         return SandboxedWorld(name, self.ask)
 
@@ -221,7 +222,7 @@ class SandboxedInterpreter:
         zygote = self._zygote or shared_zygote()
         memory = self._limits.memory or 10**9
         walls = Walls("", self._source.readable, 2 * memory + _SPARE)
-        worker = zygote.worker(walls, {"answer_bytes": self._answer_bytes})
+        worker = zygote.worker(walls, {"answer_bytes": self._limits.answer_bytes})
         limits = {
             name: getattr(self._limits, name) for name in ("seconds", "rows", "depth", "eval")
         }
@@ -232,7 +233,7 @@ class SandboxedInterpreter:
 
         try:
             effects = ask("effects")
-            check_present(self._required, effects["holes"], effects["lacking"])
+            check_present(self._limits.require, effects["holes"], effects["lacking"])
             ask("open", source.kind, source.location, dict(source.options), limits)
             if self._strict:
                 ask("set_strict", True)

@@ -296,15 +296,23 @@ class WorkerProcess:
         budget = Budget(self._answer_bytes)
         budget.charge(len(answer.body))
         try:
-            value, warnings, *told = Decoder(answer.body, budget, world=world).value(
-                answer.document
-            )
+            value, warnings, *told = Decoder(
+                answer.body,
+                budget,
+                entity=lambda name, *own: world(name).reference(*own),
+                world=world,
+            ).value(answer.document)
             for name, message in warnings:
                 if not (isinstance(name, str) and isinstance(message, str)):
                     raise InvalidAnswerError("this is no warning")
             return warnings, error_of(told[0]) if told else None, value
         except (LimitError, ValueError, TypeError, AttributeError) as error:
             raise InvalidAnswerError(str(error)) from error
+
+    def stop(self) -> None:
+        """Ends the question that it answers now, with an error; any thread may call it."""
+        with suppress(ProcessLookupError, OSError):
+            self._signal(signal.SIGINT)
 
     def _signal(self, number: int) -> None:
         signal.pidfd_send_signal(self._process, number)

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Never, Protocol, Self
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, Protocol, Self
 
 from ssduck import validation
 from ssduck.errors import LimitError
+
+# The properties of entities that the host can read.
+PROPERTIES = frozenset(("position", "orientation", "pose", "velocity", "aabb", "mass"))
 
 
 @dataclass(frozen=True)
 class EntityReference:
     """An entity, a link or a site of a world in the sandbox; it can be a variable of programs.
+
+    Its properties `position`, `orientation`, `pose`, `velocity`, `aabb` and `mass` are those of
+    `Entity`, at its tick.
 
     Attributes:
         world: the name of the world.
@@ -26,10 +33,13 @@ class EntityReference:
     name: str
     kind: str
     tick: int | None = None
+    _ask: Asking | None = field(default=None, repr=False, compare=False)
 
-    def __getattr__(self, name: str) -> Never:
+    def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
             raise AttributeError(name)
+        if name in PROPERTIES and self._ask is not None and self.tick is None:
+            return self._ask("property_of", self, name)
         raise LimitError(
             f"{self.world}.{self.name} is in the sandbox, and its {name!r} is not known here; "
             "a program can give it"
@@ -92,6 +102,23 @@ class SandboxedWorld:
 
     def __len__(self) -> int:
         return int(self._ask("state", self.name)["entities"])
+
+    def reference(self, id: int, name: str, kind: str, tick: int | None) -> EntityReference:
+        """Returns the reference to an entity, a link or a site."""
+        return EntityReference(self.name, id, name, kind, tick, self._ask)
+
+    def __iter__(self) -> Iterator[EntityReference]:
+        """Iterates over the entities: sensors first, then bodies."""
+        return iter(self._ask("entities", self.name))
+
+    def __getitem__(self, name: str) -> EntityReference:
+        """Returns the entity of a name.
+
+        Raises:
+            UnknownNameError: no entity has the name; the error suggests the nearest names.
+        """
+        entity: EntityReference = self._ask("entity", self.name, name)
+        return entity
 
     def __repr__(self) -> str:
         return f"<SandboxedWorld: {self.name!r}>"

@@ -21,11 +21,13 @@ from ssduck.formatting import short_repr
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.opening import load, open_record
 from ssduck.interpreter.program import CompiledProgram, rows_to_show
+from ssduck.lazy import service
 from ssduck.limits import Limits
 from ssduck.recording.spec import Recording
-from ssduck.sandbox.budget import ANSWER_BYTES, Budget
+from ssduck.sandbox.budget import Budget
 from ssduck.sandbox.messages import Message, receive, send
 from ssduck.sandbox.probes import holes
+from ssduck.sandbox.references import PROPERTIES
 from ssduck.sandbox.reports import Log, told_error
 from ssduck.sandbox.seal import Walls, seal
 from ssduck.sandbox.values import Decoder, Encoder
@@ -35,8 +37,6 @@ from ssduck.world.world import World
 
 # What the host sends is limited by its own memory only.
 _UNLIMITED = 1 << 60
-# The settings of DuckDB that ssduck changes before some statements.
-_CHANGED = "['nested_loop_join_threshold', 'merge_join_threshold', 'search_path', 'schema']"
 # DuckDB gets this share of a worker's memory; the rest is Python's and the simulator's.
 _DUCKDB_SHARE = 2
 
@@ -53,7 +53,7 @@ def serve(
     tempfile.tempdir = scratch
     lacking = seal(walls, without)
     worker = Worker(walls, {"holes": holes(walls), "lacking": lacking})
-    budget = int(order.get("answer_bytes", ANSWER_BYTES))
+    budget = int(order["answer_bytes"])
     while True:
         try:
             question = receive(connection)
@@ -76,6 +76,7 @@ class Worker:
         self._effects = effects
         self._log = Log()
         self._ss: Interpreter | None = None
+        self._answers: Any = None
         self._compiled = lru_cache(256)(self._parsed)
 
     def _parsed(self, text: str) -> CompiledProgram:
@@ -139,7 +140,7 @@ class Worker:
         self, kind: str, location: str, options: dict[str, Any], limits: dict[str, Any]
     ) -> None:
         """Opens a scene, a record, or nothing."""
-        allowed = Limits(**limits, progress=False, trial=False)
+        allowed = Limits(**limits, files=False, progress=False, trial=False)
         recording = options.get("recording")
         if isinstance(recording, dict):
             options["recording"] = Recording(**recording)
@@ -151,24 +152,10 @@ class Worker:
             else:
                 ss = Interpreter(limits=allowed, **options)
             stack.callback(ss.close)
-            self._confine_database(ss, location if kind == "record" else None)
+            # The wall holds without it, too.
+            ss._database.confine(self._walls.memory // _DUCKDB_SHARE)  # noqa: SLF001  # the one door
             stack.pop_all()
         self._ss = ss
-
-    def _confine_database(self, ss: Interpreter, record: str | None) -> None:
-        """Switches off what SQL has no business with: the wall holds without it, too."""
-        memory = self._walls.memory // _DUCKDB_SHARE
-        folders = [] if record is None else [f"{record.rstrip('/')}/"]
-        listed = ", ".join("'" + folder.replace("'", "''") + "'" for folder in folders)
-        for setting in (
-            f"memory_limit = '{memory}B'",
-            "temp_directory = ''",  # a query that needs more memory fails
-            f"allowed_directories = [{listed}]",
-            "enable_external_access = false",
-            f"allowed_configs = {_CHANGED}",
-            "lock_configuration = true",
-        ):
-            ss._database.connection.run(f"SET {setting}")  # noqa: SLF001  # the one door to DuckDB
 
     def eval(self, text: str, parameters: Any, is_compiled: bool) -> Any:
         """Runs a program."""
@@ -214,6 +201,20 @@ class Worker:
         path = exp.table_(table, db=name, quoted=True).sql("duckdb")
         return self.ss.sql(f"FROM {path}").arrow()
 
+    def entities(self, name: str) -> list[Any]:
+        """Returns the entities of a world."""
+        return list(self._world(name))
+
+    def entity(self, name: str, entity: str) -> Any:
+        """Returns the entity of a name."""
+        return self._world(name)[entity]
+
+    def property_of(self, entity: Any, name: str) -> Any:
+        """Returns a property of an entity."""
+        if name not in PROPERTIES:
+            raise UnknownNameError(f"there is no property {name!r}")
+        return getattr(entity, name)
+
     def step(self, name: str, count: int, every: int | None) -> None:
         """Steps a world."""
         self._world(name).step(count, every=every)
@@ -229,6 +230,12 @@ class Worker:
         """Takes a tick of a world."""
         self._world(name).tick()
 
+    def told(self, method: str, arguments: list[Any]) -> Any:
+        """Returns an answer to an agent."""
+        if self._answers is None:
+            self._answers = service("agent answers")(self.ss)
+        return getattr(self._answers, method)(*arguments)
+
     def set_strict(self, strict: bool) -> None:
         """Makes probable mistakes errors, or warnings."""
         self.ss.strict = strict
@@ -239,11 +246,13 @@ _REQUESTS: dict[str, Callable[..., Any]] = {
         name: getattr(Worker, name)
         for name in (
             *("effects", "open", "eval", "show", "sql_of", "check", "set_variables", "worlds"),
-            *("state", "table", "step", "run", "tick", "set_strict"),
+            *("state", "table", "entities", "entity", "property_of"),
+            *("step", "run", "tick", "set_strict"),
         )
     },
     "sql": lambda worker, text, parameters: worker.ss.sql(text, parameters),
     "explain": lambda worker, text: worker.ss.explain(text),
+    "answer": Worker.told,
     "help": lambda worker, name: worker.ss.help(name),
     "history": lambda worker, name: worker.ss.history(name),
     "variable": lambda worker, name: worker.ss[name],

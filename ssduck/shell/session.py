@@ -214,7 +214,7 @@ def _run(session: Session, seconds: str) -> None:
 @command()
 def _time(session: Session, _: str) -> None:
     """Shows the simulated time, s, and the number of the tick of each world."""
-    rows = [(world.name, world.time, world.snapshot.number) for world in session.ss.worlds]
+    rows = [(world.name, world.time, world.tick_number) for world in session.ss.worlds]
     print_table(DisplayTable(["world", "time", "tick"], rows))
 
 

@@ -7,16 +7,17 @@ import csv
 import io
 import json
 import re
+import sys
 import warnings
 
+import anyio
 import pyarrow.parquet as pq
 import pytest
+from mcp import Client, StdioServerParameters
 from PIL import Image
 
 import ssduck
-from ssduck.cli.worker import Source, WorkerAnswers
 from ssduck.interpreter import opening
-from ssduck.limits import Limits
 from tests.support.cases import sampled
 from tests.support.command_line import (
     WRITTEN,
@@ -167,9 +168,15 @@ def test_seconds_are_in_steps_of_the_model(model):
 
 @pytest.mark.slow
 def test_agents_get_seconds_in_steps_of_the_model(model):
-    answers = WorkerAnswers(Source(model, 0.5, None, Limits.strict()))
-    with contextlib.closing(answers):
-        assert json.loads(answers.query("getTime();", "selectscript", 9)) == pytest.approx(0.5)
+    parameters = StdioServerParameters(
+        command=sys.executable, args=["-m", "ssduck", "mcp", model, "--seconds", "0.5"]
+    )
+
+    async def ask():
+        async with Client(parameters) as client:
+            return await client.call_tool("query", {"program": "getTime();"})
+
+    assert json.loads(anyio.run(ask).content[0].text) == pytest.approx(0.5)
 
 
 @pytest.mark.slow
@@ -425,4 +432,4 @@ def test_strict_queries_are_confined(here):
     assert "7" in ssduck_("query", "two.toml", "--sql", text).stdout
     refused = ssduck_("query", "two.toml", "--strict", "--sql", text)
     assert (refused.exit_code, refused.stdout) == (1, "")
-    assert "read_csv" in refused.stderr
+    assert "other.csv" in refused.stderr

@@ -14,7 +14,7 @@ from tests.support.cases import sampled
 
 @pytest.fixture(scope="module")
 def strict():
-    with ssduck.load("kitchen", limits=ssduck.Limits.strict()) as ss:
+    with ssduck.load("kitchen", limits=ssduck.Limits.strict().in_process) as ss:
         yield ss
 
 
@@ -287,7 +287,7 @@ def test_no_query_of_with_writes_a_file_into_a_record(tmp_path):
         ss.export(tmp_path / "run")
     files = {file: file.read_bytes() for file in (tmp_path / "run").rglob("*") if file.is_file()}
     (part,) = (tmp_path / "run/entities").rglob("*.parquet")
-    with ssduck.open(tmp_path / "run", limits=ssduck.Limits.strict()) as ss:
+    with ssduck.open(tmp_path / "run", limits=ssduck.Limits.strict().in_process) as ss:
         for name in (part, tmp_path / "run/new.csv"):
             with pytest.raises(LimitError, match="without COPY"):
                 ss.sql(f"WITH x AS (COPY (SELECT 42 AS a) TO '{name}') FROM x")
@@ -299,7 +299,7 @@ def test_no_query_of_with_writes_a_file_into_a_record(tmp_path):
 def test_no_query_of_with_changes_a_table_of_a_file(tmp_path):
     with ssduck.Interpreter(str(tmp_path / "own.duckdb")) as ss:
         ss.sql("CREATE TABLE mine AS SELECT 1 AS a")
-    with ssduck.Interpreter(str(tmp_path / "own.duckdb"), limits=ssduck.Limits.strict()) as ss:
+    with ssduck.Interpreter(str(tmp_path / "own.duckdb"), limits=ssduck.Limits.strict().in_process) as ss:
         for change in ("DELETE FROM mine", "UPDATE mine SET a = 2", "INSERT INTO mine VALUES (3)"):
             with pytest.raises(LimitError, match=f"without {change.split()[0]}"):
                 ss.sql(f"WITH x AS ({change} RETURNING *) FROM x")
@@ -349,7 +349,7 @@ ENDED = [
 @pytest.mark.slow
 @sampled(("text", "words"), ENDED, every=6)
 def test_a_statement_ends_in_time_and_memory(text, words):
-    limits = ssduck.Limits.strict(seconds=0.5, memory=MEMORY)
+    limits = ssduck.Limits.strict(seconds=0.5, memory=MEMORY).in_process
     with ssduck.load("kitchen", limits=limits) as ss:
         started = time.process_time()
         with pytest.raises(LimitError, match=f"{words}|took more than"):
@@ -363,7 +363,7 @@ def test_a_statement_ends_in_time_and_memory(text, words):
 def test_many_rows_are_the_same_under_limits(columns):
     """They are fetched in parts, as tuples or as an Arrow table."""
     text = f"SELECT {columns} FROM range(10000)"
-    with ssduck.Interpreter() as free, ssduck.Interpreter(limits=ssduck.Limits.strict()) as strict:
+    with ssduck.Interpreter() as free, ssduck.Interpreter(limits=ssduck.Limits.strict().in_process) as strict:
         assert strict.sql(text).fetchall() == free.sql(text).fetchall()
         assert strict.sql(text).arrow() == free.sql(text).arrow()
         with pytest.raises(LimitError, match="more than 1000000 rows"):
@@ -390,7 +390,7 @@ def test_duckdb_tells_of_texts_that_it_cannot_parse(strict):
 
 @pytest.mark.slow
 def test_a_permitted_text_is_checked_again_when_names_change():
-    with ssduck.load("kitchen", limits=ssduck.Limits.strict()) as ss:
+    with ssduck.load("kitchen", limits=ssduck.Limits.strict().in_process) as ss:
         for _ in range(2):
             with pytest.raises(LimitError, match=r"there is no table 'lab\.entities'"):
                 ss.sql("SELECT count(*) FROM lab.entities")
@@ -401,7 +401,7 @@ def test_a_permitted_text_is_checked_again_when_names_change():
 
 def test_the_tree_is_checked_once_a_text():
     statements = []
-    limits = ssduck.Limits.strict()
+    limits = ssduck.Limits.strict().in_process
     with ssduck.Interpreter(limits=limits, tracer=statements.append) as ss:
         for _ in range(5):
             ss.sql("SELECT 1")
@@ -415,7 +415,7 @@ def test_records_open_under_limits(tmp_path):
         ss.export(tmp_path / "run")
     (tmp_path / "secret.csv").write_text("a\n1\n")
     text = "SELECT count(DISTINCT tick) FROM entities_history"
-    for limits in (ssduck.Limits.strict(), ssduck.Limits(files=False), None):
+    for limits in (ssduck.Limits.strict().in_process, ssduck.Limits(files=False), None):
         with ssduck.open(tmp_path / "run", limits=limits) as ss:
             ((count,),) = ss.sql(text).fetchall()
             assert count == 6
@@ -448,13 +448,13 @@ def test_permitted_functions_are_those_of_this_duckdb():
 
 
 def test_strict_limits_are_select_only():
-    assert ssduck.Limits.strict().select_only
-    assert not ssduck.Limits.strict(select_only=False).select_only
+    assert ssduck.Limits.strict().in_process.select_only
+    assert not ssduck.Limits.strict(select_only=False).in_process.select_only
     assert not ssduck.Limits().select_only
 
 
 def test_a_missing_extension_is_named_and_no_folder():
-    with ssduck.Interpreter(limits=ssduck.Limits.strict()) as ss:
+    with ssduck.Interpreter(limits=ssduck.Limits.strict().in_process) as ss:
         with pytest.raises(LimitError, match="needs DuckDB's extension 'inet'") as caught:
             ss.sql("SELECT '1.1.1.1'::INET")
         assert "/" not in caught.value.message

@@ -32,7 +32,7 @@ def patient():
 
 
 def _confined(seconds, **changes):
-    limits = ssduck.Limits.strict(seconds=seconds, rows=1000, memory=200_000_000, **changes)
+    limits = ssduck.Limits.strict(seconds=seconds, rows=1000, memory=200_000_000, **changes).in_process
     gc.disable()  # what other tests have left takes as long as a program may
     try:
         with ssduck.Interpreter(limits=limits) as interpreter:
@@ -186,7 +186,7 @@ LONG_BUT_FLAT = [
 @pytest.mark.slow
 @pytest.mark.parametrize("text", LONG_BUT_FLAT, ids=lambda text: text[:15])
 def test_brackets_in_texts_and_comments_do_not_count(text):
-    with ssduck.Interpreter(limits=ssduck.Limits.strict(seconds=60.0)) as ss:
+    with ssduck.Interpreter(limits=ssduck.Limits.strict(seconds=60.0).in_process) as ss:
         assert len(ss.sql(text)) == 1
 
 
@@ -368,12 +368,12 @@ def test_each_step_looks_at_the_time_and_whether_the_program_was_stopped():
         for _ in range(10):
             meter.step(), meter.charge(1), count()
 
-    for limits in (Limits(), Limits.strict(seconds=3600), Limits(rows=100)):
+    for limits in (Limits(), Limits.strict(seconds=3600).in_process, Limits(rows=100)):
         use(UsageMeter(limits))
-    use(UsageMeter(Limits.strict(), lambda: asked.append(1)))
+    use(UsageMeter(Limits.strict().in_process, lambda: asked.append(1)))
     assert len(asked) == 30
     for stopped in (None, lambda: True):
-        late = UsageMeter(Limits.strict(seconds=3600 if stopped else 0.001), stopped)
+        late = UsageMeter(Limits.strict(seconds=3600 if stopped else 0.001).in_process, stopped)
         time.sleep(0.002)
         for use_once in (late.step, partial(late.charge, 1), late.combination_counter()):
             with pytest.raises(LimitError):

@@ -13,7 +13,6 @@ from pathlib import Path
 import pytest
 
 import ssduck
-from ssduck.cli.worker import Source, WorkerAnswers
 from ssduck.lakes import engines
 from tests.support.command_line import BOX, ROOT
 from tests.support.rising_cups import write_rising_cups
@@ -35,17 +34,13 @@ def foreign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.slow
-def test_an_agent_starts_no_file_of_the_folder(foreign: Path) -> None:
+def test_a_sandbox_starts_no_file_of_the_folder(foreign: Path) -> None:
     code = "import sys; sys.path.insert(0, ''); import queue"
     subprocess.run([sys.executable, "-c", code], check=False)
     assert (foreign.parent / "run").exists()  # as Python does by itself
     (foreign.parent / "run").unlink()
-    limits = ssduck.Limits.strict()
-    answers = WorkerAnswers(Source("record", None, None, limits))
-    try:
-        assert "3" in answers.query("1 + 2;", "selectscript", 10)
-    finally:
-        answers.close()
+    with ssduck.open("record", limits=ssduck.Limits.strict()) as ss:
+        assert ss.eval("1 + 2;") == 3
     assert not (foreign.parent / "run").exists()
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import contextlib
 import io
 import json
 import os
@@ -20,7 +19,6 @@ from PIL import Image
 
 import ssduck
 from ssduck.adapters.marks import OUTLINE
-from ssduck.cli.worker import Source, WorkerAnswers
 from ssduck.mcp.answers import GUIDE, MAX_LETTERS, as_text
 from ssduck.mcp.server import create_server
 from ssduck.schema import TABLES
@@ -177,8 +175,8 @@ MISTAKES = [
     ("query", {"program": "SELECT id(this) FROM kitchn;"}, "did you mean 'kitchen'"),
     ("query", {"program": "SELECT this FROM kitchen WHERE id(this) == 'frige';"}, "'fridge'"),
     ("query", {"program": "SELECT nme FROM entities", "language": "sql"}, "name"),
-    ("query", {"program": "DROP SCHEMA kitchen CASCADE", "language": "sql"}, "one SELECT"),
-    ("query", {"program": "FROM read_text('/etc/passwd')", "language": "sql"}, "read_text"),
+    ("query", {"program": "DROP SCHEMA kitchen CASCADE", "language": "sql"}, "is ssduck's own"),
+    ("query", {"program": "FROM read_text('/etc/passwd')", "language": "sql"}, "file system operations"),
     ("query", {"program": "SELECT this FROM kitchen AS parquet('x.parquet');"}, "switched off"),
     ("query", {"program": "eval('1');"}, "switched off"),
     ("query", {"program": "1 +"}, "line 1, column"),
@@ -226,22 +224,17 @@ ENDLESS = [
 ]
 
 
-@pytest.fixture(scope="module", params=["interpreter", "worker"])
+@pytest.fixture(scope="module", params=[(), ("files", "network")], ids=["here", "sandbox"])
 def unlimited(request):
-    """The answers without a limit of time."""
-    if request.param == "interpreter":
-        with ssduck.load("hall", limits=ssduck.Limits(progress=False)) as ss:
-            yield ss
-        return
-    limits = ssduck.Limits(progress=False)
-    with contextlib.closing(WorkerAnswers(Source("hall", None, None, limits))) as answers:
-        yield answers
+    """An interpreter without a limit of time."""
+    with ssduck.load("hall", limits=ssduck.Limits(progress=False, require=request.param)) as ss:
+        yield ss
 
 
 @pytest.mark.slow
 @sampled("question", ENDLESS, every=2)
 def test_a_cancelled_question_is_stopped(unlimited, question):
-    """The program would never end, and the worker keeps its variables."""
+    """The program would never end, and the sandbox keeps its variables."""
     server = create_server(unlimited)
 
     async def ask():
@@ -259,8 +252,7 @@ def test_a_cancelled_question_is_stopped(unlimited, question):
 
 def test_what_a_program_prints_stays_out_of_the_protocol(kitchen, capfd):
     assert text_of(create_server(kitchen), "query", program="print('hello');") == '"hello"'
-    written = capfd.readouterr()
-    assert (written.out, "hello" in written.err) == ("", True)
+    assert capfd.readouterr().out == ""
 
 
 def requests(*lines):

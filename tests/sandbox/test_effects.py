@@ -7,7 +7,8 @@ import struct
 import pytest
 
 from ssduck.errors import ArgumentError, SandboxError
-from ssduck.sandbox import EFFECTS, SandboxedInterpreter, landlock, seccomp
+from ssduck.limits import EFFECTS, Limits
+from ssduck.sandbox import SandboxedInterpreter, landlock, seccomp
 from ssduck.sandbox.effects import check_present
 from ssduck.sandbox.probes import _PROBES
 from ssduck.sandbox.processes import Zygote
@@ -41,7 +42,7 @@ def test_without_an_effect_it_is_refused_by_name(zygote, lacking, effect):
         SandboxedInterpreter(zygote=zygote)
     others = [name for name in EFFECTS if name != effect]
     assert f"require={others}" in caught.value.message
-    with SandboxedInterpreter(zygote=zygote, require=others) as ss:
+    with SandboxedInterpreter(zygote=zygote, limits=Limits.strict(require=others)) as ss:
         assert {name for name, holes in ss.effects.items() if holes} == {effect}
         assert ss.eval("1 + 1;") == 2
 
@@ -51,7 +52,7 @@ def test_without_an_effect_it_is_refused_by_name(zygote, lacking, effect):
 def test_each_probe_gets_through_where_its_wall_is_missing(zygote, lacking, effect):
     lacking(effect)
     others = [name for name in EFFECTS if name != effect]
-    with SandboxedInterpreter(zygote=zygote, require=others) as ss:
+    with SandboxedInterpreter(zygote=zygote, limits=Limits.strict(require=others)) as ss:
         assert ss.effects[effect] == list(_PROBES[effect])
         assert ss.ask("python", "__import__('os').getcwd()").endswith("scratch")
 
@@ -59,13 +60,13 @@ def test_each_probe_gets_through_where_its_wall_is_missing(zygote, lacking, effe
 @pytest.mark.slow
 def test_without_any_wall_all_get_through(zygote, lacking):
     lacking(*EFFECTS)
-    with SandboxedInterpreter(zygote=zygote, require=()) as ss:
+    with SandboxedInterpreter(zygote=zygote, limits=Limits.strict(require=())) as ss:
         assert ss.effects == {effect: list(probes) for effect, probes in _PROBES.items()}
 
 
-def test_an_unknown_effect_is_an_error_with_the_nearest_name(zygote):
+def test_an_unknown_effect_is_an_error_with_the_nearest_name():
     with pytest.raises(ArgumentError, match="did you mean 'network'"):
-        SandboxedInterpreter(zygote=zygote, require=("netwrok",))
+        Limits.strict(require=("netwrok",))
 
 
 def test_what_the_system_lacks_is_told():

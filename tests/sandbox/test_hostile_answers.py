@@ -11,8 +11,9 @@ import pyarrow as pa
 import pytest
 
 from ssduck.errors import LimitError, SandboxError
+from ssduck.limits import ANSWER_BYTES, Limits
 from ssduck.sandbox import EntityReference, SandboxedInterpreter
-from ssduck.sandbox.budget import ANSWER_BYTES, Budget, InvalidAnswerError
+from ssduck.sandbox.budget import Budget, InvalidAnswerError
 from ssduck.sandbox.tables import checked_table, table_bytes
 from ssduck.sandbox.values import Decoder, Encoder
 
@@ -73,7 +74,7 @@ def test_an_error_of_another_class_is_plain(zygote):
 
 @pytest.mark.slow
 def test_answers_as_large_as_allowed_and_larger(zygote):
-    with SandboxedInterpreter(zygote=zygote, answer_bytes=2_000_000) as ss:
+    with SandboxedInterpreter(zygote=zygote, limits=Limits.strict(answer_bytes=2_000_000)) as ss:
         assert len(ss.eval("'abcdefghij' * 90000;")) == 900_000
         for program in ("'abcdefghij' * 300000;", "[1.5] * 100000;", "['ab'] * 100000;"):
             with pytest.raises(LimitError, match="answer_bytes"):

@@ -114,7 +114,7 @@ def test_strict_limits_keep_to_the_folder(place: Path, name: str, text: str) -> 
     file = place / name
     file.write_text(text.replace("{outside}", str(place.parent / "outside")))
     with pytest.raises(SceneError, match=r"Limits: files|cannot be read") as error:
-        ssduck.load(file, limits=Limits.strict())
+        ssduck.load(file, limits=Limits.strict().in_process)
     assert str(place) in str(error.value)
 
 
@@ -123,7 +123,7 @@ def test_the_working_directory_is_another(place: Path, monkeypatch: pytest.Monke
     (place / "s.urdf").write_text(mesh("m.obj"))
     monkeypatch.chdir(place.parent / "working")
     with pytest.raises(SceneError, match=r"'m.obj' is not in .*scene, and files elsewhere"):
-        ssduck.load(place / "s.urdf", limits=Limits.strict())
+        ssduck.load(place / "s.urdf", limits=Limits.strict().in_process)
 
 
 @pytest.mark.slow
@@ -139,13 +139,13 @@ def test_the_working_directory_is_another(place: Path, monkeypatch: pytest.Monke
 def test_files_beside_it_are_read(place: Path, name: str, text: str) -> None:
     (place / "s.urdf").write_text(mesh("m.obj"))
     (place / name).write_text(text)
-    with ssduck.load(place / name, limits=Limits.strict()) as ss:
+    with ssduck.load(place / name, limits=Limits.strict().in_process) as ss:
         assert ss.sql("SELECT type FROM geometries").fetchall() in ([("hull",)], [("mesh",)])
 
 
 @pytest.mark.slow
 def test_shipped_scenes_load_with_strict_limits() -> None:
-    with ssduck.load("kitchen", limits=Limits.strict()) as ss:
+    with ssduck.load("kitchen", limits=Limits.strict().in_process) as ss:
         assert ss.eval("count(SELECT this FROM kitchen AS list);") == 37
 
 
@@ -297,7 +297,7 @@ def test_a_name_cut_by_pybullet_is_not_read(tmp_path: Path, role: str) -> None:
     (folder / "m.obj").write_text(f"{names}\n{CUBE}")
     (folder / "s.urdf").write_text(mesh("m.obj"))
     with pytest.raises(SceneError, match=r"pic.png: .*outside.png' is not in"):
-        ssduck.load(folder / "s.urdf", limits=ssduck.Limits.strict(), simulator="pybullet")
+        ssduck.load(folder / "s.urdf", limits=ssduck.Limits.strict().in_process, simulator="pybullet")
 
 
 # (before a part that a comment hides from XML, the part, behind it)
@@ -322,7 +322,7 @@ HIDDEN = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("limits", [None, Limits.strict()])
+@pytest.mark.parametrize("limits", [None, Limits.strict().in_process])
 @pytest.mark.parametrize("name", HIDDEN)
 def test_a_comment_hides_nothing_from_the_check(tmp_path: Path, name: str, limits: Limits) -> None:
     """PyBullet reads pieces of 8,191 bytes of a line; `<!-` and `-` are no comment then."""
@@ -511,7 +511,7 @@ def test_entities_that_grow(tmp_path: Path) -> None:
     with ssduck.load(tmp_path / "s.urdf") as ss:
         assert ss.eval("SELECT id FROM s AS list;") == ["s"]
     with pytest.raises(SceneError, match="<!DOCTYPE> is not allowed"):
-        ssduck.load(tmp_path / "s.urdf", limits=Limits.strict())
+        ssduck.load(tmp_path / "s.urdf", limits=Limits.strict().in_process)
 
 
 def test_a_name_that_no_file_can_have() -> None:

@@ -15,10 +15,8 @@ import pytest
 
 import ssduck
 from ssduck import Limits
-from ssduck.cli.worker import Source, WorkerAnswers
 from ssduck.errors import LimitError, NumberError, SceneError, SimulatorError, UnsupportedError
 from ssduck.gym import make_task
-from ssduck.mcp.answers import WorkerError
 from ssduck.simulators import trial
 from ssduck.simulators.scene_files import check_files_inside
 from ssduck.simulators.scenes import find_scene
@@ -55,8 +53,8 @@ def folder(tmp_path: Path) -> Path:
 def test_a_crash_is_an_error_that_names_the_file(folder: Path) -> None:
     for name in ("c.urdf", "scene.toml"):
         with pytest.raises(SceneError, match=CRASH):
-            ssduck.load(folder / name, limits=Limits.strict())
-    with ssduck.load(folder / "good.toml", limits=Limits.strict()) as ss:
+            ssduck.load(folder / name, limits=Limits.strict().in_process)
+    with ssduck.load(folder / "good.toml", limits=Limits.strict().in_process) as ss:
         assert ss.eval("SELECT id FROM lab AS list;") == ["b"]
 
 
@@ -65,7 +63,7 @@ def test_a_file_of_any_size_is_not_read_to_see_whether_it_changes(folder: Path) 
     (folder / "b.urdf").write_text(BOX.replace("</robot>", TEXTURE + "</robot>"))
     with (folder / "big.png").open("wb") as file:
         file.truncate(1 << 40)  # no bytes on the disk
-    with ssduck.load(folder / "good.toml", limits=Limits.strict()) as ss:
+    with ssduck.load(folder / "good.toml", limits=Limits.strict().in_process) as ss:
         assert ss.eval("SELECT id FROM lab AS list;") == ["b"]
         (found,) = [
             each
@@ -79,8 +77,6 @@ def test_a_file_of_any_size_is_not_read_to_see_whether_it_changes(folder: Path) 
 def test_a_crash_in_a_task_an_agent_and_a_command(folder: Path) -> None:
     with pytest.raises(SceneError, match=CRASH):
         make_task(folder / "crashing.toml")
-    with pytest.raises(WorkerError, match=CRASH):
-        WorkerAnswers(Source(str(folder / "c.urdf"), None, None, Limits.strict()))
     done = ssduck_("query", str(folder / "c.urdf"), "1;", "--strict")
     assert done.exit_code == 1
     assert "PyBullet crashes on this file" in done.output
@@ -101,7 +97,7 @@ def test_errors_are_those_of_loading(folder: Path) -> None:
     for name, text in scenes.items():
         (folder / f"{name}.toml").write_text(text)
         errors = []
-        for limits in (Limits.strict(trial=False), Limits.strict()):
+        for limits in (Limits.strict(trial=False).in_process, Limits.strict().in_process):
             with pytest.raises((SceneError, UnsupportedError)) as raised:
                 ssduck.load(folder / f"{name}.toml", limits=limits)
             errors.append((type(raised.value), raised.value.message, raised.value.suggestions))
@@ -114,7 +110,7 @@ def test_warnings_come_once(folder: Path) -> None:
     (folder / "plane.urdf").write_text(robot(link("base"), '<transmission name="t"/>'))
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
-        ssduck.load(folder / "plane.urdf", limits=Limits.strict()).close()
+        ssduck.load(folder / "plane.urdf", limits=Limits.strict().in_process).close()
     with warnings.catch_warnings(record=True) as alone:
         warnings.simplefilter("always")
         ssduck.load(folder / "plane.urdf").close()
@@ -140,11 +136,11 @@ def tried(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 @pytest.mark.slow
 def test_limits_say_whether_there_is_a_trial(folder: Path, tried: list[str]) -> None:
-    for limits in (None, Limits(), Limits.strict(trial=False), Limits.strict(files=True)):
+    for limits in (None, Limits(), Limits.strict(trial=False).in_process, Limits.strict(files=True).in_process):
         ssduck.load(folder / "good.toml", limits=limits).close()
-    ssduck.load("hall", limits=Limits.strict()).close()
+    ssduck.load("hall", limits=Limits.strict().in_process).close()
     assert tried == []
-    for limits in (Limits(trial=True), Limits(files=False), Limits.strict(seconds=1)):
+    for limits in (Limits(trial=True), Limits(files=False), Limits.strict(seconds=1).in_process):
         ssduck.load(folder / "good.toml", limits=limits).close()
     assert tried == ["good.toml"] * 3
     with pytest.raises(SceneError, match=CRASH):
@@ -188,7 +184,7 @@ def test_files_that_change_meanwhile(
 
     monkeypatch.setattr(target, name, change)
     with pytest.raises(SceneError, match=r"c\.dae has changed while .*c\.urdf was loaded"):
-        ssduck.load(folder / "c.urdf", limits=Limits.strict(), simulator="pybullet")
+        ssduck.load(folder / "c.urdf", limits=Limits.strict().in_process, simulator="pybullet")
 
 
 # -- what the process may do -----------------------------------------------------------------
@@ -233,7 +229,7 @@ def test_nothing_that_a_taken_process_tells_is_believed(
 ) -> None:
     told(monkeypatch, *lines, then=then)
     monkeypatch.setattr(trial, "LEAST_LOADING", 0.0)
-    limits = Limits.strict(seconds=0.2)
+    limits = Limits.strict(seconds=0.2).in_process
     with pytest.raises(error, match=message):
         ssduck.load(folder / "b.urdf", limits=limits, simulator="pybullet")
 
@@ -247,7 +243,7 @@ def test_the_process_ends_with_its_parent(folder: Path, end: signal.Signals) -> 
     world = f'<replicate count="900" offset="0 0 .1"><body><freejoint/>{bodies}</body></replicate>'
     (folder / "slow.xml").write_text(f"<mujoco><worldbody>{world}</worldbody></mujoco>")
     code = (
-        f"import ssduck; ssduck.load({str(folder / 'slow.xml')!r}, limits=ssduck.Limits.strict())"
+        f"import ssduck; ssduck.load({str(folder / 'slow.xml')!r}, limits=ssduck.Limits.strict().in_process)"
     )
     with subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL) as parent:
         children = Path(f"/proc/{parent.pid}/task/{parent.pid}/children")
@@ -268,7 +264,7 @@ def waited_for(condition):
     raise AssertionError("it did not happen")
 
 
-@pytest.mark.parametrize("limits", [None, Limits.strict()])
+@pytest.mark.parametrize("limits", [None, Limits.strict().in_process])
 def test_an_unknown_simulator(folder: Path, limits: Limits | None) -> None:
     with pytest.raises(ssduck.SelectScriptError, match=r"no simulator 'pybulet'.*mean 'pybullet'"):
         ssduck.load(folder / "b.urdf", simulator="pybulet", limits=limits)
@@ -277,7 +273,7 @@ def test_an_unknown_simulator(folder: Path, limits: Limits | None) -> None:
 def test_a_process_that_does_not_start(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trial, "python_command", lambda _: [str(folder / "no-python")])
     with pytest.raises(ssduck.SelectScriptError, match="no process can be started to load"):
-        ssduck.load(folder / "b.urdf", limits=Limits.strict())
+        ssduck.load(folder / "b.urdf", limits=Limits.strict().in_process)
 
 
 @pytest.mark.slow
@@ -286,9 +282,9 @@ def test_memory_is_limited(folder: Path) -> None:
     body = '<worldbody><geom size="1"/></worldbody>'
     (folder / "m.xml").write_text(f'<mujoco><size memory="3G"/>{body}</mujoco>')
     pytest.importorskip("mujoco")
-    ssduck.load(folder / "m.xml", limits=Limits.strict(memory=3 * 10**9)).close()
+    ssduck.load(folder / "m.xml", limits=Limits.strict(memory=3 * 10**9).in_process).close()
     with pytest.raises((SceneError, LimitError), match=r"memory|allocate"):
-        ssduck.load(folder / "m.xml", limits=Limits.strict(memory=10**6))
+        ssduck.load(folder / "m.xml", limits=Limits.strict(memory=10**6).in_process)
 
 
 # -- mutated files ---------------------------------------------------------------------------

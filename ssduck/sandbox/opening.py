@@ -1,0 +1,46 @@
+"""Opens what `Limits.strict()` puts into a sandbox: `load`, `open` and `Interpreter` call these."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ssduck.errors import UnsupportedError
+from ssduck.limits import Limits
+from ssduck.sandbox.interpreter import SandboxedInterpreter
+
+_MEMORY = ":memory:"
+
+
+def interpreter(
+    database: str | Path = _MEMORY, *, limits: Limits, strict: bool = False, **options: Any
+) -> SandboxedInterpreter:
+    """Returns an interpreter without a world; for the arguments see `Interpreter`."""
+    _check_memory(database)
+    options = {name: value for name, value in options.items() if value not in (None, False)}
+    if options.pop("recording", "default") != "default" or options:
+        raise UnsupportedError(
+            f"Interpreter: {', '.join(options) or 'recording'}: not in a sandbox; leave it out"
+        )
+    return SandboxedInterpreter(limits=limits, strict=strict)
+
+
+def load(
+    scene: str | Path, database: str | Path, limits: Limits, **options: Any
+) -> SandboxedInterpreter:
+    """Returns an interpreter with the world of a scene; for the arguments see `ssduck.load`."""
+    _check_memory(database)
+    return SandboxedInterpreter.load(scene, limits=limits, **options)
+
+
+def open_record(
+    path: str | Path, world: str | None, episode: int | None, limits: Limits, *, partial: bool
+) -> SandboxedInterpreter:
+    """Returns an interpreter on a record; for the arguments see `ssduck.open`."""
+    return SandboxedInterpreter.open(path, world, episode, partial=partial, limits=limits)
+
+
+def _check_memory(database: str | Path) -> None:
+    """Checks that no file is to be written."""
+    if str(database) != _MEMORY:
+        raise UnsupportedError(f"a sandbox writes no database, and {database} is one: leave it out")
