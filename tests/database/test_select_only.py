@@ -299,7 +299,9 @@ def test_no_query_of_with_writes_a_file_into_a_record(tmp_path):
 def test_no_query_of_with_changes_a_table_of_a_file(tmp_path):
     with ssduck.Interpreter(str(tmp_path / "own.duckdb")) as ss:
         ss.sql("CREATE TABLE mine AS SELECT 1 AS a")
-    with ssduck.Interpreter(str(tmp_path / "own.duckdb"), limits=ssduck.Limits.strict().in_process) as ss:
+    with ssduck.Interpreter(
+        str(tmp_path / "own.duckdb"), limits=ssduck.Limits.strict().in_process
+    ) as ss:
         for change in ("DELETE FROM mine", "UPDATE mine SET a = 2", "INSERT INTO mine VALUES (3)"):
             with pytest.raises(LimitError, match=f"without {change.split()[0]}"):
                 ss.sql(f"WITH x AS ({change} RETURNING *) FROM x")
@@ -363,7 +365,10 @@ def test_a_statement_ends_in_time_and_memory(text, words):
 def test_many_rows_are_the_same_under_limits(columns):
     """They are fetched in parts, as tuples or as an Arrow table."""
     text = f"SELECT {columns} FROM range(10000)"
-    with ssduck.Interpreter() as free, ssduck.Interpreter(limits=ssduck.Limits.strict().in_process) as strict:
+    with (
+        ssduck.Interpreter() as free,
+        ssduck.Interpreter(limits=ssduck.Limits.strict().in_process) as strict,
+    ):
         assert strict.sql(text).fetchall() == free.sql(text).fetchall()
         assert strict.sql(text).arrow() == free.sql(text).arrow()
         with pytest.raises(LimitError, match="more than 1000000 rows"):

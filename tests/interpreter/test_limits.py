@@ -32,7 +32,9 @@ def patient():
 
 
 def _confined(seconds, **changes):
-    limits = ssduck.Limits.strict(seconds=seconds, rows=1000, memory=200_000_000, **changes).in_process
+    limits = ssduck.Limits.strict(
+        seconds=seconds, rows=1000, memory=200_000_000, **changes
+    ).in_process
     gc.disable()  # what other tests have left takes as long as a program may
     try:
         with ssduck.Interpreter(limits=limits) as interpreter:

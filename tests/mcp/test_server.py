@@ -176,7 +176,11 @@ MISTAKES = [
     ("query", {"program": "SELECT this FROM kitchen WHERE id(this) == 'frige';"}, "'fridge'"),
     ("query", {"program": "SELECT nme FROM entities", "language": "sql"}, "name"),
     ("query", {"program": "DROP SCHEMA kitchen CASCADE", "language": "sql"}, "is ssduck's own"),
-    ("query", {"program": "FROM read_text('/etc/passwd')", "language": "sql"}, "file system operations"),
+    (
+        "query",
+        {"program": "FROM read_text('/etc/passwd')", "language": "sql"},
+        "file system operations",
+    ),
     ("query", {"program": "SELECT this FROM kitchen AS parquet('x.parquet');"}, "switched off"),
     ("query", {"program": "eval('1');"}, "switched off"),
     ("query", {"program": "1 +"}, "line 1, column"),

@@ -297,7 +297,9 @@ def test_a_name_cut_by_pybullet_is_not_read(tmp_path: Path, role: str) -> None:
     (folder / "m.obj").write_text(f"{names}\n{CUBE}")
     (folder / "s.urdf").write_text(mesh("m.obj"))
     with pytest.raises(SceneError, match=r"pic.png: .*outside.png' is not in"):
-        ssduck.load(folder / "s.urdf", limits=ssduck.Limits.strict().in_process, simulator="pybullet")
+        ssduck.load(
+            folder / "s.urdf", limits=ssduck.Limits.strict().in_process, simulator="pybullet"
+        )
 
 
 # (before a part that a comment hides from XML, the part, behind it)

@@ -136,7 +136,12 @@ def tried(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 @pytest.mark.slow
 def test_limits_say_whether_there_is_a_trial(folder: Path, tried: list[str]) -> None:
-    for limits in (None, Limits(), Limits.strict(trial=False).in_process, Limits.strict(files=True).in_process):
+    for limits in (
+        None,
+        Limits(),
+        Limits.strict(trial=False).in_process,
+        Limits.strict(files=True).in_process,
+    ):
         ssduck.load(folder / "good.toml", limits=limits).close()
     ssduck.load("hall", limits=Limits.strict().in_process).close()
     assert tried == []
@@ -242,9 +247,7 @@ def test_the_process_ends_with_its_parent(folder: Path, end: signal.Signals) -> 
     bodies = '<replicate count="500" offset=".1 0 0"><geom size=".01"/></replicate>'
     world = f'<replicate count="900" offset="0 0 .1"><body><freejoint/>{bodies}</body></replicate>'
     (folder / "slow.xml").write_text(f"<mujoco><worldbody>{world}</worldbody></mujoco>")
-    code = (
-        f"import ssduck; ssduck.load({str(folder / 'slow.xml')!r}, limits=ssduck.Limits.strict().in_process)"
-    )
+    code = f"import ssduck; ssduck.load({str(folder / 'slow.xml')!r}, limits=ssduck.Limits(files=False))"
     with subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL) as parent:
         children = Path(f"/proc/{parent.pid}/task/{parent.pid}/children")
         found = waited_for(lambda: children.read_text().split())
