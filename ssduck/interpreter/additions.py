@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from abc import ABC
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol, Self
 
 from ssduck import validation
 from ssduck.adapters.result import arrow_of
@@ -17,6 +17,21 @@ from ssduck.interpreter.signatures import type_hints_of
 from ssduck.language.builtins import Function
 from ssduck.language.overrides import OPERATOR_NAMES
 from ssduck.world.world import World
+
+
+class ServedPage(Protocol):
+    """A page of `Interpreter.view`."""
+
+    @property
+    def url(self) -> str:
+        """The address of the page, with its token."""
+
+    def close(self) -> None:
+        """Stops serving."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *_: object) -> None: ...
 
 
 class AdditionMethods(ABC):

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, Never, Protocol, Self, cast
+from typing import Any, Literal, Never, Self, cast
 from weakref import WeakKeyDictionary
 
 from ssduck import validation
@@ -38,7 +38,7 @@ from ssduck.database.database import Database
 from ssduck.errors import SqlError, UnknownNameError
 from ssduck.formatting import count_of, first_names
 from ssduck.geometry.distance import Statistics
-from ssduck.interpreter.additions import AdditionMethods
+from ssduck.interpreter.additions import AdditionMethods, ServedPage
 from ssduck.interpreter.batches.methods import BatchMethods
 from ssduck.interpreter.eval_as import (
     Condition,
@@ -74,21 +74,6 @@ from ssduck.world.batches.batch_world import BatchWorld
 from ssduck.world.public_names import INSTEAD_IN_INTERPRETERS, PublicNames
 from ssduck.world.running import run
 from ssduck.world.world import World
-
-
-class ServedPage(Protocol):
-    """A page of `Interpreter.view`."""
-
-    @property
-    def url(self) -> str:
-        """The address of the page, with its token."""
-
-    def close(self) -> None:
-        """Stops serving."""
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(self, *_: object) -> None: ...
 
 
 class Interpreter(

@@ -18,8 +18,9 @@ from ssduck.adapters.display import (
 )
 from ssduck.adapters.formats import FORMATS, print_value, save
 from ssduck.errors import ArgumentError, SelectScriptError, UnknownNameError, check_known, nearest
+from ssduck.interpreter.additions import ServedPage
 from ssduck.interpreter.completion import KEYWORDS, Language, delimited_parts, usage_and_summary
-from ssduck.interpreter.interpreter import Interpreter, ServedPage
+from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.program import value_to_show
 from ssduck.schema import HISTORIES, TABLES
 from ssduck.world.world import World
