@@ -36,9 +36,8 @@ from ssduck.database.referenced_tables import (
     words_of,
 )
 from ssduck.database.schemas import Schemas, TickRanges
+from ssduck.database.select_only import SelectCheck
 from ssduck.database.statement import PreparedPlans, Statement
-from ssduck.database.strict.bounded_texts import bounding_statements, has_expressions
-from ssduck.database.strict.select_check import SelectCheck
 from ssduck.database.values import Converter
 from ssduck.database.worlds import PinnedWorlds, WorldRegistry
 from ssduck.errors import ArgumentError, EvaluationError, LimitError, SqlError
@@ -107,8 +106,7 @@ class Database:
         self.batch_table: BatchTable | None = None
         # The names of the frames that users have registered.
         self._registered: set[str] = set()
-        self._has_bounded_texts = False
-        self._select_check = SelectCheck(self.connection, self._worlds.by_schema)
+        self._select_check = SelectCheck(self.connection)
         offer_geometry_functions(self.connection, self._worlds.by_schema)
         # Those that Python calls itself, where it computes what a statement would.
         self.shape_functions = shape_functions(self._worlds.by_schema)
@@ -199,10 +197,6 @@ class Database:
             self._is_sealed = True
         if limits.select_only:
             self._select_check.check(sql)
-            if not self._has_bounded_texts and has_expressions(sql):
-                for statement in bounding_statements():
-                    self.connection.define(statement)
-                self._has_bounded_texts = True
 
     def confine(self, memory: int) -> None:
         """Switches files and settings off now, and limits DuckDB's memory, bytes."""

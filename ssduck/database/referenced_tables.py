@@ -7,7 +7,6 @@ from collections.abc import Collection, Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
 
 import duckdb
 
@@ -65,13 +64,6 @@ COMMENT = re.compile(r"/\*.*?\*/|--[^\n]*", re.DOTALL)
 MAX_TOKENS = 20_000
 MAX_BRACKETS = 100
 MAX_LETTERS = 2_000_000
-# DuckDB's parser writes all grouping sets out, which are as many as the product of several ROLLUPs.
-_GROUPING = re.compile(rb"rollup|cube|sets", re.IGNORECASE)
-_GROUPING_SETS = frozenset(((b"rollup", b"("), (b"cube", b"("), (b"grouping", b"sets")))
-_TOKEN = re.compile(rb"\w+|.", re.DOTALL)
-MAX_GROUPINGS, MAX_GROUPED_TOKENS = 3, 300
-# The largest length of a number: DuckDB takes minutes for one of a million digits.
-MAX_DIGITS = 1_000
 
 
 def _tables_of(word: str) -> frozenset[str]:
@@ -236,8 +228,6 @@ def check_length(sql: str) -> None:
     words = duckdb.tokenize(sql)
     if len(words) > MAX_TOKENS:
         raise LimitError(f"the SQL has {len(words)} words; under a limit it may have {MAX_TOKENS}")
-    _check_grouping_sets(letters, words)
-    _check_numbers(letters, words)
     depth = 0
     for offset, _ in words:
         depth += _NESTING.get(letters[offset], 0)
@@ -245,24 +235,6 @@ def check_length(sql: str) -> None:
             start = len(letters[:offset].decode())
             message = f"the SQL is nested deeper than {MAX_BRACKETS} brackets"
             raise LimitError(message, text=sql, span=SourceSpan(start, start + 1))
-
-
-def _check_grouping_sets(letters: bytes, words: Sequence[tuple[int, duckdb.token_type]]) -> None:
-    """Checks that a statement has few grouping sets."""
-    if _GROUPING.search(letters) is None:
-        return
-    tokens = [
-        _TOKEN.match(letters, start)
-        for kind, start, _ in token_spans(words, len(letters))
-        if kind is not duckdb.token_type.comment
-    ]
-    texts = [b"" if token is None else token.group().lower() for token in tokens]
-    groupings = sum(pair in _GROUPING_SETS for pair in pairwise(texts))
-    if groupings > MAX_GROUPINGS or (groupings and len(words) > MAX_GROUPED_TOKENS):
-        raise LimitError(
-            f"SQL with ROLLUP, CUBE or GROUPING SETS has at most {MAX_GROUPINGS} of them, and "
-            f"{MAX_GROUPED_TOKENS} words, under a limit; this has {groupings} and {len(words)}"
-        )
 
 
 def token_spans(
@@ -279,15 +251,4 @@ def token_spans(
         yield kind, start, end
 
 
-def _check_numbers(letters: bytes, words: Sequence[tuple[int, duckdb.token_type]]) -> None:
-    """Checks that no number has so many digits that to read it takes long."""
-    for kind, start, end in token_spans(words, len(letters)):
-        if kind == duckdb.token_type.numeric_const and end - start > MAX_DIGITS:
-            number = _NUMBER.match(letters, start, end)
-            if number is not None and len(number.group()) > MAX_DIGITS:
-                message = f"a number in SQL has at most {MAX_DIGITS:,} digits under a limit"
-                raise LimitError(message)
-
-
-_NUMBER = re.compile(rb"[\w.]+")
 _NESTING = {**dict.fromkeys(b"([{", 1), **dict.fromkeys(b")]}", -1)}

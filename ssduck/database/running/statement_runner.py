@@ -21,7 +21,6 @@ from ssduck.database.file_paths import (
 )
 from ssduck.database.running import interrupts as ctrl_c
 from ssduck.database.running.interrupts import DEADLINES
-from ssduck.database.strict.bounded_texts import MARK
 from ssduck.errors import (
     EvaluationError,
     LimitError,
@@ -150,8 +149,7 @@ class StatementRunner(ABC):
             unreadable = self._opened.reading_error(str(error))
             if unreadable is not None:
                 raise unreadable from error
-        if (text := str(error).strip()).endswith(MARK):
-            raise LimitError(text.partition(": ")[2]) from error
+        text = str(error).strip()
         refused = isinstance(error, _REFUSAL_ERRORS)
         raise SqlError(text + hint_of(error), is_refused=refused) from error
 
