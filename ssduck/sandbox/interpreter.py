@@ -209,11 +209,6 @@ class SandboxedInterpreter:
                     told = f"the program took more than {limit:g} s, and its process was ended"
                 raise LimitError(f"{told}; {_GONE}") from None
 
-    def stop(self) -> None:
-        """Ends the program that runs, as Ctrl-C does; any thread may call it."""
-        if self._worker is not None:
-            self._worker.stop()
-
     def _world(self, name: str) -> SandboxedWorld:
         return SandboxedWorld(name, self.ask)
 

@@ -309,11 +309,6 @@ class WorkerProcess:
         except (LimitError, ValueError, TypeError, AttributeError) as error:
             raise InvalidAnswerError(str(error)) from error
 
-    def stop(self) -> None:
-        """Ends the question that it answers now, with an error; any thread may call it."""
-        with suppress(ProcessLookupError, OSError):
-            self._signal(signal.SIGINT)
-
     def _signal(self, number: int) -> None:
         signal.pidfd_send_signal(self._process, number)
 
