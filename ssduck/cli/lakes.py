@@ -130,22 +130,21 @@ def ask(
 ) -> None:
     """Ask all episodes below a path one question, and write their answers."""
     from ssduck.adapters.result import Result
-    from ssduck.lakes.lake import Lake as Episodes
+    from ssduck.lakes.lake import open_lake
     from ssduck.limits import Limits
 
     limits = Limits.strict() if strict else None
     if sql is not None:
         text = program_text(program, file)
-        write_text(Episodes(path).sql(text, where, sql, limits=limits), output)
+        write_text(open_lake(path, limits=limits).sql(text, where, sql), output)
         return
     write = writer_of_result(format, output, rows)
-    text, lake = program_text(program, file), Episodes(path)
+    text, lake = program_text(program, file), open_lake(path, limits=limits)
     with redirect_stdout(sys.stderr):  # the output of a program is not its result
         answers = lake.ask(
             text,
             where,
-            engine,
-            limits=limits,
+            engine=engine,
             strict=strict,
             processes=processes,
             batch=batch,

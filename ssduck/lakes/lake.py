@@ -20,7 +20,14 @@ from sqlglot import exp
 
 from ssduck import validation
 from ssduck.database.database import Database
-from ssduck.errors import ArgumentError, ProgramWarning, RecordError, SqlError, record_errors, warn
+from ssduck.errors import (
+    ArgumentError,
+    ProgramWarning,
+    RecordError,
+    SqlError,
+    record_errors,
+    warn,
+)
 from ssduck.gym.terms import Reward, Terms, WhereNaN
 from ssduck.lakes.answers import AnsweredEpisode, KeptAnswers, answer_table, whole_table
 from ssduck.lakes.engines import Answerer, EngineName, engine_of
@@ -33,6 +40,7 @@ from ssduck.lakes.manifest import (
 )
 from ssduck.lakes.pool import pools
 from ssduck.lakes.questions import ProgramQuestion, Question, ScoreQuestion
+from ssduck.lakes.sandboxed import SandboxedLake, check_in_process
 from ssduck.lakes.scan import DUCKDB_SUFFIX, entries_of_records, missing, records_of
 from ssduck.lakes.statements import SqlDialect, statement
 from ssduck.lakes.where import condition, no_episode
@@ -249,10 +257,12 @@ class Lake:
             ProgramWarning: a probable mistake in the program, once, with the first episode that
                 has it.
         """
-        question = ProgramQuestion(
-            program, limits and limits.in_process, validation.boolean(strict, "ask: strict")
-        )
         engines = {"processes": processes, "options": options, "session": session}
+        if limits is not None and limits.is_sandboxed:
+            given = engines | {"engine": engine, "batch": batch, "resume": resume}
+            with SandboxedLake(self.path, limits) as lake:
+                return lake.ask(program, where, strict=strict, **given)
+        question = ProgramQuestion(program, limits, validation.boolean(strict, "ask: strict"))
         answered = self._answered(question, where, engine, batch, resume, progress, engines)
         return whole_table(answered)
 
@@ -277,9 +287,8 @@ class Lake:
         the first table. Each table has the types of its own
         answers.
         """
-        question = ProgramQuestion(
-            program, limits and limits.in_process, validation.boolean(strict, "ask: strict")
-        )
+        check_in_process(limits, "stream")
+        question = ProgramQuestion(program, limits, validation.boolean(strict, "ask: strict"))
         engines = {"processes": processes, "options": options, "session": session}
         answered = self._answered(question, where, engine, batch, resume, progress, engines)
         return _tables(answered, batch or BATCH)
@@ -314,10 +323,13 @@ class Lake:
             ArgumentError: a term is none, or another argument is wrong.
             UnsupportedError: the engine is not installed.
         """
-        question = ScoreQuestion(
-            Terms.of(success, failure, reward, stop_when, nan=nan), limits and limits.in_process
-        )
         engines = {"processes": processes, "options": options, "session": session}
+        if limits is not None and limits.is_sandboxed:
+            given = engines | {"engine": engine, "batch": batch, "resume": resume}
+            terms = success, failure, reward, stop_when
+            with SandboxedLake(self.path, limits) as lake:
+                return lake.score(*terms, where=where, nan=nan, **given)
+        question = ScoreQuestion(Terms.of(success, failure, reward, stop_when, nan=nan), limits)
         answered = self._answered(question, where, engine, batch, resume, progress, engines)
         return whole_table(answered)
 
@@ -380,7 +392,8 @@ class Lake:
         """
         validation.text(program, "a program for a lake is a text of SelectScript")
         entries = [self._entries[place] for place in self._places(where)]
-        return statement(entries, program, dialect, limits and limits.in_process)
+        check_in_process(limits, "sql")
+        return statement(entries, program, dialect, limits)
 
     # -- tags -------------------------------------------------------------------------------
 
@@ -414,7 +427,8 @@ class Lake:
         validation.text(program, "tag takes a program (set_tags takes tags)")
         strict = validation.boolean(arguments.pop("strict", False), "tag: strict")
         limits = arguments.pop("limits", None)
-        question = ProgramQuestion(program, limits and limits.in_process, strict)
+        check_in_process(limits, "tag")
+        question = ProgramQuestion(program, limits, strict)
         engines = {key: arguments.pop(key, None) for key in ("processes", "options", "session")}
         batch, resume = arguments.pop("batch", None), arguments.pop("resume", None)
         progress = arguments.pop("progress", True)
@@ -464,13 +478,14 @@ class Lake:
         self._replace([_with_tags(entry, tags.get(entry.key)) for entry in before], before)
 
 
-def open_lake(path: str | Path) -> Lake:
+def open_lake(path: str | Path, *, limits: Limits | None = None) -> Lake:
     """Returns the episodes of all records below a path, to ask them one question.
 
     Args:
         path: a folder with records in it, at any depth; a record; a pattern such as
             `runs/*/night`, in which `**` stands for folders at any depth; or an address, `file://…`
             or `s3://bucket/runs`.
+        limits: `Limits.strict()` for records from elsewhere: it is a `SandboxedLake` then.
 
     Raises:
         RecordError: there is no such path.
@@ -483,6 +498,9 @@ def open_lake(path: str | Path) -> Lake:
     ...     ssduck.lake(folder).ask("heldFor(z(kitchen.can) > 0) > 0.15;")["answer"].to_pylist()
     [False, True]
     """
+    if limits is not None and limits.is_sandboxed:
+        sandboxed: Any = SandboxedLake(path, limits)
+        return sandboxed  # type: ignore[no-any-return]
     return Lake(path)
 
 

@@ -33,13 +33,13 @@ class Source:
     """What a worker opens.
 
     Attributes:
-        kind: a scene, a record, or nothing.
+        kind: a scene, a record, a lake, or nothing.
         location: the name of a shipped scene, or an absolute path.
         options: arguments of `load`, `open` or `Interpreter`.
         readable: the files and folders that this takes.
     """
 
-    kind: Literal["scene", "record", "nothing"] = "nothing"
+    kind: Literal["scene", "record", "lake", "nothing"] = "nothing"
     location: str = ""
     options: Mapping[str, Any] = field(default_factory=dict)
     readable: tuple[str, ...] = ()

@@ -77,6 +77,7 @@ class Worker:
         self._log = Log()
         self._ss: Interpreter | None = None
         self._answers: Any = None
+        self._lake: Any = None
         self._compiled = lru_cache(256)(self._parsed)
 
     def _parsed(self, text: str) -> CompiledProgram:
@@ -145,6 +146,9 @@ class Worker:
         if isinstance(recording, dict):
             options["recording"] = Recording(**recording)
         with ExitStack() as stack:
+            if kind == "lake":
+                self._lake, self._limits = service("lake")(location), allowed
+                return
             if kind == "scene":
                 ss = load(location, limits=allowed, **options)
             elif kind == "record":
@@ -230,6 +234,13 @@ class Worker:
         """Takes a tick of a world."""
         self._world(name).tick()
 
+    def of_lake(self, method: str, arguments: list[Any], options: dict[str, Any]) -> Any:
+        """Returns what a lake answers."""
+        value = getattr(self._lake, method)
+        if method in ("ask", "score"):
+            options |= {"limits": self._limits, "processes": 1, "progress": False}
+        return value(*arguments, **options) if callable(value) else value
+
     def told(self, method: str, arguments: list[Any]) -> Any:
         """Returns an answer to an agent."""
         if self._answers is None:
@@ -253,6 +264,7 @@ _REQUESTS: dict[str, Callable[..., Any]] = {
     "sql": lambda worker, text, parameters: worker.ss.sql(text, parameters),
     "explain": lambda worker, text: worker.ss.explain(text),
     "answer": Worker.told,
+    "of_lake": Worker.of_lake,
     "help": lambda worker, name: worker.ss.help(name),
     "history": lambda worker, name: worker.ss.history(name),
     "variable": lambda worker, name: worker.ss[name],
