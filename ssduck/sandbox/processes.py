@@ -133,7 +133,7 @@ class Zygote:
             raise SandboxError(f"the sandbox cannot start a process: {error}") from error
         if answer != FORKED or not descriptors:
             here.close()
-            raise SandboxError("the sandbox cannot start a process: its zygote has ended")
+            raise SandboxError("the sandbox cannot start a process: it has no process left")
         return WorkerProcess(here, descriptors[0], folder, order["answer_bytes"])
 
     def _await_ready(self) -> None:

@@ -48,12 +48,22 @@ def main() -> None:
 
 
 def run(serve: Serve) -> NoReturn:
-    """Is the process's whole work."""
+    """Is the process's whole work; at its end, the folders of all workers are gone."""
     descriptor, host, folder = json.loads(sys.argv[1])
-    orders = socket.socket(fileno=descriptor)
-    watched = os.pidfd_open(host)
-    if os.getppid() != host:  # it ended before it could be watched
+    workers: list[int] = []
+    try:
+        orders, watched = socket.socket(fileno=descriptor), os.pidfd_open(host)
+        if os.getppid() == host and _prepare(orders):  # else it ended before it could be watched
+            _serve_host(orders, watched, workers, serve)
+    except OSError:
+        pass  # the host has ended
+    finally:
+        _end_all(workers, Path(folder))
         os._exit(0)
+
+
+def _prepare(orders: socket.socket) -> bool:
+    """Imports what workers need, and tells the host whether that could be done."""
     try:
         for name in _IMPORTED:
             with suppress(ImportError):  # one of the simulators
@@ -65,18 +75,16 @@ def run(serve: Serve) -> NoReturn:
         check_one_thread()
     except Exception as error:  # noqa: BLE001  # the host tells of it
         orders.send(FAILED + f"{type(error).__name__}: {error}".encode()[:1000])
-        os._exit(1)
+        return False
     gc.collect()
     gc.freeze()
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     orders.send(READY)
-    _serve_host(orders, watched, folder, serve)
-    os._exit(0)
+    return True
 
 
-def _serve_host(orders: socket.socket, host: int, folder: str, serve: Serve) -> None:
-    """Forks workers until the host ends; then ends them, and removes their folders."""
-    workers: list[int] = []
+def _serve_host(orders: socket.socket, host: int, workers: list[int], serve: Serve) -> None:
+    """Forks workers until the host ends."""
     poll = select.poll()
     for waiting in (orders.fileno(), host):
         poll.register(waiting, select.POLLIN)
@@ -84,15 +92,20 @@ def _serve_host(orders: socket.socket, host: int, folder: str, serve: Serve) -> 
         if orders.fileno() in ready:
             order, descriptors, _, _ = socket.recv_fds(orders, MAX_ORDER, 1)
             if not order:
-                break
-            workers = [worker for worker in workers if _lives(worker)]
-            workers.append(_fork(json.loads(order), descriptors[0], serve))
+                return
+            workers[:] = [worker for worker in workers if _lives(worker)]
+            with suppress(OSError):  # the system has no process left; the host sees the end
+                workers.append(_fork(json.loads(order), descriptors[0], serve))
             os.close(descriptors[0])
+
+
+def _end_all(workers: list[int], folder: Path) -> None:
+    """Ends all workers, and removes their folders."""
     for worker in workers:
         with suppress(ProcessLookupError):
             signal.pidfd_send_signal(worker, signal.SIGKILL)
             has_ended(worker, _ENDING)
-    for of_worker in Path(folder).iterdir():
+    for of_worker in folder.glob("worker*"):
         remove(of_worker / SCRATCH)
     shutil.rmtree(folder, ignore_errors=True)
 

@@ -116,6 +116,20 @@ def test_all_processes_end_with_their_host(number, work):
 
 
 @pytest.mark.slow
+def test_a_host_that_ends_before_its_zygote_is_ready_leaves_nothing():
+    code = """
+from ssduck.sandbox.processes import shared_zygote
+print(shared_zygote()._process.pid, shared_zygote()._folder, flush=True)
+import time; time.sleep(100)
+"""
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as host:
+        zygote, folder = host.stdout.readline().split()
+        host.kill()
+    wait_for_end([zygote])
+    assert not Path(folder).exists()
+
+
+@pytest.mark.slow
 def test_a_host_that_ends_normally_leaves_nothing():
     told = subprocess.run(
         [sys.executable, "-c", HOST.format("")], capture_output=True, text=True, check=True
