@@ -1,51 +1,41 @@
-"""Measures what the check of a foreign record's rows costs the first question of SQL, and a second.
+"""Measures what checksums cost the first question of SQL about a record, and a second.
 
-`python -m benchmarks first` asks a record anew, with the check and without it, in turns; the
-checksums of the data belong to the check. The floor is what no check can do without: to read the
-bytes once, for their checksum, and to decode the columns that tell which rows there are. The times
-are processor times of all threads.
+`python -m benchmarks first` asks a record anew, with the checksums of the data that it reads and
+without them, in turns. The times are processor times of all threads.
 """
 
 from __future__ import annotations
 
 import tempfile
 import time
-import zlib
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from pathlib import Path
 from statistics import median
 from unittest.mock import patch
 
-import pyarrow.parquet as pq
-
 import ssduck
 from benchmarks.timing import text_of, uncollected
 from ssduck import Recording
-from ssduck.recording.replay.checked_rows import CheckedRows
-from ssduck.recording.stores.row_checks import key_types
+from ssduck.recording.stores.parquet_layout import FolderRun
 
 ROUNDS = 12
 TICKS = 4_000
-# The tables that are checked for a question, by its text.
-QUESTIONS = {
-    "SELECT count(*) FROM contacts_history": ("contacts",),
-    "SELECT max(force) FROM contacts_history": ("contacts",),
-    "SELECT count(*) FROM links_history": ("links", "entities"),
-    "SELECT max(position) FROM joints_history": ("joints", "entities"),
-    "SELECT max(z) FROM entities_history": ("entities",),
-}
+QUESTIONS = (
+    "SELECT count(*) FROM contacts_history",
+    "SELECT max(force) FROM contacts_history",
+    "SELECT count(*) FROM links_history",
+    "SELECT max(position) FROM joints_history",
+    "SELECT max(z) FROM entities_history",
+)
 HEADER = (
     "a question of SQL",
     "unchecked",
     "checked",
     "ratio",
-    "floor of the check",
-    "ratio with it",
     "the question again, ratio",
 )
-_PIECE = 1 << 18
 
 
 def rows() -> Iterator[tuple[str, ...]]:
@@ -55,23 +45,21 @@ def rows() -> Iterator[tuple[str, ...]]:
         tables = ("entities", "links", "joints", "contacts")
         with ss.record_to(run, recording=Recording(tables=tables)):
             ss.call_variable("kitchen").step(TICKS, every=1)
-        for question, checked in QUESTIONS.items():
-            yield _row(run, question, checked)
+        for question in QUESTIONS:
+            yield _row(run, question)
 
 
-def _row(run: Path, question: str, tables: tuple[str, ...]) -> tuple[str, ...]:
+def _row(run: Path, question: str) -> tuple[str, ...]:
     ask = partial(_ask, run, question)
     unchecked, checked = _in_turns(
-        lambda: _times(ask, _unchecked()), lambda: _times(ask, nullcontext())
+        lambda: _times(ask, patch.object(FolderRun, "check_data")),
+        lambda: _times(ask, nullcontext()),
     )
-    floor = median(_time(partial(_read_keys, run, tables)) for _ in range(ROUNDS))
     return (
         question,
         text_of(unchecked[0]),
         text_of(checked[0]),
         f"{checked[0] / unchecked[0]:.2f}",
-        text_of(floor),
-        f"{1 + floor / unchecked[0]:.2f}",
         f"{checked[1] / unchecked[1]:.2f}",
     )
 
@@ -89,7 +77,7 @@ def _in_turns(*ways: Callable[[], tuple[float, float]]) -> list[tuple[float, flo
 
 
 def _times(
-    ask: Callable[[], tuple[float, float]], context: AbstractContextManager[None]
+    ask: Callable[[], tuple[float, float]], context: AbstractContextManager[object]
 ) -> tuple[float, float]:
     with context, uncollected():
         return ask()
@@ -103,36 +91,3 @@ def _ask(run: Path, question: str) -> tuple[float, float]:
         first = time.process_time()
         ss.sql(question).fetchall()
         return first - start, time.process_time() - first
-
-
-@contextmanager
-def _unchecked() -> Iterator[None]:
-    """Leaves out the check of rows, and the checksums of the data that it reads."""
-    with (
-        patch.object(CheckedRows, "check_rows", _do_nothing),
-        patch.object(CheckedRows, "check_groups", _do_nothing),
-    ):
-        yield
-
-
-def _do_nothing(*_: object, **__: object) -> None:
-    return None
-
-
-def _time(call: Callable[[], None]) -> float:
-    with uncollected():
-        start = time.process_time()
-        call()
-        return time.process_time() - start
-
-
-def _read_keys(run: Path, tables: tuple[str, ...]) -> None:
-    """Reads the bytes of tables, and decodes the columns that tell which rows there are."""
-    piece = bytearray(_PIECE)
-    for table in tables:
-        for file in sorted(run.glob(f"{table}/**/*.parquet")):
-            checksum = 0
-            with file.open("rb", buffering=0) as content:
-                while count := content.readinto(piece):
-                    checksum = zlib.crc32(memoryview(piece)[:count], checksum)
-            pq.ParquetFile(file).read(columns=key_types(table).names, use_threads=False)

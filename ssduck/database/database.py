@@ -10,7 +10,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Collection, Sequence
 from collections.abc import Set as AbstractSet
-from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pyarrow as pa
@@ -35,7 +34,7 @@ from ssduck.database.referenced_tables import (
     check_length,
     words_of,
 )
-from ssduck.database.schemas import Schemas, TickRanges
+from ssduck.database.schemas import Schemas
 from ssduck.database.select_only import SelectCheck
 from ssduck.database.statement import PreparedPlans, Statement
 from ssduck.database.values import Converter
@@ -328,14 +327,6 @@ class Database:
         with self._lock:
             return self._worlds.schema_of(world)
 
-    def reading_ticks(self, ticks: TickRanges) -> AbstractContextManager[None]:
-        """Has only some ticks of histories checked in a context, in which a statement reads these.
-
-        Args:
-            ticks: the first and the last tick that it reads, by schema and view.
-        """
-        return self._schemas.reading(self._worlds.by_schema, ticks)
-
     def bound_world(self, schema: str) -> BoundWorld:
         """Returns the world of a schema."""
         return self._worlds.by_schema[schema]
@@ -436,9 +427,6 @@ class Database:
         """
         record = self.record_of(world)
         with self._lock, world.pinned():
-            if record.stored is not None:
-                for table in sorted(record.tables):
-                    record.stored.check_rows(table)
             bound = self._worlds.entry(world)
             assert bound.history is not None
             recording = bound.history.store.recording

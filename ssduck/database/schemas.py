@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from contextlib import contextmanager
 from functools import cache, partial
-from typing import TypeAlias
 
 from sqlglot import exp
 
@@ -21,9 +19,8 @@ from ssduck.database.macros import (
     macros_among,
 )
 from ssduck.database.referenced_tables import qualified_formulas
-from ssduck.errors import SqlError
 from ssduck.recording.spec import not_recorded_message
-from ssduck.recording.stores.base import BufferViews, VisibleRows
+from ssduck.recording.stores.base import VisibleRows
 from ssduck.recording.stores.duckdb import DuckDBStore
 from ssduck.recording.stores.history_sql import quoted
 from ssduck.schema import HISTORIES, LINK_FACTOR, MAX_LINKS, MODELS, TABLES, Table
@@ -37,9 +34,6 @@ _HAS_LIVE_VIEWS = (
     "SELECT view_name FROM duckdb_views() "
     "WHERE NOT internal AND list_contains($1, view_name) LIMIT 1"
 )
-
-# The first and the last tick that a statement reads, by schema and view.
-TickRanges: TypeAlias = Mapping[tuple[str, str], tuple[int, int]]
 
 
 class Schemas:
@@ -60,8 +54,6 @@ class Schemas:
         self._formulas: dict[str, set[str]] = {}
         # Those that views and macros in a file call.
         self._stored_formulas: set[str] = set()
-        # The views of histories, by schema and name, of which not all rows were checked.
-        self._partly_made: set[tuple[str, str]] = set()
 
     def make(self, name: str, bound: BoundWorld) -> None:
         """Creates the schema of a world, or recreates its views."""
@@ -78,7 +70,6 @@ class Schemas:
         read the views, too.
         """
         self._forget(name)
-        self._partly_made = {made for made in self._partly_made if made[0] != name}
         on_demand = self._connection.on_demand
         for table in HISTORIES.values():
             maker = partial(_make_history_view, name, bound, table)
@@ -89,49 +80,6 @@ class Schemas:
                 on_demand.offer((name, view), partial(_make_model_view, name, view, models))
         if self._connection.is_file:
             on_demand.make_schema(name, self._connection)
-
-    @contextmanager
-    def reading(self, worlds: Mapping[str, BoundWorld], ticks: TickRanges) -> Iterator[None]:
-        """Has some views of histories checked at the ticks only that a statement reads of them.
-
-        Any other statement that names them has all of their rows checked first.
-
-        Args:
-            worlds: the worlds, by schema.
-            ticks: the first and the last tick that the statement reads, by schema and view.
-        """
-        on_demand = self._connection.on_demand
-        partly = [
-            (schema, view)
-            for (schema, view), (first, last) in ticks.items()
-            if on_demand.is_offered((schema, view))
-            and self._make_partly(schema, view, worlds[schema], first, last)
-        ]
-        with on_demand.without(partly):
-            yield
-
-    def _make_partly(
-        self, schema: str, view: str, bound: BoundWorld, first: int, last: int
-    ) -> bool:
-        """Creates the view of a history of which some ticks are checked, if it has many parts."""
-        table, history = _HISTORY_VIEWS[view], bound.history
-        stored = None if history is None else history.record.stored
-        if history is None or stored is None or table.view_columns:
-            return False
-        if table.source in history.store.tables:
-            if not stored.archive.part_groups(table.source, first, last):
-                return False
-            stored.check_groups(table.source, first, last)
-        if (schema, view) not in self._partly_made:
-            try:
-                select = stored.archive.select_by_groups
-                _define_history_view(schema, bound, table, self._connection, select)
-            except SqlError:  # DuckDB cannot read a part, of whatever ticks
-                return False
-            maker = partial(_make_history_view, schema, bound, table)
-            self._connection.on_demand.offer((schema, view), maker)
-            self._partly_made.add((schema, view))
-        return True
 
     @property
     def has_comments(self) -> bool:
@@ -288,29 +236,9 @@ def _make_live_view(schema: str, bound: BoundWorld, table: Table, connection: Co
 def _make_history_view(
     schema: str, bound: BoundWorld, table: Table, connection: Connection
 ) -> None:
-    """Creates the view of a table at all recorded ticks, whose rows it checks."""
-    _check_history(bound, table)  # the rows of entities that it compares, too
+    """Creates the view of a table at all recorded ticks."""
     if table.view_columns:
         connection.on_demand.make((schema, TABLES["entities"].history_view), connection)
-    _define_history_view(schema, bound, table, connection)
-
-
-def _check_history(bound: BoundWorld, table: Table) -> None:
-    """Checks all rows of a view of a history."""
-    history = bound.history
-    stored = None if history is None else history.record.stored
-    if history is not None and stored is not None and table.source in history.store.tables:
-        stored.check_rows(table.source)
-
-
-def _define_history_view(
-    schema: str,
-    bound: BoundWorld,
-    table: Table,
-    connection: Connection,
-    select: Callable[[str, BufferViews | None], str | None] | None = None,
-) -> None:
-    """Creates the view of a table at all recorded ticks, by the store's `select` or another one."""
     history, rows = bound.history, None
     if history is not None:
         waiting = bound.buffer_views if history.visible_rows else None
@@ -319,7 +247,7 @@ def _define_history_view(
         tables = {table.source, "entities"} & set(history.store.tables)
         names = [name for table_name in tables for name in bound.buffer_views(table_name)]
         _register(connection, bound, bound.history_buffers(), names)
-        rows = (select or history.store.select)(table.source, waiting)
+        rows = history.store.select(table.source, waiting)
     if rows is None:
         _register(connection, bound, bound.live_buffers(), [bound.live_view(table.source)])
         rows = _live_rows(bound, table, _not_recorded(table, schema, history))

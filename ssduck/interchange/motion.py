@@ -14,7 +14,6 @@ from ssduck.geometry.arrays import Array, Flags, Indices, Triangles
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.geometry.solids import solid_of
 from ssduck.recording.episode_steps import EpisodeSteps, recorded_steps
-from ssduck.recording.model_checks import check_models
 from ssduck.recording.static_tables import members_of
 from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.schema import FRAMES, MODELS, POSE
@@ -80,7 +79,6 @@ class Motion:
 def motion_of(run: FolderRun) -> Motion:
     """Returns what moves in an episode."""
     models = {table: run.read(f"models/{table}") for table in MODELS}
-    check_models(models, lambda table: str(run.place(f"models/{table}")))
     members = sorted(members_of(models).values(), key=lambda member: member.id)
     buffer = run.ticks()[1]
     ticks = buffer.numbers

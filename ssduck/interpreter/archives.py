@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -17,7 +17,6 @@ from ssduck.recording.folder_episodes import runs_in
 from ssduck.recording.opened_record import OpenedRecord
 from ssduck.recording.paths import expand_path
 from ssduck.recording.recorded_visuals import camera_of
-from ssduck.recording.replay.checked_rows import CheckedRows
 from ssduck.recording.replay.record import Record
 from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.recording.spec import Recording
@@ -155,25 +154,22 @@ def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
         archive = run.history(database.connection.reader(OpenedRecord(run.path)))
         ticks, models = archive.ticks(), archive.model_rows()
     try:
-        run_number = run_of(models)
+        run_number, members = run_of(models), members_of(models)
     except RecordError as error:
         raise RecordError(
             f"{run.path}: episode {run.number} of {run.world!r}: {error.message}"
         ) from error
-    members = members_of(models)
-    rows = CheckedRows(archive, members, ticks, str(run.path))
     record = Record(
         None,
         ticks,
         members,
         archive.tables,
-        rows.fetch,
-        rows.near_pairs,
+        archive.fetch,
+        partial(archive.near_pairs, buffered=None),
         geometries_of(models),
         run_number or new_run(),
-        source=rows.source,
+        source=str(run.path),
         tags=run.tags,
-        stored=rows,
         order=run.description.get("order"),
         entities=archive.recording.entities,
     )

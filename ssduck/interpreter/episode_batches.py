@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 
 import numpy as np
 import pyarrow as pa
@@ -36,7 +37,6 @@ from ssduck.limits import Limits
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.opened_record import OpenedRecord
 from ssduck.recording.paths import expand_path
-from ssduck.recording.replay.checked_rows import CheckedRows
 from ssduck.recording.replay.pair_answers import PairQueries
 from ssduck.recording.replay.past import Past
 from ssduck.recording.replay.record import Record
@@ -141,17 +141,13 @@ class BatchInterpreter:
             connection.register,
         )
         self.parts = self._archive.parts
-        members = members_of(models)
-        # Blocks of rows may reach into other episodes than the present one.
-        self._ticks = TickBuffer()
-        rows = CheckedRows(self._archive, members, self._ticks, source)
         self._record = Record(
             None,
             TickBuffer(),
-            members,
+            members_of(models),
             self._archive.tables,
-            rows.fetch,
-            rows.near_pairs,
+            self._archive.fetch,
+            partial(self._archive.near_pairs, buffered=None),
             geometries_of(models),
             run,
             source=source,
@@ -179,7 +175,6 @@ class BatchInterpreter:
         self._episodes = episodes
         self._numbers = np.concatenate([episode.numbers for episode in episodes])
         self._times = np.concatenate([episode.times for episode in episodes])
-        self._ticks.replace(self._numbers, self._times)
         if not hasattr(self, "world"):
             self._record.ticks.replace(episodes[0].numbers, episodes[0].times)
             self.world = ReplayedWorld(self._name, self._record, self._archive, self._camera)

@@ -12,7 +12,7 @@ from ssduck.errors import RecordError, SqlError, record_errors
 from ssduck.interpreter.archives import StoredRun, recorded_runs, replayed_world
 from ssduck.recording.folder_check import DAMAGED, Damage, check_folder, set_aside
 from ssduck.recording.paths import expand_path
-from ssduck.schema import MODELS, TABLES
+from ssduck.schema import MODELS
 
 
 @record_errors()
@@ -44,9 +44,9 @@ def check(path: str | Path, *, repair: bool = False) -> list[Damage]:
     validation.boolean(repair, "check: repair")
     place = expand_path(path).absolute()
     if place.is_dir():
-        return check_folder(place, repair=repair) or list(_wrong_rows(place))
+        return check_folder(place, repair=repair) or list(_unreadable(place))
     try:
-        return list(_damages_of_file(place)) or list(_wrong_rows(place))
+        return list(_damages_of_file(place)) or list(_unreadable(place))
     except RecordError as error:
         log = log_of(place)
         if CHECK_HINT in error.message:  # which is this check
@@ -60,32 +60,17 @@ def check(path: str | Path, *, repair: bool = False) -> list[Damage]:
     return _without_log(place, damage) if repair else [damage]
 
 
-def _wrong_rows(place: Path) -> Iterator[Damage]:
-    """Yields the tables that have rows of unknown ticks or entities, twice, or not all of them.
-
-    Of an episode whose ticks or models are wrong, only that is said.
-    """
+def _unreadable(place: Path) -> Iterator[Damage]:
+    """Yields the episodes that cannot be opened although their files are whole."""
     database = Database(":memory:", None)
     try:
         for run in recorded_runs(place, database):
-            if not (run.has_begun and run.has_ticks):
-                continue
-            name = f"episode {run.number} of {run.world!r}"
             try:
-                record = replayed_world(run, database).source_record
-            except RecordError as error:  # its ticks or models, whose files are whole
-                yield Damage(run.path, error.message.removeprefix(f"{run.path} "), f"all of {name}")
-                continue
-            assert record.stored is not None
-            tables = sorted(record.tables & TABLES.keys() - {"entities"})
-            has_right_entities = True
-            for table in ("entities", *tables):
-                try:
-                    record.stored.check_rows(table, bodies=has_right_entities)
-                except RecordError as error:
-                    has_right_entities &= table != "entities"
-                    problem = error.message.removeprefix(f"{run.path} ")
-                    yield Damage(run.path, problem, f"{table} of {name}")
+                if run.has_begun and run.has_ticks:
+                    replayed_world(run, database)
+            except RecordError as error:
+                loss = f"all of episode {run.number} of {run.world!r}"
+                yield Damage(run.path, error.message.removeprefix(f"{run.path} "), loss)
     finally:
         database.close()
 

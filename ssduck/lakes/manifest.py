@@ -11,22 +11,18 @@ import json
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields, replace
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from ssduck.recording.paths import expand_path
 from ssduck.recording.stores.checksums import verified_parquet, write_parquet
 from ssduck.recording.stores.object_store import ObjectPath
-from ssduck.recording.stores.stored_columns import MAX_VALUES
 from ssduck.recording.stores.summaries import StoredFile
-from ssduck.recording.tags import Tag, are_tags
+from ssduck.recording.tags import Tag
 
 VERSION = 1
-# The sizes of the files of an episode sum up to less: integers of 64 bits hold them.
-_MAX_SIZE = 1 << 63
 _LABEL = b"ssduck manifest"
 _FILES = pa.list_(
     pa.struct(
@@ -193,9 +189,7 @@ def _below(path: str, base: Path) -> str:
 def read_manifest(file: Path) -> list[EpisodeEntry]:
     """Returns the entries of a manifest; none if it is missing, damaged or of another version.
 
-    One of more than `MAX_VALUES` values is taken for damaged. It may come from a stranger, with
-    the records: it is not read through a link or from a pipe, and rows of no such records are left
-    out.
+    It is not read through a link or from a pipe.
     """
     try:
         if not isinstance(file, ObjectPath) and (file.is_symlink() or not file.is_file()):
@@ -206,41 +200,10 @@ def read_manifest(file: Path) -> list[EpisodeEntry]:
             return []
         if content.schema_arrow.remove_metadata() != SCHEMA.remove_metadata():
             return []
-        if _value_count(content.metadata) > MAX_VALUES:
-            return []
-        entries = filter(_is_possible, entries_of(content.read()))
-        return [replace(e, path=str(file.parent / e.path)) for e in entries]
+        return [
+            replace(entry, path=str(file.parent / entry.path))
+            for entry in entries_of(content.read())
+        ]
     # A RecordError is an OSError.
     except (OSError, pa.ArrowException, ValueError, TypeError, RecursionError):
         return []
-
-
-def _value_count(metadata: pq.FileMetaData) -> int:
-    """Returns the number of values of the rows and their files, as a manifest claims."""
-    groups = map(metadata.row_group, range(metadata.num_row_groups))
-    nested: int = sum(g.column(n).num_values for g in groups for n in range(g.num_columns))
-    return max(nested, int(metadata.num_rows))
-
-
-def _is_possible(entry: EpisodeEntry) -> bool:
-    """Checks whether an entry may be of a record below the manifest's folder."""
-    place = PurePosixPath(entry.path)
-    return (
-        not place.is_absolute()
-        and ".." not in place.parts
-        and isinstance(entry.world, str)
-        and isinstance(entry.episode, int)
-        and are_tags(entry.tags)
-        and (entry.group is None or entry.tables is not None)
-        and are_sizes(file.size for file in entry.files)
-    )
-
-
-def are_sizes(sizes: Iterable[int | None]) -> bool:
-    """Checks whether numbers, of which a stranger says that, may be the sizes of files, bytes."""
-    total = 0
-    for size in sizes:
-        if size is None or size < 0:
-            return False
-        total += size
-    return total < _MAX_SIZE

@@ -15,7 +15,7 @@ import pyarrow as pa
 
 from ssduck.errors import RecordError, SelectScriptError, warn
 from ssduck.interpreter.archives import episodes
-from ssduck.lakes.manifest import EpisodeEntry, are_sizes
+from ssduck.lakes.manifest import EpisodeEntry
 from ssduck.recording.episode_steps import FOLDER as STEPS
 from ssduck.recording.folder_episodes import ABOUT, VERSION, check_about, lost_runs, runs_named
 from ssduck.recording.paths import check_inside, expand_path
@@ -48,6 +48,8 @@ _NO_PATH = re.compile(r"(?:^|/)\.{0,2}(?:/|$)")
 # What an entry says as an episode does, and as a summary does, of its ticks.
 _EXTENT = ("ticks", "first_tick", "last_tick", "start", "end")
 _OF_RUN = ("id", "started", "complete", *_EXTENT, "every", "tables", "entities")
+# The sizes of the files of an episode sum up to less: integers of 64 bits hold them.
+_MAX_SIZE = 1 << 63
 MISSING = "is missing: its files were there when the manifest was made"
 
 
@@ -188,7 +190,8 @@ def _found_in_store(record: ObjectPath) -> list[FoundEpisode]:
 
 def _found_listed(record: ObjectPath, world: str, number: int, listing: Listing) -> FoundEpisode:
     """Returns an episode that a store lists."""
-    if not are_sizes(size for size, _ in listing.values()):
+    sizes = [size for size, _ in listing.values()]
+    if min(sizes) < 0 or sum(sizes) >= _MAX_SIZE:
         error = RecordError(
             f"{record}: the store lists impossible sizes of the files of episode {number} of "
             f"{world!r}; try again"

@@ -13,36 +13,27 @@ answer it without ssduck. Its parts, from the inside out:
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias, TypeVar, get_args
 
 import sqlglot
 from sqlglot import exp
 
-from ssduck.database.database import Database
-from ssduck.errors import ArgumentError, UnknownNameError, UnsupportedError, nearest
+from ssduck.errors import ArgumentError, RecordError, UnknownNameError, UnsupportedError, nearest
 from ssduck.formatting import short_repr
 from ssduck.interpreter.opening import open_record
 from ssduck.interpreter.plans_over_ticks import SelectedSql, TickPlan, plan_over_ticks
 from ssduck.lakes.answers import ERROR, KEYS
-from ssduck.lakes.groups import EntryFiles, EpisodeGroup
 from ssduck.lakes.manifest import EpisodeEntry, named_errors
 from ssduck.lakes.questions import add_hint_of_episode
-from ssduck.lakes.workers import UNREADABLE
 from ssduck.language.parser import parse
 from ssduck.limits import Limits
-from ssduck.recording.buffers import TickBuffer
-from ssduck.recording.opened_record import OpenedRecord
-from ssduck.recording.paths import expand_path
+from ssduck.recording.paths import expand_path, part_number
 from ssduck.recording.replay.record import TIME_TOLERANCE
-from ssduck.recording.stores.base import StoreConnection
-from ssduck.recording.stores.batched_parts import ReadParts
 from ssduck.recording.stores.parquet_layout import FolderRun
-from ssduck.recording.stores.part_statistics import check_statistics
 from ssduck.recording.stores.stored_columns import part_columns
-from ssduck.schema import RECORDED
+from ssduck.schema import MODELS, RECORDED
 from ssduck.sql.sql_values import literal
 
 _Part = TypeVar("_Part", bound=exp.Expr)
@@ -101,55 +92,31 @@ _Entries: TypeAlias = dict[int, EpisodeEntry]
 
 def _read_episodes(entries: Sequence[EpisodeEntry]) -> tuple[list[_Entries], _Entries]:
     """Returns the episodes by number, in groups with the same entities, and those with errors."""
-    groups: dict[str, tuple[EpisodeGroup, _Entries]] = {}
+    groups: dict[str, _Entries] = {}
     failed: _Entries = {}
-    runs = {
-        number: FolderRun(expand_path(entry.path), entry.world, entry.episode)
-        for number, entry in enumerate(entries)
-        if entry.error is None and entry.group is not None
-    }
-    errors = footer_errors(runs)
     for number, entry in enumerate(entries):
         if entry.error is not None:
             failed[number] = entry
             continue
-        if entry.group is None or not any(file.name.startswith("ticks/") for file in entry.files):
+        if entry.group is None:
             raise UnsupportedError(
                 f"{entry.path}, episode {entry.episode} of {entry.world!r}, is no complete episode "
                 "in Parquet files: leave it out (where), or ask the episodes (Lake.ask)"
             )
         try:
-            run, parts = runs[number], ReadParts()
-            starts, ticks = run.ticks()
-            own = _with_ticks(entry, ticks)
-            name = entry.group
-            if name in groups and not _is_of(groups[name][0], own, parts):
-                name = f"{number}"
-            group, members = groups.get(name) or (EpisodeGroup(own), {})
-            group.check_rows(EntryFiles(own, run.key), starts, ticks, parts)
-            if number in errors:
-                raise errors[number]
-        except UNREADABLE as error:
+            _check_files(entry)
+        except RecordError as error:
             failed[number] = replace(entry, error=str(error))
         else:
-            members[number] = own
-            groups[name] = group, members
-    return [members for _, members in groups.values()], failed
+            groups.setdefault(entry.group, {})[number] = entry
+    return list(groups.values()), failed
 
 
-def _with_ticks(entry: EpisodeEntry, ticks: TickBuffer) -> EpisodeEntry:
-    """Returns an episode with the ticks of its files, whatever its manifest says."""
-    first, last = int(ticks.numbers[0]), int(ticks.numbers[-1])
-    return replace(entry, first_tick=first, last_tick=last, end=float(ticks.times[-1]))
-
-
-def _is_of(group: EpisodeGroup, entry: EpisodeEntry, parts: ReadParts) -> bool:
-    """Checks whether an episode has the entities of a group."""
-    try:
-        group.check(entry, parts)
-    except UNREADABLE:
-        return False
-    return True
+def _check_files(entry: EpisodeEntry) -> None:
+    """Checks the bytes of the files of an episode that its plan and its statement read."""
+    run = FolderRun(expand_path(entry.path), entry.world, entry.episode)
+    for table in ("ticks", "entities", *(f"models/{model}" for model in MODELS)):
+        run.check_data(table, map(part_number, run.listed_files(table)))
 
 
 def _plans_of(
@@ -247,7 +214,7 @@ class _Files:
         return exp.Table(this=read, alias=alias)
 
     def _stored(self, table: str, name: str) -> exp.Expr:
-        """Returns a column of a file; NULL for NaN, which a stranger may have stored."""
+        """Returns a column of a file; NULL for NaN, which other writers may have stored."""
         column = exp.column(name, table="f", quoted=True)
         types = {one.name: one.type for one in RECORDED[table].columns}
         if types.get(name) != "double" or name == "time":
@@ -506,46 +473,3 @@ def _as_double(part: exp.Expr) -> exp.Expr:
     if is_fraction and "e" not in part.name.lower():
         return exp.Literal.number(f"{part.name}e0")
     return part
-
-
-# -- the footers of the files, by which whoever runs a statement leaves rows out --------------
-
-# The tables that statements read.
-_TABLES = ("ticks", "entities")
-
-
-def footer_errors(runs: Mapping[int, FolderRun]) -> dict[int, Exception]:
-    """Returns why the footers of episodes cannot be relied on, of those whose cannot."""
-    errors: dict[int, Exception] = {}
-    records: dict[tuple[str, str], dict[int, FolderRun]] = {}
-    for number, run in runs.items():
-        records.setdefault((str(run.path), run.world), {})[number] = run
-    with closing(Database(":memory:", None)) as database:
-        for own in records.values():
-            connection = database.connection.reader(OpenedRecord(next(iter(own.values())).path))
-            with closing(connection):
-                errors |= _errors_of_record(connection, own)
-    return errors
-
-
-def _errors_of_record(
-    connection: StoreConnection, runs: Mapping[int, FolderRun]
-) -> dict[int, Exception]:
-    """Returns the errors of episodes of one world in a record."""
-    errors: dict[int, Exception] = {}
-    try:
-        _compare(connection, runs.values())
-    except UNREADABLE:
-        for number, run in runs.items():
-            try:
-                _compare(connection, [run])
-            except UNREADABLE as error:
-                errors[number] = error
-    return errors
-
-
-def _compare(connection: StoreConnection, runs: Iterable[FolderRun]) -> None:
-    for table in _TABLES:
-        files = [file for run in runs for file in run.listed_files(table)]
-        if files:
-            check_statistics(connection, files, table)

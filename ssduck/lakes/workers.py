@@ -1,9 +1,8 @@
 """Answers a question for some episodes: what each process of an engine does.
 
-Episodes of the same group are one record (`ssduck.interpreter.episode_batches`), if their files
-prove that they are of the group (`ssduck.lakes.groups`). Whatever fails there, a changed file as
-well as a program that has no value, is asked again of the episode by itself, as `ssduck.open` does:
-its answer or its error is the result.
+Episodes of the same group are one record (`ssduck.interpreter.episode_batches`). Whatever fails
+there, a changed file as well as a program that has no value, is asked again of the episode by
+itself, as `ssduck.open` does: its answer or its error is the result.
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 import pyarrow as pa
 
 from ssduck.errors import RecordError, SelectScriptError, record_errors
@@ -41,7 +39,7 @@ from ssduck.recording.stores.object_store import ObjectPath, is_address
 from ssduck.recording.stores.summaries import size_and_time
 from ssduck.schema import RECORDABLE
 
-# What reading a forged file may raise: its columns and their types may be any.
+# What reading a damaged file may raise.
 UNREADABLE = (SelectScriptError, OSError, pa.ArrowException, KeyError, TypeError, ValueError)
 # The number of groups whose models and plans a process keeps.
 MAX_READERS = 4
@@ -67,7 +65,6 @@ class _Reader:
     def __init__(self, entry: EpisodeEntry, limits: Limits | None) -> None:
         self._group = EpisodeGroup(entry)
         run = self._group.run
-        # The manifest may come from a stranger; what the record itself says was checked.
         self._tables = tuple(run.tables)
         tables = [table for table in self._tables if table in RECORDABLE]
         self._batch = BatchInterpreter(
@@ -119,28 +116,19 @@ class _Reader:
         return list(episodes)
 
     def _read(self, entry: EpisodeEntry) -> BatchedEpisode:
-        """Checks that an episode is of the group; its ticks come after those of all others."""
-        if entry.tables != self._tables:
-            raise RecordError(f"{entry.path} has other tables than its manifest says")
-        listed = self._group.check(entry, self._batch.parts)
+        """Returns an episode of the group; its ticks come after those of all others."""
+        listed = self._group.files_of(entry)
         files = {table: listed.parts(table) for table in self._tables}
-        if len({len(own) for own in files.values()}) != 1:
-            raise RecordError(f"{entry.path} has other files than complete parts")
         ticks_of_parts = [
             self._batch.parts.read(file).rows(["tick", "time", "wall_time"])
             for file in files["ticks"]
         ]
         rows = pa.concat_tables(ticks_of_parts)
-        ticks, times = rows["tick"].to_numpy(), rows["time"].to_numpy()
-        ascend = (np.diff(ticks) > 0).all() and (np.diff(times) >= 0).all()
-        is_whole = all(part.num_rows for part in ticks_of_parts) and len(ticks) == entry.ticks
-        if not is_whole or not ascend:
-            raise RecordError(f"{entry.path} has other ticks than its manifest says")
-        starts = [int(part["tick"][0].as_py()) for part in ticks_of_parts]
+        ticks = rows["tick"].to_numpy()
         first, last = int(ticks[0]), int(ticks[-1])
         offset = self._next_tick - first
         self._next_tick += last - first + 1
-        return BatchedEpisode(offset, rows, files, starts)
+        return BatchedEpisode(offset, rows, files)
 
     def close(self) -> None:
         """Closes the interpreter."""

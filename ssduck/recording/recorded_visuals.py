@@ -1,27 +1,16 @@
-"""What is drawn of bodies, in the records of their worlds: visual shapes and the camera, as JSON.
-
-A record may come from a stranger: what it says is checked before it is used.
-"""
+"""What is drawn of bodies, in the records of worlds: visual shapes and the camera, as JSON."""
 
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from ssduck.errors import RecordError
 from ssduck.geometry.shapes import Geometry
 from ssduck.simulators.interface import VisualShape
 from ssduck.simulators.scenes import Camera
-
-# More than a scene needs: so many shapes of one entity are drawn.
-MAX_VISUALS = 100_000
-# The numbers of a visual shape: link, geometry, x y z, qw qx qy qz, red green blue alpha.
-_NUMBERS = 13
-_SHORTEST = 1e-6
 
 
 def visuals_text(visuals: Sequence[VisualShape], geometry_id: Callable[[Geometry], int]) -> str:
@@ -52,7 +41,7 @@ def _shares(colour: Sequence[float] | None) -> list[float]:
 def visuals_of(
     text: str | None, geometries: Mapping[int, Geometry]
 ) -> tuple[VisualShape, ...] | None:
-    """Returns the visual shapes of a text that was checked; None if they are unknown."""
+    """Returns the visual shapes of a text of a record; None if they are unknown."""
     if text is None:
         return None
     return tuple(
@@ -64,36 +53,6 @@ def visuals_of(
             tuple(row[9:]) or None,
         )
         for row in json.loads(text)
-    )
-
-
-def check_visuals(text: str, links: int, geometries: Collection[int]) -> None:
-    """Checks visual shapes of a record.
-
-    Raises:
-        RecordError: they are no such list, or a number is out of bounds.
-    """
-    try:
-        rows = json.loads(text)
-    except (ValueError, RecursionError):
-        raise RecordError("what is drawn of an entity is no JSON") from None
-    if not isinstance(rows, list) or len(rows) > MAX_VISUALS or not all(map(_is_visual, rows)):
-        raise RecordError("what is drawn of an entity is no list of shapes")
-    for row in rows:
-        if not 0 <= row[0] < links:
-            raise RecordError("what is drawn of an entity is on an unknown link")
-        if row[1] not in geometries:
-            raise RecordError("what is drawn of an entity has an unknown geometry")
-
-
-def _is_visual(row: Any) -> bool:
-    return (
-        isinstance(row, list)
-        and len(row) in (_NUMBERS - 4, _NUMBERS)
-        and type(row[0]) is type(row[1]) is int
-        and all(map(_is_finite, row[2:]))
-        and all(0.0 <= share <= 1.0 for share in row[9:])
-        and math.hypot(*row[5:9]) > _SHORTEST
     )
 
 

@@ -194,12 +194,12 @@ def _shape(row: Mapping[str, Any], geometries: Mapping[int, Geometry]) -> Placed
 
 
 def _geometry(row: Mapping[str, Any]) -> Geometry:
-    return Geometry(
-        row["type"],
-        (row["size_x"], row["size_y"], row["size_z"]),
-        np.array(row["vertices"], dtype=np.float64).reshape(-1, 3),
-        np.array(row["faces"], dtype=np.int32).reshape(-1, 3),
-    )
+    vertices = np.array(row["vertices"], dtype=np.float64).reshape(-1, 3)
+    faces = np.array(row["faces"], dtype=np.int32).reshape(-1, 3)
+    if len(faces) and not 0 <= faces.min() <= faces.max() < len(vertices):  # FCL would crash
+        raise RecordError(f"the geometry {row['id']} has a face that refers to a missing vertex")
+    size = (row["size_x"], row["size_y"], row["size_z"])
+    return Geometry(row["type"], size, vertices, faces)
 
 
 def join_model(table: str, rows: pa.Table, model: pa.Table, names: Iterable[str]) -> pa.Table:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,6 @@ from ssduck.recording.stores import parquet, parquet_archive, parquet_layout, ti
 from ssduck.recording.stores.checksums import write_json, write_parquet
 from ssduck.recording.stores.descriptions import read_description
 from tests.support.archive import Archive
-from tests.support.forged import rewrite, without_checksums
 
 PARTS = 10
 PLACE = "world=lab/episode={}"
@@ -207,32 +205,6 @@ def test_a_part_is_checked_when_it_is_read(run: Path, checks: list[str]) -> None
         assert sorted(checks) == sorted(f"entities {part}" for part in range(PARTS))
 
 
-@pytest.mark.slow
-def test_a_question_about_ticks_of_one_of_few_parts_checks_it_alone(
-    run: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    checked: list[int] = []
-    check = parquet_layout.FolderRun.check_data
-
-    def counted(self: parquet_layout.FolderRun, table: str, numbers: Iterable[int]) -> None:
-        parts = list(numbers)
-        checked.extend(parts)
-        check(self, table, parts)
-
-    monkeypatch.setattr(parquet_layout.FolderRun, "check_data", counted)
-    with ssduck.open(run) as ss:
-        assert PARTS < parquet_archive.MANY_PARTS
-        times = ss.past("lab").times
-        assert _at(ss, times[6]) == [7]
-        assert checked == [3]
-        assert ss.eval("SELECT tick FROM lab{-0.0042} AS list;") == [19, 20]
-        assert checked == [3, 9]
-        assert ss.eval("SELECT tick FROM lab{-0.0084} AS list;") == [18, 19, 20]  # of two parts
-        assert sorted(checked) == list(range(PARTS))
-        assert ss.eval("SELECT tick FROM lab{} AS list;") == ALL
-        assert sorted(checked) == list(range(PARTS))
-
-
 def _at(ss: ssduck.Interpreter, time: float, selected: str = "tick") -> list[Any]:
     """Returns the rows of a tick, by a program that is the same for all ticks."""
     ss.add_variable("T", time)
@@ -240,23 +212,13 @@ def _at(ss: ssduck.Interpreter, time: float, selected: str = "tick") -> list[Any
 
 
 @pytest.mark.slow
-def test_a_question_about_a_tick_checks_the_group_of_its_part(run: Path, checks: list[str]) -> None:
-    """Ten parts are groups of three; any other statement has all of them checked."""
+def test_all_parts_of_a_table_are_checked_once(run: Path, checks: list[str]) -> None:
     with ssduck.open(run) as ss:
         times = ss.past("lab").times
         assert _at(ss, times[6]) == [7]
-        assert sorted(set(checks)) == [f"entities {part}" for part in (3, 4, 5)]
+        assert sorted(checks) == sorted(f"entities {part}" for part in range(PARTS))
         checks.clear()
-        assert [_at(ss, time)[0] for time in times[6:12]] == list(range(7, 13))  # prepared, too
-        assert checks == []
-        assert _at(ss, times[-1]) == [20]
-        assert set(checks) == {"entities 9"}
-        checks.clear()
-        join = "body = lab.body_0; SELECT tick FROM lab{T} WHERE z(body) <= z(this) AS list;"
-        assert ss.eval(join) == [20]
-        rest = {f"entities {part}" for part in (0, 1, 2, 6, 7, 8)}
-        assert {name for name in checks if name.startswith("entities")} == rest
-        checks.clear()
+        assert [_at(ss, time)[0] for time in times] == ALL
         assert ss.sql("SELECT count(*) FROM entities_history").fetchone() == (20,)
         assert checks == []
 
@@ -288,42 +250,6 @@ def test_the_log_of_a_record_of_many_parts_is_read(
     with ssduck.open(copy) as ss:
         times = ss.past("lab").times
         assert [_at(ss, times[n]) for n in (4, 20, 5)] == [[5], [21], [6]]
-        assert {name for name in checks if name.startswith("entities")} == {
-            f"entities {part}" for part in (0, 1, 2)
-        }
-
-
-def _forge(run: Path, part: int, tick: int) -> None:
-    """Has all rows of a part claim a tick."""
-    file = run / "entities" / PLACE.format(1) / f"part-{part:06d}.parquet"
-
-    def forged(rows: pa.Table) -> pa.Table:
-        ticks = pa.array([tick] * rows.num_rows, rows["tick"].type)
-        return rows.set_column(rows.column_names.index("tick"), rows.schema.field("tick"), ticks)
-
-    rewrite(file, forged)
-    without_checksums(run)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("claimed", "stray"), [(1, 1), (15, 15), (1000, 1000)])
-def test_rows_of_other_ticks_are_in_no_answer(
-    run: Path, checks: list[str], claimed: int, stray: int
-) -> None:
-    """Rows of part 7 that claim a tick of another group, of another part of theirs, or none."""
-    _forge(run, 7, claimed)
-    message = rf"of the rows of entities, one is at the tick {stray} "
-    with ssduck.open(run) as ss:
-        times = ss.past("lab").times
-        assert [_at(ss, times[n]) for n in (0, 1, 8, 19)] == [[1], [2], [9], [20]]
-        for n in (13, 14, 15):
-            with pytest.raises(RecordError, match=message):
-                _at(ss, times[n])
-        with pytest.raises(RecordError, match=message):
-            ss.sql("SELECT count(*) FROM entities_history")
-        with pytest.raises(RecordError, match=message):
-            ss.eval("SELECT tick FROM lab{} AS list;")
-        assert [_at(ss, times[n]) for n in (0, 1, 8, 19)] == [[1], [2], [9], [20]]
 
 
 @pytest.mark.slow

@@ -11,7 +11,6 @@ import pyarrow.parquet as pq
 import pytest
 
 import ssduck
-from ssduck.errors import RecordError
 from ssduck.interchange.macros import macro_script
 from ssduck.interpreter.archives import folder_run
 from ssduck.recording.stores.checksums import write_parquet
@@ -230,20 +229,6 @@ def test_limits_that_are_nan_are_null(record: Path) -> None:
             assert count > 0, view
             assert known == 0, view
     assert ssduck.check(record) == []
-
-
-@pytest.mark.parametrize("record", ["folder", "file.duckdb"], indirect=True)
-def test_a_mass_that_is_nan_is_an_error(record: Path) -> None:
-    if record.suffix:
-        with duckdb.connect(record) as plain:
-            plain.execute("UPDATE lab_record_0.\"links model\" SET mass = 'nan'")
-    else:
-        without_checksums(record)
-        file = part(record, "models/links")
-        rows = pq.ParquetFile(file).read()
-        pq.write_table(with_column("mass", pa.array(np.full(len(rows), math.nan)))(rows), file)
-    with pytest.raises(RecordError, match="its column 'mass' lacks a value"):
-        ssduck.open(record)
 
 
 @pytest.mark.slow

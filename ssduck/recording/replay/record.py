@@ -23,7 +23,6 @@ from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.mass_changes import MassChanges
 from ssduck.recording.replay.batch_queries import EntityShapes, LinkPosesOverTicks
 from ssduck.recording.replay.caches import AnswerCache, RowCache
-from ssduck.recording.replay.checked_rows import CheckedRows
 from ssduck.recording.replay.past_world import PastWorld
 from ssduck.recording.replay.restore import SnapshotRestorer, links_of
 from ssduck.recording.spec import Recording, longer_recording_message, not_recorded_message
@@ -76,7 +75,6 @@ class Record:
         recording: what is recorded; None for a record of another time.
         source: the folder or the file that has it, for messages.
         tags: what the user says of the run, by name.
-        stored: checks the stored rows of a table; None if this process wrote them.
         order: the order of its world among those of the record; None if it is not known.
         entities: the names of the entities to which it was restricted; None for all.
 
@@ -99,14 +97,12 @@ class Record:
         recording: Recording | None = None,
         source: str = "the record",
         tags: Tags | None = None,
-        stored: CheckedRows | None = None,
         order: int | None = None,
         entities: Sequence[str] | None = None,
     ) -> None:
         self._entities = entities
         self.order = order
         self.tags: Tags = tags or {}
-        self.stored = stored
         self.recording = recording
         self.source = source
         self._world: weakref.ref[World] | None = None

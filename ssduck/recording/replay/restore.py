@@ -110,6 +110,8 @@ class SnapshotRestorer:
 
     def _template_of(self, ids: tuple[int, ...]) -> _Template:
         if ids not in self._templates:
+            if not set(ids) <= self._members.keys():
+                raise self._damage("a row is of an unknown entity")
             members = [self._members[id] for id in ids]
             if not {member.mount[0] for member in members if member.sensor} <= set(ids):
                 raise self._damage("a sensor is there without the body that carries it")

@@ -11,7 +11,7 @@ at once, after the rows of earlier ticks. Within a table, the rows of a tick are
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeAlias
 
@@ -61,24 +61,6 @@ class PairRequest:
 
 # The columns of the result: a tick, two entities, and the pose of each.
 PAIR_COLUMNS = ("tick", "a", "b", *(f"{side}_{name}" for side in "ab" for name in POSE))
-
-
-@dataclass(frozen=True)
-class RowBlock:
-    """All rows of a table at some ticks, which others of the table do not have.
-
-    Attributes:
-        first: the first of these ticks.
-        last: the last of them.
-        rows: the rows, of the columns `row_checks.key_types`.
-        repeated: what the rows repeat of their model, `row_checks.model_columns`, and the rows of
-            the model; None for nothing.
-    """
-
-    first: int
-    last: int
-    rows: pa.Table
-    repeated: tuple[pa.Table, pa.Table] | None = None
 
 
 class TickStore(ABC):
@@ -164,21 +146,6 @@ class TickStore(ABC):
         return 0
 
 
-@dataclass(frozen=True)
-class PartGroup:
-    """Parts of a table that a view reads together, or not at all; or rows that are in no part.
-
-    Attributes:
-        parts: their numbers among the parts that are there; empty for the rows in none.
-        first: their first tick.
-        last: their last tick.
-    """
-
-    parts: range
-    first: int
-    last: int
-
-
 class TickArchive(ABC):
     """Recorded ticks that can be read: the stored rows, without the buffered ones.
 
@@ -201,6 +168,8 @@ class TickArchive(ABC):
     def select(self, table: str, buffer_views: BufferViews | None) -> str | None:
         """Returns the SELECT of the view of a table's history; None if it is not recorded.
 
+        The bytes of the files that it reads are checked now.
+
         Args:
             table: a table of a world.
             buffer_views: names the views of the buffered rows; None if there are none.
@@ -217,33 +186,6 @@ class TickArchive(ABC):
         Their columns are `schema.TickColumns.names`. The rows are in any order; unknown numbers are
         NULL or NaN. For `links`, those of bodies of one link may be left out.
         """
-
-    def key_rows(self, table: str, starts: Sequence[int]) -> Iterator[RowBlock]:  # noqa: ARG002
-        """Yields all stored rows that SQL reads of a table, for a check of them.
-
-        There are none where this process has written them.
-
-        Args:
-            table: a table of a world.
-            starts: the first tick of each block, for a store that has no parts.
-        """
-        return iter(())
-
-    def select_by_groups(self, table: str, buffer_views: BufferViews | None) -> str | None:
-        """Returns the same SELECT, which reads of `part_groups` those of its ticks only."""
-        return self.select(table, buffer_views)
-
-    def part_groups(self, table: str, first: int, last: int) -> Sequence[PartGroup]:  # noqa: ARG002
-        """Returns the groups of parts of a table, for a question about ticks from first to last.
-
-        The rows that it always reads are a group without parts. There are no groups if the rows of
-        a table are all checked together.
-        """
-        return ()
-
-    def group_rows(self, group: PartGroup, table: str) -> Iterator[RowBlock]:  # noqa: ARG002
-        """Yields the rows that SQL reads of a group of a table, for a check of them."""
-        return iter(())
 
     @abstractmethod
     def near_pairs(self, request: PairRequest, buffered: pa.Table | None) -> pa.Table:

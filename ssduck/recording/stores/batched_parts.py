@@ -12,7 +12,7 @@ import os
 import re
 import zlib
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -22,15 +22,9 @@ import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError
-from ssduck.recording.buffers import TickBuffer
-from ssduck.recording.static_tables import join_model
-from ssduck.recording.stores.base import RowBlock
-from ssduck.recording.stores.checksums import footer_in, size_problem
+from ssduck.recording.stores.checksums import size_problem
 from ssduck.recording.stores.object_store import ObjectPath, is_address
-from ssduck.recording.stores.parquet_layout import OTHER_PART
-from ssduck.recording.stores.row_checks import RowChecks, key_types, other_model, repeated_columns
 from ssduck.recording.stores.stored_columns import checked_parquet, part_columns
-from ssduck.schema import TABLES
 
 # The largest number of bytes of the parts of a batch, as they are and decoded, and that of the
 # columns that are kept for the next question.
@@ -43,11 +37,6 @@ RUN = "run"
 Columns: TypeAlias = dict[str, pa.ChunkedArray]
 
 
-def ticks_of_parts(starts: Sequence[int], last: int) -> list[tuple[int, int]]:
-    """Returns the first and the last tick of each part."""
-    return list(zip(starts, [*(start - 1 for start in starts[1:]), last], strict=True))
-
-
 @dataclass(frozen=True)
 class BatchedFile:
     """A file of a part.
@@ -55,13 +44,11 @@ class BatchedFile:
     Attributes:
         path: where it is.
         checksum: the CRC-32 of its bytes.
-        label: what its footer has to tell it from other parts.
         table: its table, or `models/<table>`.
     """
 
     path: str
     checksum: int
-    label: bytes
     table: str
 
     def content(self) -> memoryview:
@@ -72,8 +59,6 @@ class BatchedFile:
             content = _content(self.path)
         if zlib.crc32(content) != self.checksum:
             raise RecordError(f"{self.path} was changed or damaged since the manifest was made")
-        if self.label not in bytes(footer_in(content)):
-            raise RecordError(f"{self.path} {OTHER_PART}")
         return content
 
 
@@ -137,50 +122,6 @@ class ReadPart:
     def decoded_size(self) -> int:
         """Returns the number of bytes of the columns that were decoded."""
         return sum(column.nbytes for column in self.columns.values())
-
-    def keys(self) -> pa.Table:
-        """Returns the columns of the rows that are checked."""
-        return self.rows(key_types(self.file.table).names)
-
-    def check(self, checks: RowChecks, ticks: TickBuffer, between: tuple[int, int]) -> None:
-        """Checks the rows, except that the bodies with parts are those that are there."""
-        block = RowBlock(*between, self.keys())
-        self.require(checks.problem_of_block(self.file.table, block, ticks))
-
-    def require(self, problem: str | None) -> None:
-        """Raises a RecordError if there is a problem with the rows."""
-        if problem is not None:
-            about = f"of the rows of {self.file.table}, {problem}"
-            raise RecordError(f"{self.file.path} is damaged: {about}")
-
-
-class RepeatedColumns:
-    """Checks what the rows of parts repeat of the models of their group."""
-
-    def __init__(self, models: Mapping[str, pa.Table]) -> None:
-        self._models = models
-        # The last rows that were right, by table and columns: most episodes have equal ones.
-        self._right: dict[tuple[str, tuple[str, ...]], pa.Table] = {}
-
-    def check(self, part: ReadPart, names: Sequence[str]) -> None:
-        """Checks what the rows of a part repeat, but for the number of the run.
-
-        Args:
-            part: the part.
-            names: the columns to check; others than those that repeat something are passed over.
-        """
-        table = part.file.table
-        chosen = tuple(name for name in repeated_columns(table) if name in names and name != RUN)
-        if not chosen:
-            return
-        model, rows = self._models[table], part.rows([*TABLES[table].key, *chosen])
-        right = self._right.get((table, chosen))
-        if right is not None and rows.equals(right):
-            return
-        expected = join_model(table, rows.select(TABLES[table].key), model, chosen)
-        if not rows.select(chosen).equals(expected):  # or a number is NaN, which equals nothing
-            part.require(other_model(table, rows, model))
-        self._right[table, chosen] = rows
 
 
 class ReadParts:

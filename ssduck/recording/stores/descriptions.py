@@ -1,6 +1,6 @@
 """Reads and changes the JSON objects that describe records, and checks their values.
 
-A record may come from a stranger, so that any value may be of any type, missing, or nested deeply.
+Users edit them, and other programs write them, so that any value may be of any type or missing.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ takes no time and releases its memory.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping
 
 import numpy as np
 import pyarrow as pa
@@ -24,7 +24,6 @@ from ssduck.recording.static_tables import IdProvider
 from ssduck.recording.stores.base import (
     BufferViews,
     PairRequest,
-    RowBlock,
     StoreConnection,
     TickArchive,
     TickStore,
@@ -39,7 +38,6 @@ from ssduck.recording.stores.history_sql import (
 )
 from ssduck.recording.stores.model_tables import ModelTables
 from ssduck.recording.stores.record_file import RecordFile
-from ssduck.recording.stores.row_checks import key_types
 from ssduck.recording.stores.stored_columns import tick_types
 from ssduck.recording.stores.tick_index import checked_ticks
 from ssduck.recording.tags import Tags
@@ -48,8 +46,6 @@ from ssduck.simulators.scenes import Camera
 from ssduck.world.layout import EntityInfo
 
 SLOTS = RETENTION_PARTS + 2
-# The numbers of the first and the last tick that a row can claim.
-_FIRST, _LAST = -(1 << 63), (1 << 63) - 1
 
 
 class DuckDBStore(TickStore, TickArchive):
@@ -195,8 +191,6 @@ class DuckDBStore(TickStore, TickArchive):
             rows = self._connection.rows(sql)
             return TickBuffer.from_arrays(rows["tick"].to_numpy(), rows["time"].to_numpy())
         source = f"{self._file.path}: the ticks of {self._models.schema}"
-        slots = [(self._models.schema, f"ticks {slot}") for slot in range(self._slots)]
-        self._file.check_size(source, 2 * sum(self._file.rows[slot] for slot in slots))
         return checked_ticks(self._connection.rows(sql), source)
 
     def model_rows(self) -> dict[str, pa.Table]:
@@ -210,20 +204,6 @@ class DuckDBStore(TickStore, TickArchive):
             f"SELECT * FROM ({rows}) AS stored WHERE tick BETWEEN ? AND ?",  # noqa: S608
             (first, last),
         )
-
-    def key_rows(self, table: str, starts: Sequence[int]) -> Iterator[RowBlock]:
-        """Yields all rows of a table of a file, for a check of them: block by block."""
-        if self._file is None or table not in self.tables:
-            return
-        listed, stored = column_list(key_types(table).names), self.stored_rows(table)
-        ends = [*(start - 1 for start in starts[1:]), _LAST]
-        for first, last in zip([_FIRST, *starts[1:]], ends, strict=True):
-            rows = self._connection.rows(
-                f"SELECT {listed} FROM ({stored}) AS stored "  # noqa: S608
-                "WHERE tick IS NULL OR tick BETWEEN ? AND ?",
-                (first, last),
-            )
-            yield RowBlock(first, last, rows)
 
     def near_pairs(self, request: PairRequest, buffered: pa.Table | None) -> pa.Table:
         """Returns the pairs of entities whose boxes are near at a tick, or unknown."""

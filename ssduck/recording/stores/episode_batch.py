@@ -16,9 +16,7 @@ import pyarrow as pa
 
 from ssduck.errors import RecordError
 from ssduck.geometry.arrays import Array
-from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.spec import Recording
-from ssduck.recording.static_tables import members_of
 from ssduck.recording.stores.base import BufferViews, PairRequest, StoreConnection, TickArchive
 from ssduck.recording.stores.batched_parts import (
     RUN,
@@ -26,18 +24,12 @@ from ssduck.recording.stores.batched_parts import (
     PartsDataset,
     ReadPart,
     ReadParts,
-    RepeatedColumns,
-    ticks_of_parts,
 )
 from ssduck.recording.stores.history_sql import near_pair_rows, quoted
 from ssduck.recording.stores.parquet_archive import arrow_types, multi_link_bodies
-from ssduck.recording.stores.row_checks import TABLES_OF_BODIES, RowChecks
 from ssduck.recording.stores.stored_columns import with_nulls
 from ssduck.schema import MODELS, TABLES
 from ssduck.world.live_tables import ARROW_TYPES
-
-# The largest number of checked parts that are remembered.
-MAX_CHECKED = 20_000
 
 
 @dataclass(frozen=True)
@@ -48,33 +40,17 @@ class BatchedEpisode:
         offset: is added to the numbers of its ticks.
         ticks: the rows of its ticks: `tick`, without the offset, `time` and `wall_time`.
         files: the files of its parts, by table.
-        starts: the first tick of each part, without the offset.
     """
 
     offset: int
     ticks: pa.Table
     files: Mapping[str, Sequence[BatchedFile]]
-    starts: Sequence[int]
 
     @cached_property
     def numbers(self) -> npt.NDArray[np.int64]:
         """The numbers of its ticks in the batch, (n,)."""
         numbers: npt.NDArray[np.int64] = self.ticks["tick"].to_numpy() + self.offset
         return numbers
-
-    def key_of(self, file: BatchedFile) -> tuple[BatchedFile, tuple[BatchedFile, ...]]:
-        """Returns what decides whether the rows of a file are right in the episode."""
-        return file, (*self.files["ticks"], *self.files["entities"])
-
-    @cached_property
-    def tick_buffer(self) -> TickBuffer:
-        """Its ticks, without the offset."""
-        return TickBuffer.from_arrays(self.ticks["tick"].to_numpy(), self.times)
-
-    @cached_property
-    def ticks_of_parts(self) -> list[tuple[int, int]]:
-        """The first and the last tick of each part, without the offset."""
-        return ticks_of_parts(self.starts, int(self.tick_buffer.numbers[-1]))
 
     @cached_property
     def times(self) -> Array:
@@ -125,15 +101,11 @@ class EpisodeBatch(TickArchive):
         self._run = run
         self._models = models
         self._linked = multi_link_bodies(models["entities"])
-        self._checks = RowChecks(members_of(models))
-        self._repeated = RepeatedColumns(models)
         self._connection, self._register = connection, register
         self._episodes: Sequence[BatchedEpisode] = ()
         self._starts = np.zeros(0, dtype=np.int64)
         # The tables that SQL or Python has read: their files are checked when a batch is loaded.
         self._read: set[str] = {"entities"}
-        # The parts whose rows are right, with the files of the ticks and entities of the episode.
-        self._checked: set[tuple[BatchedFile, tuple[BatchedFile, ...]]] = set()
         self._shown = range(0)
         # The columns that were read of all rows of the batch, by table.
         self._whole: dict[str, dict[str, pa.ChunkedArray]] = {}
@@ -150,8 +122,6 @@ class EpisodeBatch(TickArchive):
         self._episodes = episodes
         self._whole.clear()
         self._starts = np.array([episode.numbers[0] for episode in episodes], dtype=np.int64)
-        if len(self._checked) > MAX_CHECKED:
-            self._checked.clear()
         for table in sorted(self._read):
             self._check(table)
         self.show(0, len(episodes))
@@ -167,32 +137,14 @@ class EpisodeBatch(TickArchive):
                 self._part(table, number, index)
 
     def _part(self, table: str, number: int, index: int) -> ReadPart:
-        """Returns a part of an episode, whose rows are right: a wrong one may be another's."""
-        episode = self._episodes[index]
-        file = episode.files[table][number]
+        """Returns a part of an episode, whose bytes are right."""
+        file = self._episodes[index].files[table][number]
         try:
-            part, key = self.parts.read(file), episode.key_of(file)
-            if table != "ticks" and key not in self._checked:
-                has_bodies = table in TABLES_OF_BODIES
-                bodies = self._part("entities", number, index).keys() if has_bodies else None
-                self._check_rows(part, episode, number, bodies)
-                self._checked.add(key)
-        except DamagedEpisodeError:
-            raise
+            return self.parts.read(file)
         except RecordError as error:
             raise DamagedEpisodeError(error.message, index) from error
         except (OSError, pa.ArrowException) as error:
             raise DamagedEpisodeError(f"{file.path} cannot be read: {error}", index) from error
-        return part
-
-    def _check_rows(
-        self, part: ReadPart, episode: BatchedEpisode, number: int, bodies: pa.Table | None
-    ) -> None:
-        """Checks the rows of a part of an episode."""
-        part.check(self._checks, episode.tick_buffer, episode.ticks_of_parts[number])
-        if bodies is not None:
-            table, rows = part.file.table, part.keys()
-            part.require(self._checks.problem_of_bodies(table, rows, bodies, single=True))
 
     def forget(self) -> None:
         """Forgets the rows of the batch, which is not asked any more."""
@@ -240,10 +192,7 @@ class EpisodeBatch(TickArchive):
         stored = [name for name in columns if name != RUN]
         for index in indices:
             for number in range(len(self._episodes[index].files[table])):
-                part = self._part(table, number, index)
-                rows = part.rows(stored)
-                if table in self._models:
-                    self._repeated.check(part, stored)
+                rows = self._part(table, number, index).rows(stored)
                 yield self._in_batch(rows, self._episodes[index].offset, columns)
 
     def _in_batch(self, rows: pa.Table, offset: int, columns: Sequence[str]) -> pa.Table:

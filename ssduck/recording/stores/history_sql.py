@@ -45,7 +45,7 @@ _NUMBER = "DOUBLE"
 
 
 def known(name: str, type: str) -> str:
-    """Returns a column with NULL for NaN, which a stranger may have stored: SQL takes it as large.
+    """Returns a column with NULL for NaN, which others may have stored: SQL takes it as large.
 
     DuckDB computes this in a few nanoseconds a value, a third faster than `nullif`. Of a column
     whose statistics have bounds, it takes `isnan`, and comparisons with NaN, for false.

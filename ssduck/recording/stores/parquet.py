@@ -36,7 +36,6 @@ from ssduck.recording.stores.descriptions import EPISODE, change_description, ch
 from ssduck.recording.stores.object_store import ObjectPath, remove_tree
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun
 from ssduck.recording.stores.part_log import PartLog
-from ssduck.recording.stores.part_statistics import OWN_STATISTICS
 from ssduck.recording.stores.summaries import write_summary
 from ssduck.recording.stores.tick_index import INDEX, TickIndex
 from ssduck.recording.tags import Tags, checked_tags
@@ -44,6 +43,8 @@ from ssduck.schema import recorded_tables
 from ssduck.simulators.scenes import Camera
 from ssduck.world.layout import EntityInfo
 
+# The columns of which parts have statistics: queries choose parts by them.
+_WITH_STATISTICS = ("tick", "time")
 # A part has so many ticks, unless a flush completes it before.
 PART_TICKS = 2400
 
@@ -269,5 +270,5 @@ def _options(rows: pa.Table) -> dict[str, Any]:
         "compression": "lz4",
         "use_dictionary": [*texts, *keys],
         "use_byte_stream_split": doubles,
-        "write_statistics": [name for name in OWN_STATISTICS if name in rows.column_names],
+        "write_statistics": [name for name in _WITH_STATISTICS if name in rows.column_names],
     }

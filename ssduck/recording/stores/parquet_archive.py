@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +14,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError
-from ssduck.recording.model_checks import check_models
 from ssduck.recording.opened_record import OpenedRecord
 from ssduck.recording.paths import part_number
 from ssduck.recording.spec import Recording
@@ -23,8 +21,6 @@ from ssduck.recording.static_tables import complete_rows
 from ssduck.recording.stores.base import (
     BufferViews,
     PairRequest,
-    PartGroup,
-    RowBlock,
     StoreConnection,
     TickArchive,
 )
@@ -38,15 +34,11 @@ from ssduck.recording.stores.history_sql import (
 )
 from ssduck.recording.stores.object_store import parquet_source
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun
-from ssduck.recording.stores.part_statistics import Values, add_values, check_statistics
-from ssduck.recording.stores.row_checks import key_types, model_columns, repeated_texts
 from ssduck.recording.stores.stored_columns import unreadable
 from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES, Column
 
 # From so many parts on, a record has groups of them, and a part is checked when it is read.
 MANY_PARTS = 16
-# So many rows of a table without a key are checked at once: they fit the cache of a processor.
-_ROWS_AT_ONCE = 1 << 16
 
 
 class ParquetArchive(TickArchive):
@@ -79,12 +71,9 @@ class ParquetArchive(TickArchive):
         # The files whose bytes were checked. The footers of all files are checked here, unless they
         # are many.
         self._checked: set[Path] = set()
-        # The files whose footers were found to say of their values what is so.
-        self._compared: set[Path] = set()
         for table, files in self._files.items() if len(self._starts) < MANY_PARTS else ():
             self._run.check(table, map(part_number, files))
         self._models = {table: run.read(f"models/{table}") for table in MODELS}
-        check_models(self._models, lambda table: str(run.place(f"models/{table}")))
         self._linked = multi_link_bodies(self._models["entities"])
         if len(self._linked) and not {"links", FRAMES} & set(run.tables):
             raise RecordError(
@@ -102,58 +91,31 @@ class ParquetArchive(TickArchive):
         """Returns the SELECT of the view of a table's history; None if it is not recorded.
 
         DuckDB reads the footer of each part to find some ticks. It reads none of a group of parts
-        whose ticks are others. The rows that are read must have been checked; see `key_rows`.
+        whose ticks are others. The bytes of all parts are checked.
 
         Few parts are read together: then a sum is the same to the last bit, whatever their number.
         """
         if table not in self._files:
             return None
         count = len(self._files[table])
+        self._check(table, range(count))
         groups = [range(count)] if count < MANY_PARTS else self._groups(table)
-        return self._select_groups(table, groups, buffer_views)
-
-    def select_by_groups(self, table: str, buffer_views: BufferViews | None) -> str | None:
-        """Returns the same SELECT, which reads of `part_groups` those of its ticks only."""
-        if table not in self._files:
-            return None
-        return self._select_groups(table, self._groups(table), buffer_views)
-
-    def _select_groups(
-        self, table: str, groups: Sequence[range], buffer_views: BufferViews | None
-    ) -> str:
-        columns = TABLES[table].columns
         parts = [self._select_parts(table, group) for group in groups if group]
-        names = column_list(column.name for column in columns)
+        names = column_list(column.name for column in TABLES[table].columns)
         views = () if buffer_views is None else buffer_views(table)
         parts += [f"SELECT {names} FROM {quoted(view)}" for view in views]  # noqa: S608
         return " UNION ALL ".join(parts)
 
-    def part_groups(self, table: str, first: int, last: int) -> list[PartGroup]:
-        """Returns the groups of the parts of a table, for ticks from first to last.
-
-        Many parts have groups. Few have them if the ticks are those of one of them. The log is a
-        group, too.
-        """
-        count = len(self._files.get(table, ()))
-        if count < 2:
-            return []
-        if count < MANY_PARTS and len(self._parts_with(table, first, last)) != 1:
-            return []
-        logged = [range(count, count)] if self._log else []
-        return [
-            PartGroup(parts, *self._ticks_of(parts)) for parts in (*self._groups(table), *logged)
-        ]
-
     def _groups(self, table: str) -> list[range]:
-        """Returns the parts of a table in groups: √n of n parts, or each one if they are few."""
+        """Returns the parts of a table in groups: √n of n parts."""
         count = len(self._files[table])
-        size = math.isqrt(count) if count >= MANY_PARTS else 1
+        size = math.isqrt(count)
         return [range(begin, min(begin + size, count)) for begin in range(0, count, size)]
 
     def _ticks_of(self, parts: range) -> tuple[int, int]:
-        """Returns the first and the last tick of some parts; of the log if they are none."""
+        """Returns the first and the last tick of some parts."""
         starts, last = self._starts, int(self.ticks.numbers[-1])
-        if parts and parts.stop < len(starts):
+        if parts.stop < len(starts):
             last = starts[parts.stop] - 1
         return starts[parts.start], last
 
@@ -162,14 +124,8 @@ class ParquetArchive(TickArchive):
         return {
             table.model_view: _select_all(files, table.model)
             for table in MODELS.values()
-            if (files := self._files_for_sql(f"models/{table.name}"))
+            if (files := self._run.files(f"models/{table.name}"))
         }
-
-    def _files_for_sql(self, model: str) -> list[Path]:
-        """Returns the checked files of a model such as `models/entities`."""
-        files = self._run.files(model)
-        self._compare(model, files)
-        return files
 
     def _select_parts(self, table: str, parts: range) -> str:
         """Returns a SELECT of all columns of some parts of a table."""
@@ -186,18 +142,6 @@ class ParquetArchive(TickArchive):
         unchecked = [file for file in files if file not in self._checked]
         self._run.check_data(table, map(part_number, unchecked))
         self._checked.update(unchecked)
-
-    def _compare(
-        self,
-        table: str,
-        files: Sequence[Path],
-        found: Mapping[Path, Mapping[str, Values]] = MappingProxyType({}),
-    ) -> None:
-        """Checks what the footers say of the values of files that SQL is to read."""
-        new = [file for file in files if file not in self._compared]
-        if new:
-            check_statistics(self._connection, new, table, found)
-            self._compared.update(new)
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """Returns the rows of a table at the ticks from first to last."""
@@ -222,45 +166,11 @@ class ParquetArchive(TickArchive):
         end = int(np.searchsorted(self._starts, last, side="right"))
         return range(begin, min(end, len(self._files[table])))
 
-    def key_rows(self, table: str, starts: Sequence[int]) -> Iterator[RowBlock]:  # noqa: ARG002
-        """Yields all stored rows that SQL reads of a table, for a check of them: part by part."""
-        yield from self._rows_of(table, range(len(self._files[table])))
-        yield from self._rows_of_log(table)
-
-    def group_rows(self, group: PartGroup, table: str) -> Iterator[RowBlock]:
-        """Yields the same rows of some parts, or of the log."""
-        return self._rows_of(table, group.parts) if group.parts else self._rows_of_log(table)
-
-    def _rows_of(self, table: str, parts: range) -> Iterator[RowBlock]:
-        types, columns, files = key_types(table), model_columns(table), self._files[table]
-        found: dict[Path, dict[str, Values]] = {}
-        for number in parts:
-            part = range(number, number + 1)
-            self._check(table, part)
-            ticks = self._ticks_of(part)
-            if RECORDED[table].key:
-                rows, repeated = _rows_of_part(files[number], types, columns, repeated_texts(table))
-                add_values(found, files[number], rows)
-                model = self._models.get(table)
-                yield RowBlock(*ticks, rows, None if model is None else (repeated, model))
-            else:
-                for rows in _rows_in(files[number], types):
-                    add_values(found, files[number], rows)
-                    yield RowBlock(*ticks, rows)
-        self._compare(table, files[parts.start : parts.stop], found)
-
-    def _rows_of_log(self, table: str) -> Iterator[RowBlock]:
-        if self._log:
-            types, count = key_types(table), len(self._files[table])
-            rows = self._log[table].arrow.select(types.names).cast(types)
-            yield RowBlock(*self._ticks_of(range(count, count)), rows)
-
     def near_pairs(self, request: PairRequest, buffered: pa.Table | None) -> pa.Table:
         """Returns the pairs of entities whose boxes are near at a tick, or unknown."""
         logged = self._log["entities"].arrow if self._log else buffered
         parts = self._parts_with("entities", request.first, request.last)
         self._check("entities", parts)
-        self._compare("entities", self._files["entities"][parts.start : parts.stop])
         stored = self._select_parts("entities", parts) if parts else None
         return near_pair_rows(self._connection, stored, request, logged)
 
@@ -305,33 +215,12 @@ def arrow_types(table: str) -> pa.Schema:
 
 def _rows_of_ticks(file: Path, types: pa.Schema, first: int, last: int) -> pa.Table:
     """Returns the rows of a part at the ticks from first to last."""
-    return _between(_rows_of_part(file, types)[0], first, last)
-
-
-def _rows_of_part(
-    file: Path, types: pa.Schema, repeated: Sequence[str] = (), numbered: Sequence[str] = ()
-) -> tuple[pa.Table, pa.Table]:
-    """Returns columns of a part by their types, and others, texts of some of them by numbers."""
     try:
-        part = pq.ParquetFile(parquet_source(file), read_dictionary=numbered)
-        needed = list(dict.fromkeys((*types.names, *repeated)))
-        rows = part.read(columns=needed, use_threads=False)  # to wake threads up takes longer
-        others = rows.select(repeated)
-        others.validate(full=True)  # a text may have any bytes
+        part = pq.ParquetFile(parquet_source(file))
+        rows = part.read(columns=types.names, use_threads=False)  # to wake threads up takes longer
     except (pa.ArrowException, OSError) as error:
         raise unreadable(file, error) from error
-    return rows.select(types.names).cast(types), others
-
-
-def _rows_in(file: Path, types: pa.Schema) -> Iterator[pa.Table]:
-    """Yields some columns of the rows of a part, not all rows at once, which takes less memory."""
-    try:
-        for batch in pq.ParquetFile(parquet_source(file)).iter_batches(
-            _ROWS_AT_ONCE, columns=types.names, use_threads=False
-        ):
-            yield pa.Table.from_batches([batch]).select(types.names).cast(types)
-    except (pa.ArrowException, OSError) as error:
-        raise unreadable(file, error) from error
+    return _between(rows.select(types.names).cast(types), first, last)
 
 
 def _between(rows: pa.Table, first: int, last: int) -> pa.Table:

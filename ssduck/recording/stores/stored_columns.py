@@ -1,8 +1,4 @@
-"""Checks the columns of stored tables against those that they are to have, before they are read.
-
-The tables of a record may come from a stranger: any column may be missing or of any type, and a
-file of a few bytes may claim any number of rows.
-"""
+"""Checks the columns of stored tables against those that they are to have, before they are read."""
 
 from __future__ import annotations
 
@@ -19,14 +15,9 @@ from ssduck.errors import RecordError, RecordPermissionError
 from ssduck.schema import MODELS, RECORDED, TABLES, Column, ColumnType
 from ssduck.world.live_tables import ARROW_TYPES
 
-# The largest number of values that a file is read with: 1 GiB of doubles. A part that ssduck writes
-# has at most a few million of them, unless a mesh has more.
-MAX_VALUES = 1 << 27
 # The columns of the last part of each table that were found to be right.
 _known_schemas: dict[str, pa.Schema] = {}
 MISSING = "is missing: the record was damaged, or only copied in part"
-# The largest number of ticks that a part is read with, about as many rows as one of entities has.
-MAX_TICKS = 1 << 22
 
 
 @cache
@@ -134,20 +125,7 @@ def checked_parquet(source: str, content: bytes | memoryview, table: str) -> pq.
     if known is None or not schema.equals(known):
         check_columns(source, arrow_columns(schema), part_columns(table))
         _known_schemas[table] = schema.remove_metadata()
-    rows = part.metadata.num_rows
-    if _value_count(part.metadata, table) > MAX_VALUES or (table == "ticks" and rows > MAX_TICKS):
-        raise RecordError(f"{source} is damaged: it claims {rows:,} rows, more than a part has")
     return part
-
-
-def _value_count(metadata: pq.FileMetaData, table: str) -> int:
-    """Returns the number of values that the columns of a part have, as it claims."""
-    count: int = metadata.num_rows * metadata.num_columns
-    if not {"points", "triples"} & set(part_columns(table).values()):
-        return count
-    groups = map(metadata.row_group, range(metadata.num_row_groups))
-    nested: int = sum(g.column(n).num_values for g in groups for n in range(g.num_columns))
-    return count + nested
 
 
 def check_stream(source: str, schema: pa.Schema, table: str) -> None:

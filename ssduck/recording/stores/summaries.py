@@ -171,10 +171,7 @@ def write_summary(run: FolderRun, checksums: Mapping[str, int]) -> None:
 
 
 def read_summary(run: FolderRun, listing: Listing) -> EpisodeSummary | None:
-    """Returns the summary of an episode; None if it is missing, damaged or of other files.
-
-    It may come from a stranger, with the record: it says no more of an episode than a manifest may.
-    """
+    """Returns the summary of an episode; None if it is missing, damaged or of other files."""
     file = run.path / summary_name(run)
     if summary_name(run) not in listing or run.removed_parts:
         return None
