@@ -10,6 +10,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Collection, Sequence
 from collections.abc import Set as AbstractSet
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pyarrow as pa
@@ -34,7 +35,7 @@ from ssduck.database.referenced_tables import (
     check_length,
     words_of,
 )
-from ssduck.database.schemas import Schemas
+from ssduck.database.schemas import Schemas, TickRanges
 from ssduck.database.select_only import SelectCheck
 from ssduck.database.statement import PreparedPlans, Statement
 from ssduck.database.values import Converter
@@ -326,6 +327,14 @@ class Database:
         """Returns the schema of a world's tables; makes one if the world has none here."""
         with self._lock:
             return self._worlds.schema_of(world)
+
+    def reading_ticks(self, ticks: TickRanges) -> AbstractContextManager[None]:
+        """Has only some ticks of histories checked in a context, in which a statement reads these.
+
+        Args:
+            ticks: the first and the last tick that it reads, by schema and view.
+        """
+        return self._schemas.reading(self._worlds.by_schema, ticks)
 
     def bound_world(self, schema: str) -> BoundWorld:
         """Returns the world of a schema."""

@@ -7,8 +7,9 @@ than opening a small record and asking it a question.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterator
 from collections.abc import Set as AbstractSet
+from contextlib import contextmanager
 from functools import lru_cache
 from typing import Generic, TypeAlias, TypeVar
 
@@ -30,6 +31,8 @@ class OnDemand(Generic[T]):
         self._makers: dict[Name, Callable[[T], None]] = {}
         # Statements that name nothing that is still to be made.
         self._complete: set[str] = set()
+        # What is not made now; see `without`.
+        self._left_out: frozenset[Name] = frozenset()
 
     def offer(self, name: Name, make: Callable[[T], None]) -> None:
         """Has a view or a function made when a statement names it; replaces an earlier offer."""
@@ -71,16 +74,38 @@ class OnDemand(Generic[T]):
         for name in [name for name in self._makers if name[0] == schema]:
             self.make(name, connection)
 
+    def is_offered(self, name: Name) -> bool:
+        """Checks whether a view or a function is still to be made."""
+        return name in self._makers
+
+    @property
+    def leaves_out(self) -> bool:
+        """Whether a statement runs that has names left out; one that runs within it may not."""
+        return bool(self._left_out)
+
+    @contextmanager
+    def without(self, names: Collection[Name]) -> Iterator[None]:
+        """Has `provide` make none of some names in a context: they are there, in part."""
+        before, self._left_out = self._left_out, frozenset(names)
+        try:
+            yield
+        finally:
+            self._left_out = before
+
     def provide(self, sql: str, connection: T) -> None:
         """Makes what one of ssduck's own statements may name."""
         if not self._makers or sql in self._complete:
             return
         text = sql.casefold()  # SQL ignores case
         for schema, name in list(self._makers):
+            if (schema, name) in self._left_out:
+                continue
             # A name may be quoted.
             is_named = schema is None or schema.casefold().replace('"', '""') in text
             if is_named and _word(name).search(text):
                 self.make((schema, name), connection)
+        if self._left_out:
+            return
         if len(self._complete) >= _MAX_STATEMENTS:
             self._complete.clear()
         self._complete.add(sql)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
+from contextlib import contextmanager
 from functools import cache, partial
+from typing import TypeAlias
 
 from sqlglot import exp
 
@@ -19,6 +21,7 @@ from ssduck.database.macros import (
     macros_among,
 )
 from ssduck.database.referenced_tables import qualified_formulas
+from ssduck.errors import SqlError
 from ssduck.recording.spec import not_recorded_message
 from ssduck.recording.stores.base import VisibleRows
 from ssduck.recording.stores.duckdb import DuckDBStore
@@ -34,6 +37,8 @@ _HAS_LIVE_VIEWS = (
     "SELECT view_name FROM duckdb_views() "
     "WHERE NOT internal AND list_contains($1, view_name) LIMIT 1"
 )
+# The first and the last tick that a statement reads, by schema and view.
+TickRanges: TypeAlias = Mapping[tuple[str, str], tuple[int, int]]
 
 
 class Schemas:
@@ -54,6 +59,8 @@ class Schemas:
         self._formulas: dict[str, set[str]] = {}
         # Those that views and macros in a file call.
         self._stored_formulas: set[str] = set()
+        # The views of histories, by schema and name, of which not all files were checked.
+        self._partly_made: set[tuple[str, str]] = set()
 
     def make(self, name: str, bound: BoundWorld) -> None:
         """Creates the schema of a world, or recreates its views."""
@@ -70,6 +77,7 @@ class Schemas:
         read the views, too.
         """
         self._forget(name)
+        self._partly_made = {made for made in self._partly_made if made[0] != name}
         on_demand = self._connection.on_demand
         for table in HISTORIES.values():
             maker = partial(_make_history_view, name, bound, table)
@@ -80,6 +88,42 @@ class Schemas:
                 on_demand.offer((name, view), partial(_make_model_view, name, view, models))
         if self._connection.is_file:
             on_demand.make_schema(name, self._connection)
+
+    @contextmanager
+    def reading(self, worlds: Mapping[str, BoundWorld], ticks: TickRanges) -> Iterator[None]:
+        """Has the files of some histories checked at the ticks only that a statement reads.
+
+        Before any other statement that names their views, all of their files are.
+
+        Args:
+            worlds: the worlds, by schema.
+            ticks: the first and the last tick that the statement reads, by schema and view.
+        """
+        on_demand = self._connection.on_demand
+        partly = [
+            (schema, view)
+            for (schema, view), span in ticks.items()
+            if on_demand.is_offered((schema, view))
+            and self._make_partly(schema, view, worlds[schema], span)
+        ]
+        with on_demand.without(partly):
+            yield
+
+    def _make_partly(
+        self, schema: str, view: str, bound: BoundWorld, ticks: tuple[int, int]
+    ) -> bool:
+        """Creates the view of a history of which some ticks are checked, if it has many parts."""
+        table, history = _HISTORY_VIEWS[view], bound.history
+        if history is None or table.view_columns or not history.store.has_groups(table.source):
+            return False
+        history.store.check(table.source, ticks)
+        if (schema, view) not in self._partly_made:
+            try:
+                _define_history_view(schema, bound, table, self._connection)
+            except SqlError:  # DuckDB cannot read a part, of whatever ticks
+                return False
+            self._partly_made.add((schema, view))
+        return True
 
     @property
     def has_comments(self) -> bool:
@@ -236,9 +280,18 @@ def _make_live_view(schema: str, bound: BoundWorld, table: Table, connection: Co
 def _make_history_view(
     schema: str, bound: BoundWorld, table: Table, connection: Connection
 ) -> None:
-    """Creates the view of a table at all recorded ticks."""
+    """Creates the view of a table at all recorded ticks, whose files it checks."""
+    if bound.history is not None:
+        bound.history.store.check(table.source)
     if table.view_columns:
         connection.on_demand.make((schema, TABLES["entities"].history_view), connection)
+    _define_history_view(schema, bound, table, connection)
+
+
+def _define_history_view(
+    schema: str, bound: BoundWorld, table: Table, connection: Connection
+) -> None:
+    """Creates the view of a table at all recorded ticks."""
     history, rows = bound.history, None
     if history is not None:
         waiting = bound.buffer_views if history.visible_rows else None

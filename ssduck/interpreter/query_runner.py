@@ -47,6 +47,7 @@ from ssduck.language.tree import Call, Node, Query
 from ssduck.language.value_keys import MEMOS
 from ssduck.simulators.joints import JointError
 from ssduck.sql.name_resolution import ResolvedQuery
+from ssduck.sql.past_ticks import history_windows
 from ssduck.sql.plan import OutputColumn, PathSearch, Plan, SourceType
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.sql_values import NotSqlError, with_values
@@ -91,6 +92,8 @@ class PlannedQuery:
         self._failures = 0
         self._database = database
         self._statement: Statement | None = None
+        # The tables of the past that it reads at known ticks only.
+        self._windows = history_windows(plan.select, plan.bindings)
         try:
             self.scalars: ScalarSelect | None = ScalarSelect(plan, database.shape_functions)
         except ValueError:
@@ -266,6 +269,19 @@ class PlannedQuery:
             parameters = _parameter_values(self.plan, outer, sources)
         except (ArgumentError, EvaluationError) as error:  # perhaps of a part that is not reached
             raise NotSqlError from error
+        windows = self._windows
+        ticks = {(w.schema, w.view): (parameters[w.first], parameters[w.last]) for w in windows}
+        if len(ticks) < len(windows):  # a table that is read twice
+            ticks = {}
+        if not ticks and not self._database.connection.on_demand.leaves_out:
+            return self._rows(sources, parameters)
+        with self._database.reading_ticks(ticks):
+            return self._rows(sources, parameters)
+
+    def _rows(
+        self, sources: Mapping[str, Any], parameters: dict[str, Any]
+    ) -> list[tuple[Any, ...]]:
+        """Executes the SQL with some parameters and returns its rows."""
         plan, database = self.plan, self._database
         if plan.lookup is not None and set(map(type, parameters.values())) <= {int, float}:
             with suppress(ArgumentError):  # the SQL raises it, with its place

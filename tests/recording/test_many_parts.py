@@ -212,15 +212,45 @@ def _at(ss: ssduck.Interpreter, time: float, selected: str = "tick") -> list[Any
 
 
 @pytest.mark.slow
-def test_all_parts_of_a_table_are_checked_once(run: Path, checks: list[str]) -> None:
+def test_a_question_about_a_tick_checks_the_group_of_its_part(run: Path, checks: list[str]) -> None:
+    """Ten parts are groups of three; any other statement has all of them checked."""
     with ssduck.open(run) as ss:
         times = ss.past("lab").times
         assert _at(ss, times[6]) == [7]
-        assert sorted(checks) == sorted(f"entities {part}" for part in range(PARTS))
+        assert sorted(checks) == [f"entities {part}" for part in (3, 4, 5)]
         checks.clear()
-        assert [_at(ss, time)[0] for time in times] == ALL
+        assert [_at(ss, time)[0] for time in times[6:12]] == list(range(7, 13))  # prepared, too
+        assert checks == []
+        assert _at(ss, times[-1]) == [20]
+        assert checks == ["entities 9"]
+        checks.clear()
+        join = "body = lab.body_0; SELECT tick FROM lab{T} WHERE z(body) <= z(this) AS list;"
+        assert ss.eval(join) == [20]
+        rest = [f"entities {part}" for part in (0, 1, 2, 6, 7, 8)]
+        assert sorted(name for name in checks if name.startswith("entities")) == rest
+        checks.clear()
         assert ss.sql("SELECT count(*) FROM entities_history").fetchone() == (20,)
         assert checks == []
+
+
+@pytest.mark.slow
+def test_a_damaged_part_is_in_no_answer(run: Path, checks: list[str]) -> None:
+    """An error at the ticks of its group, and of whatever reads all ticks."""
+    file = run / "entities" / PLACE.format(1) / "part-000007.parquet"
+    content = bytearray(file.read_bytes())
+    content[len(content) // 3] ^= 4
+    file.write_bytes(content)
+    with ssduck.open(run) as ss:
+        times = ss.past("lab").times
+        for _ in range(2):
+            assert [_at(ss, times[n]) for n in (0, 1, 8, 19)] == [[1], [2], [9], [20]]
+            for n in (13, 14, 15):
+                with pytest.raises(RecordError, match=r"part-000007.parquet .*checksum is wrong"):
+                    _at(ss, times[n])
+            with pytest.raises(RecordError, match=r"part-000007.parquet .*checksum is wrong"):
+                ss.sql("SELECT count(*) FROM entities_history")
+            with pytest.raises(RecordError, match=r"part-000007.parquet .*checksum is wrong"):
+                ss.eval("SELECT tick FROM lab{} AS list;")
 
 
 @pytest.mark.slow
@@ -250,6 +280,7 @@ def test_the_log_of_a_record_of_many_parts_is_read(
     with ssduck.open(copy) as ss:
         times = ss.past("lab").times
         assert [_at(ss, times[n]) for n in (4, 20, 5)] == [[5], [21], [6]]
+        assert set(checks) == {f"entities {part}" for part in (0, 1, 2)}
 
 
 @pytest.mark.slow

@@ -168,12 +168,22 @@ class TickArchive(ABC):
     def select(self, table: str, buffer_views: BufferViews | None) -> str | None:
         """Returns the SELECT of the view of a table's history; None if it is not recorded.
 
-        The bytes of the files that it reads are checked now.
-
         Args:
             table: a table of a world.
             buffer_views: names the views of the buffered rows; None if there are none.
         """
+
+    def check(self, table: str, ticks: tuple[int, int] | None = None) -> None:  # noqa: B027
+        """Checks the bytes of the files that SQL reads of a table, each once.
+
+        Args:
+            table: a table of a world.
+            ticks: the first and the last tick that a statement reads; None for all.
+        """
+
+    def has_groups(self, table: str) -> bool:  # noqa: ARG002
+        """Checks whether a statement about some ticks reads some files of a table only."""
+        return False
 
     @abstractmethod
     def models(self) -> dict[str, str]:

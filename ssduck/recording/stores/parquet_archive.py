@@ -91,20 +91,35 @@ class ParquetArchive(TickArchive):
         """Returns the SELECT of the view of a table's history; None if it is not recorded.
 
         DuckDB reads the footer of each part to find some ticks. It reads none of a group of parts
-        whose ticks are others. The bytes of all parts are checked.
+        whose ticks are others. The files must have been checked.
 
         Few parts are read together: then a sum is the same to the last bit, whatever their number.
         """
         if table not in self._files:
             return None
         count = len(self._files[table])
-        self._check(table, range(count))
-        groups = [range(count)] if count < MANY_PARTS else self._groups(table)
+        groups = self._groups(table) if self.has_groups(table) else [range(count)]
         parts = [self._select_parts(table, group) for group in groups if group]
         names = column_list(column.name for column in TABLES[table].columns)
         views = () if buffer_views is None else buffer_views(table)
         parts += [f"SELECT {names} FROM {quoted(view)}" for view in views]  # noqa: S608
         return " UNION ALL ".join(parts)
+
+    def has_groups(self, table: str) -> bool:
+        """Checks whether a statement about some ticks reads some files of a table only."""
+        return len(self._files.get(table, ())) >= MANY_PARTS
+
+    def check(self, table: str, ticks: tuple[int, int] | None = None) -> None:
+        """Checks the bytes of the files that SQL reads of a table, each once."""
+        if table not in self._files:
+            return
+        if ticks is None or not self.has_groups(table):
+            self._check(table, range(len(self._files[table])))
+            return
+        for group in self._groups(table):
+            first, last = self._ticks_of(group)
+            if first <= ticks[1] and ticks[0] <= last:
+                self._check(table, group)
 
     def _groups(self, table: str) -> list[range]:
         """Returns the parts of a table in groups: √n of n parts."""
