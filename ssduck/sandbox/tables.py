@@ -82,10 +82,34 @@ def checked_table(data: memoryview, budget: Budget) -> pa.Table:
                     _charge(column, budget)
                 batches.append(batch.replace_schema_metadata(None))
         table = pa.Table.from_batches(batches, schema)
-        table.validate(full=True)
+        for column in table.columns:
+            for chunk in column.chunks:
+                chunk.view(_bits_of(column.type)).validate(full=True)
     except (pa.ArrowException, ValueError, struct.error, OSError) as error:
         raise InvalidAnswerError(f"a table is damaged: {error}") from error
     return table
+
+
+def _bits_of(kind: pa.DataType) -> pa.DataType:
+    """Returns a type of the same layout, of which all bits are values.
+
+    DuckDB's integers of 38 digits and its time 24:00 are more than Arrow's types allow.
+    """
+    if _TYPES.is_decimal(kind):
+        return pa.binary(kind.byte_width)
+    if _TYPES.is_time(kind) or _TYPES.is_date64(kind):
+        return pa.int32() if kind.bit_width == 32 else pa.int64()
+    if _TYPES.is_struct(kind):
+        fields = [kind.field(i) for i in range(kind.num_fields)]
+        return pa.struct([field.with_type(_bits_of(field.type)) for field in fields])
+    if _TYPES.is_map(kind):
+        return pa.map_(_bits_of(kind.key_type), _bits_of(kind.item_type))
+    if _TYPES.is_fixed_size_list(kind):
+        return pa.list_(_bits_of(kind.value_type), kind.list_size)
+    if _TYPES.is_list(kind) or _TYPES.is_large_list(kind):
+        make = pa.list_ if _TYPES.is_list(kind) else pa.large_list
+        return make(kind.value_field.with_type(_bits_of(kind.value_type)))
+    return kind
 
 
 def _charge(array: Any, budget: Budget) -> None:
