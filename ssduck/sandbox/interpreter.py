@@ -10,7 +10,14 @@ from typing import Any, Literal, Never, Self
 
 from ssduck import validation
 from ssduck.adapters.result import MAX_ROWS, Result, TableView
-from ssduck.errors import LimitError, SandboxError, SelectScriptError, UnsupportedError, warn
+from ssduck.errors import (
+    LimitError,
+    SandboxError,
+    SceneError,
+    SelectScriptError,
+    UnsupportedError,
+    warn,
+)
 from ssduck.interpreter.namespace import check_name
 from ssduck.interpreter.program import check_parameters
 from ssduck.limits import GRACE, LEAST_OPENING, Limits
@@ -128,8 +135,10 @@ class SandboxedInterpreter:
         path = scene_file(Path(scene).expanduser()).absolute()
         if str(scene) in shipped_scenes() or not path.exists():  # which is an error there
             return cls(Source("scene", str(scene), options, _absolute(readable)), **others)
-        around = _entries(path.resolve().parent)
-        own = (str(path.resolve()), *around, *_absolute(readable))
+        folder, file = path.parent.resolve(), path.resolve()
+        if not file.is_relative_to(folder):
+            raise SceneError(f"{path} is a link that leads out of its folder: give {file} itself")
+        own = (str(file), *_entries(folder), *_absolute(readable))
         return cls(Source("scene", str(path), options, own), **others)
 
     @classmethod

@@ -380,7 +380,7 @@ def test_files_that_limits_forbid(tmp_path):
     file = tmp_path / "x.parquet"
     calls = []
     program = f"SELECT seen(this) FROM [1] AS parquet('{file}');"
-    with ssduck.Interpreter(limits=ssduck.Limits.strict()) as ss:
+    with ssduck.Interpreter(limits=ssduck.Limits(files=False)) as ss:
         ss.add_function("seen", calls.append)
         with pytest.raises(LimitError, match="AS parquet: files are switched off") as caught:
             ss.eval(program)

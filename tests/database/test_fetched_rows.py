@@ -103,7 +103,7 @@ def test_more_rows_than_allowed_are_an_error_of_a_kept_statement():
 
 
 def test_texts_beyond_the_memory_are_an_error():
-    limits = ssduck.Limits.strict(memory=20_000_000, progress=False)
+    limits = ssduck.Limits(memory=20_000_000, progress=False)
     with ssduck.Interpreter(limits=limits) as ss, pytest.raises(LimitError, match="20,000,000"):
         ss.sql(f"SELECT n, 'a text of some length ' || n FROM range({ROWS * 150}) t(n)")
 

@@ -207,6 +207,7 @@ CALLS = {
     "Limits(seconds)": ("limit", True, lambda _, v: ssduck.Limits(seconds=v)),
     "Limits(rows)": ("above 0", True, lambda _, v: ssduck.Limits(rows=v)),
     "Limits(memory)": ("above 0", True, lambda _, v: ssduck.Limits(memory=v)),
+    "Limits(answer_bytes)": ("above 0", False, lambda _, v: ssduck.Limits(answer_bytes=v)),
     "Limits(depth)": ("above 0", False, lambda _, v: ssduck.Limits(depth=v)),
     "Limits(eval)": ("flag", False, lambda _, v: ssduck.Limits(eval=v)),
     "Limits(files)": ("flag", False, lambda _, v: ssduck.Limits(files=v)),

@@ -425,3 +425,15 @@ def test_scenes_with_meshes_of_both_simulators_are_loaded(zygote, tmp_path):
             assert ss.eval(query) == own.eval(query)
             ss.eval("piece = (SELECT obj FROM part AS environment);")
             assert len(ss["piece"]) == len(own["part"])
+
+
+def test_a_scene_that_is_a_link_out_of_its_folder_is_not_opened(tmp_path, zygote):
+    (tmp_path / "secret").write_text("a = 'secret'\n")
+    (tmp_path / "scene").mkdir()
+    scene = tmp_path / "scene" / "scene.toml"
+    scene.symlink_to(tmp_path / "secret")
+    for path in (scene, scene.parent):
+        with pytest.raises(
+            ssduck.SelectScriptError, match="is a link that leads out of its folder"
+        ):
+            SandboxedInterpreter.load(path, zygote=zygote)

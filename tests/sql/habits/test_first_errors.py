@@ -436,14 +436,6 @@ def test_save_is_told_of(ss):
         ss.save("run")
 
 
-def test_limits_name_the_tables():
-    with (
-        ssduck.Interpreter(limits=ssduck.Limits.strict()) as strict,
-        pytest.raises(SelectScriptError, match=r"one of contacts, .*entities"),
-    ):
-        strict.sql("SHOW TABLES")
-
-
 @pytest.mark.slow
 def test_each_of_many_links_is_a_value():
     """More than a table of 511 links, against MuJoCo."""
