@@ -69,7 +69,7 @@ class VectorQueryWrapper(VectorWrapper[Any, Any, Any, Any, Any]):
         forward: without `state`, whether terms see the poses that belong to `qpos`; see
             `QueryWrapper`.
         nan: what a term is in an environment in which it cannot be computed; see `QueryWrapper`.
-        limits: the limits of terms; `Limits.strict()` for terms from elsewhere.
+        limits: the limits of terms, which run in this process.
 
     Raises:
         SimulatorError: an environment has no model with its data, or another model.

@@ -80,7 +80,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             `"error"`; `"failure"`, where the episode has failed and ends, and the reward's part is
             0; or a number for the reward's part, where a condition is False and the episode goes
             on.
-        limits: the limits of terms; `Limits.strict()` for terms from elsewhere.
+        limits: the limits of terms, which run in this process.
 
     Raises:
         SimulatorError: the environment has no simulation that is known.

@@ -559,7 +559,7 @@ class Interpreter(
     ) -> ServedPage:
         """Serves a page that shows a world in 3-D as it is stepped, with a box for queries.
 
-        It asks copies of ticks under `Limits.strict()`. A notebook shows it; `close()` stops it.
+        It asks copies of ticks, without files. A notebook shows it; `close()` stops it.
 
         Args:
             world: the variable of the world; by default the first one.

@@ -229,7 +229,8 @@ class Lake:
                 recorded under, and is at its last tick.
             where: a condition on the columns of `episodes`, in SQL; None for all episodes.
             engine: `"local"`: processes of this machine; `"ray"`; `"spark"`.
-            limits: the limits of the program; `Limits.strict()` for programs from elsewhere.
+            limits: the limits of the program; with `Limits.strict()`, one process of a sandbox
+                answers.
             strict: whether a probable mistake in the program, such as a name that no entity of an
                 episode has, is the error of that episode.
             processes: the number of processes of this machine; by default one for each core, and
