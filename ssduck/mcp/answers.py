@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, Protocol
 
 from ssduck.adapters.charts import png
@@ -16,6 +17,7 @@ from ssduck.adapters.marks import highlighted, marks_of
 from ssduck.adapters.registry import all_adapters
 from ssduck.errors import ArgumentError, LimitError, printable
 from ssduck.formatting import first_sentence, short_repr
+from ssduck.interpreter.archives import episodes
 from ssduck.interpreter.completion import Language
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.program import last_query, value_to_show, with_last
@@ -127,6 +129,8 @@ def name_text(name: str) -> str:
 # -- answers of an interpreter ----------------------------------------------------------------
 
 
+# What is told of an episode.
+_TOLD = ("world", "number", "started", "ticks", "start", "end", "tables")
 # The largest size of a result, letters, and of a picture, pixels along a side.
 MAX_LETTERS, MAX_PIXELS = 50_000, 2_000
 
@@ -146,6 +150,9 @@ class Answers(Protocol):
     def help(self, name: str) -> str:
         """Returns the description of a function, a relation or a result form."""
 
+    def episodes(self) -> str:
+        """Returns the episodes of the record as JSON."""
+
     def query(self, program: str, language: Language, max_rows: int) -> str:
         """Returns the result of a program as JSON."""
 
@@ -154,10 +161,15 @@ class Answers(Protocol):
 
 
 class InterpreterAnswers:
-    """The answers of an interpreter in this process."""
+    """The answers of an interpreter in this process.
 
-    def __init__(self, ss: Interpreter) -> None:
-        self._ss = ss
+    Args:
+        ss: the interpreter.
+        record: the path of the record that it reads; None for a scene.
+    """
+
+    def __init__(self, ss: Interpreter, record: str | Path | None = None) -> None:
+        self._ss, self._record = ss, record
         self._stop_request = StopRequest()
 
     def begin(self) -> None:
@@ -175,6 +187,12 @@ class InterpreterAnswers:
     def help(self, name: str) -> str:
         """Returns the description of a function, a relation or a result form."""
         return str(self._ss.help(name))
+
+    def episodes(self) -> str:
+        """Returns the episodes of the record as JSON."""
+        assert self._record is not None
+        listed = episodes(self._record)
+        return as_text([{name: getattr(one, name) for name in _TOLD} for one in listed])
 
     def query(self, program: str, language: Language, max_rows: int) -> str:
         """Returns the result of a program as JSON, cut to a number of rows and a largest size."""
@@ -232,6 +250,10 @@ class SandboxedAnswers:
     def help(self, name: str) -> str:
         """Returns the description of a function, a relation or a result form."""
         return str(self._ask("help", name))
+
+    def episodes(self) -> str:
+        """Returns the episodes of the record as JSON."""
+        return str(self._ask("episodes"))
 
     def query(self, program: str, language: Language, max_rows: int) -> str:
         """Returns the result of a program as JSON, cut to a number of rows and a largest size."""

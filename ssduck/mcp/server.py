@@ -25,10 +25,9 @@ from mcp_types import PARSE_ERROR, ErrorData, JSONRPCError
 from pydantic import ValidationError
 
 from ssduck.errors import LimitError, SelectScriptError, printable
-from ssduck.interpreter.archives import episodes
 from ssduck.interpreter.completion import Language
 from ssduck.interpreter.interpreter import Interpreter
-from ssduck.mcp.answers import Answers, InterpreterAnswers, SandboxedAnswers, as_text
+from ssduck.mcp.answers import Answers, InterpreterAnswers, SandboxedAnswers
 from ssduck.sandbox.interpreter import SandboxedInterpreter
 
 
@@ -151,8 +150,6 @@ def _answer_to(error: ValidationError) -> JSONRPCError | None:
 
 
 T = TypeVar("T")
-# What is told of an episode.
-_TOLD = ("world", "number", "started", "ticks", "start", "end", "tables")
 
 
 def create_server(
@@ -171,9 +168,11 @@ def create_server(
         log_level="WARNING",
     )
     answers: Answers = (
-        SandboxedAnswers(ss) if isinstance(ss, SandboxedInterpreter) else InterpreterAnswers(ss)
+        SandboxedAnswers(ss)
+        if isinstance(ss, SandboxedInterpreter)
+        else InterpreterAnswers(ss, record)
     )
-    asking = _Asking(answers, record)
+    asking = _Asking(answers)
     tools: list[Callable[..., Any]] = [asking.schema, asking.help, asking.query, asking.picture]
     if record is not None:
         tools.append(asking.episodes)
@@ -185,8 +184,8 @@ def create_server(
 class _Asking:
     """The questions that agents ask: the docstrings are written for them."""
 
-    def __init__(self, answers: Answers, record: Path | None) -> None:
-        self._answers, self._record = answers, record
+    def __init__(self, answers: Answers) -> None:
+        self._answers = answers
         self._turns = _Turns(answers)
 
     async def _answer(self, method: Callable[..., T], *arguments: Any) -> T:
@@ -241,12 +240,9 @@ class _Asking:
         data = await self._answer(self._answers.picture, program, language, width, height)
         return Image(data=data, format="png")
 
-    def episodes(self) -> str:
+    async def episodes(self) -> str:
         """Lists the episodes of the record as JSON: world, number, ticks, times (s), tables."""
-        assert self._record is not None
-        with _errors_as_texts():
-            listed = episodes(self._record)
-            return as_text([{name: getattr(one, name) for name in _TOLD} for one in listed])
+        return await self._answer(self._answers.episodes)
 
 
 @contextlib.contextmanager

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import Any
+
 from ssduck.errors import LimitError
 from ssduck.limits import ANSWER_BYTES
 
 # The size of a number or a short text in a list, bytes.
 ELEMENT = 40
 # One wide character makes all of a text so wide, bytes.
-_WIDEST = 4
+WIDEST = 4
 # The size of what JSON makes of a comma, and of a bracket and a brace with what follows, bytes.
 _OF_COMMA, _OF_LIST, _OF_DICT = 64, 136, 248
 
@@ -29,6 +32,8 @@ class Budget:
 
     def charge(self, size: int) -> None:
         """Counts something."""
+        if not size >= 0:  # which NaN is not, either
+            raise InvalidAnswerError("something has a size below 0")
         self._left -= size
         if self._left < 0:
             raise LimitError(
@@ -38,10 +43,18 @@ class Budget:
 
     def charge_json(self, text: bytes) -> None:
         """Counts what a text of JSON becomes, from its length and its signs."""
-        width = _WIDEST if b"\\u" in text else 1
+        width = WIDEST if b"\\u" in text else 1
         size = width * len(text) + _OF_COMMA * text.count(b",")
         self.charge(size + _OF_LIST * text.count(b"[") + _OF_DICT * text.count(b"{"))
 
+    def charge_keys(self, keys: Iterable[Any], count: int = 1) -> None:
+        """Counts how often the keys of dicts may be compared.
+
+        A worker can choose numbers that all have the same hash, but no such texts.
+        """
+        numbers = sum(type(key) is not str for key in keys)
+        self.charge(count * numbers * numbers // 2)
+
     def charge_text(self, data: bytes) -> None:
         """Counts a text that is in the body, beside its bytes."""
-        self.charge(len(data) * (1 if data.isascii() else _WIDEST))
+        self.charge(len(data) * (1 if data.isascii() else WIDEST))

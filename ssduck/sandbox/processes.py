@@ -26,7 +26,7 @@ from ssduck.errors import LimitError, SandboxError, UnsupportedError
 from ssduck.limits import GRACE, python_command
 from ssduck.sandbox.budget import Budget, InvalidAnswerError
 from ssduck.sandbox.kernel import has_ended
-from ssduck.sandbox.messages import Message, Waiting, receive, send
+from ssduck.sandbox.messages import LOOK_EVERY, Message, Waiting, receive, send
 from ssduck.sandbox.references import SandboxedWorld
 from ssduck.sandbox.reports import error_of, tell
 from ssduck.sandbox.seal import SCRATCH, Walls, remove
@@ -43,6 +43,7 @@ _ENVIRONMENT = {
 # The largest size of all files in a scratch folder, bytes, and numbers of files and of threads.
 _MAX_SCRATCH, _MAX_FILES, _MAX_THREADS = 256 * 2**20, 1000, 64
 _BLOCK = 512  # of `st_blocks`
+_REMOVED = b" (deleted)"  # ends the path of a file without a name in a process's `maps`
 # A worker may run for so long, in several questions, before its host looks at them, s.
 _UNWATCHED = 0.01
 # How long a process may take to begin, and to end once it is told to, s.
@@ -204,7 +205,7 @@ class WorkerProcess:
         self._process = process
         self._scratch = folder / SCRATCH
         self._answer_bytes = answer_bytes
-        self._number, self._unwatched = 0, 0.0
+        self._number, self._unwatched, self._next_maps = 0, 0.0, 0.0
         self._pid = _pid_of(process)
         self.host = os.getpid()
         self._finalizer = weakref.finalize(
@@ -324,20 +325,51 @@ class WorkerProcess:
                 raise _HarmError("the program started many threads, and its process was ended")
 
     def _sizes(self) -> Iterator[int]:
-        """Yields the sizes of its files, and of those without a name that it has open, bytes."""
+        """Yields the sizes of its files, and of those without a name that it has, bytes."""
         folders = [str(self._scratch)]
         while folders:
-            with suppress(OSError), os.scandir(folders.pop()) as entries:
-                for entry in entries:
-                    found = entry.stat(follow_symlinks=False)
-                    yield max(found.st_size, found.st_blocks * _BLOCK)
-                    if entry.is_dir(follow_symlinks=False):
-                        folders.append(entry.path)
+            try:
+                with os.scandir(folders.pop()) as entries:
+                    for entry in entries:
+                        with suppress(FileNotFoundError):  # it has just been removed
+                            yield _size_of(entry.stat(follow_symlinks=False))
+                            if entry.is_dir(follow_symlinks=False):
+                                folders.append(entry.path)
+            except FileNotFoundError:
+                pass
+            except OSError:  # its path is too long, or it cannot be read: nobody knows what it has
+                yield _MAX_SCRATCH + 1
         with suppress(OSError), os.scandir(f"/proc/{self._pid}/fd") as entries:
             for entry in entries:
-                found = entry.stat()
-                if stat.S_ISREG(found.st_mode) and not found.st_nlink:
-                    yield max(found.st_size, found.st_blocks * _BLOCK)
+                with suppress(FileNotFoundError):
+                    found = entry.stat()
+                    if stat.S_ISREG(found.st_mode) and not found.st_nlink:
+                        yield _size_of(found)
+        yield from self._sizes_of_mapped()
+
+    def _sizes_of_mapped(self) -> Iterator[int]:
+        """Yields the largest size of each file without a name that it has in its memory only.
+
+        They are looked at ten times a second, since that takes long.
+        """
+        if time.monotonic() < self._next_maps:
+            return
+        self._next_maps = time.monotonic() + LOOK_EVERY
+        with suppress(OSError):
+            maps = Path(f"/proc/{self._pid}/maps").read_bytes()
+            if _REMOVED in maps:
+                scratch = os.fsencode(self._scratch)
+                lines = (line.split(None, 5) for line in maps.splitlines())
+                removed = {
+                    line[4]
+                    for line in lines
+                    if len(line) > 5 and line[5].startswith(scratch) and line[5].endswith(_REMOVED)
+                }
+                yield from (Walls.file_bytes for _ in removed)
+
+
+def _size_of(found: os.stat_result) -> int:
+    return max(found.st_size, found.st_blocks * _BLOCK)
 
 
 class _HarmError(Exception):

@@ -86,15 +86,21 @@ def remove(folder: str | Path) -> None:
     """Removes a folder of a worker: one that is nested too deeply for `rmtree`, too."""
     numbers = itertools.count()
     with suppress(OSError):
-        while inner := [
-            entry for entry in os.scandir(folder) if entry.is_dir(follow_symlinks=False)
-        ]:
+        while inner := _folders_in(folder):
             for entry in inner:
-                for below in list(os.scandir(entry)):
-                    if below.is_dir(follow_symlinks=False):
-                        Path(below).rename(Path(folder, f"{_MOVED}{next(numbers)}"))
+                for below in _folders_in(entry):
+                    below.rename(Path(folder, f"{_MOVED}{next(numbers)}"))
                 shutil.rmtree(entry, ignore_errors=True)
     shutil.rmtree(folder, ignore_errors=True)
+
+
+def _folders_in(folder: str | Path) -> list[Path]:
+    """Returns the folders in a folder, which its owner can read and change from then on."""
+    with os.scandir(folder) as entries:
+        found = [Path(entry) for entry in entries if entry.is_dir(follow_symlinks=False)]
+    for path in found:
+        path.chmod(0o700)
+    return found
 
 
 def seal(walls: Walls, without: Collection[str] = ()) -> list[str]:

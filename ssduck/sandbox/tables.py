@@ -7,16 +7,20 @@ that repeat values, and by those without bytes. Only plain types cross.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from ssduck.sandbox.budget import Budget, InvalidAnswerError
+from ssduck.errors import UnsupportedError
+from ssduck.sandbox.budget import WIDEST, Budget, InvalidAnswerError
 
 # What each element of a column, or of a list in one, takes at least, bytes.
 _LEAST = 8
+# What a number or a text takes as an object of Python, beside its bytes, and what a list, an array
+# or a dict does, beside its elements.
+_OBJECT, _NESTED = 72, 360
 _TYPES = pa.types
 _PLAIN: tuple[Callable[[pa.DataType], bool], ...] = (
     *(_TYPES.is_boolean, _TYPES.is_integer, _TYPES.is_floating, _TYPES.is_decimal),
@@ -32,12 +36,30 @@ _SCHEMA = 1
 
 def table_bytes(table: pa.Table) -> memoryview:
     """Returns a table as a stream of Arrow: with plain types, and nothing but the columns."""
-    columns = [_plain(column) for column in table.columns]
-    plain = pa.table(columns, names=table.column_names)
+    plain = plain_table(table)
     sink = pa.BufferOutputStream()
     with pa.ipc.new_stream(sink, plain.schema) as stream:
         stream.write_table(plain)
     return memoryview(sink.getvalue())
+
+
+def plain_table(table: pa.Table) -> pa.Table:
+    """Returns a table with plain types, and nothing but the columns."""
+    return pa.table([_plain(column) for column in table.columns], names=table.column_names)
+
+
+def size_of_values(table: pa.Table) -> int:
+    """Returns what the values of a table take at most as objects of Python, bytes."""
+    return sum(_size_of(chunk) for column in table.columns for chunk in column.chunks)
+
+
+def _size_of(array: Any) -> int:
+    if inner := list(_inner(array)):
+        return _NESTED * len(array) + sum(map(_size_of, inner))
+    size: int = array.nbytes
+    if _TYPES.is_string(array.type) or _TYPES.is_large_string(array.type):
+        size *= 1 if pc.all(pc.string_is_ascii(array)).as_py() in (True, None) else WIDEST
+    return _OBJECT * len(array) + size
 
 
 def _plain(column: pa.ChunkedArray) -> pa.ChunkedArray:
@@ -52,7 +74,14 @@ def _plain(column: pa.ChunkedArray) -> pa.ChunkedArray:
     try:
         return column.cast(pa.string())
     except pa.ArrowException:
+        pass
+    try:
         return pa.chunked_array([pc.cast(column, pa.binary())])
+    except pa.ArrowException:
+        raise UnsupportedError(
+            f"a column of the type {kind} cannot cross the wall of the sandbox; select it as "
+            "another type, as by CAST(… AS VARCHAR)"
+        ) from None
 
 
 def is_plain(kind: pa.DataType) -> bool:
@@ -115,18 +144,19 @@ def _bits_of(kind: pa.DataType) -> pa.DataType:
 def _charge(array: Any, budget: Budget) -> None:
     """Counts the elements of an array, and of those inside it."""
     budget.charge(_LEAST * len(array))
+    for inner in _inner(array):
+        _charge(inner, budget)
+
+
+def _inner(array: Any) -> Iterator[Any]:
+    """Yields the arrays that hold the elements of an array of lists, of structures or of maps."""
     kind = array.type
     if _TYPES.is_struct(kind):
-        for i in range(kind.num_fields):
-            _charge(array.field(i), budget)
-    elif _TYPES.is_fixed_size_list(kind):
-        budget.charge(_LEAST * len(array) * kind.list_size)
-        _charge(array.values, budget)
+        yield from (array.field(i) for i in range(kind.num_fields))
     elif _TYPES.is_map(kind):
-        _charge(array.keys, budget)
-        _charge(array.items, budget)
-    elif _TYPES.is_list(kind) or _TYPES.is_large_list(kind):
-        _charge(array.values, budget)
+        yield from (array.keys, array.items)
+    elif _TYPES.is_list(kind) or _TYPES.is_large_list(kind) or _TYPES.is_fixed_size_list(kind):
+        yield array.values
 
 
 def _check_messages(source: pa.Buffer) -> None:

@@ -27,7 +27,7 @@ from ssduck.adapters.tabular import class_of_rows
 from ssduck.errors import LimitError, SelectScriptError, UnsupportedError
 from ssduck.sandbox.budget import ELEMENT, Budget, InvalidAnswerError
 from ssduck.sandbox.references import EntityReference, SandboxedWorld
-from ssduck.sandbox.tables import checked_table, table_bytes
+from ssduck.sandbox.tables import checked_table, plain_table, size_of_values, table_bytes
 from ssduck.world.handles import Handle
 from ssduck.world.world import World
 
@@ -37,8 +37,8 @@ _LEAST_PACKED, _LEAST_TEXT = 16, 1000
 _ALIGNMENT = 64
 # What a dict takes beside its values, bytes.
 _DICT = 360
-# What a text takes in a column of pandas, bytes.
-_OBJECT = 72
+# What a class of named tuples takes, and each of its names, bytes.
+_CLASS, _NAME = 10_000, 1000
 _MAX_DEPTH, _MAX_NAMES = 100, 1000
 # The kinds of numpy's types: of numbers, truth values, texts and times.
 _KINDS = "biufcUSMm"
@@ -67,6 +67,7 @@ class Encoder:
         self._names: dict[int, str] = {}
         self._size = 0
         self._budget = budget
+        self._classes = _Classes(budget)
 
     def text(self, value: Any) -> bytes:
         """Returns the JSON of a value."""
@@ -90,6 +91,7 @@ class Encoder:
         if kind is list:
             return self._list(value, depth + 1)
         if kind is dict:
+            self._budget.charge_keys(value)
             pairs = [[key, part] for key, part in value.items()]
             return {"dict": self._each(chain.from_iterable(pairs), depth + 1)}
         for base, tag, encode in _ENCODERS:
@@ -115,6 +117,7 @@ class Encoder:
         kinds = set(map(type, values))
         if kinds == {dict} and (columns := _columns(values)) is not None:
             self._budget.charge((_DICT + ELEMENT * len(columns)) * len(values))
+            self._budget.charge_keys(columns, len(values))
             encoded = [self._list(column, depth) for column in columns.values()]
             return {"rows": [len(values), self._each(columns, depth), encoded]}
         if kinds == {list} and len(widths := set(map(len, values))) == 1 and widths != {0}:
@@ -152,7 +155,9 @@ class Encoder:
 
     def row(self, row: Any, depth: int) -> Any:
         """Returns what JSON holds of a tuple, or of a named one."""
-        return [list(getattr(row, "_fields", ())), self._each(row, depth)]
+        names = getattr(row, "_fields", ())
+        self._classes.charge(names)
+        return [list(names), self._each(row, depth)]
 
     def table(self, table: pa.Table, _: int) -> Any:
         """Returns the place of a table."""
@@ -183,15 +188,29 @@ class Encoder:
         if library == "PIL" and value.mode in _MODES:
             return ["picture", value.mode, *value.size, self._part(memoryview(value.tobytes()))]
         if library == "pandas" and type(value).__name__ == "DataFrame":
-            table = pa.Table.from_pandas(value, preserve_index=False)
-            self._budget.charge(_OBJECT * table.num_rows * table.num_columns)
+            table = plain_table(pa.Table.from_pandas(value, preserve_index=False))
+            self._budget.charge(size_of_values(table))
             return ["pandas", list(map(str, value.dtypes)), self.table(table, depth)]
         if library == "polars" and type(value).__name__ == "DataFrame":
             return ["polars", [], self.table(value.to_arrow(), depth)]
         raise UnsupportedError(
-            f"a {type(value).__name__} cannot cross the wall of the sandbox; select its values in "
-            "another form, as AS dict, list, df, numpy or json"
+            f"a value of the class {type(value).__name__} cannot cross the wall of the sandbox; "
+            "select its values in another form, as AS dict, list, df, numpy or json"
         )
+
+
+class _Classes:
+    """Counts the classes of named tuples that an answer needs, each once."""
+
+    def __init__(self, budget: Budget) -> None:
+        self._budget = budget
+        self._known: set[tuple[str, ...]] = {()}
+
+    def charge(self, names: tuple[str, ...]) -> None:
+        """Counts the class with some names, if it is new."""
+        if names not in self._known:
+            self._known.add(names)
+            self._budget.charge(_CLASS + _NAME * len(names))
 
 
 def _columns(rows: list[dict[Any, Any]]) -> dict[Any, list[Any]] | None:
@@ -244,7 +263,9 @@ class Decoder:
         world: Callable[[str], Any],
     ) -> None:
         self._body = body
+        self._taken = 0
         self._budget = budget
+        self._classes = _Classes(budget)
         self._entity = entity
         self._world = world
 
@@ -274,6 +295,9 @@ class Decoder:
         start, size = place
         if not (0 <= start <= start + size <= len(self._body)):
             raise InvalidAnswerError("a part lies outside its body")
+        self._taken += size
+        if self._taken > len(self._body):
+            raise InvalidAnswerError("a part of its body stands for several values")
         return self._body[start : start + size]
 
     def numbers(self, content: Any) -> list[Any]:
@@ -298,6 +322,7 @@ class Decoder:
         count, keys, columns = content
         names = self.node(keys)
         self._budget.charge((_DICT + ELEMENT * len(names)) * count)
+        self._budget.charge_keys(names, count)
         if not names:
             return [{} for _ in range(count)]
         parts = [self.node(column) for column in columns]
@@ -310,6 +335,7 @@ class Decoder:
         """Returns a dict."""
         parts = self.node(content)
         self._budget.charge(_DICT + ELEMENT * len(parts))
+        self._budget.charge_keys(parts[::2])
         return dict(zip(parts[::2], parts[1::2], strict=True))
 
     def row(self, content: Any) -> tuple[Any, ...]:
@@ -320,6 +346,7 @@ class Decoder:
             return tuple(parts)
         if len(names) > _MAX_NAMES:
             raise InvalidAnswerError("a row has too many names")
+        self._classes.charge(tuple(names))
         row: tuple[Any, ...] = class_of_rows(tuple(names))._make(parts)
         return row
 
@@ -327,16 +354,16 @@ class Decoder:
         """Returns an array."""
         kind, shape, data = content
         if kind == "fields":
-            arrays = {name: self.array(part) for name, part in data}
+            arrays = {name: self.array(part) for name, part in _named(data)}
             depth = len(shape)
+            if not arrays or any(list(array.shape[:depth]) != shape for array in arrays.values()):
+                raise InvalidAnswerError("the fields of an array differ in length")
             types: Any = [
                 (name, array.dtype, array.shape[depth:]) for name, array in arrays.items()
             ]
             self._budget.charge(sum(array.nbytes for array in arrays.values()))
             structured = np.zeros(shape, types)
             for name, array in arrays.items():
-                if list(array.shape[:depth]) != shape:
-                    raise InvalidAnswerError("the fields of an array differ in length")
                 structured[name] = array
             return structured
         if kind == "objects":
@@ -368,7 +395,7 @@ class Decoder:
     def object(self, content: Any) -> Any:
         """Returns a grid."""
         name, parts = content
-        values = {field: self.node(part) for field, part in parts}
+        values = {field: self.node(part) for field, part in _named(parts)}
         if not isinstance(values.get("cells"), np.ndarray):
             raise InvalidAnswerError("a grid has no cells")
         return _OBJECTS[name](**values)
@@ -388,7 +415,7 @@ class Decoder:
         table = self.table(place)
         if kind == "polars":
             return library("polars", "polars").from_arrow(table)
-        self._budget.charge(_OBJECT * table.num_rows * table.num_columns)
+        self._budget.charge(size_of_values(table))
         return _frame(table, dtypes)
 
     def text(self, content: Any) -> str:
@@ -396,6 +423,13 @@ class Decoder:
         data = bytes(self.part(content))
         self._budget.charge_text(data)
         return data.decode("utf-8", "surrogatepass")
+
+
+def _named(parts: list[Any]) -> list[Any]:
+    """Returns pairs of a name and a part."""
+    if not all(type(name) is str for name, _ in parts):
+        raise InvalidAnswerError("a part has no name")
+    return parts
 
 
 def _frame(table: pa.Table, dtypes: Sequence[str]) -> Any:

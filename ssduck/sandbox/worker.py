@@ -78,6 +78,7 @@ class Worker:
         self._ss: Interpreter | None = None
         self._answers: Any = None
         self._lake: Any = None
+        self._record: str | None = None
         self._compiled = lru_cache(256)(self._parsed)
 
     def _parsed(self, text: str) -> CompiledProgram:
@@ -153,6 +154,7 @@ class Worker:
                 ss = load(location, limits=allowed, **options)
             elif kind == "record":
                 ss = open_record(location, limits=allowed, **options)
+                self._record = location
             else:
                 ss = Interpreter(limits=allowed, **options)
             stack.callback(ss.close)
@@ -244,7 +246,7 @@ class Worker:
     def told(self, method: str, arguments: list[Any]) -> Any:
         """Returns an answer to an agent."""
         if self._answers is None:
-            self._answers = service("agent answers")(self.ss)
+            self._answers = service("agent answers")(self.ss, self._record)
         return getattr(self._answers, method)(*arguments)
 
     def set_strict(self, strict: bool) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import json
 import resource
+import sys
 
 import numpy as np
 import pyarrow as pa
@@ -196,6 +197,13 @@ WRONG = [
     {"numbers": ["O", [0, 8]]},
     {"numbers": ["<f8", [0, 7]]},
     {"lists": [0, [1]]},
+    {"lists": [-1, [1]]},
+    {"rows": [-(10**9), [], []]},
+    {"rows": [float("nan"), [], []]},
+    [{"bytes": [0, 16]}, {"bytes": [0, 16]}],
+    {"array": ["fields", [10**9], []]},
+    {"array": ["fields", [2], [[1, ["<f8", [2], [0, 16]]]]]},
+    {"object": ["OccupancyGrid", [[1, 2]]]},
     {"rows": [3, ["a"], [[1, 2]]]},
     {"rows": [2, ["a", "b"], [[1, 2], [1]]]},
     {"dict": [[1], 2]},
@@ -219,6 +227,10 @@ WRONG = [
 ]
 
 
+# The hash of a multiple of this number is 0.
+ALIKE = sys.hash_info.modulus
+
+
 @pytest.mark.parametrize("document", WRONG, ids=json.dumps)
 def test_wrong_values_are_refused(document):
     with pytest.raises(InvalidAnswerError):
@@ -231,12 +243,25 @@ def test_wrong_values_are_refused(document):
         {"rows": [10**9, [], []]},
         {"array": ["<U0", [10**12], [0, 0]]},
         {"other": ["picture", "RGB", 10**6, 10**6, [0, 0]]},
+        # Dicts of keys that all have the same hash, which Python compares one by one.
+        {"dict": [part for i in range(20_000) for part in ({"int": hex(i * ALIKE)}, 0)]},
+        {"rows": [100, [i * ALIKE for i in range(2000)], [[0] * 100] * 2000]},
+        # Classes of rows.
+        [{"tuple": [[f"name{i}"], [0]]} for i in range(20_000)],
     ],
+    ids=lambda document: str(document)[:40],
 )
 def test_values_without_bytes_are_counted(document):
     gc.collect()
     with pytest.raises((LimitError, InvalidAnswerError)):
         decoded(document)
+
+
+@pytest.mark.parametrize("column", [["x" * 9_000_000 + "\U0001f986"], [{"a": None}] * 100_000])
+def test_frames_are_counted_as_what_python_makes_of_them(column):
+    data = bytes(table_bytes(pa.table({"a": column})))
+    with pytest.raises(LimitError, match="answer takes"):
+        decoded({"other": ["pandas", ["object"], [0, len(data)]]}, data)
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -189,17 +189,18 @@ def test_its_scratch_folder_is_its_own_and_bounded(zygote):
         assert not Path(folder).exists()
         with pytest.raises(LimitError, match="filled the disk"):
             ss.ask("python", "[open(f'f{i}', 'w') and None for i in range(2000)]")
-        with pytest.raises(LimitError, match="filled the disk"):
-            ss.ask("python", HIDDEN)
-        with pytest.raises(LimitError, match="filled the disk"):
-            ss.ask("python", DEEP)
+        for code in (HIDDEN, DEEP, FAR, MAPPED):
+            with pytest.raises(LimitError, match="filled the disk"):
+                ss.ask("python", code)
         assert ss.eval("1;") == 1
-        folders = [path.name for path in Path(folder).parents[1].iterdir()]
+        ss.ask("python", LOCKED)
+    folders = [path.name for path in Path(folder).parents[1].iterdir()]
     own = int(Path(folder).parent.name.removeprefix("worker"))
-    assert not any(f"worker{number}" in folders for number in range(own, own + 4))
+    assert not any(f"worker{number}" in folders for number in range(own, own + 7))
 
 
-# Files that are open and have no name, and folders in folders, by paths too long for the kernel.
+# Files that are open and have no name, folders in folders, files of paths too long for the kernel,
+# and files without a name that are in memory, by a page, and not open.
 HIDDEN = """
 import os
 files = []
@@ -213,6 +214,35 @@ import os
 for i in range(20000):
     os.mkdir("d")
     os.chdir("d")
+"""
+FAR = """
+import os, time
+for i in range(20):
+    os.mkdir("d" * 250)
+    os.chdir("d" * 250)
+[open(f"f{i}", "wb").write(bytes(10 << 20)) for i in range(30)]
+time.sleep(1)
+"""
+# Folders that their owner cannot read, unless it is the superuser.
+LOCKED = """
+import os
+os.makedirs("d/d")
+os.mkdir("d/d/d", 0o300)
+open("d/d/d/x", "w").close()
+os.mkdir("d/d/e", 0)
+"""
+MAPPED = f"""
+import ctypes, os, time
+libc = {CALL}
+libc.mmap.restype = ctypes.c_void_p
+libc.mmap.argtypes = [ctypes.c_void_p, ctypes.c_size_t, *[ctypes.c_int] * 3, ctypes.c_long]
+for i in range(8):
+    file = os.open("mapped", os.O_RDWR | os.O_CREAT)
+    os.write(file, bytes(50 << 20))
+    assert libc.mmap(None, 4096, 1, 2, file, 0) < 1 << 63
+    os.unlink("mapped")
+    os.close(file)
+time.sleep(1)
 """
 
 
