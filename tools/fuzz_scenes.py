@@ -1,4 +1,4 @@
-"""Checks that no model file from a stranger ends the process that loads it.
+"""Checks what becomes of mutated model files, as a stranger may send them.
 
 `python -m tools.fuzz_scenes [COUNT] [--seed N] [--format NAME ...] [--keep FOLDER]` loads COUNT
 mutated files of each format under `Limits.strict()`: URDF, SDF and MJCF by PyBullet, MJCF by MuJoCo
@@ -6,15 +6,13 @@ mutated files of each format under `Limits.strict()`: URDF, SDF and MJCF by PyBu
 hours on busy cores. The exit status is 1 if there are faults, whose files are kept in FOLDER.
 
 Each file must be loaded, or be a `SceneError` or a `LimitError`. What is loaded is asked for its
-boxes, drawn, and stepped; no box may be NaN. Other processes do so: one that ends, or does not
-answer, is a fault.
+boxes, drawn, and stepped; no box may be NaN.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
-import multiprocessing
 import shutil
 import sys
 import tempfile
@@ -22,8 +20,6 @@ import time
 import warnings
 from collections import Counter
 from collections.abc import Sequence
-from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import ssduck
@@ -31,11 +27,9 @@ from ssduck import Limits
 from ssduck.errors import LimitError, SceneError
 from tools.fuzzing.models import FORMATS, write_mutant
 
-# The time that loading and asking may take, s.
-TIMEOUT = 120.0
 # The number of files between two lines of progress.
 REPORT_EVERY = 100
-LOADED, CRASHED = "loaded", "crashed the other process"
+LOADED, CRASHED = "loaded", "crashed the sandbox"
 BOXES = "SELECT xmin, ymin, zmin, xmax, ymax, zmax FROM {}.shapes"
 
 
@@ -43,10 +37,13 @@ def outcome(model: Path, format: str) -> str:
     """Loads and uses a model under strict limits, and returns what became of it."""
     simulator = "mujoco" if format == "mujoco" else "pybullet"
     try:
-        with ssduck.load(model, limits=Limits.strict(), simulator=simulator) as ss:
+        with (
+            warnings.catch_warnings(action="ignore"),
+            ssduck.load(model, limits=Limits.strict(), simulator=simulator) as ss,
+        ):
             return _used(ss, with_picture=simulator != "mujoco")  # it needs a graphics library
     except (SceneError, LimitError) as error:
-        return CRASHED if "crashes" in error.message else type(error).__name__
+        return CRASHED if "crashed" in error.message else type(error).__name__
     except Exception as error:  # noqa: BLE001  # what must not be
         return f"FAULT: {type(error).__name__}: {error}"[:200]
 
@@ -62,15 +59,8 @@ def _used(ss: ssduck.Interpreter, *, with_picture: bool) -> str:
     return LOADED
 
 
-def _answer(pipe: Connection) -> None:
-    """Answers what became of models, in a process of its own."""
-    warnings.simplefilter("ignore")
-    while True:
-        pipe.send(outcome(*pipe.recv()))
-
-
 class Fuzz:
-    """Loads mutated files in another process, and keeps those that are faults.
+    """Loads mutated files, and keeps those that are faults.
 
     Args:
         keep: the folder for the files of faults; None for none.
@@ -84,49 +74,17 @@ class Fuzz:
         self._keep = keep
         self.outcomes: Counter[tuple[str, str]] = Counter()
         self.faults: list[str] = []
-        self._worker: tuple[BaseProcess, Connection] | None = None
 
     def add(self, format: str, seed: int) -> str:
         """Loads a file and returns what became of it."""
         with tempfile.TemporaryDirectory() as folder:
-            text = self._outcome(write_mutant(Path(folder), format, seed), format)
+            text = outcome(write_mutant(Path(folder), format, seed), format)
             self.outcomes[format, text] += 1
             if text.startswith("FAULT"):
                 self.faults.append(f"{format} {seed}: {text}")
                 if self._keep is not None:
                     shutil.copytree(folder, self._keep / f"{format}-{seed}", dirs_exist_ok=True)
         return text
-
-    def close(self) -> None:
-        """Ends the process."""
-        if self._worker is not None:
-            process, pipe = self._worker
-            process.kill()
-            process.join()
-            pipe.close()
-            self._worker = None
-
-    def _outcome(self, model: Path, format: str) -> str:
-        process, pipe = self._worker or self._started()
-        self._worker = process, pipe
-        try:
-            pipe.send((model, format))
-            if pipe.poll(TIMEOUT):
-                return str(pipe.recv())
-            text = "FAULT: there is no answer"
-        except (EOFError, OSError):
-            process.join()
-            text = f"FAULT: the process ended ({process.exitcode})"
-        self.close()
-        return text
-
-    def _started(self) -> tuple[BaseProcess, Connection]:
-        context = multiprocessing.get_context("spawn")
-        pipe, other = context.Pipe()
-        process = context.Process(target=_answer, args=(other,), daemon=True)
-        process.start()
-        other.close()
-        return process, pipe
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -145,7 +103,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 took = time.monotonic() - start
                 told = f"{number} of {options.count}, {len(fuzz.faults)} faults, {took:.0f} s"
                 print(f"{format}: {told}", flush=True)
-    fuzz.close()
     for (format, text), count in sorted(fuzz.outcomes.items()):
         print(f"{format:8} {count:6}  {text}")
     print(*fuzz.faults, sep="\n")

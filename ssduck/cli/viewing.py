@@ -60,10 +60,8 @@ def view(
 @contextmanager
 def _opened_view(location: str, episode: int | None, host: str, port: int) -> Iterator[View]:
     """Yields the page of a scene, which it runs, or of a record."""
-    from ssduck.interpreter.opening import load_tried, with_usable_name
-    from ssduck.limits import Limits
+    from ssduck.interpreter.opening import with_usable_name
     from ssduck.simulators.scenes import find_scene
-    from ssduck.simulators.trial import Trial
     from ssduck.view.view import view_record, view_scene
     from ssduck.world.world import World
 
@@ -74,10 +72,9 @@ def _opened_view(location: str, episode: int | None, host: str, port: int) -> It
     if episode is not None:
         raise typer.BadParameter(f"--episode: {location} is no record")
     scene = with_usable_name(find_scene(location))
-    trial = Trial(scene, Limits(trial=True))
 
     def load() -> World:
-        world = load_tried(scene, trial)
+        world = World.load(scene)
         world.name = scene.name
         return world
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -22,20 +23,21 @@ from ssduck.errors import (
     nearest,
     warn,
 )
+from ssduck.formatting import short_repr
 from ssduck.gym.judge import Judge
 from ssduck.gym.terms import Judgement, Terms
 from ssduck.gym.wrapper import INFO, check_open, described
 from ssduck.interpreter.interpreter import Interpreter
-from ssduck.interpreter.opening import load_tried
 from ssduck.limits import Limits
 from ssduck.recording.episode_steps import plain
 from ssduck.recording.paths import expand_path
 from ssduck.recording.spec import Recording
-from ssduck.simulators.scene_files import check_files_inside, check_scene_inside
 from ssduck.simulators.scenes import Scene, find_scene
 from ssduck.simulators.toml_reader import TomlTable, Vector
-from ssduck.simulators.trial import Trial
 from ssduck.world.world import World
+
+if TYPE_CHECKING:
+    from ssduck.gym.sandboxed_task import SandboxedTaskEnv
 
 WORLD = "sim"
 # The default step of a task, s, which is rounded to steps of the simulator.
@@ -91,7 +93,8 @@ class Task:
 
     Attributes:
         path: the file.
-        scene: the scene.
+        values: what it holds.
+        scene: the path of the scene.
         terms: success, failure, reward and end.
         observation: the numbers of an observation, by name.
         variables: constants of the terms.
@@ -103,7 +106,8 @@ class Task:
     """
 
     path: Path
-    scene: Scene
+    values: Mapping[str, Any]
+    scene: Path
     terms: Terms
     observation: Terms
     variables: Mapping[str, Any]
@@ -119,24 +123,27 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
 
     Args:
         task: the task.
-        limits: the limits of its terms, and of the process that loads its scene first.
+        limits: the limits of its terms.
 
     Attributes:
         task: the task.
+        interpreter: the interpreter that has the world.
     """
 
     def __init__(self, task: Task, limits: Limits) -> None:
         self.task = task
-        self._steps, self._is_closed = 0, False
-        self._trial = Trial(task.scene, limits)
-        self._interpreter = Interpreter(recording=None, limits=limits.in_process, strict=True)
+        # The number of steps since the last reset; None before the first one.
+        self._steps: int | None = None
+        self._is_closed = False
+        self._scene = _scene(task)
+        self.interpreter = Interpreter(recording=None, limits=limits, strict=True)
         try:
             self._load()
             self._check_steps()
             for name, value in task.variables.items():
-                self._interpreter.add_variable(name, value)
+                self.interpreter.add_variable(name, value)
             self._judge, self._observer = (
-                Judge(terms, self._interpreter, WORLD, (), if_unknown="set it in [variables]")
+                Judge(terms, self.interpreter, WORLD, (), if_unknown="set it in [variables]")
                 for terms in (task.terms, task.observation)
             )
             self._record_past()
@@ -150,11 +157,7 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
             self.close()
             self._name_file(error)
             raise
-        low = np.array([action.low for action in task.actions], np.float32)
-        high = np.array([action.high for action in task.actions], np.float32)
-        self.action_space = gymnasium.spaces.Box(low, high, dtype=np.float32)
-        shape = (len(task.observation.parts),)
-        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float64)
+        self.action_space, self.observation_space = spaces(task)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -181,7 +184,10 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
     ) -> tuple[npt.NDArray[np.float64], float, bool, bool, dict[str, Any]]:
         """Sets the targets of joints, runs the scene, and evaluates the terms."""
         check_open(self._is_closed, "step")
-        for one, number in zip(self.task.actions, np.asarray(action, float).tolist(), strict=True):
+        numbers = targets(self.task, action)
+        if self._steps is None:
+            raise ArgumentError("step: call reset first")
+        for one, number in zip(self.task.actions, numbers, strict=True):
             target = min(max(number, one.low), one.high)  # the space rounds the ends of the range
             entity = self._world[one.entity]
             if one.control == "position":
@@ -199,26 +205,26 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
     def close(self) -> None:
         """Closes the simulation."""
         self._is_closed = True
-        if WORLD in self._interpreter:
+        if WORLD in self.interpreter:
             self._world.close()
-        self._interpreter.close()
+        self.interpreter.close()
 
     @property
     def _world(self) -> World:
-        world = self._interpreter[WORLD]
+        world = self.interpreter[WORLD]
         assert isinstance(world, World)
         return world
 
     def _load(self) -> None:
         """Loads the scene in place of the one before."""
-        before = self._world if WORLD in self._interpreter else None
-        self._interpreter.add_variable(WORLD, load_tried(self.task.scene, self._trial))
+        before = self._world if WORLD in self.interpreter else None
+        self.interpreter.add_variable(WORLD, World.load(self._scene))
         if before is not None:
             before.close()
 
     def _check_steps(self) -> None:
         """Checks that a step of the task is some steps of the simulator, and not too many."""
-        substeps = self.task.scene.engine.substeps or 1
+        substeps = self._scene.engine.substeps or 1
         steps, timestep = self.task.step_time / self._world.timestep, self._world.timestep
         place = f"{self.task.path}: step_time: {self.task.step_time:g} s"
         if round(steps) < 1:
@@ -241,7 +247,7 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
     def _record_past(self) -> None:
         """Records the ticks in memory if a term reads them."""
         if tables := self._judge.past_tables | self._observer.past_tables:
-            self._interpreter.record(WORLD, Recording(tables=tuple(tables)))
+            self.interpreter.record(WORLD, Recording(tables=tuple(tables)))
 
     def _judged(self, *, is_first: bool) -> tuple[Judgement, npt.NDArray[np.float64]]:
         """Returns the values of the terms and of the observation at the present tick."""
@@ -282,22 +288,60 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
                 raise SceneError(message, suggestions=error.suggestions) from error
 
 
-def make_task(path: str | Path, *, limits: Limits | None = None) -> TaskEnv:
+def spaces(
+    task: Task,
+) -> tuple[gymnasium.Space[npt.NDArray[np.float32]], gymnasium.Space[npt.NDArray[np.float64]]]:
+    """Returns the spaces of the actions and of the observations of a task."""
+    low = np.array([action.low for action in task.actions], np.float32)
+    high = np.array([action.high for action in task.actions], np.float32)
+    shape = (len(task.observation.parts),)
+    return (
+        gymnasium.spaces.Box(low, high, dtype=np.float32),
+        gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float64),
+    )
+
+
+def targets(task: Task, action: Any) -> list[float]:
+    """Returns the targets of an action, one for each joint."""
+    numbers = np.asarray(action, float)
+    if numbers.shape != (len(task.actions),):
+        raise ArgumentError(
+            f"step: an action of this task has {len(task.actions)} numbers, and "
+            f"{short_repr(action)} has the shape {numbers.shape}"
+        )
+    listed: list[float] = numbers.tolist()
+    return listed
+
+
+def make_task(path: str | Path, *, limits: Limits | None = None) -> TaskEnv | SandboxedTaskEnv:
     """Returns the environment of a task that a TOML file describes.
 
-    A task may come from a stranger: it has no code, its scene and the files of that are in the
-    folder of the task, and its terms have `Limits.strict()`.
+    A task has no code. With `limits=Limits.strict()` it may come from a stranger: all of it is in
+    a sandbox, a process that reads nothing but the libraries and the folder of the task, and can do
+    no harm. What takes too long there, or ends the process, is a LimitError, and the next `reset`
+    starts another one.
 
     Args:
         path: the file.
-        limits: other limits of the terms; with `files=True`, files may be anywhere.
+        limits: the limits of its terms. By default those of `Limits.strict()`, in this process:
+            for tasks of your own, whose scene may be anywhere.
 
     Raises:
         SceneError: the file cannot be read, or the scene; the message has file and key.
         SelectScriptError: a term is wrong; the message has the file and the key.
+        SandboxError: the system has no sandbox.
     """
     file = expand_path(path).absolute()
-    limits = limits or Limits.strict()
+    if limits is not None and limits.is_sandboxed:
+        from ssduck.gym.sandboxed_task import SandboxedTaskEnv
+
+        return SandboxedTaskEnv(file, limits)
+    return task_env(file, Limits.strict(require=()) if limits is None else limits)
+
+
+def task_env(path: str | Path, limits: Limits) -> TaskEnv:
+    """Returns the environment of a task, which is in this process."""
+    file = Path(path)
     if not file.is_file():  # a pipe would be waited for, and a device read without end
         raise SceneError(f"{file}: there is no such file")
     try:
@@ -309,14 +353,18 @@ def make_task(path: str | Path, *, limits: Limits | None = None) -> TaskEnv:
         raise SceneError(f"{file}: {reason}") from error
     except RecursionError:
         raise SceneError(f"{file}: it is nested too deeply") from None
-    return TaskEnv(_task(TomlTable(file, "", values), file, limits), limits)
+    return TaskEnv(task_of(file, values), limits)
 
 
-def _task(table: TomlTable, file: Path, limits: Limits) -> Task:
-    scene = _scene(table, file, limits)
+def task_of(file: Path, values: dict[str, Any]) -> Task:
+    """Returns the task of what a file holds; it reads nothing more."""
+    table = TomlTable(file, "", values)
+    name = table.text("scene")
+    if "\0" in name:
+        table.fail("scene", f"{name!r} is no path")
     text = partial(table.text, default=None)  # type: ignore[arg-type]
-    reward = table.values.get("reward")
-    nan = table.values.get("nan", "error")
+    reward = values.get("reward")
+    nan = values.get("nan", "error")
     table.read_keys.update(_KEYS)
     table.end()  # a misspelt term is no term
     try:
@@ -331,12 +379,13 @@ def _task(table: TomlTable, file: Path, limits: Limits) -> Task:
         raise SceneError(f"{file}: {error.message}") from error
     if WORLD in variables:
         raise SceneError(f"{file}: variables.{WORLD} is the world; give it another name")
-    seeds = table.values.get("seeds", [0])
+    seeds = values.get("seeds", [0])
     if not isinstance(seeds, list) or not all(type(one) is int and one >= 0 for one in seeds):
         table.fail("seeds", f"expected a list of whole numbers from 0, found {seeds!r}")
     return Task(
         file,
-        scene,
+        values,
+        file.parent / name,
         terms,
         observation,
         variables,
@@ -348,23 +397,16 @@ def _task(table: TomlTable, file: Path, limits: Limits) -> Task:
     )
 
 
-def _scene(table: TomlTable, file: Path, limits: Limits) -> Scene:
-    """Returns the scene, whose files are in the folder of the task."""
-    name = table.text("scene")
-    if "\0" in name:
-        table.fail("scene", f"{name!r} is no path")
-    place = (file.parent / name).resolve()
-    if not limits.files and not place.is_relative_to(file.parent.resolve()):
-        table.fail("scene", f"{place} is not in the folder of the task")
-    if not limits.files:
-        check_scene_inside(place, file.parent)
+def _scene(task: Task) -> Scene:
+    """Reads the scene of a task."""
+    place, folder = task.scene.resolve(), task.path.parent
     if not place.exists():
-        near = nearest(name, [other.name for other in file.parent.iterdir()])
-        table.fail("scene", f"there is no file {name!r} beside the task file", near)
-    scene = find_scene(place)
-    if not limits.files:
-        check_files_inside(scene)
-    return scene
+        names: list[str] = []
+        with suppress(OSError):  # a sandbox lists no folder
+            names = [other.name for other in folder.iterdir()]
+        told = f"there is no file {task.values['scene']!r} beside the task file"
+        TomlTable(task.path, "", {}).fail("scene", told, nearest(task.scene.name, names))
+    return find_scene(place)
 
 
 def _texts(table: TomlTable, key: str) -> Mapping[str, str]:

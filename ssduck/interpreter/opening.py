@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -19,9 +18,7 @@ from ssduck.recording.paths import expand_path
 from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.parquet_layout import FolderRun
-from ssduck.simulators.scene_files import check_files_inside, check_scene_inside
-from ssduck.simulators.scenes import Scene, find_scene, shipped_scenes
-from ssduck.simulators.trial import Trial
+from ssduck.simulators.scenes import Scene, find_scene
 from ssduck.world.world import World
 
 
@@ -43,8 +40,7 @@ def load(
         recording: the recording of the world; see `Interpreter`.
         limits: the limits of programs and SQL; with `Limits.strict()`, for a scene or programs
             from elsewhere, the interpreter is a `SandboxedInterpreter`, and the scene reads its
-            own folder only. With `files=False`, models, meshes and textures must be in the folder
-            of the scene.
+            own folder only.
         simulator: `"mujoco"` or `"pybullet"`; by default MuJoCo, if it is installed, for an MJCF
             file, and PyBullet for everything else.
         name: the name of the world; by default that of the scene or the file. Where this is a word
@@ -54,7 +50,7 @@ def load(
         ArgumentError: no world can have the name.
         UnknownNameError: no scene has that name; the error suggests the nearest names.
         SceneError: the scene cannot be loaded; the error names file, key and reason.
-        LimitError: the process that loads it first takes too long, or too much memory.
+        LimitError: in a sandbox, loading takes too long, or too much memory.
 
     >>> import ssduck
     >>> with ssduck.load("kitchen") as ss:
@@ -66,17 +62,10 @@ def load(
         options = {"recording": recording, "simulator": simulator, "name": name}
         sandboxed: Interpreter = service("sandboxed load")(scene, database, limits, **options)
         return sandboxed
-    is_checked = limits is not None and not limits.files and limits.trial is not False
-    is_foreign = is_checked and str(scene) not in shipped_scenes()
-    if is_foreign:
-        check_scene_inside(scene)
     description = with_usable_name(find_scene(scene), name)
-    trial = Trial(description, limits, simulator)  # which checks the files, too
-    if is_foreign and not trial.is_needed and description.path not in shipped_scenes().values():
-        check_files_inside(description)
     interpreter = Interpreter(database, recording=recording, limits=limits)
     try:
-        world = load_tried(description, trial, simulator)
+        world = World.load(description, simulator=simulator)
         interpreter._owned_worlds.append(world)  # noqa: SLF001  # `close` closes it
         interpreter.add_variable(description.name, world)
     except BaseException:
@@ -112,17 +101,6 @@ def _check_world_name(name: str) -> None:
     validation.world_name(name)
 
 
-def load_tried(scene: Scene, trial: Trial, simulator: str | None = None) -> World:
-    """Loads a scene once its trial has passed, for the arguments see `load`."""
-    with ExitStack() as stack:
-        with trial.passed():
-            world = World.load(scene, simulator=simulator)
-            stack.callback(world.close)
-        stack.pop_all()
-    return world
-
-
-@record_errors()
 def open_record(
     path: str | Path,
     world: str | None = None,
@@ -164,8 +142,24 @@ def open_record(
         places = path, world, episode
         sandboxed: Interpreter = service("sandboxed open")(*places, limits, partial=partial)
         return sandboxed
-    if limits is not None and not limits.files and limits.trial is not False:
+    if limits is not None and not limits.files:
         limits = replace(limits, select_only=True)
+    return opened_record(path, world, episode, limits=limits, partial=partial)
+
+
+@record_errors()
+def opened_record(
+    path: str | Path,
+    world: str | None,
+    episode: int | None,
+    *,
+    limits: Limits | None,
+    partial: bool,
+) -> Interpreter:
+    """Returns an interpreter on a record in this process, with any SQL that the limits allow.
+
+    For the arguments see `open_record`.
+    """
     path = expand_path(path).absolute()  # the working directory may change
     interpreter = Interpreter(recording=None, limits=limits)
     database = interpreter._database  # noqa: SLF001  # it reads the record

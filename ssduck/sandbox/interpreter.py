@@ -40,13 +40,13 @@ class Source:
     """What a worker opens.
 
     Attributes:
-        kind: a scene, a record, a lake, or nothing.
+        kind: a scene, a record, a lake, a task, or nothing.
         location: the name of a shipped scene, or an absolute path.
         options: arguments of `load`, `open` or `Interpreter`.
         readable: the files and folders that this takes.
     """
 
-    kind: Literal["scene", "record", "lake", "nothing"] = "nothing"
+    kind: Literal["scene", "record", "lake", "task", "nothing"] = "nothing"
     location: str = ""
     options: Mapping[str, Any] = field(default_factory=dict)
     readable: tuple[str, ...] = ()
@@ -135,10 +135,7 @@ class SandboxedInterpreter:
         path = scene_file(Path(scene).expanduser()).absolute()
         if str(scene) in shipped_scenes() or not path.exists():  # which is an error there
             return cls(Source("scene", str(scene), options, _absolute(readable)), **others)
-        folder, file = path.parent.resolve(), path.resolve()
-        if not file.is_relative_to(folder):
-            raise SceneError(f"{path} is a link that leads out of its folder: give {file} itself")
-        own = (str(file), *_entries(folder), *_absolute(readable))
+        own = (*_with_folder(path), *_absolute(readable))
         return cls(Source("scene", str(path), options, own), **others)
 
     @classmethod
@@ -172,6 +169,16 @@ class SandboxedInterpreter:
         real = place.resolve()
         own = (str(real), *_without_links([Path(f"{real}.wal")]))
         return cls(Source("record", str(place), options, own), **others)
+
+    @classmethod
+    def of_task(cls, path: Path, **others: Any) -> Self:
+        """Returns the interpreter of a task, which the requests `reset` and `act` are for.
+
+        Args:
+            path: the file, absolute. Of its folder all can be read that is not hidden.
+            **others: arguments of this class.
+        """
+        return cls(Source("task", str(path), readable=_with_folder(path)), **others)
 
     def close(self) -> None:
         """Ends the process."""
@@ -407,21 +414,25 @@ def _absolute(paths: Collection[str | Path]) -> tuple[str, ...]:
     return tuple(str(Path(path).expanduser().absolute()) for path in paths)
 
 
-def _entries(folder: Path) -> list[str]:
-    """Returns what is in the folder of a scene, without hidden files and links.
+def _with_folder(path: Path) -> tuple[str, ...]:
+    """Returns a file, and what is in its folder, without hidden files and links.
 
     Raises:
+        SceneError: the file is a link that leads elsewhere.
         SandboxError: that is too much for one scene.
     """
+    folder, file = path.parent.resolve(), path.resolve()
+    if not file.is_relative_to(folder):
+        raise SceneError(f"{path} is a link that leads out of its folder: give {file} itself")
     if not folder.is_dir():
-        return []
+        return (str(file),)
     entries = _without_links(sorted(folder.iterdir()))
     if len(entries) > _MAX_ENTRIES:
         raise SandboxError(
             f"{folder} has more than {_MAX_ENTRIES} entries, all of which a scene could read; put "
             "the scene and its models into a folder of their own"
         )
-    return entries
+    return (str(file), *entries)
 
 
 def _without_links(paths: Iterable[Path]) -> list[str]:

@@ -19,7 +19,7 @@ from sqlglot import exp
 from ssduck.errors import LimitError, UnknownNameError, UnsupportedError, check_known
 from ssduck.formatting import short_repr
 from ssduck.interpreter.interpreter import Interpreter
-from ssduck.interpreter.opening import load, open_record
+from ssduck.interpreter.opening import load, opened_record
 from ssduck.interpreter.program import CompiledProgram, rows_to_show
 from ssduck.lazy import service
 from ssduck.limits import Limits
@@ -79,6 +79,7 @@ class Worker:
         self._answers: Any = None
         self._lake: Any = None
         self._record: str | None = None
+        self._task: Any = None
         self._compiled = lru_cache(256)(self._parsed)
 
     def _parsed(self, text: str) -> CompiledProgram:
@@ -141,8 +142,8 @@ class Worker:
     def open(
         self, kind: str, location: str, options: dict[str, Any], limits: dict[str, Any]
     ) -> None:
-        """Opens a scene, a record, or nothing."""
-        allowed = Limits(**limits, files=False, progress=False, trial=False)
+        """Opens a scene, a record, a task, or nothing."""
+        allowed = Limits(**limits, files=False, progress=False)
         recording = options.get("recording")
         if isinstance(recording, dict):
             options["recording"] = Recording(**recording)
@@ -153,8 +154,11 @@ class Worker:
             if kind == "scene":
                 ss = load(location, limits=allowed, **options)
             elif kind == "record":
-                ss = open_record(location, limits=allowed, **options)
+                ss = opened_record(location, limits=allowed, **options)
                 self._record = location
+            elif kind == "task":
+                self._task = service("task")(location, limits=allowed)
+                ss = self._task.interpreter
             else:
                 ss = Interpreter(limits=allowed, **options)
             stack.callback(ss.close)
@@ -267,6 +271,9 @@ _REQUESTS: dict[str, Callable[..., Any]] = {
     "explain": lambda worker, text: worker.ss.explain(text),
     "answer": Worker.told,
     "of_lake": Worker.of_lake,
+    "task": lambda worker: worker._task.task.values,  # noqa: SLF001
+    "reset": lambda worker, seed: worker._task.reset(seed=seed),  # noqa: SLF001
+    "act": lambda worker, action: worker._task.step(action),  # noqa: SLF001
     "help": lambda worker, name: worker.ss.help(name),
     "history": lambda worker, name: worker.ss.history(name),
     "variable": lambda worker, name: worker.ss[name],

@@ -13,7 +13,6 @@ import numpy as np
 
 from ssduck.errors import SceneError
 from ssduck.formatting import short_repr
-from ssduck.simulators.scene_files import PIECE, cut_lines
 
 _SCHEME = re.compile(r"(?:package|model|file):/{0,2}")
 _VERTEX = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
@@ -27,6 +26,8 @@ _NUMBER = rb"[+-]?0*[1-9][0-9]*"
 _WORD = re.compile(
     _NUMBER + rb"(?:/|/" + _NUMBER + rb"|/(?:" + _NUMBER + rb")?/" + _NUMBER + rb")?"
 )
+# PyBullet reads a line of a mesh file in pieces of so many bytes.
+PIECE = 1023
 # A line that PyBullet may take for several.
 _LONG_LINE = re.compile(rb"[^\n]{%d,}" % PIECE)
 # The beginning of a line that is no comment.
@@ -35,6 +36,11 @@ _TOLD = re.compile(rb"[ \t]*[a-z]")
 _POINTER = b"version https://git-lfs"
 # PyBullet reads numbers of 32 bits.
 _MAX_NUMBER = 2**31 - 1
+
+
+def cut_lines(content: bytes, size: int) -> bytes:
+    """Returns a file as PyBullet reads it: each piece of so many bytes of a line is a line."""
+    return re.sub(rb"[^\n]{%d}(?=[^\n])" % size, rb"\g<0>\n", content)
 
 
 def check_meshes(model: Path, root: ET.Element) -> None:
@@ -49,8 +55,11 @@ def mesh_fault(file: Path) -> str:
     """Returns what would crash PyBullet in a mesh file, in words; nothing if it can be read."""
     if file.suffix.lower() not in _CHECKS or not file.exists():
         return ""
-    status = file.stat()
-    return _fault_of(file, status.st_mtime_ns, status.st_size)
+    try:
+        status = file.stat()
+        return _fault_of(file, status.st_mtime_ns, status.st_size)
+    except OSError as error:
+        return f"it cannot be read: {error.strerror}"
 
 
 def _names_in(root: ET.Element) -> Iterator[str]:
@@ -75,9 +84,9 @@ def is_readable(file: Path) -> bool:
     """Checks whether PyBullet reads triangles from a mesh file, if it is not damaged."""
     try:
         status = file.stat()
+        return file.is_file() and _has_triangles(file, status.st_mtime_ns, status.st_size)
     except OSError:
         return False
-    return file.is_file() and _has_triangles(file, status.st_mtime_ns, status.st_size)
 
 
 @lru_cache(maxsize=256)
@@ -95,10 +104,13 @@ def _has_triangles(file: Path, _time: int, size: int) -> bool:
 
 def is_pointer(file: Path) -> bool:
     """Checks whether a file is a pointer that Git LFS has in place of a large one."""
-    if not file.is_file():
+    try:
+        if not file.is_file():
+            return False
+        with file.open("rb") as stream:
+            return stream.read(len(_POINTER)) == _POINTER
+    except OSError:
         return False
-    with file.open("rb") as stream:
-        return stream.read(len(_POINTER)) == _POINTER
 
 
 def _triangle_count(file: Path) -> int:

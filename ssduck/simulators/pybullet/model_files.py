@@ -19,6 +19,7 @@ from ssduck.simulators.pybullet.ignored_parts import (
     has_unknown_angles,
     ignored_parts,
 )
+from ssduck.simulators.pybullet.mesh_checks import cut_lines
 from ssduck.simulators.pybullet.model_repairs import (
     free_continuous_joints,
     join_numbers,
@@ -29,7 +30,6 @@ from ssduck.simulators.pybullet.model_repairs import (
 )
 from ssduck.simulators.pybullet.sdf_frames import place_frames
 from ssduck.simulators.scene_bodies import BodySpec
-from ssduck.simulators.scene_files import cut_lines
 
 # Elements of SDF files whose text PyBullet reads without a check.
 _TEXTS = frozenset(
