@@ -1,20 +1,18 @@
 """The limits of a program: time, rows, memory, depth, files, statements, `eval` and progress.
 
-What a process that ssduck starts begins with, and how it ended, is here, too.
+What a process that ssduck starts begins with is here, too.
 """
 
 from __future__ import annotations
 
 import json
 import math
-import signal
 import sys
 import time
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 from ssduck import validation
@@ -25,8 +23,6 @@ from ssduck.formatting import joined_names, short_repr
 GRACE = 2.0
 # A record may take so long to be opened, however short the time of programs is, s.
 LEAST_OPENING = 10.0
-# Linux's file with the sizes of this process, and what a process may take beside its programs.
-_SIZES, _SPARE = Path("/proc/self/statm"), 10**9
 # The largest number of words and signs of a program under a limit of time.
 MAX_WORDS = 50_000
 # The effects of a sandbox: what its process cannot do, by whatever mechanism the system gives.
@@ -61,8 +57,6 @@ class Limits:
             own or the user's, and of nothing that ssduck keeps for itself.
         progress: whether programs that take longer than a second show their progress on a terminal
             (on standard error) or in a notebook.
-        trial: whether a process of its own loads a scene first, unless it comes with ssduck, so
-            that a file that crashes the simulator is an error; None for `not files`.
         require: what a sandbox must keep programs from, of `"files"`, `"network"`, `"processes"`,
             `"signals"`, `"memory"` and `"time"`; empty for programs that run in this process.
         answer_bytes: the largest size of an answer of a sandbox, bytes.
@@ -82,7 +76,6 @@ class Limits:
     files: bool = True
     select_only: bool = False
     progress: bool = True
-    trial: bool | None = None
     require: Collection[str] = ()
     answer_bytes: int = ANSWER_BYTES
 
@@ -101,8 +94,6 @@ class Limits:
             object.__setattr__(
                 self, name, validation.boolean(getattr(self, name), f"limits: {name}")
             )
-        if self.trial is not None:
-            object.__setattr__(self, "trial", validation.boolean(self.trial, "limits: trial"))
         object.__setattr__(self, "require", _checked_effects(self.require))
 
     @property
@@ -119,11 +110,6 @@ class Limits:
     def words(self) -> int | None:
         """The largest number of words of a program, whose parsing cannot be interrupted."""
         return None if self.seconds is None else MAX_WORDS
-
-    @property
-    def has_trial(self) -> bool:
-        """Whether a process of its own loads a scene first."""
-        return not self.files if self.trial is None else self.trial
 
     @classmethod
     def strict(cls, **changes: Any) -> Limits:
@@ -183,34 +169,6 @@ def python_command(module: str, *arguments: str, path: Sequence[str] | None = No
     """
     listed = json.dumps(list(map(str, sys.path)) if path is None else list(path))
     return [sys.executable, "-P", "-c", _START.format(module=module), listed, *arguments]
-
-
-def ending_text(status: int) -> str:
-    """Returns the exit status of a process in words, or the name of the signal that ended it."""
-    if status >= 0:
-        return f"exit status {status}"
-    try:
-        return signal.Signals(-status).name
-    except ValueError:  # a signal without a name, as those of real time are
-        return f"signal {-status}"
-
-
-def limit_process_memory(limits: Limits) -> None:
-    """Limits the memory that this process may take from now on, where the system can (Linux).
-
-    DuckDB and Python may each take `limits.memory`, and both need some for a time.
-
-    Args:
-        limits: the limits of the programs that it will run.
-    """
-    if limits.memory is None or not _SIZES.exists():
-        return
-    import resource
-
-    pages = int(_SIZES.read_text().split()[0])
-    size = pages * resource.getpagesize() + 2 * limits.memory + _SPARE
-    _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (size, hard))
 
 
 # -- opening ----------------------------------------------------------------------------------

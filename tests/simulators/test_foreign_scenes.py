@@ -1,4 +1,4 @@
-"""Scenes from strangers: what is wrong is a SceneError, and strict limits keep to the folder."""
+"""Scenes from elsewhere: what is wrong with them is a SceneError."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 
 import ssduck
-from ssduck import Limits
 from ssduck.errors import SceneError, UnknownNameError
-from ssduck.simulators.scene_files import PIECE
+from ssduck.simulators.pybullet.mesh_checks import PIECE
 from tests.support.cases import sampled
 
 CUBE = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1)) + (
@@ -43,110 +42,6 @@ def mjcf(geom: str, before: str = "") -> str:
         f'<mujoco>{before}<worldbody><body name="b"><joint type="free"/><geom {geom}/></body>'
         "</worldbody></mujoco>"
     )
-
-
-def file_mjcf(name: str, compiler: str = "") -> str:
-    return mjcf('type="mesh" mesh="x"', f'{compiler}<asset><mesh name="x" file="{name}"/></asset>')
-
-
-def visual(material: str) -> str:
-    shape = '<visual><geometry><box size="1 1 1"/></geometry>'
-    return urdf(more=f'{shape}<material name="m">{material}</material></visual>')
-
-
-# -- files elsewhere --------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder for a scene; files that it is not to have are beside it and in another."""
-    for folder in ("scene", "outside", "working"):
-        (tmp_path / folder).mkdir()
-    for file in ("cube.obj", "outside/cube.obj", "working/only_there.obj", "scene/m.obj"):
-        (tmp_path / file).write_text(CUBE)
-    (tmp_path / "working" / "m.obj").write_text(CUBE.replace("1", "2"))
-    (tmp_path / "outside" / "o.urdf").write_text(urdf())
-    (tmp_path / "scene" / "link.obj").symlink_to(tmp_path / "outside" / "cube.obj")
-    (tmp_path / "scene" / "sub").symlink_to(tmp_path / "outside")
-    (tmp_path / "scene" / "k.obj").write_text("mtllib ../outside/secret.mtl\n" + CUBE)
-    (tmp_path / "scene" / "n.obj").write_text("mtllib n.mtl\n" + CUBE)
-    (tmp_path / "scene" / "n.mtl").write_text("newmtl a\nmap_Kd ../outside/secret.png\n")
-    included = file_mjcf("../outside/cube.obj", '<include file="included.xml"/>')
-    (tmp_path / "scene" / "included.xml").write_text(included)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path / "scene"
-
-
-def body(key: str, file: str) -> str:
-    return f'[[body]]\nname = "a"\n{key} = "{file}"\n'
-
-
-# (file, text); {outside} is an absolute path
-ELSEWHERE = [
-    *(("s.urdf", mesh(name)) for name in (
-        "../outside/cube.obj", "{outside}/cube.obj", "file://{outside}/cube.obj", "link.obj",
-        "package://outside/cube.obj", "model://../outside/cube.obj", "sub/cube.obj", "cube.obj",
-        "package://../outside/cube.obj", "..\\outside\\cube.obj", "file:../outside/cube.obj",
-        "k.obj", "n.obj",
-    )),
-    ("s.urdf", visual('<texture filename="../outside/secret.png"/>')),
-    ("s.urdf", urdf(more='<visual><geometry><mesh filename="../cube.obj"/></geometry></visual>')),
-    ("s.urdf", '<!DOCTYPE r [<!ENTITY a "../outside/cube.obj">]>' + mesh("&a;")),
-    ("s.urdf", '<!DOCTYPE r [<!ENTITY a SYSTEM "file:///etc/passwd">]>' + urdf(more="&a;")),
-    ("s.urdf", mesh("m.obj").replace("</robot>", "")),
-    ("s.sdf", sdf("<mesh><uri>../outside/cube.obj</uri></mesh>")),
-    ("s.sdf", sdf("<mesh><uri>model://{outside}/cube.obj</uri></mesh>")),
-    ("s.xml", file_mjcf("../outside/cube.obj")),
-    ("s.xml", file_mjcf("{outside}/cube.obj")),
-    ("s.xml", file_mjcf("cube.obj", '<compiler meshdir="../outside"/>')),
-    ("s.xml", file_mjcf("cube.obj", '<compiler meshdir="{outside}"/>')),
-    ("s.xml", mjcf('type="sphere" size="1"', '<include file="../outside/x.xml"/>')),
-    ("s.xml", mjcf('type="sphere" size="1"', '<asset><texture fileup="/etc/passwd"/></asset>')),
-    ("s.xml", mjcf('type="sphere" size="1"', '<include file="included.xml"/>')),
-    ("s.toml", body("urdf", "../outside/o.urdf")),
-    ("s.toml", body("urdf", "{outside}/o.urdf")),
-    ("s.toml", body("urdf", "sub/o.urdf")),
-]  # fmt: skip
-
-
-@sampled(("name", "text"), ELSEWHERE, every=3)
-def test_strict_limits_keep_to_the_folder(place: Path, name: str, text: str) -> None:
-    file = place / name
-    file.write_text(text.replace("{outside}", str(place.parent / "outside")))
-    with pytest.raises(SceneError, match=r"Limits: files|cannot be read") as error:
-        ssduck.load(file, limits=Limits.strict().in_process)
-    assert str(place) in str(error.value)
-
-
-def test_the_working_directory_is_another(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """PyBullet looks there first."""
-    (place / "s.urdf").write_text(mesh("m.obj"))
-    monkeypatch.chdir(place.parent / "working")
-    with pytest.raises(SceneError, match=r"'m.obj' is not in .*scene, and files elsewhere"):
-        ssduck.load(place / "s.urdf", limits=Limits.strict().in_process)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        ("s.urdf", mesh("m.obj")),
-        ("s.urdf", mesh("package://m.obj")),
-        ("s.sdf", sdf("<mesh><uri>model://m.obj</uri></mesh>")),
-        ("s.toml", body("urdf", "s.urdf")),
-    ],
-)
-def test_files_beside_it_are_read(place: Path, name: str, text: str) -> None:
-    (place / "s.urdf").write_text(mesh("m.obj"))
-    (place / name).write_text(text)
-    with ssduck.load(place / name, limits=Limits.strict().in_process) as ss:
-        assert ss.sql("SELECT type FROM geometries").fetchall() in ([("hull",)], [("mesh",)])
-
-
-@pytest.mark.slow
-def test_shipped_scenes_load_with_strict_limits() -> None:
-    with ssduck.load("kitchen", limits=Limits.strict().in_process) as ss:
-        assert ss.eval("count(SELECT this FROM kitchen AS list);") == 37
 
 
 # -- numbers, depth and meshes ------------------------------------------------------------------------
@@ -283,25 +178,6 @@ def test_faces_may_precede_vertices_of_their_own_object(tmp_path: Path) -> None:
         assert len(ss.worlds[0]) == 1
 
 
-@pytest.mark.parametrize("role", ["mtl", "obj"])
-def test_a_name_cut_by_pybullet_is_not_read(tmp_path: Path, role: str) -> None:
-    """PyBullet takes what is behind byte 1,023 of a line for a line of its own."""
-    behind = "#" + "x" * 1022
-    materials = f"{behind}map_Kd pic.png\n" if role == "mtl" else "newmtl a\nmap_Kd pic.png\n"
-    names = "mtllib m.mtl" if role == "mtl" else f"{behind}mtllib m.mtl"
-    folder = tmp_path / "scene"
-    folder.mkdir()
-    (tmp_path / "outside.png").write_bytes(b"")
-    (folder / "pic.png").symlink_to(tmp_path / "outside.png")
-    (folder / "m.mtl").write_text(materials)
-    (folder / "m.obj").write_text(f"{names}\n{CUBE}")
-    (folder / "s.urdf").write_text(mesh("m.obj"))
-    with pytest.raises(SceneError, match=r"pic.png: .*outside.png' is not in"):
-        ssduck.load(
-            folder / "s.urdf", limits=ssduck.Limits.strict().in_process, simulator="pybullet"
-        )
-
-
 # (before a part that a comment hides from XML, the part, behind it)
 HIDDEN = {
     "s.urdf": (
@@ -324,15 +200,14 @@ HIDDEN = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("limits", [None, Limits.strict().in_process])
 @pytest.mark.parametrize("name", HIDDEN)
-def test_a_comment_hides_nothing_from_the_check(tmp_path: Path, name: str, limits: Limits) -> None:
+def test_a_comment_hides_nothing_from_the_check(tmp_path: Path, name: str) -> None:
     """PyBullet reads pieces of 8,191 bytes of a line; `<!-` and `-` are no comment then."""
     before, hidden, after = HIDDEN[name]
     text = f"{before}{' ' * (8191 - 3 - len(before))}<!-- >{hidden}-->{after}"
     (tmp_path / name).write_text(text)
     with pytest.raises(SceneError, match="would read another model"):
-        ssduck.load(tmp_path / name, limits=limits, simulator="pybullet")
+        ssduck.load(tmp_path / name, simulator="pybullet")
 
 
 def test_a_long_line_that_is_cut_between_its_parts_is_read(tmp_path: Path) -> None:
@@ -512,8 +387,6 @@ def test_entities_that_grow(tmp_path: Path) -> None:
     (tmp_path / "s.urdf").write_text(text)
     with ssduck.load(tmp_path / "s.urdf") as ss:
         assert ss.eval("SELECT id FROM s AS list;") == ["s"]
-    with pytest.raises(SceneError, match="<!DOCTYPE> is not allowed"):
-        ssduck.load(tmp_path / "s.urdf", limits=Limits.strict().in_process)
 
 
 def test_a_name_that_no_file_can_have() -> None:

@@ -27,7 +27,6 @@ from ssduck.simulators.backends import (
 from ssduck.simulators.interface import Body, Kind, Simulator, VisualShape
 from ssduck.simulators.model_xml import STATE_KEY
 from ssduck.simulators.mujoco.bodies import body_names, kind_by_joints, kinds_in, roots_of
-from ssduck.simulators.mujoco.declared_sizes import check_declared_sizes, check_iterations
 from ssduck.simulators.mujoco.environments import environments_of as environments
 from ssduck.simulators.mujoco.flexes import entity_roots
 from ssduck.simulators.mujoco.interventions import add_spare_welds
@@ -49,7 +48,6 @@ def load(scene: Scene) -> MuJoCoSimulator:
     file = _mjcf_file(scene)
     if file is None:
         return _load_bodies(scene)
-    check_declared_sizes(file)
     try:
         # The specification is the source of the model, which is kept to save it.
         spec = mujoco.MjSpec.from_file(str(file))
@@ -61,7 +59,6 @@ def load(scene: Scene) -> MuJoCoSimulator:
         raise SceneError(f"{scene.path} cannot be loaded: {error}") from error
     if not (compiled.opt.timestep > 0 and math.isfinite(compiled.opt.timestep)):
         raise SceneError(f"{scene.path}: the timestep is not a number above 0")
-    check_iterations(compiled.opt, scene.path)
     state = mujoco.mj_name2id(compiled, mujoco.mjtObj.mjOBJ_KEY, STATE_KEY)
     if state >= 0:
         mujoco.mj_resetDataKeyframe(compiled, data, state)

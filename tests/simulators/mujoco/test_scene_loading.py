@@ -239,3 +239,28 @@ def test_the_kitchen_is_the_same_in_both():
         assert found == pytest.approx(entity.position, abs=0.02), entity.name
     for ss in worlds:
         ss.close()
+
+
+def refused(tmp_path, text, words):
+    (tmp_path / "m.xml").write_text(f"<mujoco>{text}</mujoco>")
+    with pytest.raises(SceneError, match=words) as caught:
+        ssduck.load(tmp_path / "m.xml")
+    assert "m.xml" in str(caught.value)
+
+
+def test_what_mujoco_does_not_know_is_an_error_of_the_scene(tmp_path, monkeypatch):
+    def fails(path):
+        raise RuntimeError("Caught an unknown exception!")
+
+    monkeypatch.setattr("mujoco.MjSpec.from_file", fails)
+    refused(tmp_path, "", "cannot be loaded: Caught an unknown exception")
+
+
+def test_a_file_that_includes_itself_is_an_error(tmp_path):
+    refused(tmp_path, '<include file="m.xml"/>', "include")
+
+
+@pytest.mark.parametrize("timestep", ["0", "-1", "nan", "inf"])
+def test_a_timestep_is_above_0(tmp_path, timestep):
+    option = f'<option timestep="{timestep}"/>'
+    refused(tmp_path, f'{option}<worldbody><geom size="1"/></worldbody>', "timestep|nan|inf")
