@@ -209,7 +209,6 @@ CALLS = {
     "Limits(memory)": ("above 0", True, lambda _, v: ssduck.Limits(memory=v)),
     "Limits(answer_bytes)": ("above 0", False, lambda _, v: ssduck.Limits(answer_bytes=v)),
     "Limits(depth)": ("above 0", False, lambda _, v: ssduck.Limits(depth=v)),
-    "Limits(answer_bytes)": ("above 0", False, lambda _, v: ssduck.Limits(answer_bytes=v)),
     "Limits(eval)": ("flag", False, lambda _, v: ssduck.Limits(eval=v)),
     "Limits(files)": ("flag", False, lambda _, v: ssduck.Limits(files=v)),
     "Limits(select_only)": ("flag", False, lambda _, v: ssduck.Limits(select_only=v)),
