@@ -10,12 +10,15 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.errors import LimitError
-from ssduck.gym.task_description import spaces, targets, task_of
+from ssduck.errors import LimitError, SelectScriptError
+from ssduck.gym.task_description import Task, spaces, targets, task_of
 from ssduck.gym.wrapper import check_open
 from ssduck.limits import LEAST_OPENING, Limits
 from ssduck.sandbox.interpreter import SandboxedInterpreter
 from ssduck.sandbox.references import RUN_SECONDS
+
+# What is told of a process that has been taken over.
+_NO_ANSWER = "the process of the task sent no answer of one"
 
 
 class SandboxedTaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
@@ -36,7 +39,7 @@ class SandboxedTaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.flo
         self._is_closed = False
         self.interpreter = SandboxedInterpreter.of_task(file, limits=limits)
         try:
-            self.task = task_of(file, self.interpreter.ask("task"))
+            self.task = _task(file, self.interpreter.ask("task"))
         except BaseException:
             self.close()
             raise
@@ -81,5 +84,15 @@ class SandboxedTaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.flo
         except (TypeError, ValueError):
             is_right = False
         if not is_right or numbers.shape != self.observation_space.shape:
-            raise LimitError(f"{self.task.path}: the process of the task sent no answer of one")
+            raise LimitError(f"{self.task.path}: {_NO_ANSWER}")
         return numbers, *values, info
+
+
+def _task(file: Path, values: Any) -> Task:
+    """Returns the task of what a process says that a file holds."""
+    try:
+        return task_of(file, values)
+    except SelectScriptError:
+        raise
+    except Exception as error:
+        raise LimitError(f"{file}: {_NO_ANSWER}") from error

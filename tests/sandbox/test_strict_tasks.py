@@ -12,6 +12,8 @@ from gymnasium.utils.env_checker import check_env
 from ssduck.errors import ArgumentError, LimitError, SceneError, SelectScriptError
 from ssduck.gym import make_task
 from ssduck.limits import Limits
+from ssduck.sandbox import SandboxedInterpreter
+from ssduck.sandbox.processes import shared_zygote
 from tests.sandbox.test_scenes import BOX, CRASHING, ENDED
 from tests.support.gym_environments import PUSH
 from tools.fuzzing.models import VISUAL_MESH
@@ -56,8 +58,11 @@ STILL = 'scene = "{}"\nsuccess = "z(sim.b) > 0"\n[observation]\nz = "z(sim.b)"\n
 
 @pytest.fixture(autouse=True)
 def _shared(zygote, monkeypatch):
-    """Forks workers from the zygote of the tests."""
-    monkeypatch.setattr("ssduck.sandbox.interpreter.shared_zygote", lambda: zygote)
+    """Forks workers from the zygote of the tests; a process that is forked has its own."""
+    monkeypatch.setattr(
+        "ssduck.sandbox.interpreter.shared_zygote",
+        lambda: zygote if zygote.is_alive else shared_zygote(),
+    )
 
 
 @pytest.fixture
@@ -199,3 +204,30 @@ def test_what_a_taken_process_answers_is_data(folder):
             env.interpreter.ask("python", code)
             with pytest.raises(LimitError, match="sent no answer"):
                 env.step([0.0])
+
+
+@pytest.mark.parametrize("values", [None, [], {}, {1: 2}, {"scene": "b.urdf", "seeds": 3}])
+def test_what_a_taken_process_says_of_the_file_is_data(folder, monkeypatch, values):
+    asked = SandboxedInterpreter.ask
+    monkeypatch.setattr(
+        SandboxedInterpreter,
+        "ask",
+        lambda self, name, *given, **o: (
+            values if name == "task" else asked(self, name, *given, **o)
+        ),
+    )
+    with pytest.raises((LimitError, SceneError), match=r"still\.toml: "):
+        strict(folder / "still.toml")
+
+
+@pytest.mark.slow
+def test_strict_tasks_side_by_side(folder):
+    """Each process of `AsyncVectorEnv` has a zygote of its own."""
+    makes = [lambda: strict(folder / "still.toml")] * 2
+    envs = gymnasium.vector.AsyncVectorEnv(makes)
+    with make_task(folder / "still.toml") as own:
+        first, _ = own.reset(seed=1)
+        expected = own.step([])[0]
+    np.testing.assert_equal(envs.reset(seed=1)[0], [first] * 2)
+    np.testing.assert_equal(envs.step(np.zeros((2, 0), np.float32))[0], [expected] * 2)
+    envs.close()
