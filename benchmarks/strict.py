@@ -7,7 +7,7 @@ by the clock, as two processes take part: let nothing else run.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -62,7 +62,7 @@ def _closed(make: Callable[[], ssduck.Interpreter]) -> Callable[[], object]:
 
 
 def _row(
-    name: str, ways: list[Callable[[], object]], budget: float, rounds: int
+    name: str, ways: Sequence[Callable[[], object]], budget: float, rounds: int
 ) -> tuple[str, ...]:
     """Returns the cells of a task."""
     here, there = medians(dict(zip(("here", "there"), ways, strict=True)), rounds).values()
