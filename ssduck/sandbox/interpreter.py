@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import threading
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -158,13 +159,18 @@ class SandboxedInterpreter:
             **others: arguments of this class.
 
         Raises:
-            UnsupportedError: the record is in an object store.
+            UnsupportedError: the record is in an object store, or its path has one of `*?[`.
         """
         if "://" in str(path):
             raise UnsupportedError(
                 f"{path} is in an object store, which the sandbox cannot reach; copy it to a folder"
             )
         place = Path(path).expanduser().absolute()
+        if glob.has_magic(str(place)):
+            raise UnsupportedError(
+                f"{path} has *, ? or [ in its path, for which DuckDB lists the folder around it: give "
+                "the folder another name"
+            )
         options = {"world": world, "episode": episode, "partial": partial}
         real = place.resolve()
         own = (str(real), *_without_links([Path(f"{real}.wal")]))

@@ -208,7 +208,7 @@ def test_damaged_and_missing_objects_are_errors(places: tuple[str, Path]) -> Non
 @pytest.mark.slow
 def test_strict_limits_read_the_record_and_nothing_else(places: tuple[str, Path]) -> None:
     remote, _ = places
-    with ssduck.open(remote, limits=ssduck.Limits.strict()) as ss:
+    with ssduck.open(remote, limits=ssduck.Limits.strict(require=())) as ss:
         assert ss.eval("SELECT id FROM lab{0.1} WHERE above(lab{0.1}.board, this) AS list;") != []
         assert ss.sql("SELECT count(*) FROM lab.entities_history").fetchone()[0] > 0
         for other in ("s3://lake/written/ticks/world=lab/episode=0/part-000000.parquet",):

@@ -437,3 +437,14 @@ def test_a_scene_that_is_a_link_out_of_its_folder_is_not_opened(tmp_path, zygote
             ssduck.SelectScriptError, match="is a link that leads out of its folder"
         ):
             SandboxedInterpreter.load(path, zygote=zygote)
+
+
+def test_a_record_whose_path_is_a_pattern_has_to_be_renamed(tmp_path, zygote):
+    record = tmp_path / "a [run]"
+    with ssduck.load("kitchen") as ss:
+        ss.export(record)
+    with pytest.raises(UnsupportedError, match="another name"):
+        SandboxedInterpreter.open(record, zygote=zygote)
+    record = record.rename(tmp_path / "run")
+    with SandboxedInterpreter.open(record, zygote=zygote) as ss:
+        assert ss.sql("SELECT count(*) > 0 FROM entities_history").fetchall() == [(True,)]
