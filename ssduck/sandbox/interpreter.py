@@ -168,8 +168,8 @@ class SandboxedInterpreter:
         place = Path(path).expanduser().absolute()
         if glob.has_magic(str(place)):
             raise UnsupportedError(
-                f"{path} has *, ? or [ in its path, for which DuckDB lists the folder around it: give "
-                "the folder another name"
+                f"{path} has *, ? or [ in its path, for which DuckDB lists the folder around it: "
+                "give the folder another name"
             )
         options = {"world": world, "episode": episode, "partial": partial}
         real = place.resolve()
