@@ -116,7 +116,8 @@ class Limits:
         """Returns limits for untrusted programs, scenes and records.
 
         They are in a sandbox, a process that reads nothing else, writes nothing that stays, and
-        has no network. 10 s, a million rows, 1 GB, no `eval`, no files, of SQL only SELECT.
+        has no network. 10 s, a million rows, 1 GB, no `eval`, no files. SQL may create what it
+        likes in the process; without a sandbox (`require=()`), it is one SELECT.
 
         Args:
             changes: limits that differ from these. Where the system cannot keep a program from all

@@ -19,6 +19,7 @@ from ssduck.errors import (
     UnsupportedError,
     warn,
 )
+from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.namespace import check_name
 from ssduck.interpreter.program import check_parameters
 from ssduck.limits import GRACE, LEAST_OPENING, Limits
@@ -394,6 +395,10 @@ class SandboxedInterpreter:
     def __getattr__(self, name: str) -> Never:
         if name in _NOT_HERE:
             raise UnsupportedError(f"{name}: {_NOT_HERE[name]}")
+        if not name.startswith("_") and hasattr(Interpreter, name):
+            raise UnsupportedError(
+                f"{name}: not in a sandbox; an interpreter without Limits.strict() has it"
+            )
         raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import itertools
 import json
 import os
@@ -84,7 +85,9 @@ class Zygote:
         self._is_ready = False
         self._folder = tempfile.mkdtemp(prefix="ssduck-sandbox-")
         self._orders, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        settings = json.dumps([there.fileno(), self.host, self._folder])
+        # Its own standard streams take the place of this process's, which may be closed.
+        passed = fcntl.fcntl(there, fcntl.F_DUPFD_CLOEXEC, 3)
+        settings = json.dumps([passed, self.host, self._folder])
         kept = {name: os.environ[name] for name in os.environ if name in _KEPT or name[:3] == "LC_"}
         self._process = subprocess.Popen(  # noqa: S603  # this package
             python_command(module, settings, path=_path()),
@@ -93,10 +96,11 @@ class Zygote:
             stderr=subprocess.DEVNULL,
             cwd="/",
             env={**kept, **_ENVIRONMENT},
-            pass_fds=[there.fileno()],
+            pass_fds=[passed],
             start_new_session=True,  # Ctrl-C in a terminal is the host's
         )
         there.close()
+        os.close(passed)
         self._finalizer = weakref.finalize(
             self, _end_zygote, self._process, self._orders, self._folder, self.host
         )

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, Protocol, Self
+from typing import Any, Never, Protocol, Self
 
 from ssduck import validation
-from ssduck.errors import LimitError
+from ssduck.errors import LimitError, nearest
+from ssduck.formatting import joined_names
 
 # The properties of entities that the host can read.
 PROPERTIES = frozenset(("position", "orientation", "pose", "velocity", "aabb", "mass"))
@@ -41,8 +42,9 @@ class EntityReference:
         if name in PROPERTIES and self._ask is not None and self.tick is None:
             return self._ask("property_of", self, name)
         raise LimitError(
-            f"{self.world}.{self.name} is in the sandbox, and its {name!r} is not known here; "
-            "a program can give it"
+            f"{self.world}.{self.name} is in the sandbox, and its {name!r} is not known here: "
+            f"{joined_names(sorted(PROPERTIES))} of the current tick are; programs ask for more",
+            suggestions=nearest(name, PROPERTIES),
         )
 
 
@@ -122,6 +124,12 @@ class SandboxedWorld:
 
     def __repr__(self) -> str:
         return f"<SandboxedWorld: {self.name!r}>"
+
+    def __getattr__(self, name: str) -> Never:
+        raise AttributeError(
+            f"{name}: the world {self.name!r} is in the sandbox, and has it not here; ask with "
+            "programs and SQL, or load the world without Limits.strict()"
+        )
 
 
 # What a slow machine takes for a step and for a simulated second, s, beside the time of a program.

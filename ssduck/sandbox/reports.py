@@ -105,6 +105,6 @@ def tell(told: Sequence[Sequence[str]]) -> None:
     """Warns in the host of what a worker has warned of, and prints what it has printed."""
     for name, message in told[: _MOST + 1]:
         if name == _PRINTED:
-            sys.stdout.write(printable(message[: _MAX_PRINTED + 2], kept="\n\t"))
+            print(printable(message[: _MAX_PRINTED + 2], kept="\n\t"), end="")  # noqa: T201
             continue
         warn(str(message)[:MAX_MESSAGE_LENGTH], _WARNINGS.get(name, UserWarning))

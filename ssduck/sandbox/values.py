@@ -195,7 +195,7 @@ class Encoder:
             return ["polars", [], self.table(value.to_arrow(), depth)]
         raise UnsupportedError(
             f"a value of the class {type(value).__name__} cannot cross the wall of the sandbox; "
-            "select its values in another form, as AS dict, list, df, numpy or json"
+            "numbers, texts, lists, dicts, arrays and tables do: AS dict, list, df, numpy or json"
         )
 
 
@@ -433,13 +433,15 @@ def _named(parts: list[Any]) -> list[Any]:
 
 
 def _frame(table: pa.Table, dtypes: Sequence[str]) -> Any:
-    """Returns a frame of pandas, some of whose columns have types that know missing values."""
+    """Returns a frame of pandas: with types that know missing values, and lists as lists."""
     pandas = library("pandas", "pandas")
     nullable = {pa.int64(): pandas.Int64Dtype(), pa.bool_(): pandas.BooleanDtype()}
     frame = table.to_pandas()
     for i, dtype in enumerate(dtypes):
-        if dtype in _NULLABLE:
-            column = table.column(i)
+        column = table.column(i)
+        if pa.types.is_nested(column.type):
+            frame.isetitem(i, pandas.Series(column.to_pylist(), dtype=object))
+        elif dtype in _NULLABLE:
             frame.isetitem(i, column.to_pandas(types_mapper=nullable.get))
     return frame
 

@@ -16,7 +16,7 @@ from typing import Any
 
 from sqlglot import exp
 
-from ssduck.errors import LimitError, UnknownNameError, UnsupportedError, check_known
+from ssduck.errors import LimitError, SceneError, UnknownNameError, UnsupportedError, check_known
 from ssduck.formatting import short_repr
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.opening import load, opened_record
@@ -152,7 +152,7 @@ class Worker:
                 self._lake, self._limits = service("lake")(location), allowed
                 return
             if kind == "scene":
-                ss = load(location, limits=allowed, **options)
+                ss = _loaded(location, allowed, options)
             elif kind == "record":
                 ss = opened_record(location, limits=allowed, **options)
                 self._record = location
@@ -256,6 +256,16 @@ class Worker:
     def set_strict(self, strict: bool) -> None:
         """Makes probable mistakes errors, or warnings."""
         self.ss.strict = strict
+
+
+def _loaded(scene: str, limits: Limits, options: dict[str, Any]) -> Interpreter:
+    try:
+        return load(scene, limits=limits, **options)
+    except PermissionError as error:
+        raise SceneError(
+            f"{scene} cannot be loaded: in a sandbox it reads its own folder only, and "
+            f"{error.filename} is elsewhere; put it there, and name it by a relative path"
+        ) from error
 
 
 _REQUESTS: dict[str, Callable[..., Any]] = {

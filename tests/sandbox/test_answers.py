@@ -69,7 +69,9 @@ def test_values_are_the_same(sandbox, here, program):
 @pytest.mark.slow
 def test_tables_are_the_same(sandbox, here):
     query = "SELECT id, z, kind, position, isRobot(this) AS robot FROM kitchen AS {};"
-    pd.testing.assert_frame_equal(sandbox.eval(query.format("df")), here.eval(query.format("df")))
+    frame, own = (ss.eval(query.format("df")) for ss in (sandbox, here))
+    pd.testing.assert_frame_equal(frame, own)
+    assert type(frame["position"][0]) is type(own["position"][0])
     assert sandbox.eval(query.format("arrow")).equals(here.eval(query.format("arrow")))
     frame = sandbox.eval(query.format("polars"))
     assert frame.equals(here.eval(query.format("polars")))
@@ -348,15 +350,28 @@ def test_a_variable_that_cannot_be_set_again_is_told(zygote):
 
 
 def test_what_a_sandbox_has_not_says_why(sandbox, here):
-    for name in ("add_function", "add_trigger", "export", "view"):
-        with pytest.raises(UnsupportedError, match=name):
-            getattr(sandbox, name)
+    world, entity = sandbox["kitchen"], sandbox["kitchen"]["fridge"]
+    for name in dir(here):
+        if not (name.startswith("_") or hasattr(type(sandbox), name)):
+            with pytest.raises(UnsupportedError, match=f"^{name}: "):
+                getattr(sandbox, name)
+    for name in dir(here["kitchen"]):
+        if not (name.startswith("_") or name in ("name", *dir(type(world)))):
+            with pytest.raises(AttributeError, match=f"^{name}: .*'kitchen'"):
+                getattr(world, name)
+    with pytest.raises(LimitError, match="did you mean 'position'"):
+        entity.positon  # noqa: B018
     with pytest.raises(UnsupportedError, match="world of this process"):
         sandbox["other"] = here["kitchen"]
     with pytest.raises(AttributeError):
         sandbox.nothing  # noqa: B018
     with pytest.raises(UnsupportedError, match="object store"):
         SandboxedInterpreter.open("s3://bucket/run")
+
+
+def test_what_has_no_type_that_crosses_says_so(sandbox):
+    with pytest.raises(UnsupportedError, match=r"type sparse_union.*CAST"):
+        sandbox.sql("SELECT union_value(k := 1)")
 
 
 def test_a_closed_one_says_so(zygote):

@@ -130,6 +130,20 @@ import time; time.sleep(100)
 
 
 @pytest.mark.slow
+def test_a_host_without_standard_streams_has_sandboxes():
+    code = """
+import os, sys
+os.close(0); os.close(1)
+sys.stdin = sys.stdout = None
+import ssduck
+with ssduck.Interpreter(limits=ssduck.Limits.strict()) as ss:
+    sys.stderr.write(repr(ss.eval("print('x'); 1 + 1;")))
+"""
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert told.stderr == "2"
+
+
+@pytest.mark.slow
 def test_a_host_that_ends_normally_leaves_nothing():
     told = subprocess.run(
         [sys.executable, "-c", HOST.format("")], capture_output=True, text=True, check=True

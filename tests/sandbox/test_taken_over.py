@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import ssduck
-from ssduck.errors import LimitError, SandboxError, SelectScriptError
+from ssduck.errors import LimitError, SandboxError, SceneError, SelectScriptError
 from ssduck.limits import Limits
 from ssduck.sandbox import SandboxedInterpreter
 from ssduck.sandbox.seccomp import _CHECKED
@@ -355,5 +355,5 @@ def test_a_scene_of_a_file_outside_is_an_error(zygote, tmp_path):
         '<robot name="spy"><link name="base"><collision><geometry>'
         '<mesh filename="../secret.obj"/></geometry></collision></link></robot>'
     )
-    with pytest.raises(SelectScriptError):
+    with pytest.raises(SceneError, match=r"its own folder only, and .*secret\.obj is elsewhere"):
         SandboxedInterpreter.load(folder / "spy.urdf", zygote=zygote)
