@@ -25,10 +25,16 @@ SCRATCH, READABLE, OUTSIDE = "scratch", "readable", "outside"
 _SYSTEM = (
     *("/lib", "/lib64", "/usr/lib", "/usr/lib64", "/usr/local/lib", "/etc/ld.so.cache"),
     *("/etc/localtime", "/usr/share/zoneinfo", "/dev/urandom", "/dev/random"),
-    *("/sys/devices/system/cpu", "/sys/fs/cgroup"),
+    "/sys/devices/system/cpu",
 )
-# What the process is told of itself, and nothing of others.
-_PROCESS = ("/proc/self", "/proc/meminfo", "/proc/cpuinfo")
+# What the process is told of itself, and nothing of others, as of their sockets and mounts.
+_PROCESS = (
+    *(f"/proc/self/{name}" for name in ("cgroup", "fd", "maps", "stat", "statm", "status")),
+    *("/proc/meminfo", "/proc/cpuinfo"),
+)
+# What may limit its memory and its processors.
+_CONTROL = Path("/sys/fs/cgroup")
+_CONTROLS = ("memory.max", "memory.limit_in_bytes", "cpu.max", "cpu.cfs_*")
 _NULL = Path(os.devnull)
 _DESCRIPTORS = 1024
 # What `remove` calls folders that it has moved.
@@ -121,7 +127,7 @@ def seal(walls: Walls, without: Collection[str] = ()) -> list[str]:
         for entry in _PROCESS:
             os.open(entry, os.O_PATH)
         own = walls.own_files[0]
-        readable = [*libraries(), *_SYSTEM, *_PROCESS, own, *walls.readable]
+        readable = [*libraries(), *_SYSTEM, *_controls(), *_PROCESS, own, *walls.readable]
     landlock.confine(
         readable,
         (walls.scratch, _NULL),
@@ -132,6 +138,17 @@ def seal(walls: Walls, without: Collection[str] = ()) -> list[str]:
         opened = [call for effect in without for call in _OPENED.get(effect, ())]
         seccomp.refuse_calls(ALLOWED.union(opened))
     return lacking
+
+
+def _controls() -> Iterator[Path]:
+    """Yields the files that say what this process may take of its machine."""
+    folders = {_CONTROL, _CONTROL / "memory", _CONTROL / "cpu"}
+    with suppress(OSError):
+        for line in Path("/proc/self/cgroup").read_text().splitlines():
+            _, names, path = line.split(":", 2)
+            folders |= {Path(_CONTROL, name, path.lstrip("/")) for name in names.split(",")}
+    for folder, name in itertools.product(folders, _CONTROLS):
+        yield from folder.glob(name)
 
 
 def _limits(walls: Walls, without: Collection[str]) -> Iterator[tuple[int, int]]:

@@ -6,6 +6,7 @@ or of the error.
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import tempfile
@@ -261,11 +262,12 @@ class Worker:
 def _loaded(scene: str, limits: Limits, options: dict[str, Any]) -> Interpreter:
     try:
         return load(scene, limits=limits, **options)
-    except PermissionError as error:
-        raise SceneError(
-            f"{scene} cannot be loaded: in a sandbox it reads its own folder only, and "
-            f"{error.filename} is elsewhere; put it there, and name it by a relative path"
-        ) from error
+    except (SceneError, PermissionError) as error:
+        told = str(error)
+        if os.strerror(errno.EACCES) not in told:
+            raise
+        name = "" if isinstance(error, SceneError) else f"{scene} cannot be loaded: "
+        raise SceneError(f"{name}{told}; in a sandbox a scene reads its own folder only") from error
 
 
 _REQUESTS: dict[str, Callable[..., Any]] = {

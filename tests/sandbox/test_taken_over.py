@@ -35,6 +35,10 @@ ATTEMPTS = {
     "reads the host's file": "open('{outside}').read()",
     "lists a home": "__import__('os').listdir('/root')",
     "lists the processes": "__import__('os').listdir('/proc')",
+    "lists the control groups": "__import__('os').listdir('/sys/fs/cgroup')",
+    "reads the connections": "open('/proc/self/net/tcp').read()",
+    "reads the local sockets": "open('/proc/self/net/unix').read()",
+    "reads the mounts": "open('/proc/self/mountinfo').read()",
     "reads the host's environment": "open('/proc/{host}/environ').read()",
     "reads the host's memory": "open('/proc/{host}/mem', 'rb').read(1)",
     "reads the parent's memory": "open(f'/proc/{{__import__(\"os\").getppid()}}/mem', 'rb').read(1)",
@@ -355,5 +359,5 @@ def test_a_scene_of_a_file_outside_is_an_error(zygote, tmp_path):
         '<robot name="spy"><link name="base"><collision><geometry>'
         '<mesh filename="../secret.obj"/></geometry></collision></link></robot>'
     )
-    with pytest.raises(SceneError, match=r"its own folder only, and .*secret\.obj is elsewhere"):
+    with pytest.raises(SceneError, match=r"secret\.obj.*its own folder only"):
         SandboxedInterpreter.load(folder / "spy.urdf", zygote=zygote)
