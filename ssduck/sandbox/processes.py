@@ -139,7 +139,10 @@ class Zygote:
         if answer != FORKED or not descriptors:
             here.close()
             raise SandboxError("the sandbox cannot start a process: it has no process left")
-        return WorkerProcess(here, descriptors[0], folder, order["answer_bytes"])
+        try:
+            return WorkerProcess(here, descriptors[0], folder, order["answer_bytes"])
+        except OSError as error:  # this process has no descriptor left
+            raise SandboxError(f"the sandbox cannot start a process: {error}") from error
 
     def _await_ready(self) -> None:
         """Waits until it has imported ssduck."""
@@ -210,11 +213,11 @@ class WorkerProcess:
         self._scratch = folder / SCRATCH
         self._answer_bytes = answer_bytes
         self._number, self._unwatched, self._next_maps = 0, 0.0, 0.0
-        self._pid = _pid_of(process)
         self.host = os.getpid()
         self._finalizer = weakref.finalize(
             self, _end_worker, process, connection, folder, self.host
         )
+        self._pid = _pid_of(process)
 
     @property
     def is_alive(self) -> bool:

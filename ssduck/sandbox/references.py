@@ -27,6 +27,7 @@ class EntityReference:
         name: its name.
         kind: `"robot"`, `"kinbody"`, `"sensor"`, `"link"` or `"site"`.
         tick: the number of the past tick that it is of; None for the current tick.
+        full_name: the name that is unique in the world, which stands for it where it is shown.
     """
 
     world: str
@@ -34,7 +35,11 @@ class EntityReference:
     name: str
     kind: str
     tick: int | None = None
-    _ask: Asking | None = field(default=None, repr=False, compare=False)
+    full_name: str = field(default="", repr=False, compare=False)
+    _ask: Asking | None = field(default=None, repr=False, compare=False, kw_only=True)
+
+    def __str__(self) -> str:
+        return self.full_name or self.name
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
@@ -105,9 +110,9 @@ class SandboxedWorld:
     def __len__(self) -> int:
         return int(self._ask("state", self.name)["entities"])
 
-    def reference(self, id: int, name: str, kind: str, tick: int | None) -> EntityReference:
-        """Returns the reference to an entity, a link or a site."""
-        return EntityReference(self.name, id, name, kind, tick, self._ask)
+    def reference(self, *own: Any) -> EntityReference:
+        """Returns the reference to an entity, a link or a site, with all that this has."""
+        return EntityReference(self.name, *own, _ask=self._ask)
 
     def __iter__(self) -> Iterator[EntityReference]:
         """Iterates over the entities: sensors first, then bodies."""
@@ -121,6 +126,9 @@ class SandboxedWorld:
         """
         entity: EntityReference = self._ask("entity", self.name, name)
         return entity
+
+    def __str__(self) -> str:
+        return self.name
 
     def __repr__(self) -> str:
         return f"<SandboxedWorld: {self.name!r}>"

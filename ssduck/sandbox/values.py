@@ -175,7 +175,8 @@ class Encoder:
             world, tick = entity.world, entity.tick
         else:
             world, tick = self.world(entity.world, 0), entity.moment and entity.moment.tick
-        return self._each([world, entity.id, entity.name, entity.kind, tick], depth)
+        names = entity.name, entity.kind, tick, entity.full_name
+        return self._each([world, entity.id, *names], depth)
 
     def object(self, value: Any, depth: int) -> Any:
         """Returns what JSON holds of a grid."""
@@ -250,7 +251,7 @@ class Decoder:
     Args:
         body: the body.
         budget: counts what the values take; the body has been counted.
-        entity: returns the entity of a world, a number, a name, a kind and a tick.
+        entity: returns the entity of a world, a number, a name, a kind, a tick and a full name.
         world: returns the world of a name.
     """
 
@@ -386,11 +387,11 @@ class Decoder:
 
     def entity(self, content: Any) -> Any:
         """Returns an entity, or a reference to one."""
-        world, number, name, kind, tick = content
+        world, number, name, kind, tick, full_name = content
         is_right = type(number) is int and (tick is None or type(tick) is int)
-        if not (is_right and {type(world), type(name), type(kind)} == {str}):
+        if not (is_right and set(map(type, (world, name, kind, full_name))) == {str}):
             raise InvalidAnswerError("this is no entity")
-        return self._entity(world, number, name, kind, tick)
+        return self._entity(world, number, name, kind, tick, full_name)
 
     def object(self, content: Any) -> Any:
         """Returns a grid."""

@@ -129,7 +129,7 @@ class Worker:
             "part = SELECT … AS environment;"
         )
 
-    def _entity(self, world: str, id: int, _name: str, _kind: str, tick: int | None) -> Any:
+    def _entity(self, world: str, id: int, _: str, _kind: str, tick: int | None, *_own: str) -> Any:
         if tick is not None:
             raise UnsupportedError("an entity of a past tick cannot go back into the sandbox")
         return self._world(world).handle(id)

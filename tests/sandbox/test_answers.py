@@ -12,6 +12,7 @@ import pyarrow as pa
 import pytest
 
 import ssduck
+from ssduck.adapters.display import as_json
 from ssduck.errors import (
     LimitError,
     ParseError,
@@ -280,6 +281,13 @@ def test_entities_are_references_that_go_back(sandbox):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("source", ["kitchen", "links(kitchen)", "kitchen{0}"])
+def test_entities_are_shown_by_their_names(sandbox, here, source):
+    shown, own = (ss.show(f"SELECT this, z FROM {source};") for ss in (sandbox, here))
+    assert (repr(shown), shown._repr_html_()) == (repr(own), own._repr_html_())
+    assert as_json(sandbox["kitchen"]) == as_json(here["kitchen"])
+
+
 def test_worlds_are_stepped_in_the_sandbox(zygote, here):
     with SandboxedInterpreter.load("kitchen", zygote=zygote) as ss:
         kitchen = ss["kitchen"]
