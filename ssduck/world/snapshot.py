@@ -581,6 +581,8 @@ class Snapshot(TickGeometry):
 
     def entities_with_nan(self) -> list[EntityInfo]:
         """Returns the entities with a pose, a box or a velocity that is not a number."""
+        if self._link_poses and all(poses.are_finite for poses in self._link_poses):
+            return []
         table = self._tables["entities"]
         if table.is_complete:
             return []
