@@ -79,16 +79,15 @@ def score(
         stop_when: a condition that ends an episode: later steps have no score.
         world: the name of the world in the record.
         nan: what a term is that cannot be computed, since numbers are NaN; as in `QueryWrapper`.
-        limits: the limits of terms and of the record.
+        limits: the limits of terms and of the record, in this process; for strangers' records,
+            `ssduck.lake(record, limits=Limits.strict()).score(…)` is in a sandbox.
 
     Raises:
         RecordError: there is no such record, it is damaged, or it has no steps of environments.
         SelectScriptError: a term is wrong.
     """
-    terms, limits = (
-        Terms.of(success, failure, reward, stop_when, nan=nan),
-        limits and limits.in_process,
-    )
+    terms = Terms.of(success, failure, reward, stop_when, nan=nan)
+    limits = limits and limits.in_process
     folder = expand_path(record).absolute()
     numbers = [number for name, number in recorded_steps(folder) if name == world]
     if not numbers:

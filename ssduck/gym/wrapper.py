@@ -197,8 +197,9 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             self._take_tick(simulation, self._steps)
             values = self._set_variables(is_first=False)
             judgement = self._judge.judgement()
-        finally:
+        except BaseException:
             self._judge.settle()
+            raise
         if judgement.reward is not None:
             reward = judgement.reward
         if self._forward_check is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
@@ -50,7 +51,7 @@ class SandboxedLake:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    @property
+    @cached_property
     def episodes(self) -> pa.Table:
         """The episodes, as those of `Lake`."""
         return self._ask("episodes")

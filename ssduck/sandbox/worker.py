@@ -78,7 +78,9 @@ class Worker:
         self._log = Log()
         self._ss: Interpreter | None = None
         self._answers: Any = None
+        # A lake, and the limits of what it is asked.
         self._lake: Any = None
+        self._limits: Limits | None = None
         self._record: str | None = None
         self._task: Any = None
         self._compiled = lru_cache(256)(self._parsed)
@@ -143,15 +145,15 @@ class Worker:
     def open(
         self, kind: str, location: str, options: dict[str, Any], limits: dict[str, Any]
     ) -> None:
-        """Opens a scene, a record, a task, or nothing."""
+        """Opens a scene, a record, a lake, a task, or nothing."""
         allowed = Limits(**limits, files=False, progress=False)
         recording = options.get("recording")
         if isinstance(recording, dict):
             options["recording"] = Recording(**recording)
+        if kind == "lake":
+            self._lake, self._limits = service("lake")(location), allowed
+            return
         with ExitStack() as stack:
-            if kind == "lake":
-                self._lake, self._limits = service("lake")(location), allowed
-                return
             if kind == "scene":
                 ss = _loaded(location, allowed, options)
             elif kind == "record":

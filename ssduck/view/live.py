@@ -139,7 +139,7 @@ def _recorded_time(world: ReplayedWorld, time: float | None) -> float:
 
 def page_limits() -> Limits:
     """Returns the limits of the programs of a page."""
-    return Limits.strict(progress=False).in_process
+    return Limits.strict(progress=False, require=())
 
 
 def camera_of(world: World) -> dict[str, Any]:

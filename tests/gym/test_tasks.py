@@ -10,47 +10,13 @@ from ssduck.errors import ArgumentError, ProgramWarning, SceneError, SelectScrip
 from ssduck.gym import make_task
 from ssduck.gym.tasks import MAX_BYTES
 from tests.support.cases import sampled
-from tests.support.gym_environments import PUSH
-
-TASK = """
-scene = "push.xml"
-success = "x(sim.ball) > goal"
-failure = "z(sim.ball) < 0.3"
-stop_when = "success OR failure"
-seeds = [1, 2]
-steps = 8
-step_time = 0.02
-
-[reward]
-near = "-distance(sim.pusher, sim.ball)"
-done = "10 * int(success)"
-
-[variables]
-goal = 0.05
-
-[observation]
-pusher = "x(sim.pusher)"
-ball = "x(sim.ball)"
-
-[[actions]]
-entity = "pusher"
-joint = "push"
-control = "velocity"
-low = -1
-high = 1
-
-[[starts]]
-entity = "ball"
-low = [0, -0.1, 0.45]
-high = [0.04, 0.1, 0.45]
-"""
-MODEL = PUSH.replace('<motor joint="push" gear="10"', '<velocity joint="push" kv="50"')
+from tests.support.gym_environments import TASK, TASK_MODEL
 
 
 @pytest.fixture
 def folder(tmp_path):
     """A folder with a task and its scene."""
-    (tmp_path / "push.xml").write_text(MODEL)
+    (tmp_path / "push.xml").write_text(TASK_MODEL)
     (tmp_path / "task.toml").write_text(TASK)
     return tmp_path
 
@@ -58,7 +24,7 @@ def folder(tmp_path):
 @pytest.mark.slow
 def test_the_ends_of_the_action_space_are_those_of_the_range(folder):
     """The nearest float32 is beyond 0.07, which is all that the actuator takes."""
-    (folder / "push.xml").write_text(MODEL.replace('"-1 1"/>', '"-0.07 0.07"/>'))
+    (folder / "push.xml").write_text(TASK_MODEL.replace('"-1 1"/>', '"-0.07 0.07"/>'))
     text = TASK.replace("low = -1", "low = -0.07").replace("high = 1", "high = 0.07")
     (folder / "task.toml").write_text(text)
     env = make_task(folder / "task.toml")
@@ -207,7 +173,7 @@ def test_a_scene_may_be_anywhere(folder, name):
 
 def test_a_model_that_reads_what_is_not_there(folder):
     asset = '<asset><mesh name="m" file="/etc/hostname.stl"/></asset><worldbody>'
-    (folder / "push.xml").write_text(MODEL.replace("<worldbody>", asset, 1))
+    (folder / "push.xml").write_text(TASK_MODEL.replace("<worldbody>", asset, 1))
     with pytest.raises(SelectScriptError, match="hostname"):
         make_task(folder / "task.toml")
 
@@ -222,7 +188,7 @@ def test_a_model_that_reads_what_is_not_there(folder):
     ],
 )
 def test_a_model_that_cannot_be_stepped_is_an_error(folder, part, message):
-    (folder / "push.xml").write_text(MODEL.replace("<worldbody>", f"{part}<worldbody>", 1))
+    (folder / "push.xml").write_text(TASK_MODEL.replace("<worldbody>", f"{part}<worldbody>", 1))
     with pytest.raises(SelectScriptError, match=message):
         make_task(folder / "task.toml")
 
@@ -329,7 +295,9 @@ def test_a_closed_task_takes_no_step(folder):
 @pytest.mark.parametrize(("nan", "expected"), [("-2.5", (-2.5, False)), ("'failure'", (0.0, True))])
 @pytest.mark.filterwarnings("ignore:.*no number")
 def test_where_the_state_is_nan(folder, nan, expected):
-    model = MODEL.replace("<worldbody>", '<option><flag autoreset="disable"/></option><worldbody>')
+    model = TASK_MODEL.replace(
+        "<worldbody>", '<option><flag autoreset="disable"/></option><worldbody>'
+    )
     (folder / "push.xml").write_text(model)
     text = TASK.replace("[reward]\n", "[reward]\nhigh = 'z(sim.ball)'\n")
     (folder / "task.toml").write_text(f"nan = {nan}\n{text}")

@@ -15,43 +15,15 @@ from ssduck.limits import Limits
 from ssduck.sandbox import SandboxedInterpreter
 from ssduck.sandbox.processes import shared_zygote
 from tests.sandbox.test_scenes import BOX, CRASHING, ENDED
-from tests.support.gym_environments import PUSH
+from tests.support.gym_environments import TASK as PUSH_TASK
+from tests.support.gym_environments import TASK_MODEL
 from tools.fuzzing.models import VISUAL_MESH
 
-TASK = """
-scene = "push.xml"
-success = "heldFor(x(sim.ball) > goal) >= 0.1"
-failure = "z(sim.ball) < 0.3"
-stop_when = "success OR failure"
-seeds = [1, 2]
-steps = 50
-step_time = 0.02
-
-[reward]
-near = "-distance(sim.pusher, sim.ball)"
-speed = "rate(x(sim.ball))"
-done = "10 * int(success)"
-
-[variables]
-goal = 0.05
-
-[observation]
-pusher = "x(sim.pusher)"
-ball = "x(sim.ball)"
-
-[[actions]]
-entity = "pusher"
-joint = "push"
-control = "velocity"
-low = -1
-high = 1
-
-[[starts]]
-entity = "ball"
-low = [0, -0.1, 0.45]
-high = [0.04, 0.1, 0.45]
-"""
-MODEL = PUSH.replace('<motor joint="push" gear="10"', '<velocity joint="push" kv="50"')
+TASK = (
+    PUSH_TASK.replace('"x(sim.ball) > goal"', '"heldFor(x(sim.ball) > goal) >= 0.1"')
+    .replace("steps = 8", "steps = 50")
+    .replace("done = ", 'speed = "rate(x(sim.ball))"\ndone = ')
+)
 # A task without actions, of a body b.
 STILL = 'scene = "{}"\nsuccess = "z(sim.b) > 0"\n[observation]\nz = "z(sim.b)"\n'
 
@@ -70,7 +42,7 @@ def folder(tmp_path):
     """A folder with tasks and their scenes."""
     folder = tmp_path / "task"
     folder.mkdir()
-    (folder / "push.xml").write_text(MODEL)
+    (folder / "push.xml").write_text(TASK_MODEL)
     (folder / "task.toml").write_text(TASK)
     (folder / "b.urdf").write_text(BOX)
     (folder / "still.toml").write_text(STILL.format("b.urdf"))
@@ -131,7 +103,7 @@ def test_gymnasium_accepts_a_strict_task(folder):
 def test_a_scene_reads_no_file_outside(folder, scene):
     pytest.importorskip("mujoco")
     outside = folder.parent / "outside.xml"
-    outside.write_text(MODEL)
+    outside.write_text(TASK_MODEL)
     (folder / "link.xml").symlink_to(outside)
     (folder / "inner.xml").write_text(f'<mujoco><include file="{outside}"/></mujoco>')
     text = TASK.replace("push.xml", scene.replace("{outside}", str(outside)))

@@ -103,3 +103,39 @@ class Drop(gymnasium.Env):
 
     def close(self):
         pybullet.disconnect(self.physics_client)
+
+
+# A task file, and the model that it names.
+TASK = """
+scene = "push.xml"
+success = "x(sim.ball) > goal"
+failure = "z(sim.ball) < 0.3"
+stop_when = "success OR failure"
+seeds = [1, 2]
+steps = 8
+step_time = 0.02
+
+[reward]
+near = "-distance(sim.pusher, sim.ball)"
+done = "10 * int(success)"
+
+[variables]
+goal = 0.05
+
+[observation]
+pusher = "x(sim.pusher)"
+ball = "x(sim.ball)"
+
+[[actions]]
+entity = "pusher"
+joint = "push"
+control = "velocity"
+low = -1
+high = 1
+
+[[starts]]
+entity = "ball"
+low = [0, -0.1, 0.45]
+high = [0.04, 0.1, 0.45]
+"""
+TASK_MODEL = PUSH.replace('<motor joint="push" gear="10"', '<velocity joint="push" kv="50"')
