@@ -109,12 +109,12 @@ class Backend(Protocol):
     def excerpt(
         self, source: Simulator | None, originals: Sequence[BodyToCopy], tick: TickToCopy
     ) -> Simulator:
-        """Starts a simulation of some bodies as they are at a tick.
+        """Starts a simulation of some bodies, in load order, as they are at a tick.
 
         Args:
             source: the simulator of the world that the tick belongs to, as it is now; None if
                 nothing runs that world any more.
-            originals: the bodies, in load order.
+            originals: the bodies.
             tick: the time of the tick and its flags.
         """
 
@@ -126,9 +126,7 @@ class Backend(Protocol):
         folder: Path,
         target: str,
     ) -> Scene:
-        """Describes a simulation of this backend as a scene, without its sensors.
-
-        Writes the models of the scene into a folder.
+        """Describes a simulation as a scene without sensors; writes its models into a folder.
 
         Args:
             simulator: the simulation.

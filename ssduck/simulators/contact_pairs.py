@@ -83,10 +83,7 @@ class ContactPairs:
 
 
 def are_of(sides: Sides, a: int, b: int) -> Flags:
-    """Checks which contacts are of two entities, two links, or an entity and a link, (n,).
-
-    A contact of two links of an entity is none of the entity and one of these.
-    """
+    """Checks which contacts are of two entities, two links, or an entity and a link, (n,)."""
     (a1, a2), (b1, b2) = are_at(sides, a), are_at(sides, b)
     are_of: Flags = a1 & b2 | a2 & b1
     if (a < LINK_FACTOR) != (b < LINK_FACTOR):

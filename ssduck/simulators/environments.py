@@ -87,16 +87,10 @@ class Environments(Protocol):
         """Returns the positions (n, 3) and the orientations (n, 4) of a link."""
 
     def velocities(self, body: Body, link: int) -> Array:
-        """Returns the linear (m/s) and the angular (rad/s) velocities of a link's frame, (n, 6).
-
-        NaN where they are not known.
-        """
+        """Returns the linear (m/s) and angular (rad/s) velocities of a frame, (n, 6); or NaN."""
 
     def joints(self, body: Body) -> Array:
-        """Returns positions, velocities and efforts of a body's joints, (n, joints, 3).
-
-        NaN where they are not known.
-        """
+        """Returns positions, velocities and efforts of joints, (n, joints, 3); NaN if unknown."""
 
     def check_joints(self, body: Body) -> None:
         """Checks that the positions of a body's joints are known."""
@@ -194,12 +188,7 @@ class EnvironmentSimulator(PartialSimulator):
 
 
 def to_numpy(value: Any, name: str) -> npt.NDArray[Any]:
-    """Returns an array of any library as one of NumPy; one on a device is copied to memory.
-
-    Args:
-        value: the array.
-        name: its name, for messages.
-    """
+    """Returns an array of any library as one of NumPy; one on a device is copied to memory."""
     if isinstance(value, np.ndarray):
         array = value
     else:
@@ -231,22 +220,13 @@ def _library_of(array: Any) -> str:
 
 
 def kept(value: Any, name: str, shape: tuple[int | str, ...]) -> npt.NDArray[Any]:
-    """Returns a checked array that stays as it is: simulators write the next state into theirs.
-
-    The arguments and errors are those of `checked`.
-    """
+    """Returns a checked array that stays as it is: simulators write the next state into theirs."""
     array = checked(value, name, shape)
     return array if _library_of(value) in _JAX else np.array(array)
 
 
 def checked(value: Any, name: str, shape: tuple[int | str, ...]) -> npt.NDArray[Any]:
-    """Returns an array as one of NumPy's.
-
-    Args:
-        value: the array.
-        name: its name, for messages.
-        shape: its shape; a text stands for any number.
-    """
+    """Returns an array of a shape, of which a text stands for any number, as one of NumPy's."""
     array = to_numpy(value, name)
     fits = array.ndim == len(shape) and all(
         isinstance(expected, str) or actual == expected

@@ -44,10 +44,7 @@ LIMIT_TOLERANCE = 1e-3
 
 
 def parse_pose(values: Sequence[float], of: str) -> Pose:
-    """Returns the pose of the numbers w, x, y, z, x, y, z.
-
-    The orientation is scaled to unit length.
-    """
+    """Returns the pose of the numbers w, x, y, z, x, y, z, with a unit quaternion."""
     numbers = validation.finite_array(values, 7, f"{of}: pose w, x, y, z, x, y, z")
     return numbers[4:], unit(numbers[:4], of)
 
@@ -63,13 +60,7 @@ def unit(orientation: Array, of: str) -> Array:
 
 
 def joint_positions(values: JointValues, body: Body, name: str) -> dict[int, float]:
-    """Returns the positions of joints, rad or m, by the indices of the joints.
-
-    Args:
-        values: positions by joint name, or one for each revolute or prismatic joint, in order.
-        body: the body that has the joints.
-        name: the name of the body in errors.
-    """
+    """Returns positions of joints, rad or m, by index: given by name, or one for each scalar."""
     joints = _joints_by_name(body)
     if not isinstance(values, Mapping):
         _check_sequence(values, name)
@@ -271,10 +262,7 @@ def _move_link(
     changes: Mapping[int, float],
     states: Array | None,
 ) -> None:
-    """Moves a link (1, 13), relative to its parent, by its joints, in place.
-
-    Its joints that do not move keep their velocities; the others are at rest.
-    """
+    """Moves a link (1, 13), relative to its parent, by its joints, in place."""
     within[:, 7:] = 0.0
     positions = {n: _position_of(n, joints, states) for n in numbers} if len(numbers) > 1 else {}
     for place, number in enumerate(numbers):

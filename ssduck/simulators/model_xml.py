@@ -41,9 +41,6 @@ def parse_tolerantly(content: bytes) -> tuple[ET.Element, bool]:
     Prefixes stay in names, also those without a namespace. Comments with `--`, declarations
     anywhere, a single `&`, other encodings than UTF-8, and anything behind a null character are
     taken, as by PyBullet.
-
-    Raises:
-        ET.ParseError: it is no XML even so.
     """
     try:
         return _parsed(content), False

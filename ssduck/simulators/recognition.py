@@ -38,11 +38,7 @@ _Path: TypeAlias = tuple[str, ...]
 
 
 def simulator_of(simulation: Any) -> str:
-    """Returns the name of the simulator of a client, a model with its data, or an environment.
-
-    Raises:
-        SimulatorError: the object has none that is known.
-    """
+    """Returns the name of the simulator of a client, a model with its data, or an environment."""
     candidate = simulation() if callable(simulation) and not _has_parts(simulation) else simulation
     if validation.is_integer(candidate) or any(hasattr(candidate, name) for name in _CLIENTS):
         return DEFAULT_BACKEND
@@ -81,12 +77,7 @@ def _hint(simulation: Any) -> str:
 
 
 def parts_of(simulation: Any) -> tuple[Any, Any] | None:
-    """Returns MuJoCo's model and data of an object; None if it has none.
-
-    Args:
-        simulation: a pair of both, or an object that has both as `model` and `data`, itself or in
-            one of its parts.
-    """
+    """Returns MuJoCo's model and data of a pair, an object or a part of it; None without."""
     if isinstance(simulation, tuple):
         if len(simulation) != 2:
             return None
@@ -215,15 +206,7 @@ Source: TypeAlias = Callable[[], tuple[Any, Any]]
 
 
 def source_of(simulation: Any) -> Source:
-    """Returns the function that finds the model and the data of a simulation.
-
-    Args:
-        simulation: a pair of model and data, an object that has both, such as an environment, or a
-            function that returns one of these.
-
-    Raises:
-        SimulatorError: there is no model with data.
-    """
+    """Returns the function that finds the model and the data of a simulation: see `attach`."""
     parts = parts_of(simulation)
     if parts is None and callable(simulation):
 

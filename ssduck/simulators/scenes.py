@@ -312,13 +312,7 @@ def _names_of(bodies: Sequence[BodySpec]) -> Collection[str] | None:
 
 
 def check_body(name: str, bodies: Collection[str] | None, place: str) -> None:
-    """Raises an error for a name that no body of a scene has.
-
-    Args:
-        name: the name.
-        bodies: the names of the bodies; None if they are not known yet.
-        place: the key that has the name, with its file.
-    """
+    """Raises an error for a name that no body of a scene has, if their names are known."""
     if bodies is not None and name not in bodies:
         raise SceneError(
             f"{place}: the scene has no body {name!r}", suggestions=nearest(name, bodies)

@@ -38,16 +38,7 @@ def write_contacts(table: LiveTable, contacts: ContactPoints, layout: TableLayou
 def contact_pairs(
     unwritten: Contacts | None, layout: TableLayout, table: Callable[[], LiveTable]
 ) -> ContactPairs:
-    """Returns the contacts of a tick.
-
-    Args:
-        unwritten: the contacts, if they are not in the table yet; else None.
-        layout: the entities.
-        table: a function that returns the table of contacts, written.
-
-    Raises:
-        EvaluationError: a number in the table is unknown, which is NULL in SQL.
-    """
+    """Returns the contacts of a tick, as the simulator has them, or as in the table if written."""
 
     def columns() -> Columns:
         rows = table()
@@ -89,7 +80,6 @@ def contact_rows(
 
     Returns:
         The sides; (14, n), the points, the normal, the depth, the normal force and the whole force.
-        Of several ticks, they stay tick by tick.
     """
     first, second = ((entities << _LINK_BITS) | contacts.links).T
     is_swapped = first > second
@@ -109,11 +99,7 @@ def contact_rows(
 
 
 def _order(keys: tuple[Indices, ...], numbers: Array) -> Indices:
-    """Returns the order of contacts by the last key first, then the points, and the normal force.
-
-    Few contacts have an equal x of the point on a, so the other coordinates are compared for these
-    only. Points that coincide differ in their forces.
-    """
+    """Returns the order of contacts by the last key first, then the points, and the force."""
     order = np.lexsort((numbers[0], *keys))
     x, ordered = numbers[0].take(order), [key.take(order) for key in keys]
     is_same_side = np.logical_and.reduce([key[1:] == key[:-1] for key in ordered])

@@ -114,11 +114,7 @@ def _restore(handlers: dict[int, Any]) -> None:
 
 
 def _deliver(handlers: dict[int, Any]) -> None:
-    """Calls the handlers of the signals that came, as often as they came.
-
-    Of what they raise, the first KeyboardInterrupt or SystemExit is raised: who catches another
-    exception goes on.
-    """
+    """Calls the handlers of the signals that came, as often as they came."""
     raised: list[BaseException] = []
     while own := [number for number in _noted if number in handlers]:
         number = own[0]

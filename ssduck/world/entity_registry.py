@@ -69,11 +69,7 @@ class EntityRegistry:
         self._ids = count(1)
 
     def add_all(self, simulator: Simulator, sensors: Sequence[SensorSpec]) -> None:
-        """Adds all bodies of a simulator, and the sensors on them.
-
-        Raises:
-            SceneError: the body of a sensor does not have the sensor's link.
-        """
+        """Adds all bodies of a simulator, and the sensors on them."""
         # Ids follow the order of the entities: sensors first.
         sensor_ids = [self._new_id() for _ in sensors]
         self.update(simulator)
@@ -112,17 +108,7 @@ class EntityRegistry:
     def add_sensor(
         self, type: str, host: EntityInfo, name: str | None, settings: Mapping[str, Any]
     ) -> EntityInfo:
-        """Adds a sensor on a body.
-
-        Args:
-            type: the type of the sensor.
-            host: the body.
-            name: the name, unique in the world; by default the names of body and type.
-            settings: the settings, as in a scene file.
-
-        Raises:
-            ArgumentError: the name is in use, or a setting is wrong.
-        """
+        """Adds a sensor on a body, with settings as in a scene file, by default with a new name."""
         used_names = {info.name for info in self.entities}
         if name in used_names:
             raise ArgumentError(f"add_sensor: name: {name!r} is there already")
@@ -150,17 +136,7 @@ class EntityRegistry:
         self.entities = [info for info in self.entities if not is_gone(info)]
 
     def host(self, on: str | Entity | Link, world: str) -> EntityInfo:
-        """Returns the body of a new sensor.
-
-        Args:
-            on: the name or the handle of the body.
-            world: the name of the world.
-
-        Raises:
-            UnknownNameError: no body has the name; the error suggests the nearest names.
-            RemovedEntityError: the entity was removed.
-            ArgumentError: the entity is a sensor, or it is a link.
-        """
+        """Returns the body of a new sensor, given by its name or its handle."""
         if isinstance(on, Link):
             raise ArgumentError(f"{on!r} is given with another link; give its entity with that")
         if isinstance(on, Entity):
@@ -214,14 +190,7 @@ def _link_number(host: EntityInfo, spec: SensorSpec, index: int) -> int:
 def no_entity_error(
     world: str, name: str, infos: Sequence[EntityInfo], removal: str = ""
 ) -> UnknownNameError:
-    """Returns the error for a name that no entity has, perhaps that of a part or a table.
-
-    Args:
-        world: the name of the world.
-        name: the name.
-        infos: the entities that there are.
-        removal: what is told of one that had the name.
-    """
+    """Returns the error for a name that no entity has, with what is told of one that had it."""
     message = f"world {world!r} has no entity {short_repr(name)}"
     told = removal or told_of_part(world, name, infos)
     if not told:
@@ -245,13 +214,7 @@ def _links(infos: Sequence[EntityInfo]) -> list[tuple[str, str]]:
 
 
 def told_of_part(world: str, name: str, infos: Sequence[EntityInfo]) -> str:
-    """Returns what to write for the name of a part of a world's model; "" if none has it.
-
-    Args:
-        world: the name of the world.
-        name: the name.
-        infos: the entities that there are.
-    """
+    """Returns what to write for the name of a part of a world's model; "" if none has it."""
     bodies = [(info.name, info.body) for info in infos if info.body is not None]
     if any(info.name == name for info in infos):
         return f"for the entity, write {name_path(world, name)}"

@@ -26,13 +26,7 @@ from ssduck.world.snapshot import Snapshot
 def excerpt(
     snapshot: Snapshot, ids: Collection[int], source: Simulator
 ) -> tuple[Simulator, list[SensorSpec]]:
-    """Returns a new simulation of some entities of a tick, and the sensors among them.
-
-    Args:
-        snapshot: the tick.
-        ids: the ids of the entities; with a sensor, its body is copied, too.
-        source: the simulator to copy from.
-    """
+    """Returns a new simulation of entities of a tick, with bodies of sensors, and the sensors."""
     by_id = {info.id: info for info in snapshot.load_order}
     with_hosts = {*ids, *(by_id[id].mount[0] for id in ids if by_id[id].sensor is not None)}
     sensors = sensors_of(snapshot, with_hosts)
@@ -81,13 +75,7 @@ _SCENE = ("description", "simulator", "gravity", "timestep", "time", "elastic")
 
 @contextmanager
 def new_folder(folder: Path) -> Iterator[None]:
-    """Creates a folder for a scene; errors in the body of the with statement name the folder.
-
-    After an error, it has no files.
-
-    Raises:
-        SceneError: the folder is not empty, or something cannot be written.
-    """
+    """Creates a folder for a scene, without files after an error; errors are a SceneError of it."""
     try:
         is_new = not folder.exists()
         folder.mkdir(parents=True, exist_ok=True)
@@ -116,14 +104,7 @@ def _empty(folder: Path) -> None:
 
 
 def scene_of(snapshot: Snapshot, simulator: Simulator, folder: Path, target: str) -> Scene:
-    """Returns the scene of a simulation at a tick, after writing its models into a folder.
-
-    Args:
-        snapshot: the tick.
-        simulator: the simulation.
-        folder: the folder of the scene.
-        target: the name of the simulator that is to load it.
-    """
+    """Returns the scene of a tick, for the simulator `target`; writes its models into a folder."""
     ids = {info.id for info in snapshot.load_order}
     originals = list(originals_of(snapshot, ids))
     if target not in BACKENDS:

@@ -269,12 +269,9 @@ class BodyGroup:
         self.write_boxes(link_poses, block)
 
     def write_later(self, link_poses: LinkPoses, table: LiveTable) -> bool:
-        """Writes these rows of the table of entities when they are read: few programs read all.
+        """Writes these rows when they are read: few programs read all. Returns whether it will.
 
         Numbers that may not be finite are written at once, and those of sensors' poses.
-
-        Returns:
-            Whether the numbers are surely known, and no number of the table was written.
         """
         block = table.doubles("x", "zmax")[..., None]
         is_later = link_poses.are_finite and table.is_complete and not self._mounts
@@ -297,10 +294,7 @@ class BodyGroup:
     def numbers_in(
         self, link_poses: LinkPoses, table: str, row: int, columns: tuple[str, ...]
     ) -> list[float] | None:
-        """Returns numbers of a body or a link at finite poses, those that its row is to have.
-
-        None if the row is of another group, or a column is none of x to zmax.
-        """
+        """Returns numbers x to zmax of the row of a body or link here; None for other rows."""
         is_link, chosen = table == "links", _chosen(columns)
         place = (self._link_places if is_link else self._places).get(row)
         if place is None or chosen is None:
@@ -349,14 +343,7 @@ class BodyGroup:
         return bool(np.isfinite(states).all())
 
     def _mount_offsets(self, columns: Array) -> Array:
-        """Returns the vectors from the links' origins to the sensors on them, (n, 3).
-
-        Their terms are added in the order of `BoundingBoxes`, so that the box of a sensor is its
-        point to the last bit.
-
-        Args:
-            columns: (n, 3, 3), the orientations of the links.
-        """
+        """Returns the vectors from links, of orientations (n, 3, 3), to their sensors, (n, 3)."""
         ticks = len(columns) // len(self._mounts)
         x, y, z = self._mount_positions.repeat(ticks, axis=1)
         offsets: Array = columns[:, :, 0] * x + columns[:, :, 1] * y + columns[:, :, 2] * z
@@ -398,8 +385,7 @@ class BodyGroup:
     def place_shapes(self, link_poses: LinkPoses) -> tuple[Array, Array, Array]:
         """Returns positions (n, 3), orientations (n, 4) and boxes (6, n) of the shapes.
 
-        Those of the last poses are kept: few bodies that cannot move ever have others. At several
-        ticks, the first shape comes first, at all of them; boxes are (6, shapes, ticks).
+        At several ticks, the first shape comes first, at all of them; boxes are (6, shapes, ticks).
         """
         last = self._last_shapes
         if last is None or last[0] is not link_poses:
@@ -536,10 +522,7 @@ class BodyGroup:
 
     @cached_property
     def _bounding_links(self) -> tuple[Indices, Indices]:
-        """The links whose boxes make those of their bodies; the place of each body's first one.
-
-        These have shapes. A body without any has the box of its base.
-        """
+        """The links whose boxes make those of their bodies; the place of each body's first one."""
         is_bounding = np.zeros(self.link_count, dtype=bool)
         is_bounding[[shape.frame for shape in self._shapes]] = True
         is_bounding[[self.runs[body].start for body in self.bodies if not body.shapes]] = True
@@ -578,10 +561,7 @@ _FEW = 4
 
 @lru_cache(maxsize=1024)
 def _chosen(columns: tuple[str, ...]) -> tuple[list[int], bool, bool] | None:
-    """Returns the places of columns among pose and twist, of the box from its end; None for others.
-
-    Likewise, whether any is of the orientation or the twist, and of the box.
-    """
+    """Returns places among pose, twist and box (from its end); if any is of a turn, of a box."""
     if not _COLUMNS.keys() >= set(columns):
         return None
     places = [_COLUMNS[name] for name in columns]

@@ -109,10 +109,7 @@ class LiveTable:
         self.publish()
 
     def resize(self, count: int) -> None:
-        """Sets the number of rows of a table of numbers, which the caller fills.
-
-        Its buffers are kept if the rows fit.
-        """
+        """Sets the number of rows, which the caller fills; the buffers stay if the rows fit."""
         if count == self.count:
             return
         if count > self._buffers[0].shape[1]:
@@ -154,10 +151,7 @@ class LiveTable:
 
     @property
     def arrow(self) -> pa.Table:
-        """The Arrow table; its numbers change in place.
-
-        It is made when it is asked for: that takes longer than to fill a table that is recorded.
-        """
+        """The Arrow table, made when it is asked for; its numbers change in place."""
         self.settle()
         return self._shared()
 
@@ -177,12 +171,7 @@ class LiveTable:
         return self._arrow
 
     def _arrow_column(self, column: Column, unknown: npt.NDArray[np.bool_]) -> pa.Array:
-        """Returns a column of the Arrow table.
-
-        Args:
-            column: the column.
-            unknown: (columns of doubles,), whether each has an unknown number.
-        """
+        """Returns a column of the Arrow table; `unknown` are flags of the columns of doubles."""
         name = column.name
         if name not in self._numbers:
             return self._arrays[name]
@@ -204,12 +193,7 @@ class LiveTable:
         return self._numbers[name]
 
     def values(self, name: str, rows: Indices | None = None) -> list[Any]:
-        """Returns the values of a column as Python's, None for unknown ones.
-
-        Args:
-            name: the name of the column.
-            rows: the rows; None for all.
-        """
+        """Returns the values of a column, in some or all rows, as Python's; None if unknown."""
         if name not in self._numbers:
             if name not in self._python_values:
                 self._python_values[name] = self._arrays[name].to_pylist()
@@ -256,12 +240,6 @@ class LiveTable:
         """Has adjacent columns of doubles written later, before anything reads any of them.
 
         Their numbers must all be finite. Until then, the columns have those of an earlier tick.
-        Several functions may write different columns.
-
-        Args:
-            first: the first column.
-            last: the last column.
-            write: a function that writes them.
         """
         columns = range(self._row[first], self._row[last] + 1)
         # A clone has the same list.

@@ -40,12 +40,7 @@ def joint_columns(bodies: Iterable[tuple[int, Body]]) -> Rows:
 def shape_columns(
     bodies: Iterable[tuple[int, Body]], geometry_id: Callable[[Geometry], int]
 ) -> tuple[Rows, Rows]:
-    """Returns the rows of the shapes of bodies, and those of their distinct geometries.
-
-    Args:
-        bodies: the bodies, each with the id of its entity.
-        geometry_id: a function that returns the id of a geometry.
-    """
+    """Returns the rows of the shapes of bodies, and those of their distinct geometries."""
     shapes = [(id, n, shape) for id, body in bodies for n, shape in enumerate(body.shapes)]
     ids = [geometry_id(shape.geometry) for _, _, shape in shapes]
     distinct = {id: s.geometry for id, (_, _, s) in zip(ids, shapes, strict=True)}

@@ -46,10 +46,6 @@ def orientation_of(
         name: the name of the entity, for errors.
         known: in a simulator of quaternions x, y, z, w, the only ones that are surely w, x, y, z:
             those that ssduck tells now. Elsewhere None: a warning tells of probable ones only.
-
-    Raises:
-        ArgumentError: two are given, or there are not four numbers.
-        StateError: a number is not finite, or all are 0.
     """
     given = [value for value in (orientation, wxyz, xyzw) if value is not None]
     if len(given) > 1:
@@ -71,10 +67,7 @@ def orientation_of(
 
 
 def _may_be_xyzw(quaternion: Array, now: Array, known: Iterable[Sequence[float]] | None) -> bool:
-    """Checks whether x, y, z, w may be the order, or, if none are known, is the likelier one.
-
-    The likelier order is that of the orientation now, or of a turn about one axis.
-    """
+    """Checks whether x, y, z, w may be the order, or, if none are known, is the likelier one."""
     other = np.roll(quaternion, 1)
     if _is_same(quaternion, other) or _is_same(quaternion, now):
         return False

@@ -187,13 +187,7 @@ class SensorReader:
     def due(
         self, context: TickContext, sensors: Iterable[EntityInfo], *, is_external: bool
     ) -> set[int]:
-        """Returns the ids of the sensors whose readings are out of date.
-
-        Args:
-            context: the tick.
-            sensors: the requested sensors.
-            is_external: whether users of the client may move bodies while no known time passes.
-        """
+        """Returns the ids of the sensors whose readings are out of date."""
         return {
             info.id
             for info in sensors
@@ -316,14 +310,7 @@ class SensorReader:
 def sensor_poses(
     layout: TableLayout, static: LinkPoses, moving: LinkPoses, ids: set[int]
 ) -> list[SensorPose]:
-    """Returns the poses of sensors, in the order of their rows.
-
-    Args:
-        layout: the entities.
-        static: the link poses of the bodies that cannot move.
-        moving: those of the other bodies.
-        ids: the ids of the sensors.
-    """
+    """Returns the poses of sensors of some ids, in the order of their rows."""
     poses = []
     for group, link_poses in ((layout.static_bodies, static), (layout.moving_bodies, moving)):
         if ids.isdisjoint(info.id for info in group.sensors):
@@ -380,12 +367,7 @@ def write_sensings(
 
 
 def sensing_rows(readings: Mapping[int, Reading], entities: Container[int]) -> Array:
-    """Returns rows of the table of sensings, (n, 5), whose columns are `SENSING_COLUMNS`.
-
-    Args:
-        readings: the readings, by the ids of their sensors.
-        entities: the ids of the entities that are there; others were removed since.
-    """
+    """Returns rows of the table of sensings, (n, 5), without those of removed entities."""
     rows = [
         (sensor, entity, hits, reading.rays, reading.time)
         for sensor, reading in sorted(readings.items())

@@ -160,10 +160,7 @@ class Snapshot(TickGeometry):
         return all(t.is_complete for n, t in self.tables.items() if n not in OFTEN_UNKNOWN)
 
     def joints(self) -> dict[Body, Array]:
-        """Returns position, velocity and effort of each body's joints at this tick, (joints, 3).
-
-        The table of joints must have been requested.
-        """
+        """Returns position, velocity and effort of joints by body, (joints, 3), if requested."""
         states = self._tables["joints"].doubles("position", "effort").T.copy()
         first = 0
         by_body = {}
@@ -319,15 +316,7 @@ class Snapshot(TickGeometry):
         return table in self._read and table not in self.unavailable
 
     def request_sensor(self, sensor: int, *, picture: bool) -> bool:
-        """Notes a request for a sensor's reading; returns whether this tick lacks it.
-
-        Args:
-            sensor: the id of the sensor.
-            picture: whether the colours of a camera are requested, too.
-
-        Raises:
-            UnsupportedError: the readings of sensors are unavailable.
-        """
+        """Notes a request for a sensor's reading or picture; returns whether this tick lacks it."""
         if "sensings" in self.unavailable:
             raise UnsupportedError(self.unavailable["sensings"])
         self._requested_sensors[sensor] = self.number
@@ -346,12 +335,9 @@ class Snapshot(TickGeometry):
         self._static = None
 
     def read_masses(self, simulator: Simulator) -> bool:
-        """Reads the masses, which users of the client may change, unless this tick has them.
+        """Reads the masses, which users of the client may change; returns whether it had to.
 
         Reading them with every tick would cost a third of what reading the poses costs.
-
-        Returns:
-            Whether they were read.
         """
         if self._masses_tick == self.number:
             return False
@@ -391,11 +377,11 @@ class Snapshot(TickGeometry):
     def take(
         self, simulator: Simulator, load_order: list[EntityInfo], *, is_again: bool = False
     ) -> None:
-        """Reads a tick: the entities and the requested tables.
+        """Reads a tick: the entities in load order and the requested tables.
 
         Args:
             simulator: the simulator of the entities.
-            load_order: the entities in load order; the same object while they are the same.
+            load_order: the same object while the entities are the same.
             is_again: whether it is this tick with more tables; see `is_still_of`.
         """
         same = load_order is self.load_order
@@ -442,10 +428,7 @@ class Snapshot(TickGeometry):
         self._finish(known)
 
     def is_still_of(self, simulator: Simulator, load_order: list[EntityInfo]) -> bool:
-        """Checks whether the simulator is in the state of this tick, as far as this has it.
-
-        If so, further tables may be read into this tick. The arguments are those of `take`.
-        """
+        """Checks whether the simulator is in this tick's state, so that more tables may be read."""
         is_known = self._static is not None and not self._is_switched
         now = id(load_order), simulator.time, simulator.disabled, simulator.hidden
         before = id(self.load_order), self.time, self.disabled, self.hidden
@@ -474,15 +457,7 @@ class Snapshot(TickGeometry):
         *,
         same: bool,
     ) -> TickState:
-        """Reads the state of a simulator for the tick of a number.
-
-        Args:
-            simulator: the simulator.
-            layout: the entities.
-            number: the number of the tick.
-            tables: the tables that the tick includes.
-            same: whether the entities are those of the last tick.
-        """
+        """Reads the state of a simulator for the tick of a number; `same`: if the entities stay."""
         static = self._static if same else None
         if static is None:
             static = simulator.read_link_poses(layout.static_bodies.bodies, with_velocities=True)
@@ -528,10 +503,7 @@ class Snapshot(TickGeometry):
         return sensors if all_sensors else [info for info in sensors if info.id in requested]
 
     def _write_poses(self, static: LinkPoses, moving: LinkPoses, *, with_static: bool) -> set[str]:
-        """Writes poses, velocities and boxes; `with_static`: also of bodies that cannot move.
-
-        Returns the tables whose numbers are surely known.
-        """
+        """Writes poses, velocities and boxes; returns the tables whose numbers are surely known."""
         table, bodies = self._live["entities"], self._layout.moving_bodies
         block = table.overwritten("x", "zmax")[..., None]
         if with_static:
@@ -542,10 +514,7 @@ class Snapshot(TickGeometry):
         return known.union([name for name in parts if self._write_parts(name)])
 
     def _write_parts(self, name: str) -> bool:
-        """Writes the rows of links or shapes: of bodies that cannot move once, of others later.
-
-        Returns whether all numbers are surely known; users may change the masses of links.
-        """
+        """Writes the rows of links or shapes; returns whether all numbers are surely known."""
         table, are_known = self._live[name], name == "shapes"
         block = table.overwritten("x", "zmax")[..., None]
         for group, poses in self.body_groups:
@@ -559,11 +528,7 @@ class Snapshot(TickGeometry):
         return are_known and table.is_complete
 
     def _finish(self, known: AbstractSet[str]) -> None:
-        """Writes tick and time into the tables that were read, and publishes them.
-
-        Args:
-            known: the tables that surely have no unknown number.
-        """
+        """Publishes the tables that were read; those that are known have no unknown number."""
         for name in ("entities", "ticks", *self._read.difference(("contacts",))):
             self._publish(name, are_known=name in known)
         self._are_rows_written = True

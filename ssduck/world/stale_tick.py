@@ -35,13 +35,7 @@ class StaleTickCheck:
         self._thread = threading.get_ident()
 
     def check(self, world: str, simulator: Simulator, snapshot: Snapshot) -> None:
-        """Warns if the client has moved on since the last tick, once in each place.
-
-        Args:
-            world: the name of the world.
-            simulator: its simulator.
-            snapshot: its last tick.
-        """
+        """Warns if the client has moved on since the last tick, once in each place."""
         if not simulator.is_external or self._thread != threading.get_ident():
             return
         with suppress(SimulatorError):  # the last tick can be queried without the client

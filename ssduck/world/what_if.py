@@ -101,12 +101,7 @@ def _moved(
 
 
 def _at_rest(states: Array, positions: Mapping[int, float]) -> Array:
-    """Sets the joints at positions to rest there, and all efforts to unknown.
-
-    Args:
-        states: position, velocity and effort of each joint, (joints, 3); changed in place.
-        positions: the new positions, rad or m, by the index of the joint.
-    """
+    """Sets joints of states (joints, 3) to rest at positions, in place; all efforts are unknown."""
     states[:, 2] = np.nan
     for number, position in positions.items():
         states[number, :2] = position, 0.0

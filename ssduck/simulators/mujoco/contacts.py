@@ -283,11 +283,7 @@ class MuJoCoContacts:
         )
 
     def _wrenches(self, rows: Indices) -> Array:
-        """Returns the wrenches of the first geoms on the second in the frames of contacts, (n, 6).
-
-        They are the normal force, the two friction forces, and the moments of torsional and rolling
-        friction, as `mj_contactForce` returns them.
-        """
+        """Returns the wrenches of contacts in their frames, (n, 6), as `mj_contactForce` does."""
         addresses = self.contacts.addresses.take(rows).astype(np.intp)
         dims = self.contacts.dims.take(rows)
         forces = np.zeros((len(rows), 6))

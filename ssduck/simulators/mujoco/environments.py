@@ -46,12 +46,7 @@ _WORLD_TOLERANCE = 1e-3
 
 
 def environments_of(model: Any, count: int) -> EnvironmentSimulator:
-    """Returns environments of a model, all in its initial state.
-
-    Args:
-        model: the `mujoco.MjModel`.
-        count: the number of environments.
-    """
+    """Returns environments of a model, all in its initial state."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     simulator = MuJoCoSimulator(lambda: (model, data), owned=False)
@@ -338,12 +333,7 @@ class MuJoCoEnvironments:
         return sites[link - body.rigid_count]
 
     def _contacts_of(self, contact: Any, efc_forces: Any) -> EnvironmentContacts:
-        """Returns contacts from arrays (n, m, …), of which those that do not meet are none.
-
-        Args:
-            contact: the arrays by name, or an object that has them as attributes.
-            efc_forces: the forces of all constraints, (n, constraints), if they are known.
-        """
+        """Returns contacts from arrays (n, m, …), without those that do not meet."""
         if not isinstance(contact, Mapping):
             contact = {name: getattr(contact, name, None) for name in _OF_CONTACTS}
         parts = {name: contact[name] for name in _OF_CONTACTS if contact.get(name) is not None}
@@ -396,11 +386,7 @@ class MuJoCoEnvironments:
     def _normal_forces(
         self, rows: Array, addresses: Indices, dims: Indices, shape: tuple[int, ...]
     ) -> Array:
-        """Returns the normal forces of contacts (n, m), N, from those of their constraints.
-
-        A pyramidal cone has a constraint for each of its edges, and the normal force is their sum
-        (MuJoCo's mju_decodePyramid); of an elliptic one, the first constraint is along the normal.
-        """
+        """Returns the normal forces of contacts (n, m), N: sums of the edges of pyramidal cones."""
         is_pyramidal = self._model.opt.cone == int(mujoco.mjtCone.mjCONE_PYRAMIDAL)
         counts = np.where((dims > 1) & is_pyramidal, 2 * (dims - 1), 1)
         addresses, counts = np.broadcast_to(addresses, shape), np.broadcast_to(counts, shape)

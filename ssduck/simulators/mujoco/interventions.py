@@ -54,10 +54,7 @@ class Switches:
 
     @property
     def disabled_geoms(self) -> Indices:
-        """The geoms that would collide if their bodies were not disabled, and so the flexes.
-
-        Flexes are numbered after all geoms.
-        """
+        """The geoms, then the flexes, that would collide if their bodies were not disabled."""
         saved = [self._saved["enable", body] for body in self.disabled]
         geoms = [parts["geom_contype"][0] for parts in saved]
         flexes = [parts["flex_contype"][0] + self.model.ngeom for parts in saved]

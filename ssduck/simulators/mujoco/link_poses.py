@@ -59,11 +59,7 @@ class LinkReader:
         self._views: tuple[Any, list[Array]] | None = None
 
     def _places_of(self, count: int) -> Indices:
-        """Returns the places of the links' numbers, part after part, and of all centres of mass.
-
-        Args:
-            count: the number of bodies.
-        """
+        """Returns the places of the links' numbers, part after part, and of all centres of mass."""
         starts = count * np.cumsum([0, *_ARRAYS.values()])
         parts = [
             start + size * self._links[:, None] + np.arange(size)

@@ -59,7 +59,7 @@ _Part: TypeAlias = tuple[ET.Element, _Pose | None]
 
 
 def write_model(model: Any, data: Any, spec: Any, kinds: Mapping[str, str], file: Path) -> None:
-    """Writes a model with its present state as a key.
+    """Writes a model with its present state as a key; the folder `ASSETS` beside it gets its files.
 
     Args:
         model: the model.
@@ -67,7 +67,7 @@ def write_model(model: Any, data: Any, spec: Any, kinds: Mapping[str, str], file
         spec: the `mujoco.MjSpec` that the model was compiled from; None for that of the model that
             MuJoCo read last.
         kinds: the kinds of entities whose joints do not tell them, by the names of their roots.
-        file: the file; the folder `ASSETS` beside it gets meshes and pictures.
+        file: the file.
     """
     welds = list(_welds(model, data))
     root = ET.fromstring(_source(_without_holds(model), spec))  # noqa: S314  # MuJoCo wrote it

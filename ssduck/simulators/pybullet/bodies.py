@@ -354,11 +354,7 @@ class _BodyReader:
         return [mesh]
 
     def _hull_vertices(self, link: int, index: int = -1) -> Array:
-        """Returns the corners of a link's hulls, or of one shape, relative to the centre of mass.
-
-        PyBullet applies the index again to the objects in that shape's file. So it is right for
-        meshes of one object, and for the first shape.
-        """
+        """Returns the corners of a link's hulls, or of one shape, from the centre of mass."""
         _, vertices = pybullet.getMeshData(
             self.handle, link - 1, collisionShapeIndex=index, physicsClientId=self.client
         )

@@ -100,10 +100,7 @@ class SavedShapes:
 
     @cached_property
     def _file_and_tags(self) -> tuple[_BulletFile, Mapping[float, tuple[int, int]]] | None:
-        """The saved file, and the links by the friction that identifies them there.
-
-        The file has no numbers of bodies. The simulation does not run while frictions differ.
-        """
+        """The saved file, which has no numbers of bodies, and the links by frictions there."""
         links = [
             (handle, link)
             for handle in self._handles

@@ -113,12 +113,7 @@ class MarginReader:
         self._margins = [body.margins for body in bodies]
 
     def read(self, client: int, are_present: Sequence[bool]) -> list[list[float]]:
-        """Returns the margins as they are now, metres; the same object if none has changed.
-
-        Args:
-            client: the client that has the bodies.
-            are_present: whether it has each of `changeable`; the others have those of before.
-        """
+        """Returns the margins as they are now, metres; the same object if none has changed."""
         now = [
             self._read_now(client, place) if is_present else None
             for place, is_present in zip(self._links, are_present, strict=True)

@@ -70,12 +70,7 @@ class PyBulletContacts:
 
     @classmethod
     def read(cls, client: int, known: AbstractSet[int]) -> tuple[Self, bool]:
-        """Returns those between known bodies of a client, and whether there are others.
-
-        Args:
-            client: the client.
-            known: the numbers of the bodies.
-        """
+        """Returns those between known bodies of a client, and whether there are others."""
         points = pybullet.getContactPoints(physicsClientId=client)
         lacks_bodies = not known >= {*map(_BODY_A, points), *map(_BODY_B, points)}
         if lacks_bodies:

@@ -60,10 +60,7 @@ class GivenBodies:
         self.names, self.kinds = dict(self._all[0]), dict(self._all[1])
 
     def changed(self, bodies: Iterable[Body]) -> list[int]:
-        """Returns the numbers of the described bodies that are not like the first; warns of these.
-
-        Nothing is said of them any more.
-        """
+        """Returns the numbers of bodies that are not like the first; warns, and forgets these."""
         forms = {b.handle: _form(b) for b in bodies if b.handle in {**self.names, **self.kinds}}
         if self._forms is None:
             self._forms = forms

@@ -114,10 +114,7 @@ def named_owner(part: ET.Element, parents: Mapping[ET.Element, ET.Element]) -> s
 
 
 def free_bodies(root: ET.Element) -> list[str]:
-    """Returns the names of the bodies of an MJCF file that are fixed in MuJoCo, free in PyBullet.
-
-    They have no joint to the world.
-    """
+    """Returns the names of an MJCF file's bodies without joints, which PyBullet leaves free."""
     bodies = [body for world in root.iterfind("worldbody") for body in world.iterfind("body")]
     return [
         body.get("name") or "a body without a name"
@@ -208,11 +205,7 @@ _MAX_TOLD = 5
 
 
 def check_numbers(format: str, root: ET.Element) -> list[str]:
-    """Checks the numbers of a model file; tells, in words, what PyBullet takes for 0.
-
-    PyBullet takes negative masses and sizes that are no numbers as they are, and poses and answers
-    are wrong or unknown then.
-    """
+    """Checks the numbers of a model file; tells, in words, what PyBullet takes for 0."""
     rules = _RULES[format]
     parents = {child: parent for parent in root.iter() for child in parent}
     doubts: dict[str, int] = {}

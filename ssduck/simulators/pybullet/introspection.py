@@ -137,11 +137,7 @@ def estimated_model(body: Body, link_poses: LinkPoses, joints: Array) -> BodyMod
 def zero_poses(body: Body, link_poses: LinkPoses, joints: Array) -> Pose:
     """Returns the poses of links in their parents' frames at joint positions of 0.
 
-    Args:
-        body: the body.
-        link_poses: the present poses of its links.
-        joints: the present states of its joints, (joints, 1 or more); a joint whose position is
-            NaN is at 0, or at its limit nearest to 0.
+    A joint whose position is NaN is at 0, or at its limit nearest to 0.
     """
     back = {}
     for joint, (position, *_) in zip(body.joints, joints.tolist(), strict=True):

@@ -108,8 +108,7 @@ def _order(counts: Indices, soft: Sequence[bool], with_velocities: bool) -> tupl
     """Returns the number of values in PyBullet's results and each link's places, (links, 13).
 
     The results are the bases' poses, the bases' velocities, the links' states with or without
-    velocities, and an unknown value. A pose is x y z and the quaternion x y z w. The velocities of
-    soft bodies are unknown: PyBullet returns other numbers for them.
+    velocities, and an unknown value. Velocities of soft bodies are unknown.
     """
     bases = len(counts)
     total = int(counts.sum())

@@ -98,11 +98,7 @@ class ModelFile:
         return write_for_pybullet(self.file, self.format, self.root, folder)
 
     def check(self) -> list[str]:
-        """Checks that the file does not crash PyBullet 3.2.7, and that its numbers are right.
-
-        Returns:
-            What PyBullet leaves out, or takes for 0, in words.
-        """
+        """Checks that the file does not crash PyBullet; tells what it leaves out or takes for 0."""
         _check_formats(self.root)
         if self.format == "mjcf":
             for world in self.root.iterfind("worldbody"):

@@ -112,11 +112,7 @@ def _check_poses(handle: int, place: str, client: int) -> None:
 def _names(
     scene: Scene, entries: Sequence[tuple[BodySpec, Sequence[int]]], client: int
 ) -> dict[int, str]:
-    """Returns the unique names of the bodies of a scene by body number.
-
-    A file of several bodies names them; the name of its entry precedes their names. Names of files
-    give way to those of the scene.
-    """
+    """Returns the unique names of the bodies of a scene by body number; those of files give way."""
     taken = {str(spec.name) for spec, _ in entries} | {sensor.name for sensor in scene.sensors}
     names = {}
     for spec, handles in entries:
@@ -226,13 +222,10 @@ def _joints_of(handle: int, client: int) -> list[Joint]:
 def _set_joints(
     handle: int, spec: BodySpec, joints: Sequence[Joint], client: int
 ) -> dict[int, float]:
-    """Sets the initial joint states, and makes motors hold joints with limits.
+    """Sets the initial joint states; returns the positions that motors hold, by link.
 
     A joint that the scene does not set is at 0, or at its limit nearest to 0. Joints without limits
     are wheels and the like; their motors hold velocity 0.
-
-    Returns:
-        The positions that motors hold, by link; empty if PyBullet's own motors stay as they are.
     """
     motor_positions: dict[int, float] = {}
     for joint in joints:

@@ -149,10 +149,7 @@ def _changes_of_link(link: ET.Element, frames: _Frames) -> Iterator[_Change]:
 
 
 def _changes_of_joint(joint: ET.Element, frames: _Frames, version: float) -> Iterator[_Change]:
-    """Yields the changes that give an axis in the frame of the child, and remove the pose.
-
-    The pose of a hinge that is beside its axis stays: PyBullet turns it about another line.
-    """
+    """Yields the changes that give an axis in the frame of the child, and remove the pose."""
     child = frames[_child_of(joint)]
     position, turn = compose(*invert(*child), *frames[joint.get("name", "")])
     axis = joint.find("axis/xyz")
