@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from ssduck.recording.replay.past import Past
     from ssduck.recording.spec import Recording
     from ssduck.world.entities import Entity, KinBody, Robot, Sensor
-    from ssduck.world.links import Link
+    from ssduck.world.handles import Link
     from ssduck.world.world import World
 
 __all__ = [
@@ -86,7 +86,7 @@ _HOMES = {
     "KinBody": "world.entities",
     "Lake": "lakes.lake",
     "Limits": "limits",
-    "Link": "world.links",
+    "Link": "world.handles",
     "OccupancyGrid": "adapters.grid_values",
     "Past": "recording.replay.past",
     "ProgramWarning": "errors",

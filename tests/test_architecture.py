@@ -17,8 +17,8 @@ FRONTS = {"openrave", "snapshot", "translate", "udfs"}
 # these import the others for annotations only.
 OF_HANDLES = [
     ("ssduck.world.entities", "ssduck.world.world"),
-    *((f"ssduck.world.{part}", "ssduck.world.world") for part in ("handles", "links")),
-    *((f"ssduck.world.{part}", "ssduck.world.entities") for part in ("handles", "links")),
+    ("ssduck.world.handles", "ssduck.world.world"),
+    ("ssduck.world.handles", "ssduck.world.entities"),
     ("ssduck.world.openrave_names", "ssduck.world.world"),
     ("ssduck.world.openrave_names", "ssduck.world.entities"),
 ]

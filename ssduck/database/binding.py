@@ -24,7 +24,7 @@ from ssduck.recording.stores.base import TickArchive, VisibleRows
 from ssduck.schema import LINK_FACTOR, POSE, RECORDED, TABLES, EntityTable, entity_of, link_id
 from ssduck.simulators.contact_pairs import ContactPairs
 from ssduck.simulators.interface import DEFAULT_BACKEND
-from ssduck.simulators.joints import EntityJoints
+from ssduck.simulators.kinematics import EntityJoints
 from ssduck.sql.relations.geometry_query import INDIFFERENT_TO_INSIDES
 from ssduck.world.live_tables import LiveTable, last_version
 from ssduck.world.snapshot import Snapshot

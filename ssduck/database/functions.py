@@ -31,7 +31,7 @@ from ssduck.recording.spec import no_ticks_message
 from ssduck.recording.stores.base import PairRequest
 from ssduck.schema import LINK_FACTOR, entity_of
 from ssduck.simulators.contact_pairs import ContactPairs
-from ssduck.simulators.joints import JointError
+from ssduck.simulators.kinematics import JointError
 from ssduck.sql.relations.common import RECORDED_NUMBERS_UDF
 from ssduck.sql.relations.geometry_query import (
     MARGINS_UDF,

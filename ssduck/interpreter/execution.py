@@ -48,8 +48,7 @@ from ssduck.limits import Limits, UsageMeter
 from ssduck.recording.replay.past import pin_to_common_tick
 from ssduck.sql.explain import explained, in_dialect
 from ssduck.sql.relations.registry import RELATIONS
-from ssduck.world.handles import Handle
-from ssduck.world.links import Link
+from ssduck.world.handles import Handle, Link
 from ssduck.world.world import World
 
 # The tables that a node reads, and of which worlds; None for all.

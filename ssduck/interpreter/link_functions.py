@@ -13,7 +13,7 @@ from ssduck.language.builtins import Function
 from ssduck.language.tree import Index, Name, Node
 from ssduck.recording.replay.past import Past
 from ssduck.world.entities import Entity
-from ssduck.world.links import Link, Links
+from ssduck.world.handles import Link, Links
 from ssduck.world.world import World
 
 

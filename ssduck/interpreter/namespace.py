@@ -46,7 +46,7 @@ from ssduck.sql.name_resolution import SCALARS
 from ssduck.sql.relation_calls import tables_of
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.relations.relation import Relation
-from ssduck.world.links import Links
+from ssduck.world.handles import Links
 from ssduck.world.world import World
 
 # The least similarity of a function's name that is suggested for an unknown variable.

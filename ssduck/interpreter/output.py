@@ -30,7 +30,7 @@ from ssduck.language.clauses import (
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import Call, Literal, Name, Node, Query, TimeIndex
 from ssduck.recording.replay.past import Past
-from ssduck.world.links import Links
+from ssduck.world.handles import Links
 from ssduck.world.world import World
 
 # The name of the form that is a flat list.

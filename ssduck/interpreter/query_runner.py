@@ -45,7 +45,7 @@ from ssduck.language.hierarchy import Hierarchy, Vertex, simple_paths
 from ssduck.language.operators import ELEMENT_BYTES
 from ssduck.language.tree import Call, Node, Query
 from ssduck.language.value_keys import MEMOS
-from ssduck.simulators.joints import JointError
+from ssduck.simulators.kinematics import JointError
 from ssduck.sql.name_resolution import ResolvedQuery
 from ssduck.sql.past_ticks import history_windows
 from ssduck.sql.plan import OutputColumn, PathSearch, Plan, SourceType

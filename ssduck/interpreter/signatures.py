@@ -11,7 +11,7 @@ from zlib import crc32
 
 from ssduck.sql.types import BOOLEAN, DOUBLE, INTEGER, STRING, Signature, SqlType
 from ssduck.world.entities import Entity
-from ssduck.world.links import Link
+from ssduck.world.handles import Link
 
 _TYPES: dict[object, SqlType] = {bool: BOOLEAN, int: INTEGER, float: DOUBLE, str: STRING}
 

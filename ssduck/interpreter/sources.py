@@ -25,8 +25,7 @@ from ssduck.schema import EntityTable
 from ssduck.sql.plan import PastKind, SourceType
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.types import ANY, INTEGER, SqlType
-from ssduck.world.handles import Handle, removal_of
-from ssduck.world.links import Links
+from ssduck.world.handles import Handle, Links, removal_of
 from ssduck.world.world import World
 
 # Longer lists are not examined: they may have entities of any world.

@@ -14,8 +14,8 @@ from ssduck.recording.buffers import TickRows
 from ssduck.recording.spec import chosen_members
 from ssduck.schema import FRAMES, RECORDED, STORED_TABLES, TABLES
 from ssduck.simulators.interface import LinkPoses
-from ssduck.world.contact_rows import CONTACT_SIDES, contact_rows
 from ssduck.world.layout import BodyGroup, TableLayout
+from ssduck.world.rows import CONTACT_SIDES, contact_rows
 from ssduck.world.sensor_readings import SENSING_COLUMNS, TickState, sensing_rows
 from ssduck.world.snapshot import Snapshot
 

@@ -8,7 +8,7 @@ module is imported when a world first needs it. To add a simulator, write its `S
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias, cast
@@ -17,6 +17,7 @@ import numpy as np
 
 from ssduck.errors import UnknownNameError, nearest
 from ssduck.geometry.arrays import Array
+from ssduck.geometry.shapes import Geometry
 from ssduck.simulators.environments import EnvironmentSimulator
 from ssduck.simulators.interface import (
     DEFAULT_BACKEND,
@@ -30,7 +31,42 @@ from ssduck.simulators.partial import StaticSimulator
 from ssduck.simulators.recognition import MUJOCO
 from ssduck.simulators.scene_bodies import BodySpec
 from ssduck.simulators.scenes import Scene
-from ssduck.simulators.visuals import stored_visuals, with_grounds
+
+# The least width of a mesh that stands for a plane, m.
+_GROUND = 20.0
+
+
+def collision_visuals(body: Body) -> list[VisualShape]:
+    """Returns the collision shapes of a body, without colours, where nothing else is known."""
+    return [
+        VisualShape(each.frame, each.geometry, each.position, each.orientation, None)
+        for each in body.shapes
+    ]
+
+
+def stored_visuals(body: Body) -> list[VisualShape]:
+    """Returns what is drawn of a body that no simulator tells of: as recorded, or what collides."""
+    return collision_visuals(body) if body.visuals is None else list(body.visuals)
+
+
+def with_grounds(shapes: Sequence[VisualShape]) -> list[VisualShape]:
+    """Returns shapes with planes, in the colour of a ground, in place of large flat meshes.
+
+    These are squares of 20 m or more in the xy plane of their frame, such as that of `plane.urdf`.
+    """
+    plane = Geometry.primitive("plane", (0.0, 0.0, 1.0))
+    return [
+        replace(shape, geometry=plane, colour=None) if _is_ground(shape.geometry) else shape
+        for shape in shapes
+    ]
+
+
+def _is_ground(geometry: Geometry) -> bool:
+    corners = geometry.vertices
+    if geometry.type not in ("mesh", "hull") or len(corners) != 4 or np.any(corners[:, 2]):
+        return False
+    return bool((np.ptp(corners[:, :2], axis=0) >= _GROUND).all())
+
 
 BACKENDS = {
     DEFAULT_BACKEND: "ssduck.simulators.pybullet.backend",

@@ -6,9 +6,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from ssduck.errors import SimulatorError, warn
-from ssduck.simulators.backends import drawn_shapes
+from ssduck.simulators.backends import drawn_shapes, stored_visuals
 from ssduck.simulators.interface import Body, Simulator, VisualShape
-from ssduck.simulators.visuals import stored_visuals
 from ssduck.world.entity_registry import EntityRegistry
 
 

@@ -20,13 +20,20 @@ from ssduck.errors import (
 from ssduck.formatting import joined_names, short_repr
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.simulators.interface import DEFAULT_BACKEND, Body, Kind
-from ssduck.simulators.joints import openness
-from ssduck.simulators.kinematics import JointValues
+from ssduck.simulators.kinematics import JointValues, openness
 from ssduck.simulators.scenes import SensorSpec
 from ssduck.simulators.sensor_types import SENSOR_TYPES
-from ssduck.world.handles import Handle, NamedList, RecordedTick
+from ssduck.world.handles import (
+    Handle,
+    Link,
+    NamedList,
+    RecordedTick,
+    Site,
+    links_and_sites_of,
+    links_of,
+    sites_of,
+)
 from ssduck.world.layout import EntityInfo
-from ssduck.world.links import Link, Site, links_and_sites_of, links_of, sites_of
 from ssduck.world.openrave_names import OpenRaveEntity, OpenRaveSensor
 from ssduck.world.orientations import Orientation, orientation_of
 from ssduck.world.public_names import INSTEAD_IN_ENTITIES

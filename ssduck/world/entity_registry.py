@@ -24,8 +24,8 @@ from ssduck.simulators.naming import unique_name
 from ssduck.simulators.scenes import SensorSpec, read_sensor
 from ssduck.simulators.sensor_types import SENSOR_TYPES
 from ssduck.world.entities import Entity
+from ssduck.world.handles import Link
 from ssduck.world.layout import EntityInfo
-from ssduck.world.links import Link
 
 # What to write for what is a table in SQL.
 _SOURCES = {

@@ -36,10 +36,15 @@ from ssduck.simulators.interface import (
     Simulator,
     VisualShape,
 )
-from ssduck.world.contact_rows import contact_pairs, write_contacts
 from ssduck.world.layout import EntityInfo, TableLayout
 from ssduck.world.live_tables import LiveTable
-from ssduck.world.model_columns import joint_columns, link_columns, shape_columns
+from ssduck.world.rows import (
+    contact_pairs,
+    joint_columns,
+    link_columns,
+    shape_columns,
+    write_contacts,
+)
 from ssduck.world.run_numbers import new_run
 from ssduck.world.sensor_readings import (
     SensorReader,

@@ -44,8 +44,7 @@ from ssduck.world.construction import UNNAMED, ConstructibleWorld
 from ssduck.world.entities import HANDLES, Entity, Sensor
 from ssduck.world.entity_registry import no_entity_error, told_of_part
 from ssduck.world.excerpt import excerpt, new_folder, scene_of, write_scene
-from ssduck.world.handles import Handle
-from ssduck.world.links import Link, links_and_sites_of
+from ssduck.world.handles import Handle, Link, links_and_sites_of
 from ssduck.world.manipulation import ManipulableSimulation
 from ssduck.world.openrave_names import OpenRaveWorld
 from ssduck.world.pictures import framing_camera

@@ -8,7 +8,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import SceneError, UnknownNameError
-from ssduck.simulators.pybullet.mesh_checks import PIECE
+from ssduck.simulators.pybullet.model_repairs import PIECE
 from tests.support.cases import sampled
 
 CUBE = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1)) + (

@@ -14,7 +14,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import SceneError
-from ssduck.simulators.pybullet.ignored_parts import IGNORED
+from ssduck.simulators.pybullet.model_files import IGNORED
 from tests.support import urdf
 from tests.support.bodies import client_of
 from tests.support.cases import sampled

@@ -296,7 +296,7 @@ def test_joints_that_were_not_recorded(write):
 
 def test_beyond_the_limits_and_unknown():
     from ssduck.simulators.interface import Joint
-    from ssduck.simulators.joints import EntityJoints, openness
+    from ssduck.simulators.kinematics import EntityJoints, openness
 
     slide = Joint("slide", "prismatic", 1, 0.0, 0.5, None, None)
     assert openness(slide, -0.05) == pytest.approx(-0.1)

@@ -9,11 +9,11 @@ import pytest
 import ssduck
 from ssduck.geometry.bounds import BoundingBoxes
 from ssduck.geometry.poses import rotation_matrices, unit_quaternions
-from ssduck.simulators.mujoco.link_poses import LinkReader
+from ssduck.simulators.mujoco.readings import LinkReader
 from ssduck.simulators.scenes import find_scene
-from ssduck.world import contact_rows
+from ssduck.world import rows as rows_of_tables
 from ssduck.world.layout import BodyGroup
-from ssduck.world.shape_places import TickPlaces
+from ssduck.world.tick_geometry import TickPlaces
 from tests.support.gym_environments import PUSH
 
 RADIUS = 0.05
@@ -161,8 +161,10 @@ def test_a_condition_puts_no_contacts_in_order(lab, monkeypatch):
         for _ in range(3):
             world.tick()
             other.eval(program)
-        calls, rows = [], contact_rows.contact_rows
-        monkeypatch.setattr(contact_rows, "contact_rows", lambda *of: calls.append(1) or rows(*of))
+        calls, rows = [], rows_of_tables.contact_rows
+        monkeypatch.setattr(
+            rows_of_tables, "contact_rows", lambda *of: calls.append(1) or rows(*of)
+        )
         for _ in range(5):
             mujoco.mj_step(model, data)
             world.tick()

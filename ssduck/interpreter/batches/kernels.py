@@ -26,7 +26,7 @@ from ssduck.schema import LINK_FACTOR, entity_of
 from ssduck.simulators.contact_pairs import OPPOSING, are_at, are_of
 from ssduck.simulators.environments import NO_CONTACTS, EnvironmentContacts
 from ssduck.simulators.interface import SCALAR_JOINTS, Joint
-from ssduck.simulators.joints import openness
+from ssduck.simulators.kinematics import openness
 from ssduck.sql.relations.geometry_query import GeometryUdf
 from ssduck.sql.relations.joints import JOINT_UDFS
 from ssduck.sql.relations.registry import RELATIONS

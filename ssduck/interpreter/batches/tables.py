@@ -19,8 +19,8 @@ from ssduck.schema import TABLES
 from ssduck.simulators.environments import NO_CONTACTS
 from ssduck.simulators.interface import ContactPoints
 from ssduck.world.batches.batch_world import BatchWorld
-from ssduck.world.contact_rows import contact_rows
 from ssduck.world.live_tables import LiveTable
+from ssduck.world.rows import contact_rows
 
 
 def batch_table(world: BatchWorld, name: str) -> pa.Table:

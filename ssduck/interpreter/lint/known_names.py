@@ -12,8 +12,7 @@ from ssduck.formatting import short_repr
 from ssduck.language.tree import Call, Index, Literal, Name, Node
 from ssduck.simulators.interface import Kind
 from ssduck.sql.name_comparisons import NameKind
-from ssduck.world.handles import Handle
-from ssduck.world.links import Link
+from ssduck.world.handles import Handle, Link
 from ssduck.world.world import World
 
 _OWNERS: Mapping[NameKind, str] = {

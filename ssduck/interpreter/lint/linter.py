@@ -50,8 +50,7 @@ from ssduck.language.tree import (
 from ssduck.recording.replay.past import Past
 from ssduck.sql.name_comparisons import NameKind, RelationOfRows, name_comparisons
 from ssduck.world.entities import Entity
-from ssduck.world.handles import Handle
-from ssduck.world.links import Link, Links
+from ssduck.world.handles import Handle, Link, Links
 from ssduck.world.world import World
 
 # The functions that return the kind of an entity.

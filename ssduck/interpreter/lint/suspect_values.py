@@ -39,7 +39,7 @@ from ssduck.language.tree import (
 )
 from ssduck.recording.replay.past import Past
 from ssduck.sql.relations.registry import RELATIONS
-from ssduck.world.links import Links
+from ssduck.world.handles import Links
 from ssduck.world.world import World
 
 

@@ -21,8 +21,7 @@ from ssduck.recording.replay.past_world import PastWorld
 from ssduck.recording.replay.record import TIME_TOLERANCE, Record, index_at
 from ssduck.schema import EntityTable, entity_of
 from ssduck.world.entities import Entity
-from ssduck.world.handles import Handle, RecordedTick
-from ssduck.world.links import Links
+from ssduck.world.handles import Handle, Links, RecordedTick
 from ssduck.world.world import World
 
 # The number of a world's first tick.

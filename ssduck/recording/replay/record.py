@@ -41,9 +41,8 @@ from ssduck.schema import (
 )
 from ssduck.simulators.partial import StaticSimulator
 from ssduck.world.entities import HANDLES, Entity
-from ssduck.world.handles import Handle, RecordedTick
+from ssduck.world.handles import Handle, RecordedTick, handle_of
 from ssduck.world.layout import EntityInfo, margins_of
-from ssduck.world.links import handle_of
 from ssduck.world.snapshot import Snapshot
 from ssduck.world.world import World
 

@@ -26,6 +26,7 @@ from ssduck.simulators.backends import (
 )
 from ssduck.simulators.interface import Body, Kind, Simulator, VisualShape
 from ssduck.simulators.model_xml import STATE_KEY
+from ssduck.simulators.mujoco import rendering
 from ssduck.simulators.mujoco.bodies import body_names, kind_by_joints, kinds_in, roots_of
 from ssduck.simulators.mujoco.environments import environments_of as environments
 from ssduck.simulators.mujoco.flexes import entity_roots
@@ -153,9 +154,9 @@ def excerpt(
     source: Simulator | None, originals: Sequence[BodyToCopy], tick: TickToCopy
 ) -> MuJoCoSimulator:
     """Starts a simulation of some bodies as they are at a tick; see `Backend.excerpt`."""
-    from ssduck.simulators.mujoco import excerpt as copying  # few sessions need it
+    from ssduck.simulators.mujoco import saving  # few sessions need it
 
-    return copying.excerpt(source, originals, tick)
+    return saving.excerpt(source, originals, tick)
 
 
 def scene_of(
@@ -199,8 +200,6 @@ def scene_of(
 
 def visual_shapes(simulator: Simulator, body: Body) -> list[VisualShape]:
     """Returns what MuJoCo draws of a body; see `Backend.visual_shapes`."""
-    from ssduck.simulators.mujoco import visual_geoms  # few sessions need it
-
     if not isinstance(simulator, MuJoCoSimulator):
         raise UnsupportedError("this is no simulation of MuJoCo")
-    return visual_geoms.visual_shapes(simulator.model, body)
+    return rendering.visual_shapes(simulator.model, body)

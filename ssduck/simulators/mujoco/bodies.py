@@ -21,9 +21,9 @@ from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.interface import SCALAR_JOINTS, Body, Joint, Kind, Link
 from ssduck.simulators.model_xml import KIND_PREFIX
+from ssduck.simulators.mujoco.contacts import margins_of
 from ssduck.simulators.mujoco.flexes import entity_roots, flex_names, flex_shapes
 from ssduck.simulators.mujoco.library import mujoco
-from ssduck.simulators.mujoco.margins import margins_of
 
 _GEOM, _JOINT, _OBJECT = mujoco.mjtGeom, mujoco.mjtJoint, mujoco.mjtObj
 # The types of joints by MuJoCo's numbers.

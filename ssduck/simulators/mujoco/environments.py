@@ -34,7 +34,7 @@ from ssduck.simulators.interface import SCALAR_JOINTS, Body, ContactPoints, Link
 from ssduck.simulators.mujoco.bodies import numbers_of, sites_on
 from ssduck.simulators.mujoco.contacts import MuJoCoContacts, Owners, SleepingContacts
 from ssduck.simulators.mujoco.library import mujoco
-from ssduck.simulators.mujoco.link_poses import LinkReader
+from ssduck.simulators.mujoco.readings import LinkReader
 from ssduck.simulators.mujoco.simulator import MuJoCoSimulator
 
 # What a contact has: the numbers of its geoms, their distance, m, and what is known besides.

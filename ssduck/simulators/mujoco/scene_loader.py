@@ -22,11 +22,10 @@ from ssduck.errors import SceneError, UnsupportedError, warn
 from ssduck.formatting import joined_names
 from ssduck.geometry.poses import rotation_matrices, turn_to, unit_quaternions
 from ssduck.simulators.interface import SCALAR_JOINTS, Body, Kind
-from ssduck.simulators.joints import check_joints, position_nearest_zero
+from ssduck.simulators.kinematics import check_joints, position_nearest_zero
 from ssduck.simulators.model_xml import parse_tolerantly
-from ssduck.simulators.mujoco.actuators import hold_positions
 from ssduck.simulators.mujoco.bodies import ModelReader
-from ssduck.simulators.mujoco.interventions import add_spare_welds
+from ssduck.simulators.mujoco.interventions import add_spare_welds, hold_positions
 from ssduck.simulators.mujoco.library import mujoco
 from ssduck.simulators.naming import name_by_file, unique_name
 from ssduck.simulators.scene_bodies import FLOOR, MODEL_SUFFIXES, BodySpec, Primitive

@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.errors import SimulatorError, UnsupportedError, warn
+from ssduck.errors import ProgramWarning, SimulatorError, UnsupportedError, warn
 from ssduck.formatting import joined_names
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.margins import Margins
@@ -27,7 +27,6 @@ from ssduck.simulators.interface import (
     MotorTarget,
     RayHits,
 )
-from ssduck.simulators.mujoco.actuators import drive, hold_positions
 from ssduck.simulators.mujoco.bodies import (
     ModelContent,
     ModelReader,
@@ -37,14 +36,24 @@ from ssduck.simulators.mujoco.bodies import (
     numbers_of,
     parts_of,
 )
-from ssduck.simulators.mujoco.contacts import MuJoCoContacts, Owners, SleepingContacts
-from ssduck.simulators.mujoco.episodes import EpisodeClock
+from ssduck.simulators.mujoco.contacts import (
+    MuJoCoContacts,
+    Owners,
+    SleepingContacts,
+    margin_content,
+    margins_of,
+)
 from ssduck.simulators.mujoco.flexes import entity_roots
-from ssduck.simulators.mujoco.interventions import Switches, hold, holds, take_out
+from ssduck.simulators.mujoco.interventions import (
+    Switches,
+    drive,
+    hold,
+    hold_positions,
+    holds,
+    take_out,
+)
 from ssduck.simulators.mujoco.library import copied_data, mujoco
-from ssduck.simulators.mujoco.link_poses import LinkReader
-from ssduck.simulators.mujoco.margins import margin_content, margins_of
-from ssduck.simulators.mujoco.rays import RayCaster
+from ssduck.simulators.mujoco.readings import LinkReader, RayCaster
 from ssduck.simulators.mujoco.rendering import Viewpoint, draw, segment
 from ssduck.simulators.partial import PartialSimulator
 from ssduck.simulators.recognition import Source
@@ -325,7 +334,7 @@ class MuJoCoSimulator(PartialSimulator):
         mujoco.mj_step(self.model, self.data, count)
 
     def cast_rays(self, starts: Array, ends: Array, through: Indices) -> RayHits:
-        """Returns the first body that each ray hits; see `ssduck.simulators.mujoco.rays`."""
+        """Returns the first body that each ray hits; see `ssduck.simulators.mujoco.readings`."""
         if self._ray_caster is None:
             self._ray_caster = RayCaster(self.model, self._only)
         return self._ray_caster.cast(self._state, starts, ends, through)
@@ -443,3 +452,76 @@ class MuJoCoSimulator(PartialSimulator):
     def close(self) -> None:
         """Ends reading; the model and the data of the user remain."""
         self._is_closed = True
+
+
+# MuJoCo's warnings of a state that it resets: `mj_resetData`, then a count of 1.
+_UNSTABLE = [
+    int(mujoco.mjtWarning.mjWARN_BADQPOS),
+    int(mujoco.mjtWarning.mjWARN_BADQVEL),
+    int(mujoco.mjtWarning.mjWARN_BADQACC),
+]
+
+
+class EpisodeClock:
+    """Tells a reset, which begins an episode, from a time that falls within one.
+
+    An episode begins with another model, and with a time that has fallen. It does not where MuJoCo
+    itself reset an unstable state, nor if the user calls `begin_episode` at each reset, as
+    `QueryWrapper` does. There time goes on, as that of a simulator without such a reset does.
+
+    Args:
+        data: the data of the simulation.
+
+    Attributes:
+        last: MuJoCo's time at the last tick, s.
+        offset: what is added to MuJoCo's time, s.
+    """
+
+    def __init__(self, data: Any) -> None:
+        self.last, self.offset = float(data.time), 0.0
+        self._unstable = _unstable_states(data)
+        # The simulated time between the last two ticks.
+        self._interval = 0.0
+        self._is_told = self._is_reset = False
+
+    def begin(self) -> None:
+        """Lets the next tick begin an episode; from now on, the user says where episodes begin."""
+        self._is_told = self._is_reset = True
+
+    def begins(self, data: Any, timestep: float, *, is_new: bool) -> bool:
+        """Notes a tick; returns whether it begins an episode."""
+        before, self.last = self.last, float(data.time)
+        known, self._unstable = self._unstable, _unstable_states(data)
+        is_reset, self._is_reset = self._is_reset, False
+        has_fallen, is_same_time = self.last < before, self.last == before
+        is_unstable = self._unstable > 0 and (
+            has_fallen or (is_same_time and self._unstable != known)
+        )
+        if is_new or is_reset or (has_fallen and not is_unstable and not self._is_told):
+            self.offset = 0.0
+            return True
+        if has_fallen or is_unstable:
+            self._go_on(before, timestep, is_unstable=is_unstable)
+        elif not is_same_time:
+            self._interval = self.last - before
+        return False
+
+    def _go_on(self, before: float, timestep: float, *, is_unstable: bool) -> None:
+        """Adds to MuJoCo's time what makes it go on from that of the last tick."""
+        time = before + self.offset
+        self.offset = time + (self._interval or max(self.last, timestep)) - self.last
+        if is_unstable:
+            reason = "MuJoCo reset a state that was unstable (a smaller timestep may help)"
+        else:
+            reason = "the simulation was reset without begin_episode()"
+        warn(
+            f"MuJoCo's time fell to {self.last:g} s within an episode, after {time:g} s: {reason}. "
+            "The episode goes on, and its time too",
+            ProgramWarning,
+        )
+
+
+def _unstable_states(data: Any) -> int:
+    """Returns how many unstable states MuJoCo has counted since its last reset."""
+    counts = data.warning.number
+    return sum(int(counts[kind]) for kind in _UNSTABLE)

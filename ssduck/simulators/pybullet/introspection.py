@@ -16,15 +16,14 @@ from ssduck.geometry.bounds import BoundingBoxes
 from ssduck.geometry.mesh_files import load_mesh
 from ssduck.geometry.poses import IDENTITY, compose, invert
 from ssduck.geometry.shapes import Geometry
+from ssduck.simulators.backends import collision_visuals
 from ssduck.simulators.interface import SCALAR_JOINTS, Body, LinkPoses, VisualShape
-from ssduck.simulators.joints import position_nearest_zero
-from ssduck.simulators.kinematics import moved_link_poses
+from ssduck.simulators.kinematics import moved_link_poses, position_nearest_zero
 from ssduck.simulators.pybullet.bodies import Pose, primitive_of, wxyz
 from ssduck.simulators.pybullet.clients import pybullet
 from ssduck.simulators.pybullet.scene_loader import CONSTRAINTS
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.scenes import ConstraintSpec
-from ssduck.simulators.visuals import collision_visuals
 
 # The body and the link at an end of a constraint, by PyBullet's numbers; -1, -1 is the world.
 ConstraintEnd: TypeAlias = tuple[int, int]

@@ -1,4 +1,4 @@
-"""Writes model files anew where PyBullet would read other numbers, or cannot read a mesh.
+"""Finds mesh files that would crash PyBullet, and writes model files that it would read otherwise.
 
 Measured with PyBullet 3.2.7. It separates numbers at blanks, not at tabs and new lines. It knows
 OBJ, COLLADA and binary STL files; a file of another kind is an error, an STL file in text, or what
@@ -7,17 +7,338 @@ has no faces, a shape without a surface.
 
 from __future__ import annotations
 
+import os
 import re
 import tempfile
+from collections.abc import Iterator, Mapping
 from functools import cache, lru_cache
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
+import numpy as np
+
 from ssduck.errors import SceneError
+from ssduck.formatting import short_repr
 from ssduck.geometry.mesh_files import load_mesh
 from ssduck.simulators.model_xml import obj_text
-from ssduck.simulators.pybullet.ignored_parts import named_owner
-from ssduck.simulators.pybullet.mesh_checks import find_mesh, is_pointer, is_readable, mesh_fault
+
+_SCHEME = re.compile(r"(?:package|model|file):/{0,2}")
+_VERTEX = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
+_FACE = re.compile(rb"^[ \t]*f[ \t](.*)$", re.MULTILINE)
+# Where PyBullet makes shapes of the faces before, of the vertices that it has read by then.
+_GROUP = re.compile(rb"^[ \t]*(?:g|o|usemtl)[ \t]", re.MULTILINE)
+# The number of a vertex at the beginning of a corner, before those of its texture and normal.
+_CORNER = re.compile(rb"[+-]?[0-9]+")
+# A corner: the numbers of a vertex, of its texture and of its normal, from 1 on or from the end.
+_NUMBER = rb"[+-]?0*[1-9][0-9]*"
+_WORD = re.compile(
+    _NUMBER + rb"(?:/|/" + _NUMBER + rb"|/(?:" + _NUMBER + rb")?/" + _NUMBER + rb")?"
+)
+# PyBullet reads a line of a mesh file in pieces of so many bytes.
+PIECE = 1023
+# A line that PyBullet may take for several.
+_LONG_LINE = re.compile(rb"[^\n]{%d,}" % PIECE)
+# The beginning of a line that is no comment.
+_TOLD = re.compile(rb"[ \t]*[a-z]")
+# The beginning of a file that Git LFS has in place of a large one.
+_POINTER = b"version https://git-lfs"
+# PyBullet reads numbers of 32 bits.
+_MAX_NUMBER = 2**31 - 1
+
+
+def cut_lines(content: bytes, size: int) -> bytes:
+    """Returns a file as PyBullet reads it: each piece of so many bytes of a line is a line."""
+    return re.sub(rb"[^\n]{%d}(?=[^\n])" % size, rb"\g<0>\n", content)
+
+
+def check_meshes(model: Path, root: ET.Element) -> None:
+    """Checks the OBJ, STL and COLLADA files that a model file names, where PyBullet finds them."""
+    for name in _names_in(root):
+        file = find_mesh(model, name)
+        if file is not None and (fault := mesh_fault(file)):
+            raise SceneError(f"{file}: {fault}")
+
+
+def mesh_fault(file: Path) -> str:
+    """Returns what would crash PyBullet in a mesh file, in words; nothing if it can be read."""
+    if file.suffix.lower() not in _CHECKS or not file.exists():
+        return ""
+    try:
+        status = file.stat()
+        return _fault_of(file, status.st_mtime_ns, status.st_size)
+    except OSError as error:
+        return f"it cannot be read: {error.strerror}"
+
+
+def _names_in(root: ET.Element) -> Iterator[str]:
+    """Yields the names of mesh files in a model file."""
+    for part in root.iter("mesh"):
+        for name in (part.get("filename"), part.get("file"), part.findtext("uri")):
+            if name:
+                yield name.strip()
+
+
+def find_mesh(model: Path, name: str) -> Path | None:
+    """Returns where PyBullet finds a mesh: beside its model, or in a folder above; else None."""
+    name = _SCHEME.sub("", name, count=1)
+    if not name or "\0" in name:
+        return None
+    folders = [*model.absolute().parents, *map(Path, (".", "..", "../.."))]
+    places = (folder / name.lstrip("/") for folder in folders)
+    return next((place for place in places if os.path.exists(place)), None)  # noqa: PTH110  # any name
+
+
+def is_readable(file: Path) -> bool:
+    """Checks whether PyBullet reads triangles from a mesh file, if it is not damaged."""
+    try:
+        status = file.stat()
+        return file.is_file() and _has_triangles(file, status.st_mtime_ns, status.st_size)
+    except OSError:
+        return False
+
+
+@lru_cache(maxsize=256)
+def _has_triangles(file: Path, _time: int, size: int) -> bool:
+    match file.suffix.lower():
+        case ".obj":
+            faces = _FACE.finditer(file.read_bytes())
+            return any(len(_words(face[1])) > 2 for face in faces)
+        case ".stl":
+            return size == 84 + 50 * _triangle_count(file)
+        case ".dae":
+            return not is_pointer(file)
+    return False
+
+
+def is_pointer(file: Path) -> bool:
+    """Checks whether a file is a pointer that Git LFS has in place of a large one."""
+    try:
+        if not file.is_file():
+            return False
+        with file.open("rb") as stream:
+            return stream.read(len(_POINTER)) == _POINTER
+    except OSError:
+        return False
+
+
+def _triangle_count(file: Path) -> int:
+    """Returns the number of triangles that the header of a binary STL file tells."""
+    with file.open("rb") as stream:
+        return int.from_bytes(stream.read(84)[80:], "little")
+
+
+@lru_cache(maxsize=64)
+def _fault_of(file: Path, _time: int, _size: int) -> str:
+    """Returns what is wrong with a mesh file, in words; nothing if it can be read."""
+    return _CHECKS[file.suffix.lower()](file) if file.is_file() else "it is no file"
+
+
+def _obj_fault(file: Path) -> str:
+    """Returns what is wrong with an OBJ file, in words; nothing if it can be read."""
+    content = file.read_bytes()
+    if fault := _line_fault(content):
+        return fault
+    lines = [(found.start(), _words(found[1])) for found in _FACE.finditer(content)]
+    if not lines:
+        return ""
+    groups = np.array([found.start() for found in _GROUP.finditer(content)] + [len(content)])
+    second = groups[groups.searchsorted(lines[0][0])]
+    for start, words in lines:
+        # PyBullet ends there, and frees what it has not made if this is behind the first group.
+        if start > second and not all(map(_WORD.fullmatch, words)):
+            return f"a face has a corner that is none: {_shown(words)}"
+    faces = [(start, list(map(_vertex, words))) for start, words in lines]
+    faces = [face for face in faces if len(face[1]) > 2]  # PyBullet leaves out the others
+    if not faces:
+        return "no face has three corners"
+    vertices = np.array([found.start() for found in _VERTEX.finditer(content)])
+    starts = np.repeat([start for start, _ in faces], [len(corners) for _, corners in faces])
+    numbers = np.array([number for _, corners in faces for number in corners])
+    # A number below 0 counts back from the face; another one is looked up at the end of its group.
+    before = vertices.searchsorted(starts)
+    made = vertices.searchsorted(groups[groups.searchsorted(starts)])
+    if ((numbers == 0) | (numbers > made) | (numbers < -before)).any():
+        return f"a face refers to a missing vertex: there are {len(vertices)} in the file"
+    return ""
+
+
+def _line_fault(content: bytes) -> str:
+    """Returns that PyBullet would take a line for several that tell of other things, if so."""
+    for found in _LONG_LINE.finditer(content):
+        line, others = found[0], cut_lines(found[0], PIECE).split(b"\n")[1:]
+        if line.lstrip()[:1] != b"#" or any(map(_TOLD.match, others)):
+            number = content.count(b"\n", 0, found.start()) + 1
+            return (
+                f"line {number} has {len(line):,} bytes, and PyBullet reads lines in pieces of "
+                f"{PIECE:,}"
+            )
+    return ""
+
+
+def _shown(words: list[bytes]) -> str:
+    return short_repr(b" ".join(words).decode(errors="backslashreplace"))
+
+
+def _words(text: bytes) -> list[bytes]:
+    """Returns the corners of a face; C's texts end at a null character."""
+    return text.split(b"\0", 1)[0].split()
+
+
+def _vertex(word: bytes) -> int:
+    """Returns the number of the vertex of a corner; 0 for what begins with no number."""
+    found = _CORNER.match(word)
+    number = 0 if found is None else int(found[0][:12])
+    return min(max(number, -_MAX_NUMBER), _MAX_NUMBER)
+
+
+def _stl_fault(file: Path) -> str:
+    """Returns what is wrong with an STL file, in words; nothing if it can be read."""
+    size = file.stat().st_size
+    count = _triangle_count(file)
+    expected = 84 + 50 * count
+    if size >= 84 and expected != size and expected % (1 << 32) == size:
+        return f"it counts {count:,} triangles in {size:,} bytes"
+    return ""
+
+
+# -- COLLADA ---------------------------------------------------------------------------------------
+
+
+# The elements that PyBullet looks for, with a prefix.
+_PREFIXED = re.compile(
+    rb"<[^\s<>/:!?]+:(?:COLLADA|asset|library_\w+|geometry|mesh|source|float_array|accessor|vertices|"
+    rb"input|triangles|p|technique_common|visual_scene|node|instance_geometry)[\s/>]"
+)
+# The largest offset of a number in the indices of a corner.
+_MAX_OFFSET = 64
+
+
+def collada_fault(file: Path) -> str:
+    """Returns what would crash PyBullet in a COLLADA file, in words; nothing if it can be read."""
+    content = file.read_bytes()
+    if b"<!DOCTYPE" in content:  # readers differ in what they take entities for
+        return "<!DOCTYPE> is not supported"
+    # PyBullet takes the text of an element up to a comment.
+    parts = ET.TreeBuilder(insert_comments=True, insert_pis=True)
+    try:
+        root = ET.fromstring(content, ET.XMLParser(target=parts))  # noqa: S314  # no entities
+    except (ET.ParseError, ValueError) as error:
+        return f"it is no XML: {error}"
+    if _name(root) != "COLLADA":
+        return "it has no <COLLADA>"
+    if _PREFIXED.search(content):
+        return "its elements have a prefix, as in <a:COLLADA>, which PyBullet does not know"
+    try:
+        for unit in _children(_child(root, "asset"), "unit"):
+            _attribute(unit, "meter")
+        for scene in _children(root, "scene"):
+            for shown in _children(scene, "instance_visual_scene"):
+                _attribute(shown, "url")
+        for scenes in _children(root, "library_visual_scenes"):
+            for scene in _children(scenes, "visual_scene"):
+                _attribute(scene, "id")
+        for geometry in _children(_child(root, "library_geometries"), "geometry"):
+            _attribute(geometry, "id")
+            for mesh in _children(geometry, "mesh"):
+                _check_mesh(mesh)
+    except ValueError as error:
+        return str(error)
+    return ""
+
+
+def _check_mesh(mesh: ET.Element) -> None:
+    """Checks the triangles of a mesh; PyBullet reads no source of a mesh without any."""
+    sources = {_attribute(part, "id"): part for part in _children(mesh, "source")}
+    vertices = _child(mesh, "vertices")
+    if next(_children(mesh, "triangles"), None) is None:
+        return
+    counts = {name: _row_count(part) for name, part in sources.items()}
+    inputs = list(_children(vertices, "input"))
+    places = [i for i in inputs if _attribute(i, "semantic") == "POSITION"]
+    if not places:
+        raise ValueError("<vertices> has no positions")
+    for part in inputs:
+        _count_of(part, counts)
+    counts[_attribute(vertices, "id")] = _count_of(places[0], counts)
+    for triangles in _children(mesh, "triangles"):
+        _check_triangles(triangles, counts)
+
+
+def _check_triangles(triangles: ET.Element, counts: Mapping[str, int]) -> None:
+    bounds: dict[int, int] = {}
+    semantics = set()
+    for part in _children(triangles, "input"):
+        semantics.add(_attribute(part, "semantic"))
+        offset = _number(part, "offset")
+        if not 0 <= offset <= _MAX_OFFSET:
+            raise ValueError(f"an offset is {offset}")
+        bounds[offset] = min(_count_of(part, counts), bounds.get(offset, 1 << 62))
+    if "VERTEX" not in semantics:
+        raise ValueError("<triangles> has no <input> of vertices")
+    width = max(bounds) + 1
+    indices = np.array([int(word[:18]) for word in (_child(triangles, "p").text or "").split()])
+    if not len(indices):
+        raise ValueError("<p> is empty")
+    if len(indices) < 3 * width * _number(triangles, "count"):
+        raise ValueError("<triangles> has fewer corners than it counts")
+    for offset, bound in bounds.items():
+        column = indices[offset::width]
+        if len(column) and not 0 <= column.min() <= column.max() < bound:
+            raise ValueError("a triangle refers to a missing vertex")
+
+
+def _row_count(source: ET.Element) -> int:
+    """Returns the number of points of a <source>."""
+    numbers = _child(source, "float_array")
+    _attribute(numbers, "id")
+    count = len((numbers.text or "").split())
+    common = next(_children(source, "technique_common"), None)
+    accessor = None if common is None else next(_children(common, "accessor"), None)
+    if accessor is None:
+        raise ValueError("a <source> has no <accessor>")
+    stride = _number(accessor, "stride")
+    if stride < 1 or not 0 < _number(numbers, "count") <= count:
+        raise ValueError("a <float_array> has not the numbers that it counts")
+    return count // stride
+
+
+def _count_of(part: ET.Element, counts: Mapping[str, int]) -> int:
+    """Returns the number of points of the source of an <input>."""
+    source = _attribute(part, "source").removeprefix("#")
+    if source not in counts:
+        raise ValueError(f"there is no <source> {short_repr(source)}")
+    return counts[source]
+
+
+def _name(part: ET.Element) -> str:
+    """Returns the name of an element without its namespace."""
+    return str(part.tag).rpartition("}")[2]
+
+
+def _children(part: ET.Element, name: str) -> Iterator[ET.Element]:
+    return (child for child in part if _name(child) == name)
+
+
+def _child(part: ET.Element, name: str) -> ET.Element:
+    child = next(_children(part, name), None)
+    if child is None:
+        raise ValueError(f"<{_name(part)}> has no <{name}>")
+    return child
+
+
+def _attribute(part: ET.Element, key: str) -> str:
+    value = part.get(key)
+    if not value:
+        raise ValueError(f"a <{_name(part)}> has no {key}")
+    return value
+
+
+def _number(part: ET.Element, key: str) -> int:
+    return int(_attribute(part, key)[:18])
+
+
+_CHECKS = {".obj": _obj_fault, ".dae": collada_fault, ".stl": _stl_fault}
+
 
 # A text of numbers and white space.
 _NUMBERS = re.compile(r"[\s\d.eE+-]*\d[\s\d.eE+-]*")
@@ -74,6 +395,15 @@ def names_folders(root: ET.Element) -> bool:
         for compiler in root.iter("compiler")
         for key in ("meshdir", "assetdir")
     )
+
+
+def named_owner(part: ET.Element, parents: Mapping[ET.Element, ET.Element]) -> str:
+    """Returns the name of the nearest named element that has a part, or is it; else nothing."""
+    while part.tag in ("robot", "world") or not part.get("name"):
+        if part not in parents:
+            return ""
+        part = parents[part]
+    return str(part.get("name"))
 
 
 def replace_meshes(model: Path, format: str, root: ET.Element) -> tuple[bool, list[str]]:

@@ -42,10 +42,8 @@ from ssduck.simulators.pybullet.bodies import (
 from ssduck.simulators.pybullet.bullet_file import SavedShapes
 from ssduck.simulators.pybullet.clients import all_handles_of, captured, handles_of, pybullet
 from ssduck.simulators.pybullet.collision_margins import LinkMargin, MarginReader
-from ssduck.simulators.pybullet.contacts import PyBulletContacts
 from ssduck.simulators.pybullet.given_bodies import GivenBodies, names_of
-from ssduck.simulators.pybullet.link_frames import LinkPosesReader
-from ssduck.simulators.pybullet.rays import cast_rays
+from ssduck.simulators.pybullet.readings import LinkPosesReader, PyBulletContacts, cast_rays
 from ssduck.simulators.pybullet.scene_loader import (
     LoadedBodies,
     add_fixed_constraint,
@@ -347,7 +345,7 @@ class PyBulletSimulator:
         return contacts
 
     def cast_rays(self, starts: Array, ends: Array, through: Indices) -> RayHits:
-        """Returns the first body that each ray hits; see `ssduck.simulators.pybullet.rays`."""
+        """Returns the first body that each ray hits; see `ssduck.simulators.pybullet.readings`."""
         return self.call(lambda: cast_rays(self.client, starts, ends, through))
 
     def step(self, count: int) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ssduck.simulators.joints import CLOSED, OPEN, OPENNESS_TOLERANCE, EntityJoints
+from ssduck.simulators.kinematics import CLOSED, OPEN, OPENNESS_TOLERANCE, EntityJoints
 from ssduck.sql.relations.common import ENTITY
 from ssduck.sql.relations.relation import Parameter, Relation
 

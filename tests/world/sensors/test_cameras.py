@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ssduck.errors import ArgumentError, SelectScriptError
-from ssduck.simulators.pybullet import rays as pybullet_rays
+from ssduck.simulators.pybullet import readings as pybullet_rays
 from tests.support.bodies import create_linked_body
 from tests.support.cases import sampled
 from tests.support.sensing import CAMERA, EXACT, POSES, evaluators, turned

@@ -9,7 +9,7 @@ import pytest
 import ssduck
 from ssduck.errors import ArgumentError, SelectScriptError
 from ssduck.schema import FORGOTTEN_AFTER
-from ssduck.simulators.pybullet import rays as pybullet_rays
+from ssduck.simulators.pybullet import readings as pybullet_rays
 from ssduck.world.sensor_readings import Reading
 from tests.support.cases import sampled
 from tests.support.sensing import CAMERA, EXACT, LASER, Stage, evaluators

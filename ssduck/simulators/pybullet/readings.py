@@ -1,0 +1,360 @@
+"""Reads link poses, contact points and rays of a PyBullet client into arrays.
+
+PyBullet reports centres of mass; `ssduck.simulators.pybullet.simulator` explains the conversion.
+
+It returns each contact point as a tuple of numbers and triples, 31 Python objects. A loop over
+these objects costs more than the tick itself. `marshal` writes them all in one call; since the
+bytes of each point have the same layout, numpy reads each field of all points at once.
+
+It returns the first hit of a ray, or all its hits one by one, in no order. So a ray that hits the
+body that it passes through is cast again for its other hits, until it has no more. A new ray that
+begins behind the hit would miss bodies that touch that body, because Bullet ignores a convex shape
+that a ray begins in.
+"""
+
+from __future__ import annotations
+
+import marshal
+import struct
+from collections.abc import Callable, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass
+from functools import cache, cached_property, partial
+from itertools import accumulate, chain, count, repeat
+from operator import itemgetter
+from typing import Any, ClassVar, Self, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from ssduck.geometry.arrays import Array, Flags, Indices, are_moderate
+from ssduck.geometry.poses import invert, multiply, rotate, rotation_matrices
+from ssduck.simulators.interface import (
+    Body,
+    ContactPoints,
+    Contacts,
+    LinkPoses,
+    PosesSource,
+    RayHits,
+)
+from ssduck.simulators.pybullet.bodies import Pose, is_soft
+from ssduck.simulators.pybullet.clients import pybullet
+
+# marshal's format 2, without references: a type code, then the value or the count of elements.
+_FORMAT = 2
+_SIZES = {"integer": 5, "float": 9, "triple": 5 + 3 * 9}
+_HEADER_SIZE = 5
+# The fields of a point in PyBullet's order: flags, bodies and links; points and normal; distance,
+# normal force and first friction; its direction; the second friction; its direction.
+_FIELDS = (
+    *("integer",) * 5,
+    *("triple",) * 3,
+    *("float",) * 3,
+    *("triple", "float", "triple"),
+)
+# Where the value of each field is, or its first element; the last number is the size of a point.
+_STARTS = list(accumulate(map(_SIZES.__getitem__, _FIELDS), initial=_HEADER_SIZE))
+_SIZE = _STARTS[-1]
+# The fields of bodies and links, and the runs of equal fields with floats.
+_SIDES = range(1, 5)
+_BODIES = slice(1, 3)
+_BODY_A, _BODY_B = itemgetter(1), itemgetter(2)
+_RUNS = (range(5, 8), range(8, 11), range(11, 12), range(12, 13), range(13, 14))
+# Rows of floats: the points and the normal, the distance, the normal force, the frictions.
+_DISTANCE, _FORCE, _FRICTION_1, _FRICTION_2 = 9, 10, 11, 15
+_FLOATS = 19
+
+_Point: TypeAlias = tuple[Any, ...]
+# Bodies and links, (4, points), and the other numbers, (19, points).
+_Columns: TypeAlias = tuple[Indices, Array]
+
+
+@dataclass(frozen=True, eq=False)
+class PyBulletContacts:
+    """The contact points of the last step at which shapes press or meet.
+
+    Bullet's list also has points of shapes that are about to meet, up to some millimetres apart. It
+    presses some of these in the first step of an impact.
+
+    Attributes:
+        points: Bullet's list, which is looked into when something is asked.
+    """
+
+    points: Sequence[_Point]
+
+    has_moments: ClassVar[bool] = False
+
+    @classmethod
+    def read(cls, client: int, known: AbstractSet[int]) -> tuple[Self, bool]:
+        """Returns those between known bodies of a client, and whether there are others."""
+        points = pybullet.getContactPoints(physicsClientId=client)
+        lacks_bodies = not known >= {*map(_BODY_A, points), *map(_BODY_B, points)}
+        if lacks_bodies:
+            points = [point for point in points if known >= set(point[_BODIES])]
+        return cls(points), lacks_bodies
+
+    def all(self) -> ContactPoints:
+        """Returns all of them."""
+        return self._all
+
+    def between(self, a: int, b: int, *, pressing: bool) -> tuple[Indices, Indices]:
+        """Returns the bodies and links of those of two bodies; see `Contacts`."""
+        return self.all().between(a, b, pressing=pressing)
+
+    def joined(self, ticks: Sequence[Contacts]) -> tuple[ContactPoints, Indices]:
+        """Returns all contacts of several ticks, and the number of each; see `Contacts`."""
+        lists = [one.points for one in ticks if isinstance(one, PyBulletContacts)]
+        if len(lists) < len(ticks):
+            return ContactPoints.joined(ticks)
+        found, is_found = _found([*chain.from_iterable(lists)])
+        counts = np.append(0, np.cumsum(is_found))[np.cumsum([len(one) for one in lists])]
+        return found, np.diff(counts, prepend=0)
+
+    @cached_property
+    def _all(self) -> ContactPoints:
+        return _found(self.points)[0]
+
+
+def _found(points: Sequence[_Point]) -> tuple[ContactPoints, Flags]:
+    """Returns the points at which shapes press or meet, and which of the points these are."""
+    if not points:
+        return ContactPoints.none(), np.zeros(0, bool)
+    sides, floats = _columns(points) or _columns_by_field(points)
+    is_found = (floats[_DISTANCE] <= 0.0) | (floats[_FORCE] > 0.0)
+    if not is_found.all():
+        chosen = is_found.nonzero()[0]
+        sides, floats = sides.take(chosen, axis=1), floats.take(chosen, axis=1)
+    friction = floats[_FRICTION_1] * floats[_FRICTION_1 + 1 : _FRICTION_2]
+    friction += floats[_FRICTION_2] * floats[_FRICTION_2 + 1 :]
+    found = ContactPoints(
+        bodies=sides[:2].T,
+        links=sides[2:].T + 1,
+        points=floats[:6].reshape(2, 3, -1).transpose(2, 0, 1),
+        normals=floats[6:9].T,
+        depths=-floats[_DISTANCE],
+        forces=floats[_FORCE],
+        frictions=friction.T,
+    )
+    return found, is_found
+
+
+def _columns(points: Sequence[_Point]) -> _Columns | None:
+    """Returns the numbers of points; None if the bytes of a point have another layout."""
+    written, count = marshal.dumps(tuple(points), _FORMAT), len(points)
+    if len(written) != _HEADER_SIZE + count * _SIZE:
+        return None
+    raw = np.frombuffer(written, np.uint8, offset=_HEADER_SIZE).reshape(count, _SIZE)
+    if not ((raw & _CODES) == _EXPECTED).all():
+        return None
+
+    def values(fields: range, kind: str) -> npt.NDArray[Any]:
+        """Returns the values of equal fields, (fields, points) or (fields, 3, points)."""
+        field = _FIELDS[fields.start]
+        is_triple = field == "triple"
+        # Behind the header of the points and the codes of the field and of its first element.
+        start = _HEADER_SIZE + _STARTS[fields.start] + 1 + is_triple * _HEADER_SIZE
+        shape = (len(fields), 3, count) if is_triple else (len(fields), count)
+        inner = (_SIZES["float"], _SIZE) if is_triple else (_SIZE,)
+        return np.ndarray(shape, kind, written, start, (_SIZES[field], *inner))
+
+    floats, row = np.zeros((_FLOATS, count)), 0
+    for fields in _RUNS:
+        run = values(fields, "<f8")
+        rows = run.size // count
+        floats[row : row + rows].reshape(run.shape)[...] = run
+        row += rows
+    return values(_SIDES, "<i4").astype(np.intp), floats
+
+
+def _columns_by_field(points: Sequence[_Point]) -> _Columns:
+    """Returns the numbers of points, converted one field at a time."""
+    fields = list(zip(*points, strict=True))
+    columns = [fields[place] for place in chain(*_RUNS)]
+    floats = [np.array(column, dtype=np.float64).reshape(len(points), -1).T for column in columns]
+    sides = [fields[place] for place in _SIDES]
+    return np.array(sides, dtype=np.intp), np.concatenate(floats)
+
+
+def _sample(byte: int) -> npt.NDArray[np.uint8]:
+    """Returns a point as marshal writes it, with one byte throughout the values."""
+    values = {"integer": struct.unpack("<i", bytes([byte] * 4))[0]}
+    values["float"] = struct.unpack("<d", bytes([byte] * 8))[0]
+    values["triple"] = (values["float"],) * 3
+    return np.frombuffer(marshal.dumps(tuple(values[kind] for kind in _FIELDS), _FORMAT), np.uint8)
+
+
+# A mask of the bytes that are the same for all points, codes and counts, and these bytes.
+_CODES = np.where(_sample(0) == _sample(1), 255, 0).astype(np.uint8)
+_EXPECTED = _sample(0) & _CODES
+
+
+_flatten = chain.from_iterable
+# Parts of a link's state: the pose of the centre of mass; linear and angular velocity.
+_pose = itemgetter(0, 1)
+_pose_and_twist = itemgetter(0, 1, 6, 7)
+
+
+class LinkPosesReader:
+    """Reads the link poses of a fixed list of bodies; the constructor prepares the reading."""
+
+    def __init__(self, bodies: Sequence[Body], com: Sequence[Pose]) -> None:
+        self._handles = [body.handle for body in bodies]
+        self._linked = [body.handle for body in bodies if len(body.links) > 1]
+        self._links = [list(range(len(body.links) - 1)) for body in bodies if len(body.links) > 1]
+        soft = [is_soft(body) for body in bodies]
+        counts = np.array([len(body.links) for body in bodies], dtype=np.intp)
+        # By whether the links' velocities are read: the number of values in PyBullet's results, and
+        # the places of each link's values.
+        self._orders = {
+            with_velocities: _order(counts, soft, with_velocities)
+            for with_velocities in (False, True)
+        }
+        self._are_known = not any(soft)
+        positions = np.concatenate([np.zeros((0, 3)), *(pose[0] for pose in com)])
+        orientations = np.concatenate([np.zeros((0, 4)), *(pose[1] for pose in com)])
+        self._link_from_com = invert(positions, orientations)[1]
+        self._has_rotated_com = bool(orientations[:, 1:].any())
+        self._origins = -positions  # from the centres of mass, in the link frames' axes
+        self._has_shifted_com = bool(positions.any())
+
+    def read(self, client: int, with_velocities: bool) -> LinkPoses:
+        """Returns the present poses of all links, body after body; with velocities on request."""
+        links = map(
+            pybullet.getLinkStates,
+            self._linked,
+            self._links,
+            repeat(int(with_velocities)),
+            repeat(1),  # with forward kinematics: without, links lag the base by a step
+            repeat(client),
+        )
+        # Iterators in C: a loop in Python would cost as much as the calls.
+        results = chain(
+            map(pybullet.getBasePositionAndOrientation, self._handles, repeat(client)),
+            map(pybullet.getBaseVelocity, self._handles, repeat(client)),
+            map(_pose_and_twist if with_velocities else _pose, _flatten(links)),
+            _UNKNOWN,
+        )
+        count, _ = self._orders[with_velocities]
+        numbers = np.fromiter(_flatten(_flatten(results)), np.float64, count)
+        return (self._poses if with_velocities else self._poses_without)(numbers[None])
+
+    def _poses(self, numbers: Array, *, with_velocities: bool = True) -> LinkPoses:
+        """Returns the link poses at t ticks, one after the other, of PyBullet's numbers, (t, k)."""
+        states = cache(partial(self._states, numbers, self._orders[with_velocities][1]))
+        matrices = cache(lambda: rotation_matrices(states()[:, 3:7]))
+        return LinkPoses(
+            lambda: self._positions(states()[:, :3], matrices),
+            matrices,
+            states,
+            are_finite=self._are_known and are_moderate(numbers[:, :-1].reshape(-1)),
+            source=PosesSource(numbers[0], self._poses if with_velocities else self._poses_without),
+        )
+
+    def _states(self, numbers: Array, order: Indices) -> Array:
+        """Returns the states of the links at t ticks, (t n, 13); see `LinkPoses`."""
+        states = numbers.take(order, axis=1).reshape(-1, 13)
+        if self._has_rotated_com:
+            turns = np.tile(self._link_from_com, (len(numbers), 1))
+            states[:, 3:7] = multiply(states[:, 3:7], turns)
+        return states
+
+    def _positions(self, centres: Array, matrices: Callable[[], Array]) -> Array:
+        """Returns the origins of link frames, (t n, 3), of the centres of mass of the links."""
+        if not self._has_shifted_com:
+            return centres
+        origins = np.tile(self._origins, (len(centres) // len(self._origins), 1))
+        return centres + rotate(matrices(), origins)
+
+    def _poses_without(self, numbers: Array) -> LinkPoses:
+        """Returns the link poses likewise, without the velocities of links."""
+        return self._poses(numbers, with_velocities=False)
+
+
+# A result like those of PyBullet, of one value, for velocities that are not read.
+_UNKNOWN = (((np.nan,),),)
+
+
+def _order(counts: Indices, soft: Sequence[bool], with_velocities: bool) -> tuple[int, Indices]:
+    """Returns the number of values in PyBullet's results and each link's places, (links, 13).
+
+    The results are the bases' poses, the bases' velocities, the links' states with or without
+    velocities, and an unknown value. Velocities of soft bodies are unknown.
+    """
+    bases = len(counts)
+    total = int(counts.sum())
+    is_base = np.zeros(total, dtype=bool)
+    is_base[np.cumsum(counts) - counts] = True
+    width = 13 if with_velocities else 7
+    order = np.full((total, 13), -1, dtype=np.intp)  # -1: the unknown value at the end
+    order[is_base, :7] = 7 * np.arange(bases)[:, None] + np.arange(7)
+    order[is_base, 7:] = 7 * bases + 6 * np.arange(bases)[:, None] + np.arange(6)
+    order[(np.cumsum(counts) - counts)[np.array(soft, dtype=bool)], 7:] = -1
+    links = 13 * bases + width * np.arange(total - bases)[:, None]
+    order[~is_base, :width] = links + np.arange(width)
+    count = 13 * bases + width * (total - bases) + 1
+    return count, order[:, [0, 1, 2, 6, 3, 4, 5, *range(7, 13)]]
+
+
+def link_poses_of(client: int, body: Body, com: Pose) -> LinkPoses:
+    """Returns the link poses of one body as they are now."""
+    return LinkPosesReader([body], [com]).read(client, with_velocities=True)
+
+
+# PyBullet refuses more rays than its maximum in one call, and returns nothing for the maximum.
+MAX_RAYS: int = pybullet.MAX_RAY_INTERSECTION_BATCH_SIZE - 1
+# Waking other threads takes longer than casting fewer rays than this.
+MIN_RAYS_FOR_THREADS = 50
+_ALL_THREADS = 0
+_body = itemgetter(0)
+_fraction = itemgetter(2)
+
+
+def cast_rays(client: int, starts: Array, ends: Array, through: Indices) -> RayHits:
+    """Returns the first hit of each ray, ignoring the body that it passes through."""
+    bodies, fractions = _cast(client, starts, ends)
+    blocked = np.flatnonzero((bodies == through) & (bodies >= 0))
+    if blocked.size:
+        bodies[blocked], fractions[blocked] = _first_others(
+            client, starts[blocked], ends[blocked], through[blocked]
+        )
+    return RayHits(bodies, fractions)
+
+
+def _first_others(
+    client: int, starts: Array, ends: Array, through: Indices
+) -> tuple[Indices, Array]:
+    """Returns the nearest of all hits, without those of the bodies that the rays pass through."""
+    bodies = np.full(len(starts), -1, dtype=np.intp)
+    fractions = np.ones(len(starts))
+    rays = np.arange(len(starts))
+    for number in count():
+        hit_bodies, hit_fractions = _cast(client, starts[rays], ends[rays], number)
+        is_hit = hit_bodies >= 0
+        is_nearer = is_hit & (hit_bodies != through[rays]) & (hit_fractions < fractions[rays])
+        bodies[rays[is_nearer]] = hit_bodies[is_nearer]
+        fractions[rays[is_nearer]] = hit_fractions[is_nearer]
+        rays = rays[is_hit]
+        if not rays.size:
+            break
+    return bodies, fractions
+
+
+def _cast(client: int, starts: Array, ends: Array, number: int = -1) -> tuple[Indices, Array]:
+    """Returns the bodies and fractions of the first hits, or of the hits with an index."""
+    total = len(starts)
+    threads = 1 if total < MIN_RAYS_FOR_THREADS else _ALL_THREADS
+    hits = [
+        hit
+        for first in range(0, total, MAX_RAYS)
+        for hit in pybullet.rayTestBatch(
+            starts[first : first + MAX_RAYS],
+            ends[first : first + MAX_RAYS],
+            numThreads=threads,
+            reportHitNumber=number,
+            physicsClientId=client,
+        )
+    ]
+    return (
+        np.fromiter(map(_body, hits), np.intp, total),
+        np.fromiter(map(_fraction, hits), np.float64, total),
+    )
