@@ -7,10 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import partial
-from typing import Any, TypeAlias
-from weakref import ReferenceType, WeakKeyDictionary, ref
+from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -27,14 +26,12 @@ from ssduck.errors import (
 )
 from ssduck.interpreter.lint.linter import Linter
 from ssduck.interpreter.namespace import Namespace
-from ssduck.interpreter.output import is_list
 from ssduck.interpreter.over_time.evaluator import TemporalEvaluator
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, parts_of
 from ssduck.interpreter.over_time.live import LiveFolds
 from ssduck.interpreter.over_time.series import TickSeries
 from ssduck.interpreter.planner import Planner
 from ssduck.interpreter.sources import check_tick
-from ssduck.language.analysis import calls_of, is_impure, variables_of
 from ssduck.language.clauses import formed
 from ssduck.language.deferred import LazyList
 from ssduck.language.evaluation_errors import unknown_function
@@ -51,31 +48,8 @@ from ssduck.sql.relations.registry import RELATIONS
 from ssduck.world.handles import Handle, Link
 from ssduck.world.world import World
 
-# The tables that a node reads, and of which worlds; None for all.
-_Reads: TypeAlias = tuple[frozenset[str], list[World] | None]
-# The types of values that are neither worlds nor contain any.
-_PLAIN = frozenset((type(None), bool, int, float, str))
 # The largest number of probable mistakes of a program that are shown.
 MAX_WARNINGS = 20
-# The largest length of lists whose elements are looked at whenever a program runs again.
-_SHORT = 16
-
-
-@dataclass(frozen=True, slots=True)
-class _LastRead:
-    """What a node read last; it keeps neither the node nor the worlds alive."""
-
-    node: ReferenceType[Node]
-    stamp: tuple[object, ...]
-    tables: frozenset[str]
-    worlds: list[ReferenceType[World]] | None
-
-    def reads(self) -> _Reads | None:
-        """Returns the tables and the worlds; None if one is no longer there."""
-        if self.worlds is None:
-            return self.tables, None
-        worlds = [world for one in self.worlds if (world := one()) is not None]
-        return (self.tables, worlds) if len(worlds) == len(self.worlds) else None
 
 
 class Execution(Namespace):
@@ -127,17 +101,6 @@ class Execution(Namespace):
         self._program_texts: list[str] = []
         self._stamp: tuple[object, ...] = ()
         self._override_cache: WeakKeyDictionary[Program, Program] = WeakKeyDictionary()
-        # What gives the variables of a node their meaning, the tables that it reads, and whether
-        # it may read any world.
-        self._reads: WeakKeyDictionary[Node, tuple[list[object], frozenset[str], bool]] = (
-            WeakKeyDictionary()
-        )
-        # The last program that is a SELECT of one row, and what a node reads, while nothing changes
-        # that gives them their meaning.
-        self._last_row: tuple[Program, tuple[object, ...], Query] | None = None
-        self._last_read: _LastRead | None = None
-        # Whether `row_again` has pinned the worlds.
-        self._is_row = False
         self._reader = SqlReader(self)
 
     def transaction(self, program: Program) -> _Transaction:
@@ -219,48 +182,6 @@ class Execution(Namespace):
         if program.explain:
             return self.explanation(program)
         return self._value_of(program, Frame(self))
-
-    def row_again(self, program: Program) -> list[Any] | None:
-        """Returns the value of a program that is a SELECT of one row AS list, and ran before.
-
-        An environment runs such a program at each step. None for all others, and for one that may
-        fail now: `run` tells of the error and its place.
-        """
-        with self.lock:
-            query = None if self.is_running or program.explain else self._row_of(program)
-            if query is None:
-                return None
-            try:
-                self.begin_program()
-                with self.worlds_pinned(query, is_settled=False):
-                    self._is_row = True
-                    return self.planner.row_again(query, Frame(self))
-            except SelectScriptError:
-                return None
-            finally:
-                self._is_row = False
-
-    def _row_of(self, whole: Program) -> Query | None:
-        """Returns the only statement if it is such a SELECT, without a probable mistake."""
-        last = self._last_row
-        if last is not None and last[0] is whole and last[1] is self.stamp:
-            return last[2]
-        program = self.read(whole)
-        if len(program.statements) != 1 or program.suspicions:
-            return None
-        query = program.statements[0]
-        if not (isinstance(query, Query) and self.planner.is_kept(query) and is_list(query)):
-            return None
-        # What calls functions of the user, or prints, is evaluated once, by `run`.
-        is_known = not (is_impure(query) or any(map(self.is_users, calls_of(query))))
-        is_row = is_known and not query.group and query.recursion is None
-        if not is_row:
-            return None
-        self.begin_meter()
-        if self.linter.check(program.text, query, {}):
-            return None
-        self._last_row = whole, self.stamp, query
-        return query
 
     def _value_of(self, program: Program, frame: Frame) -> Any:
         """Returns the value of the last statement."""
@@ -392,8 +313,6 @@ class Execution(Namespace):
         is_fold = form.fold is not None and other is None and self.temporal.reader is None
         is_fold = is_fold and self.folds.takes(node, frame)
         needs_tables = not (is_fold and self.folds.need_no_tables(node))
-        if not needs_tables and self._is_row:  # whose worlds are pinned
-            return self.folds.value(node, form, series)
         with self.worlds_pinned(node, is_settled=needs_tables):
             if is_fold:
                 return self.folds.value(node, form, series)
@@ -479,45 +398,11 @@ class Execution(Namespace):
             *nodes: what is evaluated meanwhile.
             is_settled: whether DuckDB may read the tables.
         """
-        if len(nodes) == 1 and (known := self._reads_again(nodes[0])) is not None:
-            return self.database.pinned(*known, is_settled=is_settled)
         tables: frozenset[str] = frozenset().union(*map(self.tables_read, nodes))
         # Which worlds are read matters for their tables, and for stale ticks of users' clients.
         is_relevant = tables or self.database.has_attached_world
         worlds = self.worlds_of(nodes) if is_relevant else ()
         return self.database.pinned(tables, worlds, is_settled=is_settled)
-
-    def _reads_again(self, node: Node) -> _Reads | None:
-        """Returns the tables and the worlds that a node reads, as `worlds_pinned` finds them.
-
-        They are found once for worlds and types of plain values, which programs that run at each
-        step have. None if the node reads other variables.
-        """
-        last = self._last_read
-        if last is not None and last.node() is node and last.stamp is self.stamp:
-            return last.reads()
-        worlds: list[World] = []
-        meaning: list[object] = [self.planner.generation]
-        has_lists = False
-        for value in self.bound_values(variables_of(node)):
-            if isinstance(value, World):
-                worlds.append(value)
-                meaning.append(value.serial)
-            elif type(value) in _PLAIN or _is_short_plain_list(value):
-                meaning.append(type(value))
-                has_lists = has_lists or type(value) is list
-            else:
-                return None
-        known = self._reads.get(node)
-        if known is None or known[0] != meaning:
-            is_open = self.worlds_of((node,)) is None
-            known = self._reads[node] = (meaning, self.tables_read(node), is_open)
-        _, tables, is_open = known
-        reads = tables, None if is_open else worlds
-        if not has_lists:  # what is in them may change
-            of_worlds = None if is_open else [ref(world) for world in worlds]
-            self._last_read = _LastRead(ref(node), self.stamp, tables, of_worlds)
-        return reads
 
 
 class _Transaction:
@@ -560,11 +445,6 @@ class _Transaction:
         self._execution.variables = self._before
         if isinstance(error, SelectScriptError):
             error.locate(self._text)
-
-
-def _is_short_plain_list(value: object) -> bool:
-    """Checks whether a value is a short list of plain values, such as a position."""
-    return type(value) is list and len(value) <= _SHORT and _PLAIN.issuperset(map(type, value))
 
 
 def _is_vector(value: Any) -> bool:

@@ -261,8 +261,6 @@ class Interpreter(
         compiled, execution = tree_of(program, self._limits), self._execution
         if self._batches is not None and (batch := self._batches.batch_of(compiled)) is not None:
             return self._batches.value(compiled, batch)
-        if type(self).evalAs is Interpreter.evalAs and (row := execution.row_again(compiled)):
-            return row
         with execution.transaction(compiled):
             return execution.run(compiled)
 
@@ -308,7 +306,7 @@ class Interpreter(
         """Returns the result that a form makes from the rows of a query."""
         adapted = self._query_of(node, form.adapter)
         # The result is made of one tick, too.
-        is_settled = not self._planner.is_kept(adapted)
+        is_settled = not self._planner.may_repeat(adapted)
         with self._execution.worlds_pinned(adapted, is_settled=is_settled):
             return form.value(adapted, frame, self._planner.run)
 

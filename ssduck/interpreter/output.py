@@ -33,9 +33,6 @@ from ssduck.recording.replay.past import Past
 from ssduck.world.handles import Links
 from ssduck.world.world import World
 
-# The name of the form that is a flat list.
-LIST = "list"
-
 QueryRunner: TypeAlias = Callable[
     [Query, Frame, Callable[[Sequence[SelectedValue]], None]], Selected
 ]
@@ -180,14 +177,6 @@ def as_clause_of(query: Query, frame: Frame) -> AsClause:
             span=clause.span,
         ) from error
     return AsClause(clause.name, adapter, arguments, by_name, clause.span)
-
-
-def is_list(query: Query) -> bool:
-    """Checks whether the result of a query is a flat list of the values of its rows."""
-    clause = query.adapter
-    if clause is None or clause.name != LIST:  # no form of a user has this name
-        return False
-    return not (clause.arguments or clause.named or clause.of_sql)
 
 
 def help_of_result_forms() -> str:

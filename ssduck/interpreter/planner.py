@@ -6,12 +6,13 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
+from ssduck.columns.expressions import LeftToDuckDBError
 from ssduck.database.database import Database
 from ssduck.database.values import sql_type_of
 from ssduck.errors import ArgumentError, EvaluationError, FunctionError
 from ssduck.formatting import short_repr, type_in_words
-from ssduck.interpreter.kept_scalars import KeptScalars
 from ssduck.interpreter.query_runner import PlannedQuery, RowByRowQuery, SqlFailedError, is_small
+from ssduck.interpreter.scalar_select import RepeatedSelect
 from ssduck.interpreter.signatures import TypeHints
 from ssduck.interpreter.sources import INLINE, all_elements, source_types, with_present_ticks
 from ssduck.language.analysis import (
@@ -88,7 +89,7 @@ class Planner:
             Query, list[tuple[tuple[SourceType, ...], RowByRowQuery]]
         ] = {}
         # The SELECTs of one row that ran; None for those that have to be planned each time.
-        self._kept: dict[Query, KeptScalars | None] = {}
+        self._repeated: dict[Query, tuple[PlannedQuery, RepeatedSelect] | None] = {}
         # The nested queries in FROM, by the query around them, that must be evaluated before it.
         self._evaluated_aliases: dict[Query, set[str]] = {}
 
@@ -99,7 +100,7 @@ class Planner:
             for planned in plans:
                 planned.forget()
         self._plans.clear()
-        self._kept.clear()
+        self._repeated.clear()
         self._row_by_row_queries.clear()
         self._evaluated_aliases.clear()
 
@@ -115,11 +116,13 @@ class Planner:
             frame: the scope and the rows around it.
             check: a function that is called with the columns before the query runs.
         """
-        kept = self._kept.get(query) if frame.is_outermost else None
-        if kept is not None and (selected := kept.run(frame)) is not None:
-            check(kept.columns)
-            return selected
-        if self.is_kept(query):
+        repeated = self._repeated.get(query) if frame.is_outermost else None
+        if repeated is not None:
+            planned, select = repeated
+            if (rows := select.rows(frame)) is not None:
+                check(planned.columns)
+                return planned.selected(rows, frame, select.sources)
+        if self.may_repeat(query):
             self._database.settle()
         if not self._row_by_row:
             for purpose in _RUNS:
@@ -209,30 +212,17 @@ class Planner:
             raise SqlFailedError
         check(planned.columns)
         selected = planned.run(types.frame(), values)
-        if query not in self._kept and planned.scalars is not None:
-            self._keep(query, planned, frame)
+        if query not in self._repeated and planned.scalars is not None:
+            try:
+                select = RepeatedSelect(planned.plan, planned.scalars, frame)
+                self._repeated[query] = planned, select
+            except LeftToDuckDBError:
+                self._repeated[query] = None
         return selected
 
-    def row_again(self, query: Query, frame: Frame) -> list[Any] | None:
-        """Returns the values of a kept SELECT of one row; None if it has to be planned again.
-
-        Args:
-            query: the query.
-            frame: a frame without rows and state variables around it.
-        """
-        kept = self._kept.get(query)
-        return None if kept is None else kept.row(frame)
-
-    def is_kept(self, query: Query) -> bool:
+    def may_repeat(self, query: Query) -> bool:
         """Checks whether a query is a SELECT of one row whose next run may need no DuckDB."""
-        return self._kept.get(query) is not None
-
-    def _keep(self, query: Query, planned: PlannedQuery, frame: Frame) -> None:
-        """Keeps a SELECT of one row for its next run, if that is possible."""
-        try:
-            self._kept[query] = KeptScalars(planned, frame)
-        except ValueError:
-            self._kept[query] = None
+        return self._repeated.get(query) is not None
 
     def _types_in(self, frame: Frame) -> InterpreterTypes:
         """Returns the types and names that a frame offers the translator."""

@@ -11,6 +11,7 @@ from typing import Any
 
 from sqlglot import exp
 
+from ssduck.columns.expressions import LeftToDuckDBError
 from ssduck.database.database import Database, Statement
 from ssduck.database.pair_rows import pair_rows
 from ssduck.database.values import to_sql
@@ -96,7 +97,7 @@ class PlannedQuery:
         self._windows = history_windows(plan.select, plan.bindings)
         try:
             self.scalars: ScalarSelect | None = ScalarSelect(plan, database.shape_functions)
-        except ValueError:
+        except LeftToDuckDBError:
             self.scalars = None
         # The parameters that are no numbers, at the last run.
         self._last_texts: dict[str, Any] | None = None
@@ -125,19 +126,6 @@ class PlannedQuery:
     def columns(self) -> tuple[SelectedValue, ...]:
         """The selected columns."""
         return self.plan.python_clauses.columns
-
-    @property
-    def places(self) -> list[int] | None:
-        """The place of each selected value in a row from SQL; None if Python makes any of them."""
-        plan, clauses = self.plan, self.plan.python_clauses
-        outputs: Sequence[OutputColumn | None] = plan.outputs or ()
-        if plan.outputs is None and clauses == PythonClauses(clauses.columns):
-            outputs = [plan.known.get(column.node) for column in clauses.columns]
-        known = [output for output in outputs if output is not None]
-        is_left = plan.paths or plan.keys or not known or len(known) < len(outputs)
-        if is_left or any(self._converters[output.sql_type] for output in known):
-            return None
-        return [output.index for output in known]
 
     def _column_reader(self, output: OutputColumn) -> Thunk:
         """Returns a function that reads the value of an SQL column from a frame."""

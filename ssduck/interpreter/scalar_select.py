@@ -4,12 +4,17 @@ A condition on a few numbers takes DuckDB hundreds of microseconds, and Python s
 with one correct result are evaluated here: comparisons, logic, sums, differences, products,
 quotients and roots of finite doubles, and whole powers by the platform's own mathematical library,
 which DuckDB uses, too. All others are left to DuckDB, and so are overflows and NaN.
+
+A condition that is evaluated at every step of an environment takes longer to plan again than to
+compute: `RepeatedSelect` only reads its parameters. Its plan holds while the worlds have the same
+entities, and variables values of the same types; whatever else would change it makes the planner
+forget all plans.
 """
 
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from sqlglot import exp
@@ -17,13 +22,23 @@ from sqlglot import exp
 from ssduck.columns.compiler import Compiler
 from ssduck.columns.expressions import Expression, Kind, LeftToDuckDBError
 from ssduck.columns.numbers import NumberOperations, known
+from ssduck.database.values import is_exactly
+from ssduck.errors import ArgumentError, EvaluationError
+from ssduck.language.deferred import LazyList
+from ssduck.language.evaluator import EvaluationScope, Frame
+from ssduck.language.tree import Index, ListLiteral, Literal, Name, Node, QualifiedName
 from ssduck.sql.plan import Plan
 from ssduck.sql.types import EXACT, SqlType
+from ssduck.world.handles import Handle, place_of
+from ssduck.world.layout import EntityInfo
+from ssduck.world.world import World
 
 # The clauses that such a SELECT may have; of one row, the order does not matter.
 _CLAUSES = frozenset(("expressions", "from_", "order"))
 # The types of elements, by their names in the language.
 _ELEMENTS: dict[str, Kind] = {"integer": "integer", "double": "double"}
+# Returns the value of a parameter in a frame.
+_Reader = Callable[[Frame], Any]
 
 
 class ScalarSelect:
@@ -33,26 +48,21 @@ class ScalarSelect:
         plan: its plan.
         functions: the functions of shapes that Python calls itself, by their names in SQL.
 
+    Attributes:
+        kinds: the types of the parameters that are read, besides the list.
+
     Raises:
-        ValueError: DuckDB has to evaluate it.
+        LeftToDuckDBError: DuckDB has to evaluate it.
     """
 
     def __init__(self, plan: Plan, functions: Mapping[str, Callable[..., Any]]) -> None:
-        try:
-            kinds = _kinds_of(plan)
-            self._list = _only_list(plan)
-            leaves = _Leaves(plan, kinds, self._list)
-            columns = plan.select.expressions
-            compiler = Compiler(NumberOperations(functions), leaves.expression, columns)
-            self._columns = [compiler.expression(part).compute for part in columns]
-        except LeftToDuckDBError:
-            raise ValueError("DuckDB has to evaluate it") from None
-        self._kinds = {name: kind for name, kind in kinds.items() if name in leaves.read}
-
-    @property
-    def parameters(self) -> Collection[str]:
-        """The parameters that are read, besides the list."""
-        return self._kinds.keys()
+        kinds = _kinds_of(plan)
+        self._list = _only_list(plan)
+        leaves = _Leaves(plan, kinds, self._list)
+        columns = plan.select.expressions
+        compiler = Compiler(NumberOperations(functions), leaves.expression, columns)
+        self._columns = [compiler.expression(part).compute for part in columns]
+        self.kinds = {name: kind for name, kind in kinds.items() if name in leaves.read}
 
     def rows(self, parameters: Mapping[str, Any]) -> list[tuple[Any, ...]] | None:
         """Returns the rows that DuckDB would return; None if DuckDB has to evaluate them."""
@@ -63,7 +73,7 @@ class ScalarSelect:
                 return None
             values[self._list] = elements[0]
         try:
-            for name, kind in self._kinds.items():
+            for name, kind in self.kinds.items():
                 value = parameters[name]
                 # Most are doubles; a NaN differs from itself.
                 is_number = kind == "double" and type(value) is float and value == value  # noqa: PLR0124
@@ -74,11 +84,7 @@ class ScalarSelect:
 
 
 def _only_list(plan: Plan) -> str | None:
-    """Returns the parameter that is the list; None if there is no FROM.
-
-    Raises:
-        LeftToDuckDBError: the SELECT reads something else.
-    """
+    """Returns the parameter that is the list; None if there is no FROM."""
     select = plan.select
     lists = [binding for binding in plan.bindings if binding.source is not None]
     if (
@@ -99,11 +105,7 @@ def _only_list(plan: Plan) -> str | None:
 
 
 def _kinds_of(plan: Plan) -> dict[str, Kind]:
-    """Returns the types of the parameters by name, without the list.
-
-    Raises:
-        LeftToDuckDBError: one of them has another type.
-    """
+    """Returns the types of the parameters by name, without the list."""
     kinds: dict[str, Kind] = dict(plan.numbers)
     for binding in plan.bindings:
         if binding.source is None and binding.name not in kinds:
@@ -112,11 +114,7 @@ def _kinds_of(plan: Plan) -> dict[str, Kind]:
 
 
 def _kind_of(sql_type: SqlType) -> Kind:
-    """Returns the type of a parameter that is no number.
-
-    Raises:
-        LeftToDuckDBError: it is no text, and no list of doubles.
-    """
+    """Returns the type of a parameter that is no number: a text, or a list of doubles."""
     element = sql_type.element
     if sql_type.type == "list" and element is not None and element.type == "double":
         return "list"
@@ -160,3 +158,165 @@ class _Leaves:
             return None
         self.read.add(sql.name)
         return Expression(self._kinds[sql.name], operator.itemgetter(sql.name))
+
+
+class RepeatedSelect:
+    """A planned SELECT of one row, with functions that read its parameters.
+
+    Args:
+        plan: its plan, which has run in this frame.
+        select: the SELECT.
+        frame: a frame without rows and state variables around it.
+
+    Attributes:
+        sources: the values of the sources by alias.
+
+    Raises:
+        LeftToDuckDBError: it has to be planned each time.
+    """
+
+    def __init__(self, plan: Plan, select: ScalarSelect, frame: Frame) -> None:
+        self._select = select
+        # Variables that are worlds or entities, with the world and its entities.
+        self._worlds: dict[str, tuple[World | Handle, World, list[EntityInfo]]] = {}
+        self._variables: set[str] = set()
+        # Each value is read once, however often a program names it.
+        self._readers: dict[tuple[Any, ...], _Reader] = {}
+        # The columns of entities and links that are read, by world, table and row.
+        self._columns: dict[tuple[World, str, int], dict[str, tuple[Any, ...]]] = {}
+        # The keys of the values of parameters.
+        self._bindings: dict[str, tuple[Any, ...]] = {}
+        self.sources = {
+            shape.alias: _literals(source.value)
+            for shape, source in zip(plan.source_types, plan.query.sources, strict=True)
+        }
+        self._parameters: dict[str, Any] = {}
+        for binding in plan.bindings:
+            if binding.source is not None:
+                self._parameters[binding.name] = self.sources[binding.source]
+            elif binding.node is not None:
+                is_read = binding.name in select.kinds
+                key = self._key(binding.node, binding.column, binding.sql_type, frame, is_read)
+                if is_read:
+                    self._bindings[binding.name] = key
+        bound = {binding.node for binding in plan.bindings}
+        for node in plan.constants.keys() - bound:  # the plan relies on their types
+            self._key(node, None, plan.constants[node], frame, is_read=False)
+        known = self._variables.union(self._worlds)
+        # A name has another meaning as soon as it is a variable, or is none; so has one of a list
+        # that the query evaluates.
+        self._others = {
+            name: frame.scope.has_variable(name)
+            for name in (*plan.bare, *plan.deferred)
+            if name not in known
+        }
+        if plan.worlds or not self._are_same(frame.scope):
+            raise LeftToDuckDBError
+
+    def rows(self, frame: Frame) -> list[tuple[Any, ...]] | None:
+        """Returns the row as DuckDB would; None if the query has to be planned again.
+
+        Args:
+            frame: a frame without rows and state variables around it.
+        """
+        scope = frame.scope
+        if not self._are_same(scope):
+            return None
+        for name, (value, world, entities) in self._worlds.items():
+            is_same = scope.has_variable(name) and scope.variable(name) is value
+            if not is_same or world.snapshot.load_order is not entities:
+                return None
+        try:
+            values = {key: read(frame) for key, read in self._readers.items()}
+            for (world, table, row), keys in self._columns.items():
+                numbers = world.snapshot.doubles_in(row, tuple(keys), table)
+                values.update(zip(keys.values(), numbers, strict=True))
+        except (LeftToDuckDBError, ArgumentError, EvaluationError):
+            return None
+        parameters = self._parameters | {name: values[key] for name, key in self._bindings.items()}
+        rows = self._select.rows(parameters)
+        scope.meter.check_time()
+        return rows
+
+    def _are_same(self, scope: EvaluationScope) -> bool:
+        """Checks whether names that are no parameters have the same meaning."""
+        return all(
+            scope.has_variable(name) == is_variable
+            and not (is_variable and isinstance(scope.variable(name), LazyList))
+            for name, is_variable in self._others.items()
+        )
+
+    def _key(
+        self, node: Node, column: str | None, sql_type: SqlType, frame: Frame, is_read: bool
+    ) -> tuple[Any, ...]:
+        """Returns the key of a value, after noting how it is read, or how its type is checked."""
+        names = _names_in(node)
+        value = None if names is None else frame.value(node)
+        if names is not None and isinstance(value, Handle) and value.moment is None:
+            for name in names:
+                self._note_world(name, frame)
+            column = column or "id"
+            key: tuple[Any, ...] = value.world.serial, value.id, column
+            table, row = place_of(value)
+            if is_read and value.world.snapshot.has_double(column, table):
+                self._columns.setdefault((value.world, table, row), {})[column] = key
+            elif is_read:
+                self._readers[key] = _column_reader(value, column)
+            return key
+        if column is not None:  # it names an entity in another way
+            raise LeftToDuckDBError
+        self._variables.update(part.name for part in node.walk() if isinstance(part, Name))
+        key = (node.name if isinstance(node, Name) else node,)
+        self._readers[key] = lambda frame: _of_type(_value_of(node, frame), sql_type)
+        return key
+
+    def _note_world(self, name: str, frame: Frame) -> None:
+        """Notes that a variable, and the entities of its world, have to stay the same."""
+        value = frame.scope.variable(name)
+        world = value.world if isinstance(value, Handle) else value
+        if not isinstance(world, World):  # an entity is an element of something else
+            raise LeftToDuckDBError
+        self._worlds[name] = value, world, world.snapshot.load_order
+
+
+def _column_reader(handle: Handle, column: str) -> _Reader:
+    """Returns the reader of a column at the last tick, while the entities are the same."""
+    if column == "id":
+        return lambda _: handle.id
+    if column == "tick":
+        return lambda _: handle.world.snapshot.number
+    return lambda _: handle.column(column)
+
+
+def _value_of(node: Node, frame: Frame) -> Any:
+    """Returns the value of a variable, or what Python computes, of the past for example."""
+    if isinstance(node, Name) and not frame.scope.has_variable(node.name):
+        raise LeftToDuckDBError
+    return frame.scope.variable(node.name) if isinstance(node, Name) else frame.value(node)
+
+
+def _of_type(value: Any, sql_type: SqlType) -> Any:
+    """Returns a value if it has the type that the plan relies on."""
+    is_same = is_exactly(value, sql_type)
+    if is_same and sql_type.type == "list":
+        is_same = bool(value) and (len(value) == 3) == (sql_type.length == 3)
+    if not is_same:
+        raise LeftToDuckDBError
+    return value
+
+
+def _names_in(node: Node) -> list[str] | None:
+    """Returns the variables of an element of variables, such as sim.cup; None for others."""
+    parts = list(node.walk())
+    if not all(isinstance(part, Index | QualifiedName | Name | Literal) for part in parts):
+        return None
+    return [part.name for part in parts if isinstance(part, Name)]
+
+
+def _literals(node: Node) -> list[Any]:
+    """Returns the values of a list of literals."""
+    items = node.items if isinstance(node, ListLiteral) else (None,)
+    values = [item.value for item in items if isinstance(item, Literal)]
+    if len(values) != len(items):
+        raise LeftToDuckDBError
+    return values

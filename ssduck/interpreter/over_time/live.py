@@ -138,7 +138,7 @@ class LiveFolds:
     def need_no_tables(self, call: Call) -> bool:
         """Checks whether the value of a call needs no table that DuckDB reads."""
         query = self._queries.get(self._key(call)[0])
-        is_planned = query is not None and self._planner.is_kept(query)
+        is_planned = query is not None and self._planner.may_repeat(query)
         return is_planned and self._unrecorded_world(call) is not None
 
     def value(self, call: Call, form: TemporalFunction, series_of: Callable[[], TickSeries]) -> Any:

@@ -8,8 +8,8 @@ import pytest
 
 import ssduck
 from ssduck.errors import SelectScriptError
-from ssduck.interpreter.kept_scalars import KeptScalars
 from ssduck.interpreter.planner import Planner
+from ssduck.interpreter.scalar_select import RepeatedSelect
 from tests.support.cases import sampled
 
 PILE = """
@@ -139,7 +139,7 @@ def test_terms_need_no_statement_and_no_plan(lab, monkeypatch, term):
             values.append(lab.ss.eval(program))
     assert not seen
     with monkeypatch.context() as patch:
-        patch.setattr(KeptScalars, "run", lambda *_: None)
+        patch.setattr(RepeatedSelect, "rows", lambda *_: None)
         assert lab.ss.eval(program) == values[-1]
 
 
@@ -185,7 +185,7 @@ def test_after_a_change_the_value_is_that_of_a_new_plan(lab, monkeypatch, change
     change(lab)
     kept = list(outcomes())
     with monkeypatch.context() as patch:
-        patch.setattr(KeptScalars, "run", lambda *_: None)
+        patch.setattr(RepeatedSelect, "rows", lambda *_: None)
         planned = list(outcomes())
     assert kept[1] == planned[0] == planned[1]
 
@@ -242,7 +242,7 @@ class _Loud(ssduck.Interpreter):
 
 
 @pytest.mark.slow
-def test_a_row_again_is_what_the_program_gives(lab, monkeypatch, capsys):
+def test_a_repeated_row_is_what_the_program_gives(lab, monkeypatch, capsys):
     calls = []
     lab.ss.add_function("noted", lambda x: calls.append(x) or x + 1.0)
     texts = [
@@ -262,8 +262,7 @@ def test_a_row_again_is_what_the_program_gives(lab, monkeypatch, capsys):
         assert len(calls) == 1
         assert len(capsys.readouterr().out.splitlines()) == 1
         with monkeypatch.context() as patch:
-            patch.setattr(Planner, "row_again", lambda *_: None)
-            patch.setattr(KeptScalars, "run", lambda *_: None)
+            patch.setattr(RepeatedSelect, "rows", lambda *_: None)
             assert [lab.ss.eval(program) for program in programs] == again
 
 
