@@ -17,14 +17,12 @@ import pyarrow as pa
 from sqlglot import exp
 
 from ssduck.database.fetched_rows import (
-    EXECUTE,
     FetchedRows,
     Header,
-    RepeatedStatements,
+    RowLimits,
+    all_rows,
+    arrow_table,
     fetched,
-    limited_rows,
-    limited_table,
-    whole_table,
 )
 from ssduck.database.file_paths import (
     absolute_path,
@@ -64,6 +62,8 @@ _SCHEMAS = (
     "SELECT schema_name FROM duckdb_schemas() "
     "WHERE NOT internal AND database_name = current_database() AND schema_name <> 'main'"
 )
+# Begins a statement that executes a prepared one.
+_EXECUTE = "EXECUTE "
 # Has DuckDB plan nested loops in place of all range joins.
 NO_RANGE_JOINS = "SET nested_loop_join_threshold = 1000000000"
 # The name of an attached file with a record; no world can have it.
@@ -115,7 +115,6 @@ class Connection(StatementRunner):
         # Where queries spilled to the disk before their memory was limited; None if it is not.
         self._spill: str | None = None
         self._functions: set[str] = set()
-        self._repeated = RepeatedStatements()
         # The schemas of worlds, which no other connection makes.
         self._schemas: set[str] = set()
         set_up(self._connection)
@@ -331,18 +330,14 @@ class Connection(StatementRunner):
     # -- statements -----------------------------------------------------------------------
 
     def rows(self, sql: str, parameters: Parameters = None) -> list[tuple[Any, ...]]:
-        """Returns all rows of a statement from the translator; the caller pins the worlds.
-
-        Args:
-            sql: the statement.
-            parameters: the values of its parameters.
-        """
-        if not sql.startswith(EXECUTE):  # what it names is there
+        """Returns all rows of a statement from the translator; the caller pins the worlds."""
+        if not sql.startswith(_EXECUTE):  # what it names is there
             self.on_demand.provide(sql, self)
+        limits = self._row_limits
 
         def fetch() -> list[tuple[Any, ...]]:
-            charge = self.meter.charge if self.has_limited_rows else None
-            return self._repeated.rows(self._connection, sql, parameters, self._max_rows, charge)
+            result = self._connection.execute(sql, parameters)
+            return all_rows(result) if limits is None else limits.rows(result)
 
         rows = self._execute(sql, fetch)
         self.meter.check_rows(len(rows))
@@ -352,14 +347,13 @@ class Connection(StatementRunner):
         """Returns all rows of a user's statement; the caller pins the worlds."""
         self._is_altered = True
         self.on_demand.provide(sql, self)
+        limits = self._row_limits
 
         def fetch() -> pa.Table:
             relation = self._connection.sql(sql, params=parameters)
             if relation is None:
                 return pa.table({})
-            if self.has_limited_rows:
-                return limited_table(relation, self._max_rows, self.meter.charge)
-            return whole_table(relation)
+            return arrow_table(relation, limits)
 
         table = self._execute(sql, fetch)
         self.meter.check_rows(table.num_rows)
@@ -373,36 +367,28 @@ class Connection(StatementRunner):
         Args:
             sql: the statement.
             parameters: the values of its parameters.
-            header: the columns, with the expected number of rows; None if they are not known.
+            header: the columns; None if they are not known.
 
         Returns:
-            The rows; None if the types of the columns require an Arrow table, or it is faster.
+            The rows; None if the types of the columns require an Arrow table.
         """
-        limited = None
-        if self.has_limited_rows:
-            limited = partial(limited_rows, max_rows=self._max_rows, charge=self.meter.charge)
-        if not sql.startswith(EXECUTE):
+        if not sql.startswith(_EXECUTE):
             self.on_demand.provide(sql, self)
-
-        def fetch() -> FetchedRows | None:
-            return fetched(self._connection.execute(sql, parameters), limited, header)
-
-        rows = self._execute(sql, fetch)
+        limits = self._row_limits
+        rows = self._execute(
+            sql, lambda: fetched(self._connection.execute(sql, parameters), limits, header)
+        )
         if rows is not None:
             self.meter.check_rows(len(rows))
         return rows
 
     @property
-    def has_limited_rows(self) -> bool:
-        """Whether the rows of statements are counted and measured."""
-        limits = self.meter.limits
-        return limits.rows is not None or limits.memory is not None
-
-    @property
-    def _max_rows(self) -> int | None:
-        """The number of rows to fetch: one more than allowed."""
-        maximum = self.meter.limits.rows
-        return None if maximum is None else maximum + 1
+    def _row_limits(self) -> RowLimits | None:
+        """The limits of the rows of statements: one more than allowed; None for none."""
+        rows, memory = self.meter.limits.rows, self.meter.limits.memory
+        if rows is None and memory is None:
+            return None
+        return RowLimits(None if rows is None else rows + 1, self.meter.charge)
 
     def columns(self, sql: str, parameters: Parameters) -> list[tuple[str, str]]:
         """Returns the names and the types of a query's columns; the query does not run."""
@@ -442,11 +428,9 @@ class Connection(StatementRunner):
         self.on_demand.provide(select, self)
         sql = f"PREPARE {quoted(name)} AS {select}"
         self._execute(sql, lambda: self._connection.execute(sql).fetchall())
-        self._repeated.forget(execution_of(name))
 
     def deallocate(self, name: str) -> None:
         """Drops a prepared statement."""
-        self._repeated.forget(execution_of(name))
         self.run(f"DEALLOCATE {quoted(name)}")
 
     def internal_rows(self, sql: str, parameters: Parameters = None) -> list[tuple[Any, ...]]:
@@ -457,7 +441,7 @@ class Connection(StatementRunner):
 
 def execution_of(name: str) -> str:
     """Returns the statement that executes a prepared one."""
-    return f"{EXECUTE}{quoted(name)}"
+    return f"{_EXECUTE}{quoted(name)}"
 
 
 def _finish(

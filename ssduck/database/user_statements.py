@@ -23,7 +23,13 @@ from sqlglot import exp
 
 from ssduck.database.binding import BoundWorld
 from ssduck.database.connection import Connection, Parameters, execution_of
-from ssduck.database.fetched_rows import FetchedRows, Header, are_plain, has_plain_types
+from ssduck.database.fetched_rows import (
+    MANY_ROWS,
+    FetchedRows,
+    Header,
+    are_plain,
+    is_short_and_plain,
+)
 from ssduck.database.kept_plans import MARK, KeptQuery, RowSource, live_source
 from ssduck.database.pair_rows import pair_rows
 from ssduck.database.referenced_tables import ReadData
@@ -104,13 +110,13 @@ class UserStatement:
         columns: the names of its columns, if another query runs in its place.
         numbers: the parameters that are distances of relations in that query.
         lookup: the look-up that has its rows without a statement, if there is one.
-        has_plain_types: whether its columns are fetched as Python's values; None if unknown.
+        as_tuples: whether its rows are fetched as Python's values; None if unknown.
         may_be_kept: whether its plan may be kept; None if that is not known yet.
         runs: the number of runs since it was not prepared.
         table_names: the names of its columns in Arrow, when it ran without being prepared.
         row: the numbers that it is prepared with; None if it has no parameters.
         unread: the data of a simulator that its words refer to, and that it does not read.
-        last_header: the columns of its last run, and whether it had many rows.
+        last_header: the columns of its last run.
         reads: the data that it reads; None if it is not known to be the same at each run.
     """
 
@@ -121,7 +127,7 @@ class UserStatement:
     columns: tuple[str, ...] | None = None
     numbers: frozenset[str] = frozenset()
     lookup: PairLookup | None = None
-    has_plain_types: bool | None = None
+    as_tuples: bool | None = None
     may_be_kept: bool | None = None
     runs: int = 0
     table_names: list[str] | None = None
@@ -216,7 +222,7 @@ class UserStatements:
                 return found
             self._settle(None)
             return self._connection.table(statement.text, parameters)
-        if is_rewritten or statement.has_plain_types is not None:
+        if is_rewritten or statement.as_tuples is not None:
             try:
                 return self._run(statement, parameters, names)
             except SqlError as error:
@@ -233,7 +239,7 @@ class UserStatements:
                 raise
         self._settle(None)
         table = self._connection.table(statement.text, parameters)
-        statement.has_plain_types = has_plain_types(table)
+        statement.as_tuples = is_short_and_plain(table)
         return table
 
     def _release(self, statement: UserStatement) -> None:
@@ -263,12 +269,12 @@ class UserStatements:
                 columns = columns or self._connection.columns(text, parameters)
                 types = [kind for _, kind in columns]
                 if types == [kind for _, kind in self._connection.columns(query, parameters)]:
-                    statement.has_plain_types = are_plain(types)
+                    statement.as_tuples = are_plain(types)
                     statement.columns = tuple(name for name, _ in columns)
                     statement.numbers = number_parameters(sql, tree, names)
                     if reads_only_live_tables(tree, names):
                         statement.unread = unread_columns(tree, sql)
-                    if statement.has_plain_types:
+                    if statement.as_tuples:
                         statement.lookup = lookup_of(sql, tree, names)
                         statement.last_header = Header(statement.columns, tuple(types))
                     return query
@@ -290,18 +296,14 @@ class UserStatements:
             sql, parameters, header = statement.execute, None, statement.last_header
         is_planned = sql == statement.execute
         self._settle(self._plans.deferred_columns(statement.name) if is_planned else None)
-        was_long = statement.last_header is not None and bool(statement.last_header.is_long)
-        # The batches of an Arrow table are measured at once, tuples one by one.
-        if was_long and self._connection.has_limited_rows:
-            statement.has_plain_types = False
-        if statement.has_plain_types:
+        if statement.as_tuples:
             rows = self._connection.fetched(sql, parameters, header)
+            statement.as_tuples = rows is not None and len(rows) < MANY_ROWS
             if rows is not None:
                 if statement.columns is not None:
                     rows = rows.renamed(statement.columns)
                 statement.last_header = rows.header
                 return rows
-            statement.has_plain_types = False
         table = self._connection.table(sql, parameters)
         if statement.columns is not None:
             return table.rename_columns(statement.columns)

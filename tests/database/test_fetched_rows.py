@@ -1,19 +1,10 @@
-"""Rows under limits: their sizes are counted, and the types of kept statements read once."""
-
-from unittest.mock import patch
+"""Rows of statements: all values as DuckDB has them, and their sizes counted under limits."""
 
 import duckdb
 import pytest
 
 import ssduck
-from ssduck.database import fetched_rows
-from ssduck.database.fetched_rows import (
-    RepeatedStatements,
-    columns_of,
-    limited_rows,
-    limited_table,
-    types_of,
-)
+from ssduck.database.fetched_rows import RowLimits, all_rows, arrow_table, columns_of
 from ssduck.errors import LimitError
 
 ROWS = 5_000
@@ -23,8 +14,8 @@ ROW, VALUE, TEXT = 64, 32, 56
 
 def fetched(select, max_rows=None):
     with duckdb.connect() as plain:
-        result, sizes = plain.execute(select), []
-        rows = limited_rows(result, types_of(result), max_rows, sizes.append)
+        sizes = []
+        rows = RowLimits(max_rows, sizes.append).rows(plain.execute(select))
         return rows, sizes, plain.execute(select).fetchall()
 
 
@@ -49,27 +40,7 @@ def test_no_more_rows_are_fetched_than_asked():
     assert rows == wanted[:7]
 
 
-@pytest.mark.slow
-def test_long_rows_are_fetched_in_small_batches():
-    _, sizes, _ = fetched("SELECT repeat('x', 1_000_000) || n FROM range(50) t(n)")
-    assert max(sizes) < 15_000_000
-
-
 PAIRS = "SELECT a.id, b.id, a.z FROM a=kitchen, b=kitchen AS list;"
-
-
-@pytest.mark.slow
-def test_the_types_of_a_kept_statement_are_read_once():
-    limits = ssduck.Limits.strict(progress=False)
-    with ssduck.load("kitchen", limits=limits) as ss, ssduck.load("kitchen") as free:
-        program, read = ss.compile(PAIRS), []
-        for _ in range(5):
-            ss.eval(program)
-        with patch.object(fetched_rows, "types_of", lambda r: read.append(r) or types_of(r)):
-            for _ in range(5):
-                found = ss.eval(program)
-        assert not read
-        assert found == free.eval(PAIRS)
 
 
 @pytest.mark.slow
@@ -126,101 +97,43 @@ MANY = {
 BY_COLUMN = ("numbers", "texts", "nulls", "NaN", "integers")
 
 
-@pytest.fixture
-def read(monkeypatch):
-    """The relations that are read by column."""
-    found, plain = [], fetched_rows._read
-    monkeypatch.setattr(fetched_rows, "_read", lambda *args: found.append(args[0]) or plain(*args))
-    return found
-
-
 @pytest.mark.parametrize("name", MANY)
-@pytest.mark.parametrize("charged", [True, False])
-def test_statements_that_run_again_have_the_same_rows(name, charged, read):
-    sizes, statements, sql = [], RepeatedStatements(), MANY[name]
+@pytest.mark.parametrize("is_limited", [True, False])
+def test_rows_are_those_of_duckdb(name, is_limited):
+    sizes, sql = [], MANY[name]
     with duckdb.connect() as plain:
         wanted = plain.execute(sql).fetchall()
-        charge = sizes.append if charged else None
-        for run in range(3):
-            sizes.clear()
-            rows = statements.rows(plain, sql, None, 10**6 if charged else None, charge)
-            assert rows == wanted
-            assert [list(map(type, row)) for row in rows] == [list(map(type, r)) for r in wanted]
-            letters = sum(len(v) for row in wanted for v in row if isinstance(v, str))
-            if charged:
-                assert sum(sizes) >= len(wanted) * (ROW + VALUE * len(wanted[0])) + letters
-            if name in BY_COLUMN:
-                columns = columns_of(rows)
-                found = zip(*(column.tolist() for column in columns), strict=True)
-                assert list(found) == wanted
-                assert len(read) == (run if charged else 0)
-                has_types = any(column.dtype != object for column in columns)
-                assert has_types == (run > 0 or not charged)
-    if name not in BY_COLUMN:
-        assert read == []
+        result = plain.execute(sql)
+        rows = RowLimits(10**6, sizes.append).rows(result) if is_limited else all_rows(result)
+    assert rows == wanted
+    assert [list(map(type, row)) for row in rows] == [list(map(type, r)) for r in wanted]
+    if is_limited:
+        letters = sum(len(v) for row in wanted for v in row if isinstance(v, str))
+        assert sum(sizes) >= len(wanted) * (ROW + VALUE * len(wanted[0])) + letters
+    elif name in BY_COLUMN:
+        columns = columns_of(rows)
+        assert list(zip(*(column.tolist() for column in columns), strict=True)) == wanted
+        assert any(column.dtype != object for column in columns)
 
 
-def test_a_statement_whose_table_changes_has_its_own_types():
-    statements = RepeatedStatements()
-    with duckdb.connect() as plain:
-        for select in ("n", "n || ' words'", "n::DATE", "n", "NULL::DOUBLE"):
-            value = select.replace("n::DATE", "DATE '2026-01-01' + n::INTEGER")
-            plain.execute(f"CREATE OR REPLACE TABLE rows AS SELECT {value} v FROM range(300) t(n)")
-            for _ in range(3):
-                found = statements.rows(plain, "FROM rows", None, None, None)
-                assert found == plain.execute("FROM rows").fetchall()
-
-
-@pytest.mark.slow
-def test_limits_end_an_answer_by_column():
-    statements, sql = RepeatedStatements(), "SELECT n || ' words' FROM range(getvariable('n')) t(n)"
+@pytest.mark.parametrize("fetch", ["rows", "table"])
+def test_limits_end_an_answer_without_end(fetch):
+    endless = "SELECT n || ' words' FROM range(10_000_000_000) t(n)"
 
     def charge(size):
         if size > 300_000:
             raise LimitError("too large")
 
+    def found(limits):
+        if fetch == "rows":
+            return len(limits.rows(plain.execute(endless)))
+        return arrow_table(plain.sql(endless), limits).num_rows
+
     with duckdb.connect() as plain:
-        plain.execute("SET VARIABLE n = 2000")
-        assert len(statements.rows(plain, sql, None, 10**6, charge)) == 2000
-        plain.execute("SET VARIABLE n = 10_000_000_000")
         with pytest.raises(LimitError, match="too large"):
-            statements.rows(plain, sql, None, 10**6, charge)
-        assert 5_000 < len(statements.rows(plain, sql, None, 5_001, lambda _: None)) < 20_000
+            found(RowLimits(10**6, lambda size: charge(10 * size)))
+        assert 5_001 <= found(RowLimits(5_001, lambda _: None)) < 20_000
         assert plain.execute("SELECT 1").fetchall() == [(1,)]
-
-
-def test_an_error_of_an_answer_by_column_is_duckdbs():
-    statements, sql = RepeatedStatements(), "SELECT error(v) FROM texts"
-    with duckdb.connect() as plain:
-        plain.execute("CREATE TABLE texts AS SELECT NULL::VARCHAR v FROM range(300)")
-        for _ in range(2):
-            assert len(statements.rows(plain, sql, None, None, None)) == 300
-        plain.execute("INSERT INTO texts VALUES ('this is wrong')")
-        with pytest.raises(duckdb.Error, match="this is wrong"):
-            statements.rows(plain, sql, None, None, None)
-
-
-@pytest.mark.slow
-def test_statements_that_ran_long_ago_are_forgotten():
-    statements = RepeatedStatements()
-    with duckdb.connect() as plain:
-        for number in range(fetched_rows._MOST_KNOWN + 50):
-            statements.rows(plain, f"SELECT {number}", None, None, None)
-    assert len(statements._known) == fetched_rows._MOST_KNOWN
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("select", ["n", "DATE '2026-01-01' + n::INTEGER"])
-def test_tables_of_one_width_come_in_large_batches(select):
-    sizes = []
-    with duckdb.connect() as plain:
-        relation = plain.sql(f"SELECT {select} FROM range({ROWS}) t(n)")
-        table = limited_table(relation, None, sizes.append)
-        assert table.num_rows == ROWS
-        assert len(sizes) == 1
-        wide = ", ".join(f"n + {i} AS c{i}" for i in range(2_000))
-        limited_table(plain.sql(f"SELECT {wide} FROM range({2 * ROWS}) t(n)"), None, sizes.append)
-    assert max(sizes) < 100_000_000
 
 
 @pytest.mark.long
@@ -244,22 +157,6 @@ def test_a_long_answer_that_is_asked_for_again_is_of_the_present_tick(program, l
             assert answers[-1] == loop.eval(program)
         assert len(answers[0]) > 1_000
         assert answers[-1] != answers[-2]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("sql", ["FROM rows", 'EXECUTE "rows now"'])
-def test_statements_that_run_again_read_what_is_there_now(sql):
-    statements = RepeatedStatements()
-    with duckdb.connect() as plain:
-        plain.execute("CREATE TABLE rows AS SELECT n FROM range(300) t(n)")
-        plain.execute('PREPARE "rows now" AS FROM rows')
-        for _ in range(5):
-            plain.execute("UPDATE rows SET n = n + 1")
-            wanted = plain.execute("FROM rows").fetchall()
-            assert statements.rows(plain, sql, None, None, None) == wanted
-            plain.execute("INSERT INTO rows VALUES (7)")
-            wanted = plain.execute("FROM rows").fetchall()
-            assert statements.rows(plain, sql, None, 10**6, lambda _: None) == wanted
 
 
 @pytest.mark.slow
