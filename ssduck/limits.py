@@ -23,8 +23,6 @@ from ssduck.formatting import joined_names, short_repr
 GRACE = 2.0
 # A record may take so long to be opened, however short the time of programs is, s.
 LEAST_OPENING = 10.0
-# The largest number of words and signs of a program under a limit of time.
-MAX_WORDS = 50_000
 # The effects of a sandbox: what its process cannot do, by whatever mechanism the system gives.
 EFFECTS = {
     "files": "read other files than the scene or record and the libraries, or write outside its "
@@ -105,11 +103,6 @@ class Limits:
     def in_process(self) -> Limits:
         """The same limits of programs that run in this process."""
         return replace(self, require=()) if self.require else self
-
-    @property
-    def words(self) -> int | None:
-        """The largest number of words of a program, whose parsing cannot be interrupted."""
-        return None if self.seconds is None else MAX_WORDS
 
     @classmethod
     def strict(cls, **changes: Any) -> Limits:

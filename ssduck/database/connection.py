@@ -39,8 +39,7 @@ from ssduck.database.instances import (
 )
 from ssduck.database.on_demand import OnDemand
 from ssduck.database.referenced_tables import types_and_texts
-from ssduck.database.running.interrupts import translated
-from ssduck.database.running.statement_runner import StatementRunner
+from ssduck.database.running import StatementRunner, translated
 from ssduck.database.writer import WriterConnection
 from ssduck.errors import (
     RecordError,

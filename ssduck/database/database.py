@@ -32,11 +32,9 @@ from ssduck.database.referenced_tables import (
     ReadData,
     ReferencedTables,
     StatementWords,
-    check_length,
     words_of,
 )
 from ssduck.database.schemas import Schemas, TickRanges
-from ssduck.database.select_only import SelectCheck
 from ssduck.database.statement import PreparedPlans, Statement
 from ssduck.database.values import Converter
 from ssduck.database.worlds import PinnedWorlds, WorldRegistry
@@ -106,7 +104,6 @@ class Database:
         self.batch_table: BatchTable | None = None
         # The names of the frames that users have registered.
         self._registered: set[str] = set()
-        self._select_check = SelectCheck(self.connection)
         offer_geometry_functions(self.connection, self._worlds.by_schema)
         # Those that Python calls itself, where it computes what a statement would.
         self.shape_functions = shape_functions(self._worlds.by_schema)
@@ -189,14 +186,15 @@ class Database:
         Opening a record attaches its file, so files are switched off after that.
         """
         limits = self.connection.meter.limits
-        # What is known was parsed before.
-        if limits.seconds is not None and self._raw_sql.statements.known(sql) is None:
-            check_length(sql)
         if not (limits.files or self._is_sealed):
             self.connection.seal(self._record_folders)
             self._is_sealed = True
-        if limits.select_only:
-            self._select_check.check(sql)
+        is_refused = limits.select_only and not self._raw_sql.is_query(sql, words_of(sql))
+        if is_refused and self.connection.statements(sql) is not None:  # DuckDB can parse it
+            raise LimitError(
+                "SQL is one SELECT here, which changes nothing; PIVOT names its values: "
+                "PIVOT t ON x IN ('a', 'b') USING count(*) (Limits: select_only)"
+            )
 
     def confine(self, memory: int) -> None:
         """Switches files and settings off now, and limits DuckDB's memory, bytes."""
@@ -220,13 +218,7 @@ class Database:
         """Creates the views, macros and comments that a user's statement may need."""
         schemas = list(self._worlds.by_schema)
         only = schemas[0] if len(self.worlds) == 1 else None
-        if not is_all:
-            self._schemas.provide(words.words, schemas, only)
-        else:
-            self.connection.on_demand.make_all(self.connection)
-            if not self._schemas.are_described(schemas):
-                self._schemas.describe(schemas, only, self.records)
-        self._schemas.make_formulas(words.formulas, schemas)
+        self._schemas.provide(words.words, schemas, only, self.records if is_all else None)
         if words.reads_recorded_masses:
             for bound in self._worlds.bound:
                 if bound.history is not None and bound.reference() is not None:

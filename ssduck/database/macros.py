@@ -7,7 +7,6 @@ comments. The SQL of SelectScript contains the relations' formulas instead.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -19,7 +18,6 @@ from ssduck.schema import MODELS, TABLES
 from ssduck.sql.from_clause import pair_table
 from ssduck.sql.relations.geometry_query import COLLIDING, WITHIN, PairKind, PairSearch
 from ssduck.sql.relations.registry import RELATIONS
-from ssduck.sql.relations.relation import Relation
 
 
 @dataclass(frozen=True)
@@ -42,21 +40,13 @@ class PairTableMacro:
     about: str
     kind: PairKind = "entities"
 
-    def macro(self, path: Sequence[str], schema: str) -> str:
-        """Returns the statement that creates it."""
+    def macro(self, schema: str, *, inside: bool) -> str:
+        """Returns the statement that creates it, in the schema of its world or for all."""
         distance = exp.column(self.distance)
         pairs = pair_table(self.search, distance, schema, "pairs", self.kind).table
         rows = exp.select("pairs.a", "pairs.b").from_(pairs).sql("duckdb")
-        temporary = "TEMP " if path[0] == "temp" else ""
-        name = _dotted(path[1:] if temporary else path, self.name)
-        parameters = ", ".join(self.parameters)
-        return f"CREATE OR REPLACE {temporary}MACRO {name}({parameters}) AS TABLE {rows}"
-
-    def comment(self, path: Sequence[str]) -> str:
-        """Returns the statement that comments on it."""
-        text = exp.Literal.string(self.about).sql("duckdb")
-        full_path = ("temp", "main") if path[0] == "temp" else path
-        return f"COMMENT ON MACRO TABLE {_dotted(full_path, self.name)} IS {text}"
+        place = f"MACRO {_dotted((schema,), self.name)}" if inside else f"TEMP MACRO {self.name}"
+        return f"CREATE OR REPLACE {place}({', '.join(self.parameters)}) AS TABLE {rows}"
 
 
 TABLE_MACROS = (
@@ -101,14 +91,21 @@ def _dotted(path: Sequence[str], name: str) -> str:
     return ".".join(map(quoted, (*path, name)))
 
 
+_RELATIONS = {relation.name.lower(): relation for relation in RELATIONS.values()}
+_PAIR_TABLES = {table.name: table for table in TABLE_MACROS}
+_INTERVALS = "intervals"
+# The macros that have a table; those of `TABLE_MACROS` depend on the worlds.
+_WITH_TABLE = frozenset((_INTERVALS, *_PAIR_TABLES))
+MACRO_NAMES = frozenset((*_RELATIONS, *RELATIONS_OF_INTERVALS)) | _WITH_TABLE
+# Those that read tables of a world, and so are in its schema before a statement names them.
+WORLD_MACROS = frozenset((*_PAIR_TABLES, *(n for n, one in _RELATIONS.items() if one.tables)))
+
+
 @lru_cache(maxsize=16)
 def description_script(
-    worlds: Sequence[str],
-    only: str | None,
-    described: Collection[str] | None,
-    recorded: Collection[str] = (),
+    worlds: Sequence[str], only: str | None, recorded: Collection[str] = ()
 ) -> str:
-    """Returns the statements that create the macros and comments.
+    """Returns the statements that create all macros and comments.
 
     Relations read the tables of the only world, as a row does not name its world; each world
     also has them in its own schema. All arguments must be hashable.
@@ -116,52 +113,22 @@ def description_script(
     Args:
         worlds: the schemas of all worlds; a world may have several.
         only: the schema of the only world; None if there are several worlds.
-        described: the schemas that are described already; None if nothing is.
         recorded: the schemas of recorded worlds.
     """
-    return ";\n".join(_description_statements(worlds, only, described, recorded))
+    return ";\n".join(_description_statements(worlds, only, recorded))
 
 
 def _description_statements(
-    worlds: Sequence[str],
-    only: str | None,
-    described: Collection[str] | None,
-    recorded: Collection[str],
+    worlds: Sequence[str], only: str | None, recorded: Collection[str]
 ) -> Iterator[str]:
-    for relation in RELATIONS.values() if described is None else relations_with_tables():
-        yield relation.macro(only)
-        yield relation.comment()
-    if described is None:
-        yield from _interval_statements()
-    for table in TABLE_MACROS:
-        if only is not None:
-            yield table.macro(("temp",), only)
-            yield table.comment(("temp",))
-        elif described:
-            yield drop_macro(table.name)
+    for schema, names in ((None, MACRO_NAMES), *((world, WORLD_MACROS) for world in worlds)):
+        for name in sorted(names):
+            statement = macro_statement(name, schema, only)
+            if statement is not None:
+                yield statement
+                yield _macro_comment(name, schema)
     for schema in worlds:
-        if schema in (described or ()):
-            continue
-        for relation in relations_with_tables():
-            yield relation.macro(schema, inside=True)
-            yield relation.comment(schema)
-        for table in TABLE_MACROS:
-            yield table.macro((schema,), schema)
-            yield table.comment((schema,))
         yield from _comments(schema, recorded=schema in recorded)
-
-
-_RELATIONS = {relation.name.lower(): relation for relation in RELATIONS.values()}
-_PAIR_TABLES = {table.name: table for table in TABLE_MACROS}
-_INTERVALS = "intervals"
-# The macros that have a table; those of `TABLE_MACROS` depend on the worlds.
-TABLE_MACRO_NAMES = frozenset((_INTERVALS, *_PAIR_TABLES))
-_MACRO_NAMES = frozenset((*_RELATIONS, *RELATIONS_OF_INTERVALS)) | TABLE_MACRO_NAMES
-
-
-def macros_among(words: AbstractSet[str]) -> AbstractSet[str]:
-    """Returns the words in small letters that are names of macros."""
-    return _MACRO_NAMES & words
 
 
 def macro_statement(name: str, schema: str | None, only: str | None) -> str | None:
@@ -174,72 +141,45 @@ def macro_statement(name: str, schema: str | None, only: str | None) -> str | No
     """
     relation, pairs = _RELATIONS.get(name), _PAIR_TABLES.get(name)
     if relation is not None:
-        if schema is None:
-            return relation.macro(only)
-        return relation.macro(schema, inside=True) if relation.tables else None
+        return relation.macro(schema or only, inside=schema is not None)
     if pairs is not None:
-        if schema is None:
-            return None if only is None else pairs.macro(("temp",), only)
-        return pairs.macro((schema,), schema)
+        world = schema or only
+        return None if world is None else pairs.macro(world, inside=schema is not None)
     if schema is not None:
         return None
-    return _intervals_macro() if name == _INTERVALS else _interval_macro(name)
+    if name == _INTERVALS:
+        return f"CREATE OR REPLACE TEMP MACRO {_INTERVALS}(source) AS TABLE {INTERVALS}"
+    formula = RELATIONS_OF_INTERVALS[name].formula
+    return f"CREATE OR REPLACE TEMP MACRO {name}(a, b) AS ({formula})"
 
 
-def drop_macro(name: str) -> str:
-    """Returns the statement that drops a macro that has no schema before its name."""
-    kind = "MACRO TABLE" if name in TABLE_MACRO_NAMES else "MACRO"
-    return f"DROP {kind} IF EXISTS {_dotted(('temp', 'main'), name)}"
+def _macro_comment(name: str, schema: str | None) -> str:
+    """Returns the statement that comments on a macro."""
+    if name in _RELATIONS:
+        return _RELATIONS[name].comment(schema)
+    place = _dotted(("temp", "main") if schema is None else (schema,), name)
+    if name in _PAIR_TABLES:
+        kind, about = "MACRO TABLE", _PAIR_TABLES[name].about
+    elif name == _INTERVALS:
+        kind, about = "MACRO TABLE", ABOUT_INTERVALS
+    else:
+        kind, about = "MACRO", RELATIONS_OF_INTERVALS[name].about
+    return f"COMMENT ON {kind} {place} IS {exp.Literal.string(about).sql('duckdb')}"
 
 
-def _intervals_macro() -> str:
-    return f"CREATE OR REPLACE TEMP MACRO {_INTERVALS}(source) AS TABLE {INTERVALS}"
+def drop_macro(name: str, schema: str | None = None) -> str:
+    """Returns the statement that drops a macro, or one that has no schema before its name."""
+    kind = "MACRO TABLE" if name in _WITH_TABLE else "MACRO"
+    place = ("temp", "main") if schema is None else (schema,)
+    return f"DROP {kind} IF EXISTS {_dotted(place, name)}"
 
 
-def _interval_macro(name: str) -> str:
-    return f"CREATE OR REPLACE TEMP MACRO {name}(a, b) AS ({RELATIONS_OF_INTERVALS[name].formula})"
-
-
-def _interval_statements() -> Iterator[str]:
-    """Yields the statements for intervals of rows, and for the relations of intervals."""
-    yield _intervals_macro()
-    about = exp.Literal.string(ABOUT_INTERVALS).sql("duckdb")
-    yield f"COMMENT ON MACRO TABLE temp.main.intervals IS {about}"
-    for name, allen in RELATIONS_OF_INTERVALS.items():
-        if name not in RELATIONS:  # otherwise the relation's macro has it
-            yield _interval_macro(name)
-            about = exp.Literal.string(allen.about).sql("duckdb")
-            yield f"COMMENT ON MACRO temp.main.{name} IS {about}"
-
-
-def relations_with_tables() -> Iterator[Relation]:
-    """Yields the relations that read tables of their entities' world."""
-    return (relation for relation in RELATIONS.values() if relation.tables)
-
-
-def formula_statements(names: Iterable[str], schema: str) -> Iterator[str]:
-    """Yields the statements that add relations without tables to a world's schema."""
-    for name in names:
-        yield RELATIONS[name].macro(schema, inside=True)
-        yield RELATIONS[name].comment(schema)
-
-
-def drop_statements(world: str, *, described: bool, formulas: Iterable[str] = ()) -> Iterator[str]:
-    """Yields the statements that drop a world's views and macros.
-
-    Args:
-        world: the schema of the world.
-        described: whether it has macros.
-        formulas: the relations without tables that it has.
-    """
-    names = [("VIEW", table) for table in TABLES]
-    names += [("MACRO", relation.name) for relation in relations_with_tables() if described]
-    names += [("MACRO", name) for name in formulas]
-    for kind, name in names:
-        place = exp.table_(name, db=world, quoted=True)
-        yield exp.Drop(tables=[place], kind=kind, exists=True).sql("duckdb")
-    for table in TABLE_MACROS if described else ():
-        yield f"DROP MACRO TABLE {_dotted((world,), table.name)}"
+def drop_statements(world: str, macros: Iterable[str]) -> Iterator[str]:
+    """Yields the statements that drop the views of a world and its macros, by their names."""
+    for table in TABLES:
+        yield f"DROP VIEW IF EXISTS {_dotted((world,), table)}"
+    for name in sorted(macros):
+        yield drop_macro(name, world)
 
 
 def _comments(schema: str, *, recorded: bool) -> Iterator[str]:

@@ -11,12 +11,11 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 
-import duckdb
 from sqlglot import exp
 
 from ssduck.database.binding import BoundWorld
 from ssduck.database.connection import Connection
-from ssduck.database.referenced_tables import token_spans
+from ssduck.database.referenced_tables import COMMENT
 from ssduck.database.schemas import Schemas
 from ssduck.database.statement import NAME_PREFIX
 from ssduck.database.worlds import WorldRegistry
@@ -28,21 +27,16 @@ from ssduck.recording.stores.model_tables import RUN_SCHEMA
 _HARMLESS = frozenset(
     ("SELECT", "WITH", "EXPLAIN", "INSERT", "UPDATE", "DELETE", "MERGE_INTO", "COPY")
 )
-# Statements that may read a record, and the words that end the part that names what they write.
-_ENDS = {
-    "CREATE": frozenset(("AS", "SELECT", "FROM")),
-    "COPY": frozenset(("SELECT", "FROM", "TO")),
-}
-# The word of these that says that COPY reads what it names before.
-_READS = "TO"
-# The words of statements that change rows, in a query of WITH or behind EXPLAIN ANALYZE, too.
-_CHANGING = frozenset(("INSERT", "UPDATE", "DELETE", "TRUNCATE", "MERGE", "COPY"))
-_DEFINING = frozenset(("CREATE", "DROP", "ALTER", "EXECUTE", "CALL"))
-_NO_CODE = frozenset((duckdb.token_type.comment, duckdb.token_type.string_const))
+# Comments and texts; in a name between quotes, neither begins.
+_NO_CODE = re.compile(r"""("(?:[^"]|"")*")|'(?:[^']|'')*'|--[^\n]*|/\*.*?\*/""", re.DOTALL)
 _RECORDS = "SELECT schema_name FROM duckdb_schemas() WHERE contains(schema_name, $1)"
-# The settings of the schemas that may be omitted, and their values that are what is written.
-_SEARCH_PATH = ("schema", "search_path")
-_WRITTEN_OUT = re.compile(r"""'[^']*'|"[^"]*"|\w+""")
+# What sets the schemas that may be omitted, and the values that are what is written.
+_SETS_PATH = re.compile(
+    r'\s*(?:SET|PRAGMA)\s+(?:(?:SESSION|LOCAL|GLOBAL)\s+)?"?(schema|search_path)"?\s*(?:=|TO\b)?'
+    r"\s*(.*?)[\s;]*",
+    re.IGNORECASE | re.DOTALL,
+)
+_WRITTEN_OUT = re.compile(r"""'[^']*'|"[^"]*"|\w+|\$\$\w*\$\$""")
 _BEGINS = re.compile(r"\s*(BEGIN|START)\b", re.IGNORECASE)
 # The views and macros in worlds' schemas, and the views of their rows.
 _CATALOG = """
@@ -101,7 +95,8 @@ class OwnCatalog:
         for kind, text in statements:
             if kind in ("SELECT", "EXPLAIN"):
                 continue
-            named = _written(kind, text).casefold()
+            named = text if kind == "SET" else _NO_CODE.sub(r" \1 ", text)
+            named = named.casefold()
             if NAME_PREFIX.casefold() in named:
                 raise SqlError(f"names that begin with {NAME_PREFIX!r} are ssduck's own")
             for (schema,) in rows:
@@ -170,75 +165,20 @@ class OwnCatalog:
             self._schemas.make(schema, bound)
 
 
-def _words(text: str) -> list[str]:
-    """Returns the words and signs of a statement, without comments and texts.
-
-    Words are in capital letters, but for names, which are as they are written.
-    """
-    return [
-        word.upper() if kind == duckdb.token_type.keyword else word
-        for kind, word in _kinds_and_tokens(text)
-        if kind not in _NO_CODE
-    ]
-
-
-def _tokens(text: str) -> list[str]:
-    """Returns the words, signs and texts of a statement, without comments."""
-    comment = duckdb.token_type.comment
-    return [word for kind, word in _kinds_and_tokens(text) if kind != comment]
-
-
-def _kinds_and_tokens(text: str) -> Iterator[tuple[duckdb.token_type, str]]:
-    letters = text.encode()
-    for kind, start, end in token_spans(duckdb.tokenize(text), len(letters)):
-        yield kind, letters[start:end].decode().strip()
-
-
 def _kind_run(kind: str, text: str) -> str:
     """Returns the kind of a statement; that of EXPLAIN ANALYZE, which runs it, is told apart."""
-    if kind != "EXPLAIN":
-        return kind
-    words = [word.upper() for word in _words(text)]
-    is_run = "ANALYZE" in words and not (_CHANGING | _DEFINING).isdisjoint(words)
+    is_run = kind == "EXPLAIN" and re.search(r"\bANALYZE\b", text, re.IGNORECASE)
     return "EXPLAIN ANALYZE" if is_run else kind
-
-
-def _written(kind: str, text: str) -> str:
-    """Returns the part of a statement that names what it changes, or all of it."""
-    if kind not in ("INSERT", "WITH", *_ENDS):
-        return text
-    words = _words(text)
-    if kind == "WITH":  # if it changes nothing, the words were those of a text or a comment
-        return "" if (_CHANGING | _DEFINING).isdisjoint(words) else text
-    changes = [word for word in words if word in _CHANGING and word != kind]
-    may_change = kind == "CREATE" or "WITH" in words  # a trigger; a query of WITH
-    if may_change and (changes or words.count(kind) > 1):
-        return text
-    if kind in _ENDS:
-        end = next((place for place, word in enumerate(words) if word in _ENDS[kind]), None)
-        if kind == "COPY" and end is not None and words[end] == _READS:
-            return ""
-        return " ".join(words[:end])
-    start = words.index("INTO") + 1
-    end = start + 1
-    while words[end : end + 1] == ["."]:
-        end += 2
-    return " ".join(words[start:end])
 
 
 def _check_search_path(statements: Sequence[tuple[str, str]]) -> None:
     """Checks that a schema that may be omitted is written out: `_check_names` looks for it."""
-    for text in (text for kind, text in statements if kind == "SET"):
-        parts = [part for part in _tokens(text) if part not in ("=", ";")]
-        folded = [part.strip('"').casefold() for part in parts]
-        place = next((folded.index(name) for name in _SEARCH_PATH if name in folded), None)
-        if place is None or folded[0] == "use" or "variable" in folded[:place]:
-            continue
-        value = parts[place + 1 + (folded[place + 1 : place + 2] == ["to"]) :]
-        if len(value) > 1 or not all(map(_WRITTEN_OUT.fullmatch, value)):
+    for text in (text for kind, text in statements if kind in ("SET", "PRAGMA")):
+        setting = _SETS_PATH.fullmatch(COMMENT.sub(" ", text))
+        if setting is not None and not _WRITTEN_OUT.fullmatch(setting[2]):
+            name = setting[1].lower()
             raise SqlError(
-                f"SET {folded[place]} takes a name that is written out here, as in "
-                f"SET {folded[place]} = 'main'"
+                f"SET {name} takes a name that is written out here, as in SET {name} = 'main'"
             )
 
 

@@ -229,8 +229,8 @@ class RawSql:
         """Takes note of what views and macros from before read: any statement may use them."""
         for text in stored_queries(self._connection, of_attached=of_attached):
             self._has_stored_queries = True
-            self._schemas.note_formulas(text)
             words = words_of(text)
+            self._schemas.note_stored(words.words)
             self._references.persistent |= words.tables
             if words.has_semi_joins and self._has_range_joins:
                 self._connection.run(NO_RANGE_JOINS)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from functools import lru_cache
@@ -12,7 +12,7 @@ import duckdb
 
 from ssduck.database.binding import BoundWorld
 from ssduck.database.macros import TABLE_MACROS
-from ssduck.errors import LimitError, SourceSpan, SqlError
+from ssduck.errors import SqlError
 from ssduck.formatting import short_repr
 from ssduck.schema import MARGINS, MASSES, TABLES
 from ssduck.sql.relations.registry import RELATIONS
@@ -35,7 +35,6 @@ _WORD = re.compile(r"\w+", re.ASCII)
 _UNQUALIFIED = re.compile(r'(?<!\.)(?<!\.")\b\w+', re.ASCII)
 _OF_RECORDS = re.compile(r"_(?:history|model)$")
 _BETWEEN = r"(?:\s|/\*(?:(?!\*/).)*\*/|--[^\n]*(?:\n|\Z))*"
-_QUALIFIED_CALL = re.compile(rf'\.{_BETWEEN}"?(\w+)"?{_BETWEEN}\(', re.ASCII | re.DOTALL)
 # A query of WITH that changes rows or writes a file.
 _CHANGING = re.compile(
     rf"[()]{_BETWEEN}(?:INSERT|UPDATE|DELETE|MERGE|COPY|EXECUTE)\b", re.IGNORECASE | re.DOTALL
@@ -60,11 +59,6 @@ _READS_CATALOG = re.compile(
 _CHANGES_SEARCH_PATH = re.compile(r"\b(USE|search_path|schema)\b", re.IGNORECASE)
 COMMENT = re.compile(r"/\*.*?\*/|--[^\n]*", re.DOTALL)
 
-# DuckDB's parser, which cannot be interrupted, takes long for more words or more nested brackets.
-MAX_TOKENS = 20_000
-MAX_BRACKETS = 100
-MAX_LETTERS = 2_000_000
-
 
 def _tables_of(word: str) -> frozenset[str]:
     """Returns the tables that a word refers to: a table's name, or a relation that reads tables."""
@@ -85,7 +79,6 @@ class StatementWords:
         tables: the tables that they refer to.
         stores_a_query: whether it makes a view, a macro or a prepared statement.
         changes_search_path: whether it may change the schemas that may be omitted.
-        formulas: the relations without tables that it may call with a schema before them.
         reads_recorded_masses: whether it reads recorded masses: the column, or all columns.
         reads_catalog: whether it may read the catalog, or names that its text does not have.
         omits_schema: whether a table has no schema before it.
@@ -97,7 +90,6 @@ class StatementWords:
     tables: frozenset[str]
     stores_a_query: bool
     changes_search_path: bool
-    formulas: frozenset[str]
     reads_recorded_masses: bool
     reads_catalog: bool
     omits_schema: bool
@@ -139,7 +131,6 @@ def words_of(sql: str) -> StatementWords:
         tables=frozenset(table for word in words for table in _tables_of(word)),
         stores_a_query=_STORES_A_QUERY.search(sql) is not None,
         changes_search_path=_CHANGES_SEARCH_PATH.search(sql) is not None,
-        formulas=frozenset(qualified_formulas(sql)),
         reads_recorded_masses=_MASS_HISTORIES.search(sql) is not None
         and _MASS_OR_ALL.search(sql) is not None,
         reads_catalog=_READS_CATALOG.search(sql) is not None,
@@ -204,51 +195,3 @@ class ReferencedTables:
                 or any(schema.casefold() in words.folded for schema in entry.schemas)
             )
         ]
-
-
-def qualified_formulas(sql: str) -> set[str]:
-    """Returns the relations without tables that a statement may call with a schema before them."""
-    called = (_RELATIONS.get(name.lower()) for name in _QUALIFIED_CALL.findall(sql))
-    return {relation.name for relation in called if relation is not None and not relation.tables}
-
-
-def check_length(sql: str) -> None:
-    """Checks that DuckDB can parse a statement in a short time; parsing cannot be interrupted."""
-    if len(sql) > MAX_LETTERS:
-        raise LimitError(
-            f"the SQL has {len(sql):,} letters; under a limit it may have {MAX_LETTERS:,}"
-        )
-    try:
-        letters = sql.encode()
-    except UnicodeEncodeError as error:
-        raise SqlError(
-            f"the SQL has half of a surrogate pair as its letter {error.start + 1}: write the "
-            "whole character"
-        ) from None
-    words = duckdb.tokenize(sql)
-    if len(words) > MAX_TOKENS:
-        raise LimitError(f"the SQL has {len(words)} words; under a limit it may have {MAX_TOKENS}")
-    depth = 0
-    for offset, _ in words:
-        depth += _NESTING.get(letters[offset], 0)
-        if depth > MAX_BRACKETS:
-            start = len(letters[:offset].decode())
-            message = f"the SQL is nested deeper than {MAX_BRACKETS} brackets"
-            raise LimitError(message, text=sql, span=SourceSpan(start, start + 1))
-
-
-def token_spans(
-    tokens: Sequence[tuple[int, duckdb.token_type]], length: int
-) -> Iterator[tuple[duckdb.token_type, int, int]]:
-    """Yields the kind, the begin and the end of each token; what follows it belongs to it.
-
-    Args:
-        tokens: what `duckdb.tokenize` returns: places in the text in UTF-8, and kinds.
-        length: the length of that text, bytes.
-    """
-    ends = (*(start for start, _ in tokens[1:]), length) if tokens else ()
-    for (start, kind), end in zip(tokens, ends, strict=True):
-        yield kind, start, end
-
-
-_NESTING = {**dict.fromkeys(b"([{", 1), **dict.fromkeys(b")]}", -1)}

@@ -13,14 +13,13 @@ from sqlglot import exp
 from ssduck.database.binding import BoundWorld, Buffer, WorldHistory
 from ssduck.database.connection import Connection
 from ssduck.database.macros import (
+    MACRO_NAMES,
+    WORLD_MACROS,
     description_script,
     drop_macro,
     drop_statements,
-    formula_statements,
     macro_statement,
-    macros_among,
 )
-from ssduck.database.referenced_tables import qualified_formulas
 from ssduck.errors import SqlError
 from ssduck.recording.spec import not_recorded_message
 from ssduck.recording.stores.base import VisibleRows
@@ -50,15 +49,13 @@ class Schemas:
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
-        # The schemas with macros and comments; None if there are no macros at all.
+        # The schemas with all macros and comments; None before anything needed these.
         self._described: set[str] | None = None
-        # Before that, the macros that queries have named, by schema and name, and the worlds.
-        self._named: set[tuple[str | None, str]] = set()
-        self._named_for: tuple[tuple[str, ...], str | None] = ((), None)
-        # The relations without tables that are macros of each schema.
-        self._formulas: dict[str, set[str]] = {}
-        # Those that views and macros in a file call.
-        self._stored_formulas: set[str] = set()
+        # The macros that are there, by schema and name, and the worlds that they are of.
+        self._macros: set[tuple[str | None, str]] = set()
+        self._macros_for: tuple[tuple[str, ...], str | None] = ((), None)
+        # The words of the views and macros that a file has from before.
+        self._stored_words: set[str] = set()
         # The views of histories, by schema and name, of which not all files were checked.
         self._partly_made: set[tuple[str, str]] = set()
 
@@ -76,7 +73,7 @@ class Schemas:
         In memory, a view is made when a statement names it. In a file, statements of other programs
         read the views, too.
         """
-        self._forget(name)
+        self.forget(name)
         self._partly_made = {made for made in self._partly_made if made[0] != name}
         on_demand = self._connection.on_demand
         for table in HISTORIES.values():
@@ -130,80 +127,61 @@ class Schemas:
         """Whether all macros and comments have been made once."""
         return self._described is not None
 
-    def provide(self, words: AbstractSet[str], names: Sequence[str], only: str | None) -> None:
-        """Creates the views and macros that a query names.
+    def note_stored(self, words: AbstractSet[str]) -> None:
+        """Takes note of the words of a view or a macro in a file: any statement may use it."""
+        self._stored_words |= words
+
+    def provide(
+        self,
+        words: AbstractSet[str],
+        names: Sequence[str],
+        only: str | None,
+        recorded: Collection[str] | None,
+    ) -> None:
+        """Creates the views and macros that a statement needs.
 
         Args:
-            words: the words of the query, in small letters.
+            words: the words of the statement, in small letters.
             names: the names of all schemas of worlds.
             only: the schema of the only world; None if there are several worlds.
+            recorded: the schemas of recorded worlds, for all views, macros and comments; None for
+                those views and macros that the words name.
         """
         connection = self._connection
-        if self._named_for != (worlds := (tuple(names), only)):
-            self._drop_named()
-            self._named_for = worlds
-        connection.on_demand.make_named(words, connection)
-        for name in sorted(macros_among(words)):
+        if self._macros_for != (worlds := (tuple(names), only)):
+            self._drop_unqualified()
+            self._macros_for = worlds
+        if recorded is None:
+            connection.on_demand.make_named(words, connection)
+        else:
+            connection.on_demand.make_all(connection)
+            if self._described != set(names):
+                connection.run(description_script(tuple(names), only, frozenset(recorded)))
+                self._described = set(names)
+                self._macros |= {(None, name) for name in MACRO_NAMES}
+                self._macros |= {(schema, name) for schema in names for name in WORLD_MACROS}
+        for name in sorted(MACRO_NAMES & (words | self._stored_words)):
             for schema in (None, *names):
-                if (schema, name) in self._named:
-                    continue
-                statement = macro_statement(name, schema, only)
-                if statement is not None:
-                    connection.on_demand.provide(statement, connection)
-                    connection.define(statement)
-                self._named.add((schema, name))
+                if (schema, name) not in self._macros:
+                    statement = macro_statement(name, schema, only)
+                    if statement is not None:
+                        connection.on_demand.provide(statement, connection)
+                        connection.define(statement)
+                    self._macros.add((schema, name))
 
-    def _drop_named(self) -> None:
+    def _drop_unqualified(self) -> None:
         """Drops the macros that have no schema before their name: they depend on the worlds."""
-        for schema, name in sorted(self._named, key=str):
-            if schema is None:
-                self._connection.define(drop_macro(name))
-        self._named = {named for named in self._named if named[0] is not None}
+        dropped = [drop_macro(name) for schema, name in self._macros if schema is None]
+        if dropped:
+            self._connection.define(";\n".join(dropped))
+        self._macros = {made for made in self._macros if made[0] is not None}
+        self._described = None if self._described is None else set()
 
     def forget(self, name: str) -> None:
         """Has the macros and comments of a schema made anew."""
-        self._described = None
-        self._formulas.pop(name, None)
-        self._named = {named for named in self._named if named[0] != name}
-
-    def are_described(self, names: Collection[str]) -> bool:
-        """Checks whether the macros and comments are those of these schemas."""
-        return self._described == set(names)
-
-    def describe(self, names: Sequence[str], only: str | None, recorded: Collection[str]) -> None:
-        """Creates the macros of relations, and the comments on tables.
-
-        Args:
-            names: the names of all schemas of worlds.
-            only: the schema of the only world; None if there are several worlds.
-            recorded: the schemas of recorded worlds.
-        """
-        self._drop_named()
-        known = None if self._described is None else frozenset(self._described)
-        script = description_script(tuple(names), only, known, frozenset(recorded))
-        self._connection.run(script)
-        self._described = set(names)
-
-    def note_formulas(self, stored: str) -> None:
-        """Takes note of the relations without tables that a view or a macro in a file calls."""
-        self._stored_formulas |= qualified_formulas(stored)
-
-    def make_formulas(self, called: Collection[str], names: Sequence[str]) -> None:
-        """Creates the macros of relations without tables in schemas, if a statement calls them.
-
-        All of them in all schemas would take longer than a statement. Views and macros in a file
-        may call them, too.
-
-        Args:
-            called: the relations that the statement calls with a schema before them.
-            names: the names of all schemas of worlds.
-        """
-        needed = set(called) | self._stored_formulas
-        for name in names if needed else ():
-            existing = self._formulas.setdefault(name, set())
-            for statement in formula_statements(sorted(needed - existing), name):
-                self._connection.run(statement)
-            existing |= needed
+        if self._described is not None:
+            self._described.discard(name)
+        self._macros = {made for made in self._macros if made[0] != name}
 
     def drop(self, schema: str, history: WorldHistory | None) -> None:
         """Drops a schema whose world is gone; in a file its history stays."""
@@ -212,21 +190,13 @@ class Schemas:
         else:
             self._connection.drop_schema(schema)
         self._connection.on_demand.withdraw_schema(schema)
-        self._forget(schema)
-
-    def _forget(self, schema: str) -> None:
-        """Takes note that a schema lacks its macros."""
-        if self._described is not None:
-            self._described.discard(schema)
-        self._named = {named for named in self._named if named[0] != schema}
+        self.forget(schema)
 
     def detach(self, schema: str, history: WorldHistory | None) -> None:
         """Drops the parts of a schema that need ssduck."""
         if self._connection.is_file:
             self._detach_history(schema, history)
-        described = schema in (self._described or ())
-        formulas = self._formulas.pop(schema, ())
-        for statement in drop_statements(schema, described=described, formulas=formulas):
+        for statement in drop_statements(schema, [n for own, n in self._macros if own == schema]):
             self._connection.run(statement)
 
     def _detach_history(self, schema: str, history: WorldHistory | None) -> None:

@@ -13,7 +13,7 @@ import duckdb
 import pyarrow as pa
 
 from ssduck.database.file_paths import damage_text, is_damage, log_of
-from ssduck.database.running.interrupts import translated
+from ssduck.database.running import translated
 from ssduck.errors import RecordError, SqlError
 from ssduck.recording.opened_record import OpenedRecord
 

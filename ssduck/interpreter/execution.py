@@ -336,7 +336,7 @@ class Execution(Namespace):
         validation.text(text, "eval takes a text")
         self._program_texts.append(text)
         try:
-            program = parse(text, self._limits.words)
+            program = parse(text)
             if program.explain:
                 return self.explanation(program)
             return self._value_of(program, frame)

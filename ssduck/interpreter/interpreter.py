@@ -212,7 +212,7 @@ class Interpreter(
         ...     ss.eval(program)
         2
         """
-        return CompiledProgram(text, parse(text, self._limits.words), self._execution.sql_of)
+        return CompiledProgram(text, parse(text), self._execution.sql_of)
 
     def eval(
         self,
@@ -258,7 +258,7 @@ class Interpreter(
         if parameters:
             with self._execution.with_parameters(parameters):
                 return self.eval(program)
-        compiled, execution = tree_of(program, self._limits), self._execution
+        compiled, execution = tree_of(program), self._execution
         if self._batches is not None and (batch := self._batches.batch_of(compiled)) is not None:
             return self._batches.value(compiled, batch)
         with execution.transaction(compiled):
@@ -287,7 +287,7 @@ class Interpreter(
         Raises:
             SelectScriptError: as `eval` does.
         """
-        compiled = tree_of(program, self._limits)
+        compiled = tree_of(program)
         with self._execution.transaction(compiled):
             return self._execution.explanation(compiled)
 

@@ -11,7 +11,6 @@ from ssduck.errors import ArgumentError
 from ssduck.formatting import short_repr
 from ssduck.language.parser import parse
 from ssduck.language.tree import AdapterClause, Literal, Program, Query
-from ssduck.limits import Limits
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,18 +38,17 @@ class CompiledProgram:
         return self._sql_of(self.tree, dialect)
 
 
-def tree_of(program: str | CompiledProgram, limits: Limits) -> Program:
+def tree_of(program: str | CompiledProgram) -> Program:
     """Returns the syntax tree of a program given as text or compiled.
 
     Raises:
         ArgumentError: the program is neither.
         ParseError: the text is no program; the error has the place.
-        LimitError: the text is too long.
     """
     if isinstance(program, CompiledProgram):
         return program.tree
     text = validation.text(program, "a program is a text or a compiled program")
-    return parse(text, limits.words)
+    return parse(text)
 
 
 def rows_to_show(compiled: CompiledProgram, evaluate: Callable[[CompiledProgram], Any]) -> Any:

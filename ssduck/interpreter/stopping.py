@@ -6,7 +6,7 @@ import contextlib
 import threading
 from collections.abc import Iterator
 
-from ssduck.database.running.interrupts import DEADLINES
+from ssduck.database.running import DEADLINES
 from ssduck.interpreter.interpreter import Interpreter
 
 

@@ -87,7 +87,7 @@ class ProgramQuestion(Question):
 
     @property
     def _tree(self) -> Program:
-        return parse(self.text, None if self.limits is None else self.limits.words)
+        return parse(self.text)
 
     @property
     def is_batchable(self) -> bool:

@@ -14,13 +14,13 @@ from typing import NoReturn
 
 from sqlglot.tokenizer_core import Token, TokenType
 
-from ssduck.errors import LimitError, ParseError, SourceSpan, nearest
+from ssduck.errors import ParseError, SourceSpan, nearest
 from ssduck.formatting import RESERVED_WORDS
 from ssduck.language.operator_chains import OperandRow
 from ssduck.language.sql_suggestions import STATEMENTS
 from ssduck.language.sql_syntax import CHAIN_OF_EQUALS, RELATIONAL, SqlForms, numbered_column
 from ssduck.language.token_cursor import LEVEL_OF, is_kind, is_word, slice_of, span_of
-from ssduck.language.tokenizer import LETTERS_PER_WORD, divisions, tokenize, unquoted
+from ssduck.language.tokenizer import divisions, tokenize, unquoted
 from ssduck.language.tree import (
     AdapterClause,
     Assignment,
@@ -50,7 +50,7 @@ def is_reserved(name: str) -> bool:
     return name.upper() in RESERVED_WORDS or name.upper() in ("TRUE", "FALSE", "THIS")
 
 
-def parse(text: str, max_words: int | None = None) -> Program:
+def parse(text: str) -> Program:
     """Parses a program.
 
     >>> parse("1 + 2 * 3;").statements[0].outline()
@@ -68,31 +68,20 @@ def parse(text: str, max_words: int | None = None) -> Program:
 
     Args:
         text: statements, each ended by `;` (the last may go without).
-        max_words: the largest number of words and signs, and a tenth of that of letters; None for
-            no limit.
 
     Returns:
         The program's tree; the same object for the same text, unless it is long.
 
     Raises:
         ParseError: the text is not a program; the error has the place.
-        LimitError: the text is too long.
     """
-    if max_words is not None and len(text) > LETTERS_PER_WORD * max_words:
-        raise LimitError(f"the program has {len(text):,} letters, too many under a limit of time")
     if len(text) <= _SHORT:
-        return _short_program(text, max_words)
-    return (_long_program if len(text) <= _LONG else _program)(text, max_words)
+        return _short_program(text)
+    return (_long_program if len(text) <= _LONG else _program)(text)
 
 
-def _program(text: str, max_words: int | None) -> Program:
-    tokens = tokenize(text)
-    if max_words is not None and len(tokens) > max_words:
-        raise LimitError(
-            f"the program has {len(tokens):,} words and signs; under a limit of time it may have "
-            f"{max_words:,}"
-        )
-    return _Parser(text, tokens).program()
+def _program(text: str) -> Program:
+    return _Parser(text, tokenize(text)).program()
 
 
 # The trees of long programs take much memory.

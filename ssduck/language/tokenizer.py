@@ -13,9 +13,6 @@ from sqlglot.tokens import Tokenizer
 
 from ssduck.errors import ParseError, SourceSpan
 
-# Under a limit, a program may have this many letters for each word.
-LETTERS_PER_WORD = 10
-
 
 class SelectScriptTokenizer(Tokenizer):
     """sqlglot's tokenizer with SelectScript's quotes, comments and operators.

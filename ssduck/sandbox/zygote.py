@@ -71,7 +71,7 @@ def _prepare(orders: socket.socket) -> bool:
         # What is made of the relations is kept with them, for all workers.
         from ssduck.database.macros import description_script
 
-        description_script(("kitchen",), "kitchen", None, frozenset())
+        description_script(("kitchen",), "kitchen", frozenset())
         check_one_thread()
     except Exception as error:  # noqa: BLE001  # the host tells of it
         orders.send(FAILED + f"{type(error).__name__}: {error}".encode()[:1000])

@@ -13,9 +13,9 @@ import duckdb
 import pytest
 
 import ssduck
+from ssduck.database import running as ctrl_c
 from ssduck.database.connection import Connection
 from ssduck.database.database import Database
-from ssduck.database.running import interrupts as ctrl_c
 from ssduck.errors import SqlError
 from ssduck.limits import Limits
 from tests.support.timing import HANGS
@@ -225,38 +225,15 @@ def wakeup():
     writer.close()
 
 
-@pytest.mark.parametrize("depth", [1, 2])
-def test_whoever_was_told_of_signals_is_told_still(database, wakeup, depth):
+def test_whoever_was_told_of_signals_is_told_still(database, wakeup):
     def work():
-        if depth == 2:
-            with ssduck.Interpreter() as inner:
-                inner._database.connection._execute("", lambda: signal.raise_signal(signal.SIGTERM))
-        else:
-            signal.raise_signal(signal.SIGTERM)
+        with ssduck.Interpreter() as inner:
+            inner._database.connection._execute("", lambda: signal.raise_signal(signal.SIGTERM))
         swallowed(list)
 
     with pytest.raises(KeyboardInterrupt):
         database._execute("", work)
     assert wakeup.recv(64) == bytes([signal.SIGTERM, signal.SIGINT])
-
-
-def test_the_thread_tells_while_the_statement_runs(database, wakeup):
-    def work():
-        signal.raise_signal(signal.SIGTERM)
-        wakeup.settimeout(60)
-        return wakeup.recv(64)
-
-    assert database._execute("", work) == bytes([signal.SIGTERM])
-
-
-def test_one_who_reads_no_more_is_no_hindrance(database, wakeup):
-    wakeup.close()
-
-    def work():
-        signal.raise_signal(signal.SIGTERM)
-        return "done"
-
-    assert database._execute("", work) == "done"
 
 
 # -- nothing stays behind -------------------------------------------------------------------
@@ -353,7 +330,7 @@ def test_a_line_that_could_not_be_opened_is_opened_the_next_time(monkeypatch, da
 
 FORKED = """
 import os, signal, ssduck
-from ssduck.database.running import interrupts as ctrl_c
+from ssduck.database import running as ctrl_c
 
 def in_child():
     assert signal.set_wakeup_fd(-1) == -1

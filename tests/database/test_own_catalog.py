@@ -161,9 +161,9 @@ def test_what_users_create_is_theirs(ss, tmp_path):
 
 
 READING = [
-    "COPY room_record_0.\"entities model\" TO '{}'",
-    "COPY room_record_0.\"entities model\" (id, name) TO '{}' (FORMAT csv)",
-    "COPY (FROM room_record_0.\"entities model\") TO '{}'",
+    "COPY room.entities_history TO '{}'",
+    "COPY room.entities_history (id, name) TO '{}' (FORMAT csv)",
+    "COPY (FROM room.entities_history) TO '{}'",
 ]
 
 
@@ -220,7 +220,7 @@ def test_a_file_keeps_its_record(tmp_path):
         ):
             with pytest.raises(SqlError):
                 ss.sql(text)
-        ss.sql("CREATE TABLE summary AS SELECT max(tick) AS t FROM room_record_0.entities_history")
+        ss.sql("CREATE TABLE summary AS SELECT max(tick) AS t FROM room.entities_history")
         before = answers(ss)
     with ssduck.open(path) as ss:
         assert answers(ss) == before

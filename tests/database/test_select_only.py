@@ -67,55 +67,54 @@ def test_queries_of_known_names_have_the_rows_that_they_have_without_limits(stri
     assert strict.sql(text).fetchall() == free.sql(text).fetchall() != []
 
 
-# A text, and what its error says.
 REFUSED = [
-    ("DROP SCHEMA kitchen_record_0 CASCADE", "not DROP"),
-    ("CREATE OR REPLACE VIEW kitchen.entities AS SELECT 1", "not CREATE"),
-    ("CREATE TEMP MACRO near(a, b) AS true", "not CREATE"),
-    ('PREPARE "ssduck statement 1" AS SELECT 1', "not PREPARE"),
-    ("EXECUTE anything", "not EXECUTE"),
-    ("DEALLOCATE anything", "not DEALLOCATE"),
-    ("BEGIN", "not BEGIN"),
-    ("COMMIT", "not COMMIT"),
-    ("CHECKPOINT", "not CHECKPOINT"),
-    ("SET threads = 8", "not SET"),
-    ("SET VARIABLE a = 1", "not SET"),
-    ("RESET threads", "not RESET"),
-    ("RESET schema", "not RESET"),
-    ("SET schema = DEFAULT", "not SET"),
-    ("/* SET */ reset -- it\n search_path", "not RESET"),
-    ("USE kitchen_record_0", "not USE"),
-    ("PRAGMA version", "not PRAGMA"),
-    ("CALL range(3)", "not CALL"),
-    ("EXPLAIN SELECT 1", "not EXPLAIN"),
-    ("INSERT INTO kitchen_record_0.entities SELECT * FROM entities", "not INSERT"),
-    ("DELETE FROM kitchen_record_0.entities", "not DELETE"),
-    ("UPDATE entities SET z = 0", "not UPDATE"),
-    ("COPY (SELECT 1) TO 'file.csv'", "not COPY"),
-    ("ATTACH 'other.db'", "not ATTACH"),
-    ("EXPORT DATABASE 'folder'", "not EXPORT"),
-    ("INSTALL httpfs", "not INSTALL"),
-    ("PIVOT entities ON kind USING count(*)", "PIVOT needs its values"),
-    ("WITH x AS (INSERT INTO mine VALUES (1) RETURNING *) FROM x", "without INSERT"),
-    ("WITH x AS (UPDATE mine SET a = 1 RETURNING *) FROM x", "without UPDATE"),
-    ("WITH x AS (DELETE FROM mine RETURNING *) FROM x", "without DELETE"),
-    ("WITH x AS (COPY (SELECT 1) TO 'file.csv') FROM x", "without COPY"),
-    ("WITH y AS (WITH x AS (DELETE FROM mine RETURNING *) FROM x) FROM y", "without DELETE"),
-    ("SELECT (WITH x AS (DELETE FROM mine RETURNING *) SELECT 1)", "without DELETE"),
-    ("FROM (WITH x AS (COPY (SELECT 1) TO 'file.csv') FROM x)", "without COPY"),
-    ("DESCRIBE WITH x AS (DELETE FROM mine RETURNING *) FROM x", "without DELETE"),
-    ("CREATE SECRET a (TYPE s3)", "one SELECT"),
-    ("COMMENT ON TABLE entities IS 'a'", "one SELECT"),
-    ("COPY entities FROM '/etc/passwd'", "not COPY"),
-    ("DETACH memory", "one SELECT"),
-    ("VACUUM", "one SELECT"),
+    'PREPARE "ssduck statement 1" AS SELECT 1',
+    "DROP SCHEMA kitchen_record_0 CASCADE",
+    "CREATE OR REPLACE VIEW kitchen.entities AS SELECT 1",
+    "CREATE TEMP MACRO near(a, b) AS true",
+    "EXECUTE anything",
+    "DEALLOCATE anything",
+    "BEGIN",
+    "COMMIT",
+    "CHECKPOINT",
+    "SET threads = 8",
+    "SET VARIABLE a = 1",
+    "RESET threads",
+    "RESET schema",
+    "SET schema = DEFAULT",
+    "/* SET */ reset -- it\n search_path",
+    "USE kitchen_record_0",
+    "PRAGMA version",
+    "CALL range(3)",
+    "EXPLAIN SELECT 1",
+    "INSERT INTO kitchen_record_0.entities SELECT * FROM entities",
+    "DELETE FROM kitchen_record_0.entities",
+    "UPDATE entities SET z = 0",
+    "COPY (SELECT 1) TO 'file.csv'",
+    "ATTACH 'other.db'",
+    "EXPORT DATABASE 'folder'",
+    "INSTALL httpfs",
+    "PIVOT entities ON kind USING count(*)",
+    "WITH x AS (INSERT INTO mine VALUES (1) RETURNING *) FROM x",
+    "WITH x AS (UPDATE mine SET a = 1 RETURNING *) FROM x",
+    "WITH x AS (DELETE FROM mine RETURNING *) FROM x",
+    "WITH x AS (COPY (SELECT 1) TO 'file.csv') FROM x",
+    "WITH y AS (WITH x AS (DELETE FROM mine RETURNING *) FROM x) FROM y",
+    "SELECT (WITH x AS (DELETE FROM mine RETURNING *) SELECT 1)",
+    "FROM (WITH x AS (COPY (SELECT 1) TO 'file.csv') FROM x)",
+    "DESCRIBE WITH x AS (DELETE FROM mine RETURNING *) FROM x",
+    "CREATE SECRET a (TYPE s3)",
+    "COMMENT ON TABLE entities IS 'a'",
+    "COPY entities FROM '/etc/passwd'",
+    "DETACH memory",
+    "VACUUM",
 ]
 
 
-@pytest.mark.parametrize(("text", "words"), REFUSED)
-def test_other_texts_are_refused_and_change_nothing(strict, text, words):
+@pytest.mark.parametrize("text", REFUSED)
+def test_other_texts_are_refused_and_change_nothing(strict, text):
     before = strict.sql("SELECT count(*), max(z) FROM entities").fetchall()
-    with pytest.raises(LimitError, match=words):
+    with pytest.raises(LimitError, match="SQL is one SELECT here"):
         strict.sql(text)
     assert strict.sql("SELECT count(*), max(z) FROM entities").fetchall() == before
     assert strict.eval("SELECT id(this) FROM kitchen WHERE isRobot(this) AS list;")
@@ -130,7 +129,7 @@ def test_no_query_of_with_writes_a_file_into_a_record(tmp_path):
     (part,) = (tmp_path / "run/entities").rglob("*.parquet")
     with ssduck.open(tmp_path / "run", limits=ssduck.Limits.strict().in_process) as ss:
         for name in (part, tmp_path / "run/new.csv"):
-            with pytest.raises(LimitError, match="without COPY"):
+            with pytest.raises(LimitError, match="one SELECT"):
                 ss.sql(f"WITH x AS (COPY (SELECT 42 AS a) TO '{name}') FROM x")
     now = {file: file.read_bytes() for file in (tmp_path / "run").rglob("*") if file.is_file()}
     assert now == files
@@ -144,7 +143,7 @@ def test_no_query_of_with_changes_a_table_of_a_file(tmp_path):
         str(tmp_path / "own.duckdb"), limits=ssduck.Limits.strict().in_process
     ) as ss:
         for change in ("DELETE FROM mine", "UPDATE mine SET a = 2", "INSERT INTO mine VALUES (3)"):
-            with pytest.raises(LimitError, match=f"without {change.split()[0]}"):
+            with pytest.raises(LimitError, match="one SELECT"):
                 ss.sql(f"WITH x AS ({change} RETURNING *) FROM x")
         assert ss.sql("FROM mine").fetchall() == [(1,)]
 
@@ -179,11 +178,6 @@ ENDED = [
         LARGE,
     ),
     ("SELECT sum(clearance(a, b)) FROM entities a, entities b, range(1000)", SLOW),
-    ("SELECT 1 WHERE " + " OR ".join(f"{i} = 1" for i in range(9000)), "words"),
-    ("SELECT " + ",".join("1" * 90_000), "words"),
-    ("SELECT '" + "a" * 3_000_000 + "'", "letters"),
-    ("/*" + "a" * 3_000_000 + "*/ SELECT 1", "letters"),
-    ("SELECT " + "(" * 101 + "1" + ")" * 101, "nested deeper than 100"),
 ]
 
 
@@ -220,15 +214,6 @@ def test_duckdb_tells_of_texts_that_it_cannot_parse(strict):
         strict.sql("SELEC 1")
     with pytest.raises(SqlError, match="depth"):
         strict.sql("SELECT " + "+".join("1" * 5000))
-
-
-def test_the_tree_is_checked_once_a_text():
-    statements = []
-    limits = ssduck.Limits.strict().in_process
-    with ssduck.Interpreter(limits=limits, tracer=statements.append) as ss:
-        for _ in range(5):
-            ss.sql("SELECT 1")
-    assert sum("json_serialize_sql" in statement for statement in statements) == 1
 
 
 @pytest.mark.slow

@@ -81,7 +81,7 @@ def _memory(name):
 
 
 TOO_LARGE, TOO_MUCH = "too large", "values of more than 50,000,000 bytes"
-TOO_LONG, DEEP = "words and signs|letters, too many", "nested deeper than 60 levels"
+DEEP = "nested deeper than 60 levels"
 VARIABLES = "the variables of programs take more than"
 DUCKDB = "more memory than available|values of more than"
 
@@ -153,23 +153,12 @@ LARGE_VALUES = [
 
 LONG_TEXTS = [
     ("(" * 100 + "1" + ")" * 100 + ";", ParseError, DEEP),
-    ("(" * 100_000 + "1" + ")" * 100_000 + ";", LimitError, TOO_LONG),
+    ("(" * 100_000 + "1" + ")" * 100_000 + ";", ParseError, DEEP),
     ("[" * 20_000 + "]" * 20_000 + ";", ParseError, DEEP),
     ("NOT " * 30_000 + "1;", ParseError, DEEP),
     ("-" * 30_000 + "1;", ParseError, DEEP),
     ("IF(1; " * 100 + "1" + ")" * 100 + ";", ParseError, DEEP),
     ("SELECT this FROM (" * 100 + "n" + " AS list)" * 100 + ";", ParseError, DEEP),
-    ("x" + "[0]" * 40_000 + ";", LimitError, TOO_LONG),
-    (_many(40_000, "1", "+") + ";", LimitError, TOO_LONG),
-    (f"[{_many(200_000, '1')}];", LimitError, TOO_LONG),
-    ("1;" * 30_000, LimitError, TOO_LONG),
-    (_many(30_000, "v{0}={0}", ";") + ";", LimitError, TOO_LONG),
-    (f"SELECT this FROM n WHERE {_many(20_000, 'this == {}', ' OR ')};", LimitError, TOO_LONG),
-    (f"SELECT {_many(9_000, 'to(this, {})')} FROM n;", LimitError, TOO_LONG),
-    (f"SELECT 1 FROM {_many(20_000, 'a{}=n')};", LimitError, TOO_LONG),
-    ("'" + "a" * 1_000_000 + "';", LimitError, TOO_LONG),
-    ("/*" + "a" * 1_000_000 + "*/ 1;", LimitError, TOO_LONG),
-    ("'" + "--'" * 300_000, LimitError, TOO_LONG),
 ]
 
 COMBINATIONS = [

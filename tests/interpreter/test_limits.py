@@ -156,23 +156,13 @@ SQL = [
     ),
     ("FROM range(1001)", "more than 1000 rows"),
     ("SELECT list(range) FROM range(100000000)", "more memory|more than 0.5 s"),
-    ("SELECT " + "(" * 5000, "nested deeper than 100 brackets"),
-    ("SELECT " + "[" * 500 + "1" + "]" * 500, "nested deeper than 100 brackets"),
-    ("SELECT 'ü', " + "{'a': (" * 60 + "1" + ")}" * 60, "nested deeper than 100 brackets"),
-    ("SELECT [" + "1, " * 200_000 + "1]", "SQL has 400004 words"),
 ]
 
 
 @pytest.mark.slow
-@sampled(("text", "words"), SQL, every=8)
+@sampled(("text", "words"), SQL, every=2)
 def test_sql_ends(strict, text, words):
     fails(strict, lambda: strict.sql(text), LimitError, words)
-
-
-def test_deep_sql_is_told_where(strict):
-    with pytest.raises(LimitError) as caught:
-        strict.sql("SELECT 'ü' || " + "(" * 200)
-    assert caught.value.column == len("SELECT 'ü' || ") + 101
 
 
 LONG_BUT_FLAT = [
