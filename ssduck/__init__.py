@@ -74,6 +74,7 @@ offer("lake", "ssduck.lakes.lake:open_lake")
 offer("sandboxed interpreter", "ssduck.sandbox.opening:interpreter")
 offer("sandboxed load", "ssduck.sandbox.opening:load")
 offer("sandboxed open", "ssduck.sandbox.opening:open_record")
+offer("spellings", "ssduck.openrave:spellings")
 offer("task", "ssduck.gym.tasks:task_env")
 offer("terms", "ssduck.gym.batch_terms:BatchTerms")
 

@@ -13,14 +13,11 @@ import ssduck
 
 PACKAGE = Path(ssduck.__file__).parent
 FRONTS = {"openrave", "snapshot", "translate", "udfs"}
-# A handle knows its world, which makes handles, and OpenRAVE's spellings of both speak of both:
-# these import the others for annotations only.
+# A handle knows its world, which makes handles: it imports the other for annotations only.
 OF_HANDLES = [
     ("ssduck.world.entities", "ssduck.world.world"),
     ("ssduck.world.handles", "ssduck.world.world"),
     ("ssduck.world.handles", "ssduck.world.entities"),
-    ("ssduck.world.openrave_names", "ssduck.world.world"),
-    ("ssduck.world.openrave_names", "ssduck.world.entities"),
 ]
 
 

@@ -34,7 +34,6 @@ from ssduck.world.handles import (
     sites_of,
 )
 from ssduck.world.layout import EntityInfo
-from ssduck.world.openrave_names import OpenRaveEntity, OpenRaveSensor
 from ssduck.world.orientations import Orientation, orientation_of
 from ssduck.world.public_names import INSTEAD_IN_ENTITIES
 from ssduck.world.sensor_readings import Reading
@@ -78,7 +77,7 @@ class JointState:
         return openness(self, self.position)
 
 
-class Entity(Handle, OpenRaveEntity):
+class Entity(Handle):
     """A handle of a robot, kinbody or sensor; its properties are those at its world's last tick.
 
     A handle from a query of the past, such as `FROM kitchen{12.5}`, is fixed to that tick.
@@ -397,7 +396,7 @@ class Robot(KinBody):
     __slots__ = ()
 
 
-class Sensor(OpenRaveSensor, Entity):
+class Sensor(Entity):
     """A handle of a sensor, with its last reading at its world's last tick.
 
     The sensor is read when its reading is requested, and again when its `period` has passed. A

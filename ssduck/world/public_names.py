@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from abc import ABCMeta
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
+from inspect import isfunction
+from types import MethodType
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from ssduck.lazy import service
 
 
 class _PublicNamesType(ABCMeta):
@@ -13,7 +17,16 @@ class _PublicNamesType(ABCMeta):
     INTERNAL_NAMES: frozenset[str]
 
     def __dir__(cls) -> Iterable[str]:
-        return [name for name in super().__dir__() if name not in cls.INTERNAL_NAMES]
+        names = (name for name in super().__dir__() if name not in cls.INTERNAL_NAMES)
+        return [*names, *service("spellings")(cls)]
+
+    if not TYPE_CHECKING:  # type checkers would allow any attribute
+
+        def __getattr__(cls, name: str) -> Any:
+            spellings = service("spellings")(cls) if name[:1].isupper() else {}
+            if name not in spellings:
+                raise AttributeError(f"type object {cls.__name__!r} has no attribute {name!r}")
+            return spellings[name]
 
 
 class PublicNames(metaclass=_PublicNamesType):
@@ -30,12 +43,16 @@ class PublicNames(metaclass=_PublicNamesType):
     INSTEAD_OF: ClassVar[Mapping[str, str]] = {}
 
     def __dir__(self) -> Iterable[str]:
-        return [name for name in super().__dir__() if name not in self.INTERNAL_NAMES]
+        names = (name for name in super().__dir__() if name not in self.INTERNAL_NAMES)
+        return [*names, *service("spellings")(type(self))]
 
-    if not TYPE_CHECKING:  # type checkers would allow any attribute
+    if not TYPE_CHECKING:
 
-        def __getattr__(self, name: str) -> NoReturn:
+        def __getattr__(self, name: str) -> Any:
             kind: Any = type(self)
+            if name[:1].isupper() and hasattr(kind, name):
+                found = getattr(kind, name)
+                return MethodType(found, self) if isfunction(found) else found
             message = f"{kind.__name__!r} object has no attribute {name!r}"
             # An attribute of the class is here if its property raised an AttributeError.
             is_unknown = not name.startswith("_") and not hasattr(kind, name)

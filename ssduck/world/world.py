@@ -46,7 +46,6 @@ from ssduck.world.entity_registry import no_entity_error, told_of_part
 from ssduck.world.excerpt import excerpt, new_folder, scene_of, write_scene
 from ssduck.world.handles import Handle, Link, links_and_sites_of
 from ssduck.world.manipulation import ManipulableSimulation
-from ssduck.world.openrave_names import OpenRaveWorld
 from ssduck.world.pictures import framing_camera
 from ssduck.world.public_names import INSTEAD_IN_WORLDS, WORLD_INTERNALS, PublicNames
 from ssduck.world.running import run
@@ -57,7 +56,7 @@ from ssduck.world.what_if import what_if_tick
 T = TypeVar("T")
 
 
-class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicNames):
+class World(ConstructibleWorld, ManipulableSimulation, PublicNames):
     """A simulation and its current tick.
 
     Use `World.load` or `World.attach` to make one. Every `step` and `tick` replaces the tables
