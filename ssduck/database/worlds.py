@@ -18,7 +18,7 @@ from ssduck.database.referenced_tables import ReadData
 from ssduck.database.schemas import Schemas, register_rows
 from ssduck.database.statement import PreparedPlans
 from ssduck.errors import ArgumentError
-from ssduck.recording.replay.replayed_world import MirroredWorld, ReplayedWorld
+from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.model_tables import ABOUT, RUN_SCHEMA
 from ssduck.recording.tags import Tags
@@ -167,9 +167,8 @@ class WorldRegistry:
         if self.episode_observer is not None:
             world.follow_episodes(self.episode_observer)
         try:
-            if isinstance(world, ReplayedWorld | MirroredWorld) and world.archive is not None:
-                archive, record = world.archive, world.source_record
-                assert record is not None
+            if isinstance(world, ReplayedWorld) and world.past is not None:
+                archive, record = world.past
                 bound.history = WorldHistory(archive, record, visible_rows=archive.visible_rows)
             if self._recording is not None and not world.is_final:
                 self._recorders.start(bound, self._recording, name or world.name)

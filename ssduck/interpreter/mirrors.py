@@ -1,34 +1,45 @@
-"""Copies of a live world in interpreters of their own: their queries do not delay the simulation.
+"""Copies of live worlds: a feed tells what is new there, as tables, and a copy takes it over.
 
-A mirror has the last tick, or any recorded one, with the ticks before it. Recorded rows in memory
-are shared, not copied. A record in a file is not mirrored: its own store has to read it, and a
-program that asks the mirror for its past gets an error that says so.
+A copy is in an interpreter of its own, so that its queries do not delay the simulation: in this
+process (`Mirror`), or in that of a sandbox. It has the last tick, or goes to any recorded one, with
+the ticks before it. Recorded rows in memory are shared in one process. A record in a file is not
+copied: its own interpreter has to read it, and a program that asks the copy for its past gets an
+error that says so.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeAlias
+
+import pyarrow as pa
 
 from ssduck.database.binding import WorldHistory
 from ssduck.errors import UnsupportedError
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.limits import Limits
-from ssduck.recording.buffers import TickBuffer
+from ssduck.recording.buffers import TickBuffer, buffer_schema, new_buffer
+from ssduck.recording.recorded_visuals import camera_of, camera_text
 from ssduck.recording.replay.record import Record
-from ssduck.recording.replay.replayed_world import MirroredWorld, ReplayedWorld
+from ssduck.recording.replay.replayed_world import CopiedWorld, ReplayedWorld
+from ssduck.recording.row_selection import RecordedRows
+from ssduck.recording.spec import Recording, description_of
+from ssduck.recording.static_tables import geometries_of, members_of, model_rows
 from ssduck.recording.stores.base import TickArchive
 from ssduck.recording.stores.memory import MemoryStore
-from ssduck.world.entities import Sensor
+from ssduck.schema import MARGINS, MASSES, RECORDABLE, recorded_tables
 from ssduck.world.layout import EntityInfo
+from ssduck.world.snapshot import Snapshot
 from ssduck.world.world import World
 
-# The schema of the models of the entities in a mirror.
-_SCHEMA = "mirrored"
-# The table of what sensors perceive.
+# The schema of the models of the entities in a copy.
+_SCHEMA = "copied"
+# The table of what sensors perceive: rays are cast for a program that asks for it only.
 _SENSINGS = "sensings"
+_Tables: TypeAlias = dict[str, pa.Table]
+_PRESENT = tuple(name for name in RECORDABLE if name != _SENSINGS)
 
 
 def history_of(ss: Interpreter, world: World) -> WorldHistory | None:
@@ -43,62 +54,365 @@ def listen_to_triggers(ss: Interpreter, listener: Callable[[str], object]) -> Ca
     return partial(listeners.remove, listener)
 
 
-class _LiveCopy(MirroredWorld):
-    """A copy of the last tick of a live world that also has what its sensors perceive there.
+# -- what is new in a world -------------------------------------------------------------------
 
-    Rays are cast in the live world, and only for a program that asks for them.
+
+@dataclass(frozen=True, eq=False)
+class WorldNews:
+    """What a copy of a world lacks: tables, texts and numbers, which any process understands.
+
+    Attributes:
+        tick: the number of the last tick.
+        time: its simulated time, s.
+        models: the rows of the models of entities that are new there, by table.
+        rows: the rows of the last tick, by table.
+        past_models: the rows of the models of entities that were recorded first, by table.
+        past: the rows of recorded ticks that are new, by table; empty if there are none.
+        first: the number of the first recorded tick that is kept.
     """
 
-    _has_sensings = False
+    tick: int
+    time: float
+    models: Mapping[str, pa.Table]
+    rows: Mapping[str, pa.Table]
+    past_models: Mapping[str, pa.Table]
+    past: Mapping[str, pa.Table]
+    first: int
 
-    def __init__(
-        self, world: World, name: str, history: _HistoryCopy | _HistoryElsewhere | None
-    ) -> None:
-        self._original = world
-        store, record = (None, None) if history is None else (history.store, history.record)
-        super().__init__(world, name, store, record)
+
+@dataclass(frozen=True, eq=False)
+class WorldDescription:
+    """What a copy is made with.
+
+    Attributes:
+        name: the name of the copy.
+        run: the number of the run of the world.
+        camera: the camera of the world.
+        recording: what is recorded of it in memory, as arguments of `Recording`; None for nothing.
+        is_elsewhere: whether its past is in a file, which the copy cannot read.
+        is_past: whether the copy goes to recorded ticks.
+    """
+
+    name: str
+    run: int
+    camera: Mapping[str, Any]
+    recording: Mapping[str, Any] | None
+    is_elsewhere: bool
+    is_past: bool
+
+
+class WorldFeed:
+    """Tells one copy of a live world what is new.
+
+    Args:
+        ss: the interpreter of the world.
+        world: the world.
+        name: the name of the copy.
+        is_past: whether the copy goes to recorded ticks; else it is of the last tick.
+
+    Attributes:
+        world: the world.
+        description: what the copy is made with.
+
+    Raises:
+        UnsupportedError: a copy of the past is requested, and no tick is recorded in memory.
+    """
+
+    def __init__(self, ss: Interpreter, world: World, name: str, *, is_past: bool = False) -> None:
+        self.world, self._owner = world, ss
+        history = self._history = history_of(ss, world)
+        is_elsewhere = history is not None and (
+            history.recorder is None or ss._database.connection.is_file  # noqa: SLF001
+        )
+        if is_past and is_elsewhere:
+            raise UnsupportedError(_past_in_a_file(name))
+        if is_past and (history is None or not len(history.record.ticks)):
+            raise UnsupportedError(
+                f"the past of {name!r} is not in memory: record it there, or open its record"
+            )
+        self._recorder = None if history is None or is_elsewhere else history.recorder
+        recording = None
+        if self._recorder is not None:
+            recording = description_of(replace(self._recorder.recording, changed=False))
+        self.description = WorldDescription(
+            name,
+            world.snapshot.run,
+            camera_text(world.camera),
+            recording,
+            is_elsewhere=is_elsewhere,
+            is_past=is_past,
+        )
+        self._rows: tuple[tuple[str, ...], RecordedRows] | None = None
+        # What the copy has: the masses of entities by id, recorded entities, geometries, ticks.
+        self._masses: dict[int, list[float]] = {}
+        self._recorded = set[int]()
+        self._geometries = set[int]()
+        self._last_recorded = 0
+        self._told: tuple[Any, ...] | None = None
 
     @property
     def is_up_to_date(self) -> bool:
-        """Whether the last tick of the world is this one, with the same sensors on."""
-        original = self._original
-        return self.tick_number == original.tick_number and _switches(self) == _switches(original)
+        """Whether the copy can follow the world: its past, and its masses, are the same."""
+        if history_of(self._owner, self.world) is not self._history:
+            return False
+        with self.world.lock:
+            self.world.request_tables((MASSES,))
+            masses = self.world.snapshot.masses
+            return all(masses.get(id, own) == own for id, own in self._masses.items())
 
-    def update(self, world: World) -> None:
-        """Copies the last tick of the world."""
-        super().update(world)
-        self._has_sensings = False
+    def news(self, tables: Collection[str] = ()) -> WorldNews | None:
+        """Returns what is new since the last call; None if nothing is.
 
-    def request_tables(self, tables: Iterable[str]) -> None:
-        """Ensures that the tick includes tables; for sensors, the last tick is copied again."""
-        requested = frozenset(tables)
-        if _SENSINGS in requested and not self._has_sensings:
-            with self._original.lock:
-                self._original.request_tables((_SENSINGS,))
-                self.update(self._original)
-            self._has_sensings = True
-        super().request_tables(requested - {_SENSINGS})
+        Args:
+            tables: tables that the last tick is to include although they are read on request only.
+        """
+        world = self.world
+        with world.lock:
+            if self._present == self._told and not tables:
+                return None
+            past_models, past, first = self._news_of_past()
+            models, rows = ({}, {}) if self.description.is_past else self._news_of_tick(tables)
+            self._told = self._present
+            return WorldNews(world.tick_number, world.time, models, rows, past_models, past, first)
 
-    def reading(self, sensor: Sensor, *, picture: bool = False) -> NoReturn:  # noqa: ARG002
-        """Raises `UnsupportedError`: a copy has no rays and no pictures."""
-        raise UnsupportedError(
-            f"the reading of {sensor.name!r} is not in a copy of a tick: read it in the world "
-            "itself, or ask for isSensing, sensingAmount or the table sensings"
+    @property
+    def _present(self) -> tuple[Any, ...]:
+        """What tells states of the world apart: the tick, and which sensors are switched on."""
+        snapshot = self.world.snapshot
+        sensors = (info.id for info in snapshot.entities if info.sensor is not None)
+        return snapshot.number, [(id, snapshot.sensing.is_on(id)) for id in sensors]
+
+    def _news_of_tick(self, more: Collection[str]) -> tuple[_Tables, _Tables]:
+        """Returns the models of new entities, and the rows of the last tick."""
+        tables = recorded_tables((*_PRESENT, *more))
+        with self.world.pinned((MASSES, MARGINS, *tables)):
+            snapshot = self.world.snapshot
+            if self._rows is None or self._rows[0] != tables or not self._rows[1].matches(snapshot):
+                self._rows = tables, RecordedRows(snapshot, tables, None)
+            selected = self._rows[1]
+            assert snapshot.state is not None
+            rows = {}
+            for table, of_table in selected.of_ticks([snapshot.state]).items():
+                buffer = new_buffer(table)
+                buffer.reserve(len(of_table), 1)
+                buffer.add(of_table)
+                rows[table] = buffer.rows()
+            new = [
+                member.with_masses(snapshot.masses.get(member.id, member.masses))
+                for member in selected.members
+                if member.id not in self._masses
+            ]
+            self._masses |= {member.id: member.masses for member in new}
+            return self._models(new, with_visuals=True), rows
+
+    def _news_of_past(self) -> tuple[_Tables, _Tables, int]:
+        """Returns the models and rows that are new in the past, and its first tick."""
+        recorder = self._recorder
+        if recorder is None or not len(recorder.ticks):
+            return {}, {}, 0
+        new = [member for id, member in recorder.members.items() if id not in self._recorded]
+        self._recorded |= {member.id for member in new}
+        first, last = (int(number) for number in recorder.ticks.numbers[[0, -1]])
+        begin, self._last_recorded = self._last_recorded + 1, last
+        rows = {}
+        if begin <= last:
+            rows = {table: recorder.fetch(table, begin, last) for table in recorder.buffers}
+        return self._models(new, with_visuals=False), rows, first
+
+    def _models(self, members: Collection[EntityInfo], *, with_visuals: bool) -> _Tables:
+        if not members:
+            return {}
+        snapshot = self.world.snapshot
+        models = model_rows(members, snapshot, self._geometries, with_visuals=with_visuals)
+        self._geometries |= set(models["geometries"]["id"].to_pylist())
+        return models
+
+
+# -- copies -----------------------------------------------------------------------------------
+
+
+class WorldCopy:
+    """A copy of a live world in an interpreter of its own.
+
+    Args:
+        ss: the interpreter, which gets the copy as a variable with the first news.
+        description: what the copy is made with.
+        request: returns the last tick with tables that are read on request only.
+    """
+
+    def __init__(
+        self,
+        ss: Interpreter,
+        description: WorldDescription,
+        request: Callable[[Collection[str]], WorldNews | None],
+    ) -> None:
+        self._ss, self._description, self._request = ss, description, request
+        self._geometries: list[pa.Table] = []
+        self._numbers: dict[str, int] = {}  # of geometries, by their keys
+        # The entities of any tick, and the rows of the last one.
+        self._members: dict[int, EntityInfo] = {}
+        self._rows: Mapping[str, pa.Table] = {}
+        self._past = _past_copy(ss, description, self._numbers)
+        self._world: ReplayedWorld | None = None
+
+    @property
+    def world(self) -> ReplayedWorld:
+        """The copy."""
+        assert self._world is not None
+        return self._world
+
+    def apply(self, news: WorldNews) -> None:
+        """Takes over what is new."""
+        if isinstance(self._past, _PastCopy):
+            self._past.apply(news, self._new(news.past_models))
+        if not self._description.is_past:
+            self._members |= self._new(news.models)
+            self._rows = news.rows
+        if self._world is None:
+            self._world = self._first(news)
+            self._ss.add_variable(self._description.name, self._world)
+        elif isinstance(self._world, CopiedWorld):
+            self._world.go_to(news.tick, news.time)
+
+    def _new(self, models: Mapping[str, pa.Table]) -> dict[int, EntityInfo]:
+        """Returns the entities of models, whose geometries may be those of earlier ones."""
+        if not models:
+            return {}
+        self._geometries.append(models["geometries"])
+        known = {**models, "geometries": pa.concat_tables(self._geometries)}
+        self._numbers |= geometries_of(models)
+        return members_of(known)
+
+    def _first(self, news: WorldNews) -> ReplayedWorld:
+        description, past = self._description, self._past
+        camera = camera_of({"camera": description.camera})
+        if description.is_past:
+            assert isinstance(past, _PastCopy)
+            return ReplayedWorld(description.name, past.record, past.store, camera)
+        present = Record(
+            None,
+            TickBuffer.from_arrays([news.tick], [news.time]),
+            self._members,
+            recorded_tables(RECORDABLE),
+            self._rows_of,
+            _no_pairs,
+            self._numbers,
+            description.run,
+            source="the copy of its last tick",
         )
+        told = None if past is None else (past.store, past.record)
+        return CopiedWorld(description.name, present, camera, told, self._with_sensings)
+
+    def _rows_of(self, table: str, *_: int) -> pa.Table:
+        return self._rows.get(table, new_buffer(table).rows())
+
+    def _with_sensings(self) -> None:
+        """Copies the last tick with what sensors perceive, for which rays are cast."""
+        news = self._request((_SENSINGS,))
+        assert news is not None
+        self.apply(news)
 
 
-def _switches(world: World) -> dict[int, bool]:
-    """Returns which sensors are switched on, by their ids."""
-    snapshot = world.snapshot
-    return {
-        info.id: snapshot.sensing.is_on(info.id)
-        for info in snapshot.entities
-        if info.sensor is not None
-    }
+def _no_pairs(_: Any) -> NoReturn:
+    raise AssertionError("no function of time asks for the last tick alone")
+
+
+@dataclass(frozen=True, eq=False)
+class _PastCopy:
+    """A copy of recorded ticks in memory."""
+
+    store: MemoryStore
+    record: Record
+    ticks: TickBuffer
+    members: dict[int, EntityInfo]
+    ids: Snapshot
+
+    def apply(self, news: WorldNews, members: Mapping[int, EntityInfo]) -> None:
+        """Takes over what is new."""
+        if members:
+            self.store.add_members(members.values(), self.ids)
+            self.members.update(members)
+        if news.past:
+            rows = {
+                table: rows.select(buffer_schema(table).names).cast(buffer_schema(table))
+                for table, rows in news.past.items()
+            }
+            self.store.add(rows)
+            numbers, times = (rows["ticks"][name].to_pylist() for name in ("tick", "time"))
+            for number, time in zip(numbers, times, strict=True):
+                self.ticks.append(number, time)
+        if len(self.ticks) and news.first > self.ticks.numbers[0]:
+            self.store.begin_at(news.first)
+            self.ticks.drop_before(news.first)
+
+
+@dataclass(frozen=True, eq=False)
+class _PastElsewhere:
+    """Recorded ticks that a copy has not: each access is an error that says why."""
+
+    store: _NoArchive
+    record: Record
+
+
+def _past_copy(
+    ss: Interpreter, description: WorldDescription, numbers: dict[str, int]
+) -> _PastCopy | _PastElsewhere | None:
+    """Returns an empty copy of recorded ticks; None if none are recorded."""
+    ticks, members, ids = TickBuffer(), dict[int, EntityInfo](), Snapshot(numbers, description.run)
+    archive: _NoArchive | MemoryStore
+    if description.is_elsewhere:
+        ticks = TickBuffer.from_arrays([0], [0.0])
+        archive = _NoArchive(description.name)
+    elif description.recording is not None:
+        recording = Recording(**description.recording)
+        connection = ss._database.connection.writer()  # noqa: SLF001  # one package
+        archive = MemoryStore(_SCHEMA, connection, recording, description.name)
+    else:
+        return None
+    record = Record(
+        None,
+        ticks,
+        members,
+        archive.tables,
+        archive.fetch,
+        lambda request: archive.near_pairs(request, None),
+        numbers,
+        description.run,
+        source="the copy of its ticks",
+        entities=archive.recording.entities,
+    )
+    if isinstance(archive, _NoArchive):
+        return _PastElsewhere(archive, record)
+    return _PastCopy(archive, record, ticks, members, ids)
+
+
+def _past_in_a_file(world: str) -> str:
+    """Returns the message that a copy has no past, as the ticks are in a file."""
+    return (
+        f"the past of {world!r} is in a database file, which only its own interpreter reads: ask "
+        "there, or open the file; a world of an interpreter without a file has its past here"
+    )
+
+
+class _NoArchive(TickArchive):
+    """Recorded ticks that a copy cannot read."""
+
+    recording, tables = Recording(), recorded_tables(RECORDABLE)
+
+    def __init__(self, world: str) -> None:
+        self._world = world
+
+    def _refuse(self, *_: Any, **__: Any) -> NoReturn:
+        raise UnsupportedError(_past_in_a_file(self._world))
+
+    select = models = fetch = near_pairs = _refuse
+
+    def close(self, *, forget: bool) -> None:
+        """Does nothing: the file stays open in its own interpreter."""
 
 
 class Mirror:
-    """An interpreter with a copy of a live world.
+    """An interpreter of this process with a copy of a live world.
 
     Args:
         ss: the interpreter of the world.
@@ -110,7 +424,6 @@ class Mirror:
     Attributes:
         original: the live world.
         interpreter: has the copy under its name.
-        world: the copy.
 
     Raises:
         UnsupportedError: a copy of the past is requested, and no tick is recorded in memory.
@@ -119,155 +432,31 @@ class Mirror:
     def __init__(
         self, ss: Interpreter, world: World, name: str, limits: Limits, *, is_past: bool = False
     ) -> None:
-        self.original = world
-        self._history = history_of(ss, world)
-        self._owner = ss
+        self.original, self._feed = world, WorldFeed(ss, world, name, is_past=is_past)
         self.interpreter = Interpreter(recording=None, limits=limits)
         self.interpreter.strict = True
-        self._copy = _copy_of(self._history, self.interpreter, world, name)
         try:
-            self._update_history()
-            self.world = self._copied_world(name, is_past=is_past)
-            self.interpreter.add_variable(name, self.world)
+            self._copy = WorldCopy(self.interpreter, self._feed.description, self._feed.news)
+            self.update()
         except BaseException:
             self.interpreter.close()
             raise
 
-    def _copied_world(self, name: str, *, is_past: bool) -> _LiveCopy | ReplayedWorld:
-        copy = self._copy
-        if not is_past:
-            return _LiveCopy(
-                self.original, name, copy or _elsewhere(self._history, self.original, name)
-            )
-        if copy is None and self._history is not None:
-            raise UnsupportedError(_past_in_a_file(name))
-        if copy is None or not len(copy.ticks):
-            raise UnsupportedError(
-                f"the past of {name!r} is not in memory: record it there, or open its record"
-            )
-        return ReplayedWorld(name, copy.record, copy.store, self.original.camera)
+    @property
+    def world(self) -> ReplayedWorld:
+        """The copy."""
+        return self._copy.world
 
     @property
     def is_up_to_date(self) -> bool:
-        """Whether the world is recorded in the same history, so that `update` can follow it."""
-        return history_of(self._owner, self.original) is self._history
+        """Whether `update` can follow the world."""
+        return self._feed.is_up_to_date
 
     def update(self) -> None:
         """Copies what is new."""
-        original, world = self.original, self.world
-        with original.lock:
-            self._update_history()
-            if isinstance(world, _LiveCopy) and not world.is_up_to_date:
-                world.update(original)
-
-    def _update_history(self) -> None:
-        if self._copy is not None and self._history is not None:
-            with self.original.lock:
-                self._copy.update(self._history, self.original)
+        if (news := self._feed.news()) is not None:
+            self._copy.apply(news)
 
     def close(self) -> None:
         """Closes its interpreter; the world goes on."""
         self.interpreter.close()
-
-
-@dataclass(frozen=True, eq=False)
-class _HistoryCopy:
-    """A copy of recorded ticks in memory."""
-
-    store: MemoryStore
-    record: Record
-    ticks: TickBuffer
-    members: dict[int, EntityInfo]
-
-    def update(self, history: WorldHistory, world: World) -> None:
-        """Copies what is new; the caller holds the world."""
-        recorder, store = history.recorder, history.store
-        assert recorder is not None
-        assert isinstance(store, MemoryStore)
-        with recorder.read_lock:
-            new = [info for id, info in recorder.members.items() if id not in self.members]
-            if new:
-                self.store.add_members(new, world.snapshot)
-                self.members.update({info.id: info for info in new})
-            self.store.share(store, recorder.buffers)
-            numbers, times = recorder.ticks.numbers, recorder.ticks.times
-            last = int(self.ticks.numbers[-1]) if len(self.ticks) else 0
-            for number, time in zip(numbers.tolist(), times.tolist(), strict=True):
-                if number > last:
-                    self.ticks.append(number, time)
-            if len(numbers):
-                self.ticks.drop_before(int(numbers[0]))
-
-
-def _copy_of(
-    history: WorldHistory | None, ss: Interpreter, world: World, name: str
-) -> _HistoryCopy | None:
-    """Returns an empty copy of recorded ticks; None if they are not in memory."""
-    if history is None or history.recorder is None or not isinstance(history.store, MemoryStore):
-        return None
-    connection = ss._database.connection.writer()  # noqa: SLF001  # one package
-    store = MemoryStore(_SCHEMA, connection, history.store.recording, name)
-    ticks, members = TickBuffer(), dict[int, EntityInfo]()
-    record = Record(
-        None,
-        ticks,
-        members,
-        store.tables,
-        store.fetch,
-        lambda request: store.near_pairs(request, None),
-        geometries=world.snapshot.geometries,
-        run=world.snapshot.run,
-        source="the copy of its ticks",
-        entities=history.store.recording.entities,
-    )
-    return _HistoryCopy(store, record, ticks, members)
-
-
-def _past_in_a_file(world: str) -> str:
-    """Returns the message that a mirror has no past, as the ticks are in a file."""
-    return (
-        f"the past of {world!r} is in a database file, which only its own interpreter reads: ask "
-        "there, or open the file; a world of an interpreter without a file has its past here"
-    )
-
-
-class _FileArchive(TickArchive):
-    """Recorded ticks that a mirror cannot read."""
-
-    def __init__(self, archive: TickArchive, world: str) -> None:
-        self.recording, self.tables, self._world = archive.recording, archive.tables, world
-
-    def _refuse(self, *_: Any, **__: Any) -> NoReturn:
-        raise UnsupportedError(_past_in_a_file(self._world))
-
-    select = models = fetch = near_pairs = _refuse
-
-    def close(self, *, forget: bool) -> None:
-        """Does nothing: the file stays open in its own interpreter."""
-
-
-@dataclass(frozen=True, eq=False)
-class _HistoryElsewhere:
-    """Recorded ticks that a mirror cannot read: each access is an error that says why."""
-
-    store: _FileArchive
-    record: Record
-
-
-def _elsewhere(history: WorldHistory | None, world: World, name: str) -> _HistoryElsewhere | None:
-    """Returns the recorded ticks of a world that are not in memory; None if nothing is recorded."""
-    if history is None:
-        return None
-    store, snapshot = _FileArchive(history.store, name), world.snapshot
-    record = Record(
-        None,
-        history.record.ticks,
-        history.record.members,
-        store.tables,
-        store.fetch,
-        store.near_pairs,
-        geometries=snapshot.geometries,
-        run=snapshot.run,
-        source="the record in a file",
-    )
-    return _HistoryElsewhere(store, record)

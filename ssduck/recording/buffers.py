@@ -141,11 +141,6 @@ class RowBuffer:
         """Returns the buffered rows, with NULL for NaN."""
         return with_nulls(self.arrow.slice(0, self.count))
 
-    def rows_after(self, tick: int) -> pa.Table:
-        """Returns a copy of the buffered rows of later ticks, with NULL for NaN."""
-        first = int(np.searchsorted(self.ticks[: self.count], tick, side="right"))
-        return with_nulls(self._table(slice(first, self.count), copied=True))
-
     def take(self) -> pa.Table:
         """Returns the buffered rows and empties the buffer, which no longer shares their memory."""
         if _LENT_FRACTION * self.count < self.capacity:

@@ -33,6 +33,10 @@ class RowCache:
             OrderedDict()
         )
 
+    def clear(self) -> None:
+        """Drops all rows."""
+        self._blocks.clear()
+
     def rows(self, table: str, tick: int) -> dict[str, npt.NDArray[Any]]:
         """Returns the columns of a table at a tick; NaN for unknown numbers."""
         number = tick // BLOCK

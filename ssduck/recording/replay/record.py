@@ -335,6 +335,10 @@ class Record:
             self._cached_margins = len(self.members), margins_of(self.members.values())
         return self._cached_margins[1]
 
+    def forget_rows(self) -> None:
+        """Reads all rows anew from now on."""
+        self._row_cache.clear()
+
     def rows(self, table: str, tick: int) -> dict[str, npt.NDArray[Any]]:
         """Returns the columns of a table at a tick; NaN for unknown numbers."""
         with self.world.lock:

@@ -1,25 +1,23 @@
-"""Replays a recorded world, or copies the last tick of a live one, with its past."""
+"""Replays a recorded world; a copy of a live one is the record of its last tick, with its past."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
 
 from ssduck import validation
-from ssduck.errors import EvaluationError, RecordError
+from ssduck.errors import EvaluationError, RecordError, UnsupportedError
 from ssduck.geometry.arrays import Array
 from ssduck.recording.replay.past_world import PastWorld
 from ssduck.recording.replay.record import Record, index_at
 from ssduck.recording.stores.base import TickArchive
-from ssduck.schema import MARGINS, MASSES
 from ssduck.simulators.scenes import Camera
-from ssduck.world.entities import Entity
+from ssduck.world.entities import Entity, Sensor
 from ssduck.world.snapshot import Snapshot
-from ssduck.world.what_if import copied_tick
 from ssduck.world.world import World
 
 # The attributes of the current tick.
@@ -39,6 +37,9 @@ class ReplayedWorld(PastWorld):
         record: the record of the world; its `world` becomes this one.
         archive: stores the recorded ticks.
         camera: the camera of the world; None for that of any scene.
+
+    Attributes:
+        past: stores the ticks of the past, and reads them; None if there are none.
     """
 
     _record: Record
@@ -51,7 +52,7 @@ class ReplayedWorld(PastWorld):
         self._begin(name, camera or Camera())
         record.world = self
         self._record = record
-        self.archive = archive
+        self.past: tuple[TickArchive, Record] | None = (archive, record)
         self._begin_at_end()
 
     def _begin_at_end(self) -> None:
@@ -223,40 +224,54 @@ class ReplayedWorld(PastWorld):
         )
 
 
-# The tables that the copy has from the world, and no static simulator could read again.
-_COPIED = frozenset(("contacts",))
-
-
-class MirroredWorld(World):
+class CopiedWorld(ReplayedWorld):
     """A copy of the last tick of a live world, which the simulation does not change.
 
     Args:
-        world: the live world.
         name: the name of the copy.
-        archive: stores the recorded ticks; None if there are none.
-        record: reads them; its `world` becomes this one.
+        present: the record of the last tick alone.
+        camera: the camera of the world.
+        past: stores the recorded ticks, and reads them: the `world` of the record becomes this one;
+            None if there are none.
+        sense: copies the tick again, with what sensors perceive.
     """
 
     def __init__(
-        self, world: World, name: str, archive: TickArchive | None, record: Record | None
+        self,
+        name: str,
+        present: Record,
+        camera: Camera,
+        past: tuple[TickArchive, Record] | None,
+        sense: Callable[[], None],
     ) -> None:
-        self._begin(name, world.camera)
-        self.archive, self.source_record = archive, record
-        if record is not None:
-            record.world = self
-        self.update(world)
+        self._begin(name, camera)
+        self._record, self.past = present, past
+        present.world = self
+        if past is not None:
+            past[1].world = self
+        self._sense, self._is_sensed = sense, False
+        self._begin_at_end()
 
-    def update(self, world: World) -> None:
-        """Copies the last tick of the world."""
-        has_joints = any(info.body and info.body.joints for info in world.snapshot.entities)
-        tables = ("links", "joints") if has_joints else ()
-        with world.pinned((MASSES, MARGINS, *_COPIED, *tables)):
-            simulator, snapshot = copied_tick(world.snapshot)
-        with self.lock:
-            self._set_state(simulator, snapshot)
-            self._origin = world.origin
-        self.tick()
+    def go_to(self, number: int, time: float) -> None:
+        """Goes to the tick of which the rows are there now."""
+        self._record.forget_rows()
+        self._is_sensed = False
+        self.replace_ticks(np.array([number]), np.array([time]))
 
     def request_tables(self, tables: Iterable[str]) -> None:
-        """Ensures that the tick includes tables; those that were copied are always there."""
-        super().request_tables(frozenset(tables) - _COPIED)
+        """Ensures that the tick includes tables; rays are cast in the live world."""
+        requested = frozenset(tables)
+        if "sensings" in requested and not self._is_sensed:
+            self._sense()
+            self._is_sensed = True
+        super().request_tables(requested)
+
+    def reading(self, sensor: Sensor, *, picture: bool = False) -> NoReturn:  # noqa: ARG002
+        """Raises `UnsupportedError`: a copy has no rays and no pictures."""
+        raise UnsupportedError(
+            f"the reading of {sensor.name!r} is not in a copy of a tick: read it in the world "
+            "itself, or ask for isSensing, sensingAmount or the table sensings"
+        )
+
+    def __repr__(self) -> str:
+        return f"<CopiedWorld {self.name!r}: {len(self)} entities, t={self.time:g} s>"

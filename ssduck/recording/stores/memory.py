@@ -17,7 +17,7 @@ import pyarrow as pa
 
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.recording.background_writer import NO_LOCK, BufferedRows, CommitLock
-from ssduck.recording.buffers import RowBuffer, buffer_schema
+from ssduck.recording.buffers import buffer_schema
 from ssduck.recording.spec import Recording, bytes_before_dropping, quarters_of
 from ssduck.recording.static_tables import IdProvider
 from ssduck.recording.stores.base import (
@@ -62,8 +62,6 @@ class MemoryStore(TickStore, TickArchive):
         # The first tick of each part, its first and its last time.
         self._parts: list[tuple[int, float, float]] = []
         self._max_bytes = bytes_before_dropping(recording)
-        # The parts of another store that it shares.
-        self._shared: list[tuple[int, float, float]] = []
 
     @property
     def nbytes(self) -> int:
@@ -119,32 +117,23 @@ class MemoryStore(TickStore, TickArchive):
                 stored.version = new_version()
         return self._parts[0][0]
 
-    def share(self, original: MemoryStore, buffers: Mapping[str, RowBuffer]) -> None:
-        """Takes over the rows of another store; only those that wait in its buffers are copied.
-
-        Args:
-            original: the other store, which may get further rows afterwards.
-            buffers: the buffers of its recorder; nothing is written to them during the call.
-        """
-        if self._shared != original._parts:
-            self._shared = list(original._parts)
-            self._parts = list(original._parts)
-            for table, stored in self._stored.items():
-                stored.parts = list(original._stored[table].parts)
+    def begin_at(self, tick: int) -> None:
+        """Drops all rows of older ticks; the memory of a part stays until the part is dropped."""
+        self.drop_before(tick)
+        for stored in self._stored.values():
+            rows = stored.parts[0]
+            start = int(np.searchsorted(rows["tick"].to_numpy(), tick))
+            if start:
+                stored.parts[0] = rows.slice(start)
                 stored.version = new_version()
-        parts = self._stored["ticks"].parts
-        last = int(parts[-1]["tick"][-1].as_py()) if parts else 0
-        added = {table: buffers[table].rows_after(last) for table in self._stored}
-        if added["ticks"].num_rows:
-            self._add(added)
 
     # -- reading ----------------------------------------------------------------------------
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """Returns the stored rows of a table at the ticks from first to last."""
         rows = self._between(table, first, last)
-        ticks = rows["tick"].to_numpy()
-        rows = rows.filter(pa.array((ticks >= first) & (ticks <= last)))
+        start, end = np.searchsorted(rows["tick"].to_numpy(), [first, last + 1]).tolist()
+        rows = rows.slice(start, end - start)
         for name in RECORDED[table].tick_columns.booleans:
             place = rows.column_names.index(name)
             rows = rows.set_column(place, name, rows[name].cast(pa.bool_()))
