@@ -39,7 +39,7 @@ class SandboxedTaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.flo
         self._is_closed = False
         self.interpreter = SandboxedInterpreter.of_task(file, limits=limits)
         try:
-            self.task = _task(file, self.interpreter.ask("task"))
+            self.task = _task(file, self.interpreter.ask("task.task.values"))
         except BaseException:
             self.close()
             raise
@@ -51,7 +51,7 @@ class SandboxedTaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.flo
         """Loads the scene, and puts entities where they begin."""
         check_open(self._is_closed, "reset")
         super().reset(seed=seed, options=options)
-        answer = self.interpreter.ask("reset", seed, seconds=LEAST_OPENING)
+        answer = self.interpreter.ask("task.reset", seed=seed, seconds=LEAST_OPENING)
         observation, info = self._checked(answer, ())
         return observation, info
 
@@ -62,7 +62,7 @@ class SandboxedTaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.flo
         check_open(self._is_closed, "step")
         numbers = targets(self.task, action)
         seconds = self.task.step_time * RUN_SECONDS
-        answer = self.interpreter.ask("act", numbers, seconds=seconds)
+        answer = self.interpreter.ask("task.step", numbers, seconds=seconds)
         observation, reward, has_ended, is_over, info = self._checked(answer, (float, bool, bool))
         return observation, reward, has_ended, is_over, info
 

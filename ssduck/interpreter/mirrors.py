@@ -20,7 +20,7 @@ from ssduck.database.binding import WorldHistory
 from ssduck.errors import UnsupportedError
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.limits import Limits
-from ssduck.recording.buffers import TickBuffer, buffer_schema, new_buffer
+from ssduck.recording.buffers import TickBuffer, buffer_schema
 from ssduck.recording.recorded_visuals import camera_of, camera_text
 from ssduck.recording.replay.record import Record
 from ssduck.recording.replay.replayed_world import CopiedWorld, ReplayedWorld
@@ -191,12 +191,8 @@ class WorldFeed:
                 self._rows = tables, RecordedRows(snapshot, tables, None)
             selected = self._rows[1]
             assert snapshot.state is not None
-            rows = {}
-            for table, of_table in selected.of_ticks([snapshot.state]).items():
-                buffer = new_buffer(table)
-                buffer.reserve(len(of_table), 1)
-                buffer.add(of_table)
-                rows[table] = buffer.rows()
+            of_tick = selected.of_ticks([snapshot.state])
+            rows = {table: of_table.arrow(table) for table, of_table in of_tick.items()}
             new = [
                 member.with_masses(snapshot.masses.get(member.id, member.masses))
                 for member in selected.members
@@ -304,7 +300,7 @@ class WorldCopy:
         return CopiedWorld(description.name, present, camera, told, self._with_sensings)
 
     def _rows_of(self, table: str, *_: int) -> pa.Table:
-        return self._rows.get(table, new_buffer(table).rows())
+        return self._rows.get(table, buffer_schema(table).empty_table())
 
     def _with_sensings(self) -> None:
         """Copies the last tick with what sensors perceive, for which rays are cast."""

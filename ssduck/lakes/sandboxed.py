@@ -75,7 +75,7 @@ class SandboxedLake:
         seconds = 0.0
         if method in ("ask", "score"):
             seconds = len(self.episodes) * (self._limits.seconds or 0.0)
-        return self._ss.ask("of_lake", method, list(arguments), options, seconds=seconds)
+        return self._ss.ask(f"lake.{method}", *arguments, seconds=seconds, **options)
 
 
 def check_in_process(limits: Limits | None, method: str) -> None:

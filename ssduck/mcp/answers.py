@@ -266,7 +266,7 @@ class SandboxedAnswers:
     def _ask(self, method: str, *arguments: Any) -> Any:
         if self._is_stopped:
             raise LimitError("the request was cancelled")
-        return self._ss.ask("answer", method, list(arguments))
+        return self._ss.ask(f"agent answers.{method}", *arguments)
 
 
 def _text(value: Any, max_rows: int) -> str:

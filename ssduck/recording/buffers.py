@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,17 @@ class TickRows:
 
     def __len__(self) -> int:
         return len(self.doubles[0])
+
+    def arrow(self, table: str) -> pa.Table:
+        """Returns them as rows of a table."""
+        columns = RECORDED[table].tick_columns
+        integers, booleans = self.integers, self.booleans
+        arrays = [
+            *(integers[name] for name in columns.integers),
+            *self.doubles,
+            *(booleans[name] for name in columns.booleans),
+        ]
+        return pa.table(arrays, schema=buffer_schema(table))
 
 
 class RowBuffer:
@@ -141,6 +153,11 @@ class RowBuffer:
         """Returns the buffered rows, with NULL for NaN."""
         return with_nulls(self.arrow.slice(0, self.count))
 
+    def rows_between(self, first: int, last: int) -> pa.Table:
+        """Returns a copy of the buffered rows at the ticks from first to last."""
+        ends = np.searchsorted(self.ticks[: self.count], [first, last + 1]).tolist()
+        return with_nulls(self._table(slice(*ends), copied=True))
+
     def take(self) -> pa.Table:
         """Returns the buffered rows and empties the buffer, which no longer shares their memory."""
         if _LENT_FRACTION * self.count < self.capacity:
@@ -166,6 +183,7 @@ def _is_unreferenced(arrays: list[npt.NDArray[Any]]) -> bool:
     return all(sys.getrefcount(arrays[place]) == 2 for place in range(len(arrays)))
 
 
+@cache
 def buffer_schema(table: str) -> pa.Schema:
     """Returns the names and types of the columns of a table's buffer."""
     return new_buffer(table).arrow.schema

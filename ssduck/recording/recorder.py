@@ -366,11 +366,14 @@ class Recorder:
         self.settle()
         with self.read_lock:
             stored = self._archive.fetch(table, first, last)
-            buffered = self._buffered_rows(table)
-            ticks = buffered["tick"].to_numpy()
-            buffered = buffered.filter(pa.array((ticks >= first) & (ticks <= last)))
-            copied = buffered.select(stored.column_names).cast(stored.schema)
-            return pa.concat_tables([stored, copied])
+            waiting = self._writer.batches[table].arrow
+            start, end = np.searchsorted(waiting["tick"].to_numpy(), [first, last + 1]).tolist()
+            rows = [
+                waiting.slice(start, end - start),
+                self._buffers[table].rows_between(first, last),
+            ]
+            buffered = pa.concat_tables(rows).select(stored.column_names).cast(stored.schema)
+            return pa.concat_tables([stored, buffered])
 
     def near_pairs(self, request: PairRequest) -> pa.Table:
         """Returns the pairs of entities whose boxes are near at some ticks, with their poses.

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import glob
+import inspect
 import threading
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+import typing
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, Never, Self
 
@@ -24,11 +27,14 @@ from ssduck.interpreter.namespace import check_name
 from ssduck.interpreter.program import check_parameters
 from ssduck.limits import GRACE, LEAST_OPENING, Limits
 from ssduck.recording.spec import Recording
+from ssduck.sandbox.budget import InvalidAnswerError
 from ssduck.sandbox.effects import check_present
+from ssduck.sandbox.live_worlds import LiveWorlds
 from ssduck.sandbox.processes import WorkerEndedError, WorkerProcess, Zygote, shared_zygote
 from ssduck.sandbox.references import RUN_SECONDS, SandboxedWorld
 from ssduck.sandbox.seal import Walls
 from ssduck.simulators.scenes import scene_file, shipped_scenes
+from ssduck.world.world import World
 
 _GONE = "variables that programs have set are gone, and its worlds begin anew"
 # A worker's address space beside the memory of its programs, bytes.
@@ -67,11 +73,11 @@ class SandboxedProgram:
 
     def shown(self) -> Any:
         """Returns the value of the program; the empty table of its columns if there are no rows."""
-        return self._owner.ask("show", self.text)
+        return self._owner.ask("worker.show", self.text)
 
     def sql(self, dialect: str = "duckdb") -> str:
         """Returns the SQL of the query that ends the program, as `CompiledProgram.sql` does."""
-        return str(self._owner.ask("sql_of", self.text, dialect))
+        return str(self._owner.ask("worker.sql_of", self.text, dialect))
 
 
 class SandboxedInterpreter:
@@ -106,7 +112,12 @@ class SandboxedInterpreter:
         self._strict = validation.boolean(strict, "sandbox: strict")
         self._zygote = zygote
         self._lock = threading.RLock()
+        # What the process gets again after it was ended.
         self._variables: dict[str, Any] = {}
+        self._functions: dict[str, tuple[Callable[..., Any], str]] = {}
+        self._triggers: dict[str, tuple[Callable[[Any], object], list[Any]]] = {}
+        self._live = LiveWorlds()
+        self._is_called = False
         self._worker: WorkerProcess | None = None
         self._is_closed = False
         self._start()
@@ -191,8 +202,8 @@ class SandboxedInterpreter:
         """Ends the process."""
         with self._lock:
             self._is_closed = True
-            if self._worker is not None:
-                self._worker.end()
+            self._live.close()
+            self._end()
 
     def __enter__(self) -> Self:
         return self
@@ -202,13 +213,14 @@ class SandboxedInterpreter:
 
     # -- the process ----------------------------------------------------------------------
 
-    def ask(self, request: str, *arguments: Any, seconds: float = 0.0) -> Any:
+    def ask(self, request: str, *arguments: Any, seconds: float = 0.0, **options: Any) -> Any:
         """Asks the process, which is started again after it has ended.
 
         Args:
-            request: the name of a request.
+            request: what is asked, and for what, as `"ss.sql"`.
             arguments: its arguments.
             seconds: the time beside that of a program, s.
+            options: its named arguments.
 
         Raises:
             LimitError: there is no answer, because it took too long or the process ended.
@@ -216,21 +228,54 @@ class SandboxedInterpreter:
         with self._lock:
             if self._is_closed:
                 raise LimitError("the interpreter is closed")
+            if self._is_called:
+                raise UnsupportedError(
+                    "a function that a program in the sandbox calls cannot ask the sandbox: give "
+                    "it what it needs as arguments"
+                )
             if self._worker is not None and not self._worker.is_alive:
                 self._worker = None
                 warn(f"the process of the sandbox has ended; {_GONE}")
             if self._worker is None:
                 self._start()
-            assert self._worker is not None
             try:
                 limit = self._limits.seconds
                 time = None if limit is None else limit + seconds + GRACE / 4
-                return self._worker.ask(request, *arguments, seconds=time, world=self._world)
+                self._live.update(partial(self._ask, time))
+                return self._ask(time, request, *arguments, **options)
             except WorkerEndedError as error:
                 self._worker, told = None, str(error)
                 if error.is_late and not seconds:
                     told = f"the program took more than {limit:g} s, and its process was ended"
                 raise LimitError(f"{told}; {_GONE}") from None
+
+    def _ask(self, time: float | None, request: str, *arguments: Any, **options: Any) -> Any:
+        assert self._worker is not None
+        return self._worker.ask(
+            request,
+            arguments,
+            options,
+            seconds=time,
+            world=self._world,
+            name_of=self._live.name_of,
+            call=self._called,
+        )
+
+    def _called(self, what: Any, *arguments: Any) -> Any:
+        """Answers what the process asks before it answers."""
+        self._is_called = True
+        try:
+            match what, *arguments:
+                case "news", str(name), list(tables) if name in self._live:
+                    return self._live.news(name, [str(table) for table in tables])
+                case "function", str(name), *given if name in self._functions:
+                    return self._functions[name][0](*given)
+                case "fired", str(name), value if name in self._triggers:
+                    self._triggers[name][0](value)
+                    return None
+        finally:
+            self._is_called = False
+        raise InvalidAnswerError("it asks for something that is not here")
 
     def _world(self, name: str) -> SandboxedWorld:
         return SandboxedWorld(name, self.ask)
@@ -240,33 +285,40 @@ class SandboxedInterpreter:
         zygote = self._zygote or shared_zygote()
         memory = self._limits.memory or 10**9
         walls = Walls("", self._source.readable, 2 * memory + _SPARE)
-        worker = zygote.worker(walls, {"answer_bytes": self._limits.answer_bytes})
+        self._worker = zygote.worker(walls, {"answer_bytes": self._limits.answer_bytes})
         limits = {
             name: getattr(self._limits, name) for name in ("seconds", "rows", "depth", "eval")
         }
         source, opening = self._source, max(self._limits.seconds or 0.0, LEAST_OPENING)
-
-        def ask(request: str, *arguments: Any) -> Any:
-            return worker.ask(request, *arguments, seconds=opening, world=self._world)
-
+        ask = partial(self._ask, opening)
         try:
-            effects = ask("effects")
+            effects = ask("worker.effects")
             check_present(self._limits.require, effects["holes"], effects["lacking"])
-            ask("open", source.kind, source.location, dict(source.options), limits)
+            ask("worker.open", source.kind, source.location, dict(source.options), limits)
             if self._strict:
-                ask("set_strict", True)
+                ask("worker.set_strict", True)
+            self._live.begin_anew()
+            self._live.update(ask)
+            for name, (function, help) in self._functions.items():
+                ask("worker.add_function", name, help, *_signature(function))
             for name, value in self._variables.items():
                 try:
-                    ask("set_variables", {name: value})
+                    ask("worker.set_variables", {name: value})
                 except SelectScriptError as error:  # an entity that is not there yet
                     warn(f"the variable {name!r} cannot be set again: {error.message}")
+            for name, (_, settings) in self._triggers.items():
+                ask("worker.add_trigger", name, *settings)
         except WorkerEndedError as error:
-            worker.end()
+            self._end()
             raise LimitError(f"{source.location or 'the sandbox'}: {error}") from None
         except BaseException:
-            worker.end()
+            self._end()
             raise
-        self._worker = worker
+
+    def _end(self) -> None:
+        if self._worker is not None:
+            self._worker.end()
+            self._worker = None
 
     def stop(self) -> None:
         """Ends the program that another thread has asked for: its answer is a LimitError."""
@@ -276,7 +328,7 @@ class SandboxedInterpreter:
     @property
     def effects(self) -> dict[str, list[str]]:
         """What the process can do although an effect forbids it, by the effect: nothing, mostly."""
-        holes: dict[str, list[str]] = self.ask("effects")["holes"]
+        holes: dict[str, list[str]] = self.ask("worker.effects")["holes"]
         return holes
 
     # -- programs and SQL -----------------------------------------------------------------
@@ -289,12 +341,12 @@ class SandboxedInterpreter:
     @strict.setter
     def strict(self, strict: bool) -> None:
         self._strict = validation.boolean(strict, "Interpreter: strict")
-        self.ask("set_strict", self._strict)
+        self.ask("worker.set_strict", self._strict)
 
     def compile(self, text: str) -> SandboxedProgram:
         """Parses a program, as `Interpreter.compile` does."""
         text = validation.text(text, "a program is a text or a compiled program")
-        self.ask("check", text)
+        self.ask("worker.check", text)
         return SandboxedProgram(text, self)
 
     def eval(
@@ -310,16 +362,16 @@ class SandboxedInterpreter:
         if others or given is not None:
             check_parameters("eval", given, others)
         text, is_compiled = _text_of(program)
-        return self.ask("eval", text, None if given is None else dict(given), is_compiled)
+        return self.ask("worker.eval", text, None if given is None else dict(given), is_compiled)
 
     def show(self, program: str | SandboxedProgram, rows: int = MAX_ROWS) -> TableView:
         """Returns the result of a program as a table, as `Interpreter.show` does."""
         rows = validation.integer(rows, "show: rows", minimum=0)
-        return TableView(self.ask("show", _text_of(program)[0]), rows)
+        return TableView(self.ask("worker.show", _text_of(program)[0]), rows)
 
     def explain(self, program: str | SandboxedProgram) -> str:
         """Returns the SQL of a program and what Python evaluates, as `Interpreter.explain` does."""
-        return str(self.ask("explain", _text_of(program)[0]))
+        return str(self.ask("ss.explain", _text_of(program)[0]))
 
     def sql(
         self,
@@ -333,61 +385,128 @@ class SandboxedInterpreter:
         if parameters is not None:
             is_named = isinstance(parameters, Mapping)
             parameters = dict(parameters) if is_named else list(parameters)
-        result: Result = self.ask("sql", text, parameters)
+        result: Result = self.ask("ss.sql", text, parameters)
         return result
 
     def help(self, name: str | None = None) -> Any:
         """Returns the names of all functions, or the help of one, as `Interpreter.help` does."""
-        return self.ask("help", name)
+        return self.ask("ss.help", name)
 
     def history(self, name: str) -> list[tuple[float, Any]]:
         """Returns the values of a variable with a history, as `Interpreter.history` does."""
-        values: list[tuple[float, Any]] = self.ask("history", name)
+        values: list[tuple[float, Any]] = self.ask("ss.history", name)
         return values
 
     # -- variables and worlds -------------------------------------------------------------
 
     def add_variable(self, name: str, value: Any) -> Any:
-        """Binds a plain value, an array, a table or an `EntityReference` to a name.
+        """Binds a plain value, an array, a table, an entity or a world to a name.
 
-        It stays bound when the process of a program has to be ended.
+        A world of this process is copied into the sandbox: programs see its last tick, and those
+        that were recorded since it was added. It stays bound when the process of a program has to
+        be ended, as any value does.
 
         Raises:
             UnsupportedError: the value cannot go into the sandbox.
         """
         check_name(name, "a variable")
-        self.ask("set_variables", {name: value})
-        self._variables[name] = value
-        return value
+        with self._lock:
+            if isinstance(value, World):
+                self._variables.pop(name, None)
+                self._live.add(name, value)
+                self.ask("ss.__contains__", name)
+                return value
+            self.ask("worker.set_variables", {name: value})
+            self._live.remove(name)
+            self._variables[name] = value
+            return value
 
     def __setitem__(self, name: str, value: Any) -> None:
         """Binds a value to a name, as `add_variable` does."""
         self.add_variable(name, value)
 
     def __getitem__(self, name: str) -> Any:
-        """Returns the value of a variable; a world is a handle of it."""
-        return self.ask("variable", name)
+        """Returns the value of a variable; a world of the sandbox is a handle of it."""
+        return self._live[name] if name in self._live else self.ask("ss.__getitem__", name)
 
     call_variable = __getitem__
     addVariable, callVariable = add_variable, __getitem__  # noqa: N815  # the tutorial's names
 
     def __contains__(self, name: object) -> bool:
         """Checks whether a variable has a name."""
-        return isinstance(name, str) and bool(self.ask("has", name))
+        return isinstance(name, str) and bool(self.ask("ss.__contains__", name))
 
     def __iter__(self) -> Iterator[str]:
         """Yields the names of the variables."""
-        return iter(self.ask("names"))
+        return iter(self.ask("worker.names"))
 
     @property
     def worlds(self) -> list[SandboxedWorld]:
         """The worlds, the first one first."""
-        return [self._world(name) for name in self.ask("worlds")]
+        return [self._world(name) for name in self.ask("worker.worlds")]
 
     def run(self, seconds: float, *, every: int | None = 1) -> None:
         """Runs all worlds for a simulated time, s, as `Interpreter.run` does."""
         seconds = validation.duration(seconds, "run: seconds")
-        self.ask("run", None, seconds, every, seconds=seconds * RUN_SECONDS)
+        self.ask("ss.run", seconds, every=every, seconds=seconds * RUN_SECONDS)
+
+    # -- functions and triggers ------------------------------------------------------------
+
+    def add_function(
+        self, name: str, function: Callable[..., Any], help: str | None = None
+    ) -> None:
+        """Adds a function of this process, as `Interpreter.add_function` does.
+
+        Programs in the sandbox choose its arguments: plain values, and references to entities. It
+        cannot ask the sandbox.
+        """
+        validation.function(function, name)
+        text = help if help is not None else inspect.getdoc(function) or f"Usage: {name}(...)"
+        with self._lock:
+            self.ask("worker.add_function", name, text, *_signature(function))
+            self._functions[name] = function, text
+
+    def del_function(self, name: str) -> None:
+        """Removes a function that was added, as `Interpreter.del_function` does."""
+        with self._lock:
+            self.ask("ss.del_function", name)
+            self._functions.pop(name, None)
+
+    def add_trigger(
+        self,
+        name: str,
+        program: str | SandboxedProgram,
+        interval: float,
+        callback: Callable[[Any], object],
+        **options: Any,
+    ) -> None:
+        """Calls a function of this process, as `Interpreter.add_trigger` does.
+
+        The program runs in the sandbox, as its worlds are stepped; of a world of this process, at
+        each question. The callback cannot ask the sandbox.
+
+        Raises:
+            UnsupportedError: a queue is requested.
+        """
+        validation.function(callback, name)
+        if options.pop("queue", None) is not None:
+            raise UnsupportedError("add_trigger: queue: not in a sandbox; leave it out")
+        with self._lock:
+            settings = [_text_of(program)[0], interval, options]
+            self._triggers[name] = callback, settings
+            try:
+                self.ask("worker.add_trigger", name, *settings)
+            except BaseException:
+                del self._triggers[name]
+                raise
+
+    def del_trigger(self, name: str) -> None:
+        """Removes a trigger, as `Interpreter.del_trigger` does."""
+        with self._lock:
+            self.ask("ss.del_trigger", name)
+            self._triggers.pop(name, None)
+
+    addFunction, addTrigger, delTrigger = add_function, add_trigger, del_trigger  # noqa: N815
 
     def __repr__(self) -> str:
         return f"<SandboxedInterpreter: {self._source.location or 'empty'}>"
@@ -403,12 +522,24 @@ class SandboxedInterpreter:
 
 
 # What an interpreter has besides, and why a sandbox has it not.
-_FUNCTIONS = "a function of yours would run outside the sandbox; give programs its values instead"
 _NOT_HERE = {
-    **dict.fromkeys(("add_function", "addFunction", "add_trigger", "addTrigger"), _FUNCTIONS),
     **dict.fromkeys(("record", "record_to", "export"), "a program in the sandbox writes no record"),
     "view": "the page shows worlds of this process",
 }
+
+
+def _signature(function: Callable[..., Any]) -> tuple[list[list[Any]] | None, dict[str, str]]:
+    """Returns the parameters of a function, and the names of the types in its hints."""
+    try:
+        parameters = inspect.signature(function).parameters.values()
+        hints = typing.get_type_hints(function)
+    except (TypeError, ValueError, NameError, AttributeError):
+        return None, {}
+    names = {
+        name: str(hint) if typing.get_origin(hint) is not None else getattr(hint, "__name__", "")
+        for name, hint in hints.items()
+    }
+    return [[p.name, p.kind.value, p.default is p.empty] for p in parameters], names
 
 
 def _text_of(program: Any) -> tuple[str, bool]:

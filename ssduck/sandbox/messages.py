@@ -1,7 +1,8 @@
 """Sends and receives messages over a socket: a head, JSON, and a body of bytes.
 
 The head says which question it belongs to, and how long both are, so that a receiver can refuse a
-message before it takes memory.
+message before it takes memory. A message is a question of the host, its answer, or, before the
+answer, a call: the worker asks the host for something that the answer needs.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from ssduck.sandbox.budget import InvalidAnswerError
 
 # The mark, the number of the question, the sizes of the JSON and of the body, bytes.
 _HEAD = struct.Struct("<4sIQQ")
-_MARK = b"duck"
+_MARK, _CALL = b"duck", b"call"
 # So much is read at first, bytes; the body begins at a multiple of `_ALIGNMENT`.
 _FIRST, _ALIGNMENT = 4096, 64
 # Whoever waits looks at what else is to be looked at so often, s.
@@ -32,11 +33,13 @@ class Message:
         number: the number of the question.
         document: the JSON, not parsed.
         body: the bytes to which the JSON refers.
+        is_call: whether it is a call.
     """
 
     number: int
     document: bytes
     body: memoryview
+    is_call: bool = False
 
 
 def send(
@@ -45,11 +48,13 @@ def send(
     document: bytes,
     parts: Sequence[bytes | memoryview] = (),
     wait: Callable[[int], None] | None = None,
+    *,
+    is_call: bool = False,
 ) -> None:
     """Sends a message."""
     document += b" " * (-(len(document) + _HEAD.size) % _ALIGNMENT)
     size = sum(len(part) for part in parts)
-    head = _HEAD.pack(_MARK, number, len(document), size) + document
+    head = _HEAD.pack(_CALL if is_call else _MARK, number, len(document), size) + document
     for part in (head, *parts):
         data = memoryview(part)
         while data:
@@ -71,7 +76,7 @@ def receive(
     while done < _HEAD.size:
         done += _read(descriptor, memoryview(first)[done:], wait)
     mark, number, length, size = _HEAD.unpack_from(first)
-    if mark != _MARK:
+    if mark not in (_MARK, _CALL):
         raise InvalidAnswerError("it does not begin as a message does")
     if check is not None:
         check(length, size)
@@ -86,7 +91,7 @@ def receive(
     while done < total:
         done += _read(descriptor, view[done:], wait)
     body = _HEAD.size + length
-    return Message(number, bytes(view[_HEAD.size : body]), view[body:])
+    return Message(number, bytes(view[_HEAD.size : body]), view[body:], mark == _CALL)
 
 
 def _read(descriptor: int, space: memoryview, wait: Callable[[int], None] | None) -> int:

@@ -16,20 +16,20 @@ import tempfile
 import threading
 import time
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from ssduck.errors import LimitError, SandboxError, UnsupportedError
+from ssduck.errors import LimitError, SandboxError
 from ssduck.limits import GRACE, python_command
 from ssduck.sandbox.budget import Budget, InvalidAnswerError
 from ssduck.sandbox.kernel import has_ended
 from ssduck.sandbox.messages import LOOK_EVERY, Message, Waiting, receive, send
-from ssduck.sandbox.references import SandboxedWorld
-from ssduck.sandbox.reports import error_of, tell
+from ssduck.sandbox.reports import error_of, tell, told_error
 from ssduck.sandbox.seal import SCRATCH, Walls, remove
 from ssduck.sandbox.values import Decoder, Encoder
 from ssduck.sandbox.zygote import FAILED, FORKED, READY
@@ -51,7 +51,8 @@ _UNWATCHED = 0.01
 _BEGINNING, _ENDING = 60.0, 10.0
 
 
-# Why a worker was ended.
+# What a call is told after Ctrl-C, and why a worker was ended.
+_STOPPED = b'[null, {"dict": ["class", "LimitError", "message", "the program was stopped"]}]'
 _LATE = "the program took too long, and its process was ended"
 
 
@@ -237,19 +238,38 @@ class WorkerProcess:
     def ask(
         self,
         request: str,
-        *arguments: Any,
+        arguments: Sequence[Any],
+        options: Mapping[str, Any],
+        *,
         seconds: float | None,
         world: Callable[[str], Any],
+        name_of: Callable[[Any], str],
+        call: Callable[..., Any],
     ) -> Any:
-        """Returns the answer to a request."""
-        encoder = Encoder(Budget(1 << 60), _name_of)
-        document = encoder.text([request, *arguments])
+        """Returns the answer to a request.
+
+        Args:
+            request: what is asked, and for what.
+            arguments: its arguments.
+            options: its named arguments.
+            seconds: the time after which the process is ended, s; None for none.
+            world: returns the world of a name.
+            name_of: returns the name of a world.
+            call: answers what the process asks before it answers: a name, and arguments.
+        """
+        encoder = Encoder(_unlimited(), name_of)
+        document = encoder.text([request, list(arguments), dict(options)])
         self._number = (self._number + 1) % 2**32
         began = time.monotonic()
         try:
             self._signal(signal.SIGCONT)
-            answer = self._exchange(document, encoder, seconds)
-            warnings, error, value = self._read(answer, world)
+            wait = Waiting(self._connection.fileno(), seconds, self._look)
+            message = self._exchange(document, encoder, wait, is_call=False)
+            while message.is_call:
+                name, called_with = self._values(message, world)
+                reply, encoder = _reply(partial(call, name, *called_with), name_of)
+                message = self._exchange(reply, encoder, wait, is_call=True)
+            warnings, error, value = self._answer(message, world)
             self._signal(signal.SIGSTOP)
             self._unwatched += time.monotonic() - began
             if self._unwatched > _UNWATCHED:
@@ -276,18 +296,21 @@ class WorkerProcess:
         self.end()
         raise WorkerEndedError(told, is_late=told is _LATE) from None
 
-    def _exchange(self, document: bytes, encoder: Encoder, seconds: float | None) -> Message:
-        """Sends a question, and returns the answer; Ctrl-C stops the program first."""
+    def _exchange(
+        self, document: bytes, encoder: Encoder, wait: Waiting, *, is_call: bool
+    ) -> Message:
+        """Sends a message, and returns the next one; Ctrl-C stops the program first."""
         descriptor = self._connection.fileno()
-        wait = Waiting(descriptor, seconds, self._look)
-        send(descriptor, self._number, document, encoder.parts, wait)
+        send(descriptor, self._number, document, encoder.parts, wait, is_call=is_call)
         try:
             return receive(descriptor, self._check_size, wait)
         except KeyboardInterrupt:
             # The program ends as it does in this process, with its variables as before; its answer
             # is of no use, but the next question needs the socket.
             self.stop()
-            receive(descriptor, self._check_size, Waiting(descriptor, GRACE, self._look))
+            grace = Waiting(descriptor, GRACE, self._look)
+            while receive(descriptor, self._check_size, grace).is_call:
+                send(descriptor, self._number, _STOPPED, (), grace, is_call=True)
             self._signal(signal.SIGSTOP)
             raise _InterruptedError from None
 
@@ -295,27 +318,38 @@ class WorkerProcess:
         if document + body > self._answer_bytes:
             raise InvalidAnswerError(f"it has more than {self._answer_bytes:,} bytes")
 
-    def _read(
-        self, answer: Message, world: Callable[[str], Any]
+    def _answer(
+        self, message: Message, world: Callable[[str], Any]
     ) -> tuple[list[list[str]], Exception | None, Any]:
         """Returns the warnings, the error and the value of an answer."""
-        if answer.number != self._number:
-            raise InvalidAnswerError("it answers another question")
-        budget = Budget(self._answer_bytes)
-        budget.charge(len(answer.body))
+        value, warnings, *told = self._values(message, world)
         try:
-            value, warnings, *told = Decoder(
-                answer.body,
-                budget,
-                entity=lambda name, *own: world(name).reference(*own),
-                world=world,
-            ).value(answer.document)
-            for name, message in warnings:
-                if not (isinstance(name, str) and isinstance(message, str)):
+            for name, text in warnings:
+                if not (isinstance(name, str) and isinstance(text, str)):
                     raise InvalidAnswerError("this is no warning")
             return warnings, error_of(told[0]) if told else None, value
+        except (ValueError, TypeError, AttributeError) as error:
+            raise InvalidAnswerError(str(error)) from error
+
+    def _values(self, message: Message, world: Callable[[str], Any]) -> Sequence[Any]:
+        """Returns what a message holds."""
+        if message.number != self._number:
+            raise InvalidAnswerError("it answers another question")
+        budget = Budget(self._answer_bytes)
+        decoder = Decoder(
+            message.body,
+            budget,
+            entity=lambda name, *own: world(name).reference(*own),
+            world=world,
+        )
+        try:
+            budget.charge(len(message.body))
+            values = decoder.value(message.document)
+            if len(values) >= 2:
+                return list(values)
         except (LimitError, ValueError, TypeError, AttributeError) as error:
             raise InvalidAnswerError(str(error)) from error
+        raise InvalidAnswerError("it is incomplete")
 
     def _signal(self, number: int) -> None:
         signal.pidfd_send_signal(self._process, number)
@@ -398,14 +432,18 @@ def _end_worker(process: int, connection: socket.socket, folder: Path, host: int
     os.close(process)
 
 
-def _name_of(world: Any) -> str:
-    """Returns the name of a world of the sandbox."""
-    if not isinstance(world, SandboxedWorld):
-        raise UnsupportedError(
-            f"{world!r} is a world of this process, which a sandbox cannot have: record it, and "
-            "open the record in a sandbox"
-        )
-    return world.name
+def _reply(call: Callable[[], Any], name_of: Callable[[Any], str]) -> tuple[bytes, Encoder]:
+    """Returns the JSON that replies to a call, and the encoder with its body."""
+    encoder = Encoder(_unlimited(), name_of)
+    try:
+        return encoder.text([call()]), encoder
+    except Exception as error:  # noqa: BLE001  # the program gets it
+        encoder = Encoder(_unlimited(), name_of)
+        return encoder.text([None, told_error(error)]), encoder
+
+
+def _unlimited() -> Budget:
+    return Budget(1 << 60)
 
 
 def _pid_of(process: int) -> int:

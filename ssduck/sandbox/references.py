@@ -45,7 +45,7 @@ class EntityReference:
         if name.startswith("_"):
             raise AttributeError(name)
         if name in PROPERTIES and self._ask is not None and self.tick is None:
-            return self._ask("property_of", self, name)
+            return self._ask(f"it.{name}", self)
         raise LimitError(
             f"{self.world}.{self.name} is in the sandbox, and its {name!r} is not known here: "
             f"{joined_names(sorted(PROPERTIES))} of the current tick are; programs ask for more",
@@ -56,7 +56,7 @@ class EntityReference:
 class Asking(Protocol):
     """Asks a worker."""
 
-    def __call__(self, request: str, *arguments: Any, seconds: float = 0.0) -> Any:
+    def __call__(self, request: str, *arguments: Any, seconds: float = 0.0, **options: Any) -> Any:
         """Returns the answer to a request; `seconds` is the time beside that of a program."""
 
 
@@ -75,40 +75,40 @@ class SandboxedWorld:
     @property
     def time(self) -> float:
         """The simulated time, s."""
-        return float(self._ask("state", self.name)["time"])
+        return float(self._ask("it.time", self))
 
     @property
     def tick_number(self) -> int:
         """The number of the current tick."""
-        return int(self._ask("state", self.name)["tick"])
+        return int(self._ask("it.tick_number", self))
 
     @property
     def timestep(self) -> float:
         """The time step, s; 0 if the world cannot be stepped."""
-        return float(self._ask("state", self.name)["timestep"])
+        return float(self._ask("it.timestep", self))
 
     def step(self, count: int = 1, *, every: int | None = 1) -> Self:
         """Runs steps of the simulator, as `World.step` does."""
         count = validation.step_count(count, "step", "run({})")
-        self._ask("step", self.name, count, every, seconds=count * _STEP_SECONDS)
+        self._ask("it.step", self, count, every=every, seconds=count * _STEP_SECONDS)
         return self
 
     def run(self, seconds: float, *, every: int | None = 1) -> None:
         """Runs the world for a simulated time, s, as `World.run` does."""
         seconds = validation.duration(seconds, "run: seconds")
-        self._ask("run", [self.name], seconds, every, seconds=seconds * RUN_SECONDS)
+        self._ask("it.run", self, seconds, every=every, seconds=seconds * RUN_SECONDS)
 
     def tick(self) -> Self:
         """Takes a tick."""
-        self._ask("tick", self.name)
+        self._ask("it.tick", self)
         return self
 
     def table(self, name: str) -> Any:
         """Returns a table of the current tick, as `"entities"` or `"links"`, as an Arrow table."""
-        return self._ask("table", self.name, name)
+        return self._ask("worker.table", self.name, name)
 
     def __len__(self) -> int:
-        return int(self._ask("state", self.name)["entities"])
+        return int(self._ask("it.__len__", self))
 
     def reference(self, *own: Any) -> EntityReference:
         """Returns the reference to an entity, a link or a site, with all that this has."""
@@ -116,7 +116,7 @@ class SandboxedWorld:
 
     def __iter__(self) -> Iterator[EntityReference]:
         """Iterates over the entities: sensors first, then bodies."""
-        return iter(self._ask("entities", self.name))
+        return iter(self._ask("worker.entities", self))
 
     def __getitem__(self, name: str) -> EntityReference:
         """Returns the entity of a name.
@@ -124,7 +124,7 @@ class SandboxedWorld:
         Raises:
             UnknownNameError: no entity has the name; the error suggests the nearest names.
         """
-        entity: EntityReference = self._ask("entity", self.name, name)
+        entity: EntityReference = self._ask("it.__getitem__", self, name)
         return entity
 
     def __str__(self) -> str:

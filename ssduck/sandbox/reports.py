@@ -44,7 +44,7 @@ def told_error(error: BaseException) -> dict[str, Any]:
     elif isinstance(error, RecursionError):
         error = LimitError("the program is nested too deeply")
     if not isinstance(error, SelectScriptError):
-        return {"class": "", "message": f"{type(error).__name__}: {error_text(error)}"}
+        return {"class": "", "kind": type(error).__name__, "message": error_text(error)}
     kinds = (kind.__name__ for kind in type(error).__mro__ if kind.__name__ in _ERRORS)
     told: dict[str, Any] = {"class": next(kinds), "message": error.message}
     if error.text is not None and error.span is not None:
@@ -65,13 +65,22 @@ def error_of(told: dict[str, Any]) -> SelectScriptError:
         raise InvalidAnswerError("this is no error")
     kind = _ERRORS.get(str(told.get("class")))
     if kind is None:
-        return SandboxError(f"the program failed in its sandbox: {message}")
+        name = str(told.get("kind"))[:MAX_MESSAGE_LENGTH]
+        return SandboxError(f"the program failed in its sandbox: {name}: {message}")
     error = kind(str(message))
     error.text, error.span = text, None if text is None else SourceSpan(*span)
     error.suggestions = tuple(suggestions)
     if isinstance(error, SqlError):
         error.is_final, error.is_refused = bool(told.get("final")), bool(told.get("refused"))
     return error
+
+
+def called_error(told: dict[str, Any]) -> Exception:
+    """Returns the error that the host tells of, of a function of the user's."""
+    if "kind" not in told:
+        return error_of(told)
+    kind: type[Exception] = type(told["kind"], (Exception,), {})
+    return kind(told["message"])
 
 
 class Log:

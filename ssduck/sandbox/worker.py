@@ -1,18 +1,21 @@
 """Answers questions inside the wall: seals its process first, then opens a scene or a record.
 
-A question is a list of a request and its arguments, an answer a list of the value and the warnings,
-or of the error.
+A question is a list of a request, its arguments and its options. The request says what is asked and
+for what, as `"ss.sql"`; the object of `"it.step"` is the first argument. An answer is a list of the
+value and the warnings, or of the error.
 """
 
 from __future__ import annotations
 
 import errno
+import inspect
 import os
 import signal
 import tempfile
-from collections.abc import Callable, Collection
-from contextlib import ExitStack
-from functools import lru_cache
+import threading
+from collections.abc import Callable, Collection, Iterator
+from contextlib import ExitStack, contextmanager
+from functools import lru_cache, partial
 from typing import Any
 
 from sqlglot import exp
@@ -20,6 +23,7 @@ from sqlglot import exp
 from ssduck.errors import LimitError, SceneError, UnknownNameError, UnsupportedError, check_known
 from ssduck.formatting import short_repr
 from ssduck.interpreter.interpreter import Interpreter
+from ssduck.interpreter.mirrors import WorldCopy, WorldDescription, WorldNews
 from ssduck.interpreter.opening import load, opened_record
 from ssduck.interpreter.program import CompiledProgram, rows_to_show
 from ssduck.lazy import service
@@ -28,12 +32,12 @@ from ssduck.recording.spec import Recording
 from ssduck.sandbox.budget import Budget
 from ssduck.sandbox.messages import Message, receive, send
 from ssduck.sandbox.probes import holes
-from ssduck.sandbox.references import PROPERTIES
-from ssduck.sandbox.reports import Log, told_error
+from ssduck.sandbox.reports import Log, called_error, told_error
 from ssduck.sandbox.seal import Walls, seal
 from ssduck.sandbox.values import Decoder, Encoder
 from ssduck.schema import TABLES
-from ssduck.world.running import run
+from ssduck.world.entities import Entity  # noqa: F401  # a hint of a host's function may name it
+from ssduck.world.links import Link  # noqa: F401
 from ssduck.world.world import World
 
 # What the host sends is limited by its own memory only.
@@ -53,7 +57,7 @@ def serve(
     os.environ.update(dict.fromkeys(names, scratch))
     tempfile.tempdir = scratch
     lacking = seal(walls, without)
-    worker = Worker(walls, {"holes": holes(walls), "lacking": lacking})
+    worker = Worker(walls, {"holes": holes(walls), "lacking": lacking}, connection)
     budget = int(order["answer_bytes"])
     while True:
         try:
@@ -70,20 +74,21 @@ class Worker:
     Args:
         walls: what the process may use.
         effects: what the host is told of them.
+        connection: the socket to the host.
     """
 
-    def __init__(self, walls: Walls, effects: dict[str, Any]) -> None:
-        self._walls = walls
-        self._effects = effects
+    def __init__(self, walls: Walls, effects: dict[str, Any], connection: int) -> None:
+        self._walls, self._connection = walls, connection
+        # What the process can do although an effect forbids it, and what it lacks.
+        self.effects = effects
         self._log = Log()
-        self._ss: Interpreter | None = None
-        self._answers: Any = None
-        # A lake, and the limits of what it is asked.
-        self._lake: Any = None
-        self._limits: Limits | None = None
+        # What questions are about, by name: the interpreter, and what higher layers offer.
+        self._opened: dict[str, Any] = {"worker": self}
         self._record: str | None = None
-        self._task: Any = None
+        self._copies: dict[str, WorldCopy] = {}
         self._compiled = lru_cache(256)(self._parsed)
+        self._number, self._budget = 0, Budget()
+        self._calling = threading.Lock()
 
     def _parsed(self, text: str) -> CompiledProgram:
         return self.ss.compile(text)
@@ -91,22 +96,29 @@ class Worker:
     @property
     def ss(self) -> Interpreter:
         """The interpreter."""
-        if self._ss is None:
+        if "ss" not in self._opened:
             raise LimitError("nothing is open in the sandbox")
-        return self._ss
+        ss: Interpreter = self._opened["ss"]
+        return ss
 
     def answer(
         self, question: Message, budget: Budget
     ) -> tuple[int, bytes, list[bytes | memoryview]]:
         """Returns the answer to a question: its number, its JSON and the parts of its body."""
         encoder = Encoder(budget, self._name_of)
+        self._number, self._budget = question.number, budget
         try:
             signal.signal(signal.SIGINT, signal.default_int_handler)
-            decoder = Decoder(
-                question.body, Budget(_UNLIMITED), entity=self._entity, world=self._world
-            )
-            request, *arguments = decoder.value(question.document)
-            value = _REQUESTS[request](self, *arguments)
+            request, arguments, options = self._decoded(question)
+            what, *path = request.split(".")
+            if what == "it":
+                value, *arguments = arguments
+            else:
+                value = self._object(what)
+            for name in path:
+                value = getattr(value, name)
+            if callable(value):
+                value = value(*arguments, **options)
             text = encoder.text([value, self._log.taken()])
         except BaseException as error:  # noqa: BLE001  # the host raises it
             encoder = Encoder(Budget(), self._name_of)
@@ -114,6 +126,27 @@ class Worker:
         finally:
             signal.signal(signal.SIGINT, signal.SIG_IGN)
         return question.number, text, encoder.parts
+
+    def _object(self, what: str) -> Any:
+        """Returns what a question is about; answers for agents and pages are made when asked."""
+        if what not in self._opened and what != "ss":
+            self._opened[what] = service(what)(self.ss, self._record)
+        return self.ss if what == "ss" else self._opened[what]
+
+    def _decoded(self, message: Message) -> Any:
+        decoder = Decoder(message.body, Budget(_UNLIMITED), entity=self._entity, world=self._world)
+        return decoder.value(message.document)
+
+    def call(self, name: str, *arguments: Any) -> Any:
+        """Asks the host for something while a question is answered; any thread may call it."""
+        encoder = Encoder(self._budget, self._name_of)
+        text = encoder.text([name, arguments])
+        with self._calling, _without_interrupts():
+            send(self._connection, self._number, text, encoder.parts, is_call=True)
+            value, *error = self._decoded(receive(self._connection))
+        if error:
+            raise called_error(error[0])
+        return value
 
     def _world(self, name: str) -> World:
         value = self.ss[name]
@@ -138,10 +171,6 @@ class Worker:
 
     # -- requests -------------------------------------------------------------------------
 
-    def effects(self) -> dict[str, Any]:
-        """Returns what the process can do although an effect forbids it, and what it lacks."""
-        return self._effects
-
     def open(
         self, kind: str, location: str, options: dict[str, Any], limits: dict[str, Any]
     ) -> None:
@@ -151,7 +180,7 @@ class Worker:
         if isinstance(recording, dict):
             options["recording"] = Recording(**recording)
         if kind == "lake":
-            self._lake, self._limits = service("lake")(location), allowed
+            self._opened[kind] = service(kind)(location, allowed)
             return
         with ExitStack() as stack:
             if kind == "scene":
@@ -160,15 +189,15 @@ class Worker:
                 ss = opened_record(location, limits=allowed, **options)
                 self._record = location
             elif kind == "task":
-                self._task = service("task")(location, limits=allowed)
-                ss = self._task.interpreter
+                self._opened[kind] = service(kind)(location, limits=allowed)
+                ss = self._opened[kind].interpreter
             else:
                 ss = Interpreter(limits=allowed, **options)
             stack.callback(ss.close)
             # The wall holds without it, too.
             ss._database.confine(self._walls.memory // _DUCKDB_SHARE)  # noqa: SLF001  # the one door
             stack.pop_all()
-        self._ss = ss
+        self._opened["ss"] = ss
 
     def eval(self, text: str, parameters: Any, is_compiled: bool) -> Any:
         """Runs a program."""
@@ -193,72 +222,77 @@ class Worker:
         for name, value in values.items():
             self.ss.add_variable(name, value)
 
+    def names(self) -> list[str]:
+        """Returns the names of the variables."""
+        return list(self.ss)
+
     def worlds(self) -> list[str]:
         """Returns the names of the variables that are worlds, in the order of the worlds."""
         return [name for world in self.ss.worlds for name in self.ss if self.ss[name] is world]
 
-    def state(self, name: str) -> dict[str, Any]:
-        """Returns what a handle of a world tells."""
-        world = self._world(name)
-        return {
-            "time": world.time,
-            "tick": world.tick_number,
-            "timestep": world.timestep,
-            "entities": len(world),
-        }
-
     def table(self, name: str, table: str) -> Any:
         """Returns a table of a world's current tick."""
-        self._world(name)
         check_known(table, TABLES, f"there is no table {short_repr(table)}")
         path = exp.table_(table, db=name, quoted=True).sql("duckdb")
         return self.ss.sql(f"FROM {path}").arrow()
 
-    def entities(self, name: str) -> list[Any]:
+    def entities(self, world: World) -> list[Any]:
         """Returns the entities of a world."""
-        return list(self._world(name))
-
-    def entity(self, name: str, entity: str) -> Any:
-        """Returns the entity of a name."""
-        return self._world(name)[entity]
-
-    def property_of(self, entity: Any, name: str) -> Any:
-        """Returns a property of an entity."""
-        if name not in PROPERTIES:
-            raise UnknownNameError(f"there is no property {name!r}")
-        return getattr(entity, name)
-
-    def step(self, name: str, count: int, every: int | None) -> None:
-        """Steps a world."""
-        self._world(name).step(count, every=every)
-
-    def run(self, names: list[str] | None, seconds: float, every: int | None) -> None:
-        """Runs worlds, or all of them."""
-        if names is None:
-            self.ss.run(seconds, every=every)
-        else:
-            run([self._world(name) for name in names], seconds, every=every)
-
-    def tick(self, name: str) -> None:
-        """Takes a tick of a world."""
-        self._world(name).tick()
-
-    def of_lake(self, method: str, arguments: list[Any], options: dict[str, Any]) -> Any:
-        """Returns what a lake answers."""
-        value = getattr(self._lake, method)
-        if method in ("ask", "score"):
-            options |= {"limits": self._limits, "processes": 1, "progress": False}
-        return value(*arguments, **options) if callable(value) else value
-
-    def told(self, method: str, arguments: list[Any]) -> Any:
-        """Returns an answer to an agent."""
-        if self._answers is None:
-            self._answers = service("agent answers")(self.ss, self._record)
-        return getattr(self._answers, method)(*arguments)
+        return list(world)
 
     def set_strict(self, strict: bool) -> None:
         """Makes probable mistakes errors, or warnings."""
         self.ss.strict = strict
+
+    def copy_world(self, description: dict[str, Any]) -> None:
+        """Begins a copy of a world of the host, in place of an earlier one of its name."""
+        told = WorldDescription(**description)
+
+        def request(tables: Collection[str]) -> WorldNews:
+            return WorldNews(**self.call("news", told.name, list(tables)))
+
+        self._copies[told.name] = WorldCopy(self.ss, told, request)
+
+    def update_world(self, name: str, news: dict[str, Any]) -> None:
+        """Takes over what is new in a world of the host."""
+        self._copies[name].apply(WorldNews(**news))
+
+    def add_function(self, name: str, help: str, parameters: Any, hints: dict[str, str]) -> None:
+        """Adds a function of the host."""
+        self.ss.add_function(name, _stand_in(self.call, name, parameters, hints), help)
+
+    def add_trigger(self, name: str, program: str, interval: float, options: Any) -> None:
+        """Adds a trigger whose callback is in the host."""
+        self.ss.add_trigger(name, program, interval, partial(self.call, "fired", name), **options)
+
+
+def _stand_in(
+    call: Callable[..., Any], name: str, parameters: Any, hints: dict[str, str]
+) -> Callable[..., Any]:
+    """Returns a function with the parameters of one of the host, which calls that one."""
+
+    def stand_in(*arguments: Any) -> Any:
+        return call("function", name, *arguments)
+
+    if parameters is not None:
+        defaults = {True: inspect.Parameter.empty, False: None}
+        made = [
+            inspect.Parameter(own, inspect._ParameterKind(kind), default=defaults[is_required])  # noqa: SLF001
+            for own, kind, is_required in parameters
+        ]
+        stand_in.__signature__ = inspect.Signature(made)  # type: ignore[attr-defined]
+    stand_in.__annotations__ = hints
+    return stand_in
+
+
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Keeps Ctrl-C waiting: an answer of the host that nobody takes would be taken for another."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _loaded(scene: str, limits: Limits, options: dict[str, Any]) -> Interpreter:
@@ -270,27 +304,3 @@ def _loaded(scene: str, limits: Limits, options: dict[str, Any]) -> Interpreter:
             raise
         name = "" if isinstance(error, SceneError) else f"{scene} cannot be loaded: "
         raise SceneError(f"{name}{told}; in a sandbox a scene reads its own folder only") from error
-
-
-_REQUESTS: dict[str, Callable[..., Any]] = {
-    **{
-        name: getattr(Worker, name)
-        for name in (
-            *("effects", "open", "eval", "show", "sql_of", "check", "set_variables", "worlds"),
-            *("state", "table", "entities", "entity", "property_of"),
-            *("step", "run", "tick", "set_strict"),
-        )
-    },
-    "sql": lambda worker, text, parameters: worker.ss.sql(text, parameters),
-    "explain": lambda worker, text: worker.ss.explain(text),
-    "answer": Worker.told,
-    "of_lake": Worker.of_lake,
-    "task": lambda worker: worker._task.task.values,  # noqa: SLF001
-    "reset": lambda worker, seed: worker._task.reset(seed=seed),  # noqa: SLF001
-    "act": lambda worker, action: worker._task.step(action),  # noqa: SLF001
-    "help": lambda worker, name: worker.ss.help(name),
-    "history": lambda worker, name: worker.ss.history(name),
-    "variable": lambda worker, name: worker.ss[name],
-    "names": lambda worker: list(worker.ss),
-    "has": lambda worker, name: name in worker.ss,
-}

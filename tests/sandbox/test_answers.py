@@ -177,7 +177,7 @@ def test_errors_cross(sandbox, here, method, text):
 
 def test_errors_that_are_none_of_ssducks_are_plain(sandbox):
     with pytest.raises(SandboxError, match="ZeroDivisionError"):
-        sandbox.ask("python", "1 / 0")
+        sandbox.ask("worker.python", "1 / 0")
 
 
 def test_warnings_cross(sandbox):
@@ -260,7 +260,7 @@ def test_variables_are_the_hosts_and_outlive_the_process(zygote):
         assert (ss["high"], ss["low"], "low" in ss, "none" in ss) == (1.2, 0.5, True, False)
         assert {"kitchen", "high", "points", "low"} == set(ss)
         with pytest.raises(LimitError, match="variables that programs have set are gone"):
-            ss.ask("python", "__import__('os')._exit(3)")
+            ss.ask("worker.python", "__import__('os')._exit(3)")
         assert ss.eval("high;") == 1.2
         np.testing.assert_array_equal(ss["points"], np.eye(3))
         with pytest.raises(UnknownNameError):
@@ -352,7 +352,7 @@ def test_a_variable_that_cannot_be_set_again_is_told(zygote):
         ss["it"] = ss.eval("SELECT this FROM piece AS list;")[0]
         ss["high"] = 1.5
         with pytest.raises(LimitError):
-            ss.ask("python", "__import__('os')._exit(0)")
+            ss.ask("worker.python", "__import__('os')._exit(0)")
         with pytest.warns(UserWarning, match="'it' cannot be set again"):
             assert ss["high"] == 1.5
 

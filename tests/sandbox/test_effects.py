@@ -54,7 +54,7 @@ def test_each_probe_gets_through_where_its_wall_is_missing(zygote, lacking, effe
     others = [name for name in EFFECTS if name != effect]
     with SandboxedInterpreter(zygote=zygote, limits=Limits.strict(require=others)) as ss:
         assert ss.effects[effect] == list(_PROBES[effect])
-        assert ss.ask("python", "__import__('os').getcwd()").endswith("scratch")
+        assert ss.ask("worker.python", "__import__('os').getcwd()").endswith("scratch")
 
 
 @pytest.mark.slow

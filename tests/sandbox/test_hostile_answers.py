@@ -61,7 +61,7 @@ def test_what_is_no_answer_ends_the_process(zygote, name):
     with SandboxedInterpreter(zygote=zygote) as ss:
         ss["mine"] = 1
         with pytest.raises(LimitError, match="process of the program"):
-            ss.ask("python", SEND.format(SENT[name].replace("{{", "{").replace("}}", "}")))
+            ss.ask("worker.python", SEND.format(SENT[name].replace("{{", "{").replace("}}", "}")))
         assert ss.eval("mine;") == 1
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000
 
@@ -70,7 +70,7 @@ def test_what_is_no_answer_ends_the_process(zygote, name):
 def test_an_error_of_another_class_is_plain(zygote):
     told = 'send(b\'[null, [], {"dict": ["class", "SystemExit", "message", "x"]}]\')'
     with SandboxedInterpreter(zygote=zygote) as ss, pytest.raises(SandboxError, match=r"x$"):
-        ss.ask("python", SEND.replace("{}", f"{told}\nimport time\ntime.sleep(0.5)"))
+        ss.ask("worker.python", SEND.replace("{}", f"{told}\nimport time\ntime.sleep(0.5)"))
 
 
 @pytest.mark.slow

@@ -213,7 +213,7 @@ def test_what_a_program_breaks_is_its_own(zygote):
     with SandboxedInterpreter.load("kitchen", zygote=zygote) as ss:
         ss.sql("CREATE TABLE mine AS SELECT 1 AS a")
         with pytest.raises(LimitError, match="the process of the program ended"):
-            ss.ask("python", "__import__('os')._exit(0)")
+            ss.ask("worker.python", "__import__('os')._exit(0)")
         with pytest.raises(SqlError, match="mine"):
             ss.sql("SELECT * FROM mine")
 

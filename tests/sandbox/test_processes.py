@@ -183,11 +183,11 @@ def test_time_is_ended_by_the_host(zygote):
     with SandboxedInterpreter(limits=Limits.strict(seconds=0.3), zygote=zygote) as ss:
         pid = ss._worker._pid
         with pytest.raises(LimitError, match=r"took more than 0\.3 s, and its process was ended"):
-            ss.ask("python", "__import__('time').sleep(100)")
+            ss.ask("worker.python", "__import__('time').sleep(100)")
         wait_for_end([pid])
         with pytest.raises(LimitError, match=r"took more than 0\.3 s"):
             ss.ask(
-                "python",
+                "worker.python",
                 "__import__('signal').pthread_sigmask(0, range(1, 64)) is None or [0 for _ in iter(int, 1)]",
             )
         assert ss.eval("1;") == 1
@@ -201,7 +201,7 @@ def test_ctrl_c_ends_the_program_and_keeps_its_variables(zygote):
         worker = ss._worker
         for ask in (
             lambda: ss.eval("sum(SELECT a.this * b.this FROM a=m, b=m AS list);"),
-            lambda: ss.ask("python", "__import__('time').sleep(60)"),
+            lambda: ss.ask("worker.python", "__import__('time').sleep(60)"),
             lambda: ss.sql("SELECT sum(a.range * b.range) FROM range(1000000) a, range(1000000) b"),
         ):
             threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()
@@ -217,7 +217,7 @@ def test_ctrl_c_ends_a_process_that_ignores_it(zygote):
         threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()
         ignoring = "__import__('signal').signal(2, __import__('signal').SIG_IGN) and __import__('time').sleep(60)"
         with pytest.raises((KeyboardInterrupt, LimitError)):
-            ss.ask("python", ignoring)
+            ss.ask("worker.python", ignoring)
         assert ss.eval("1;") == 1
 
 
@@ -257,9 +257,9 @@ def test_sandboxes_share_no_variables(zygote):
         one["x"] = 1
         other["x"] = 2
         assert (one.eval("x;"), other.eval("x;")) == (1, 2)
-        folders = [ss.ask("python", "__import__('os').getcwd()") for ss in (one, other)]
+        folders = [ss.ask("worker.python", "__import__('os').getcwd()") for ss in (one, other)]
         with pytest.raises(SandboxError, match="Permission denied"):
-            one.ask("python", f"__import__('os').listdir({folders[1]!r})")
+            one.ask("worker.python", f"__import__('os').listdir({folders[1]!r})")
 
 
 @pytest.mark.slow

@@ -151,7 +151,7 @@ def test_what_hangs_is_ended(folder):
     with strict(folder / "still.toml", seconds=3.0) as env:
         first, _ = env.reset(seed=1)
         hang = "worker._task.step = lambda _: __import__('time').sleep(1000)"
-        env.interpreter.ask("python", f"{hang}\n")
+        env.interpreter.ask("worker.python", f"{hang}\n")
         with pytest.raises(LimitError, match="took too long, and its process was ended"):
             env.step([])
         np.testing.assert_equal(env.reset(seed=1)[0], first)
@@ -173,7 +173,7 @@ def test_what_a_taken_process_answers_is_data(folder):
         env.reset(seed=1)
         for answer in TAKEN.values():
             code = f"import numpy as np\nworker._task.step = lambda _: {answer}\n"
-            env.interpreter.ask("python", code)
+            env.interpreter.ask("worker.python", code)
             with pytest.raises(LimitError, match="sent no answer"):
                 env.step([0.0])
 

@@ -130,7 +130,7 @@ def test_python_reaches_nothing(empty, outside, name):
         code = code.replace("{outside}", str(outside)).replace("{{", "{").replace("}}", "}")
         code = code.replace("{port}", str(server.getsockname()[1]))
         with pytest.raises((SandboxError, LimitError)) as caught:
-            empty.ask("python", code)
+            empty.ask("worker.python", code)
     known = ("Permission", "not permitted", "not implemented", "memory", "too large", "not allowed")
     known += ("No such file or directory: '/dev/tty'", "No such device")
     assert any(word in caught.value.message for word in known)
@@ -143,7 +143,7 @@ def test_python_reaches_nothing(empty, outside, name):
 @pytest.mark.parametrize("name", CALLS)
 def test_system_calls_are_refused(empty, name):
     arguments = CALLS[name].replace("{host}", str(os.getpid()))
-    answer = empty.ask("python", RAW.format(arguments))
+    answer = empty.ask("worker.python", RAW.format(arguments))
     assert answer in ("Operation not permitted", "Function not implemented")
     assert empty.eval("1 + 1;") == 2
 
@@ -161,11 +161,11 @@ def test_the_kernel_refuses_all_other_calls(empty):
         "or ctypes.get_errno() not in (1, 38)}\nresult = list(result)\n"
     )
     assert len(others) > 300
-    assert empty.ask("python", code) == []
+    assert empty.ask("worker.python", code) == []
 
 
 def test_a_shell_is_not_started(empty, tmp_path):
-    assert empty.ask("python", f"__import__('os').system('touch {tmp_path}/x')") != 0
+    assert empty.ask("worker.python", f"__import__('os').system('touch {tmp_path}/x')") != 0
     assert list(tmp_path.iterdir()) == []
 
 
@@ -178,26 +178,26 @@ threads = [threading.Thread(target=found.append, args=(i,)) for i in range(8)]
 [thread.join() for thread in threads]
 result = sorted(found)
 """
-    assert empty.ask("python", code) == list(range(8))
+    assert empty.ask("worker.python", code) == list(range(8))
 
 
 @pytest.mark.slow
 def test_its_scratch_folder_is_its_own_and_bounded(zygote):
     with SandboxedInterpreter(zygote=zygote) as ss:
-        assert ss.ask("python", "open('mine', 'w').write('x')") == 1
-        folder = ss.ask("python", "__import__('os').getcwd()")
+        assert ss.ask("worker.python", "open('mine', 'w').write('x')") == 1
+        folder = ss.ask("worker.python", "__import__('os').getcwd()")
         assert [path.name for path in Path(folder).iterdir()] == ["mine"]
         fill = "[open(f'f{i}', 'wb').write(bytes(50 << 20)) for i in range(20)]"
         with pytest.raises(LimitError, match="filled the disk"):
-            ss.ask("python", fill)
+            ss.ask("worker.python", fill)
         assert not Path(folder).exists()
         with pytest.raises(LimitError, match="filled the disk"):
-            ss.ask("python", "[open(f'f{i}', 'w') and None for i in range(2000)]")
+            ss.ask("worker.python", "[open(f'f{i}', 'w') and None for i in range(2000)]")
         for code in (HIDDEN, DEEP, FAR, MAPPED):
             with pytest.raises(LimitError, match="filled the disk"):
-                ss.ask("python", code)
+                ss.ask("worker.python", code)
         assert ss.eval("1;") == 1
-        ss.ask("python", LOCKED)
+        ss.ask("worker.python", LOCKED)
     folders = [path.name for path in Path(folder).parents[1].iterdir()]
     own = int(Path(folder).parent.name.removeprefix("worker"))
     assert not any(f"worker{number}" in folders for number in range(own, own + 7))
@@ -261,7 +261,7 @@ time.sleep(5)
 """
     with SandboxedInterpreter(zygote=zygote) as ss:
         with pytest.raises(LimitError, match="many threads"):
-            ss.ask("python", bomb)
+            ss.ask("worker.python", bomb)
         assert ss.eval("1;") == 1
 
 
@@ -275,14 +275,14 @@ def work():
 threading.Thread(target=work, daemon=True).start()
 """
     with SandboxedInterpreter(zygote=zygote) as ss:
-        ss.ask("python", count)
+        ss.ask("worker.python", count)
         while state_of(ss)[0] != "T":  # it takes the signal when it is scheduled
             time.sleep(0.01)
         used = state_of(ss)[11:13]
         time.sleep(0.2)
         assert state_of(ss)[11:13] == used
-        first = ss.ask("python", "worker.count")
-        assert ss.ask("python", "__import__('time').sleep(0.1) or worker.count") > first
+        first = ss.ask("worker.python", "worker.count")
+        assert ss.ask("worker.python", "__import__('time').sleep(0.1) or worker.count") > first
 
 
 def state_of(ss):
@@ -293,7 +293,7 @@ def state_of(ss):
 
 def test_descriptors_are_its_connection_only(empty):
     code = "{n: __import__('os').readlink(f'/proc/self/fd/{n}') for n in __import__('os').listdir('/proc/self/fd') if __import__('os').path.exists(f'/proc/self/fd/{n}')}"
-    targets = empty.ask("python", code)
+    targets = empty.ask("worker.python", code)
     assert {targets[str(n)] for n in range(3)} == {"/dev/null"}
     files = [path for path in targets.values() if path.startswith("/") and path != "/dev/null"]
     assert all(path.startswith("/proc/") for path in files)
@@ -311,7 +311,7 @@ from ssduck.sandbox.seccomp import _CHECKED
 from ssduck.sandbox.system_calls import ALLOWED, MACHINES, number_of
 zygote = HookedZygote()
 with SandboxedInterpreter(zygote=zygote) as ss:
-    print(json.dumps(ss.ask("python", "dict(__import__('os').environ)")))
+    print(json.dumps(ss.ask("worker.python", "dict(__import__('os').environ)")))
 zygote.close()
 """
     told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -333,10 +333,10 @@ def test_a_scene_reads_its_folder_and_no_more(zygote, tmp_path):
     limits = Limits.strict()
     with SandboxedInterpreter.load(folder / "box.urdf", limits=limits, zygote=zygote) as ss:
         assert ss.eval("SELECT id(this) FROM box AS list;") == ["box"]
-        assert ss.ask("python", f"len(open('{folder}/box.urdf').read())") > 10
+        assert ss.ask("worker.python", f"len(open('{folder}/box.urdf').read())") > 10
         for path in (tmp_path / "secret.obj", folder / ".hidden", folder / "link" / "secret.obj"):
             with pytest.raises(SandboxError, match="Permission denied"):
-                ss.ask("python", f"open('{path}').read()")
+                ss.ask("worker.python", f"open('{path}').read()")
 
 
 @pytest.mark.slow

@@ -32,13 +32,13 @@ def main() -> None:
     held: dict[str, int] = {}
 
     def python(own: Any, code: str) -> Any:
-        names = {"worker": own, "ss": own._ss, "connection": held["connection"]}
+        names = {"worker": own, "ss": own._opened.get("ss"), "connection": held["connection"]}
         if "\n" not in code:
             return eval(code, names)  # noqa: S307
         exec(code, names)  # noqa: S102
         return names.get("result")
 
-    worker._REQUESTS["python"] = python
+    worker.Worker.python = python  # type: ignore[attr-defined]
 
     def serve(connection: int, walls: Walls, order: dict[str, Any]) -> None:
         held["connection"] = connection
