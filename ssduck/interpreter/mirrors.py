@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import count
 from typing import Any, NoReturn, TypeAlias
 
 import pyarrow as pa
@@ -34,8 +35,8 @@ from ssduck.world.layout import EntityInfo
 from ssduck.world.snapshot import Snapshot
 from ssduck.world.world import World
 
-# The schema of the models of the entities in a copy.
-_SCHEMA = "copied"
+# Number the schemas of the models of the entities in copies.
+_numbers = count()
 # The table of what sensors perceive: rays are cast for a program that asks for it only.
 _SENSINGS = "sensings"
 _Tables: TypeAlias = dict[str, pa.Table]
@@ -362,7 +363,7 @@ def _past_copy(
     elif description.recording is not None:
         recording = Recording(**description.recording)
         connection = ss._database.connection.writer()  # noqa: SLF001  # one package
-        archive = MemoryStore(_SCHEMA, connection, recording, description.name)
+        archive = MemoryStore(f"copied{next(_numbers)}", connection, recording, description.name)
     else:
         return None
     record = Record(

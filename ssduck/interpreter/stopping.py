@@ -4,10 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Protocol
 
 from ssduck.database.running import DEADLINES
 from ssduck.interpreter.interpreter import Interpreter
+
+
+class Stoppable(Protocol):
+    """Runs programs, and stops them.
+
+    Attributes:
+        is_stopped: tells whether its programs have to end; None if nobody can stop them.
+    """
+
+    is_stopped: Callable[[], bool] | None
 
 
 class StopRequest:
@@ -27,15 +38,15 @@ class StopRequest:
         DEADLINES.look_again()
 
     @contextlib.contextmanager
-    def applies_to(self, ss: Interpreter) -> Iterator[None]:
+    def applies_to(self, ss: Interpreter | Stoppable) -> Iterator[None]:
         """Applies to the programs that this thread runs inside; they raise a LimitError.
 
         Args:
-            ss: their interpreter, which no other thread uses meanwhile.
+            ss: their interpreter, here or in a sandbox, which no other thread uses meanwhile.
         """
-        execution = ss._execution  # noqa: SLF001  # one package
-        execution.is_stopped = self._event.is_set
+        runs: Stoppable = ss._execution if isinstance(ss, Interpreter) else ss  # noqa: SLF001  # one package
+        runs.is_stopped = self._event.is_set
         try:
             yield
         finally:
-            execution.is_stopped = None
+            runs.is_stopped = None

@@ -15,7 +15,7 @@ from ssduck.adapters.display import RowsOfColumns, as_json, display_table, numbe
 from ssduck.adapters.formats import png_of
 from ssduck.adapters.marks import highlighted, marks_of
 from ssduck.adapters.registry import all_adapters
-from ssduck.errors import ArgumentError, LimitError, printable
+from ssduck.errors import ArgumentError, printable
 from ssduck.formatting import first_sentence, short_repr
 from ssduck.interpreter.archives import episodes
 from ssduck.interpreter.completion import Language
@@ -232,16 +232,15 @@ class SandboxedAnswers:
 
     def __init__(self, ss: SandboxedInterpreter) -> None:
         self._ss = ss
-        self._is_stopped = False
+        self._stop_request = StopRequest()
 
     def begin(self) -> None:
         """Forgets what was stopped before."""
-        self._is_stopped = False
+        self._stop_request = StopRequest()
 
     def stop(self) -> None:
         """Ends the question that was begun last; any thread may call it."""
-        self._is_stopped = True
-        self._ss.stop()
+        self._stop_request.make()
 
     def schema(self) -> str:
         """Returns the guide, the worlds, tables and functions."""
@@ -264,9 +263,8 @@ class SandboxedAnswers:
         return bytes(self._ask("picture", program, language, width, height))
 
     def _ask(self, method: str, *arguments: Any) -> Any:
-        if self._is_stopped:
-            raise LimitError("the request was cancelled")
-        return self._ss.ask(f"agent answers.{method}", *arguments)
+        with self._stop_request.applies_to(self._ss):
+            return self._ss.ask(f"agent answers.{method}", *arguments)
 
 
 def _text(value: Any, max_rows: int) -> str:

@@ -93,6 +93,9 @@ class SandboxedInterpreter:
         strict: whether probable mistakes are errors.
         zygote: the process from which it is forked; by default that of this process.
 
+    Attributes:
+        is_stopped: tells whether another thread has stopped its programs; None if none can.
+
     Raises:
         SandboxError: the system lacks an effect, or the process does not start.
         SelectScriptError: the scene or record cannot be opened.
@@ -112,6 +115,7 @@ class SandboxedInterpreter:
         self._strict = validation.boolean(strict, "sandbox: strict")
         self._zygote = zygote
         self._lock = threading.RLock()
+        self.is_stopped: Callable[[], bool] | None = None
         # What the process gets again after it was ended.
         self._variables: dict[str, Any] = {}
         self._functions: dict[str, tuple[Callable[..., Any], str]] = {}
@@ -259,6 +263,7 @@ class SandboxedInterpreter:
             world=self._world,
             name_of=self._live.name_of,
             call=self._called,
+            is_stopped=self.is_stopped,
         )
 
     def _called(self, what: Any, *arguments: Any) -> Any:
@@ -286,9 +291,10 @@ class SandboxedInterpreter:
         memory = self._limits.memory or 10**9
         walls = Walls("", self._source.readable, 2 * memory + _SPARE)
         self._worker = zygote.worker(walls, {"answer_bytes": self._limits.answer_bytes})
-        limits = {
-            name: getattr(self._limits, name) for name in ("seconds", "rows", "depth", "eval")
-        }
+        own = self._limits
+        limits = {name: getattr(own, name) for name in ("seconds", "rows", "depth", "eval")}
+        # What a sandbox must not keep out may change nothing.
+        limits["select_only"] = own.select_only and not own.require
         source, opening = self._source, max(self._limits.seconds or 0.0, LEAST_OPENING)
         ask = partial(self._ask, opening)
         try:
@@ -319,11 +325,6 @@ class SandboxedInterpreter:
         if self._worker is not None:
             self._worker.end()
             self._worker = None
-
-    def stop(self) -> None:
-        """Ends the program that another thread has asked for: its answer is a LimitError."""
-        if (worker := self._worker) is not None and worker.is_alive:
-            worker.stop()
 
     @property
     def effects(self) -> dict[str, list[str]]:
@@ -420,6 +421,18 @@ class SandboxedInterpreter:
             self._live.remove(name)
             self._variables[name] = value
             return value
+
+    def follow(self, name: str, world: World, owner: Interpreter, *, is_past: bool) -> None:
+        """Copies a world of an interpreter of this process, unless that is being done.
+
+        Args:
+            name: the name of the copy.
+            world: the world.
+            owner: the interpreter, which records it or not.
+            is_past: whether the copy goes to recorded ticks; else it is of the last tick.
+        """
+        with self._lock:
+            self._live.add(name, world, owner, is_past=is_past)
 
     def __setitem__(self, name: str, value: Any) -> None:
         """Binds a value to a name, as `add_variable` does."""

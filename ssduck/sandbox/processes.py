@@ -226,7 +226,7 @@ class WorkerProcess:
         is_own = self._finalizer.alive and self.host == os.getpid()
         return is_own and not has_ended(self._process)
 
-    def stop(self) -> None:
+    def _stop(self) -> None:
         """Ends the program that it runs, if any, as Ctrl-C does."""
         with suppress(OSError):
             self._signal(signal.SIGINT)
@@ -245,6 +245,7 @@ class WorkerProcess:
         world: Callable[[str], Any],
         name_of: Callable[[Any], str],
         call: Callable[..., Any],
+        is_stopped: Callable[[], bool] | None = None,
     ) -> Any:
         """Returns the answer to a request.
 
@@ -256,17 +257,26 @@ class WorkerProcess:
             world: returns the world of a name.
             name_of: returns the name of a world.
             call: answers what the process asks before it answers: a name, and arguments.
+            is_stopped: tells whether the program has to end; None if nobody can stop it.
         """
         encoder = Encoder(_unlimited(), name_of)
         document = encoder.text([request, list(arguments), dict(options)])
         self._number = (self._number + 1) % 2**32
         began = time.monotonic()
+        if is_stopped is not None and is_stopped():
+            raise LimitError("the program was stopped")
+
+        def look() -> None:
+            self._look()
+            if is_stopped is not None and is_stopped():
+                self._stop()
+
         try:
             self._signal(signal.SIGCONT)
-            wait = Waiting(self._connection.fileno(), seconds, self._look)
+            wait = Waiting(self._connection.fileno(), seconds, look)
             message = self._exchange(document, encoder, wait, is_call=False)
             while message.is_call:
-                name, called_with = self._values(message, world)
+                name, called_with = self._call_of(message, world)
                 reply, encoder = _reply(partial(call, name, *called_with), name_of)
                 message = self._exchange(reply, encoder, wait, is_call=True)
             warnings, error, value = self._answer(message, world)
@@ -307,7 +317,7 @@ class WorkerProcess:
         except KeyboardInterrupt:
             # The program ends as it does in this process, with its variables as before; its answer
             # is of no use, but the next question needs the socket.
-            self.stop()
+            self._stop()
             grace = Waiting(descriptor, GRACE, self._look)
             while receive(descriptor, self._check_size, grace).is_call:
                 send(descriptor, self._number, _STOPPED, (), grace, is_call=True)
@@ -330,6 +340,13 @@ class WorkerProcess:
             return warnings, error_of(told[0]) if told else None, value
         except (ValueError, TypeError, AttributeError) as error:
             raise InvalidAnswerError(str(error)) from error
+
+    def _call_of(self, message: Message, world: Callable[[str], Any]) -> tuple[str, Sequence[Any]]:
+        """Returns the name and the arguments of a call."""
+        name, arguments, *_ = self._values(message, world)
+        if not (isinstance(name, str) and isinstance(arguments, list | tuple)):
+            raise InvalidAnswerError("it is no call")
+        return name, arguments
 
     def _values(self, message: Message, world: Callable[[str], Any]) -> Sequence[Any]:
         """Returns what a message holds."""
@@ -437,6 +454,8 @@ def _reply(call: Callable[[], Any], name_of: Callable[[Any], str]) -> tuple[byte
     encoder = Encoder(_unlimited(), name_of)
     try:
         return encoder.text([call()]), encoder
+    except InvalidAnswerError:
+        raise
     except Exception as error:  # noqa: BLE001  # the program gets it
         encoder = Encoder(_unlimited(), name_of)
         return encoder.text([None, told_error(error)]), encoder

@@ -10,7 +10,7 @@ import io
 import time
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -35,7 +35,7 @@ from ssduck.language.analysis import calls_of
 from ssduck.language.tree import Assignment, Call
 from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.view.facts import facts_of, plot_of
-from ssduck.view.live import Asked, Source
+from ssduck.view.live import Asked, Ticks
 from ssduck.view.scans import Scan
 from ssduck.world.world import World
 
@@ -221,10 +221,23 @@ MAX_LINES = 100
 _DOWNLOADS = ("csv", "json", "parquet")
 
 
+class AskedSource(Protocol):
+    """The worlds that the questions of a page are about."""
+
+    def mirror(self, time: float | None) -> Asked:
+        """Returns the world at a time, s; at present for None."""
+
+    def recorded(self) -> Asked:
+        """Returns a world that goes through the recorded ticks."""
+
+    def ticks(self) -> Ticks | None:
+        """Returns the recorded ticks; None if nothing is recorded."""
+
+
 class Answers:
     """Answers the questions of one page."""
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: AskedSource) -> None:
         self._source = source
         self._result: Any = None
         # Ends the programs of the question that is being answered.

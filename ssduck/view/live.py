@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -56,17 +56,23 @@ class RecordSource:
     latest: Frame | None = None
 
     def __init__(self, path: str | Path, episode: int | None) -> None:
+        self.path, self.episode = path, episode
         self.firings: list[tuple[str, float]] = []
         self._open = partial(open_record, path, episode=episode, limits=page_limits())
         with contextlib.ExitStack() as stack:
-            self._asked = self._opened(stack)
             # Poses are read by an interpreter of their own, so that no query delays them.
-            shown = self._opened(stack)
+            self._frames = _replayed(self._opened(stack).world)
             self._stack = stack.pop_all()
-        self._frames = _replayed(shown.world)
-        self._scanned: Asked | None = None
         self._lock = threading.Lock()
         self._scene: tuple[Frame, bytes] | None = None
+
+    @cached_property
+    def _asked(self) -> Asked:
+        return self._opened(self._stack)
+
+    @cached_property
+    def _scanned(self) -> Asked:
+        return self._opened(self._stack)
 
     def _opened(self, stack: contextlib.ExitStack) -> Asked:
         ss = self._open()
@@ -77,7 +83,7 @@ class RecordSource:
     @property
     def about(self) -> dict[str, Any]:
         """The name of the world, and that it is recorded."""
-        return {"world": self._asked.world.name, "kind": "record"}
+        return {"world": self._frames.name, "kind": "record"}
 
     def watch(self, changed: Callable[[], object] | None) -> None:
         """Does nothing: a record does not change."""
@@ -85,7 +91,7 @@ class RecordSource:
     def frame(self, time: float | None) -> Frame:
         """Returns the frame at a time; the first one for None."""
         with self._lock:
-            self._frames.seek(_recorded_time(self._frames, time))
+            self._frames.seek(recorded_time(self._frames, time))
             frame = Frame.of(self._frames.snapshot)
             frame.poses  # noqa: B018  # computed here, as the next tick is restored in its place
             return frame
@@ -111,13 +117,11 @@ class RecordSource:
     def mirror(self, time: float | None) -> Asked:
         """Returns the world at a time."""
         world = _replayed(self._asked.world)
-        world.seek(_recorded_time(world, time))
+        world.seek(recorded_time(world, time))
         return self._asked
 
     def recorded(self) -> Asked:
         """Returns a world that goes through the recorded ticks."""
-        if self._scanned is None:
-            self._scanned = self._opened(self._stack)
         return self._scanned
 
     def close(self) -> None:
@@ -130,7 +134,7 @@ def _replayed(world: World) -> ReplayedWorld:
     return world
 
 
-def _recorded_time(world: ReplayedWorld, time: float | None) -> float:
+def recorded_time(world: ReplayedWorld, time: float | None) -> float:
     """Returns the recorded time that is nearest to a time, s; the first one for None."""
     times = world.source_record.ticks.times
     first, last = float(times[0]), float(times[-1])
@@ -159,13 +163,16 @@ class LiveSource:
     """A world that is simulated.
 
     Attributes:
+        interpreter: the interpreter that has the world.
+        world: the world.
+        name: the name of the world there.
         latest: the last frame; None if nobody looks.
         firings: the triggers that fired while somebody looked, with the simulated times, s.
     """
 
     def __init__(self, ss: Interpreter, world: World, name: str) -> None:
         self.interpreter = ss
-        self.world, self._name = world, name
+        self.world, self.name = world, name
         self.latest: Frame | None = None
         self.firings: list[tuple[str, float]] = []
         self._changed: Callable[[], object] | None = None
@@ -177,7 +184,7 @@ class LiveSource:
     @property
     def about(self) -> dict[str, Any]:
         """The name of the world, and that it is live."""
-        return {"world": self._name, "kind": "live"}
+        return {"world": self.name, "kind": "live"}
 
     # -- following ----------------------------------------------------------------------------
 
@@ -297,9 +304,13 @@ class LiveSource:
         if mirror is not None:
             mirror.close()
         with world.lock:
-            if world not in self.interpreter.worlds:
-                raise UnsupportedError(f"{self._name!r} is no longer in its interpreter")
-            return Mirror(self.interpreter, world, self._name, page_limits(), is_past=is_past)
+            self.check_is_there()
+            return Mirror(self.interpreter, world, self.name, page_limits(), is_past=is_past)
+
+    def check_is_there(self) -> None:
+        """Checks that the interpreter still has the world."""
+        if self.world not in self.interpreter.worlds:
+            raise UnsupportedError(f"{self.name!r} is no longer in its interpreter")
 
     def close(self) -> None:
         """Closes the interpreters of the page; the world goes on."""

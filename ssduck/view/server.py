@@ -18,7 +18,7 @@ import threading
 from bisect import bisect_right
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, TypeAlias
 from urllib.parse import parse_qs, urlsplit
 
 from websockets.asyncio.server import Server, ServerConnection, serve
@@ -31,6 +31,9 @@ from ssduck.interpreter.stopping import StopRequest
 from ssduck.view.answers import Answers, error_message
 from ssduck.view.frames import Frame, Poses, Track, poses_message, track_message
 from ssduck.view.live import Simulation, Source, Ticks
+from ssduck.view.sealed import SealedAnswers
+
+AnyAnswers: TypeAlias = Answers | SealedAnswers
 
 
 class SentTicks:
@@ -81,7 +84,7 @@ class Viewer:
         questions: the questions that it waits for, with what ends their programs.
     """
 
-    def __init__(self, connection: ServerConnection, answers: Answers) -> None:
+    def __init__(self, connection: ServerConnection, answers: AnyAnswers) -> None:
         self.connection, self.answers = connection, answers
         self.news = asyncio.Event()
         self.time: float | None = None
@@ -154,12 +157,24 @@ _FILES = {"/page.js": "text/javascript", "/page.css": "text/css"}
 class PageServer:
     """The server of a page.
 
+    Args:
+        source: what the page shows.
+        answers: returns what answers the questions of another viewer.
+        host: the address to listen at.
+        port: the port; 0 for a free one.
+
     Attributes:
         url: the address of the page, with its token.
     """
 
-    def __init__(self, source: Source, host: str = "127.0.0.1", port: int = 0) -> None:
-        self._source, self._host = source, host
+    def __init__(
+        self,
+        source: Source,
+        answers: Callable[[], AnyAnswers],
+        host: str = "127.0.0.1",
+        port: int = 0,
+    ) -> None:
+        self._source, self._host, self._answers = source, host, answers
         self._controls: Simulation | None = None
         self._token = secrets.token_urlsafe(24)
         self._viewers: set[Viewer] = set()
@@ -283,7 +298,7 @@ class PageServer:
     # -- connections --------------------------------------------------------------------------
 
     async def _connected(self, connection: ServerConnection) -> None:
-        viewer = Viewer(connection, Answers(self._source))
+        viewer = Viewer(connection, self._answers())
         self._viewers.add(viewer)
         try:
             if len(self._viewers) == 1:

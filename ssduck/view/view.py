@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import html
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -12,7 +13,9 @@ from ssduck.adapters.optional import library
 from ssduck.errors import UnknownNameError, check_known
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.simulators.scenes import Camera
+from ssduck.view.answers import Answers
 from ssduck.view.live import LiveSource, RecordSource, Simulation, Source
+from ssduck.view.sealed import SealedPage
 from ssduck.world.world import World
 
 _HEIGHT = 640
@@ -43,11 +46,16 @@ class View:
         port: int = 0,
     ) -> None:
         library("websockets", "view")
-        from ssduck.view.server import PageServer
+        from ssduck.view.server import AnyAnswers, PageServer
 
         with contextlib.ExitStack() as stack:
             stack.callback(source.close)
-            self._server = PageServer(source, host, port)
+            answers: Callable[[], AnyAnswers] = partial(Answers, source)
+            sealed = SealedPage.of(source)
+            if sealed is not None:
+                stack.callback(sealed.close)
+                answers = sealed.answers
+            self._server = PageServer(source, answers, host, port)
             stack.callback(self._server.close)
             if reload is not None:
                 assert isinstance(source, LiveSource)

@@ -9,7 +9,7 @@ import ssduck
 from ssduck.errors import SelectScriptError
 
 pytest.importorskip("websockets", reason="the extra view is not installed")
-from ssduck.view import answers, scans
+from ssduck.view import answers, scans, sealed
 from tests.view.test_server import asked, opened
 
 # It does not end before the limit of time.
@@ -20,36 +20,61 @@ STOPPED = "the program was stopped"
 class Running:
     """Long queries: whether one has begun and ended, and their errors."""
 
-    def __init__(self, value_of):
+    def __init__(self, ask, is_long):
         self.began, self.ended = threading.Event(), threading.Event()
         self.errors = []
-        self._value_of = value_of
+        self._ask, self._is_long = ask, is_long
 
-    def __call__(self, ss, text, language):
-        if text != LONG:
-            return self._value_of(ss, text, language)
+    def __call__(self, *arguments):
+        if not self._is_long(*arguments):
+            return self._ask(*arguments)
         self.began.set()
         try:
-            return self._value_of(ss, text, language)
+            answer = self._ask(*arguments)
         except SelectScriptError as error:
             self.errors.append(error.message)
             raise
+        else:
+            self.errors += [answer["error"]["message"]] if "error" in answer else []
+            return answer
         finally:
             self.ended.set()
 
 
+def is_sealed_long(_box, _stop, method, _viewer, question):
+    """Whether a sandbox is asked for what takes long; a search is what goes on."""
+    if method == "answer":
+        return question.get("text") == LONG
+    return method == "advance_scan"
+
+
+@pytest.fixture(scope="module", params=["sealed", "here"])
+def place(request):
+    """Whether pages are answered in a sandbox, or in this process, as on other systems."""
+    with pytest.MonkeyPatch.context() as patch:
+        if request.param == "here":
+            patch.setattr(sealed.SealedPage, "of", classmethod(lambda *_: None))
+        yield request.param
+
+
 @pytest.fixture
-def running(monkeypatch):
-    running = Running(answers.value_to_show)
-    monkeypatch.setattr(answers, "value_to_show", running)
-    monkeypatch.setattr(scans, "value_to_show", running)
+def running(monkeypatch, place):
+    if place == "sealed":
+        running = Running(sealed._asked, is_sealed_long)
+        monkeypatch.setattr(sealed, "_asked", running)
+    else:
+        running = Running(answers.value_to_show, lambda _ss, text, _language: text == LONG)
+        monkeypatch.setattr(answers, "value_to_show", running)
+        monkeypatch.setattr(scans, "value_to_show", running)
     return running
 
 
 @pytest.fixture(scope="module")
-def url():
+def url(place):
     with ssduck.load("kitchen") as ss, ss.view() as served:
         ss.run(0.1)
+        with opened(served.url) as socket:  # the sandboxes start
+            asked(socket, type="ask", text="1;")
         yield served.url
 
 

@@ -1,0 +1,191 @@
+"""Answers the questions of pages in sandboxes: for the present, for the past, and for scans.
+
+The host has the world, and shows it. A program of a page runs where it can do no harm, and a long
+one does not delay the simulation.
+"""
+
+from __future__ import annotations
+
+import json
+from itertools import count
+from typing import Any, Literal, TypeAlias
+
+from ssduck.errors import LimitError, SandboxError, SelectScriptError, warn
+from ssduck.interpreter.interpreter import Interpreter
+from ssduck.interpreter.stopping import StopRequest
+from ssduck.recording.replay.replayed_world import CopiedWorld, ReplayedWorld
+from ssduck.sandbox.interpreter import SandboxedInterpreter
+from ssduck.sandbox.processes import shared_zygote
+from ssduck.view.answers import Answers, error_message
+from ssduck.view.live import Asked, LiveSource, Source, Ticks, page_limits, recorded_time
+from ssduck.view.scans import Scan
+
+Use: TypeAlias = Literal["present", "past", "scan"]
+
+
+class SealedPage:
+    """The sandboxes that answer about a source, for all its viewers; each starts when it is asked.
+
+    Two threads ask: one for scans, one for all other questions.
+    """
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+        self._boxes: dict[Use, SandboxedInterpreter] = {}
+        self._viewers = count()
+
+    @classmethod
+    def of(cls, source: Source) -> SealedPage | None:
+        """Returns that of a source; None, with a warning, if there is no sandbox on this system."""
+        try:
+            shared_zygote()
+        except SandboxError as error:
+            warn(f"programs of the page run in this process: {error.message}")
+            return None
+        return cls(source)
+
+    def answers(self) -> SealedAnswers:
+        """Returns the answers for another viewer."""
+        return SealedAnswers(self, next(self._viewers))
+
+    def box(self, use: Use) -> SandboxedInterpreter:
+        """Returns the sandbox for a use, with the world as it is now."""
+        source = self._source
+        if use not in self._boxes:
+            self._boxes[use] = self._new_box()
+        box = self._boxes[use]
+        if isinstance(source, LiveSource):
+            source.check_is_there()
+            box.follow(source.name, source.world, source.interpreter, is_past=use != "present")
+        return box
+
+    def _new_box(self) -> SandboxedInterpreter:
+        source, limits = self._source, page_limits()
+        if isinstance(source, LiveSource):
+            return SandboxedInterpreter(limits=limits, strict=True)
+        return SandboxedInterpreter.open(
+            source.path, episode=source.episode, limits=limits, strict=True
+        )
+
+    def use_of(self, question: dict[str, Any]) -> Use:
+        """Returns the use of a question: a record has no present."""
+        is_present = question.get("at") is None and isinstance(self._source, LiveSource)
+        return "present" if is_present else "past"
+
+    def close(self) -> None:
+        """Ends the sandboxes."""
+        for box in self._boxes.values():
+            box.close()
+
+
+class SealedAnswers:
+    """Answers the questions of a viewer, as `Answers` does."""
+
+    def __init__(self, page: SealedPage, viewer: int) -> None:
+        self._page, self._viewer = page, viewer
+        # The sandbox that has the last result.
+        self._last: Use | None = None
+
+    def answer(self, question: dict[str, Any], stop: StopRequest) -> dict[str, Any]:
+        """Returns the answer to a question; an error has its place and suggestions."""
+        use = self._page.use_of(question)
+        if question.get("type") == "ask":
+            self._last = use
+        elif question.get("type") == "download" and self._last is not None:
+            use = self._last
+        try:
+            return _asked(self._page.box(use), stop, "answer", self._viewer, question)
+        except SelectScriptError as error:
+            return {"error": error_message(error)}
+
+    def scan(self, question: dict[str, Any], stop: StopRequest) -> SealedScan:
+        """Returns a search for the changes of an answer."""
+        box = self._page.box("scan")
+        _asked(box, stop, "begin_scan", self._viewer, question)
+        return SealedScan(box, self._viewer, stop)
+
+
+class SealedScan:
+    """A search for the changes of an answer that goes on in a sandbox, as `Scan` does."""
+
+    def __init__(self, box: SandboxedInterpreter, viewer: int, stop: StopRequest) -> None:
+        self._box, self._viewer, self._stop = box, viewer, stop
+        self.progress: dict[str, Any] = {}
+
+    def advance(self, seconds: float) -> bool:
+        """Asks at further ticks for some time; returns whether there are more."""
+        told = _asked(self._box, self._stop, "advance_scan", self._viewer, seconds)
+        self.progress = told["progress"]
+        return told["more"] is True
+
+
+def _asked(
+    box: SandboxedInterpreter, stop: StopRequest, method: str, *arguments: Any
+) -> dict[str, Any]:
+    """Returns what the answers in a sandbox say; another thread may stop the question."""
+    with stop.applies_to(box):
+        answer = json.loads(box.ask(f"page answers.{method}", *arguments))
+    if not isinstance(answer, dict):
+        raise LimitError("the process of the page sent no answer")
+    return answer
+
+
+# -- in the sandbox ---------------------------------------------------------------------------
+
+
+class AnswersInside:
+    """Answers the questions of all viewers where they are sealed: about the only world there is.
+
+    Args:
+        ss: the interpreter that has the world.
+        record: the path of the record that it reads; None for a copy of a live world.
+    """
+
+    def __init__(self, ss: Interpreter, record: str | None) -> None:
+        self._ss, self._record = ss, record
+        self._viewers: dict[int, Answers] = {}
+        self._scans: dict[int, Scan] = {}
+
+    def _of(self, viewer: int) -> Answers:
+        return self._viewers.setdefault(viewer, Answers(self))
+
+    def answer(self, viewer: int, question: dict[str, Any]) -> str:
+        """Returns the answer to a question, as JSON."""
+        return json.dumps(self._of(viewer).answer(question, StopRequest()))
+
+    def begin_scan(self, viewer: int, question: dict[str, Any]) -> str:
+        """Begins a search for the changes of an answer, in place of the viewer's last one."""
+        self._scans[viewer] = self._of(viewer).scan(question, StopRequest())
+        return json.dumps({})
+
+    def advance_scan(self, viewer: int, seconds: float) -> str:
+        """Goes on with a search, and returns its progress."""
+        if viewer not in self._scans:
+            raise LimitError("the process of the page is another one: ask again")
+        scan = self._scans[viewer]
+        more = scan.advance(seconds)
+        return json.dumps({"more": more, "progress": scan.progress})
+
+    # -- the source of the answers ------------------------------------------------------------
+
+    def mirror(self, time: float | None) -> Asked:
+        """Returns the world, at a time."""
+        world = self._world
+        if not isinstance(world, CopiedWorld) and (time is not None or self._record is not None):
+            world.seek(recorded_time(world, time))
+        return Asked(self._ss, world)
+
+    def recorded(self) -> Asked:
+        """Returns the world, which goes through the recorded ticks."""
+        return Asked(self._ss, self._world)
+
+    def ticks(self) -> Ticks | None:
+        """Returns the recorded ticks; None if nothing is recorded."""
+        past = self._world.past
+        return None if past is None else Ticks(past[1].ticks.numbers, past[1].ticks.times)
+
+    @property
+    def _world(self) -> ReplayedWorld:
+        world = self._ss.worlds[0]
+        assert isinstance(world, ReplayedWorld)
+        return world
