@@ -40,6 +40,8 @@ _DICT = 360
 # What a class of named tuples takes, and each of its names, bytes.
 _CLASS, _NAME = 10_000, 1000
 _MAX_DEPTH, _MAX_NAMES = 100, 1000
+# The classes of graphs, and what a node and an edge take beside their attributes, bytes.
+_GRAPHS, _NODE, _EDGE = ("EntityGraph", "EntityMultiGraph"), 1000, 1000
 # The kinds of numpy's types: of numbers, truth values, texts and times.
 _KINDS = "biufcUSMm"
 _MODES = {"1": 1, "L": 1, "RGB": 3, "RGBA": 4}
@@ -184,10 +186,15 @@ class Encoder:
         return [type(value).__name__, [[name, self.node(part, depth)] for name, part in parts]]
 
     def other(self, value: Any, depth: int) -> Any:
-        """Returns what JSON holds of a frame or of a picture, whose classes are imported late."""
+        """Returns what JSON holds of a frame, a graph or a picture: their classes come late."""
         library = type(value).__module__.partition(".")[0]
         if library == "PIL" and value.mode in _MODES:
             return ["picture", value.mode, *value.size, self._part(memoryview(value.tobytes()))]
+        if type(value).__name__ in _GRAPHS and library == "ssduck":
+            is_multi = value.is_multigraph()
+            edges = value.edges(keys=True, data=True) if is_multi else value.edges(data=True)
+            parts = [list(value.nodes(data=True)), [list(edge) for edge in edges]]
+            return ["graph", type(value).__name__, self._each(parts, depth + 1)]
         if library == "pandas" and type(value).__name__ == "DataFrame":
             table = plain_table(pa.Table.from_pandas(value, preserve_index=False))
             self._budget.charge(size_of_values(table))
@@ -402,8 +409,10 @@ class Decoder:
         return _OBJECTS[name](**values)
 
     def other(self, content: Any) -> Any:
-        """Returns a frame or a picture."""
+        """Returns a frame, a graph or a picture."""
         kind, *rest = content
+        if kind == "graph":
+            return self._graph(*rest)
         if kind == "picture":
             from PIL import Image
 
@@ -418,6 +427,18 @@ class Decoder:
             return library("polars", "polars").from_arrow(table)
         self._budget.charge(size_of_values(table))
         return _frame(table, dtypes)
+
+    def _graph(self, name: str, content: Any) -> Any:
+        """Returns a graph of entities."""
+        library("networkx", "graph")
+        from ssduck.adapters import entity_graphs
+
+        nodes, edges = self.node(content)
+        self._budget.charge(_NODE * len(nodes) + _EDGE * len(edges))
+        graph = getattr(entity_graphs, name if name in _GRAPHS else _GRAPHS[0])()
+        graph.add_nodes_from([(node, attributes) for node, attributes in nodes])
+        graph.add_edges_from([tuple(edge) for edge in edges])
+        return graph
 
     def text(self, content: Any) -> str:
         """Returns a long text."""

@@ -16,6 +16,7 @@ import threading
 from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import lru_cache, partial
+from itertools import count
 from typing import Any
 
 from sqlglot import exp
@@ -23,7 +24,7 @@ from sqlglot import exp
 from ssduck.errors import LimitError, SceneError, UnknownNameError, UnsupportedError, check_known
 from ssduck.formatting import short_repr
 from ssduck.interpreter.interpreter import Interpreter
-from ssduck.interpreter.mirrors import WorldCopy, WorldDescription, WorldNews
+from ssduck.interpreter.mirrors import WorldCopy, WorldDescription, WorldNews, history_of
 from ssduck.interpreter.opening import load, opened_record
 from ssduck.interpreter.program import CompiledProgram, rows_to_show
 from ssduck.lazy import service
@@ -37,7 +38,7 @@ from ssduck.sandbox.seal import Walls, seal
 from ssduck.sandbox.values import Decoder, Encoder
 from ssduck.schema import TABLES
 from ssduck.world.entities import Entity  # noqa: F401  # a hint of a host's function may name it
-from ssduck.world.links import Link  # noqa: F401
+from ssduck.world.handles import Link  # noqa: F401
 from ssduck.world.world import World
 
 # What the host sends is limited by its own memory only.
@@ -155,19 +156,22 @@ class Worker:
         return value
 
     def _name_of(self, world: World) -> str:
-        """Returns the variable that has a world."""
+        """Returns the variable that has a world; one that a program made gets a new variable."""
         for name in (world.name, *self.ss):
             if name in self.ss and self.ss[name] is world:
                 return str(name)
-        raise UnsupportedError(
-            "a world that no variable has cannot cross the wall of the sandbox; bind it, as in "
-            "part = SELECT … AS environment;"
-        )
+        name = next(name for i in count(1) if (name := f"environment{i}") not in self.ss)
+        self.ss.add_variable(name, world)
+        return name
 
     def _entity(self, world: str, id: int, _: str, _kind: str, tick: int | None, *_own: str) -> Any:
-        if tick is not None:
-            raise UnsupportedError("an entity of a past tick cannot go back into the sandbox")
-        return self._world(world).handle(id)
+        own = self._world(world)
+        if tick is None:
+            return own.handle(id)
+        history = history_of(self.ss, own)
+        if history is None or id not in history.record.members:
+            raise UnsupportedError(f"the past of {world!r} is gone, and so is its entity")
+        return history.record.handle(tick, id)
 
     # -- requests -------------------------------------------------------------------------
 

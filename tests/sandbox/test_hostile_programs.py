@@ -50,7 +50,6 @@ PROGRAMS = {
     "eval": ("eval('1 + 1');", "eval"),
     "eval of eval": ("eval(\"eval('1')\");", "eval"),
     "more than an answer holds": ("m * 20;", "answer takes"),
-    "a world of its own": ("SELECT obj FROM kitchen AS environment;", "cannot cross"),
 }
 ENDLESS_PROGRAMS = {
     "many long texts": (
