@@ -169,10 +169,7 @@ class SelectScriptError(Exception):
 
 
 def _outside_lines(error: BaseException) -> list[str]:
-    """Returns the lines of code outside ssduck that led to an error, in the order of the calls.
-
-    If a user's function raised the error's cause, its lines follow those of the caller.
-    """
+    """Returns the lines of code outside ssduck that led to an error, in the order of the calls."""
     frames = list(traceback.walk_tb(error.__traceback__))
     inner = [n for n, (frame, _) in enumerate(frames) if _package(frame.f_globals) == _PACKAGE]
     frames = frames[: inner[0]] if inner else frames

@@ -324,14 +324,7 @@ def draw_triangles(triangles: Array, owners: Indices, names: Sequence[str]) -> I
 
 
 def _fill(canvas: npt.NDArray[np.uint8], corners: Array, depths: Array, colours: Array) -> None:
-    """Fills triangles by a depth buffer: a pixel shows the nearest triangle.
-
-    Args:
-        canvas: the pixels, (height, width, 3), which are changed.
-        corners: the places of the corners in the picture, (n, 3, 2).
-        depths: how near the corners are to the viewer, (n, 3).
-        colours: red, green and blue, (n, 3).
-    """
+    """Fills triangles by a depth buffer: a pixel shows the nearest triangle."""
     nearest = np.full(canvas.shape[:2], -np.inf)
     first = np.ceil(corners.min(axis=1)).astype(int)
     last = np.floor(corners.max(axis=1)).astype(int) + 1

@@ -28,11 +28,7 @@ class _Drawn:
     """Draws a graph whose nodes have positions, m, and kinds."""
 
     def image(self, plane: str | None = None) -> Image.Image:
-        """Returns a picture with the nodes at their positions, with axes in metres and a legend.
-
-        Args:
-            plane: the plane, `"XY"`, `"XZ"` or `"YZ"`; by default that of the largest extents.
-        """
+        """Returns a picture with the nodes at their positions, with axes in metres and a legend."""
         places, axes = _places(self, plane)
         points = np.array(list(places.values())).reshape(-1, 2)
         low, high = _bounds(points)
@@ -68,10 +64,7 @@ class EntityMultiGraph(_Drawn, nx.MultiDiGraph):  # type: ignore[misc]
 
 
 def _places(graph: Any, plane: str | None) -> tuple[dict[Any, tuple[float, float]], str]:
-    """Returns the places of the nodes in a plane, m, and the plane.
-
-    A node without a finite position of three numbers is at the origin.
-    """
+    """Returns the places of the nodes in a plane, m, and the plane."""
     if plane is not None and plane not in _PLANES:
         raise ArgumentError(f"plane: {plane!r} is not one of {', '.join(_PLANES)}")
     found = nx.get_node_attributes(graph, "position")

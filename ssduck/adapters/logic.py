@@ -96,10 +96,7 @@ Term: TypeAlias = Callable[[Any], str]
 
 
 def _clause_texts(selected: Iterable[Clause], functor: Term, term: Term) -> list[str]:
-    """Returns the texts of clauses that hold, sorted and without repetitions.
-
-    Clauses that are false or unknown are left out; True as a result is not written.
-    """
+    """Returns the texts of clauses that hold, sorted and without repetitions."""
     texts: set[str] = set()
     for clause in selected:
         result = plain_value(clause.result)

@@ -22,12 +22,7 @@ Key: TypeAlias = str | int | None
 
 @dataclass
 class _Network:
-    """Nodes and directed edges with attributes.
-
-    Attributes:
-        nodes: the attributes that the query selects, by the names of the nodes.
-        edges: the attributes of each edge, by its start, its end and its key.
-    """
+    """Nodes and directed edges with attributes."""
 
     entities: dict[str, Handle] = field(default_factory=dict)
     nodes: dict[str, dict[str, Any]] = field(default_factory=dict)

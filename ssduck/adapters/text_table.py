@@ -63,19 +63,12 @@ class TextColumn:
 
 @dataclass(frozen=True)
 class _Layout:
-    """The visible columns of a table and their widths.
+    """The visible columns of a table and their widths."""
 
-    Attributes:
-        columns: the visible columns; a column of marks replaces the omitted ones.
-        widths: the width of each column.
-        folds: whether wide cells are folded; otherwise they are elided.
-        omitted: the number of columns left out.
-    """
-
-    columns: Sequence[TextColumn]
-    widths: Sequence[int]
-    folds: bool = False
-    omitted: int = 0
+    columns: Sequence[TextColumn]  # the visible columns
+    widths: Sequence[int]  # the width of each column
+    folds: bool = False  # whether wide cells are folded; otherwise they are elided
+    omitted: int = 0  # the number of columns left out
 
 
 class FittedTable:

@@ -82,11 +82,7 @@ def main() -> None:
 
 
 def _interrupted(*_: object) -> NoReturn:
-    """Ends the process at once on Ctrl-C.
-
-    Python's KeyboardInterrupt can get lost: libraries swallow it while they are imported, and
-    DuckDB turns it into another exception.
-    """
+    """Ends the process at once on Ctrl-C."""
     os._exit(130)
 
 
@@ -131,12 +127,7 @@ def _ssduck(
         typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version."),
     ] = False,
 ) -> None:
-    """Query a robot simulation in SelectScript or in SQL.
-
-    SCENE is the name of a scene that comes with ssduck (see: ssduck scenes),
-    or the path of a scene file (.toml) or of a model (.urdf, .sdf, .world, .mjcf, .xml).
-    RECORD is a folder or a DuckDB file with recorded ticks.
-    """
+    """Query a robot simulation in SelectScript or in SQL."""
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
 

@@ -72,15 +72,7 @@ def matching_pairs(
     among: Pairs | None = None,
     kept: KeptVerdicts | None = None,
 ) -> PairResult:
-    """Returns the pairs of entities for which a predicate holds.
-
-    Args:
-        tick: the shapes.
-        predicate: the condition on two shapes.
-        satisfies: decides the pairs of shapes that no rule decides.
-        among: the pairs of shapes to compare; None for all candidate pairs.
-        kept: the verdicts on the same predicate at the tick before, which are replaced.
-    """
+    """Returns the pairs of entities for which a predicate holds."""
     among = predicate.candidates(tick) if among is None else comparable_pairs(tick, among)
     bounds = predicate.bounds(tick.table, *among)
     by_axes = _by_axes if predicate.kind == "colliding" else _by_axes_if_sure
@@ -112,16 +104,7 @@ def proven_verdicts(
     bounds: Array,
     directions: Array | None = None,
 ) -> Verdicts:
-    """Classifies the signed distances of pairs of shapes, as far as rules prove it.
-
-    Args:
-        tick: the shapes.
-        first: (n,), known shapes that have points.
-        second: (n,), the same.
-        bounds: (n,), one for each pair, metres; not negative.
-        directions: (3, n), from the second shapes to the first, which probably separate them; 0
-            where none is known.
-    """
+    """Classifies the signed distances of pairs of shapes, as far as rules prove it."""
     return _proven(tick, first, second, bounds, directions).verdicts
 
 
@@ -146,13 +129,7 @@ def _proven(
 
 
 def touching_verdicts(tick: TickShapes, pairs: Pairs, predicate: PairPredicate) -> Verdicts:
-    """Returns the same for a distance of touching shapes; it keeps the verdicts for the next tick.
-
-    Args:
-        tick: the shapes.
-        pairs: pairs of known shapes that have points.
-        predicate: the distance.
-    """
+    """Returns the verdicts on a distance of touching shapes, and keeps them for the next tick."""
 
     def decide(first: Indices, second: Indices) -> Decisions:
         return _proven(tick, first, second, predicate.bounds(tick.table, first, second))
@@ -166,14 +143,7 @@ def kept_verdicts(
     pairs: Pairs,
     decide: Callable[[Indices, Indices], Decisions],
 ) -> Verdicts:
-    """Returns the verdicts of the tick before that still hold, and decides the other pairs.
-
-    Args:
-        tick: the shapes.
-        kept: the verdicts of the tick before, which are replaced by those of this one.
-        pairs: pairs of shapes.
-        decide: decides some of them.
-    """
+    """Returns the verdicts of the tick before that still hold, and decides the other pairs."""
     first, second = pairs
     with np.errstate(invalid="ignore"):
         decisions = kept.find(tick.poses, first, second)
@@ -206,16 +176,7 @@ def _matching_entities(
     is_below: Callable[[int, int], bool],
     kept: KeptVerdicts | None,
 ) -> PairResult:
-    """Returns the pairs of entities with shapes whose signed distance is below a bound.
-
-    Args:
-        tick: the shapes.
-        candidates: the pairs of shapes to compare.
-        rules: the rules to apply, one after another, until all pairs are decided.
-        bounds: one for each pair, metres.
-        is_below: decides pairs that no rule decides.
-        kept: the verdicts of the tick before, which are replaced by those of this one.
-    """
+    """Returns the pairs of entities with shapes whose signed distance is below a bound."""
     first, second = candidates
     has_single_shapes = tick.table.has_single_shapes
     owners = tick.owners(first, second)

@@ -21,25 +21,12 @@ MIN_HULL_POINTS = 9
 
 @dataclass(frozen=True, eq=False)
 class _Core:
-    """Points of a frame, each with a sphere, a disc or an ellipsoid around it.
+    """Points of a frame, each with a sphere, a disc or an ellipsoid around it."""
 
-    The core of a convex shape, for its box: a sphere is one point with a sphere, a capsule two, a
-    cylinder two points with discs, an ellipsoid one with itself. Boxes, hulls and meshes are points
-    with none of these.
-
-    Attributes:
-        group: the group whose box it belongs to.
-        frame: the frame of its points.
-        points: (n, 3), in the frame.
-        radius: of the spheres.
-        axes: (k, 3), the half axes of the discs or the ellipsoids: two of a disc, three of an
-            ellipsoid, at right angles.
-    """
-
-    group: int
-    frame: int
-    points: Array
-    radius: float = 0.0
+    group: int  # the group whose box it belongs to
+    frame: int  # the frame of its points
+    points: Array  # (n, 3), in the frame
+    radius: float = 0.0  # of the spheres
     axes: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
     def parts(self) -> Iterator[_Core]:
@@ -99,16 +86,7 @@ class BoundingBoxes:
             )
 
     def boxes(self, positions: Array, matrices: Array) -> Array:
-        """Returns the boxes at some poses of the frames, in the frame of the poses.
-
-        Args:
-            positions: (frames, 3), metres.
-            matrices: (frames, 3, 3) rotations.
-
-        Returns:
-            (6, groups): the lower corners' x, y, z, then the upper corners'. A box that a plane
-            extends is infinite.
-        """
+        """Returns the boxes at some poses of the frames, in the frame of the poses."""
         boxes = self._group_boxes(positions, matrices)
         if self._planes:
             self._extend(boxes, positions, matrices)
@@ -167,15 +145,7 @@ class BoundingBoxes:
         return boxes if len(self._groups) == self._count else self._fill_groups(boxes)
 
     def over(self, positions: Array, matrices: Array) -> Array:
-        """Returns the boxes at n sets of poses, as `boxes` does of each, to the last bit.
-
-        Args:
-            positions: (n, frames, 3), metres.
-            matrices: (n, frames, 3, 3) rotations.
-
-        Returns:
-            (n, 6, groups).
-        """
+        """Returns the boxes at n sets of poses, as `boxes` does of each, to the last bit."""
         # What stands still does so in all of them.
         is_same = all(
             (poses[-1] == poses[0]).all() and (poses == poses[0]).all()
@@ -204,13 +174,7 @@ class BoundingBoxes:
         return boxes
 
     def _core_boxes(self, origins: Array, rotations: Array, vectors: Array) -> tuple[Array, Array]:
-        """Returns the lower and the upper corners of the cores' boxes, (3, …, cores) each.
-
-        Args:
-            origins: (3, …, cores), the origins of the cores' frames.
-            rotations: (3, 3, …, cores), their orientations.
-            vectors: (3, points, …, cores), the points and half axes in the frames.
-        """
+        """Returns the lower and the upper corners of the cores' boxes, (3, …, cores) each."""
         rotated = rotations[:, 0, None] * vectors[0]
         rotated += rotations[:, 1, None] * vectors[1]
         rotated += rotations[:, 2, None] * vectors[2]
@@ -234,10 +198,7 @@ class BoundingBoxes:
 
 
 def _cores(pairs: Sequence[tuple[PlacedGeometry, int]]) -> list[_Core]:
-    """Returns the cores of all shapes but planes.
-
-    The polyhedral shapes of a frame and a group share one core: the corners of their hull.
-    """
+    """Returns the cores of all shapes but planes."""
     cores = []
     polyhedra: dict[tuple[int, int], list[Array]] = {}
     for shape, group in pairs:

@@ -136,13 +136,7 @@ def positions_over_boxes(
 
 
 def _strips(low: Array, high: Array, x: Array) -> Callable[[Array], Indices]:
-    """Returns the function from coordinates to the numbers of strips, which never decreases.
-
-    Args:
-        low: (n,), the lower ends of the boxes, m.
-        high: (n,), the upper ends.
-        x: (m,), the positions.
-    """
+    """Returns the function from coordinates to the numbers of strips, which never decreases."""
     finite = x[np.isfinite(x)]
     start, end = (finite.min(), finite.max()) if len(finite) else (0.0, 0.0)
     count = 4 * (len(low) + len(x))

@@ -155,11 +155,8 @@ def _grid_pairs_of_class(
 
 
 def _cell_numbers(low: Array, cell: float) -> tuple[Cells, list[int]]:
-    """Returns the cell number of each box, and the grid's width in cells along each axis.
-
-    Numbers are integers: as floats, the numbers of neighbours could be equal. An axis has at most
-    `_MAX_DENSE_CELLS` cells or twice the boxes, so that only millions of boxes exceed the bound.
-    """
+    """Returns the cell number of each box, and the grid's width in cells along each axis."""
+    # Integers: as floats, the numbers of neighbours could be equal.
     x, y, z = cells = [_cells_along(axis, cell) for axis in low]
     # A cell around the grid keeps rows from running into each other.
     widths = [int(axis.max()) + 3 for axis in cells]
@@ -171,12 +168,9 @@ def _cell_numbers(low: Array, cell: float) -> tuple[Cells, list[int]]:
 
 
 def _cells_along(low: Array, cell: float) -> Cells:
-    """Returns the cells of boxes along an axis, from 0; those of overlapping boxes differ by <= 1.
-
-    Cells are counted from a box that begins nearby, not from the origin. The difference of two
-    floats is off by at most 2 ** -53 of itself, so that a count of n cells is off by less than
-    n * 2 ** -51, which is within the margin of a cell for n up to 2 ** 31.
-    """
+    """Returns the cells of boxes along an axis; those of overlapping boxes differ by 1 at most."""
+    # Counted from a box that begins nearby, not from the origin: a count of n cells is then off
+    # by less than n * 2 ** -51, which is within a cell's margin for n up to 2 ** 31.
     offsets = low - low.min()
     if offsets.max() / _MAX_DENSE_CELLS <= cell:
         cells: Cells = np.floor(offsets / cell).astype(np.int64)
@@ -223,11 +217,6 @@ def overlapping_pairs_across(first: Corners, second: Corners, *, touching: bool)
     """Returns the pairs of a box of one set and a box of another that overlap, in parts.
 
     The larger of the two sets is halved until few pairs are left.
-
-    Args:
-        first: the lower and the upper corners, (3, n) each; they may be infinite along z.
-        second: the same, (3, m).
-        touching: whether boxes count that only touch.
     """
     (low, high), (lows, highs) = first, second
     less = np.less_equal if touching else np.less

@@ -28,12 +28,6 @@ def common_volume(surface: Array, weights: Array, other: Array) -> float:
     all triangles over a place of the ground add up to 0, so that all heights may be taken from the
     second triangle: only the part of the first that is below it counts. Every term is continuous in
     the corners, so that rounding decides nothing, even for coplanar faces.
-
-    Args:
-        surface: triangles (n, 3, 3) that face outward.
-        weights: (n,), the factor of the volume that they enclose, the same for all of a closed
-            part.
-        other: triangles (m, 3, 3) that face outward.
     """
     centroid = surface.reshape(-1, 3).mean(axis=0)
     surface, other = surface - centroid, other - centroid
@@ -67,15 +61,7 @@ def _overlapping_pairs(surface: Array, other: Array) -> Iterator[Pairs]:
 
 
 def _heights_below(first: Array, second: Array, areas: Array) -> Array:
-    """Integrates the height of the first triangle below the second, for pairs (n, 3, 3).
-
-    Negative, with the sign of the product of their s; see `common_volume`.
-
-    Args:
-        first: triangles with any projection.
-        second: other triangles.
-        areas: (n,), the `_projected_areas` of the second.
-    """
+    """Integrates the height of the first triangle below the second, for pairs (n, 3, 3)."""
     origin, edges = second[:, :1], second[:, 1:] - second[:, :1]
     # In the frame in which the projection of the second has the corners (0, 0), (1, 0), (0, 1).
     x, y = np.moveaxis((first - origin)[:, :, :2], 2, 0)
@@ -100,12 +86,7 @@ def _heights_below(first: Array, second: Array, areas: Array) -> Array:
 
 
 def clip_polygons(polygons: Array, heights: Array) -> tuple[Array, Indices]:
-    """Clips convex polygons (n, k, d) to where heights (n, k), linear over each, are not < 0.
-
-    Returns:
-        The polygons that have such a part, with their last corner repeated to make them equally
-        long; their indices.
-    """
+    """Clips convex polygons (n, k, d) to where heights (n, k), linear over each, are not < 0."""
     is_kept = heights >= 0.0
     is_crossed = is_kept != np.roll(is_kept, -1, axis=1)
     fraction = heights / np.where(is_crossed, heights - np.roll(heights, -1, axis=1), 1.0)
@@ -122,10 +103,7 @@ def clip_polygons(polygons: Array, heights: Array) -> tuple[Array, Indices]:
 
 
 def _integrals(polygons: Array) -> Array:
-    """Integrates the third coordinate of polygons (n, k, 3) over the plane of the other two.
-
-    Negative for clockwise polygons.
-    """
+    """Integrates the third coordinate of polygons (n, k, 3) over the plane of the other two."""
     start, first, second = polygons[:, :1], polygons[:, 1:-1], polygons[:, 2:]
     u, v = first - start, second - start
     areas = u[:, :, 0] * v[:, :, 1] - u[:, :, 1] * v[:, :, 0]

@@ -29,10 +29,6 @@ def is_carried_by(own_normals: Sequence[Point], other_normals: Iterable[Point]) 
 
     It is if one of the other's normals is in a set of normals that have a positive combination
     within 30 degrees of up, while no part of the set has one: then they need each other.
-
-    Args:
-        own_normals: the unit normals of the contacts through which that body pushes the first one.
-        other_normals: those of the contacts with all other bodies.
     """
     if any(normal[2] >= MIN_UP for normal in own_normals):
         return True

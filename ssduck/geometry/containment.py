@@ -100,9 +100,6 @@ def fraction_inside(hull: WorldHull | None, b: Sequence[PlacedSolid]) -> float |
     (of an ellipsoid, of the longest half length), fractions by at most 0.005 if the shapes are no
     thinner than half the radius of the round shapes in the
     hull. Overlapping shapes count more than once. An open mesh has no volume and does not count.
-
-    Returns:
-        None if the shapes have no volume.
     """
     if any(placed.solid.type == "plane" for placed in b):
         return 1.0 if hull is not None and hull.is_everything else 0.0
@@ -153,12 +150,7 @@ def hull_bounds(a: Iterable[tuple[Solid, Box]]) -> Box:
 
 
 def max_fraction_in_box(hull_box: Box, b: Iterable[tuple[Solid, Box]]) -> float:
-    """Returns an upper bound of `fraction_inside`, by the overlap of the boxes.
-
-    Args:
-        hull_box: a box that contains the hull.
-        b: the solids, and the box of each; they have a volume, and none is a plane.
-    """
+    """Returns an upper bound of `fraction_inside`, by the overlap of the boxes."""
     inside = total = 0.0
     for solid, box in b:
         grown, overlap_volume = _grow(solid, box), 1.0
@@ -206,11 +198,8 @@ def _hull_points(a: Sequence[PlacedSolid]) -> Array:
 
 
 def _height_range(hull: WorldHull, placed: PlacedSolid) -> tuple[float, float]:
-    """Returns the greatest heights of a shape's lowest and highest points over the faces of a hull.
-
-    A shape whose highest points are below all faces is inside. A shape whose lowest points are
-    above one face is outside. If a sphere around the shape decides that, only the sphere is used.
-    """
+    """Returns the greatest heights of a shape's lowest and highest points over a hull's faces."""
+    # highest <= 0: inside; lowest > 0 over one face: outside. A sphere around it mostly decides.
     centre, bounding_radius = placed.to_world(*placed.solid.centre), placed.solid.bounding_radius
     heights = hull.normals @ centre - hull.offsets
     greatest = float(heights.max(initial=-math.inf))
@@ -290,10 +279,8 @@ class Footprint:
 
 
 def _crosses_inside(shape: PlacedSolid, x: float, y: float) -> bool | None:
-    """Checks whether a vertical line crosses a convex polyhedron; None if it is near its boundary.
-
-    That is the rest of the line between the planes of all faces.
-    """
+    """Checks whether a vertical line crosses a convex polyhedron."""
+    # What is left of the line between the planes of all faces; None near the boundary.
     if shape.solid.type not in ("box", "hull") or shape.offsets is None:
         return None
     heights = shape.offsets - shape.normals[:, :2] @ (x, y)

@@ -423,10 +423,8 @@ def _candidate_directions(a: PlacedSolid, b: PlacedSolid) -> Array:
 
 
 def _deepest_corner(a: PlacedSolid, b: PlacedSolid, depth: float) -> Array | None:
-    """Returns a point of a that is as deep in b as the overlap in some direction, if there is one.
-
-    The depth of this point bounds the depth of a from below, the overlap bounds it from above.
-    """
+    """Returns a point of a that is as deep in b as the overlap in some direction; or None."""
+    # Its depth bounds that of a from below, as the overlap in any direction does from above.
     if b.offsets is None:
         return None
     points = a.support_points(-b.normals) if a.solid.is_swept else a.points
@@ -441,16 +439,7 @@ def _deepest_corner(a: PlacedSolid, b: PlacedSolid, depth: float) -> Array | Non
 def _expand_polytope(
     a: PlacedSolid, b: PlacedSolid, directions: Array, normal: Array, depth: float, tolerance: float
 ) -> tuple[float, Array] | None:
-    """Computes the depth and its direction with a polytope that grows in the difference.
-
-    Args:
-        a: a core.
-        b: another core.
-        directions: directions to begin with.
-        normal: the best of them.
-        depth: the overlap in that direction.
-        tolerance: the error that is allowed.
-    """
+    """Computes the depth and its direction with a polytope that grows in the difference."""
     from scipy.spatial import ConvexHull, QhullError
 
     points_a, points_b = a.support_points(-directions), b.support_points(directions)

@@ -57,12 +57,7 @@ def _numbers(ids: Ids, first: Indices, second: Indices) -> Ids:
 
 
 def places_by_number(numbers: Mapping[int, int], ids: Ids) -> Indices:
-    """Returns the place of each number of an entity among the ids of all, by the number.
-
-    Args:
-        numbers: the number of each id.
-        ids: the ids.
-    """
+    """Returns the place of each number of an entity among the ids of all, by the number."""
     places = np.zeros(1 + max(numbers.values(), default=-1), np.intp)
     places[[numbers[id] for id in ids.tolist()]] = np.arange(len(ids))
     return places

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeAlias
 
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Indices
-
-# The margin of a shape, and its class, -1 for none.
-MarginKey: TypeAlias = tuple[float, int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,10 +50,6 @@ class Margins:
             return self.numbers[first] + self.numbers[second]
         of_pairs: Array = self.of_classes[self.classes[first], self.classes[second]]
         return of_pairs
-
-    def key(self, shape: int) -> MarginKey:
-        """Returns what tells the margins of a shape from those of another."""
-        return self.listed[shape], -1 if self.classes is None else int(self.classes[shape])
 
     def take(self, shapes: Indices) -> Margins:
         """Returns those of some of the shapes."""

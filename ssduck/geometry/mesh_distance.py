@@ -70,12 +70,6 @@ def is_surely_deeper(a: PlacedSolid, b: PlacedSolid, min_depth: float, calls: Ca
 
     Each pair of crossing triangles bounds the depth from below. If the result is False, other pairs
     may be deeper.
-
-    Args:
-        a: a solid.
-        b: another one.
-        min_depth: the depth to exceed, m.
-        calls: counts the calls of FCL.
     """
     pairs = _crossing_triangles(a, b, FIRST_CONTACTS, calls)
     if not pairs:
@@ -159,10 +153,8 @@ def _planes(surface: Surface) -> tuple[Array, Array]:
 
 
 def _deepest_in_mesh(points: Array, mesh: PlacedSolid, calls: CallCounter) -> Core:
-    """Returns the point inside a mesh that is farthest from its surface.
-
-    The depths of two points differ by at most their distance, so that most are never computed.
-    """
+    """Returns the point inside a mesh that is farthest from its surface."""
+    # The depths of two points differ by at most their distance: most are never computed.
     upper_bounds = np.full(len(points), math.inf)
     depth, p, q = -1.0, points[0], points[0]
     for iteration in itertools.count():
@@ -316,10 +308,7 @@ def triangle_depths(first: Array, second: Array) -> tuple[Array, Array]:
 
 
 def _touching(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> Core:
-    """Cores that share a point of their surfaces and nothing else.
-
-    The direction is the normal of a face there along which the shapes overlap least.
-    """
+    """Cores that share a point of their surfaces and nothing else."""
     _, p, q = surface_distance(a.fine_fcl_object, b.fine_fcl_object, calls)
     midpoint = (p + q) / 2
     return 0.0, midpoint, midpoint, _normal_at(a, b, midpoint)

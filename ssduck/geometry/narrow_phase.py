@@ -105,12 +105,7 @@ class NarrowPhase:
         return NarrowPhase(chosen, ShapePlaces(*parts), starts, self.calls)
 
     def extended(self, table: ShapeTable, poses: Sequence[Array]) -> NarrowPhase:
-        """Returns the narrow phase of the tick with further shapes, which are of no entity yet.
-
-        Args:
-            table: the properties of all shapes, those of this narrow phase first.
-            poses: positions, orientations and boxes of the further shapes.
-        """
+        """Returns the narrow phase of the tick with further shapes, which are of no entity yet."""
         tick = self._tick
         before = tick.positions, tick.orientations, tick.boxes
         places = ShapePlaces(*map(np.concatenate, zip(before, poses, strict=True)))
@@ -142,12 +137,7 @@ class NarrowPhase:
             return self._verdicts[key]
 
     def all_pairs(self, predicate: PairPredicate, table: ShapeTable) -> PairResult:
-        """Returns the pairs of entities for which a predicate holds.
-
-        Args:
-            predicate: the condition.
-            table: the properties of the shapes.
-        """
+        """Returns the pairs of entities for which a predicate holds."""
         with self._lock:
             if predicate not in self._results:
                 decide = partial(self.shapes.satisfies, predicate=predicate)
@@ -198,13 +188,7 @@ class NarrowPhase:
         return sorted(s - self.starts[i] for s in touching)
 
     def clearance(self, i: int, j: int, limit: float = math.inf) -> float | None:
-        """Returns the distance of the nearest points, m; 0 if the entities overlap.
-
-        Args:
-            i: an entity.
-            j: another one.
-            limit: the largest distance of interest, m; beyond it, the result is infinite.
-        """
+        """Returns the distance of the nearest points, m; 0 if the entities overlap."""
         if i == j:
             return 0.0
         key = (i, j) if i < j else (j, i)
@@ -430,10 +414,7 @@ class NarrowPhase:
     def _pairs(
         self, i: int, j: int, max_distance: float = math.inf
     ) -> list[tuple[float, int, int]]:
-        """Returns the pairs of two entities' shapes with lower bounds of distances, sorted.
-
-        Pairs of boxes that are farther apart along an axis than `max_distance`, m, are left out.
-        """
+        """Returns the pairs of two entities' shapes with lower bounds of distances, sorted."""
         first, second = self._shapes[i], self._shapes[j]
         bound = self.shapes.min_distance
         if len(first) == len(second) == 1:

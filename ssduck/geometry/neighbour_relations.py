@@ -69,13 +69,7 @@ class NeighbourRelations:
         self._resting: dict[int, frozenset[int]] = {}
 
     def encloses(self, a: int, b: int, orientation: Orientation) -> bool | None:
-        """Checks whether b is within walls of a; see `encloses`, for the centre of b's box.
-
-        Args:
-            a: the entity that may enclose.
-            b: the entity that may be enclosed.
-            orientation: the orientation of a's link frame, whose axes are tested.
-        """
+        """Checks whether b is within walls of a; see `encloses`, for the centre of b's box."""
         if not self._are_known(a, b):
             return None
         if not self._have_shapes(a, b):
@@ -196,12 +190,6 @@ def encloses(
 
     A convex shape that contains the point is not hit. An axis along which b extends beyond a at
     both ends does not count.
-
-    Args:
-        a: the shapes of the entity that may enclose.
-        axes: (3, 3), unit vectors as rows.
-        b: the shapes of the entity that may be enclosed.
-        centre: (3,), the point, the centre of b.
     """
     directions = np.concatenate((axes, -axes))
     is_hit = np.zeros(len(directions), dtype=bool)
@@ -266,12 +254,6 @@ def is_in_sight(
     The rays run along the horizontal parts of the lines through the nearest points and through the
     centres. They start at the nearest points and at a grid over the common breadth and height of a
     and b.
-
-    Args:
-        a: the shapes of an entity; none is a plane.
-        b: the shapes of another one.
-        others: the shapes of all other entities that may be between them.
-        nearest: the signed distance of a and b.
     """
     return any(
         _is_clear(lines, a, b, others)

@@ -38,30 +38,16 @@ _UP_ROOM = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class _ShapePairs:
-    """Pairs of shapes of pairs of entities.
+    """Pairs of shapes of pairs of entities."""
 
-    Attributes:
-        rows: (n,), the pair of entities of each.
-        first: (n,), the shapes of the lower entity.
-        second: (n,), those of the upper one.
-        touch: (n,), whether they surely touch; the others may touch.
-    """
-
-    rows: Indices
-    first: Indices
-    second: Indices
-    touch: Flags
+    rows: Indices  # (n,), the pair of entities of each
+    first: Indices  # (n,), the shapes of the lower entity
+    second: Indices  # (n,), those of the upper one
+    touch: Flags  # (n,), whether they surely touch; the others may touch
 
 
 def are_on(tick: TickShapes, narrow: NarrowPhase, a: Indices, b: Indices) -> Flags:
-    """Returns whether b is on a, for pairs of known entities that touch, (n,).
-
-    Args:
-        tick: the shapes.
-        narrow: the narrow phase of the same shapes.
-        a: (n,), the lower entities.
-        b: (n,), the upper entities.
-    """
+    """Returns whether b is on a, for pairs of known entities that touch, (n,)."""
     result = np.zeros(len(a), dtype=bool)
     starts = np.array(narrow.starts)
     with np.errstate(invalid="ignore"):  # the boxes of planes
@@ -138,12 +124,6 @@ def decide_contacts(
 
     The room of a verdict is how far the shapes may move relative to each other before a normal may
     turn so far; it is 0 for boxes and half-spaces, whose normals turn with them.
-
-    Args:
-        tick: the shapes.
-        first: (n,), shapes that touch the second ones.
-        second: (n,), the normals point to them.
-        min_height: the least z of an upward unit normal, from 0 to 1.
     """
     table, decisions = tick.table, Decisions.none(len(first))
     verdicts = decisions.verdicts
@@ -165,11 +145,7 @@ def decide_contacts(
 
 
 def _upward_boxes(tick: TickShapes, first: Indices, second: Indices, min_height: float) -> Verdicts:
-    """Returns whether the contact normals of boxes from the first to the second are upward.
-
-    It is the axis of least overlap of boxes that overlap. All axes that rounding errors could make
-    the least must agree.
-    """
+    """Returns whether the contact normals of boxes from the first to the second are upward."""
     axes = box_axes(tick.placed_cores, first, second)
     least = axes.overlaps.min(axis=0)
     is_least = axes.overlaps <= least + _TIE

@@ -19,7 +19,6 @@ from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.batch import comparable_pairs, matching_pairs, proven_verdicts
 from ssduck.geometry.broad_phase import Pairs
 from ssduck.geometry.contact_support import MIN_RISING, MIN_UP
-from ssduck.geometry.margins import MarginKey
 from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.on_pairs import decide_contacts
 from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD
@@ -145,17 +144,11 @@ class PairBatch:
         self._all_shapes = shapes
         self._first, self._second = comparable_pairs(scene, shapes)
         self._rows = scene.table.entities[self._first]
-        self._placed: dict[tuple[bool, int, MarginKey, bytes, bytes], int] = {}
 
     def answers(self, question: PairQuestion, groups: Indices | None = None) -> Answers:
         """Returns the answers to a question.
 
         Of the entities, the one with the lower number is the first argument.
-
-        Args:
-            question: the question.
-            groups: the group of each pair, (n,), if only the least clearance of each group matters:
-                other pairs may be infinitely far apart.
         """
         is_open = np.zeros(self._count, dtype=bool)
         predicate = question.predicate
@@ -205,7 +198,7 @@ class PairBatch:
     def _matching(self, predicate: PairPredicate) -> Array:
         def satisfies(s: int, t: int) -> bool:  # for the few pairs that no rule decides
             self._step()
-            return self._narrow.shapes.satisfies(self._alike(s), self._alike(t), predicate)
+            return self._narrow.shapes.satisfies(s, t, predicate)
 
         result = matching_pairs(self._scene, predicate, satisfies, self._all_shapes)
         values = np.zeros(self._count)
@@ -214,39 +207,22 @@ class PairBatch:
 
     # -- distances --------------------------------------------------------------------------
 
-    def _alike(self, shape: int) -> int:
-        """Returns the first shape asked for of the same solid, margin, pose and side.
-
-        What stands still is placed once for all ticks, and two such shapes are compared once.
-        """
-        places = self._narrow.places
-        pose = places.positions[shape].tobytes(), places.orientations[shape].tobytes()
-        table, is_second = self._scene.table, shape >= int(self._starts[self._count])
-        key = is_second, int(table.solid_indices[shape]), table.margins.key(shape), *pose
-        return self._placed.setdefault(key, shape)
-
     def _compared(self, pair: int) -> tuple[int, int]:
         """Returns the shapes to compare for a pair of shapes, and counts a comparison."""
         self._step()
-        return self._alike(int(self._first[pair])), self._alike(int(self._second[pair]))
+        return int(self._first[pair]), int(self._second[pair])
 
     def _distance(self, pair: int) -> tuple[float, Direction]:
-        """Returns the distance of a pair of shapes, m, and the unit normal from the second.
-
-        Of shapes that overlap, the distance is 0. A normal that is not known is 0.
-        """
+        """Returns the distance of a pair of shapes, m, and the unit normal from the second."""
         result = self._narrow.shapes.distance(*self._compared(pair))
         if result is None:
             return 0.0, _NO_DIRECTION
         return max(0.0, result.distance), result.normal or _NO_DIRECTION
 
     def _clearances(self) -> Array:
-        """Returns the distances of the nearest shapes of each pair, m.
-
-        The shapes that are nearest in one row are mostly nearest in the others. Their distance
-        there bounds the clearance, so that the others are mostly proved to be farther apart, by the
-        normal of the nearest ones where that is possible.
-        """
+        """Returns the distances of the nearest shapes of each pair, m."""
+        # What is nearest in one row mostly is in the others: its distance there bounds their
+        # clearances, so that the other shapes are mostly proved to be farther apart.
         best, normals = np.full(self._count, math.inf), np.zeros((3, self._count))
         pairs = np.arange(len(self._rows))
         places = self._places()
@@ -275,11 +251,8 @@ class PairBatch:
         return best
 
     def _least_clearances(self, groups: Indices) -> Array:
-        """Returns the clearance of each pair that may have the least one of its group, m.
-
-        The others are infinite. Of a group, the pair whose bounding spheres are nearest is compared
-        first; its clearance mostly proves that others are farther apart.
-        """
+        """Returns the clearance of each pair that may have the least one of its group, m."""
+        # Others are infinite. The pair of the nearest spheres is first: it mostly excludes others.
         clearances, least = np.full(self._count, math.inf), np.full(groups.max() + 1, math.inf)
         zero = np.full(len(least), self._count)  # the first pair that meets, of each group
         gaps = self._sphere_gaps(np.arange(len(self._rows)))
@@ -337,13 +310,7 @@ class PairBatch:
     def _nearer_than(
         self, bounds: Array, pairs: Indices, directions: Array | None = None
     ) -> Indices:
-        """Returns the pairs of shapes that may be nearer than a distance each.
-
-        Args:
-            bounds: (n,), the distances, m.
-            pairs: (n,), the pairs.
-            directions: (3, n), see `proven_verdicts`.
-        """
+        """Returns the pairs of shapes that may be nearer than a distance each."""
         is_bounded = (bounds > 0.0) & (bounds < math.inf)
         bounded = pairs[is_bounded]
         shapes = self._first[bounded], self._second[bounded]
@@ -367,14 +334,8 @@ class PairBatch:
     # -- standing ---------------------------------------------------------------------------
 
     def _standing(self, *, needs_centre: bool) -> tuple[Array, Flags]:
-        """Returns whether contact normals of touching shapes carry the second entity of each pair.
-
-        Args:
-            needs_centre: whether it has to be over the footprint of the first one.
-
-        Returns:
-            1 or 0 for each pair, and the pairs that are open.
-        """
+        """Returns whether contact normals of touching shapes carry the second of each pair."""
+        # 1 or 0 for each pair, and the pairs that are open.
         values, is_open = np.zeros(self._count), np.zeros(self._count, dtype=bool)
         bounds = self._bounds()
         verdicts = proven_verdicts(self._scene, self._first, self._second, bounds)
@@ -413,19 +374,7 @@ class PairBatch:
         return values, is_open
 
     def _carry(self, near: Indices, touch: Flags, values: Array) -> Indices:
-        """Sets the values of most rows to 1 in which a normal carries; returns what is left.
-
-        The shapes that carry in one row mostly carry in the others, so that the normals of others
-        do not matter.
-
-        Args:
-            near: (n,), pairs of shapes that may touch, by row.
-            touch: (n,), whether they surely touch.
-            values: the values of all rows, 0.
-
-        Returns:
-            The pairs of the other rows.
-        """
+        """Sets the values of most rows to 1 in which a normal carries; returns what is left."""
         places, is_left = self._places()[near], np.ones(len(near), dtype=bool)
         tried = touch.copy()
         for _ in range(MAX_CARRIED_ROUNDS):

@@ -103,12 +103,7 @@ class PlacedSolid:
         return points
 
     def extreme_points(self, direction: Array, tolerance: float) -> Array:
-        """Returns the points (n, 3) of the core that are farthest in a unit direction.
-
-        Args:
-            direction: (3,), of length 1.
-            tolerance: points that are nearer by less count as farthest, m.
-        """
+        """Returns the points (n, 3) of the core that are farthest in a unit direction."""
         points = self.points
         heights = points @ direction
         farthest_points: Array = points[heights >= heights.max() - tolerance]

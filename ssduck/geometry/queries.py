@@ -93,20 +93,11 @@ class ShapeQueries:
 
     @cached_property
     def _neighbours(self) -> NeighbourRelations:
-        """The relations among several; made when first needed, since it refers back to this.
-
-        Without it, the memory of a tick is free as soon as the next tick takes its place.
-        """
+        """The relations among several; made when first needed, since it refers back to this."""
         return NeighbourRelations(self._narrow, self._near_pairs, self._on_pairs)
 
     def of(self, ids: Iterable[int], *, needs_whole_tick: bool = False) -> ShapeQueries:
-        """Returns the queries in which ids of links stand for the shapes of these links.
-
-        Args:
-            ids: ids of entities and links.
-            needs_whole_tick: whether the answers depend on everything in the tick. Then each of
-                the links is a body of its own there, and the rest of its entity another one.
-        """
+        """Returns the queries in which ids of links stand for the shapes of these links."""
         ids = tuple(ids)
         links = frozenset(id for id in ids if id >= LINK_FACTOR)
         if not links:
@@ -149,13 +140,7 @@ class ShapeQueries:
     def _regrouped(
         self, is_of_entity: Flags, is_of_link: Flags, whole: ShapeQueries | None = None
     ) -> ShapeQueries:
-        """Returns queries in which shapes belong to their entities, their links, or both.
-
-        Args:
-            is_of_entity: (shapes,), whether a shape belongs to its entity.
-            is_of_link: (shapes,), whether it belongs to its link.
-            whole: the queries without links, if all links are there.
-        """
+        """Returns queries in which shapes belong to their entities, their links, or both."""
         table = self._table
         if self._are_regions is not None:
             is_of_entity = is_of_entity & ~self._are_regions
@@ -190,12 +175,6 @@ class ShapeQueries:
         """Returns the queries in which n sites, which are links, have their regions as shapes.
 
         They answer for ids of links; see `of`.
-
-        Args:
-            regions: the regions.
-            poses: positions (n, 3), orientations (n, 4) and boxes (n, 6) in the world.
-            entities: (n,), the ids of the sites' entities.
-            links: (n,), the numbers of the sites.
         """
         assert self._links is not None
         count, owners = len(self._table.entities), [self._numbers[id] for id in entities.tolist()]
@@ -218,9 +197,6 @@ class ShapeQueries:
         """Returns the pairs that are deeper in each other than a depth, m.
 
         Each pair is there in both orders. So it is in the other methods.
-
-        Raises:
-            ArgumentError: the depth is negative or NaN.
         """
         return self._pairs(PairPredicate("colliding", depth(min_depth)))
 
@@ -342,10 +318,7 @@ class ShapeQueries:
         return i, j
 
     def _matching_pairs(self, predicate: PairPredicate) -> frozenset[int] | None:
-        """Returns all pairs for which a predicate holds; None for the first few queries.
-
-        If the distance is large compared to the bodies, too many pairs are candidates.
-        """
+        """Returns all pairs for which a predicate holds; None for the first few queries."""
         if predicate not in self._matching_by_predicate:
             self._pair_counts[predicate] += 1
             max_single_pairs = max(MIN_PAIRS_AT_ONCE, len(self._numbers) // 4)
@@ -376,11 +349,7 @@ class ShapeQueries:
         return False if self._narrow.is_known(i) and self._narrow.is_known(j) else None
 
     def collides(self, a: int, b: int, min_depth: float = MIN_DEPTH) -> bool | None:
-        """Checks whether two entities are deeper in each other than a depth, m.
-
-        Raises:
-            ArgumentError: the depth is negative or NaN.
-        """
+        """Checks whether two entities are deeper in each other than a depth, m."""
         i, j = self._pair(a, b)
         pairs = self._matching_pairs(PairPredicate("colliding", depth(min_depth)))
         if pairs is None:
@@ -429,11 +398,7 @@ class ShapeQueries:
         return None if clearance is None else clearance <= max_distance
 
     def _are_overlapping_links(self, a: int, b: int) -> bool:
-        """Checks whether two links of one body surely overlap, as neighbours do.
-
-        The distance of shapes that overlap takes long. So, after a few pairs of such links in a
-        tick, all links are compared at once.
-        """
+        """Checks whether two links of one body surely overlap, as neighbours do."""
         if entity_of(a) != entity_of(b) or min(a, b) < LINK_FACTOR:
             return False
         self._own_pair_count += 1
@@ -484,14 +449,7 @@ class ShapeQueries:
         return self._neighbours.encloses(*self._pair(a, b), _orientation(orientation))
 
     def beside(self, a: int, b: int, max_distance: float, *orientations: float) -> bool | None:
-        """Checks whether two entities with overlapping heights are beside each other.
-
-        Args:
-            a: an entity.
-            b: another one.
-            max_distance: their largest distance, m.
-            orientations: the orientation of a's link frame, then of b's: quaternions w, x, y, z.
-        """
+        """Checks whether two entities with overlapping heights are beside each other."""
         is_near = self.near(a, b, max_distance)
         if not is_near:
             return is_near
@@ -508,10 +466,7 @@ class ShapeQueries:
         return self._whole.of((a, b), needs_whole_tick=True)
 
     def _is_loaded(self, id: int, *, is_below: bool) -> bool:
-        """Checks whether anything is on an entity or a link; or else, whether that is on anything.
-
-        Unknown counts as something.
-        """
+        """Checks whether anything is on an entity or a link, or it is on anything; or may be."""
         key = id, is_below
         if key not in self._loaded:
             entity = entity_of(id)
@@ -546,11 +501,7 @@ class ShapeQueries:
         return overlap_share(self._narrow.shapes_of(self._numbers[entity]))
 
     def filled_meshes(self, ids: Sequence[int] | None = None) -> list[int]:
-        """Returns the entities with a closed mesh that surrounds another one.
-
-        Args:
-            ids: the entities; None for all.
-        """
+        """Returns the entities with a closed mesh that surrounds another one."""
         meshes = self._table.with_closed_meshes
         if not meshes:
             return []

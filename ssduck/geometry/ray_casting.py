@@ -50,11 +50,6 @@ def first_hits(solid: Solid, start: Array, rays: Array) -> Array:
 
     A convex solid that contains the start is not hit. The triangles of a mesh are hit from either
     side.
-
-    Args:
-        solid: the solid.
-        start: (3,), the start of all rays.
-        rays: (n, 3), the rays.
     """
     if is_triangle_surface(solid):
         fractions = crossings(solid, start, rays)
@@ -66,13 +61,7 @@ def first_hits(solid: Solid, start: Array, rays: Array) -> Array:
 
 
 def ray_chords(solid: Solid, starts: Array, rays: Array) -> RayChords:
-    """Returns the parts of rays that are in a convex solid.
-
-    Args:
-        solid: a convex solid.
-        starts: (3,) or (n, 3), the starts of the rays.
-        rays: (n, 3), the rays.
-    """
+    """Returns the parts of rays that are in a convex solid."""
     parts = _parts(solid, starts, rays)
     contains = np.any([part.contains for part in parts], axis=0)
     is_hit = [part.enter <= part.leave for part in parts]
@@ -147,14 +136,6 @@ def crossings(solid: Solid, starts: Array, rays: Array) -> Array:
     """Returns the fractions at which rays cross the triangles of a solid's surface.
 
     By T. Möller and B. Trumbore, Fast, Minimum Storage Ray-Triangle Intersection, 1997.
-
-    Args:
-        solid: the solid.
-        starts: (3,) or (n, 3), the starts of the rays.
-        rays: (n, 3), the rays.
-
-    Returns:
-        (n, triangles); inf where a ray does not cross a triangle.
     """
     corners = solid.surface.triangles
     u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -197,16 +178,7 @@ PAIRS_AT_ONCE = 1_000_000
 
 
 def are_blocked(placed: PlacedSolids, start: Array, ends: Array) -> Flags:
-    """Checks whether a shape blocks the line of sight from a point to each of some others.
-
-    Args:
-        placed: the shapes.
-        start: (3,), the eye.
-        ends: (n, 3), the points to see.
-
-    Returns:
-        (n,), booleans.
-    """
+    """Checks whether a shape blocks the line of sight from a point to each of some others."""
     blocked = np.zeros(len(ends), dtype=bool)
     rays = ends - start
     lengths = np.linalg.norm(rays, axis=1)

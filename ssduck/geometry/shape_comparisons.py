@@ -95,10 +95,7 @@ class ShapeComparisons:
         return self._depths[key] if first == s else self._depths[key].swapped()
 
     def _ordered(self, s: int, t: int) -> tuple[int, int]:
-        """Returns two shapes ordered by their geometries and poses, not by their indices.
-
-        So the rounding errors of a comparison do not depend on the caller.
-        """
+        """Returns two shapes ordered by their geometries and poses, not by their indices."""
         return (s, t) if (self._tick.rank(s), s) <= (self._tick.rank(t), t) else (t, s)
 
     def _is_of_mesh(self, s: int, t: int) -> bool:

@@ -124,11 +124,7 @@ class Surface:
 
 
 def _winding_numbers(points: Array, triangles: Array) -> Indices:
-    """Counts the winding numbers of a closed surface around points, by signed crossings of rays.
-
-    The side on which a ray passes an edge is the same for both triangles that share the edge,
-    however it is rounded. So a ray that hits an edge or a corner is counted correctly.
-    """
+    """Counts the winding numbers of a closed surface around points, by signed crossings of rays."""
     points, triangles = _shear(points), _shear(triangles)
     windings = np.zeros(len(points), np.intp)
     start, end = points.T.copy(), points.T.copy()

@@ -47,11 +47,7 @@ class PairPredicate:
     distance: float
 
     def bound(self, margins: float) -> float:
-        """Returns the bound of the signed distance of two shapes.
-
-        Args:
-            margins: the sum of their collision margins, metres.
-        """
+        """Returns the bound of the signed distance of two shapes."""
         if self.kind == "colliding":
             return -self.distance
         return self.distance + margins if self.kind == "touching" else self.distance
@@ -142,12 +138,7 @@ class ShapeTable:
         return self._kept[predicate]
 
     def extended(self, geometries: Sequence[Geometry], entities: Indices) -> ShapeTable:
-        """Returns the table with further shapes, without margins; it keeps the last one.
-
-        Args:
-            geometries: their geometries.
-            entities: (n,), the index of each one's entity.
-        """
+        """Returns the table with further shapes, without margins; it keeps the last one."""
         key = tuple(geometry.key for geometry in geometries), entities.tobytes()
         if self._extended is not None and self._extended[0] == key:
             return self._extended[1]
@@ -168,10 +159,6 @@ class ShapeTable:
         """Returns the table of some of the shapes, which belong to other entities.
 
         The table is the same at each tick, so that it keeps its verdicts.
-
-        Args:
-            shapes: (m,), the numbers of the shapes.
-            entities: (m,), the index of each shape's entity.
         """
         key = shapes.tobytes(), entities.tobytes()
         table = self._regrouped.get(key)
@@ -266,10 +253,7 @@ def of_known_entities(table: ShapeTable, is_known: Flags) -> Flags:
 
 
 def _candidates(tick: TickShapes, boxes: Array, max_distance: float) -> Pairs:
-    """Returns the pairs of known shapes of two entities whose boxes (6, n) are near each other.
-
-    There are none if the greatest distance is negative or NaN.
-    """
+    """Returns the pairs of known shapes of two entities whose boxes (6, n) are near each other."""
     if not max_distance >= 0.0:
         return np.zeros(0, np.intp), np.zeros(0, np.intp)
     table = tick.table
@@ -290,11 +274,7 @@ def _candidates(tick: TickShapes, boxes: Array, max_distance: float) -> Pairs:
 
 
 def depth(min_depth: float) -> float:
-    """Checks a depth, m.
-
-    Raises:
-        ArgumentError: it is negative or NaN.
-    """
+    """Checks a depth, m."""
     if not min_depth >= 0.0:
         raise ArgumentError(
             f"collides: the depth is a number of metres from 0 up, not {min_depth:g}"

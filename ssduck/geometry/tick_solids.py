@@ -139,11 +139,6 @@ class TickSolids:
         """Yields the pairs whose boxes are at most a distance apart along each axis, m.
 
         A half-space is a pair with every shape: its box does not bound it.
-
-        Args:
-            first: the shapes of one side.
-            second: those of the other side.
-            max_distance: the distance, m.
         """
         a, b = self.boxes[first][:, None], self.boxes[second]
         with np.errstate(invalid="ignore"):  # no comparison with an unknown box leaves a pair out

@@ -290,10 +290,7 @@ class Judge:
         }
 
     def _with_unknown(self, values: Sequence[Any]) -> list[Any]:
-        """Returns values, None in place of those with heldFor or holds of what is unknown now.
-
-        To these functions a condition that is unknown is one that does not hold.
-        """
+        """Returns values, None in place of those with heldFor or holds of what is unknown now."""
         unknown = {number for number, text in self._held if self._value_or_nan(text) is None}
         return [None if number in unknown else value for number, value in enumerate(values)]
 
@@ -316,11 +313,7 @@ class Judge:
             return None
 
     def _nan_sources(self, values: Sequence[Any] = ()) -> str:
-        """Returns what is NaN at the present tick, of which terms may depend; '' if nothing is.
-
-        Args:
-            values: the values of the terms.
-        """
+        """Returns what is NaN at the present tick, of which terms may depend; '' if nothing is."""
         names = self._entities_with_nan()
         sources = [f"the pose or the velocity of {joined_names(names)} is"] if names else []
         variables = [name for name, value in self._bound.items() if _has_nan(value)]
@@ -398,10 +391,7 @@ class Judge:
         return self._compiled("term", text).tree.statements[0]
 
     def _expanded(self, term: Term) -> str:
-        """Returns the text of a term with the conditions that it names, and elements of lists.
-
-        A list that changes at each step would have to be planned at each step; numbers are not.
-        """
+        """Returns the text of a term with the conditions that it names, and elements of lists."""
         text, known = term.text, self.terms
         replacements: list[tuple[int, int, str]] = []
 

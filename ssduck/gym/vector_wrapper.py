@@ -255,12 +255,7 @@ class VectorQueryWrapper(VectorWrapper[Any, Any, Any, Any, Any]):
 
 
 class _Prepared(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """An environment that is stepped ahead of its vector, which gets what it returned then.
-
-    Attributes:
-        stepped: what the step returned, until the vector takes it.
-        find: returns the model and the data.
-    """
+    """An environment that is stepped ahead of its vector, which gets what it returned then."""
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
         super().__init__(env)

@@ -232,18 +232,13 @@ void main() { pixel = vec4(mix(horizon, sky, max(height, 0.0)), 1.0); }
 
 @dataclass(frozen=True, eq=False)
 class _Group:
-    """The shapes of one geometry, drawn at once.
-
-    Attributes:
-        array: what draws them; `shadow` draws their depths.
-        is_plane: whether they are planes, which cast no shadows.
-    """
+    """The shapes of one geometry, drawn at once."""
 
     rows: npt.NDArray[np.intp]
     instances: Any
-    array: Any
+    array: Any  # what draws them; `shadow` draws their depths
     shadow: Any
-    is_plane: bool
+    is_plane: bool  # whether they are planes, which cast no shadows
 
 
 class Canvas:

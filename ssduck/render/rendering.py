@@ -103,10 +103,7 @@ def _write_gif(path: Path, pictures: Iterator[Picture], fps: float) -> None:
 def _gif_images(
     pictures: Iterator[Picture], fps: float, durations: list[int]
 ) -> Iterator[Image.Image]:
-    """Yields pictures with the colours of a GIF, and adds the duration of each before, ms.
-
-    The durations are whole hundredths of a second, whose sum is that of the film.
-    """
+    """Yields pictures with the colours of a GIF, and adds the duration of each before, ms."""
     ends = (round(100 * number / fps) for number in count())
     for picture, (start, end) in zip(pictures, pairwise(ends), strict=False):
         durations.append(10 * (end - start))

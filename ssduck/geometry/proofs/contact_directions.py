@@ -89,13 +89,7 @@ def stretch_of(corners: Array) -> Array:
 
 
 def classes_of(heights: Array, stretch: Array, min_height: float) -> Indices:
-    """Returns which directions may be in triangles: those above a height, others, or both.
-
-    Args:
-        heights: (3, n), those of the corners.
-        stretch: (n,), that of the triangles.
-        min_height: the least height of upward directions, not negative.
-    """
+    """Returns which directions may be in triangles: those above a height, others, or both."""
     highest = heights.max(axis=0)
     upward = highest * np.where(highest > 0.0, stretch, 1.0) >= min_height - HEIGHT_ROOM
     other = heights.min(axis=0) <= min_height + HEIGHT_ROOM
@@ -188,14 +182,6 @@ def bounds_of(products: Array, stretch: Array) -> tuple[Array, Array]:
     The overlap at a direction is at least the product of the direction with any mean of the support
     points. Its least product in the triangle is at a corner. The best mean is that of a matrix
     game: one of the points, or the mean whose products with the corners are equal.
-
-    Args:
-        products: (3, 3, n), of support points and corners (point, corner, triangle).
-        stretch: (n,), that of the triangles.
-
-    Returns:
-        The bounds, (n,); and the weights (3, n) of the corners whose sum is normal to the plane
-        through the three points. They have a meaning if all are positive.
     """
     crossed = _cross(products[NEXT], products[LAST])
     weights, facets = crossed.sum(axis=1), crossed.sum(axis=0)
@@ -254,25 +240,15 @@ def contact_room(cores: PlacedCores, first: Indices, second: Indices) -> Array:
 
 @dataclass(eq=False)
 class _Differences:
-    """The differences of pairs of shapes, and the least overlaps that were found.
+    """The differences of pairs of shapes, and the least overlaps that were found."""
 
-    Attributes:
-        cores: the shapes.
-        first: (n,), the first shapes.
-        second: (n,), the second shapes.
-        offsets: (3, n), from the centres of the second to those of the first.
-        room: (n,), see `contact_room`.
-        least: (n,), the least overlaps that were found, metres.
-        best: (3, n), their directions.
-    """
-
-    cores: PlacedCores
-    first: Indices
-    second: Indices
-    offsets: Array
-    room: Array
-    least: Array
-    best: Array
+    cores: PlacedCores  # the shapes
+    first: Indices  # (n,), the first shapes
+    second: Indices  # (n,), the second shapes
+    offsets: Array  # (3, n), from the centres of the second to those of the first
+    room: Array  # (n,), see `contact_room`
+    least: Array  # (n,), the least overlaps that were found, metres
+    best: Array  # (3, n), their directions
 
     @classmethod
     def of(cls, cores: PlacedCores, first: Indices, second: Indices) -> _Differences:
@@ -338,14 +314,7 @@ class _Differences:
 def decide_upward(
     cores: PlacedCores, first: Indices, second: Indices, min_height: float
 ) -> Decisions:
-    """Decides whether contact normals point up: `UPWARD`, `NOT_UPWARD` or `UNDECIDED`.
-
-    Args:
-        cores: the shapes.
-        first: (n,), bounded convex shapes.
-        second: (n,), the same; normals point from the first to the second.
-        min_height: the least z of an upward unit normal, from 0 to 1.
-    """
+    """Decides whether contact normals point up: `UPWARD`, `NOT_UPWARD` or `UNDECIDED`."""
     mesh = mesh_of(min_height)
     decisions = Decisions.none(len(first))
     step = max(1, _TRIANGLES_AT_ONCE // len(mesh.stretch))
@@ -371,15 +340,7 @@ def _decide_pairs(pairs: _Differences, decisions: Decisions, mesh: Mesh, min_hei
 
 
 def _upward_bounds(points: Array, min_height: float) -> Array:
-    """Returns lower bounds of the overlaps in upward directions by each point, (…), metres.
-
-    The overlap at a direction is at least the product of the direction with any of the points. Of
-    all directions of a least height, that with the least product leans away from the point.
-
-    Args:
-        points: (3, …), points of the differences of pairs.
-        min_height: the least height of upward directions, not negative.
-    """
+    """Returns lower bounds of the overlaps in upward directions by each point, (…), metres."""
     x, y, z = points
     products = z * min_height - np.sqrt((x * x + y * y) * (1.0 - min_height * min_height))
     products[z < 0.0] = -math.inf
@@ -412,19 +373,7 @@ def _classified(pairs: _Differences, points: Array, mesh: Mesh, min_height: floa
 def _decide(
     decisions: Decisions, pairs: _Differences, triangles: Triangles, is_left: Flags, least: Array
 ) -> Flags:
-    """Decides the pairs whose triangles that are left agree.
-
-    Args:
-        decisions: those that were found; it adds others.
-        pairs: the pairs.
-        triangles: their triangles.
-        is_left: (triangles,), whether the contact normal may be in it.
-        least: (pairs, 4), the least bound of the others of each pair and class, metres; it lowers
-            them.
-
-    Returns:
-        Whether further divisions may decide a pair, (pairs,).
-    """
+    """Decides the pairs whose triangles that are left agree."""
     groups = 4 * triangles.owners + triangles.classes
     excluded = np.flatnonzero(~is_left)
     np.minimum.at(least.reshape(-1), groups[excluded], triangles.bounds[excluded])
@@ -441,14 +390,7 @@ def _decide(
 
 
 def _mesh_triangles(pairs: _Differences, points: Array, mesh: Mesh, least: Array) -> Triangles:
-    """Returns the triangles of a mesh that may contain the contact normals of pairs.
-
-    Args:
-        pairs: the pairs.
-        points: (3, directions, pairs), their support points in the directions of the mesh.
-        mesh: the mesh.
-        least: (pairs, 4), see `_decide`; it lowers them.
-    """
+    """Returns the triangles of a mesh that may contain the contact normals of pairs."""
     directions, corners = mesh.directions, mesh.corners
     count, size = directions.shape[1], len(pairs)
     products = np.matmul(directions.T, points.swapaxes(0, 1))  # (point, direction, pair)

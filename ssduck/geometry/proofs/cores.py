@@ -3,6 +3,10 @@
 The support point of a shape in a direction is its farthest point that way. All that these proofs
 know of a shape is where these points are: that of `a - b` in a direction is the one of a that way
 less the one of b the other way. A round solid is a core that is grown by a radius.
+
+       .--------s   ---> direction: s is farther that way than any other point
+       |  core  |
+       '--------'
 """
 
 from __future__ import annotations
@@ -141,12 +145,7 @@ class PlacedCores:
         return turned
 
     def support_points(self, shapes: Indices, directions: Array) -> Array:
-        """Returns the support points (3, m) of cores, relative to their centres, in world axes.
-
-        Args:
-            shapes: (m,), the indices of the shapes.
-            directions: (3, m), directions that are not 0; their lengths do not matter.
-        """
+        """Returns the support points (3, m) of cores, relative to their centres, in world axes."""
         cores, rotations = self.cores, self.rotations.take(shapes, axis=1)
         x, y, z = directions
         local = rotations[0:3] * x
@@ -169,12 +168,7 @@ class PlacedCores:
         return in_world
 
     def support_points_all_around(self, shapes: Indices, directions: Array) -> Array:
-        """Returns the support points (3, m, n) of cores, relative to their centres, in world axes.
-
-        Args:
-            shapes: (n,), the indices of different shapes.
-            directions: (3, m), the same directions for all of them.
-        """
+        """Returns the support points (3, m, n) of shapes (n,) in the same directions (3, m)."""
         cores, rotations = self.cores, self.rotations.take(shapes, axis=1)
         # In the order (direction, axis, shape); the axis first.
         local = np.matmul(directions.T, rotations.reshape(3, -1)).reshape(-1, 3, len(shapes))

@@ -34,13 +34,7 @@ _DIRECTIONS = np.stack((np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(16)))
 
 
 def ground_boxes(boxes: Array, starts: Indices, entities: Indices) -> tuple[Array, Array]:
-    """Returns the lower and the upper corners of entities' boxes on the ground, (2, n) each.
-
-    Args:
-        boxes: (6, shapes), lower corners, upper corners.
-        starts: the first shape of each entity, and the number of shapes.
-        entities: (n,), entities with shapes.
-    """
+    """Returns the lower and the upper corners of entities' boxes on the ground, (2, n) each."""
     firsts = starts[:-1][starts[1:] > starts[:-1]]
     places = np.searchsorted(firsts, starts[entities])
     low = np.minimum.reduceat(boxes[:2], firsts, axis=1)
@@ -55,15 +49,7 @@ def over_verdicts(
     centres: Array,
     boxes: tuple[Array, Array] | None = None,
 ) -> Verdicts:
-    """Returns whether points of the ground are over entities: `OVER`, `OUTSIDE` or `UNDECIDED`.
-
-    Args:
-        tick: the shapes.
-        starts: the first shape of each entity, and the number of shapes.
-        a: (n,), known entities with shapes.
-        centres: (2, n), the points, metres; those that are not finite are over nothing.
-        boxes: those of the entities on the ground, if they are known.
-    """
+    """Returns whether points of the ground are over entities: `OVER`, `OUTSIDE` or `UNDECIDED`."""
     verdicts, count = np.full(len(a), UNDECIDED, np.int8), len(starts) - 1
     has_centre = np.isfinite(centres).all(axis=0)
     verdicts[~has_centre] = OUTSIDE

@@ -72,15 +72,7 @@ class Proposer:
     def decide(
         self, bodies: PlacedCores, poses: Poses, first: Indices, second: Indices, bounds: Array
     ) -> Decisions:
-        """Decides pairs whose signed distances are proved to be beyond the bounds.
-
-        Args:
-            bodies: the shapes.
-            poses: the positions (shapes, 3) and the rotations (shapes, 3, 3) of all shapes.
-            first: (n,), shapes with known interiors.
-            second: (n,), the same.
-            bounds: (n,), metres.
-        """
+        """Decides pairs whose signed distances are proved to be beyond the bounds."""
         proposals = proposals_of(self.ask(poses, first, second))
         proof = Proof(bodies, self.interiors, proposals, first, second)
         error = tolerances(bodies, first, second)
@@ -240,12 +232,7 @@ class Proof:
         return local
 
     def _greatest(self, inner: SomeInteriors, apart: Array) -> Array:
-        """Returns bounds from above, (n,): by the balls in the shapes around the points.
-
-        Args:
-            inner: the interiors.
-            apart: (n,), the distances of the points.
-        """
+        """Returns bounds from above, (n,): by the balls in the shapes around the points."""
         depths, count = inner.depths(self.local), len(apart)
         radii = depths - inner.margins
         greatest: Array = apart - radii[:count] - radii[count:]
@@ -376,12 +363,7 @@ _ROWS = 21
 
 
 def _numbers(solid: Solid) -> list[float]:
-    """Returns the properties of a solid; those with x, y and z take three rows.
-
-    0 half the sides of the box and 3 the axes of the ellipsoid whose sum it is, with the ball of
-    radius 19 around. 6 the distances of planes, 9 half the sides of the core, 12 the scales around
-    it, 15 the radius at which these are 1. 16 the centre of the ball in it; 20 the margin of balls.
-    """
+    """Returns the properties of a solid; those with x, y and z take three rows."""
     if not _has_inside(solid):
         return [0.0] * _ROWS
     half = solid.core[-1].tolist() if solid.type in ("box", "capsule", "cylinder") else [0.0] * 3

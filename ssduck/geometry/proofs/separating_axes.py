@@ -4,6 +4,9 @@ Two convex shapes are apart if and only if their shadows on some axis are. Of tw
 axes does it if any does: the normals of three faces of each, and the cross products of an edge of
 one with an edge of the other (Gottschalk, Lin and Manocha, OBBTree, 1996). Of boxes that meet, the
 axis of least overlap is the contact normal.
+
+    [  a  ]    [ b ]
+    |-----|    |---|    ---> an axis: the shadows leave a gap, so that the boxes are apart
 """
 
 from __future__ import annotations
@@ -43,23 +46,7 @@ class BoxAxes:
 
 
 class _BoxPairs:
-    """Pairs of boxes, the second in the frame of the first.
-
-    Args:
-        cores: boxes at poses; those of other shapes have no meaning.
-        first: (n,), the first boxes.
-        second: (n,), the second boxes.
-
-    Attributes:
-        a: (3, n), half the sizes of the first.
-        b: (3, n), half the sizes of the second.
-        matrices_a: (3, 3, n), the rotation matrices of the first.
-        matrices_b: (3, 3, n), those of the second.
-        rotations: (3, 3, n), of the second in the frame of the first.
-        offsets: (3, n), of the second along the axes of the first.
-        offsets_b: (3, n), the same along the axes of the second.
-        sines: (3, 3, n), of the angles of the edges.
-    """
+    """Pairs of boxes, the second in the frame of the first."""
 
     def __init__(self, cores: PlacedCores, first: Indices, second: Indices) -> None:
         half_extents, rotations, centres = cores.cores.half_extents, cores.rotations, cores.centres

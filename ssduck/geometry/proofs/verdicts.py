@@ -5,6 +5,9 @@ two convex shapes is the least support of their difference, with the sign change
 more than the points of the shapes move relative to each other. A verdict whose signed distance has
 some room to the bound therefore holds until the shapes have moved by that room.
 
+    ----- BELOW -----|--- bound ---|------------ ABOVE ------------> signed distance
+                       (tolerance)  |<-- room -->x   kept while the shapes move by less
+
 A kept verdict is not proved again. It is only kept with room beyond the tolerance within which a
 pair stays undecided, so that a new comparison would give the same verdict. Any verdict holds for
 two shapes whose poses are the same to the last bit: a comparison depends on nothing else.
@@ -47,14 +50,7 @@ class Decisions:
 
     @classmethod
     def of_interval(cls, least: Array, greatest: Array, bounds: Array, error: Array) -> Decisions:
-        """Decides pairs by bounds of their signed distances, each (n,), metres.
-
-        Args:
-            least: lower bounds of the signed distances.
-            greatest: upper bounds.
-            bounds: what the signed distances are compared with.
-            error: the tolerances, within which a pair stays undecided.
-        """
+        """Decides pairs by bounds of their signed distances, each (n,), metres."""
         above, below = least - bounds - error, bounds - error - greatest
         is_below, is_above = below > 0.0, above > 0.0
         verdicts: Verdicts = is_below.view(np.int8) - is_above.view(np.int8)
@@ -133,19 +129,12 @@ class ShapePoses:
 
 @dataclass(frozen=True, eq=False)
 class _Kept:
-    """The decided pairs of a tick.
+    """The decided pairs of a tick."""
 
-    Attributes:
-        keys: (n,), the pairs, ascending.
-        decisions: the verdicts on them.
-        poses: the poses of all shapes at that tick.
-        has_exact: whether some verdict has no room: it holds for the very same poses.
-    """
-
-    keys: Keys
-    decisions: Decisions
-    poses: ShapePoses
-    has_exact: bool
+    keys: Keys  # (n,), the pairs, ascending
+    decisions: Decisions  # the verdicts on them
+    poses: ShapePoses  # the poses of all shapes at that tick
+    has_exact: bool  # whether some verdict has no room: it holds for the very same poses
 
 
 class KeptVerdicts:

@@ -82,17 +82,7 @@ class Rasterizer:
     def cells(
         self, raster: Raster, low: float, high: float, *, min_overlap: float = -CELL_TOLERANCE
     ) -> npt.NDArray[np.bool_]:
-        """Returns the cells that the shapes occupy anywhere between two heights.
-
-        Args:
-            raster: the cells.
-            low: m.
-            high: m; equal to `low` for a slice.
-            min_overlap: the length by which a solid has to extend between the heights, m.
-
-        Returns:
-            Booleans, (along x, along y).
-        """
+        """Returns the cells that the shapes occupy anywhere between two heights."""
         changes = np.zeros((raster.shape[0], raster.shape[1] + 1), dtype=np.int32)
         for intervals in self._intervals(raster, low, high, min_overlap):
             intervals.count(raster, changes)
@@ -205,11 +195,7 @@ def _y_ranges(
 
 
 def _fill_interior(raster: Raster, corners: Array, height: float, occupied: Flags) -> None:
-    """Occupies the cells whose centres a closed surface winds around at a height.
-
-    Cells that the surface reaches are occupied already. All others are inside or outside, as their
-    centres are. Both triangles that share an edge compute the same numbers for it.
-    """
+    """Occupies the cells whose centres a closed surface winds around at a height."""
     above = corners[:, :, 2] > height
     corners = corners[above.any(axis=1) & ~above.all(axis=1)]
     above = corners[:, :, 2] > height

@@ -63,12 +63,7 @@ class RoundShape:
     def _cylinder_bounds(
         self, left: Array, right: Array, low: float, high: float
     ) -> tuple[Array, Array]:
-        """Returns the least and the greatest y of points of the cylinder, in strips (n,).
-
-        Three pairs of planes bound the points: the caps, the sides of the strip, the heights. y is
-        least where three planes intersect, where two planes intersect the round side, or on the
-        ellipse of one plane with the round side, where the gradients of all three are coplanar.
-        """
+        """Returns the least and the greatest y of points of the cylinder, in strips (n,)."""
         (x, y, z), count = self.position, len(left)
         axis = np.array([0.0, 0.0, 1.0])
         repeat = np.broadcast_to
@@ -172,13 +167,7 @@ class Ellipsoid:
         )
 
     def _greatest(self, left: Array, right: Array, low: Array, high: Array) -> Array:
-        """Returns the greatest y of points in rectangles of x and z, (n,); -inf if none.
-
-        All coordinates are from the centre. The greatest y over the points of the xz plane is a
-        concave function. So it is greatest where the ellipsoid's is if that is in the rectangle, or
-        else on a side: where that of the section there is, which is an ellipse, or where the side
-        ends before.
-        """
+        """Returns the greatest y of points in rectangles of x and z, (n,); -inf if none."""
         (xx, xy, xz), (_, yy, yz), (_, _, zz) = self.covariance
         extent = np.sqrt(yy)
         x, z = np.full(len(left), xy / extent), np.full(len(left), yz / extent)
@@ -209,14 +198,7 @@ class Ellipsoid:
 def _place_in_section(
     side: Array, variance: float, shared: tuple[float, float], rest: tuple[float, float]
 ) -> Array:
-    """Returns the w at which sections u = side of an ellipsoid have their greatest v, (n,); or NaN.
-
-    Args:
-        side: (n,), the places of the sections, from the centre.
-        variance: the covariance of u and u.
-        shared: those of u and v, and of u and w.
-        rest: those of v and v, and of v and w.
-    """
+    """Returns the w where sections u = side of an ellipsoid have their greatest v, (n,); or NaN."""
     (uv, uw), (vv, vw) = shared, rest
     squared = 1.0 - side * side / variance
     width = np.sqrt(np.where(squared >= 0.0, squared, np.nan) / (vv - uv * uv / variance))
