@@ -130,7 +130,7 @@ def _no_checksums() -> Iterator[None]:
         (tick_index, whole_file),
         *(
             (parquet_layout, {name: _no_problem})
-            for name in ("parquet_problem", "footer_problem", "content_problem")
+            for name in ("parquet_problem", "footer_problem")
         ),
     ]
     with ExitStack() as stack:

@@ -9,9 +9,7 @@ import json
 import math
 import sys
 import time
-from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -163,40 +161,6 @@ def python_command(module: str, *arguments: str, path: Sequence[str] | None = No
     """
     listed = json.dumps(list(map(str, sys.path)) if path is None else list(path))
     return [sys.executable, "-P", "-c", _START.format(module=module), listed, *arguments]
-
-
-# -- opening ----------------------------------------------------------------------------------
-
-# When the time of opening a record is up, by the monotonic clock, s, and how long it was, s.
-_opening: ContextVar[tuple[float, float] | None] = ContextVar("opening", default=None)
-
-
-@contextmanager
-def time_of_opening(limits: Limits | None) -> Iterator[None]:
-    """Limits the time in which a record is opened: `seconds`, or `LEAST_OPENING` if that is more.
-
-    The time is checked before each file or table that is read (`check_opening`).
-    """
-    if limits is None or limits.seconds is None:
-        yield
-        return
-    seconds = max(limits.seconds, LEAST_OPENING)
-    token = _opening.set((time.monotonic() + seconds, seconds))
-    try:
-        yield
-    finally:
-        _opening.reset(token)
-
-
-def check_opening() -> None:
-    """Checks that there is time left if a record is being opened under limits.
-
-    Raises:
-        LimitError: the time is up.
-    """
-    opening = _opening.get()
-    if opening is not None and time.monotonic() > opening[0]:
-        raise LimitError(f"opening the record took more than {opening[1]:g} s (Limits: seconds)")
 
 
 class UsageMeter:

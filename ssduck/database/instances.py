@@ -17,7 +17,7 @@ from sqlglot import exp
 
 from ssduck.database.file_paths import check_beside, spill_of
 from ssduck.errors import UnsupportedError
-from ssduck.recording.stores.object_store import file_system
+from ssduck.recording.stores.object_store import duckdb_objects
 
 MEMORY = ":memory:"
 # The format of files: the one of DuckDB's version with long-term support, which later versions read
@@ -124,12 +124,11 @@ def set_up(connection: duckdb.DuckDBPyConnection) -> None:
 def reach_objects(connection: duckdb.DuckDBPyConnection) -> bool:
     """Lets a connection read objects of the S3 store of the environment; returns True."""
     try:
-        from ssduck.recording.stores.duckdb_objects import DuckdbObjects
+        if not connection.filesystem_is_registered("s3"):
+            connection.register_filesystem(duckdb_objects())
     except ModuleNotFoundError as error:
         raise UnsupportedError(
             "fsspec is not installed, by which DuckDB reads objects; pip install 'ssduck[s3]' does "
             "it"
         ) from error
-    if not connection.filesystem_is_registered("s3"):
-        connection.register_filesystem(DuckdbObjects(file_system()))
     return True

@@ -28,7 +28,7 @@ from sqlglot import exp
 from ssduck import validation
 from ssduck.errors import NumberError, RecordError, check_known
 from ssduck.language.intervals import INTERVALS, RELATIONS_OF_INTERVALS
-from ssduck.recording.paths import FORMAT, check_inside, part_name
+from ssduck.recording.paths import FORMAT, part_name
 from ssduck.recording.stores.checksums import verified_parquet, write_parquet
 from ssduck.recording.stores.history_sql import all_columns
 from ssduck.recording.stores.parquet_layout import PAIRS, FolderRun
@@ -76,7 +76,6 @@ def pair_query(schema: str) -> str:
 def write_pairs(run: FolderRun, rows: pa.Table, within: float) -> Path:
     """Writes the pairs of an episode; returns their file."""
     file = run.place(PAIRS) / part_name(0)
-    check_inside(run.path, file)
     label = run.label(PAIRS, 0)
     metadata = {_WITHIN: json.dumps({"within": within}).encode()}
     if label is not None:
@@ -93,7 +92,6 @@ def write_pairs(run: FolderRun, rows: pa.Table, within: float) -> Path:
 def pairs_of(run: FolderRun) -> tuple[Path, float] | None:
     """Returns the file of an episode's pairs, and their largest clearance, m; None without one."""
     file = run.place(PAIRS) / part_name(0)
-    check_inside(run.path, file)
     if not file.is_file():
         return None
     stored: pq.ParquetFile = verified_parquet(file, has_checksums=True)

@@ -28,10 +28,9 @@ from ssduck.recording.stores.descriptions import (
     parse_description,
 )
 from ssduck.recording.stores.duckdb import DuckDBStore
-from ssduck.recording.stores.model_tables import ABOUT, RUN_SCHEMA, VERSION
+from ssduck.recording.stores.model_tables import ABOUT, RUN_SCHEMA, VERSION, RecordFile
 from ssduck.recording.stores.parquet_archive import ParquetArchive
 from ssduck.recording.stores.parquet_layout import FolderRun
-from ssduck.recording.stores.record_file import RecordFile
 from ssduck.recording.tags import Tags
 from ssduck.schema import RECORDABLE
 from ssduck.simulators.scene_bodies import MODEL_SUFFIXES

@@ -12,7 +12,7 @@ from ssduck.interpreter.archives import recorded_runs, replayed_world, select_ru
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.namespace import check_name
 from ssduck.lazy import service
-from ssduck.limits import Limits, time_of_opening
+from ssduck.limits import Limits
 from ssduck.recording.folder_check import partial_run
 from ssduck.recording.paths import expand_path
 from ssduck.recording.replay.replayed_world import ReplayedWorld
@@ -131,7 +131,7 @@ def open_record(
     Raises:
         RecordError: there is no such record, or it is damaged, of a newer version, or in use by
             another process.
-        LimitError: under limits, opening takes longer than `seconds`, and than 10 s.
+        LimitError: in a sandbox, opening takes longer than `seconds`, and than 10 s.
         NumberError: the episode is not a whole number ≥ 0.
     """
     validation.boolean(partial, "open: partial")
@@ -164,15 +164,14 @@ def opened_record(
     interpreter = Interpreter(recording=None, limits=limits)
     database = interpreter._database  # noqa: SLF001  # it reads the record
     try:
-        with time_of_opening(limits):
-            if path.is_dir():
-                database.allow_record(path)
-            runs = select_runs(recorded_runs(path, database), world, episode)
-            if partial:
-                runs = [partial_run(run) if isinstance(run, FolderRun) else run for run in runs]
-            worlds = [replayed_world(run, database) for run in runs]
-            for replayed in worlds:
-                _bind(interpreter, replayed, path)
+        if path.is_dir():
+            database.allow_record(path)
+        runs = select_runs(recorded_runs(path, database), world, episode)
+        if partial:
+            runs = [partial_run(run) if isinstance(run, FolderRun) else run for run in runs]
+        worlds = [replayed_world(run, database) for run in runs]
+        for replayed in worlds:
+            _bind(interpreter, replayed, path)
     except BaseException:
         interpreter.close()
         raise

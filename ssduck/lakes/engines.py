@@ -9,10 +9,7 @@ from __future__ import annotations
 
 import os
 import pickle
-import select
 import sys
-import sysconfig
-import traceback
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -25,7 +22,7 @@ import pyarrow as pa
 
 from ssduck.errors import ArgumentError, EvaluationError, UnsupportedError
 from ssduck.lakes.manifest import EpisodeEntry, from_bytes, to_bytes
-from ssduck.lakes.pool import end_at_once, pools, safe_path
+from ssduck.lakes.pool import end_at_once, pools
 from ssduck.lakes.questions import Question
 from ssduck.lakes.workers import Answer, answer_episodes
 
@@ -36,8 +33,6 @@ Answers: TypeAlias = Iterator[tuple[int, list[Answer]]]
 Answerer: TypeAlias = Callable[[Question, Sequence[Batch]], Answers]
 # How often Ray, or Spark on this machine, starts a task again whose process was killed.
 RETRIES = 3
-# The largest answers that go through a pipe, bytes: with what the pool adds, it is written at once.
-_MAX_MESSAGE = getattr(select, "PIPE_BUF", 512) // 2
 _RAY_HINT = "engine='ray' needs Ray: pip install 'ssduck[ray]'"
 _SPARK_HINT = "engine='spark' needs PySpark and Java 17 or newer: pip install 'ssduck[spark]'"
 _PARTS = "batch int, question binary, entries binary"
@@ -77,7 +72,7 @@ def _answers_of_pool(
     pool: ProcessPoolExecutor, question: Question, batches: Mapping[int, Batch], processes: int
 ) -> Answers:
     """Yields the answers of processes, which are kept unless some are still at work."""
-    pending: deque[tuple[int, Future[bytes | Path]]] = deque()
+    pending: deque[tuple[int, Future[Path]]] = deque()
     waiting = iter(batches.items())
     unanswered = len(batches)
     with TemporaryDirectory(prefix="ssduck") as folder:
@@ -85,12 +80,12 @@ def _answers_of_pool(
             while unanswered:
                 # The answers of a few batches wait, and not those of all.
                 for index, batch in waiting:
-                    task = pool.submit(_send_answers, question, batch, Path(folder))
+                    task = pool.submit(_write_answers, question, batch, Path(folder))
                     pending.append((index, task))
                     if len(pending) > 2 * processes:
                         break
                 index, future = pending.popleft()
-                answers = _received(future.result())
+                answers = _read_answers(future.result())
                 unanswered -= 1
                 yield index, answers
         finally:
@@ -100,12 +95,12 @@ def _answers_of_pool(
                 pools.keep(pool, processes)
 
 
-def _send_answers(question: Question, batch: Batch, folder: Path) -> bytes | Path:
-    """Returns the answers of a batch as a message that comes whole or not at all."""
-    content = _pickled_answers(question, batch)
-    if len(content) <= _MAX_MESSAGE:
-        return content
-    # Pipes write some kilobytes at once: of a longer message half may be there when a process ends.
+def _write_answers(question: Question, batch: Batch, folder: Path) -> Path:
+    """Answers a batch; returns the file of the answers.
+
+    Of a long message in a pipe, half may be there when the process is killed.
+    """
+    content = pickle.dumps(answer_episodes(question, batch))
     try:
         handle, name = mkstemp(dir=folder)
         with os.fdopen(handle, "wb") as file:
@@ -118,35 +113,16 @@ def _send_answers(question: Question, batch: Batch, folder: Path) -> bytes | Pat
     return Path(name)
 
 
-def _pickled_answers(question: Question, batch: Batch) -> bytes:
-    """Returns the answers of a batch, or the error in their place; either may be long."""
-    try:
-        return pickle.dumps(answer_episodes(question, batch))
-    except Exception as error:  # noqa: BLE001  # `_received` raises it
-        error.add_note(f"In a process of the lake:\n{traceback.format_exc()}")
-        try:
-            content = pickle.dumps(error)
-            pickle.loads(content)  # noqa: S301  # what is made again from its text may not be
-        except Exception:  # noqa: BLE001  # the same
-            return pickle.dumps(EvaluationError(f"{type(error).__name__}: {error}"))
-        return content
-
-
-def _received(message: bytes | Path) -> list[Answer]:
-    """Returns the answers that a process of this machine sent, or raises the error that it had."""
-    if isinstance(message, Path):
-        content = message.read_bytes()
-        message.unlink()
-    else:
-        content = message
-    answers: list[Answer] | Exception = pickle.loads(content)  # noqa: S301  # of our own process
-    if isinstance(answers, Exception):
-        raise answers
+def _read_answers(file: Path) -> list[Answer]:
+    """Returns the answers that a process of this machine wrote."""
+    content = file.read_bytes()
+    file.unlink()
+    answers: list[Answer] = pickle.loads(content)  # noqa: S301  # of our own process
     return answers
 
 
 def answer_on_ray(
-    question: Question, batches: Sequence[Batch], options: dict[str, Any] | None
+    question: Question, batches: Sequence[Batch], options: Mapping[str, Any] | None
 ) -> Answers:
     """Answers batches as tasks of Ray, which starts those again whose process was killed.
 
@@ -154,8 +130,7 @@ def answer_on_ray(
         question: the question.
         batches: the batches.
         options: the arguments of `ray.init`, unless Ray runs already; by default, a cluster on
-            this machine only, without a dashboard. Its processes import nothing from the current
-            folder, unless the options have a `runtime_env` or a `job_config`.
+            this machine only, without a dashboard.
     """
     try:
         import ray
@@ -167,12 +142,7 @@ def answer_on_ray(
             "_node_ip_address": "127.0.0.1",
             "log_to_driver": False,
         }
-        settings = local if options is None else dict(options)
-        if not settings.keys() & {"runtime_env", "job_config"}:
-            # Ray puts the folder first on the path of its workers, but for jobs of its client.
-            settings["job_config"] = ray.job_config.JobConfig(_client_job=True)
-        with safe_path(**_where_ssduck_is(sys.executable)):
-            ray.init(**settings)
+        ray.init(**(local if options is None else options))
     task = ray.remote(max_retries=RETRIES)(answer_episodes)
     shared = ray.put(question)
     references = {task.remote(shared, batch): index for index, batch in enumerate(batches)}
@@ -181,24 +151,13 @@ def answer_on_ray(
         yield references.pop(done), ray.get(done)
 
 
-def _where_ssduck_is(python: str) -> dict[str, str]:
-    """Returns the variable by which workers find ssduck, after their own standard library."""
-    name = "PYTHONPATH"
-    library = Path(sysconfig.get_path("stdlib"))
-    standard = {str(library), str(library / "lib-dynload"), str(Path(sys.base_prefix, "DLLs"))}
-    first = [place for place in sys.path if place in standard] if python == sys.executable else []
-    folder = str(Path(__file__).parents[2])
-    return {name: os.pathsep.join(filter(None, (os.environ.get(name), *first, folder)))}
-
-
 def answer_on_spark(question: Question, batches: Sequence[Batch], session: Any) -> Answers:
     """Answers batches as a job of Spark: `mapInArrow` over the batches, one a partition.
 
     Args:
         question: the question.
         batches: the batches.
-        session: the `SparkSession`; None for one on this machine, `local[*]`, whose workers import
-            nothing from the current folder.
+        session: the `SparkSession`; None for one on this machine, `local[*]`.
     """
     try:
         from pyspark.sql import SparkSession
@@ -206,7 +165,7 @@ def answer_on_spark(question: Question, batches: Sequence[Batch], session: Any) 
         raise UnsupportedError(_SPARK_HINT) from error
     if session is None:
         # The workers of this machine have ssduck in the same Python.
-        python = os.environ.setdefault("PYSPARK_PYTHON", sys.executable)
+        os.environ.setdefault("PYSPARK_PYTHON", sys.executable)
         # Without the second number, a task that fails once would end the job.
         builder = SparkSession.builder.master(f"local[*,{RETRIES + 1}]").appName("ssduck")
         settings = {
@@ -217,8 +176,7 @@ def answer_on_spark(question: Question, batches: Sequence[Batch], session: Any) 
         }
         for name, value in settings.items():
             builder = builder.config(name, value)
-        with safe_path(**_where_ssduck_is(python)):  # Java starts now, and its workers as Java is
-            session = builder.getOrCreate()
+        session = builder.getOrCreate()
     text = pickle.dumps(question)
     rows = [(index, text, to_bytes(batch)) for index, batch in enumerate(batches)]
     parts = session.createDataFrame(rows, _PARTS).repartition(len(batches), "batch")
@@ -250,7 +208,7 @@ def _answer_parts(parts: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
 
 
 def engine_of(
-    name: str, *, processes: int | None, options: dict[str, Any] | None, session: Any
+    name: str, processes: int | None, options: Mapping[str, Any] | None, session: Any
 ) -> Answerer:
     """Returns the function of an engine that answers batches."""
     match name:

@@ -9,7 +9,7 @@ import time
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
@@ -61,6 +61,23 @@ BATCH = 100
 MAX_DOUBTS = 10
 _FILE_SCHEME = "file://"
 _INTERNAL = ("group", "tags", "files", "error")
+
+
+@dataclass(frozen=True)
+class _How:
+    """How episodes are asked; see `Lake.ask`."""
+
+    engine: EngineName = "local"
+    processes: int | None = None
+    batch: int | None = None
+    resume: str | Path | None = None
+    progress: bool = True
+    options: Mapping[str, Any] | None = None
+    session: Any = None
+
+
+def _program(text: str, limits: Limits | None, strict: bool) -> ProgramQuestion:
+    return ProgramQuestion(text, limits, validation.boolean(strict, "ask: strict"))
 
 
 class Lake:
@@ -258,14 +275,11 @@ class Lake:
             ProgramWarning: a probable mistake in the program, once, with the first episode that
                 has it.
         """
-        engines = {"processes": processes, "options": options, "session": session}
+        how = _How(engine, processes, batch, resume, progress, options, session)
         if limits is not None and limits.is_sandboxed:
-            given = engines | {"engine": engine, "batch": batch, "resume": resume}
             with SandboxedLake(self.path, limits) as lake:
-                return lake.ask(program, where, strict=strict, **given)
-        question = ProgramQuestion(program, limits, validation.boolean(strict, "ask: strict"))
-        answered = self._answered(question, where, engine, batch, resume, progress, engines)
-        return whole_table(answered)
+                return lake.ask(program, where, strict=strict, **vars(how))
+        return whole_table(self._answered(_program(program, limits, strict), where, how))
 
     def stream(
         self,
@@ -275,24 +289,17 @@ class Lake:
         *,
         limits: Limits | None = None,
         strict: bool = False,
-        processes: int | None = None,
-        batch: int | None = None,
-        resume: str | Path | None = None,
-        progress: bool = True,
-        options: Mapping[str, Any] | None = None,
-        session: Any = None,
+        **arguments: Any,
     ) -> Iterator[pa.Table]:
         """Returns an iterator of the same answers, batch by batch, as soon as they are there.
 
         The arguments and the errors are those of `ask`; wrong arguments are told at once, before
-        the first table. Each table has the types of its own
-        answers.
+        the first table. Each table has the types of its own answers.
         """
         check_in_process(limits, "stream")
-        question = ProgramQuestion(program, limits, validation.boolean(strict, "ask: strict"))
-        engines = {"processes": processes, "options": options, "session": session}
-        answered = self._answered(question, where, engine, batch, resume, progress, engines)
-        return _tables(answered, batch or BATCH)
+        how = _How(engine, **arguments)
+        answered = self._answered(_program(program, limits, strict), where, how)
+        return _tables(answered, how.batch or BATCH)
 
     def score(
         self,
@@ -324,40 +331,30 @@ class Lake:
             ArgumentError: a term is none, or another argument is wrong.
             UnsupportedError: the engine is not installed.
         """
-        engines = {"processes": processes, "options": options, "session": session}
+        how = _How(engine, processes, batch, resume, progress, options, session)
         if limits is not None and limits.is_sandboxed:
-            given = engines | {"engine": engine, "batch": batch, "resume": resume}
             terms = success, failure, reward, stop_when
             with SandboxedLake(self.path, limits) as lake:
-                return lake.score(*terms, where=where, nan=nan, **given)
+                return lake.score(*terms, where=where, nan=nan, **vars(how))
         question = ScoreQuestion(Terms.of(success, failure, reward, stop_when, nan=nan), limits)
-        answered = self._answered(question, where, engine, batch, resume, progress, engines)
-        return whole_table(answered)
+        return whole_table(self._answered(question, where, how))
 
     def _answered(
-        self,
-        question: Question,
-        where: str | None,
-        engine: EngineName,
-        batch: int | None,
-        resume: str | Path | None,
-        progress: bool,
-        engines: dict[str, Any],
+        self, question: Question, where: str | None, how: _How
     ) -> Iterator[AnsweredEpisode]:
         """Returns the answers of the selected episodes, in order, which are asked one by one."""
-        progress = validation.boolean(progress, "ask: progress")
+        progress = validation.boolean(how.progress, "ask: progress")
+        batch, processes = how.batch, how.processes
         if batch is not None:
             batch = validation.integer(batch, "ask: batch", minimum=1)
-        if engines["processes"] is not None:
-            engines["processes"] = validation.integer(
-                engines["processes"], "ask: processes", minimum=1
-            )
+        if processes is not None:
+            processes = validation.integer(processes, "ask: processes", minimum=1)
         entries = self._selected(where)
-        if engine == "local" and engines["processes"] is None:
-            engines["processes"] = pools.default_count(len(entries))
-        answer = engine_of(engine, **engines)
-        kept = KeptAnswers(None if resume is None else expand_path(resume), question)
-        size = batch or _batch_size(len(entries), engines["processes"] or os.cpu_count() or 1)
+        if how.engine == "local" and processes is None:
+            processes = pools.default_count(len(entries))
+        answer = engine_of(how.engine, processes, how.options, how.session)
+        kept = KeptAnswers(None if how.resume is None else expand_path(how.resume), question)
+        size = batch or _batch_size(len(entries), processes or os.cpu_count() or 1)
         return _in_order(question, entries, answer, kept, size, progress)
 
     def sql(
@@ -404,6 +401,9 @@ class Lake:
         program: str,
         where: str | None = None,
         engine: EngineName = "local",
+        *,
+        limits: Limits | None = None,
+        strict: bool = False,
         **arguments: Any,
     ) -> pa.Table:
         """Tags each episode with its answer to a program.
@@ -415,6 +415,8 @@ class Lake:
                 stays as it is.
             where: a condition on the columns of `episodes`.
             engine: the engine.
+            limits: the limits of the program.
+            strict: whether a probable mistake in it is an error.
             arguments: further arguments of `ask`.
 
         Returns:
@@ -426,16 +428,9 @@ class Lake:
         """
         checked_tags({name: True}, "tag")
         validation.text(program, "tag takes a program (set_tags takes tags)")
-        strict = validation.boolean(arguments.pop("strict", False), "tag: strict")
-        limits = arguments.pop("limits", None)
         check_in_process(limits, "tag")
-        question = ProgramQuestion(program, limits, strict)
-        engines = {key: arguments.pop(key, None) for key in ("processes", "options", "session")}
-        batch, resume = arguments.pop("batch", None), arguments.pop("resume", None)
-        progress = arguments.pop("progress", True)
-        if arguments:
-            raise ArgumentError(f"tag: there is no argument {next(iter(arguments))!r}")
-        answered = list(self._answered(question, where, engine, batch, resume, progress, engines))
+        how = _How(engine, **arguments)
+        answered = list(self._answered(_program(program, limits, strict), where, how))
         values = {
             one.entry.key: _single_value(one.value)
             for one in answered

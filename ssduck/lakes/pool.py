@@ -11,13 +11,10 @@ import multiprocessing
 import os
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import wait
-from multiprocessing.context import SpawnContext, SpawnProcess
-from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +22,6 @@ from typing import Any
 COLD = 140
 # Each process that is there already has so many episodes at least.
 WARM = 25
-# Makes Python leave the current folder out of the path of a process that it starts.
-_SAFE = "PYTHONSAFEPATH"
 # How long processes are kept that answer nothing, s.
 IDLE = 300.0
 
@@ -44,46 +39,6 @@ class _Kept:
         """Ends the processes."""
         self.timer.cancel()
         self.executor.shutdown()
-
-
-# -- starting and ending --------------------------------------------------------------------------
-
-_starting = threading.Lock()
-
-
-@contextmanager
-def safe_path(**others: str) -> Iterator[None]:
-    """Lets processes that start not import from the current folder, which may be a stranger's.
-
-    They get the path of their parent before they import more than the standard library.
-    """
-    settings = {_SAFE: "1", **others}
-    with _starting:
-        before = {name: os.environ.get(name) for name in settings}
-        os.environ.update(settings)
-        try:
-            yield
-        finally:
-            for name, value in before.items():
-                if value is None:
-                    del os.environ[name]
-                else:
-                    os.environ[name] = value
-
-
-class _Process(SpawnProcess):
-    """A process that begins without the current folder on its path."""
-
-    @staticmethod
-    def _Popen(process_obj: BaseProcess) -> Any:  # noqa: N802  # of the library
-        with safe_path():
-            return SpawnProcess._Popen(process_obj)  # noqa: SLF001
-
-
-class _Context(SpawnContext):
-    """Starts such processes. A forked one would lack the threads of DuckDB."""
-
-    Process = _Process
 
 
 def end_at_once(executor: ProcessPoolExecutor) -> None:
@@ -124,8 +79,9 @@ class ProcessPools:
                 kept.timer.cancel()
                 return kept.executor, True
             kept.end()
-        with safe_path():
-            return ProcessPoolExecutor(count, _Context(), _end_with_parent), False
+        # A forked process would lack the threads of DuckDB.
+        spawn = multiprocessing.get_context("spawn")
+        return ProcessPoolExecutor(count, spawn, _end_with_parent), False
 
     def keep(self, executor: ProcessPoolExecutor, count: int) -> None:
         """Keeps processes that have answered for the next question, in place of others."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 import glob
 import os
 import re
-import stat
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,9 +18,9 @@ from ssduck.interpreter.archives import episodes
 from ssduck.lakes.manifest import EpisodeEntry
 from ssduck.recording.episode_steps import FOLDER as STEPS
 from ssduck.recording.folder_episodes import ABOUT, VERSION, check_about, lost_runs, runs_named
-from ssduck.recording.paths import check_inside, expand_path
+from ssduck.recording.paths import expand_path
 from ssduck.recording.stores.atomic_files import is_temporary
-from ssduck.recording.stores.checksums import checksum_of, content_of, content_problem
+from ssduck.recording.stores.checksums import checksum_of, parquet_problem
 from ssduck.recording.stores.object_store import ObjectPath, file_system, reading
 from ssduck.recording.stores.parquet_layout import LOG, PAIRS, FolderRun
 from ssduck.recording.stores.summaries import (
@@ -38,18 +38,16 @@ from ssduck.schema import MODELS, RECORDED
 DUCKDB_SUFFIX = ".duckdb"
 # The folders that a record has of its own.
 OF_RECORD = frozenset((*RECORDED, "episodes", STEPS, INDEX, LOG, "models", PAIRS))
+# The folders that have the files of an episode in them.
+_FOLDERS = (*RECORDED, INDEX, LOG, PAIRS, *(f"models/{table}" for table in MODELS))
 # The names of the objects of an episode.
 _OF_EPISODE = re.compile(
     r"(?:.+/world=(?P<world>[^/]+)/episode=(?P<part_of>0|[1-9][0-9]{0,8})/[^/.][^/]*"
     r"|(?:episodes|gym)/(?P<described>[^/]+)-(?P<number>0|[1-9][0-9]{0,8})\.json)"
 )
-# What a name has that is not the same as a path: empty parts, and those that are no names.
-_NO_PATH = re.compile(r"(?:^|/)\.{0,2}(?:/|$)")
 # What an entry says as an episode does, and as a summary does, of its ticks.
 _EXTENT = ("ticks", "first_tick", "last_tick", "start", "end")
 _OF_RUN = ("id", "started", "complete", *_EXTENT, "every", "tables", "entities")
-# The sizes of the files of an episode sum up to less: integers of 64 bits hold them.
-_MAX_SIZE = 1 << 63
 MISSING = "is missing: its files were there when the manifest was made"
 
 
@@ -121,10 +119,7 @@ def _records_in_store(place: ObjectPath) -> list[Path]:
 
 
 def objects_below(place: ObjectPath) -> dict[str, tuple[int, int]]:
-    """Returns the sizes and times of all objects below an address, by their names there.
-
-    Objects whose names no path can have, such as `b//rec`, are no files of a record: left out.
-    """
+    """Returns the sizes and times of all objects below an address, by their names there."""
     from pyarrow.fs import FileSelector, FileType
 
     selector = FileSelector(place.key, recursive=True, allow_not_found=True)
@@ -134,7 +129,7 @@ def objects_below(place: ObjectPath) -> dict[str, tuple[int, int]]:
     return {
         info.path[start:]: (info.size, info.mtime_ns)
         for info in found
-        if info.type == FileType.File and not _NO_PATH.search(info.path[start:])
+        if info.type == FileType.File
     }
 
 
@@ -185,58 +180,23 @@ def _found_in_store(record: ObjectPath) -> list[FoundEpisode]:
             world, number = (match["world"] or match["described"]), match["part_of"]
             key = world, int(number or match["number"])
             listings.setdefault(key, {ABOUT: objects.get(ABOUT, (0, 0))})[name] = about
-    return [_found_listed(record, *key, listing) for key, listing in sorted(listings.items())]
-
-
-def _found_listed(record: ObjectPath, world: str, number: int, listing: Listing) -> FoundEpisode:
-    """Returns an episode that a store lists."""
-    sizes = [size for size, _ in listing.values()]
-    if min(sizes) < 0 or sum(sizes) >= _MAX_SIZE:
-        error = RecordError(
-            f"{record}: the store lists impossible sizes of the files of episode {number} of "
-            f"{world!r}; try again"
-        )
-        return _unreadable(record, world, number, error)
-    return FoundEpisode(record, world, number, listing)
+    return [FoundEpisode(record, *key, listing) for key, listing in sorted(listings.items())]
 
 
 def _listing(run: FolderRun) -> dict[str, tuple[int, int]]:
-    """Returns the files of an episode in a folder; pipes and devices are none."""
+    """Returns the files of an episode in a folder."""
     files: dict[str, tuple[int, int]] = {}
-    single = (ABOUT, f"episodes/{run.about_file.name}", f"gym/{run.about_file.name}")
-    for name in single:
-        check_inside(run.path, run.path / name)
-        try:
-            status = (run.path / name).stat()
-        except OSError:
-            continue
-        if stat.S_ISREG(status.st_mode):
-            files[name] = (status.st_size, status.st_mtime_ns)
-    for table in _folders(run):
-        place = run.place(table)
-        check_inside(run.path, place)
-        prefix = place.relative_to(run.path).as_posix()
-        try:
-            entries = list(os.scandir(place))
-        except OSError:
-            continue
-        for entry in entries:
-            if entry.is_symlink():
-                check_inside(run.path, place / entry.name)
-            if not entry.name.startswith(".") and entry.is_file():
-                status = entry.stat()
-                files[f"{prefix}/{entry.name}"] = (status.st_size, status.st_mtime_ns)
+    described = run.about_file.name
+    for name in (ABOUT, f"episodes/{described}", f"{STEPS}/{described}"):
+        with suppress(FileNotFoundError):
+            files[name] = size_and_time(run.path / name)
+    for folder in map(run.folder, _FOLDERS):
+        with suppress(FileNotFoundError), os.scandir(run.path / folder) as entries:
+            for entry in entries:
+                if not entry.name.startswith(".") and entry.is_file():
+                    status = entry.stat()
+                    files[f"{folder}/{entry.name}"] = (status.st_size, status.st_mtime_ns)
     return files
-
-
-def _folders(run: FolderRun) -> Iterator[str]:
-    try:
-        with os.scandir(run.path) as entries:
-            names = [e.name for e in entries if e.is_dir()]
-    except OSError:
-        names = []
-    yield from (name for name in names if name not in ("episodes", "gym", "models"))
-    yield from (f"models/{table}" for table in MODELS)
 
 
 def _listing_of_file(file: Path) -> Listing:
@@ -344,7 +304,7 @@ def _entry_of(run: FolderRun, entry: EpisodeEntry, listing: Listing) -> EpisodeE
     files = []
     for name, (size, modified) in sorted(listing.items()):
         file = summary.files.get(name)
-        checksum = zlib.crc32(content_of(run.path / name)) if file is None else file.checksum
+        checksum = zlib.crc32((run.path / name).read_bytes()) if file is None else file.checksum
         files.append(StoredFile(name, size, modified, checksum))
     return replace(
         entry,
@@ -366,8 +326,8 @@ def _computed(run: FolderRun, listing: Listing) -> EpisodeSummary:
     """Returns the summary of an episode, for which each file is read."""
     files, are_whole = {}, True
     for name, (size, modified) in parts_in(run, listing).items():
-        content = content_of(run.path / name)
+        content = (run.path / name).read_bytes()
         files[name] = StoredFile(name, size, modified, zlib.crc32(content))
         if not name.startswith("models/"):  # those are checked when they are read
-            are_whole &= content_problem(content, has_checksums=True) is None
+            are_whole &= parquet_problem(content, has_checksums=True) is None
     return summary_of(run, files, are_whole=are_whole)

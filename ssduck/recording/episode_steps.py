@@ -20,7 +20,6 @@ import numpy as np
 from ssduck import validation
 from ssduck.errors import ArgumentError, RecordError
 from ssduck.formatting import short_repr
-from ssduck.recording.paths import check_inside
 from ssduck.recording.stores.checksums import write_json
 from ssduck.recording.stores.descriptions import Value, check_description, read_description
 from ssduck.recording.tags import Tag
@@ -28,8 +27,6 @@ from ssduck.recording.tags import Tag
 # The folder of these files in a record.
 FOLDER = "gym"
 VERSION = 1
-# How deep the lists of a variable may be within each other; numpy's arrays have as many dimensions.
-_MAX_DEPTH = 64
 _MAX_TIME = 1e300
 _FILE = re.compile(r"(.+)-(0|[1-9][0-9]{0,8})\.json")
 
@@ -169,7 +166,6 @@ class EpisodeSteps:
             "actions": self.actions,
         }
         file = steps_file(folder, world, number)
-        check_inside(folder, file)
         try:
             file.parent.mkdir(exist_ok=True)
             write_json(content, file)
@@ -185,7 +181,6 @@ class EpisodeSteps:
             RecordError: it is damaged.
         """
         file = steps_file(folder, world, number)
-        check_inside(folder, file)
         if not file.exists():
             raise RecordError(
                 f"episode {number} of {world!r} has no steps of an environment, as "
@@ -235,22 +230,20 @@ def steps_file(folder: Path, world: str, number: int) -> Path:
 def recorded_steps(folder: Path) -> list[tuple[str, int]]:
     """Returns the worlds and numbers of the episodes of which a record keeps the steps."""
     place = folder / FOLDER
-    check_inside(folder, place)
     names = [entry.name for entry in place.iterdir()] if place.is_dir() else []
     matches = filter(None, map(_FILE.fullmatch, names))
     return sorted((match.group(1), int(match.group(2))) for match in matches)
 
 
-def plain(value: Any, key: str, depth: int = 0) -> Any:
+def plain(value: Any, key: str) -> Any:
     """Returns the value of a variable as one of SelectScript and JSON.
 
     Args:
         value: True, False, a number, a text, or a list or an array of such.
         key: what has the value, to begin the message.
-        depth: the number of lists that the value is in.
 
     Raises:
-        ArgumentError: it is another value, or has lists in each other more than 64 deep.
+        ArgumentError: it is another value.
     """
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
@@ -259,9 +252,7 @@ def plain(value: Any, key: str, depth: int = 0) -> Any:
     if isinstance(value, float):
         return value
     if isinstance(value, list | tuple):
-        if depth == _MAX_DEPTH:
-            raise ArgumentError(f"{key} has lists in each other more than {_MAX_DEPTH} deep")
-        return [plain(item, key, depth + 1) for item in value]
+        return [plain(item, key) for item in value]
     raise ArgumentError(
         f"{key} is {short_repr(value)}: a variable is True, False, a number, a text, or a list or "
         "an array of such"

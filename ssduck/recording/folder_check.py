@@ -13,17 +13,16 @@ from pathlib import Path
 from ssduck.errors import RecordError, RecordPermissionError, warn
 from ssduck.recording.episode import new_id
 from ssduck.recording.episode_steps import (
-    FOLDER,
     EpisodeSteps,
     NewerStepsError,
     recorded_steps,
     steps_file,
 )
 from ssduck.recording.folder_episodes import ABOUT, DESCRIPTION, check_about, lost_runs, runs_named
-from ssduck.recording.paths import check_inside, part_name
+from ssduck.recording.paths import part_name
 from ssduck.recording.stores.atomic_files import create_file
 from ssduck.recording.stores.checksums import (
-    footer_of,
+    footer_in,
     json_text,
     parquet_problem,
     verified_parquet,
@@ -112,13 +111,7 @@ def _checked_folder(path: Path, *, repair: bool) -> list[Damage]:
 
 def _step_damages(path: Path) -> Iterator[tuple[Damage, RecordError]]:
     """Yields the damaged files of the steps of environments, and their errors."""
-    try:
-        episodes = recorded_steps(path)
-    except RecordError as error:  # a link, which leads out of the record
-        place = path / FOLDER
-        yield Damage(place, _problem_of(error, place), "all steps of environments"), error
-        return
-    for world, number in episodes:
+    for world, number in recorded_steps(path):
         file = steps_file(path, world, number)
         try:
             EpisodeSteps.read(path, world, number)
@@ -143,17 +136,9 @@ def partial_run(run: FolderRun) -> FolderRun:
 
 
 def damages_of(run: FolderRun) -> Iterator[_RunDamage]:
-    """Yields the damaged and missing files of an episode; reads all bytes of all files.
-
-    Of an episode with a folder that leads out of the record, only that is said: its files are those
-    of another record, which a repair must not rename.
-    """
+    """Yields the damaged and missing files of an episode; reads all bytes of all files."""
     episode = f"episode {run.number} of {run.world!r}"
     problem: str | None
-    links = [_RunDamage(*link, f"all of {episode}", run=run) for link in _links_of(run)]
-    if links:
-        yield from links
-        return
     try:
         tables = run.tables
     except RecordPermissionError:  # it may be intact
@@ -182,23 +167,13 @@ def damages_of(run: FolderRun) -> Iterator[_RunDamage]:
                 yield _RunDamage(file, problem, f"all of {episode}", run=run)
     yield from _log_damages(run)
     index = index_file(run.place(INDEX))
-    problem = _index_problem(run, index)
+    problem = _parquet_problem(index, has_checksums=run.has_checksums)
     if problem is not None:
         yield _RunDamage(index, problem, "nothing: the parts have what it has", run=run)
     pairs = run.place(PAIRS) / part_name(0)
-    problem = parquet_problem(pairs, has_checksums=True) if pairs.is_file() else None
+    problem = _parquet_problem(pairs, has_checksums=True)
     if problem is not None:
         yield _RunDamage(pairs, problem, "the table of pairs, for other tools", run=run)
-
-
-def _links_of(run: FolderRun) -> Iterator[tuple[Path, str]]:
-    """Yields the folders of an episode that links lead out of the record, and what is wrong."""
-    models = (f"models/{model}" for model in MODELS)
-    for place in map(run.place, (*RECORDED, *models, INDEX, LOG, PAIRS)):
-        try:
-            check_inside(run.path, place)
-        except RecordError as error:
-            yield place, _problem_of(error, place)
 
 
 def _derived_files(run: FolderRun) -> tuple[Path, Path]:
@@ -215,10 +190,11 @@ def _log_damages(run: FolderRun) -> Iterator[_RunDamage]:
             return
 
 
-def _index_problem(run: FolderRun, index: Path) -> str | None:
-    if not index.is_file():
+def _parquet_problem(file: Path, *, has_checksums: bool) -> str | None:
+    """Returns what is wrong with a Parquet file that may be there."""
+    if not file.is_file():
         return None
-    return parquet_problem(index, has_checksums=run.has_checksums)
+    return parquet_problem(file.read_bytes(), has_checksums=has_checksums)
 
 
 def _loss(run: FolderRun, part: int) -> str:
@@ -296,9 +272,9 @@ def _description_of(run: FolderRun) -> dict[str, object] | None:
     files = sorted(run.place("ticks").glob("part-*.parquet"))
     for file in files:
         with suppress(OSError):
-            footer = footer_of(file) or b""
-            match = _LABEL.search(footer)
-            if match is None or parquet_problem(file, has_checksums=True) is not None:
+            content = file.read_bytes()
+            match = _LABEL.search(footer_in(content))
+            if match is None or parquet_problem(content, has_checksums=True) is not None:
                 continue
             started = datetime.fromtimestamp(file.stat().st_mtime, UTC)
             return {

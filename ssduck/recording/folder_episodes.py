@@ -14,7 +14,7 @@ from typing import Any, Protocol
 from ssduck.errors import RecordError
 from ssduck.formatting import short_repr
 from ssduck.recording.episode_steps import FOLDER as STEPS
-from ssduck.recording.paths import FORMAT, check_inside, episode_numbers, names_in
+from ssduck.recording.paths import FORMAT, episode_numbers, names_in
 from ssduck.recording.stores.atomic_files import create_file, is_temporary
 from ssduck.recording.stores.checksums import json_text
 from ssduck.recording.stores.descriptions import read_description
@@ -23,9 +23,6 @@ from ssduck.recording.stores.parquet_layout import LOG, PAIRS, FolderRun
 from ssduck.recording.stores.tick_index import INDEX
 from ssduck.schema import MODELS
 from ssduck.world import ctrl_c
-
-# The maximum length of a file name in bytes, where the system does not report it.
-_NAME_MAX = 255
 
 
 def folders_of(tables: Sequence[str]) -> tuple[str, ...]:
@@ -111,10 +108,7 @@ def begin_episode(path: Path, world: str, about: Mapping[str, Any]) -> FolderRun
                 "new folder, or of a record"
             )
         path.mkdir(parents=True, exist_ok=True)
-        _check_name_length(path, world)
         about_file = path / ABOUT
-        for place in (about_file, path / "episodes"):
-            check_inside(path, place)
         if not about_file.exists():
             others = [file for file in path.iterdir() if not is_temporary(file)]
             # Another recorder may have begun in the meantime.
@@ -134,32 +128,11 @@ def begin_episode(path: Path, world: str, about: Mapping[str, Any]) -> FolderRun
         raise RecordError(f"{path} cannot be written: {reason}") from error
 
 
-def _check_name_length(path: Path, world: str) -> None:
-    """Checks that the name of a world is short enough for the names of files."""
-    maximum = _NAME_MAX
-    if hasattr(os, "pathconf"):
-        with suppress(OSError, ValueError):
-            maximum = os.pathconf(path, "PC_NAME_MAX")
-    # The longest file name of an episode, with as many digits as its number may have: that of a
-    # damaged description, which a repair has set aside.
-    longest = f"{FolderRun(path, '', 10**6).about_file.name}.damaged-10"
-    room = maximum - len(longest)
-    length = len(os.fsencode(world))
-    if length > room:
-        raise RecordError(
-            f"a world called {short_repr(world)} cannot be recorded in {path}: files are named "
-            f"after it, and its name has {length} bytes; at most {room} fit: bind it to a shorter "
-            "one"
-        )
-
-
 def _claim_episode(path: Path, world: str, about: Mapping[str, Any]) -> FolderRun:
     """Creates the file of an episode under a number that is free, after those that are not."""
     numbers = count(_free_number(path, world))
     while True:
         run = FolderRun(path, world, next(numbers))
-        for place in (run.about_file, *map(run.place, folders_of(about["tables"]))):
-            check_inside(path, place)
         if create_file(run.about_file, json_text({**about, "episode": run.number})):
             return run
 
@@ -221,7 +194,6 @@ def runs_in(path: Path) -> list[FolderRun]:
 def runs_named(path: Path) -> list[FolderRun]:
     """Returns the episodes of a folder that have a file, sorted by world and number."""
     place = path / "episodes"
-    check_inside(path, place)
     matches = map(_EPISODE.fullmatch, names_in(place))
     keys = sorted((match.group(1), int(match.group(2))) for match in matches if match)
     return [FolderRun(path, world, number) for world, number in keys]
@@ -254,7 +226,6 @@ def check_about(folder: Path) -> None:
     about_file = folder / ABOUT
     if not about_file.is_file():
         raise RecordError(f"{folder} is no record of ssduck: it has no {ABOUT}")
-    check_inside(folder, about_file)
     about = read_description(about_file)
     if about.get("format") != FORMAT:
         raise RecordError(f"{folder} is no record of ssduck: {about_file} is of another format")

@@ -199,30 +199,6 @@ def test_a_dataset_that_contradicts_itself_is_an_error(tmp_path: Path, name: str
     assert not (tmp_path / "r").exists()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("place", ["data", "meta/episodes"])
-def test_a_small_file_of_very_many_rows_is_not_read(tmp_path: Path, place: str) -> None:
-    dataset = written(tmp_path / "d")
-    (file,) = (dataset / place).glob("*/*.parquet")
-    repeated = pq.read_table(file).take([0] * 400_000)
-    with pq.ParquetWriter(file, repeated.schema, compression="zstd") as writer:
-        for _ in range(3):
-            writer.write_table(repeated)
-    assert file.stat().st_size < 200_000
-    with pytest.raises(RecordError, match="1,200,000 rows: ssduck reads 1,000,000 rows of a file"):
-        ssduck.import_poses(dataset, tmp_path / "r")
-    assert not (tmp_path / "r").exists()
-
-
-@pytest.mark.long
-def test_a_list_of_very_many_numbers_is_not_read(tmp_path: Path) -> None:
-    dataset = written(tmp_path / "d", rows={"p": [*ROWS["p"][1:], [0.0] * 20_000_000]})
-    (file,) = (dataset / "data").glob("*/*.parquet")
-    assert file.stat().st_size < 100_000
-    with pytest.raises(RecordError, match=r"20,000,0.. values: ssduck reads 16 for each row"):
-        ssduck.import_poses(dataset, tmp_path / "r")
-
-
 NAMES: dict[str, Any] = {
     "p": {"names": ["cup.x", "cup.y", "cup.z", "lid.x", "grip"]},
     "q": {"names": {"motors": ["a"]}},

@@ -4,11 +4,9 @@ import json
 import math
 import multiprocessing
 import os
-import pickle
 import re
 import signal
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import pandas as pd
 import pyarrow as pa
@@ -133,19 +131,16 @@ def test_processes_are_kept_until_one_is_killed(recorded):
 
 
 @pytest.mark.slow
-def test_long_answers_come_through_files(recorded, tmp_path):
+def test_answers_come_through_files(recorded, tmp_path):
     """A pipe would be left with half a message by a process that is killed."""
     entries = ssduck.lake(recorded)._entries
-    for program, is_long in ((PROGRAMS["last tick"], False), (f'"{"a" * 10_000}";', True)):
-        question = ProgramQuestion(program)
-        message = engines._send_answers(question, entries, tmp_path)
-        assert len(pickle.dumps(message)) < 4096  # PIPE_BUF
-        assert bool(list(tmp_path.iterdir())) == is_long
-        ((_, answers),) = answer_locally(question, [entries], 1)
-        assert engines._received(message) == answers
-        assert not list(tmp_path.iterdir())
+    question = ProgramQuestion(f'"{"a" * 10_000}";')
+    file = engines._write_answers(question, entries, tmp_path)
+    ((_, answers),) = answer_locally(question, [entries], 1)
+    assert engines._read_answers(file) == answers
+    assert not list(tmp_path.iterdir())
     with pytest.raises(EvaluationError, match=r"cannot be kept in .*: No such file"):
-        engines._send_answers(question, entries, tmp_path / "gone")
+        engines._write_answers(question, entries, tmp_path / "gone")
 
 
 @pytest.mark.parametrize(("episodes", "kept", "expected"), [
@@ -335,39 +330,3 @@ def _values(answers):
     if answers["answer"].type == pa.string():
         values = [None if value is None else json.loads(value) for value in values]
     return values
-
-
-class _OddError(Exception):
-    """An error that pickle cannot make again."""
-
-    def __init__(self, text, more):
-        super().__init__(f"{text}{more}")
-
-
-@pytest.mark.parametrize(
-    ("error", "is_long", "kind", "message"),
-    [
-        (EvaluationError("short"), False, EvaluationError, "short"),
-        (ValueError("a" * 100_000), True, ValueError, "a" * 100_000),
-        (_OddError("odd", "ly"), False, EvaluationError, "_OddError: oddly"),
-    ],
-)
-def test_long_errors_come_through_files(
-    recorded, tmp_path, monkeypatch, error, is_long, kind, message
-):
-    def fail(question, batch, depth=20 if is_long else 0):
-        if depth:
-            fail(question, batch, depth - 1)
-        raise error
-
-    monkeypatch.setattr(engines, "answer_episodes", fail)
-    sent = engines._send_answers(ProgramQuestion("1;"), [], tmp_path)
-    assert len(pickle.dumps(sent)) < 4096  # PIPE_BUF
-    assert isinstance(sent, bytes) != bool(list(tmp_path.iterdir()))
-    assert isinstance(sent, Path) or not is_long
-    with pytest.raises(kind) as raised:
-        engines._received(sent)
-    assert raised.value.args == (message,)
-    if kind is type(error):
-        assert "in fail" in "".join(raised.value.__notes__)
-    assert not list(tmp_path.iterdir())

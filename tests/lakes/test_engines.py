@@ -9,6 +9,7 @@ import pytest
 import ssduck
 from ssduck.errors import EvaluationError, ProgramWarning, UnsupportedError
 from ssduck.lakes.answers import answer_table
+from ssduck.lakes.lake import _How
 from tests.support.lake_questions import PROGRAMS, KillingQuestion
 
 QUESTION = PROGRAMS["last tick"]
@@ -53,9 +54,8 @@ def spark(request):
 def answers_after_a_kill(lake, tmp_path, engine, **engines):
     """Returns the answers to a question that kills one of the processes that answer it."""
     question = KillingQuestion(QUESTION, mark=str(tmp_path / "killed"))
-    settings = {"processes": None, "options": None, "session": None} | engines
-    kept = tmp_path / "kept"
-    answered = lake._answered(question, None, engine, 1, kept, False, settings)
+    how = _How(engine, batch=1, resume=tmp_path / "kept", progress=False, **engines)
+    answered = lake._answered(question, None, how)
     table = answer_table(answered)
     assert (tmp_path / "killed").exists()
     return table

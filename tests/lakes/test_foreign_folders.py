@@ -1,8 +1,7 @@
-"""Processes import nothing from the current folder, which may be a stranger's, and end at once."""
+"""A sandbox imports nothing from the current folder; processes of a question end at once."""
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import sys
@@ -13,8 +12,7 @@ from pathlib import Path
 import pytest
 
 import ssduck
-from ssduck.lakes import engines
-from tests.support.command_line import BOX, ROOT
+from tests.support.command_line import BOX
 from tests.support.rising_cups import write_rising_cups
 
 # What Python imports when a process starts, and what ssduck does.
@@ -44,13 +42,6 @@ def test_a_sandbox_starts_no_file_of_the_folder(foreign: Path) -> None:
     assert not (foreign.parent / "run").exists()
 
 
-@pytest.mark.long
-def test_processes_of_a_lake_start_no_file_of_the_folder(foreign: Path) -> None:
-    rows = ssduck.lake("record").ask("z(lab.cup) > 0.5;", processes=2, batch=1)
-    assert rows["error"].to_pylist() == [None] * 3
-    assert not (foreign.parent / "run").exists()
-
-
 @pytest.mark.slow
 def test_the_trial_of_a_scene_starts_no_file_of_the_folder(foreign: Path) -> None:
     for name in ("pybullet", "numpy", "pickle", "hashlib"):
@@ -58,33 +49,6 @@ def test_the_trial_of_a_scene_starts_no_file_of_the_folder(foreign: Path) -> Non
     (foreign / "box.urdf").write_text(BOX)
     with ssduck.load("box.urdf", limits=ssduck.Limits.strict()) as ss:
         assert ss.eval("SELECT id FROM box AS list;") == ["box"]
-    assert not (foreign.parent / "run").exists()
-
-
-STARTS = f"""
-import sys
-sys.path.append({str(ROOT)!r})
-import ssduck
-print(ssduck.lake("record").ask("z(lab.cup) > 0.5;", engine=sys.argv[1], batch=1)["error"].to_pylist())
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("engine", ["ray", "pyspark"])
-def test_clusters_start_no_file_of_the_folder(foreign: Path, engine: str) -> None:
-    pytest.importorskip(engine, reason="the engine is not installed")
-    for name in ("pyspark", "ray", "zoneinfo", "numpy", "pyarrow"):
-        mark = f"open({str(foreign.parent / 'run')!r}, 'a').write({name!r})\n"
-        (foreign / f"{name}.py").write_text(mark)
-    (foreign.parent / "asks.py").write_text(STARTS)
-    command = [sys.executable, foreign.parent / "asks.py", engine.removeprefix("py")]
-    # The paths of Ray's sockets have at most 107 bytes.
-    env = os.environ | {"TMPDIR": "/tmp"}  # noqa: S108
-    done = subprocess.run(
-        command, env=env, capture_output=True, text=True, timeout=600, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    assert "[None, None, None]" in done.stdout
     assert not (foreign.parent / "run").exists()
 
 
@@ -126,24 +90,3 @@ def test_ctrl_c_ends_the_processes_of_a_question(tmp_path: Path) -> None:
         finally:
             late.cancel()
             process.kill()
-
-
-def test_workers_of_clusters_import_the_standard_library_first(tmp_path, monkeypatch):
-    """Among what is installed may be a module with the name of one of its own."""
-    installed = tmp_path / "installed"
-    (installed / "ssduck" / "lakes").mkdir(parents=True)
-    names = "ssduck", "json", "unicodedata", "colorsys"
-    for name in names[1:]:
-        (installed / f"{name}.py").touch()
-    (installed / "ssduck" / "__init__.py").touch()
-    monkeypatch.setattr(engines, "__file__", str(installed / "ssduck" / "lakes" / "engines.py"))
-    monkeypatch.delenv("PYTHONPATH", raising=False)
-    program = f"import {', '.join(names)}; print({', '.join(f'{n}.__file__' for n in names)})"
-    found = subprocess.run(
-        [sys.executable, "-P", "-c", program],
-        env={**os.environ, **engines._where_ssduck_is(sys.executable)},
-        capture_output=True,
-        text=True,
-        check=True,
-    ).stdout.split()
-    assert [str(installed) in file for file in found] == [True, False, False, False]

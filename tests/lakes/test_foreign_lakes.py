@@ -1,7 +1,6 @@
-"""Lakes of strangers: nothing outside is read, and what is wrong is the error of one episode."""
+"""Lakes of any folders: what is beside the parts is not read, and groups give no other answers."""
 
 import json
-import os
 import shutil
 from dataclasses import replace
 
@@ -9,9 +8,7 @@ import mujoco
 import pytest
 
 import ssduck
-from ssduck.errors import ArgumentError
 from ssduck.lakes.engines import answer_locally
-from ssduck.lakes.lake import MANIFEST
 from ssduck.lakes.questions import ProgramQuestion
 from ssduck.lakes.workers import answer_episodes, forget_readers
 from ssduck.recording.stores.checksums import json_text
@@ -20,78 +17,7 @@ from tests.support.cases import sampled
 from tests.support.lake_questions import whole_answer_of
 
 PROGRAM = "count(SELECT id FROM sim AS list);"
-FILE = f"{MANIFEST}.parquet"
 ENTITIES = "entities/world=sim/episode=1"
-STEPS = "gym/sim-1.json"
-LEAVES = "is a symbolic link that leaves"
-
-
-def ask(folder):
-    rows = ssduck.lake(folder).ask(PROGRAM, processes=1).to_pylist()
-    return {row["episode"]: row["error"] for row in rows}
-
-
-def moved(place):
-    """Moves a file or a folder out of its record, and links to it."""
-
-    def change(folder):
-        outside = folder.parent / "outside"
-        (folder / place).rename(outside)
-        (folder / place).symlink_to(outside)
-
-    return change
-
-
-def linked(place, target):
-    def change(folder):
-        (folder / place).unlink(missing_ok=True)
-        (folder / place).symlink_to(target)
-
-    return change
-
-
-def pipe(place):
-    def change(folder):
-        (folder / place).unlink(missing_ok=True)
-        os.mkfifo(folder / place)
-
-    return change
-
-
-# A change of the second episode, and its error.
-CHANGES = {
-    "a pipe beside the parts": (pipe(f"{ENTITIES}/more.parquet"), None),
-    "a pipe beside the models": (pipe("models/links/world=sim/episode=1/more"), None),
-    "a pipe as steps": (pipe(STEPS), None),
-    "a device beside the parts": (linked(f"{ENTITIES}/more.parquet", "/dev/zero"), LEAVES),
-    "a device as steps": (linked(STEPS, "/dev/zero"), LEAVES),
-    "a link to nothing": (linked(f"{ENTITIES}/more.parquet", "/nowhere"), LEAVES),
-    "a part elsewhere": (moved(f"{ENTITIES}/part-000000.parquet"), LEAVES),
-    "parts elsewhere": (moved(ENTITIES), LEAVES),
-}
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(os.name == "nt", reason="Windows has no pipes in folders")
-@pytest.mark.parametrize("change", CHANGES)
-def test_links_and_pipes_are_not_read(folder, change):
-    apply, error = CHANGES[change]
-    apply(folder)
-    for _ in range(2):  # without a manifest, and with one
-        errors = ask(folder)
-        assert sorted(errors) == list(range(EPISODES))
-        assert [n for n, message in errors.items() if message] == ([] if error is None else [1])
-        assert error is None or error in errors[1]
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(os.name == "nt", reason="Windows has no pipes in folders")
-@pytest.mark.parametrize("change", [pipe(FILE), linked(FILE, "/dev/zero"), linked(FILE, "../a")])
-def test_a_manifest_is_a_file(folder, change):
-    (folder.parent / "a").write_text("kept")
-    change(folder)
-    assert not any(ask(folder).values())
-    assert (folder.parent / "a").read_text() == "kept"
 
 
 ROWS = "count(SELECT id FROM sim{} AS list);"
@@ -112,22 +38,6 @@ def test_a_tag_of_any_name_selects_no_other_episodes(folder, name):
     lake = ssduck.lake(folder)
     assert lake.select("episode = 2")["episode"].to_pylist() == [2]
     assert len(lake.select("ticks > 0")) == EPISODES
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("text", ["(" * 5000 + "true" + ")" * 5000, "NOT " * 5000 + "true"])
-def test_a_condition_nested_too_deeply_is_an_error(recorded, text):
-    with pytest.raises(ArgumentError, match="nested too deeply"):
-        ssduck.lake(recorded).select(text)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(os.name == "nt", reason="Windows has no pipes in folders")
-@pytest.mark.parametrize("change", [pipe(STEPS), linked(STEPS, "/dev/zero")])
-def test_steps_that_are_no_file_are_not_scored(folder, change):
-    change(folder)
-    rows = ssduck.lake(folder).score("z(sim.cup) > 9", processes=1).to_pylist()
-    assert [row["episode"] for row in rows if row["error"]] == [1]
 
 
 MODEL = """

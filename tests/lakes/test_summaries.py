@@ -70,16 +70,6 @@ def with_file(file):
     file.write_text(json_text(content))
 
 
-def piped(file):
-    file.unlink()
-    os.mkfifo(file)
-
-
-def linked(file):
-    file.rename(file.parents[4] / "outside")
-    file.symlink_to(file.parents[4] / "outside")
-
-
 # What is wrong with a summary, which is not used then.
 WRONG = {
     "missing": lambda file: file.unlink(),
@@ -97,8 +87,6 @@ WRONG = {
     "too many ticks": edited(ticks=1 << 70),
     "names of another kind": edited(entities=[1]),
 }
-if os.name != "nt":
-    WRONG["a pipe"] = piped
 
 
 def test_the_manifest_of_closed_episodes_is_made_of_summaries(folder, computed):
@@ -120,14 +108,6 @@ def test_a_wrong_summary_is_not_used(folder, recorded, computed, wrong):
     ]
     own = {file.name: file.checksum for file in found[1].files}
     assert own == {f.name: f.checksum for f in entries(recorded)[1].files}
-
-
-@pytest.mark.skipif(os.name == "nt", reason="Windows has few links")
-def test_a_summary_elsewhere_is_the_error_of_its_episode(folder):
-    linked(folder / SUMMARY.format(1))
-    errors = [entry.error for entry in ssduck.lake(folder).entries]
-    assert [n for n, error in enumerate(errors) if error] == [1]
-    assert "leaves" in errors[1]
 
 
 FORGERIES = {

@@ -97,28 +97,6 @@ def test_half_a_body_is_an_error(store: LyingStore, ask: Callable[[str], Any]) -
     assert "None" not in message
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("ask", [opened, ssduck.check, in_lake])
-@sampled("size", [1 << 40, (1 << 63) - 1], every=2)
-def test_an_object_is_not_read_whose_size_is_impossible(
-    store: LyingStore, ask: Callable[[str], Any], size: int
-) -> None:
-    store.sizes = {".parquet": size}
-    assert f"it has {size:,} bytes, more than a file of a record" in messages(ask)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("size", [1 << 62, -5])
-def test_impossible_sizes_in_a_listing_are_an_error_of_their_episode(
-    store: LyingStore, size: int
-) -> None:
-    store.size = size
-    lake = ssduck.lake(LAKE)
-    (error,) = lake.episodes["error"].to_pylist()
-    assert "the store lists impossible sizes of the files of episode 0 of 'lab'" in error
-    assert lake.episodes["size"].to_pylist() == [0]
-
-
 @pytest.mark.pairwise
 @pytest.mark.slow
 @pytest.mark.parametrize("ask", ASKING)

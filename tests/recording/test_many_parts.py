@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pybullet
 import pytest
@@ -115,18 +115,6 @@ def test_parts_that_the_index_does_not_know(run: Path, monkeypatch: pytest.Monke
     assert reads.ticks == ["part-000008.parquet", "part-000009.parquet"]
 
 
-def test_an_index_that_claims_too_much_is_not_read(
-    run: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A few bytes may have the last tick a million times."""
-    rows = pq.read_table(_index(run))
-    more = pa.concat_tables([rows.slice(len(rows) - 1)] * 10_000)
-    write_parquet(pa.concat_tables([rows, more]).combine_chunks(), _index(run), compression="zstd")
-    reads = Reads(monkeypatch)
-    assert _ticks(run) == ALL
-    assert len(reads.ticks) == PARTS
-
-
 def test_parts_that_are_removed_do_not_count(run: Path) -> None:
     for part in (8, 9):
         (run / "ticks" / PLACE.format(1) / f"part-{part:06d}.parquet").unlink()
@@ -180,17 +168,17 @@ def test_few_parts_have_no_index(
 
 @pytest.fixture
 def checks(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The files whose footers are read; a record has many parts if it has two."""
+    """The files that are checked; a record has many parts if it has two."""
     monkeypatch.setattr(parquet_archive, "MANY_PARTS", 2)
     read: list[str] = []
-    footer = parquet_layout.footer_of
+    check = parquet_layout.FolderRun.check_data
 
-    def counted(file: Path) -> bytes | None:
-        if "models" not in file.parts:
-            read.append(f"{file.parts[-4]} {int(file.stem[-6:])}")
-        return footer(file)
+    def counted(run: parquet_layout.FolderRun, table: str, numbers: Iterable[int]) -> None:
+        for number in numbers:
+            read.append(f"{table} {number}")
+            check(run, table, [number])
 
-    monkeypatch.setattr(parquet_layout, "footer_of", counted)
+    monkeypatch.setattr(parquet_layout.FolderRun, "check_data", counted)
     return read
 
 

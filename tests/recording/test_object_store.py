@@ -223,7 +223,6 @@ def test_without_fsspec_the_error_says_what_to_install(
     import sys
 
     monkeypatch.setitem(sys.modules, "fsspec.implementations.arrow", None)
-    monkeypatch.delitem(sys.modules, "ssduck.recording.stores.duckdb_objects", raising=False)
     with pytest.raises(ssduck.SelectScriptError, match=r"pip install 'ssduck\[s3\]'"):
         ssduck.open(places[0])
 

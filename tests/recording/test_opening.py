@@ -9,8 +9,6 @@ import pybullet
 import pytest
 
 import ssduck
-from ssduck import limits
-from ssduck.errors import LimitError
 from ssduck.recording.replay.record import Record
 from ssduck.recording.stores import parquet_archive
 
@@ -102,37 +100,3 @@ def test_raw_sql_reads_the_current_tick(runs: dict[str, Path]) -> None:
         rows = ss.sql("SELECT name, tick FROM lab.entities ORDER BY name").fetchall()
         last = ss.past("lab").ticks[-1]
         assert rows == [("falling", last), ("still", last)]
-
-
-class Clock:
-    """A clock that goes on by a second whenever it is looked at."""
-
-    def __init__(self) -> None:
-        self.now = 0.0
-
-    def monotonic(self) -> float:
-        self.now += 1.0
-        return self.now
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["folder", "file"])
-def test_opening_under_limits_ends(
-    runs: dict[str, Path], kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The time is looked at before each file or table, of which a stranger may send any number."""
-    with monkeypatch.context() as patch:
-        patch.setattr(limits, "time", Clock())
-        patch.setattr(limits, "LEAST_OPENING", 5.0)
-        with pytest.raises(LimitError, match=r"opening the record took more than 5 s \(Limits"):
-            ssduck.open(runs[kind], limits=ssduck.Limits(seconds=0.1))
-        with pytest.raises(LimitError, match="more than 6 s"):
-            ssduck.open(runs[kind], limits=ssduck.Limits(seconds=6))
-        with ssduck.open(runs[kind]) as ss:
-            assert ss.past("lab").ticks
-    with ssduck.open(runs[kind], limits=ssduck.Limits(seconds=1000)) as ss:
-        patched = Clock()
-        monkeypatch.setattr(limits, "time", patched)
-        assert len(ss.past("lab").ticks) >= STEPS
-        patched.now = 1e9  # what is read later is a part of the time of a program
-        assert ss.eval("max(SELECT z FROM lab{} AS list);") == 2.0

@@ -22,7 +22,6 @@ import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError
-from ssduck.recording.stores.checksums import size_problem
 from ssduck.recording.stores.object_store import ObjectPath, is_address
 from ssduck.recording.stores.stored_columns import checked_parquet, part_columns
 
@@ -66,8 +65,6 @@ def _content(path: str) -> memoryview:
     """Returns the bytes of a file of this machine."""
     with open(path, "rb", buffering=0) as file:  # noqa: PTH123  # faster than a Path
         size = os.fstat(file.fileno()).st_size
-        if (problem := size_problem(path, size)) is not None:
-            raise RecordError(f"{path} {problem}")
         # Arrow uses its memory again: new pages take longer to clear than a part to read.
         content = memoryview(pa.allocate_buffer(size)).cast("B")
         end = 0

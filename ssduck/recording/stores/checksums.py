@@ -12,17 +12,13 @@ import re
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError
-from ssduck.limits import check_opening
 from ssduck.recording.stores.atomic_files import write_atomically
-from ssduck.recording.stores.object_store import ObjectPath
-
-Content = TypeVar("Content", bytes, memoryview)
 
 # The bytes that begin and end a Parquet file.
 _MAGIC = b"PAR1"
@@ -30,13 +26,8 @@ _MAGIC = b"PAR1"
 _TAIL = 4 + len(_MAGIC)
 # The size that most footers do not exceed, bytes.
 _MOST_FOOTERS = 1 << 15
-# The size that no footer exceeds: it is read before anything is known of its file.
-_LARGEST_FOOTER = 1 << 26
 # The number of bytes of a file that are summed at a time: they stay in the cache of a processor.
 _PIECE = 1 << 18
-# A larger file is read whole only if its footer tells of as many bytes, and none of more than that:
-# twice the values of the largest part. A sparse file has any size, and takes no room on the disk.
-_SMALL_FILE, _LARGEST_FILE = 1 << 24, 1 << 31
 _KEY = b"ssduck checksums"
 _DIGITS = rb"[0-9a-f]{8}"
 _FOOTER_SUMS = re.compile(rb"crc32 of data (%s), of footer (%s)" % (_DIGITS, _DIGITS))
@@ -70,7 +61,7 @@ def write_parquet(rows: pa.Table, place: Path, **options: Any) -> int:
     length = int.from_bytes(content[-_TAIL:-4], "little") + _TAIL
     data = content[:-length]
     data_sum = zlib.crc32(data)
-    footer = with_footer_sums(bytes(content[-length:]), data_sum)
+    footer = _with_footer_sums(bytes(content[-length:]), data_sum)
 
     def write(file: Path) -> None:
         with file.open("wb", buffering=0) as stream:
@@ -88,7 +79,6 @@ def _write_all(stream: Any, content: memoryview) -> None:
 
 def footer_of(file: Path) -> bytes | None:
     """Returns the footer of a Parquet file; None if the file does not end in one."""
-    check_opening()
     with file.open("rb", buffering=0) as stream:
         size = stream.seek(0, 2)
         if size < _TAIL + len(_MAGIC):
@@ -96,7 +86,7 @@ def footer_of(file: Path) -> bytes | None:
         stream.seek(-min(size, _MOST_FOOTERS), 2)
         end = stream.read()
         length = int.from_bytes(end[-_TAIL:-4], "little") + _TAIL
-        if end[-4:] != _MAGIC or length > min(size, _LARGEST_FOOTER):
+        if end[-4:] != _MAGIC or length > size:
             return None
         if length <= len(end):
             return end[-length:]
@@ -116,94 +106,7 @@ def footer_problem(footer: bytes | None, *, has_checksums: bool) -> str | None:
     return None if is_right else WRONG_CHECKSUM
 
 
-def parquet_problem(file: Path, *, has_checksums: bool, footer: bytes | None = None) -> str | None:
-    """Returns what is wrong with a Parquet file, all of which is read; None for nothing.
-
-    A file is read piece by piece: memory for all of a large one takes longer than its checksum. An
-    object is read at once: each piece would be a request.
-
-    Args:
-        file: the file.
-        has_checksums: whether it must have checksums.
-        footer: its footer, if that was read and has no problem.
-    """
-    if isinstance(file, ObjectPath):
-        return content_problem(file.read_bytes(), has_checksums=has_checksums)
-    if (problem := size_problem(file, file.stat().st_size)) is not None:
-        return problem
-    if footer is None:
-        footer = footer_of(file)
-        problem = footer_problem(footer, has_checksums=has_checksums)
-        if footer is None or problem is not None:
-            return problem
-    match = _last(_FOOTER_SUMS, footer)
-    if match is None:
-        return None
-    return None if match.group(1) == _hex(checksum_of(file, len(footer))) else WRONG_CHECKSUM
-
-
-def checksum_of(file: Path, left_out: int = 0) -> int:
-    """Returns the CRC-32 of a file, which may be large.
-
-    Args:
-        file: the file.
-        left_out: the number of bytes at its end that do not count.
-    """
-    checksum, piece = 0, memoryview(bytearray(_PIECE))
-    with file.open("rb", buffering=0) as stream:
-        left = stream.seek(0, 2) - left_out
-        stream.seek(0)
-        while left > 0 and (count := stream.readinto(piece[: min(left, _PIECE)])):
-            checksum = zlib.crc32(piece[:count], checksum)
-            left -= count
-    return checksum
-
-
-def content_of(file: Path) -> bytes:
-    """Returns the bytes of a file of a record."""
-    check_opening()
-    if not isinstance(file, ObjectPath):  # which is bounded when it is opened
-        problem = size_problem(file, file.stat().st_size)
-        if problem is not None:
-            raise RecordError(f"{file} {problem}")
-    return file.read_bytes()
-
-
-def size_problem(file: Path | str, size: int) -> str | None:
-    """Returns that a file of a record has more bytes than it can; None if it has not."""
-    if size <= _SMALL_FILE:
-        return None
-    told = _LARGEST_FILE
-    place = Path(file)
-    if place.suffix == ".parquet":
-        told = min(told, 2 * _told_size(footer_of(place)) + _SMALL_FILE)
-    return None if size <= told else f"is damaged: it has {size:,} bytes, more than it tells of"
-
-
-def _told_size(footer: bytes | None) -> int:
-    """Returns the number of bytes of data of which a footer tells; 0 if it tells nothing."""
-    if footer is None:
-        return 0
-    try:
-        told = pq.ParquetFile(pa.BufferReader(footer)).metadata
-    except (pa.ArrowException, OSError):
-        return 0
-    groups = map(told.row_group, range(told.num_row_groups))
-    sizes = (g.column(n).total_compressed_size for g in groups for n in range(g.num_columns))
-    size: int = len(footer) + sum(max(size, 0) for size in sizes)
-    return size
-
-
-def verified_parquet(file: Path, *, has_checksums: bool) -> pq.ParquetFile:
-    """Returns a Parquet file, which is in memory and was checked."""
-    content = content_of(file)
-    problem = content_problem(content, has_checksums=has_checksums)
-    if problem is not None:
-        raise RecordError(f"{file} {problem}")
-    return pq.ParquetFile(pa.BufferReader(content))
-
-
-def content_problem(content: bytes, *, has_checksums: bool) -> str | None:
+def parquet_problem(content: bytes, *, has_checksums: bool) -> str | None:
     """Returns what is wrong with the content of a Parquet file; None for nothing."""
     length = int.from_bytes(content[-_TAIL:-4], "little") + _TAIL
     is_complete = len(content) >= length + len(_MAGIC) and content[-4:] == _MAGIC
@@ -216,12 +119,30 @@ def content_problem(content: bytes, *, has_checksums: bool) -> str | None:
     return problem
 
 
-def footer_in(content: Content) -> Content:
+def verified_parquet(file: Path, *, has_checksums: bool) -> pq.ParquetFile:
+    """Returns a Parquet file, which is in memory and was checked."""
+    content = file.read_bytes()
+    problem = parquet_problem(content, has_checksums=has_checksums)
+    if problem is not None:
+        raise RecordError(f"{file} {problem}")
+    return pq.ParquetFile(pa.BufferReader(content))
+
+
+def checksum_of(file: Path) -> int:
+    """Returns the CRC-32 of a file of any size."""
+    checksum = 0
+    with file.open("rb", buffering=0) as stream:
+        while piece := stream.read(_PIECE):
+            checksum = zlib.crc32(piece, checksum)
+    return checksum
+
+
+def footer_in(content: bytes) -> bytes:
     """Returns what the end of the content of a Parquet file says is its footer."""
     return content[-int.from_bytes(content[-_TAIL:-4], "little") - _TAIL :]
 
 
-def with_footer_sums(footer: bytes, data_sum: int) -> bytes:
+def _with_footer_sums(footer: bytes, data_sum: int) -> bytes:
     """Returns a footer with the checksums that it is to have."""
     match = _last(_FOOTER_SUMS, footer)
     assert match is not None

@@ -14,7 +14,6 @@ from typing import Any
 
 from ssduck.errors import RecordError, record_error
 from ssduck.formatting import short_repr
-from ssduck.limits import check_opening
 from ssduck.recording.recorded_visuals import is_camera
 from ssduck.recording.stores.atomic_files import sole_writer
 from ssduck.recording.stores.checksums import (
@@ -28,8 +27,6 @@ from ssduck.recording.stores.object_store import ObjectPath, change_object
 from ssduck.recording.tags import are_tags
 from ssduck.schema import RECORDED
 
-# A description that names a million entities is shorter, bytes.
-MAX_DESCRIPTION = 1 << 26
 _ID = re.compile("-".join(f"[0-9a-f]{{{digits}}}" for digits in (8, 4, 4, 4, 12)))
 
 
@@ -120,16 +117,12 @@ DATABASE_EPISODE: Description = {
 
 def read_description(file: Path) -> dict[str, Any]:
     """Returns the JSON object in a file."""
-    check_opening()
-    if not file.is_file():  # a pipe would be waited for
+    if not file.is_file():
         raise RecordError(f"{file} cannot be read: there is no such file")
     try:
-        is_too_long = file.stat().st_size > MAX_DESCRIPTION
-        content = b"" if is_too_long else file.read_bytes()
+        content = file.read_bytes()
     except OSError as error:
         raise record_error(f"{file} cannot be read: {error.strerror}", error) from error
-    if is_too_long:  # not within `try`: a RecordError is an OSError
-        raise RecordError(f"{file} is damaged: it has more than {MAX_DESCRIPTION:,} bytes")
     return checked_description(content, str(file))
 
 
@@ -168,23 +161,11 @@ def parse_description(text: str | bytes, source: str) -> dict[str, Any]:
     """
     try:
         decoded = text.decode() if isinstance(text, bytes) else text
-        content = json.loads(decoded, object_pairs_hook=_unique)
+        content = json.loads(decoded)
     except ValueError as error:
         raise RecordError(f"{source} is damaged: {error}") from error
-    except RecursionError:
-        raise RecordError(f"{source} is damaged: it is nested too deeply") from None
     if not isinstance(content, dict):
         raise RecordError(f"{source} is damaged: it has no JSON object")
-    return content
-
-
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Returns an object of pairs of keys and values; readers differ in which of two they take."""
-    content = dict(pairs)
-    if len(content) < len(pairs):
-        keys = [key for key, _ in pairs]
-        key = next(key for key in keys if keys.count(key) > 1)
-        raise ValueError(f"it has the key {short_repr(key)} twice")
     return content
 
 

@@ -36,8 +36,7 @@ from ssduck.recording.stores.history_sql import (
     history,
     near_pair_rows,
 )
-from ssduck.recording.stores.model_tables import ModelTables
-from ssduck.recording.stores.record_file import RecordFile
+from ssduck.recording.stores.model_tables import ModelTables, RecordFile
 from ssduck.recording.stores.stored_columns import tick_types
 from ssduck.recording.stores.tick_index import checked_ticks
 from ssduck.recording.tags import Tags

@@ -1,15 +1,19 @@
-"""Stores the models of entities in the DuckDB schema of a record."""
+"""The DuckDB schema of a record: its description and the models of its entities."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+from sqlglot import exp
 
+from ssduck.errors import RecordError
 from ssduck.recording.background_writer import NO_LOCK, CommitLock
 from ssduck.recording.episode import new_id
 from ssduck.recording.recorded_visuals import camera_text
@@ -17,10 +21,9 @@ from ssduck.recording.spec import Recording, description_of
 from ssduck.recording.static_tables import IdProvider, model_rows
 from ssduck.recording.stores.base import StoreConnection
 from ssduck.recording.stores.history_sql import all_columns, create_table, quoted
-from ssduck.recording.stores.record_file import RecordFile
-from ssduck.recording.stores.stored_columns import types_of, with_nulls
+from ssduck.recording.stores.stored_columns import check_columns, types_of, with_nulls
 from ssduck.recording.tags import Tags
-from ssduck.schema import MODELS
+from ssduck.schema import MODELS, SQL_TYPES, ColumnType
 from ssduck.simulators.scenes import Camera
 from ssduck.world.layout import EntityInfo
 
@@ -29,6 +32,73 @@ VERSION = 1
 ABOUT = "ssduck record"
 # What is between the name of the world and the number of the episode in the name of a schema.
 RUN_SCHEMA = "_record_"
+# The types of columns by DuckDB's names.
+_TYPES: dict[str, str] = {name: type for type, name in SQL_TYPES.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class RecordFile:
+    """A DuckDB file with records, which is attached to be read.
+
+    Attributes:
+        path: the file.
+        catalog: the name under which it is attached.
+        tables: the tables by their schemas and names; no view is one.
+    """
+
+    path: Path
+    catalog: str
+    tables: Collection[tuple[str, str]]
+    _checked: set[tuple[str, str]] = field(default_factory=set)
+
+    @classmethod
+    def of(cls, path: Path, catalog: str, connection: StoreConnection) -> RecordFile:
+        """Returns an attached file."""
+        file = exp.Literal.string(catalog).sql("duckdb")
+        tables = connection.fetchall(
+            "SELECT schema_name, table_name FROM duckdb_tables() "  # noqa: S608
+            f"WHERE database_name = {file}"
+        )
+        return cls(path, catalog, dict.fromkeys((schema, table) for schema, table in tables))
+
+    def schemas_with(self, table: str) -> list[str]:
+        """Returns the schemas that have a table."""
+        return [schema for schema, name in self.tables if name == table]
+
+    def place(self, schema: str, table: str) -> str:
+        """Returns a table in SQL."""
+        return ".".join(map(quoted, (self.catalog, schema, table)))
+
+    def check(
+        self,
+        connection: StoreConnection,
+        schema: str,
+        table: str,
+        expected: Mapping[str, ColumnType],
+    ) -> None:
+        """Checks that a table is there and has its columns, once."""
+        key = schema, table
+        if key in self._checked:
+            return
+        source = f"{self.path}: {schema}.{table!r}"
+        if key not in self.tables:
+            raise RecordError(f"{source} is damaged: it is missing, or no table")
+        described = connection.fetchall(f"DESCRIBE {self.place(schema, table)}")
+        types = {name: _TYPES.get(kind, kind) for name, kind, *_ in described}
+        check_columns(source, types.items(), expected)
+        self._checked.add(key)
+
+    def read(
+        self,
+        connection: StoreConnection,
+        schema: str,
+        table: str,
+        expected: Mapping[str, ColumnType],
+    ) -> pa.Table:
+        """Returns the rows of a table with the columns that it is to have."""
+        self.check(connection, schema, table, expected)
+        listed = ", ".join(map(quoted, expected))
+        return connection.rows(f"SELECT {listed} FROM {self.place(schema, table)}")  # noqa: S608
 
 
 class ModelTables:

@@ -11,12 +11,13 @@ so, and nothing is written then.
 from __future__ import annotations
 
 import fnmatch
-import io
 import os
+import random
 import re
 import shutil
 import stat
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import lru_cache
@@ -29,17 +30,11 @@ from ssduck.errors import RecordError
 
 if TYPE_CHECKING:
     from pyarrow.fs import FileInfo, FileSystem
-import random
-import time
 
 _ADDRESS = re.compile(r"s3:/+(?P<key>.+)", re.DOTALL)
 _PREFIX = "s3://"
 # What the environment says of the store, beside the credentials, which the library reads itself.
 _ENDPOINTS = ("AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL")
-# The largest size of an object that is read, bytes: twice that of the values of the largest part.
-MAX_OBJECT = 1 << 31
-# So many bytes are asked for at a time: memory is taken as they come, whatever size is claimed.
-_PIECE = 1 << 26
 
 
 class ObjectError(RecordError):
@@ -136,19 +131,21 @@ class ObjectPath(type(Path())):  # type: ignore[misc]  # the path of this system
         """Yields what is directly below it and has a name like a pattern."""
         yield from (entry for entry in self.iterdir() if fnmatch.fnmatchcase(entry.name, pattern))
 
-    def open(self, mode: str = "r", *_: Any, **__: Any) -> Any:
-        """Opens an object to be read."""
+    @contextmanager
+    def open(self, mode: str = "r", *_: Any, **__: Any) -> Iterator[Any]:
+        """Opens an object to be read, in a `with` statement."""
         if mode != "rb":
             raise OSError(95, "an object is written as a whole", str(self))
-        with reading(self):
-            stream = self._store.open_input_file(self.key)
-        return ObjectStream(self, stream)
+        with reading(self), self._store.open_input_file(self.key) as stream:
+            yield stream
 
     def read_bytes(self) -> bytes:
         """Returns the content of an object."""
         with self.open("rb") as stream:
-            content: bytes = stream.readall()
-        return content
+            size, content = stream.size(), stream.read()
+            if len(content) < size:
+                raise _cannot_read(self, f"its last {size - len(content):,} bytes are missing")
+        return bytes(content)
 
     def write_bytes(self, content: Any) -> int:
         """Writes an object."""
@@ -173,65 +170,6 @@ class ObjectPath(type(Path())):  # type: ignore[misc]  # the path of this system
         return target
 
     replace = rename
-
-
-class ObjectStream(io.RawIOBase):
-    """An object that is being read; the errors are ssduck's."""
-
-    def __init__(self, path: ObjectPath, stream: Any) -> None:
-        self._path = path
-        self._stream = stream
-        with reading(path):
-            self.size = stream.size()
-        if self.size > MAX_OBJECT:
-            raise _cannot_read(path, f"it has {self.size:,} bytes, more than a file of a record")
-
-    def readable(self) -> bool:
-        """Returns True."""
-        return True
-
-    def seekable(self) -> bool:
-        """Returns True."""
-        return True
-
-    def tell(self) -> int:
-        """Returns the place of the next byte."""
-        return int(self._stream.tell())
-
-    def seek(self, offset: int, whence: int = 0) -> int:
-        """Sets the place of the next byte, and returns it."""
-        return int(self._stream.seek(offset, whence))
-
-    def readinto(self, buffer: Any) -> int:
-        """Reads bytes into a buffer; returns their number, 0 at the end."""
-        with reading(self._path):
-            return int(self._stream.readinto(buffer))
-
-    def read(self, size: int | None = -1) -> bytes:
-        """Returns the next bytes, all without a size."""
-        if size is None or size < 0:
-            return self.readall()
-        with reading(self._path):
-            content: bytes = self._stream.read(size)
-        return content
-
-    def readall(self) -> bytes:
-        """Returns all bytes that follow, as many as the store claims."""
-        left = self.size - self.tell()
-        pieces = []
-        while left > 0:
-            piece = self.read(min(left, _PIECE))
-            if not piece:
-                raise _cannot_read(self._path, f"its last {left:,} bytes are missing")
-            pieces.append(piece)
-            left -= len(piece)
-        with reading(self._path):
-            return pieces[0] if len(pieces) == 1 else b"".join(pieces)
-
-    def close(self) -> None:
-        """Closes the stream of the library, too."""
-        self._stream.close()
-        super().close()
 
 
 @contextmanager
@@ -341,6 +279,37 @@ def parquet_source(file: Path) -> Any:
     import pyarrow as pa
 
     return pa.BufferReader(file.read_bytes()) if isinstance(file, ObjectPath) else file
+
+
+# -- objects for DuckDB -----------------------------------------------------------------------
+
+_MAGIC = re.compile(r"[*?[]")
+# A letter of a pattern that stands for itself.
+_ESCAPED = re.compile(r"\[([*?[])\]")
+
+
+def duckdb_objects() -> Any:
+    """Returns the objects of the store of the environment as DuckDB reads them, by fsspec."""
+    from fsspec.implementations.arrow import ArrowFSWrapper
+
+    class Objects(ArrowFSWrapper):  # type: ignore[misc]  # fsspec has no types
+        """The objects of a store, by their addresses."""
+
+        protocol = "s3"
+
+        @classmethod
+        def _strip_protocol(cls, path: str) -> str:
+            """Returns the key of an address, which is no URL: `?` and `#` are letters of it."""
+            return path.removeprefix("s3://")
+
+        def glob(self, path: str, maxdepth: int | None = None, **options: Any) -> Any:
+            """Returns the keys that a pattern matches; it lists nothing for one address."""
+            if _MAGIC.search(_ESCAPED.sub("", path)):
+                return super().glob(path, maxdepth, **options)
+            exact = self._strip_protocol(_ESCAPED.sub(r"\1", path))
+            return [exact] if self.exists(exact) else []
+
+    return Objects(file_system())
 
 
 # -- conditional requests ---------------------------------------------------------------------

@@ -25,7 +25,7 @@ from ssduck.recording.folder_episodes import (
     remove_empty,
     remove_episode,
 )
-from ssduck.recording.paths import FORMAT, check_inside, expand_path, part_name
+from ssduck.recording.paths import FORMAT, expand_path, part_name
 from ssduck.recording.recorded_visuals import camera_text
 from ssduck.recording.spec import Recording
 from ssduck.recording.static_tables import IdProvider, complete_rows, model_rows
@@ -224,7 +224,6 @@ class ParquetStore(TickStore):
 def write_tags(run: FolderRun, tags: Tags) -> None:
     """Adds tags to the description of an episode, and replaces those of the same names."""
     added = checked_tags(tags)
-    check_inside(run.path, run.about_file)
 
     def with_tags(about: dict[str, Any]) -> dict[str, Any]:
         check_description(about, EPISODE, str(run.about_file), "what is recorded")

@@ -25,7 +25,7 @@ footers when a record is opened, those of the data when a file is first read.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import count, islice
@@ -33,22 +33,20 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError, record_errors
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.episode import Episode, extent_of
 from ssduck.recording.opened_record import FileStatus, file_status
 from ssduck.recording.paths import (
-    check_inside,
-    files_in,
     label_of,
+    names_in,
     part_name,
     part_number,
     part_numbers,
 )
 from ssduck.recording.stores.checksums import (
-    content_of,
-    content_problem,
     footer_in,
     footer_of,
     footer_problem,
@@ -128,7 +126,6 @@ class FolderRun:
     @cached_property
     def description(self) -> dict[str, Any]:
         """The description of the episode, which was checked."""
-        check_inside(self.path, self.about_file)
         _ = self.about_status  # first: what is written meanwhile is another status
         about = read_description(self.about_file)
         source = str(self.about_file)
@@ -187,7 +184,6 @@ class FolderRun:
 
     @cached_property
     def _parts_and_log(self) -> tuple[list[int], dict[str, pa.Table]]:
-        check_inside(self.path, self.place(LOG))
         files = read_log(
             self.place(LOG), self.key, has_checksums=self.has_checksums, end=self.log_end
         )
@@ -261,7 +257,6 @@ class FolderRun:
     @property
     def has_begun(self) -> bool:
         """Whether there is an episode: its file may be empty at the very beginning."""
-        check_inside(self.path, self.about_file)
         if self.about_file.stat().st_size == 0 and not self._has_rows:
             return False
         return not self.is_unfinished_export
@@ -290,8 +285,7 @@ class FolderRun:
     def listed_files(self, table: str) -> list[Path]:
         """Returns the files of a table, of complete parts only; looks into none of them."""
         place, numbers = self.place(table), self._parts_of(table)
-        check_inside(self.path, place)
-        present = files_in(self.path, place) if numbers and place.is_dir() else set()
+        present = set(names_in(place))
         for number in numbers:
             if part_name(number) not in present:
                 raise self._error_of(table, number, MISSING)
@@ -312,45 +306,39 @@ class FolderRun:
     def check_data(self, table: str, numbers: Iterable[int]) -> None:
         """Checks all bytes of the files of parts."""
         for number in numbers:
-            problem = self.problem(table, number)
-            if problem is not None:
-                raise self._error_of(table, number, problem)
+            self._part(table, number)
 
     def problem(self, table: str, number: int) -> str | None:
         """Returns what is wrong with the file of a part, all of which is read; None for nothing."""
+        part = self._read(table, number)
+        return part if isinstance(part, str) else None
+
+    def _part(self, table: str, number: int) -> pq.ParquetFile:
+        """Returns a part, all of which is checked."""
+        part = self._read(table, number)
+        if isinstance(part, str):
+            raise self._error_of(table, number, part)
+        return part
+
+    def _read(self, table: str, number: int) -> pq.ParquetFile | str:
+        """Returns a part, or what is wrong with its file."""
         file = self.place(table) / part_name(number)
         try:
-            check_inside(self.path, file)
-            footer, problem = self._footer_of(table, number)
-            if footer is None or problem is not None:
-                return problem
-            checked_parquet(str(file), footer, table)
-            return parquet_problem(file, has_checksums=self.has_checksums, footer=footer)
+            content = file.read_bytes()
+            problem = parquet_problem(content, has_checksums=self.has_checksums)
+            problem = problem or self._problem_of_label(table, number, footer_in(content))
+            return problem or checked_parquet(str(file), content, table)
         except OSError as error:  # a RecordError is one
             return unreadable_because(file, error)
 
     def _footer_of(self, table: str, number: int) -> tuple[bytes | None, str | None]:
         """Returns the footer of the file of a part, and what is wrong with it."""
-        file = self.place(table) / part_name(number)
         try:
-            footer = footer_of(file)
+            footer = footer_of(self.place(table) / part_name(number))
         except OSError as error:
-            return None, unreadable_because(file, error)
+            return None, unreadable_because(self.place(table) / part_name(number), error)
         problem = footer_problem(footer, has_checksums=self.has_checksums)
         return footer, problem or self._problem_of_label(table, number, footer)
-
-    def _content_of(self, table: str, file: Path) -> bytes:
-        """Returns the content of the file of a part, all of which is checked."""
-        number = part_number(file)
-        try:
-            content = content_of(file)
-        except OSError as error:
-            raise self._error_of(table, number, unreadable_because(file, error)) from error
-        problem = content_problem(content, has_checksums=self.has_checksums)
-        problem = problem or self._problem_of_label(table, number, footer_in(content))
-        if problem is not None:
-            raise self._error_of(table, number, problem)
-        return content
 
     def _problem_of_label(self, table: str, number: int, footer: bytes | None) -> str | None:
         """Returns that the footer of a part has the label of another; None if it has not."""
@@ -363,31 +351,25 @@ class FolderRun:
 
     def read(self, table: str) -> pa.Table:
         """Returns all rows of a table, with NULL for NaN."""
-        files = self.listed_files(table)
-        if not files:
+        parts = list(self.parts_of(table))
+        if not parts:
             raise RecordError(f"{self.place(table)} has no complete part: nothing was stored")
-        return with_nulls(pa.concat_tables(self._rows(table, files)))
+        return with_nulls(pa.concat_tables(parts))
 
-    def parts_of(self, table: str) -> Iterator[pa.Table]:
-        """Yields the rows of each complete part of a table, checked."""
-        for file in self.listed_files(table):
-            yield from self._rows(table, [file])
-
-    def _rows(self, table: str, files: Sequence[Path]) -> list[pa.Table]:
-        """Returns the rows of files of a table, with the columns that it is to have."""
-        return [rows_of_part(file, table, self._content_of(table, file)) for file in files]
+    def parts_of(self, table: str, start: int = 0) -> Iterator[pa.Table]:
+        """Yields the rows of each complete part of a table, from one on, checked."""
+        for file in self.listed_files(table)[start:]:
+            yield rows_of_part(file, table, self._part(table, part_number(file)))
 
     def ticks(self) -> tuple[list[int], TickBuffer]:
         """Returns the first tick of each part, then of the log if it has rows, and all ticks."""
         files = self.listed_files("ticks")
-        check_inside(self.path, self.place(INDEX))
         parts = []
         if not self.removed_parts:
             parts = indexed_ticks(
                 self.place(INDEX), self.key, len(files), has_checksums=self.has_checksums
             )
-        rest = self._rows("ticks", files[len(parts) :])
-        parts += [rows.select(["tick", "time"]) for rows in rest]
+        parts += [rows.select(["tick", "time"]) for rows in self.parts_of("ticks", len(parts))]
         if self.log:
             parts.append(self.log["ticks"].select(["tick", "time"]))
         if not parts:

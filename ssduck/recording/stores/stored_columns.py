@@ -15,8 +15,6 @@ from ssduck.errors import RecordError, RecordPermissionError
 from ssduck.schema import MODELS, RECORDED, TABLES, Column, ColumnType
 from ssduck.world.live_tables import ARROW_TYPES
 
-# The columns of the last part of each table that were found to be right.
-_known_schemas: dict[str, pa.Schema] = {}
 MISSING = "is missing: the record was damaged, or only copied in part"
 
 
@@ -45,25 +43,12 @@ def check_columns(
 ) -> None:
     """Checks the columns of a stored table; further columns do not matter.
 
-    SQL takes names that differ in case only for the same, and would read the first of them.
-
     Args:
         source: the file, and the table if the file has several, to begin the message.
         present: the names of its columns, and their types: of `ColumnType`, or any other text.
         expected: the types of the columns that it is to have, by name.
     """
-    found: dict[str, str] = {}
-    folded = {name.casefold(): name for name in expected}
-    for name, type in present:
-        known = folded.get(name.casefold(), name)
-        if name != known:
-            raise RecordError(
-                f"{source} is damaged: it has a column {name!r}, which SQL takes for {known!r}: "
-                "rename it"
-            )
-        if name in found and name in expected:
-            raise RecordError(f"{source} is damaged: it has two columns {name!r}")
-        found[name] = type
+    found = dict(present)
     for name, type in expected.items():
         if name not in found:
             raise RecordError(f"{source} is damaged: it lacks the column {name!r}")
@@ -94,18 +79,15 @@ def unreadable_because(file: Path, error: OSError) -> str:
     return f"cannot be read: {error.strerror}"
 
 
-def rows_of_part(file: Path, table: str, content: bytes) -> pa.Table:
-    """Returns the rows of a part from its content, with the columns that it is to have."""
+def rows_of_part(file: Path, table: str, part: pq.ParquetFile) -> pa.Table:
+    """Returns the rows of a part, with the columns that it is to have."""
     types = {name: ARROW_TYPES[type] for name, type in part_columns(table).items()}
-    part = checked_parquet(str(file), content, table)
     try:
         # The threads of the library take longer to wake up than most of these files to read.
         rows = part.read(columns=list(types), use_threads=False).select(list(types))
-        rows = rows.cast(pa.schema(types))
-        rows.validate(full=True)
+        return rows.cast(pa.schema(types))
     except (pa.ArrowException, OSError) as error:
         raise unreadable(file, error) from error
-    return rows
 
 
 def checked_parquet(source: str, content: bytes | memoryview, table: str) -> pq.ParquetFile:
@@ -121,10 +103,7 @@ def checked_parquet(source: str, content: bytes | memoryview, table: str) -> pq.
         schema = part.schema_arrow
     except (pa.ArrowException, OSError) as error:
         raise unreadable(source, error) from error
-    known = _known_schemas.get(table)
-    if known is None or not schema.equals(known):
-        check_columns(source, arrow_columns(schema), part_columns(table))
-        _known_schemas[table] = schema.remove_metadata()
+    check_columns(source, arrow_columns(schema), part_columns(table))
     return part
 
 

@@ -24,7 +24,7 @@ import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError
 from ssduck.recording.episode import extent_of
-from ssduck.recording.paths import check_inside, part_number
+from ssduck.recording.paths import part_number
 from ssduck.recording.stores.checksums import write_json
 from ssduck.recording.stores.descriptions import (
     TEXT,
@@ -178,7 +178,6 @@ def read_summary(run: FolderRun, listing: Listing) -> EpisodeSummary | None:
     if any(name.startswith(f"{LOG}/") for name in listing):
         return None
     try:
-        check_inside(run.path, file)
         content = read_description(file)
         check_description(content, _SUMMARY, str(file), "what is known of the episode")
     except (RecordError, OSError):  # the files have what it has

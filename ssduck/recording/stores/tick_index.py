@@ -68,8 +68,6 @@ def indexed_ticks(place: Path, key: str, parts: int, *, has_checksums: bool) -> 
         if (index.schema_arrow.metadata or {}).get(_LABEL) != _label(key):
             return []
         check_columns(str(file), arrow_columns(index.schema_arrow), _TYPES)
-        if index.metadata.num_rows > file.stat().st_size:  # it claims more ticks than it has
-            return []
         rows = index.read(columns=list(_TYPES))
     except (pa.ArrowException, OSError):  # the parts have what it has; a RecordError is an OSError
         return []
