@@ -84,19 +84,12 @@ ShapesByBody: TypeAlias = Mapping[int | tuple[int, int] | tuple[int, int, int], 
 
 @dataclass(frozen=True, eq=False)
 class BodyToCopy:
-    """A body at a tick, to be copied into another simulation or into a scene.
+    """A body at a tick, to be copied into another simulation or into a scene."""
 
-    Attributes:
-        name: the name of its entity.
-        body: its links, joints and shapes.
-        link_poses: the poses and velocities of its links.
-        joints: the positions and velocities of its joints, (joints, 2); NaN where unknown.
-    """
-
-    name: str
-    body: Body
-    link_poses: LinkPoses
-    joints: Array
+    name: str  # the name of its entity
+    body: Body  # its links, joints and shapes
+    link_poses: LinkPoses  # the poses and velocities of its links
+    joints: Array  # the positions and velocities of its joints, (joints, 2); NaN where unknown
 
     @property
     def base_state(self) -> Array:
@@ -107,17 +100,11 @@ class BodyToCopy:
 
 @dataclass(frozen=True, eq=False)
 class TickToCopy:
-    """The state of a tick that belongs to no single body.
+    """The state of a tick that belongs to no single body."""
 
-    Attributes:
-        time: simulated seconds.
-        disabled: the bodies that take no part in collisions.
-        hidden: the bodies that are not drawn.
-    """
-
-    time: float
-    disabled: frozenset[Body]
-    hidden: frozenset[Body]
+    time: float  # simulated seconds
+    disabled: frozenset[Body]  # the bodies that take no part in collisions
+    hidden: frozenset[Body]  # the bodies that are not drawn
 
 
 class Backend(Protocol):

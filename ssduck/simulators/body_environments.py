@@ -30,17 +30,9 @@ class BodyEnvironments:
 
     Args:
         bodies: the bodies by the names of their entities.
-        states: the states of the links of each body at first, (links, 13): position, orientation
-            w, x, y, z, and the linear and the angular velocity of the link's frame.
+        states: the states of the links of each body at first, (links, 13); see `LinkPoses`.
         joints: the positions, velocities and efforts of its joints at first, (joints, 3).
         count: the number of environments.
-
-    Attributes:
-        count: see above.
-        times: (n,), the simulated times, s.
-        has_times: whether the last states had times.
-        sample: an array of the last states.
-        knows_contacts, contacts: False and None: contacts are not known.
     """
 
     knows_contacts = False
@@ -67,11 +59,9 @@ class BodyEnvironments:
 
     @property
     def accepted(self) -> Sequence[str]:
-        """The names of the arrays of a state."""
         return ("poses", "joints", "time")
 
     def update(self, states: States, arrays: Mapping[str, Any]) -> None:
-        """Takes poses and joint positions by the names of entities; others stay as they are."""
         given = {**(states or {}), **arrays}
         for name in given:
             if name not in self.accepted:
@@ -159,35 +149,29 @@ class BodyEnvironments:
         return result
 
     def reset(self, environments: Indices) -> None:
-        """Sets the times of some environments to 0; their states come with the next tick."""
         self.times = self.times.copy()  # earlier ones may be kept
         self.times[environments] = 0.0
 
     # -- reading ----------------------------------------------------------------------------
 
     def link_poses(self, bodies: tuple[Body, ...], environment: int) -> LinkPoses:
-        """Returns the poses of the links of some bodies in an environment, body after body."""
         parts = [np.zeros((0, _STATE)), *(self._states[body][environment] for body in bodies)]
         states = np.concatenate(parts)
         with np.errstate(invalid="ignore"):
             return LinkPoses(states[:, :3], rotation_matrices(states[:, 3:7]), states)
 
     def frames(self, body: Body, link: int) -> tuple[Array, Array]:
-        """Returns the positions (n, 3) and the orientations (n, 4) of a link."""
         states = self._states[body][:, link]
         return states[:, :3], states[:, 3:7]
 
     def velocities(self, body: Body, link: int) -> Array:
-        """Returns the velocities of a link's frame, linear, then angular, (n, 6)."""
         velocities: Array = self._states[body][:, link, 7:]
         return velocities
 
     def joints(self, body: Body) -> Array:
-        """Returns positions, velocities and efforts of a body's joints, (n, joints, 3)."""
         return self._joints[body]
 
     def check_joints(self, body: Body) -> None:
-        """Checks that the positions of a body's joints are known."""
         if body in self._moved:
             name = next(name for name, one in self._bodies.items() if one is body)
             raise ArgumentError(

@@ -20,16 +20,11 @@ class Clock:
 
     >>> Clock(0.1).after(3, 0.1).time
     0.3
-
-    Attributes:
-        timestep: the length of a step, s.
-        since: the simulated time from which the steps are counted, s.
-        steps: the number of steps since then.
     """
 
-    timestep: float
-    since: float = 0.0
-    steps: int = 0
+    timestep: float  # the length of a step, s
+    since: float = 0.0  # the simulated time from which the steps are counted, s
+    steps: int = 0  # the number of steps since then
 
     @cached_property
     def time(self) -> float:

@@ -31,14 +31,11 @@ class ContactPairs:
     """The contacts of a tick.
 
     The values are those of the relations' formulas in SQL, to the last bit.
-
-    Attributes:
-        between: a function that returns the contacts of two entities.
-        columns: a function that returns the contacts in the order of their table, whose sums
-            depend on it. The normals are of length 1.
     """
 
-    between: ContactsBetween
+    between: ContactsBetween  # a function that returns the contacts of two entities
+    # A function that returns the contacts in the order of their table, whose sums depend on it. The
+    # normals are of length 1.
     columns: Callable[[], Columns]
 
     def _ordered(self, a: int, b: int) -> tuple[Array, Array]:

@@ -32,21 +32,14 @@ States: TypeAlias = Any
 
 @dataclass(frozen=True, eq=False)
 class EnvironmentContacts:
-    """The contacts of all environments.
+    """The contacts of all environments."""
 
-    Attributes:
-        environments: (m,), the environment of each contact, ascending.
-        points: the contacts; the places where they are, and frictions, are NaN where not given.
-        has_forces: whether their forces are known.
-        has_normals: whether their normals are known.
-        is_whole: whether their places and frictions are known.
-    """
-
-    environments: Indices
+    environments: Indices  # (m,), the environment of each contact, ascending
+    # The contacts; the places where they are, and frictions, are NaN where not given.
     points: ContactPoints
-    has_forces: bool = True
-    has_normals: bool = True
-    is_whole: bool = True
+    has_forces: bool = True  # whether their forces are known
+    has_normals: bool = True  # whether their normals are known
+    is_whole: bool = True  # whether their places and frictions are known
 
     def of(self, environment: int) -> ContactPoints:
         """Returns the contacts of an environment."""
@@ -57,18 +50,12 @@ class Environments(Protocol):
     """The states of many simulations of one model.
 
     Positions are metres, orientations quaternions w, x, y, z, in the world frame.
-
-    Attributes:
-        count: the number n of environments.
-        times: (n,), the simulated time of each, s.
-        has_times: whether the last states had times.
-        sample: an array of the last states as it was given, for the library of answers.
     """
 
-    count: int
-    times: Array
-    has_times: bool
-    sample: Any
+    count: int  # the number n of environments
+    times: Array  # (n,), the simulated time of each, s
+    has_times: bool  # whether the last states had times
+    sample: Any  # an array of the last states as it was given, for the library of answers
 
     @property
     def accepted(self) -> Sequence[str]:
@@ -105,18 +92,14 @@ class Environments(Protocol):
 
 
 class EnvironmentSimulator(PartialSimulator):
-    """The chosen one of many environments, as a `Simulator` that others run.
+    """The chosen one of many environments, from 0, as a `Simulator` that others run.
 
     Args:
         bodies: the bodies of the model.
-        environments: the states of the environments.
+        environments: their states; those of another tick may take their place.
         template: a simulator that has the bodies, and draws those of each environment.
         margins: returns the margins of shapes, as `Simulator.read_margins` does; by default those
             as described.
-
-    Attributes:
-        environments: see above; those of another tick may take their place.
-        chosen: the number of the environment, from 0.
     """
 
     is_external = True
@@ -147,39 +130,31 @@ class EnvironmentSimulator(PartialSimulator):
 
     @property
     def time(self) -> float:
-        """The simulated time of the environment, s."""
         return float(self.environments.times[self.chosen])
 
     @property
     def clock(self) -> Clock:
-        """A clock at that time."""
         return Clock(self.timestep, self.time)
 
     def describe(self) -> tuple[list[Body], list[Body]] | None:
-        """Returns all bodies as new ones at first, and None later."""
         new, self._new = self._new, []
         return (new, []) if new else None
 
     def read_link_poses(self, bodies: tuple[Body, ...], *, with_velocities: bool) -> LinkPoses:  # noqa: ARG002
-        """Returns the poses of the links of some bodies."""
         return self.environments.link_poses(bodies, self.chosen)
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:
-        """Returns position, velocity and effort of the joints of some bodies, (joints, 3)."""
         parts = [self.environments.joints(body)[self.chosen] for body in bodies]
         return np.concatenate([np.zeros((0, 3)), *parts])
 
     def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
-        """Returns the masses as described."""
         return [body.masses for body in bodies]
 
     def read_margins(self, bodies: Sequence[Body]) -> list[list[float]] | Margins:
-        """Returns the margins of the model."""
         described = [body.margins for body in bodies]
         return described if self._margins is None else self._margins(bodies)
 
     def read_contacts(self) -> ContactPoints:
-        """Returns the contacts of the environment."""
         contacts = self.environments.contacts
         return ContactPoints.none() if contacts is None else contacts.of(self.chosen)
 

@@ -394,17 +394,11 @@ def openness(joint: HasLimits, position: float) -> float | None:
 
 @dataclass(frozen=True)
 class EntityJoints:
-    """The joints of an entity at a tick.
+    """The joints of an entity at a tick."""
 
-    Attributes:
-        entity: the name of the entity.
-        joints: the joints of its model.
-        positions: their positions, rad or m; NaN where unknown.
-    """
-
-    entity: str
-    joints: Sequence[Joint]
-    positions: Sequence[float]
+    entity: str  # the name of the entity
+    joints: Sequence[Joint]  # the joints of its model
+    positions: Sequence[float]  # their positions, rad or m; NaN where unknown
 
     def position(self, name: str) -> float | None:
         """Returns the position of a joint, rad or m; None if it is unknown."""

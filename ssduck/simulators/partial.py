@@ -64,59 +64,43 @@ class StaticSimulator(PartialSimulator):
     """The known state of bodies, behind the interface of a simulator.
 
     It runs what-if worlds and recorded ticks.
-
-    Attributes:
-        time: simulated seconds.
-        link_poses: the poses of the links, by the sequence of bodies that are read together.
-        joints: position, velocity and effort of each body's joints, (joints, 3).
-        disabled: the bodies that take no part in collisions.
-        hidden: the bodies that are not drawn.
-        contacts: the contacts of the tick.
-        description: the noun for the world in errors.
-        backend: the backend that makes running simulations of its bodies.
     """
 
-    time: float
+    time: float  # simulated seconds
+    # The poses of the links, by the sequence of bodies that are read together.
     link_poses: Mapping[tuple[Body, ...], LinkPoses]
-    joints: Mapping[Body, Array]
-    disabled: frozenset[Body]
-    hidden: frozenset[Body]
-    contacts: ContactPoints = field(default_factory=ContactPoints.none)
-    description: str = "a what-if world"
+    joints: Mapping[Body, Array]  # position, velocity and effort of each body's joints, (joints, 3)
+    disabled: frozenset[Body]  # the bodies that take no part in collisions
+    hidden: frozenset[Body]  # the bodies that are not drawn
+    contacts: ContactPoints = field(default_factory=ContactPoints.none)  # the contacts of the tick
+    description: str = "a what-if world"  # the noun for the world in errors
     is_external: bool = False
-    backend: str = DEFAULT_BACKEND
+    backend: str = DEFAULT_BACKEND  # the backend that makes running simulations of its bodies
     timestep = 0.0  # there are no steps
 
     @property
     def clock(self) -> Clock:
-        """A clock that stands still."""
         return Clock(self.timestep, self.time)
 
     def describe(self) -> None:
         """Returns None: no body comes or goes."""
 
     def read_link_poses(self, bodies: tuple[Body, ...], *, with_velocities: bool) -> LinkPoses:  # noqa: ARG002
-        """Returns the poses of all links of these bodies; velocities are always known."""
         return self.link_poses[bodies]
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:
-        """Returns the position, velocity and effort of these bodies' joints, (joints, 3)."""
         return np.concatenate([np.zeros((0, 3)), *(self.joints[body] for body in bodies)])
 
     def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
-        """Returns the masses as described."""
         return [body.masses for body in bodies]
 
     def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
-        """Returns the margins as described."""
         return [body.margins for body in bodies]
 
     def read_contacts(self) -> ContactPoints:
-        """Returns the contacts that a physics solver found at this tick; none elsewhere."""
         return self.contacts
 
     def step(self, count: int) -> None:  # noqa: ARG002
-        """Raises `UnsupportedError`."""
         raise UnsupportedError(
             f"{self.description} is not simulated: it cannot be stepped; step the world that it "
             "was taken from"
@@ -139,7 +123,6 @@ class StaticSimulator(PartialSimulator):
     cast_rays = photograph = _refuse_rays
 
     def render(self, *_: Any, **__: Any) -> NoReturn:
-        """Raises `UnsupportedError`."""
         raise UnsupportedError(f"{self.description} has no picture: no simulator draws it")
 
     segment = render

@@ -29,53 +29,34 @@ _ANGLE_TOLERANCE = 1e-9
 
 @dataclass(frozen=True)
 class SensorSetting:
-    """A numeric setting of a sensor.
+    """A numeric setting of a sensor."""
 
-    Attributes:
-        name: its name in scene files and in Python.
-        unit: m, degrees or pixels; empty for a count.
-        about: its meaning.
-        default: the default; None if it is required.
-        above: an exclusive lower bound.
-        at_least: an inclusive lower bound.
-        below: an exclusive upper bound.
-        at_most: an inclusive upper bound.
-        whole: whether it is an integer.
-    """
-
-    name: str
-    unit: str
-    about: str
-    default: float | None = None
-    above: float = -math.inf
-    at_least: float = -math.inf
-    below: float = math.inf
-    at_most: float = math.inf
-    whole: bool = False
+    name: str  # its name in scene files and in Python
+    unit: str  # m, degrees or pixels; empty for a count
+    about: str  # its meaning
+    default: float | None = None  # the default; None if it is required
+    above: float = -math.inf  # an exclusive lower bound
+    at_least: float = -math.inf  # an inclusive lower bound
+    below: float = math.inf  # an exclusive upper bound
+    at_most: float = math.inf  # an inclusive upper bound
+    whole: bool = False  # whether it is an integer
 
 
 @dataclass(frozen=True)
 class SensorType:
-    """A type of sensor.
+    """A type of sensor."""
 
-    Attributes:
-        name: its name in scene files and in Python.
-        about: a sentence about what it measures.
-        settings: its settings, except its maximum range.
-        rays: the ends of its rays, (n, 3) in its own frame, from its maximum range and its
-            settings; None for a sensor without rays and range.
-        shape: the number of its rays, (n,) or (height, width), before they are made.
-        has_picture: whether it has a colour image.
-        view: tests which points (n, 3) in its own frame are in its field of view, from its maximum
-            range, its settings, and the tolerance for points beside a flat field of view, m.
-    """
-
-    name: str
-    about: str
-    settings: tuple[SensorSetting, ...] = ()
+    name: str  # its name in scene files and in Python
+    about: str  # a sentence about what it measures
+    settings: tuple[SensorSetting, ...] = ()  # its settings, except its maximum range
+    # The ends of its rays, (n, 3) in its own frame, from its maximum range and its settings; None
+    # for a sensor without rays and range.
     rays: Callable[[float, Settings], Array] | None = None
+    # The number of its rays, (n,) or (height, width), before they are made.
     shape: Callable[[Settings], tuple[int, ...]] = lambda _: (1,)
-    has_picture: bool = False
+    has_picture: bool = False  # whether it has a colour image
+    # Tests which points (n, 3) in its own frame are in its field of view, from its maximum range,
+    # its settings, and the tolerance for points beside a flat field of view, m.
     view: Callable[[Array, float, Settings, float], Flags] | None = None
 
     @property

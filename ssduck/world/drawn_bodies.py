@@ -17,10 +17,6 @@ class DrawnBodies:
     A simulator may give the number of a removed body to a new one. So a body that is gone has what
     was read last, or its collision shapes if nothing was. If the simulator is gone, all bodies are,
     and a warning says so.
-
-    Args:
-        simulator: the simulator.
-        registry: the entities of the current tick.
     """
 
     def __init__(self, simulator: Simulator, registry: EntityRegistry) -> None:

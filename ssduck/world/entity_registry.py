@@ -55,9 +55,6 @@ _MAX_NAMES = 5
 class EntityRegistry:
     """The entities of a world, each with an id that is never used again.
 
-    Args:
-        entities: the entities, sensors first, each kind in load order.
-
     Attributes:
         entities: the current entities; a new list whenever entities were added or removed.
         removed: the simulated times, s, at which those of a name were found to be removed.

@@ -34,25 +34,15 @@ from ssduck.world.live_tables import LiveTable
 
 @dataclass(frozen=True, eq=False)
 class EntityInfo:
-    """The description of an entity: a body, or a sensor on one.
+    """The description of an entity: a body, or a sensor on one."""
 
-    Attributes:
-        id: the id of the entity.
-        name: its name, unique in the world.
-        kind: robot, kinbody or sensor.
-        parent: of a sensor, the name of its body.
-        body: of a robot or a kinbody, the body of the simulator.
-        sensor: of a sensor, its specification.
-        mount: of a sensor, the id of its body and the number of the link.
-    """
-
-    id: int
-    name: str
-    kind: Kind
-    parent: str | None = None
-    body: Body | None = None
-    sensor: SensorSpec | None = None
-    mount: tuple[int, int] = (0, 0)
+    id: int  # the id of the entity
+    name: str  # its name, unique in the world
+    kind: Kind  # robot, kinbody or sensor
+    parent: str | None = None  # of a sensor, the name of its body
+    body: Body | None = None  # of a robot or a kinbody, the body of the simulator
+    sensor: SensorSpec | None = None  # of a sensor, its specification
+    mount: tuple[int, int] = (0, 0)  # of a sensor, the id of its body and the number of the link
 
     @property
     def mass(self) -> float:
@@ -81,11 +71,7 @@ def margins_of(entities: Iterable[EntityInfo]) -> float:
 
 
 class TableLayout:
-    """The rows of entities in the tables of their world.
-
-    Args:
-        entities: the entities, in load order.
-        is_external: whether users of the client may move bodies that the simulator cannot move.
+    """The rows of entities, given in load order, in the tables of their world.
 
     Attributes:
         entities: the entities by row: sensors first, then bodies.
@@ -93,7 +79,7 @@ class TableLayout:
         bodies: the bodies in order, each after the id of its entity.
         link_rows: the row of each body's first link, by the id of its entity.
         static_bodies: the bodies that never move.
-        moving_bodies: the other bodies.
+        moving_bodies: the other bodies; users of an external client may move all.
     """
 
     def __init__(self, entities: Iterable[EntityInfo], is_external: bool) -> None:
@@ -168,13 +154,6 @@ class BodyGroup:
         entities: the entities of the bodies, in order.
         layout: the rows of all entities, including sensors.
         first: the rows of the first link and of the first shape, by the id of the entity.
-
-    Attributes:
-        bodies: the bodies.
-        link_count: the number of their links.
-        runs: the range of each body's links among the link poses of the group.
-        sensors: the sensors on them.
-        sensors_on_links: whether a sensor is mounted on a link other than a base.
     """
 
     def __init__(

@@ -49,15 +49,10 @@ def last_version() -> int:
 
 
 class _Deferred(NamedTuple):
-    """Adjacent columns of doubles that are still to be written.
+    """Adjacent columns of doubles that are still to be written."""
 
-    Attributes:
-        columns: the rows of the block that hold them.
-        write: a function that writes them.
-    """
-
-    columns: range
-    write: Callable[[], object]
+    columns: range  # the rows of the block that hold them
+    write: Callable[[], object]  # a function that writes them
 
 
 class LiveTable:

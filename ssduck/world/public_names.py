@@ -64,55 +64,54 @@ class PublicNames(metaclass=_PublicNamesType):
 
 
 WORLD_INTERNALS = frozenset(
-    (
-        *(
-            "INTERNAL_NAMES",
-            "INSTEAD_OF",
-            "add_recorder",
-            "advance",
-            "drive",
-            "enable",
-            "handle",
-            "hold",
-        ),
-        *(
-            "is_attached",
-            "is_final",
-            "is_observed",
-            "is_watched",
-            "lock",
-            "notify_observers",
-            "origin",
-            "part_hint",
-        ),
-        *("owning", "pinned", "place", "reading", "release", "remove_recorder"),
-        *(
-            "removal_of",
-            "request_tables",
-            "serial",
-            "slack",
-            "steps_to_due",
-            "steps_to_tick",
-            "switch",
-        ),
+    [
+        "INSTEAD_OF",
+        "INTERNAL_NAMES",
+        "add_recorder",
+        "advance",
+        "drive",
+        "enable",
+        "handle",
+        "hold",
+        "is_attached",
+        "is_final",
+        "is_observed",
+        "is_watched",
+        "lock",
+        "notify_observers",
+        "origin",
+        "owning",
+        "part_hint",
+        "pinned",
+        "place",
+        "reading",
+        "release",
+        "removal_of",
+        "remove_recorder",
+        "request_tables",
+        "serial",
+        "slack",
+        "steps_to_due",
+        "steps_to_tick",
+        "switch",
         "warn_of_unrecorded_start",
-    )
+    ]
 )
 HANDLE_INTERNALS = frozenset(
-    (
-        *(
-            "INTERNAL_NAMES",
-            "INSTEAD_OF",
-            "TABLE",
-            "body_of",
-            "column",
-            "info",
-            "key_hint",
-            "moment",
-            "part_hint",
-        ),
-        *("pinned", "removed", "state"),
-    )
+    [
+        "INSTEAD_OF",
+        "INTERNAL_NAMES",
+        "TABLE",
+        "body_of",
+        "column",
+        "info",
+        "key_hint",
+        "moment",
+        "part_hint",
+        "pinned",
+        "removed",
+        "state",
+    ]
 )
 
 

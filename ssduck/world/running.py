@@ -58,14 +58,7 @@ def run(
 
 
 class _Lane:
-    """One world's part of a run.
-
-    Args:
-        world: the world.
-        seconds: the simulated time of the run, s.
-        every: the number of steps between ticks; None for requested ticks and the last.
-        is_realtime: whether these ticks are taken in any case.
-    """
+    """One world's part of a run."""
 
     def __init__(
         self, world: SteppedSimulation, seconds: float, every: int | None, *, is_realtime: bool

@@ -84,45 +84,28 @@ class SensorPose:
 
 
 class TickState(NamedTuple):  # made faster than a dataclass is
-    """What a tick was read as; all rows of the tick follow from it and the entities.
+    """What a tick was read as; all rows of the tick follow from it and the entities."""
 
-    Attributes:
-        number: the number of the tick.
-        time: the simulated time of the tick, s.
-        wall_time: the time at which it was read, s since 1970.
-        static: the link poses of the bodies that cannot move.
-        moving: those of the other bodies.
-        joints: position, velocity and effort of all joints, (joints, 3); None if not read.
-        contacts: the contacts; empty if not read.
-        readings: the last reading of each sensor, by its id.
-        sensors: the ids of the sensors whose readings are up to date.
-    """
-
-    number: int
-    time: float
-    wall_time: float
-    static: LinkPoses
-    moving: LinkPoses
+    number: int  # the number of the tick
+    time: float  # the simulated time of the tick, s
+    wall_time: float  # the time at which it was read, s since 1970
+    static: LinkPoses  # the link poses of the bodies that cannot move
+    moving: LinkPoses  # those of the other bodies
+    # Position, velocity and effort of all joints, (joints, 3); None if not read.
     joints: Array | None
-    contacts: Contacts
-    readings: Mapping[int, Reading]
-    sensors: frozenset[int]
+    contacts: Contacts  # the contacts; empty if not read
+    readings: Mapping[int, Reading]  # the last reading of each sensor, by its id
+    sensors: frozenset[int]  # the ids of the sensors whose readings are up to date
 
 
 class TickContext(NamedTuple):  # made faster than a dataclass is
-    """The tick at which sensors are read.
+    """The tick at which sensors are read."""
 
-    Attributes:
-        tick: the number of the tick.
-        time: the simulated time, s.
-        layout: the entities.
-        is_discontinuous: whether entities were added, removed or moved by hand, so that all
-            readings are out of date although no time passed.
-    """
-
-    tick: int
-    time: float
-    layout: TableLayout
+    tick: int  # the number of the tick
+    time: float  # the simulated time, s
+    layout: TableLayout  # the entities
+    # Whether entities were added, removed or moved by hand, so that all readings are out of date
+    # although no time passed.
     is_discontinuous: bool
 
     def entities(self, handles: Indices) -> Indices:
@@ -133,11 +116,7 @@ class TickContext(NamedTuple):  # made faster than a dataclass is
 
 
 class SensorReader:
-    """The readings and the switches of a world's sensors.
-
-    Attributes:
-        readings: the last reading of each sensor that has one, by the sensor's id.
-    """
+    """The readings and the switches of a world's sensors, by their ids."""
 
     def __init__(self) -> None:
         self.readings: Mapping[int, Reading] = {}

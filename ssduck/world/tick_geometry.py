@@ -28,23 +28,14 @@ from ssduck.world.live_tables import LiveTable
 
 @dataclass(frozen=True, eq=False)
 class ComparableShapes:
-    """What comparisons of the shapes of a world need to know besides their places.
+    """What comparisons of the shapes of a world need to know besides their places."""
 
-    Attributes:
-        starts: the first shape of each entity, and the number of all.
-        numbers: the number of each entity by its id.
-        ids: (n,), the ids in the order of the table of entities.
-        places: what `places_by_number` returns of them.
-        table: the entities of the shapes, and what else they have.
-        solids: their solids and margins.
-    """
-
-    starts: Sequence[int]
-    numbers: Mapping[int, int]
-    ids: Ids
-    places: Indices
-    table: ShapeTable
-    solids: ShapeSolids
+    starts: Sequence[int]  # the first shape of each entity, and the number of all
+    numbers: Mapping[int, int]  # the number of each entity by its id
+    ids: Ids  # (n,), the ids in the order of the table of entities
+    places: Indices  # what `places_by_number` returns of them
+    table: ShapeTable  # the entities of the shapes, and what else they have
+    solids: ShapeSolids  # their solids and margins
 
     @classmethod
     def of(cls, layout: TableLayout, margins: Margins) -> Self:
@@ -70,12 +61,7 @@ class ComparableShapes:
 
 
 class TickPlaces(ShapePlaces):
-    """Where the shapes of a tick are; those of two entities take no arrays of all shapes.
-
-    Args:
-        layout: the entities.
-        groups: their groups with the link poses of the tick.
-    """
+    """Where the shapes of a tick are; those of two entities take no arrays of all shapes."""
 
     def __init__(self, layout: TableLayout, groups: Iterable[tuple[BodyGroup, LinkPoses]]) -> None:
         self._layout, self._groups = layout, list(groups)
@@ -143,11 +129,7 @@ class TickPlaces(ShapePlaces):
 
 
 class TickGeometry(ABC):
-    """What comparisons of the entities of a tick need, made when it is asked for.
-
-    Attributes:
-        calls: the number of narrow-phase calls over all ticks.
-    """
+    """What comparisons of the entities of a tick need, made when it is asked for."""
 
     def __init__(self) -> None:
         self.calls = CallCounter()

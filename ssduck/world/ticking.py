@@ -73,13 +73,7 @@ class TickSink(Protocol):
 
 
 class Pin:
-    """Keeps a world at its tick in a context.
-
-    Args:
-        world: the world.
-        tables: the tables that the tick must include.
-        is_read: whether the query reads the world.
-    """
+    """Keeps a world at its tick, with tables included, in a context; see `pin`."""
 
     __slots__ = ("_is_read", "_tables", "_world")
 

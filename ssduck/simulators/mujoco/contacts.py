@@ -32,17 +32,11 @@ _SLEEP = int(getattr(mujoco.mjtEnableBit, "mjENBL_SLEEP", 0))
 
 @dataclass(frozen=True, eq=False)
 class Owners:
-    """The bodies that contacts of a model are of.
+    """The bodies that contacts of a model are of."""
 
-    Attributes:
-        bodies: (geoms + 1,), the body of each geom; that of -1, which is no geom, is -1.
-        roots: (bodies + 1,), the first body of the entity of each body; that of -1 is -1.
-        flexes: the flexes.
-    """
-
-    bodies: Indices
-    roots: Indices
-    flexes: Sequence[Flex]
+    bodies: Indices  # (geoms + 1,), the body of each geom; that of -1, which is no geom, is -1
+    roots: Indices  # (bodies + 1,), the first body of the entity of each body; that of -1 is -1
+    flexes: Sequence[Flex]  # the flexes
 
     @classmethod
     def of(cls, model: Any) -> Self:
@@ -69,13 +63,7 @@ class Owners:
 
 @dataclass(frozen=True, eq=False)
 class StepContacts:
-    """The arrays of the contacts of a step, copied from MuJoCo's.
-
-    Attributes:
-        bodies: (n, 2), their bodies.
-        distances, addresses, dims, frames, middles, frictions: (n, …), as MuJoCo has them.
-        efc_forces: the forces of all constraints, which the addresses are places in.
-    """
+    """The arrays of the contacts of a step, (n, …), copied from MuJoCo's; forces of constraints."""
 
     bodies: Indices
     distances: Array
@@ -171,19 +159,14 @@ class MuJoCoContacts:
     They are computed when something is asked: most programs ask for the contacts of two bodies.
     MuJoCo's normal points from the first side to the second. Points at a distance, which margins
     allow, count if they press. A contact has one point, where its forces act on both sides.
-
-    Attributes:
-        contacts: the arrays of the contacts.
-        roots: the first body of the entity of each body; see `Owners`.
-        only: the root bodies whose contacts count; None for all. There may be contacts of others
-            from the step before they were left out.
-        is_pyramidal: whether the friction cones of the step were pyramids.
     """
 
-    contacts: StepContacts
-    roots: Indices
+    contacts: StepContacts  # the arrays of the contacts
+    roots: Indices  # the first body of the entity of each body; see `Owners`
+    # The root bodies whose contacts count; None for all. There may be contacts of others from the
+    # step before they were left out.
     only: Collection[int] | None
-    is_pyramidal: bool
+    is_pyramidal: bool  # whether the friction cones of the step were pyramids
 
     @classmethod
     def of(
@@ -200,7 +183,6 @@ class MuJoCoContacts:
         return roots
 
     def between(self, a: int, b: int, *, pressing: bool) -> tuple[Indices, Indices]:
-        """Returns the bodies and links of the contacts of two bodies; see `Contacts`."""
         is_a, is_b = self._roots == a, self._roots == b
         rows = (is_a & is_b[:, ::-1]).nonzero()[0]
         is_kept = self._are_pressing(rows)
@@ -227,12 +209,10 @@ class MuJoCoContacts:
         return sum(edges) > 0.0
 
     def all(self) -> ContactPoints:
-        """Returns all contact points."""
         return self._all
 
     @cached_property
     def has_moments(self) -> bool:
-        """Whether torsional or rolling friction adds a moment to a force."""
         if self.contacts.dims.max(initial=0) <= _FORCE_AXES:
             return False
         return bool(self._every_wrench[(self._roots >= 0).all(axis=1), _FORCE_AXES:].any())
@@ -242,7 +222,6 @@ class MuJoCoContacts:
         return self._wrenches(np.arange(len(self._roots)))
 
     def joined(self, ticks: Sequence[Contacts]) -> tuple[ContactPoints, Indices]:
-        """Returns all contacts of several ticks, and the number of each; see `Contacts`."""
         alike = [
             one.contacts for one in ticks if isinstance(one, MuJoCoContacts) and self._is_like(one)
         ]

@@ -57,20 +57,7 @@ def environments_of(model: Any, count: int) -> EnvironmentSimulator:
 
 
 class MuJoCoEnvironments:
-    """The states of environments of a model; see `Environments`.
-
-    Args:
-        model: the model.
-        data: its initial state, with which kinematics are computed later.
-        count: the number of environments.
-        simulator: reads the model.
-
-    Attributes:
-        count: see above.
-        times: (n,), the simulated times, s.
-        has_times: whether the last states had times.
-        sample: an array of the last states as it was given.
-    """
+    """The states of environments of a model; its data is what kinematics are computed with."""
 
     def __init__(self, model: Any, data: Any, count: int, simulator: MuJoCoSimulator) -> None:
         self._model, self._data, self._simulator = model, data, simulator
@@ -113,11 +100,9 @@ class MuJoCoEnvironments:
 
     @property
     def accepted(self) -> Sequence[str]:
-        """The names of the arrays of a state."""
         return [*self._shapes, "time", "contact", "efc_force"]
 
     def update(self, states: States, arrays: Mapping[str, Any]) -> None:
-        """Takes the states: arrays by name, an object that has them as attributes, or `MjData`."""
         if isinstance(states, Sequence):
             self._take(states)
             return
@@ -198,7 +183,6 @@ class MuJoCoEnvironments:
         return EnvironmentContacts(np.repeat(np.arange(self.count), counts), points)
 
     def reset(self, environments: Indices) -> None:
-        """Sets the times of some environments to 0; their states come with the next tick."""
         self.times = self.times.copy()  # earlier ones may be kept
         self.times[environments] = _DEFAULT_TIME
 
@@ -239,7 +223,6 @@ class MuJoCoEnvironments:
     # -- reading ----------------------------------------------------------------------------
 
     def link_poses(self, bodies: tuple[Body, ...], environment: int) -> LinkPoses:
-        """Returns the poses of the links of some bodies in an environment, body after body."""
         reader = next((one for one in self._readers if one.bodies is bodies), None)
         if reader is None:
             reader = LinkReader(self._model, bodies)
@@ -250,7 +233,6 @@ class MuJoCoEnvironments:
         return reader.read(SimpleNamespace(**state))
 
     def frames(self, body: Body, link: int) -> tuple[Array, Array]:
-        """Returns the positions (n, 3) and the orientations (n, 4) of a link."""
         number = self._number(body, link)
         orientations = self._column("xquat", number)
         if body.links[link].region is None:
@@ -261,7 +243,6 @@ class MuJoCoEnvironments:
         return self._column("site_xpos", site), multiply(orientations, turn)
 
     def velocities(self, body: Body, link: int) -> Array:
-        """Returns the velocities of a link's frame, linear, then angular, (n, 6)."""
         self._check_known("velocities", "cvel", "subtree_com")
         number = self._number(body, link)
         twists = self._column("cvel", number)
@@ -272,7 +253,6 @@ class MuJoCoEnvironments:
         return np.concatenate((linear + cross(angular.T, arms).T, angular)).T
 
     def joints(self, body: Body) -> Array:
-        """Returns positions, velocities and efforts of a body's joints, (n, joints, 3)."""
         if body not in self._joint_numbers:
             self._joint_numbers[body] = self._simulator.joint_numbers([body])
         numbers = self._joint_numbers[body]
@@ -288,17 +268,14 @@ class MuJoCoEnvironments:
         return values
 
     def check_joints(self, body: Body) -> None:  # noqa: ARG002  # the states have all
-        """Checks that the positions of a body's joints are known."""
         self._check_known("positions of joints", "qpos")
 
     @property
     def knows_contacts(self) -> bool:
-        """Whether the contacts are known; they may be read when they are asked for."""
         return self._contacts is not None or self._read_contacts is not None
 
     @property
     def contacts(self) -> EnvironmentContacts | None:
-        """The contacts; None if they are not known."""
         if self._contacts is None and self._read_contacts is not None:
             self._contacts = self._read_contacts()
         return self._contacts

@@ -20,22 +20,15 @@ from ssduck.simulators.mujoco.library import mujoco
 
 @dataclass(frozen=True, eq=False)
 class Flex:
-    """A flex of a model.
+    """A flex of a model."""
 
-    Attributes:
-        number: its number.
-        first: the number of its first vertex among those of all flexes.
-        bodies: (vertices,), the body of each vertex; -1 for one that is pinned to the world, or
-            that follows from nodes.
-        nodes: (nodes,), the body of each node.
-        elements: (elements, corners), the vertices of each element.
-    """
-
-    number: int
-    first: int
+    number: int  # its number
+    first: int  # the number of its first vertex among those of all flexes
+    # (vertices,), the body of each vertex; -1 for one that is pinned to the world, or that follows
+    # from nodes.
     bodies: Indices
-    nodes: Indices
-    elements: Indices
+    nodes: Indices  # (nodes,), the body of each node
+    elements: Indices  # (elements, corners), the vertices of each element
 
     @classmethod
     def of(cls, model: Any, number: int) -> Self:

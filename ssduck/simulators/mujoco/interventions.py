@@ -42,13 +42,7 @@ IDLE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
 @dataclass(eq=False)
 class Switches:
-    """The bodies of a model whose collisions are off, and those that are hidden.
-
-    Attributes:
-        model: the model.
-        disabled: the bodies whose collisions are off; a new set after each change.
-        hidden: the bodies that are not drawn, likewise.
-    """
+    """The bodies of a model whose collisions are off, and those that are hidden."""
 
     model: Any
     disabled: frozenset[Body] = frozenset()

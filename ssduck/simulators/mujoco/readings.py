@@ -38,15 +38,7 @@ _POSITION, _ORIENTATION, _TWIST = 3, 7, 13
 
 
 class LinkReader:
-    """Reads the links of some bodies.
-
-    Args:
-        model: the model.
-        bodies: the bodies.
-
-    Attributes:
-        bodies: see above.
-    """
+    """Reads the links of some bodies of a model."""
 
     def __init__(self, model: Any, bodies: tuple[Body, ...]) -> None:
         self.bodies, self._model = bodies, model

@@ -40,19 +40,12 @@ _FAILED: list[str] = []
 
 @dataclass(frozen=True, eq=False)
 class Viewpoint:
-    """A pinhole camera.
+    """A pinhole camera."""
 
-    Attributes:
-        position: (3,), in the world, m.
-        forward: (3,), the unit vector along which it looks.
-        up: (3,), a unit vector at a right angle to that.
-        fov: the vertical field of view, degrees.
-    """
-
-    position: Array
-    forward: Array
-    up: Array
-    fov: float
+    position: Array  # (3,), in the world, m
+    forward: Array  # (3,), the unit vector along which it looks
+    up: Array  # (3,), a unit vector at a right angle to that
+    fov: float  # the vertical field of view, degrees
 
     @classmethod
     def of_camera(cls, camera: Camera) -> Viewpoint:

@@ -56,22 +56,15 @@ _SCALAR = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
 
 @dataclass(frozen=True, eq=False)
 class LoadedModel:
-    """A model of a scene, in its initial state.
+    """A model of a scene, in its initial state."""
 
-    Attributes:
-        spec: the `mujoco.MjSpec` that it was compiled from.
-        model: the model.
-        data: its data.
-        kinds: the kinds that the scene states, by the names of entities.
-        switched_off: the numbers of the bodies without collisions, and of those that are hidden.
-        part_names: the names of links and joints in their files, by those in the model.
-    """
-
-    spec: Any
-    model: Any
-    data: Any
-    kinds: dict[int | str, Kind]
+    spec: Any  # the `mujoco.MjSpec` that it was compiled from
+    model: Any  # the model
+    data: Any  # its data
+    kinds: dict[int | str, Kind]  # the kinds that the scene states, by the names of entities
+    # The numbers of the bodies without collisions, and of those that are hidden.
     switched_off: tuple[list[int], list[int]]
+    # The names of links and joints in their files, by those in the model.
     part_names: dict[str, str]
 
 

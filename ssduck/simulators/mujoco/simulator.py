@@ -81,12 +81,6 @@ class MuJoCoSimulator(PartialSimulator):
         switched_off: the numbers of the root bodies of which collisions are off at first, and of
             those that are hidden.
         part_names: names of links and joints, instead of MuJoCo's.
-
-    Attributes:
-        spec, part_names: see above.
-        model: the model at the last tick.
-        data: the data at the last tick.
-        episode: is incremented when the user has reset the simulation; see `EpisodeClock`.
     """
 
     backend = "mujoco"
@@ -140,10 +134,7 @@ class MuJoCoSimulator(PartialSimulator):
     # -- bodies ---------------------------------------------------------------------------
 
     def describe(self) -> tuple[list[Body], list[Body]] | None:
-        """Returns the bodies that came and went since the last call.
-
-        A body of a new model stays the same if nothing about it changed.
-        """
+        # A body of a new model stays the same if nothing about it changed.
         self._refresh()
         model, known = self.model, self._described
         if known is not None and known[0] is model and known[1].is_present():
@@ -209,7 +200,6 @@ class MuJoCoSimulator(PartialSimulator):
         self._state = self._copy
 
     def has_moved_on(self, sample: Sequence[Body]) -> bool:  # noqa: ARG002
-        """Checks whether the time, a joint or the model is another one than at the last tick."""
         model, data = self._source()
         return (
             model is not self.model
@@ -218,7 +208,6 @@ class MuJoCoSimulator(PartialSimulator):
         )
 
     def begin_episode(self) -> None:
-        """Lets the next tick begin an episode, whatever its time, and no later one by its time."""
         self._episodes.begin()
 
     def _warn_of_boxes(self, bodies: Sequence[Body]) -> None:
@@ -235,21 +224,17 @@ class MuJoCoSimulator(PartialSimulator):
 
     @property
     def time(self) -> float:
-        """Simulated seconds of the episode: MuJoCo's, unless its time fell within the episode."""
         return float(self.data.time) + self._episodes.offset
 
     @property
     def timestep(self) -> float:
-        """The length of the next step, simulated seconds."""
         return float(self.model.opt.timestep)
 
     @property
     def clock(self) -> Clock:
-        """A clock at the present time."""
         return Clock(self.timestep, self.time)
 
     def read_link_poses(self, bodies: tuple[Body, ...], *, with_velocities: bool) -> LinkPoses:  # noqa: ARG002
-        """Returns the poses and velocities of all links of some bodies, body after body."""
         for reader in self._link_readers:
             if reader.bodies is bodies:
                 return reader.read(self._state)
@@ -258,10 +243,7 @@ class MuJoCoSimulator(PartialSimulator):
         return reader.read(self._state)
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:
-        """Returns the position, velocity and effort of the joints of some bodies, (joints, 3).
-
-        The effort is the force of the actuators on the joint in the last step.
-        """
+        # The effort is the force of the actuators on the joint in the last step.
         known = self._joint_rows
         if known is None or known[0] != tuple(bodies):
             numbers = self.joint_numbers(bodies)
@@ -288,7 +270,6 @@ class MuJoCoSimulator(PartialSimulator):
         return np.array([number for joints in links for number in joints], dtype=np.intp)
 
     def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
-        """Returns the masses of bodies' links; the last known ones if a body is gone."""
         masses = link_masses(self.model)
         present = set(self._bodies)
         return [
@@ -299,7 +280,6 @@ class MuJoCoSimulator(PartialSimulator):
         ]
 
     def read_margins(self, bodies: Sequence[Body]) -> list[list[float]] | Margins:
-        """Returns the margins of bodies' shapes; the last known ones if a body is gone."""
         content, known = margin_content(self.model), self._margins
         if known is not None and known[0] == content and known[1] == bodies:
             return known[2]
@@ -320,7 +300,6 @@ class MuJoCoSimulator(PartialSimulator):
         return of_bodies
 
     def read_contacts(self) -> Contacts:
-        """Returns the contact points of the last step, and those of sleeping bodies."""
         model, state = self.model, self._state
         if self._owners is None or self._owners[0] is not model:
             self._owners, self._sleeping = (model, Owners.of(model)), SleepingContacts()
@@ -329,12 +308,10 @@ class MuJoCoSimulator(PartialSimulator):
         return MuJoCoContacts.of(model, contacts, owners, self._only)
 
     def step(self, count: int) -> None:
-        """Advances by a number of steps."""
         self._refresh()
         mujoco.mj_step(self.model, self.data, count)
 
     def cast_rays(self, starts: Array, ends: Array, through: Indices) -> RayHits:
-        """Returns the first body that each ray hits; see `ssduck.simulators.mujoco.readings`."""
         if self._ray_caster is None:
             self._ray_caster = RayCaster(self.model, self._only)
         return self._ray_caster.cast(self._state, starts, ends, through)
@@ -344,26 +321,20 @@ class MuJoCoSimulator(PartialSimulator):
     def render(
         self, camera: Camera, width: int, height: int, *, shadow: bool
     ) -> npt.NDArray[np.uint8]:
-        """Returns the colour image of a camera, (height, width, 3), with or without shadows."""
         viewpoint = Viewpoint.of_camera(camera)
         return draw(self.model, self._state, viewpoint, (width, height), shadow=shadow)
 
     def segment(self, camera: Camera, width: int, height: int) -> tuple[Indices, Indices]:
-        """Returns the root body and the number of the link in each pixel, (height, width)."""
         return segment(self.model, self._state, Viewpoint.of_camera(camera), (width, height))
 
     def photograph(self, view: CameraView) -> npt.NDArray[np.uint8]:
-        """Returns the colour image of a camera on a body, without shadows, (height, width, 3)."""
         viewpoint, size = Viewpoint.of_view(view), (view.width, view.height)
         return draw(self.model, self._state, viewpoint, size, shadow=False)
 
     # -- changes --------------------------------------------------------------------------
 
     def place(self, body: Body, position: Array, orientation: Array) -> None:
-        """Puts the base of a body at a pose, at rest.
-
-        A base without joints has its pose in the model.
-        """
+        # A base without joints has its pose in the model.
         model, data, root = self.model, self.data, body.handle
         base_joints = [joint for joint in body.joints if joint.link == 0]
         if root == 0:
@@ -385,10 +356,7 @@ class MuJoCoSimulator(PartialSimulator):
         mujoco.mj_forward(model, data)
 
     def set_joints(self, body: Body, positions: Mapping[int, float]) -> None:
-        """Sets joints by their indices, at rest.
-
-        Position actuators of a simulation that ssduck made hold the new positions.
-        """
+        # Position actuators of a simulation that ssduck made hold the new positions.
         numbers = self.joint_numbers([body])
         model, data = self.model, self.data
         for index, position in positions.items():
@@ -399,7 +367,6 @@ class MuJoCoSimulator(PartialSimulator):
         mujoco.mj_forward(model, data)
 
     def drive(self, body: Body, motors: Mapping[int, MotorTarget]) -> None:
-        """Sets the controls of the actuators of joints, by the indices of the joints."""
         numbers = self.joint_numbers([body])
         targets = {
             int(numbers[index]): (body.joints[index], motor) for index, motor in motors.items()
@@ -407,50 +374,41 @@ class MuJoCoSimulator(PartialSimulator):
         drive(self.model, self.data, body.name, targets)
 
     def has_constraint(self, body: Body, other: Body) -> bool:
-        """Checks whether a weld of `add_constraint` connects a body to the base of another."""
         ends = ((one, held) for _, one, held in holds(self.model, self.data))
         return any(one in numbers_of(body) and held == other.handle for one, held in ends)
 
     def add_constraint(self, body: Body, link: int, other: Body) -> None:
-        """Welds the base of a body to a link of another, as they are."""
         rigid = link if body.links[link].region is None else body.links[link].parent
         hold(self.model, self.data, self._state, body.handle + rigid, other.handle)
 
     def remove_constraint(self, body: Body, other: Body) -> None:
-        """Releases the base of a body from the links of another."""
         for number, one, held in holds(self.model, self.data):
             if one in numbers_of(body) and held == other.handle:
                 self.data.eq_active[number] = 0
 
     @property
     def disabled(self) -> frozenset[Body]:
-        """The bodies that take no part in collisions."""
         return self._switches.disabled
 
     @property
     def hidden(self) -> frozenset[Body]:
-        """The bodies that are not drawn."""
         return self._switches.hidden
 
     def enable(self, body: Body, on: bool) -> None:
-        """Switches the collisions of a body on or off."""
         self._switches.enable(body, on)
         # It has the same shapes as before.
         self._described = (self.model, ModelContent(self.model))
         self._ray_caster = None
 
     def show(self, body: Body, on: bool) -> None:
-        """Shows or hides a body in images."""
         self._switches.show(body, on)
 
     def remove(self, body: Body) -> None:
-        """Takes a body out of all interactions and descriptions; the model still has it."""
         take_out(self.model, self.data, entity_roots(self.model) == body.handle)
         self._only = {one.handle for one in self._bodies if one is not body}
         self._described = self._ray_caster = None
 
     def close(self) -> None:
-        """Ends reading; the model and the data of the user remain."""
         self._is_closed = True
 
 
@@ -468,13 +426,6 @@ class EpisodeClock:
     An episode begins with another model, and with a time that has fallen. It does not where MuJoCo
     itself reset an unstable state, nor if the user calls `begin_episode` at each reset, as
     `QueryWrapper` does. There time goes on, as that of a simulator without such a reset does.
-
-    Args:
-        data: the data of the simulation.
-
-    Attributes:
-        last: MuJoCo's time at the last tick, s.
-        offset: what is added to MuJoCo's time, s.
     """
 
     def __init__(self, data: Any) -> None:

@@ -59,18 +59,12 @@ _GENERIC_DIRECTIONS = np.array([[0.62, 0.53, 0.58], [-0.71, 0.44, -0.55], [0.37,
 
 @dataclass(frozen=True, eq=False)
 class BodyDescription:
-    """A body of a client, as described once.
+    """A body of a client, as described once."""
 
-    Attributes:
-        body: its links, joints and shapes.
-        com: poses of the links' centres of mass in the link frames, (links, 3) and (links, 4).
-        exact: whether all shapes are those that PyBullet uses; else boxes stand in for some.
-        link_margins: the margin of each link; empty for a body that was not read.
-    """
-
-    body: Body
-    com: Pose
-    exact: bool
+    body: Body  # its links, joints and shapes
+    com: Pose  # poses of the links' centres of mass in the link frames, (links, 3) and (links, 4)
+    exact: bool  # whether all shapes are those that PyBullet uses; else boxes stand in for some
+    # The margin of each link; empty for a body that was not read.
     link_margins: tuple[LinkMargin, ...] = ()
 
     @cached_property

@@ -28,16 +28,11 @@ _POSE_TOLERANCE = 1e-9
 
 @dataclass(frozen=True)
 class LinkMargin:
-    """The margin of a link as PyBullet returns it.
+    """The margin of a link as PyBullet returns it."""
 
-    Attributes:
-        margin: metres; None if PyBullet returns none.
-        is_compound: whether it is the margin of a compound of the shapes.
-        is_of_file: whether a shape comes from a mesh file; such a hull is a compound of its own.
-    """
-
-    margin: float | None
-    is_compound: bool = False
+    margin: float | None  # metres; None if PyBullet returns none
+    is_compound: bool = False  # whether it is the margin of a compound of the shapes
+    # Whether a shape comes from a mesh file; such a hull is a compound of its own.
     is_of_file: bool = False
 
 
@@ -93,10 +88,6 @@ class MarginReader:
         bodies: the bodies.
         link_margins: the margins of the links of each body when it was described.
         links: the links of each body whose margins may have changed; see `links_with_margins`.
-
-    Attributes:
-        bodies: see above.
-        changeable: those of which some links may have changed.
     """
 
     def __init__(

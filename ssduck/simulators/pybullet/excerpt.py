@@ -362,17 +362,13 @@ _LIMITS = {"jointLowerLimit": 8, "jointUpperLimit": 9}
 
 @dataclass(frozen=True)
 class BodyState:
-    """The state of a body in PyBullet's terms.
+    """The state of a body in PyBullet's terms."""
 
-    Attributes:
-        base: position and orientation (x, y, z, w) of the base's centre of mass.
-        twist: its velocity and angular velocity.
-        joints: positions and velocities of each joint, as many numbers as it has; None for a joint
-            that is left as it is.
-    """
-
+    # Position and orientation (x, y, z, w) of the base's centre of mass.
     base: tuple[tuple[float, ...], tuple[float, ...]]
-    twist: tuple[tuple[float, ...], tuple[float, ...]]
+    twist: tuple[tuple[float, ...], tuple[float, ...]]  # its velocity and angular velocity
+    # Positions and velocities of each joint, as many numbers as it has; None for a joint that is
+    # left as it is.
     joints: tuple[tuple[tuple[float, ...], tuple[float, ...]] | None, ...]
 
 

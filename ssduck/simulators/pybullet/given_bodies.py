@@ -39,9 +39,6 @@ class GivenBodies:
     PyBullet reuses the numbers, so it is not said of later bodies, with one exception: an episode
     begins with bodies that were built again. One that is like the first of its number has its name
     and its kind.
-
-    Attributes:
-        names, kinds, shapes: those of the bodies that are described next.
     """
 
     def __init__(

@@ -41,49 +41,31 @@ _CONTACT_ELEMENTS = {
 
 @dataclass(frozen=True, eq=False)
 class Visual:
-    """A visual shape of a link.
+    """A visual shape of a link."""
 
-    Attributes:
-        link: its index; the base is 0.
-        geometry: the geometry; None for a mesh of a file.
-        file: the file of a mesh.
-        scale: the scale of a mesh, or 1s.
-        position: in the link frame, metres.
-        orientation: in the link frame, w, x, y, z.
-        colour: red, green, blue, alpha, from 0 to 1; None if it is unknown.
-    """
-
-    link: int
-    geometry: Geometry | None
-    file: str
-    scale: Sequence[float]
-    position: Array
-    orientation: Array
-    colour: Sequence[float] | None
+    link: int  # its index; the base is 0
+    geometry: Geometry | None  # the geometry; None for a mesh of a file
+    file: str  # the file of a mesh
+    scale: Sequence[float]  # the scale of a mesh, or 1s
+    position: Array  # in the link frame, metres
+    orientation: Array  # in the link frame, w, x, y, z
+    colour: Sequence[float] | None  # red, green, blue, alpha, from 0 to 1; None if it is unknown
 
 
 @dataclass(frozen=True, eq=False)
 class BodyModel:
-    """A body as a model file describes it.
+    """A body as a model file describes it."""
 
-    Attributes:
-        body: its links, joints and shapes.
-        zero_poses: for each joint, the pose of its link in the frame of the parent at position 0,
-            (joints, 3) and (joints, 4).
-        com: poses of the centres of mass in the link frames, (links, 3) and (links, 4).
-        inertias: the moments about the axes of `com`, (links, 3), kg m²; 0 if they are unknown.
-        damping: the damping of the joints.
-        contacts: contact parameters of the links, by PyBullet's elements.
-        visuals: the visual shapes.
-    """
-
-    body: Body
+    body: Body  # its links, joints and shapes
+    # For each joint, the pose of its link in the frame of the parent at position 0, (joints, 3) and
+    # (joints, 4).
     zero_poses: Pose
-    com: Pose
-    inertias: Array
-    damping: Sequence[float]
+    com: Pose  # poses of the centres of mass in the link frames, (links, 3) and (links, 4)
+    inertias: Array  # the moments about the axes of `com`, (links, 3), kg m²; 0 if they are unknown
+    damping: Sequence[float]  # the damping of the joints
+    # Contact parameters of the links, by PyBullet's elements.
     contacts: Sequence[Mapping[str, float]]
-    visuals: Sequence[Visual]
+    visuals: Sequence[Visual]  # the visual shapes
 
 
 def model_of(simulator: PyBulletSimulator, body: Body) -> BodyModel:

@@ -297,23 +297,15 @@ _SIZED = ("box", "sphere", "capsule", "cylinder")
 
 @dataclass(frozen=True, eq=False)
 class ModelFile:
-    """A model file as XML.
+    """A model file as XML."""
 
-    Attributes:
-        file: the path.
-        format: one of `MODEL_FILES`.
-        root: the root element, as PyBullet is to read it.
-        is_other: whether PyBullet would read something else in the file, so that it gets another.
-        is_cut: whether PyBullet reads another model in the file, since it cuts long lines.
-        left_out: what is left out, in words.
-    """
-
-    file: Path
-    format: str
-    root: ET.Element
+    file: Path  # the path
+    format: str  # one of `MODEL_FILES`
+    root: ET.Element  # the root element, as PyBullet is to read it
+    # Whether PyBullet would read something else in the file, so that it gets another.
     is_other: bool
-    is_cut: bool
-    left_out: list[str]
+    is_cut: bool  # whether PyBullet reads another model in the file, since it cuts long lines
+    left_out: list[str]  # what is left out, in words
 
     @classmethod
     def read(cls, spec: BodySpec) -> ModelFile:

@@ -75,12 +75,9 @@ class PyBulletContacts:
 
     Bullet's list also has points of shapes that are about to meet, up to some millimetres apart. It
     presses some of these in the first step of an impact.
-
-    Attributes:
-        points: Bullet's list, which is looked into when something is asked.
     """
 
-    points: Sequence[_Point]
+    points: Sequence[_Point]  # Bullet's list, which is looked into when something is asked
 
     has_moments: ClassVar[bool] = False
 
@@ -94,15 +91,12 @@ class PyBulletContacts:
         return cls(points), lacks_bodies
 
     def all(self) -> ContactPoints:
-        """Returns all of them."""
         return self._all
 
     def between(self, a: int, b: int, *, pressing: bool) -> tuple[Indices, Indices]:
-        """Returns the bodies and links of those of two bodies; see `Contacts`."""
         return self.all().between(a, b, pressing=pressing)
 
     def joined(self, ticks: Sequence[Contacts]) -> tuple[ContactPoints, Indices]:
-        """Returns all contacts of several ticks, and the number of each; see `Contacts`."""
         lists = [one.points for one in ticks if isinstance(one, PyBulletContacts)]
         if len(lists) < len(ticks):
             return ContactPoints.joined(ticks)

@@ -47,15 +47,10 @@ _SHAPES = {
 
 
 class LoadedModel(NamedTuple):
-    """The bodies of a scene entry.
+    """The bodies of a scene entry."""
 
-    Attributes:
-        handles: PyBullet's numbers of the bodies.
-        messages: what PyBullet leaves out or takes for 0, in words.
-    """
-
-    handles: Sequence[int]
-    messages: tuple[str, ...] = ()
+    handles: Sequence[int]  # PyBullet's numbers of the bodies
+    messages: tuple[str, ...] = ()  # what PyBullet leaves out or takes for 0, in words
 
 
 def load_model(spec: BodySpec, place: str, client: int) -> LoadedModel:
@@ -244,31 +239,22 @@ class SceneOrigin:
 
 @dataclass(eq=False)
 class LoadedBodies:
-    """Knowledge about the bodies that ssduck loaded into a client, by PyBullet body number.
+    """Knowledge about the bodies that ssduck loaded into a client, by PyBullet body number."""
 
-    Attributes:
-        names: the names in the scene.
-        kinds: the kinds in the scene.
-        origins: the scene entries of bodies that were loaded from a file.
-        motor_positions: the positions that motors hold, by link.
-        described: the descriptions of bodies, if known already.
-        disabled: bodies that begin without collisions.
-        hidden: bodies that begin hidden.
-        skipped: what PyBullet says of parts of model files that it skips.
-        time: the initial simulated time, s.
-        elastic: whether nothing loses energy.
-    """
-
-    names: dict[int, str] = field(default_factory=dict)
-    kinds: dict[int, Kind] = field(default_factory=dict)
+    names: dict[int, str] = field(default_factory=dict)  # the names in the scene
+    kinds: dict[int, Kind] = field(default_factory=dict)  # the kinds in the scene
+    # The scene entries of bodies that were loaded from a file.
     origins: dict[int, SceneOrigin] = field(default_factory=dict)
+    # The positions that motors hold, by link.
     motor_positions: dict[int, dict[int, float]] = field(default_factory=dict)
+    # The descriptions of bodies, if known already.
     described: dict[int, BodyDescription] = field(default_factory=dict)
-    disabled: set[int] = field(default_factory=set)
-    hidden: set[int] = field(default_factory=set)
+    disabled: set[int] = field(default_factory=set)  # bodies that begin without collisions
+    hidden: set[int] = field(default_factory=set)  # bodies that begin hidden
+    # What PyBullet says of parts of model files that it skips.
     skipped: dict[Path, tuple[str, ...]] = field(default_factory=dict)
-    time: float = 0.0
-    elastic: bool = False
+    time: float = 0.0  # the initial simulated time, s
+    elastic: bool = False  # whether nothing loses energy
 
 
 def load_models(scene: Scene, client: int) -> LoadedBodies:

@@ -74,11 +74,7 @@ class PyBulletSimulator:
         client: the number of a connected client.
         owned: whether ssduck made the client and disconnects it; else the user may change it.
         names, kinds, shapes: what is said of the present bodies; see `GivenBodies`.
-        loaded: the bodies that ssduck loaded.
-
-    Attributes:
-        loaded: the same; updated with the positions that motors hold.
-        clock: counts the steps that ssduck runs; in a client of the user's, it follows the ticks.
+        loaded: the bodies that ssduck loaded; updated with the positions that motors hold.
     """
 
     backend = "pybullet"
@@ -126,11 +122,8 @@ class PyBulletSimulator:
     # -- bodies ---------------------------------------------------------------------------
 
     def describe(self) -> tuple[list[Body], list[Body]] | None:
-        """Returns the bodies that came and went since the last call.
-
-        PyBullet reuses the number of a removed body at once. So every described body carries a tag:
-        user data, which PyBullet removes with the body.
-        """
+        # PyBullet reuses the number of a removed body at once. So every described body carries a
+        # tag: user data, which PyBullet removes with the body.
         if self._described and not self.is_external:
             gone, self._removed = self._removed, []
             return ([], gone) if gone else None
@@ -181,7 +174,6 @@ class PyBulletSimulator:
         self.loaded.disabled, self.loaded.hidden = set(), set()
 
     def remove(self, body: Body) -> None:
-        """Removes a body from a client that ssduck made."""
         self.call(lambda: pybullet.removeBody(body.handle, self.client))
         # Bodies that rested on it must fall with the next step.
         self.call(lambda: pybullet.performCollisionDetection(self.client))
@@ -249,26 +241,21 @@ class PyBulletSimulator:
 
     @property
     def time(self) -> float:
-        """Simulated seconds, as counted by the clock."""
         return self.clock.time
 
     @property
     def timestep(self) -> float:
-        """The length of the next step, simulated seconds, as the client is set now."""
         return self._client_timestep()
 
     def begin_episode(self) -> None:
-        """Changes `episode`; the time is 0 again."""
         self.episode += 1
         self._given.begin_episode()
         self.clock = Clock(self.timestep)
 
     def set_clock(self, clock: Clock) -> None:
-        """Replaces the clock."""
         self.clock = clock
 
     def read_link_poses(self, bodies: tuple[Body, ...], *, with_velocities: bool) -> LinkPoses:
-        """Returns the poses of all links of some bodies as they are now, body after body."""
         reader = next((reader for known, reader in self._readers if known is bodies), None)
         if reader is None:
             reader = LinkPosesReader(bodies, [self._descriptions[b.handle].com for b in bodies])
@@ -276,8 +263,6 @@ class PyBulletSimulator:
         return self.call(partial(reader.read, self.client, with_velocities))
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:
-        """Returns the position, velocity and effort of the joints of some bodies, (joints, 3)."""
-
         def read() -> Iterator[tuple[float, float, float]]:
             for body in bodies:
                 indices = range(len(body.joints))
@@ -288,7 +273,6 @@ class PyBulletSimulator:
         return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
     def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
-        """Returns the masses of bodies' links; the last known ones if a body is gone."""
         client, are_present = self.client, self._are_present(bodies)
         return self.call(
             lambda: [
@@ -298,10 +282,7 @@ class PyBulletSimulator:
         )
 
     def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
-        """Returns the margins of bodies' shapes; the last known ones if a body is gone.
-
-        It is the same object as long as nothing has changed.
-        """
+        # It is the same object as long as nothing has changed.
         reader = self._margin_reader
         if reader is None or reader.bodies != tuple(bodies):
             reader = self._margin_reader = self._new_margin_reader(bodies)
@@ -330,26 +311,20 @@ class PyBulletSimulator:
         return [tag == self._tags.get(b.handle) for b, tag in zip(bodies, now, strict=True)]
 
     def has_moved_on(self, sample: Sequence[Body]) -> bool:
-        """Checks whether bodies came or went since the last tick, as far as a sample shows it."""
         count = self.call(lambda: pybullet.getNumBodies(self.client))
         return count != len(self._tags) or not all(self._are_present(sample))
 
     def read_contacts(self) -> PyBulletContacts:
-        """Returns the contact points of the last step at which shapes press or meet.
-
-        Bodies that another client of the same simulation made are described at the next tick; until
-        then their contacts are left out.
-        """
+        # Bodies that another client of the same simulation made are described at the next tick;
+        # until then their contacts are left out.
         known = self._descriptions.keys()
         contacts, self._lacks_bodies = self.call(lambda: PyBulletContacts.read(self.client, known))
         return contacts
 
     def cast_rays(self, starts: Array, ends: Array, through: Indices) -> RayHits:
-        """Returns the first body that each ray hits; see `ssduck.simulators.pybullet.readings`."""
         return self.call(lambda: cast_rays(self.client, starts, ends, through))
 
     def step(self, count: int) -> None:
-        """Advances by a number of steps."""
         timestep = self._client_timestep()
 
         def run() -> None:
@@ -376,7 +351,6 @@ class PyBulletSimulator:
         return parameters
 
     def place(self, body: Body, position: Array, orientation: Array) -> None:
-        """Puts the base link frame of a body at a pose, at rest."""
         com = self._descriptions[body.handle].com
         com_pose = compose(position[None], orientation[None], com[0][:1], com[1][:1])
 
@@ -390,11 +364,7 @@ class PyBulletSimulator:
         self.call(put)
 
     def set_joints(self, body: Body, positions: Mapping[int, float]) -> None:
-        """Sets joints by their indices, at rest.
-
-        The motors of a client that ssduck made hold the new positions.
-        """
-
+        # The motors of a client that ssduck made hold the new positions.
         def put() -> None:
             for number, position in positions.items():
                 joint = body.joints[number]
@@ -407,8 +377,6 @@ class PyBulletSimulator:
         self.call(put)
 
     def drive(self, body: Body, motors: Mapping[int, MotorTarget]) -> None:
-        """Sets motors of joints by their indices for the next steps."""
-
         def put() -> None:
             for number, motor in motors.items():
                 set_motor(body.handle, body.joints[number].link, motor, self.client)
@@ -416,16 +384,12 @@ class PyBulletSimulator:
         self.call(put)
 
     def has_constraint(self, body: Body, other: Body) -> bool:
-        """Checks whether a fixed constraint connects a link of a body to the base of another."""
         return bool(self.call(lambda: fixed_constraints(self.client, body.handle, other.handle)))
 
     def add_constraint(self, body: Body, link: int, other: Body) -> None:
-        """Adds a fixed constraint between a link of a body and the base of another, as they are."""
         self.call(lambda: add_fixed_constraint(self.client, (body.handle, link - 1), other.handle))
 
     def remove_constraint(self, body: Body, other: Body) -> None:
-        """Removes the fixed constraints between links of a body and the base of another."""
-
         def remove() -> None:
             for number in fixed_constraints(self.client, body.handle, other.handle):
                 pybullet.removeConstraint(number, self.client)
@@ -433,11 +397,8 @@ class PyBulletSimulator:
         self.call(remove)
 
     def enable(self, body: Body, on: bool) -> None:
-        """Switches the collisions of a body on or off.
-
-        PyBullet does not return collision filters. A body that is switched on again gets the
-        default ones.
-        """
+        # PyBullet does not return collision filters. A body that is switched on again gets the
+        # default ones.
         if on == (body not in self.disabled):
             return
 
@@ -454,7 +415,6 @@ class PyBulletSimulator:
         self.disabled = self.disabled - {body} if on else self.disabled | {body}
 
     def show(self, body: Body, on: bool) -> None:
-        """Shows a body in the colours that it had, or hides it."""
         if on == (body not in self.hidden):
             return
         colours = self.visual_colours(body)
@@ -473,11 +433,9 @@ class PyBulletSimulator:
     def render(
         self, camera: Camera, width: int, height: int, *, shadow: bool
     ) -> npt.NDArray[np.uint8]:
-        """Returns a camera's colour image by PyBullet's software renderer, (height, width, 3)."""
         return self._draw(width, height, *_camera_matrices(camera, width, height), shadow=shadow)
 
     def segment(self, camera: Camera, width: int, height: int) -> tuple[Indices, Indices]:
-        """Returns the numbers of the body and of its link in each pixel, (height, width)."""
         view, projection = _camera_matrices(camera, width, height)
         pixels = self.call(
             lambda: pybullet.getCameraImage(
@@ -495,7 +453,6 @@ class PyBulletSimulator:
         return np.where(numbers < 0, -1, numbers & 0xFFFFFF), numbers >> 24
 
     def photograph(self, view: CameraView) -> npt.NDArray[np.uint8]:
-        """Returns the colour image of a camera on a body, by PyBullet's software renderer."""
         target = view.position + view.matrix[:, 0]
         view_matrix = pybullet.computeViewMatrix(
             view.position.tolist(), target.tolist(), view.matrix[:, 2].tolist()
@@ -528,7 +485,6 @@ class PyBulletSimulator:
         return np.ascontiguousarray(pixels[:, :, :3])
 
     def close(self) -> None:
-        """Removes the tags from the bodies, and disconnects the client if ssduck made it."""
         if self._lost_reason is not None:
             return
         self._lost_reason = "the world is closed"
