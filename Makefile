@@ -2,7 +2,7 @@
 PYTHON ?= .venv/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help setup test check times long lint bench docs scenes
+.PHONY: help setup test check times long lint bench docs site wheel scenes
 
 help: ## list the tasks
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*##/\t/' | expand -t 10
@@ -35,12 +35,21 @@ lint: ## check style, types and layers, and that what is generated is up to date
 	$(PYTHON) -m tools.build_hall --check
 	$(PYTHON) -m tools.build_chaos --check
 	$(PYTHON) tools/write_reference.py --check
+	$(MAKE) --no-print-directory site wheel
 
 bench: ## print the tables of the benchmarks
 	$(PYTHON) -m benchmarks
 
 docs: ## write the manual's generated pages
 	$(PYTHON) tools/write_reference.py
+
+site: ## build the manual as a site, in build/site; a page that is not listed and a dead link are errors
+	$(PYTHON) -m zensical build --strict --config-file mkdocs.yml
+
+wheel: ## build the wheel and the source distribution, in dist, and check what they say of themselves
+	rm -rf dist
+	$(PYTHON) -m build --no-isolation >/dev/null
+	$(PYTHON) -m twine check --strict dist/*
 
 scenes: ## write the files of the scenes that are shipped
 	$(PYTHON) -m tools.build_kitchen

@@ -150,7 +150,7 @@ def test_errors_are_those_of_the_task(folder):
 def test_what_hangs_is_ended(folder):
     with strict(folder / "still.toml", seconds=3.0) as env:
         first, _ = env.reset(seed=1)
-        hang = "worker._task.step = lambda _: __import__('time').sleep(1000)"
+        hang = "worker._opened['task'].step = lambda _: __import__('time').sleep(1000)"
         env.interpreter.ask("worker.python", f"{hang}\n")
         with pytest.raises(LimitError, match="took too long, and its process was ended"):
             env.step([])
@@ -172,7 +172,7 @@ def test_what_a_taken_process_answers_is_data(folder):
     with strict(folder / "task.toml") as env:
         env.reset(seed=1)
         for answer in TAKEN.values():
-            code = f"import numpy as np\nworker._task.step = lambda _: {answer}\n"
+            code = f"import numpy as np\nworker._opened['task'].step = lambda _: {answer}\n"
             env.interpreter.ask("worker.python", code)
             with pytest.raises(LimitError, match="sent no answer"):
                 env.step([0.0])
@@ -185,7 +185,7 @@ def test_what_a_taken_process_says_of_the_file_is_data(folder, monkeypatch, valu
         SandboxedInterpreter,
         "ask",
         lambda self, name, *given, **o: (
-            values if name == "task" else asked(self, name, *given, **o)
+            values if name == "task.task.values" else asked(self, name, *given, **o)
         ),
     )
     with pytest.raises((LimitError, SceneError), match=r"still\.toml: "):
