@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from ssduck import validation
@@ -56,6 +57,8 @@ class Limits:
         require: what a sandbox must keep programs from, of `"files"`, `"network"`, `"processes"`,
             `"signals"`, `"memory"` and `"time"`; empty for programs that run in this process.
         answer_bytes: the largest size of an answer of a sandbox, bytes.
+        readable: files and folders that a sandbox may read beside the scene's folder or the record,
+            as those of meshes elsewhere.
 
     Raises:
         ArgumentError: a limit has an invalid value.
@@ -74,6 +77,7 @@ class Limits:
     progress: bool = True
     require: Collection[str] = ()
     answer_bytes: int = ANSWER_BYTES
+    readable: Collection[str | Path] = ()
 
     def __post_init__(self) -> None:
         for name in ("seconds", "rows", "memory", "depth", "answer_bytes"):
@@ -91,6 +95,10 @@ class Limits:
                 self, name, validation.boolean(getattr(self, name), f"limits: {name}")
             )
         object.__setattr__(self, "require", _checked_effects(self.require))
+        if isinstance(self.readable, str):
+            raise ArgumentError("limits: readable: give a list of paths")
+        paths = (validation.path(one, "limits: readable") for one in self.readable)
+        object.__setattr__(self, "readable", tuple(map(str, paths)))
 
     @property
     def is_sandboxed(self) -> bool:

@@ -30,6 +30,7 @@ from ssduck.recording.spec import Recording, description_of
 from ssduck.recording.static_tables import geometries_of, members_of, model_rows
 from ssduck.recording.stores.base import TickArchive
 from ssduck.recording.stores.memory import MemoryStore
+from ssduck.recording.stores.stored_columns import conformed
 from ssduck.schema import MARGINS, MASSES, RECORDABLE, recorded_tables
 from ssduck.world.layout import EntityInfo
 from ssduck.world.snapshot import Snapshot
@@ -331,8 +332,8 @@ class _PastCopy:
             self.members.update(members)
         if news.past:
             rows = {
-                table: rows.select(buffer_schema(table).names).cast(buffer_schema(table))
-                for table, rows in news.past.items()
+                table: conformed(of_table, buffer_schema(table))
+                for table, of_table in news.past.items()
             }
             self.store.add(rows)
             numbers, times = (rows["ticks"][name].to_pylist() for name in ("tick", "time"))

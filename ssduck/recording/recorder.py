@@ -27,6 +27,7 @@ from ssduck.recording.row_selection import RecordedRows
 from ssduck.recording.spec import RETENTION_PARTS, Recording, quarters_of
 from ssduck.recording.static_tables import IdProvider
 from ssduck.recording.stores.base import PairRequest, TickArchive, TickStore
+from ssduck.recording.stores.stored_columns import conformed
 from ssduck.schema import OFTEN_UNKNOWN
 from ssduck.world import ctrl_c
 from ssduck.world.layout import EntityInfo
@@ -372,8 +373,7 @@ class Recorder:
                 waiting.slice(start, end - start),
                 self._buffers[table].rows_between(first, last),
             ]
-            buffered = pa.concat_tables(rows).select(stored.column_names).cast(stored.schema)
-            return pa.concat_tables([stored, buffered])
+            return pa.concat_tables([stored, conformed(pa.concat_tables(rows), stored.schema)])
 
     def near_pairs(self, request: PairRequest) -> pa.Table:
         """Returns the pairs of entities whose boxes are near at some ticks, with their poses.

@@ -6,7 +6,7 @@ import glob
 import inspect
 import threading
 import typing
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -31,7 +31,7 @@ from ssduck.sandbox.budget import InvalidAnswerError
 from ssduck.sandbox.effects import check_present
 from ssduck.sandbox.live_worlds import LiveWorlds
 from ssduck.sandbox.processes import WorkerEndedError, WorkerProcess, Zygote, shared_zygote
-from ssduck.sandbox.references import RUN_SECONDS, SandboxedWorld
+from ssduck.sandbox.references import RUN_SECONDS, NotInSandboxError, SandboxedWorld
 from ssduck.sandbox.seal import Walls
 from ssduck.simulators.scenes import scene_file, shipped_scenes
 from ssduck.world.world import World
@@ -39,6 +39,7 @@ from ssduck.world.world import World
 _GONE = "variables that programs have set are gone, and its worlds begin anew"
 # A worker's address space beside the memory of its programs, bytes.
 _SPARE = 10**9
+_MOST = 2**47  # more than any machine has
 # A folder with more entries than that is no scene's.
 _MAX_ENTRIES = 500
 
@@ -134,7 +135,6 @@ class SandboxedInterpreter:
         recording: Recording | Literal["default"] | None = "default",
         simulator: str | None = None,
         name: str | None = None,
-        readable: Collection[str | Path] = (),
         **others: Any,
     ) -> Self:
         """Returns an interpreter with the world of a scene, as `ssduck.load` does.
@@ -145,15 +145,13 @@ class SandboxedInterpreter:
             recording: the recording of the world.
             simulator: the simulator.
             name: the name of the world.
-            readable: other files and folders that the scene needs.
             **others: arguments of this class.
         """
         options = {"simulator": simulator, "name": name, "recording": _plain(recording)}
         path = scene_file(Path(scene).expanduser()).absolute()
         if str(scene) in shipped_scenes() or not path.exists():  # which is an error there
-            return cls(Source("scene", str(scene), options, _absolute(readable)), **others)
-        own = (*_with_folder(path), *_absolute(readable))
-        return cls(Source("scene", str(path), options, own), **others)
+            return cls(Source("scene", str(scene), options), **others)
+        return cls(Source("scene", str(path), options, _with_folder(path)), **others)
 
     @classmethod
     def open(
@@ -289,7 +287,8 @@ class SandboxedInterpreter:
         """Starts a process, shows its effects, and has it open the source."""
         zygote = self._zygote or shared_zygote()
         memory = self._limits.memory or 10**9
-        walls = Walls("", self._source.readable, 2 * memory + _SPARE)
+        readable = (*self._source.readable, *_absolute(self._limits.readable))
+        walls = Walls("", readable, min(2 * memory + _SPARE, _MOST))
         self._worker = zygote.worker(walls, {"answer_bytes": self._limits.answer_bytes})
         own = self._limits
         limits = {name: getattr(own, name) for name in ("seconds", "rows", "depth", "eval")}
@@ -526,9 +525,9 @@ class SandboxedInterpreter:
 
     def __getattr__(self, name: str) -> Never:
         if name in _NOT_HERE:
-            raise UnsupportedError(f"{name}: {_NOT_HERE[name]}")
+            raise NotInSandboxError(f"{name}: {_NOT_HERE[name]}")
         if not name.startswith("_") and hasattr(Interpreter, name):
-            raise UnsupportedError(
+            raise NotInSandboxError(
                 f"{name}: not in a sandbox; an interpreter without Limits.strict() has it"
             )
         raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
@@ -565,7 +564,7 @@ def _plain(recording: Any) -> Any:
     return asdict(recording) if isinstance(recording, Recording) else recording
 
 
-def _absolute(paths: Collection[str | Path]) -> tuple[str, ...]:
+def _absolute(paths: Iterable[str | Path]) -> tuple[str, ...]:
     return tuple(str(Path(path).expanduser().absolute()) for path in paths)
 
 

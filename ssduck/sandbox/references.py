@@ -7,11 +7,15 @@ from dataclasses import dataclass, field
 from typing import Any, Never, Protocol, Self
 
 from ssduck import validation
-from ssduck.errors import LimitError, nearest
+from ssduck.errors import UnsupportedError, nearest
 from ssduck.formatting import joined_names
 
 # The properties of entities that the host can read.
 PROPERTIES = frozenset(("position", "orientation", "pose", "velocity", "aabb", "mass"))
+
+
+class NotInSandboxError(UnsupportedError, AttributeError):
+    """Something has no such attribute because it is in a sandbox, or stands for what is there."""
 
 
 @dataclass(frozen=True)
@@ -41,12 +45,17 @@ class EntityReference:
     def __str__(self) -> str:
         return self.full_name or self.name
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy elsewhere tells what it is of, and asks nothing."""
+        own = (self.world, self.id, self.name, self.kind, self.tick, self.full_name)
+        return EntityReference, own
+
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
             raise AttributeError(name)
         if name in PROPERTIES and self._ask is not None and self.tick is None:
             return self._ask(f"it.{name}", self)
-        raise LimitError(
+        raise NotInSandboxError(
             f"{self.world}.{self.name} is in the sandbox, and its {name!r} is not known here: "
             f"{joined_names(sorted(PROPERTIES))} of the current tick are; programs ask for more",
             suggestions=nearest(name, PROPERTIES),
@@ -134,7 +143,7 @@ class SandboxedWorld:
         return f"<SandboxedWorld: {self.name!r}>"
 
     def __getattr__(self, name: str) -> Never:
-        raise AttributeError(
+        raise NotInSandboxError(
             f"{name}: the world {self.name!r} is in the sandbox, and has it not here; ask with "
             "programs and SQL, or load the world without Limits.strict()"
         )

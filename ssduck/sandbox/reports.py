@@ -69,7 +69,7 @@ def error_of(told: dict[str, Any]) -> SelectScriptError:
         return SandboxError(f"the program failed in its sandbox: {name}: {message}")
     error = kind(str(message))
     error.text, error.span = text, None if text is None else SourceSpan(*span)
-    error.suggestions = tuple(suggestions)
+    error.suggestions = tuple(suggestions[:_MOST])
     if isinstance(error, SqlError):
         error.is_final, error.is_refused = bool(told.get("final")), bool(told.get("refused"))
     return error

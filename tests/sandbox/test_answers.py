@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import pickle
 from decimal import Decimal
 
 import numpy as np
@@ -271,7 +272,7 @@ def test_entities_are_references_that_go_back(sandbox):
     sandbox["it"] = fridge
     assert sandbox.eval("it == kitchen.fridge;") is True
     assert sandbox.eval("SELECT id(it) FROM [1] AS value;") == "fridge"
-    with pytest.raises(LimitError, match="in the sandbox"):
+    with pytest.raises(UnsupportedError, match="in the sandbox"):
         fridge.move([0, 0, 0])
     rows = sandbox.eval("SELECT this FROM kitchen AS list;")
     assert len(rows) == 37
@@ -399,8 +400,13 @@ def test_what_a_sandbox_has_not_says_why(sandbox, here):
         if not (name.startswith("_") or name in ("name", *dir(type(world)))):
             with pytest.raises(AttributeError, match=f"^{name}: .*'kitchen'"):
                 getattr(world, name)
-    with pytest.raises(LimitError, match="did you mean 'position'"):
+    with pytest.raises(UnsupportedError, match="did you mean 'position'"):
         entity.positon  # noqa: B018
+    assert not any(hasattr(one, "positon") for one in (entity, world, sandbox))
+    copied = pickle.loads(pickle.dumps(entity))  # noqa: S301
+    assert copied == entity
+    with pytest.raises(UnsupportedError, match="sandbox"):
+        copied.position  # noqa: B018
     with pytest.raises(UnsupportedError, match="world of this process"):
         sandbox.eval("z(it);", {"it": here["kitchen"]["fridge"]})
     with pytest.raises(AttributeError):

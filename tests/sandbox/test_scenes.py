@@ -10,7 +10,14 @@ from pathlib import Path
 import pytest
 
 import ssduck
-from ssduck.errors import LimitError, SceneError, SelectScriptError, UnsupportedError
+from ssduck.errors import (
+    ArgumentError,
+    LimitError,
+    SceneError,
+    SelectScriptError,
+    UnsupportedError,
+)
+from ssduck.limits import Limits
 from ssduck.sandbox import SandboxedInterpreter
 from ssduck.simulators.scenes import shipped_scenes
 from tests.support.cases import generated, sampled
@@ -211,6 +218,21 @@ def test_errors_are_those_of_loading(zygote, folder):
         assert errors[0][1]
 
 
+@pytest.mark.slow
+def test_what_the_caller_says_is_readable_is_read(folder, zygote):
+    pytest.importorskip("mujoco")
+    scene = folder / "stage.xml"
+    asset = f'<asset><mesh name="m" file="{folder.parent}/outside/m.obj"/></asset>'
+    scene.write_text(f"<mujoco>{asset}{BODY}</mujoco>")
+    with pytest.raises(SceneError, match="cannot be loaded"):
+        SandboxedInterpreter.load(scene, zygote=zygote)
+    limits = Limits.strict(readable=[folder.parent / "outside" / "m.obj"])
+    with SandboxedInterpreter.load(scene, limits=limits, zygote=zygote) as ss:
+        assert ss.eval("SELECT count(*) FROM stage AS value;") == 1
+    with pytest.raises(ArgumentError, match="list of paths"):
+        Limits.strict(readable="m.obj")
+
+
 # -- mutated files ---------------------------------------------------------------------------
 
 
@@ -221,7 +243,7 @@ def test_a_mutated_file_is_loaded_or_an_error(format: str, tmp_path: Path) -> No
     if format == "mujoco":
         pytest.importorskip("mujoco")
     fuzz = Fuzz()
-    for seed in range(6, 6 + generated(2)):
+    for seed in range(6, 6 + generated(4)):
         fuzz.add(format, seed)
     assert fuzz.faults == []
     assert any(text == "loaded" for _, text in fuzz.outcomes), json.dumps(list(fuzz.outcomes))

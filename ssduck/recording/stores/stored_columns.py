@@ -157,6 +157,12 @@ def parts_of(values: pa.Array) -> list[pa.Array]:
     return [values.flatten()] if pa.types.is_nested(kind) else []
 
 
+def conformed(rows: pa.Table, schema: pa.Schema) -> pa.Table:
+    """Returns the columns of a schema, in its types; no cast is made that changes nothing."""
+    chosen = rows.select(schema.names)
+    return chosen if chosen.schema.equals(schema) else chosen.cast(schema)
+
+
 def with_nulls(rows: pa.Table) -> pa.Table:
     """Returns rows with NULL for unknown numbers, which may be NaN: SQL takes that for a number."""
     for place, column in enumerate(rows.columns):
