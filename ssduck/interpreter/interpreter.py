@@ -141,9 +141,9 @@ class Interpreter(
         self._planner = self._execution.planner
         self._owned_worlds: list[World] = []
         self._adapter_queries: WeakKeyDictionary[Query, dict[Adapter, Query]] = WeakKeyDictionary()
-        batches = TriggerBatches(self._execution, self._query_of)
         has_own_forms = type(self).evalAs is not Interpreter.evalAs
-        self._triggers = TriggerRegistry(self, self._execution, None if has_own_forms else batches)
+        batches = TriggerBatches(self._execution, None if has_own_forms else self._query_of)
+        self._triggers = TriggerRegistry(self.compile, self.eval, self._execution, batches)
 
     def close(self) -> None:
         """Removes the triggers, and closes the database and the world that `load` made.

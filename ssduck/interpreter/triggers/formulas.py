@@ -122,7 +122,7 @@ class Meaning:
 
     Attributes:
         stamp: the stamp of the names for which the key is known to be up to date.
-        fingerprint: the version of the formula's rows at the last result; None if unknown.
+        rows: the key of the formula's rows at the last result; None if unknown.
         state: the numbers of the tables at the last evaluation; None if unknown.
     """
 
@@ -136,7 +136,7 @@ class Meaning:
         self._planner, self._program, self._names = planner, program, frozenset(names)
         self.key = key
         self.stamp: object = None
-        self.fingerprint: int | None = None
+        self.rows: Any = None
         self.state: TableState | None = None
 
     @cached_property

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import compress
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -13,7 +12,6 @@ import numpy as np
 from ssduck.columns.arrays import Array, ArrayValues
 from ssduck.columns.expressions import Kind
 from ssduck.columns.selects import ArraySelect
-from ssduck.geometry.arrays import Flags, Indices
 from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.output import AsClause
 from ssduck.interpreter.query_runner import PlannedQuery
@@ -62,7 +60,6 @@ class Formula:
         slots: the constants.
         tables: what is read from the simulator beside the entities.
         columns: the columns that it reads.
-        version: a number that changes whenever the rows of the formula do.
         group: the formulas that were last evaluated with it; None before that.
         place: its place among them.
     """
@@ -73,7 +70,6 @@ class Formula:
     tables: frozenset[str]
     columns: frozenset[str | None]
     _planned: Planned
-    version: int = field(default=0, init=False)
     group: FormulaGroup | None = field(default=None, init=False)
     place: int = field(default=0, init=False)
 
@@ -87,13 +83,13 @@ class Formula:
         return self.group is not None and self.group.number == tick
 
     @property
-    def found(self) -> FoundRows | None:
-        """The rows of its last evaluation."""
-        return None if self.group is None else self.group.rows_of(self.place)
+    def key(self) -> Any:
+        """What differs if a bit of its rows does."""
+        return None if self.group is None else self.group.key_of(self.place)
 
     def value(self) -> Any:
         """Returns the result of the program for the rows of its last evaluation."""
-        rows = [] if self.found is None else self.found.values
+        rows = [] if self.group is None else self.group.rows_of(self.place)
         query, planned, form, frame = self._planned
         execution = frame.scope
 
@@ -108,59 +104,10 @@ class Formula:
             return form.value(query, Frame(execution), run)
 
 
-@dataclass(frozen=True, eq=False)
-class FoundRows:
-    """The rows of k formulas at a tick, those of the first one first.
-
-    Attributes:
-        count: k.
-        formulas: (rows,), the place of the formula of each row, ascending.
-        columns: (rows,) or (rows, length) each.
-    """
-
-    count: int
-    formulas: Indices
-    columns: list[Array]
-
-    @cached_property
-    def _ends(self) -> list[int]:
-        return list(np.searchsorted(self.formulas, np.arange(self.count + 1)).tolist())
-
-    def of(self, place: int) -> FoundRows:
-        """Returns the rows of a formula."""
-        own = slice(*self._ends[place : place + 2])
-        return FoundRows(1, self.formulas[own] - place, [column[own] for column in self.columns])
-
-    @property
-    def values(self) -> list[tuple[Any, ...]]:
-        """The rows as Python's values."""
-        if not self.columns:
-            return [()] * len(self.formulas)
-        return list(zip(*(column.tolist() for column in self.columns), strict=True))
-
-    def differing(self, before: FoundRows) -> Flags:
-        """Returns the formulas of which a bit of the rows differs from earlier ones, (k,)."""
-        pairs = zip((self.formulas, *self.columns), (before.formulas, *before.columns), strict=True)
-        if all(np.array_equal(_bits(ours), _bits(theirs)) for ours, theirs in pairs):
-            return np.zeros(self.count, np.bool_)
-        counts = [np.bincount(rows.formulas, minlength=self.count) for rows in (self, before)]
-        differ: Flags = counts[0] != counts[1]
-        now, then = (~differ[rows.formulas] for rows in (self, before))
-        formulas = self.formulas[now]
-        for ours, theirs in zip(self.columns, before.columns, strict=True):
-            a, b = _bits(ours[now]), _bits(theirs[then])
-            if a.shape != b.shape or a.dtype != b.dtype:
-                differ[formulas] = True
-                break
-            unequal = a != b
-            differ[formulas[unequal if unequal.ndim == 1 else unequal.any(axis=1)]] = True
-        return differ
-
-
-def _bits(values: Array) -> Array:
-    """Returns a key of each value that tells 0.0 from -0.0."""
-    is_double = values.dtype == np.float64
-    return np.ascontiguousarray(values).view(np.int64) if is_double else values
+def _bits(values: Array) -> tuple[Any, ...]:
+    """Returns a key of an array that tells 0.0 from -0.0."""
+    of_objects = values.dtype == np.object_
+    return values.dtype, values.shape, values.tolist() if of_objects else values.tobytes()
 
 
 class FormulaGroup:
@@ -182,47 +129,54 @@ class FormulaGroup:
         self._slots = [
             _SlotArray(s, snapshot) for s in zip(*(f.slots for f in formulas), strict=True)
         ]
-        self._is_current = False
         self._reads_time = not formulas[0].columns.isdisjoint(TIME_COLUMNS)
-        self._before = [formula.found for formula in formulas]
-        self._found: FoundRows | None = None
+        # The columns of the rows of all formulas, those of the first one first; where the rows of
+        # each begin; and the keys of the columns, and of the rows of each.
+        self._columns: list[Array] = []
+        self._ends: list[int] = [0] * (len(formulas) + 1)
+        self._bits: list[Any] = []
+        self._keys: dict[int, Any] = {}
         for place, formula in enumerate(formulas):
             formula.group, formula.place = self, place
 
-    def rows_of(self, place: int) -> FoundRows | None:
-        """Returns the last rows of a formula; None before the first evaluation."""
-        return self._before[place] if self._found is None else self._found.of(place)
+    def rows_of(self, place: int) -> list[tuple[Any, ...]]:
+        """Returns the last rows of a formula as Python's values."""
+        columns = [column.tolist() for column in self._own(place)]
+        start, end = self._ends[place : place + 2]
+        return list(zip(*columns, strict=True)) if columns else [()] * (end - start)
 
-    def evaluate(self, snapshot: Snapshot, *, has_moved: bool) -> bool:
+    def key_of(self, place: int) -> Any:
+        """Returns what differs if a bit of the last rows of a formula does."""
+        if place not in self._keys:
+            start, end = self._ends[place : place + 2]
+            self._keys[place] = end - start, *map(_bits, self._own(place))
+        return self._keys[place]
+
+    def _own(self, place: int) -> list[Array]:
+        return [column[slice(*self._ends[place : place + 2])] for column in self._columns]
+
+    def evaluate(self, snapshot: Snapshot, *, has_moved: bool) -> None:
         """Evaluates the formulas at a tick, unless nothing that they read has changed.
 
         Args:
             snapshot: the tick.
             has_moved: whether a number that is read is another one than at the tick before.
 
-        Returns:
-            Whether any row has changed.
-
         Raises:
             LeftToDuckDBError: they have to be evaluated by themselves.
         """
-        changed: Sequence[bool] = ()
-        if has_moved or self._reads_time or not self._is_current:
-            self._is_current = False
-            found = self._evaluated(snapshot.table("entities"))
-            if self._found is None:
-                pairs = zip(map(found.of, range(found.count)), self._before, strict=True)
-                changed = [last is None or bool(now.differing(last).any()) for now, last in pairs]
-            else:
-                changed = found.differing(self._found).tolist()
-            for formula in compress(self.formulas, changed):
-                formula.version += 1
-            self._found = found
-        self._is_current, self.number = True, snapshot.number
-        return any(changed)
+        if has_moved or self._reads_time or not self.number:
+            self.number = 0
+            formulas, *columns = self._evaluated(snapshot.table("entities"))
+            bits = [*map(_bits, (formulas, *columns))]
+            if bits != self._bits:
+                ends = np.searchsorted(formulas, np.arange(len(self.formulas) + 1))
+                self._columns, self._ends, self._keys = columns, ends.tolist(), {}
+                self._bits = bits
+        self.number = snapshot.number
 
-    def _evaluated(self, table: LiveTable) -> FoundRows:
-        """Returns the rows of the formulas."""
+    def _evaluated(self, table: LiveTable) -> list[Array]:
+        """Returns the place of the formula of each row, ascending, and the columns of the rows."""
 
         def read(key: int | str) -> Array:
             if isinstance(key, int):
@@ -240,8 +194,7 @@ class FormulaGroup:
         shape = len(self.formulas), table.count
         chosen = np.nonzero(np.broadcast_to(mask, shape))
         columns = [np.broadcast_to(part, shape + part.shape[2:])[chosen] for part in parts]
-        formulas, *columns = self._select.arranged([chosen[0], *columns])
-        return FoundRows(len(self.formulas), formulas, columns)
+        return self._select.arranged([chosen[0], *columns])
 
 
 class _SlotArray:

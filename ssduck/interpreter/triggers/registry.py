@@ -9,72 +9,25 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 from weakref import WeakKeyDictionary, WeakSet
 
 from ssduck import validation
 from ssduck.errors import ArgumentError, UnknownNameError, nearest, warn
 from ssduck.formatting import short_repr
+from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.program import CompiledProgram
 from ssduck.interpreter.triggers.conditions import TriggerConfig, When
 from ssduck.interpreter.triggers.formulas import are_fixed
 from ssduck.interpreter.triggers.tick_batch import TickBatch, TriggerBatches, are_same
 from ssduck.interpreter.triggers.trigger import Trigger, TriggerState, TriggerWarning
-from ssduck.language.tree import Node
-from ssduck.language.value_keys import ATOMS
-from ssduck.world.handles import Handle
 from ssduck.world.world import World
 
 # The time for which closing waits for a callback in a thread of its own, s.
 PATIENCE = 5.0
-_LIVE = World | Handle
-
-
-class Evaluator(Protocol):
-    """The interface of the interpreter to its triggers."""
-
-    def compile(self, text: str) -> CompiledProgram:
-        """Parses a program."""
-
-    def eval(self, program: CompiledProgram) -> Any:
-        """Returns the result of a program."""
-
-
-class Names(Protocol):
-    """The interface of an interpreter's variables and functions to its triggers."""
-
-    @property
-    def worlds(self) -> list[World]:
-        """The worlds that are bound to variables, the first one first."""
-
-    def variable(self, name: str) -> Any:
-        """Returns the value of a variable."""
-
-    def has_variable(self, name: str) -> bool:
-        """Checks whether a variable has that name."""
-
-    def resolved_name(self, name: str) -> str:
-        """Returns the name that calls a function: the user's function, if it overrides another."""
-
-    def is_users(self, name: str) -> bool:
-        """Checks whether a name calls a user's function."""
-
-    def worlds_of(self, nodes: Iterable[Node]) -> list[World] | None:
-        """Returns the worlds that nodes may read; None if that depends on values."""
-
-    def bound_values(self, names: Iterable[str]) -> tuple[Any, ...]:
-        """Returns what is bound to names: values, histories of values, or None."""
-
-    @property
-    def meaning(self) -> tuple[object, ...]:
-        """Objects that are replaced when anything but variables gives programs another meaning."""
-
-    @property
-    def stamp(self) -> tuple[object, ...]:
-        """The same object as long as no variable is bound, and `meaning` is the same."""
 
 
 class TriggerMethods:
@@ -208,18 +161,23 @@ class TriggerRegistry:
     """The triggers of an interpreter; observes the worlds that they read.
 
     Args:
-        interpreter: the interpreter that evaluates their programs.
-        names: its variables and functions.
-        batches: evaluates triggers together; None if each is evaluated by itself.
+        compile: parses a program.
+        evaluate: returns the result of a program.
+        names: the variables and functions.
+        batches: evaluates triggers together.
 
     Attributes:
         listeners: are called with the name of each trigger that fires.
     """
 
     def __init__(
-        self, interpreter: Evaluator, names: Names, batches: TriggerBatches | None
+        self,
+        compile: Callable[[str], CompiledProgram],
+        evaluate: Callable[[CompiledProgram], Any],
+        names: Execution,
+        batches: TriggerBatches,
     ) -> None:
-        self._interpreter = interpreter
+        self._compile, self._eval = compile, evaluate
         self._names = names
         self._batches = batches
         self._by_name: dict[str, Trigger] = {}
@@ -238,7 +196,7 @@ class TriggerRegistry:
     ) -> None:
         """Adds a trigger and evaluates it for the first time; see `Interpreter.add_trigger`."""
         if isinstance(program, str):
-            program = self._interpreter.compile(program)
+            program = self._compile(program)
         elif not hasattr(program, "tree"):
             raise ArgumentError(
                 f"add_trigger: program: {short_repr(program)} is neither a text nor a compiled "
@@ -334,15 +292,22 @@ class TriggerRegistry:
             due = tuple(trigger for trigger in due if self._is_due(trigger, world, stamp))
         if not due:
             return
-        if self._batches is None:
-            self._evaluate_due(world, triggers, due, None)
-            return
         batch = self._batches.begin(world, due, stamp)
-        unchanged = batch.unchanged()
-        if len(unchanged) < len(due):
-            self._evaluate_due(world, triggers, due, batch, unchanged)
-        else:
-            self._skip(due)
+        due_now = frozenset(due)
+        for trigger in triggers:
+            # An earlier callback or program may have changed what is due.
+            if batch.is_doubtful:
+                is_due = self._is_due(trigger, world, self._names.stamp)
+            else:
+                is_due = trigger in due_now and not trigger.paused
+            if not is_due or trigger.removed:
+                continue
+            if batch.stands(trigger):
+                trigger.count_evaluation()
+                if trigger.config.interval:
+                    trigger.reschedule(self._worlds_of(trigger))
+            else:
+                self._evaluate(trigger, batch)
 
     def episode_began(self, world: World) -> None:
         """Lets the triggers that read a world begin anew, as it was reset."""
@@ -350,43 +315,6 @@ class TriggerRegistry:
         for trigger in self._by_name.values():
             if world in self._worlds_of(trigger):
                 trigger.restart(world)
-
-    def _evaluate_due(
-        self,
-        world: World,
-        triggers: Collection[Trigger],
-        due: Collection[Trigger],
-        batch: TickBatch | None,
-        unchanged: Collection[Trigger] = (),
-    ) -> None:
-        """Evaluates the triggers that are due, and those that become due meanwhile.
-
-        Args:
-            world: the world.
-            triggers: all triggers.
-            due: those that are due.
-            batch: evaluates them together; None if each is evaluated by itself.
-            unchanged: those whose last results stand.
-        """
-        due = frozenset(due)
-        for trigger in triggers:
-            # An earlier callback or program may have changed what is due.
-            if batch is None or batch.is_doubtful:
-                is_due = self._is_due(trigger, world, self._names.stamp)
-            elif trigger in unchanged:
-                self._skip((trigger,))
-                continue
-            else:
-                is_due = trigger in due and not trigger.paused
-            if is_due and not trigger.removed:
-                self._evaluate(trigger, batch)
-
-    def _skip(self, triggers: Iterable[Trigger]) -> None:
-        """Counts an evaluation of each trigger whose result is the last one."""
-        for trigger in triggers:
-            trigger.count_evaluation()
-            if trigger.config.interval:
-                trigger.reschedule(self._worlds_of(trigger))
 
     def _readers_of(self, world: World, stamp: object) -> _Readers:
         """Returns the triggers that read a world and are not paused."""
@@ -419,8 +347,7 @@ class TriggerRegistry:
         """Observes the worlds that triggers read, after a name was bound to another world."""
         self._release_worlds()
         for trigger in self._by_name.values():
-            if self._batches is not None:
-                self._batches.forget(trigger)
+            self._batches.forget(trigger)
             before = set(trigger.worlds.worlds)
             self._observe(trigger)
             if not before.issubset(trigger.worlds.worlds):  # it reads another run
@@ -429,8 +356,7 @@ class TriggerRegistry:
     def _release_worlds(self) -> None:
         """Drops what refers to worlds, which may be gone."""
         self._readers.clear()
-        if self._batches is not None:
-            self._batches.release_worlds()
+        self._batches.release_worlds()
 
     def _evaluate(self, trigger: Trigger, batch: TickBatch | None = None) -> None:
         if not trigger.begin():
@@ -441,8 +367,7 @@ class TriggerRegistry:
             try:
                 delivery = self._next_delivery(trigger, batch)
             except Exception as error:  # noqa: BLE001  # no error stops the world
-                if self._batches is not None:
-                    self._batches.forget(trigger)
+                self._batches.forget(trigger)
                 trigger.fail(error)
                 return
             if delivery is not None:
@@ -467,52 +392,29 @@ class TriggerRegistry:
         together = None if batch is None else batch.result(trigger)
         if together is not None:
             return trigger.deliverable(*together, self._observe(trigger))
-        dependencies = self._dependencies_of(trigger)
+        dependencies, worlds = self._dependencies_of(trigger), self._worlds_of(trigger)
         is_known = dependencies is not None and dependencies == trigger.dependencies
-        if is_known or self._has_same_tables(trigger):
-            result = trigger.result
-        else:
-            result = self._evaluated_alone(trigger, dependencies)
-            if batch is not None:
-                batch.is_doubtful = True
+        if is_known or self._batches.has_same_tables(trigger, worlds):
+            return trigger.deliverable(trigger.result, self._observe(trigger))
+        trigger.dependencies = None
+        # As read before the evaluation, so that a tick taken meanwhile is not missed.
+        key = self._batches.key(trigger, worlds)
+        tick = None if dependencies is None else worlds[0].snapshot.number
+        result = self._eval(trigger.program)
+        trigger.dependencies = dependencies
+        self._batches.note(trigger, worlds, key, tick)
+        if batch is not None:
+            batch.is_doubtful = True
         return trigger.deliverable(result, self._observe(trigger))
 
-    def _evaluated_alone(self, trigger: Trigger, dependencies: Any) -> Any:
-        """Returns the result of a trigger, evaluated by itself.
-
-        Args:
-            trigger: the trigger.
-            dependencies: the variables and ticks on which the result depends; None if unknown.
-        """
-        trigger.dependencies = None
-        batches = self._batches
-        key = None if batches is None else batches.key(trigger, self._worlds_of(trigger))
-        result = self._interpreter.eval(trigger.program)
-        # As read before the evaluation, so that a tick taken meanwhile is not missed.
-        trigger.dependencies = dependencies
-        if batches is not None:
-            is_settled = batches.note_key(trigger, key)
-            # What changes at each evaluation is not worth the search for its tables.
-            if is_settled or trigger.config.threshold:
-                batches.note_tables(trigger, dependencies)
-        return result
-
-    def _has_same_tables(self, trigger: Trigger) -> bool:
-        """Checks whether nothing has changed on which the last result of a trigger depends."""
-        return self._batches is not None and self._batches.has_same_tables(
-            trigger, self._worlds_of(trigger)
-        )
-
     def _dependencies_of(self, trigger: Trigger) -> Any:
-        """Returns the variables and ticks on which a result depends; None if unknown."""
+        """Returns the meaning of names and the ticks on which a result depends; None if unknown."""
         names, scope = trigger.reads, self._names
         if names is None or any(scope.is_users(scope.resolved_name(name)) for name in names):
             return None
-        values = [(name, scope.variable(name)) for name in names if scope.has_variable(name)]
-        if not all(type(value) in ATOMS or isinstance(value, _LIVE) for _, value in values):
+        if not are_fixed(scope.bound_values(names)):
             return None
-        ticks = [(world, world.snapshot.number) for world in self._worlds_of(trigger)]
-        return [(name, type(value), value) for name, value in values], ticks
+        return scope.stamp, [(w, w.snapshot.number) for w in self._worlds_of(trigger)]
 
     def _worlds_of(self, trigger: Trigger, stamp: object = None) -> Sequence[World]:
         """Returns the worlds that a program reads; all worlds if unknown or none.

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
-from weakref import WeakKeyDictionary, WeakSet
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from ssduck.adapters.base import Adapter
-from ssduck.columns.arrays import Array
 from ssduck.columns.expressions import LeftToDuckDBError
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.execution import Execution
@@ -35,14 +34,10 @@ class _DueFormulas:
     """The formulas of the triggers that are due in a world, in groups of one shape.
 
     Args:
-        key: what decided them; None to decide them anew at the next tick.
+        key: what decided them.
         world: the world.
         shapes: its narrow phase.
         by_trigger: the formulas of those triggers that have one.
-        alone: the formulas that could not be evaluated with others at some tick.
-
-    Attributes:
-        standing: the triggers whose last results stand, as long as no row changes; None if unknown.
     """
 
     def __init__(
@@ -51,12 +46,9 @@ class _DueFormulas:
         world: World,
         shapes: LiveShapes,
         by_trigger: dict[Trigger, Formula],
-        alone: WeakSet[Formula],
     ) -> None:
-        self.key: tuple[Any, ...] | None = key
-        self.by_trigger = by_trigger
-        self.standing: frozenset[Trigger] | None = None
-        self._world, self._shapes, self._alone = world, shapes, alone
+        self.key, self.by_trigger = key, by_trigger
+        self._world, self._shapes = world, shapes
         self._layout = world.snapshot.layout
         formulas = by_trigger.values()
         self._tables = frozenset().union(*(formula.tables for formula in formulas))
@@ -66,17 +58,14 @@ class _DueFormulas:
         self._columns = [name for name in doubles if name in read.difference(TIME_COLUMNS)]
         by_shape: dict[Any, list[Formula]] = {}
         for formula in formulas:
-            own = formula if formula in alone else formula.shape
-            by_shape.setdefault(own, []).append(formula)
-        # The version of the table, the motion of the shapes, and the numbers at the last tick.
-        self._last: tuple[int, int, Array] | None = None
+            by_shape.setdefault(formula.shape, []).append(formula)
+        self._last: list[Any] = []
         self._groups = [
-            FormulaGroup(formulas, world.snapshot, shapes) for formulas in by_shape.values()
+            FormulaGroup(formulas, world.snapshot, self._shapes) for formulas in by_shape.values()
         ]
 
     def evaluate(self) -> None:
         """Evaluates the formulas at the tick of their world, as far as they can be together."""
-        standing, self.standing = self.standing, None
         self._world.pin(self._tables, is_settled=False)
         try:
             snapshot = self._world.snapshot
@@ -84,37 +73,31 @@ class _DueFormulas:
             is_same = snapshot.layout is self._layout
             if not (is_same and snapshot.table("entities").is_complete):
                 return  # numpy would take an unknown number for NaN
-            has_moved = self._have_moved(snapshot)
-            for group in self._groups:
+            before, self._last = self._last, self._numbers(snapshot)
+            has_moved = before != self._last
+            for group in list(self._groups):
                 try:
-                    has_changed = group.evaluate(snapshot, has_moved=has_moved)
+                    group.evaluate(snapshot, has_moved=has_moved)
                 except LeftToDuckDBError:
-                    has_changed = True
-                    self._evaluate_singly(group, snapshot)
-                standing = None if has_changed else standing
+                    if len(group.formulas) > 1:
+                        self._split(group, snapshot)
         finally:
             self._world.unpin()
-        self.standing = standing
 
-    def _have_moved(self, snapshot: Snapshot) -> bool:
-        """Checks whether a number or a shape is another one than at the tick before."""
+    def _numbers(self, snapshot: Snapshot) -> list[Any]:
+        """Returns what differs if a number that is read, or a shape, is another one."""
         table = snapshot.table("entities")
-        moves = self._shapes.begin(snapshot) if "shapes" in self._tables else 0
-        numbers = np.array([table[name] for name in self._columns]).view(np.int64)
-        last, self._last = self._last, (table.version, moves, numbers)
-        is_same = last is not None and last[:2] == self._last[:2]
-        return last is None or not is_same or not np.array_equal(last[2], numbers)
+        numbers = [table.version, *(table[name].tobytes() for name in self._columns)]
+        return [*numbers, self._shapes.begin(snapshot)] if "shapes" in self._tables else numbers
 
-    def _evaluate_singly(self, group: FormulaGroup, snapshot: Snapshot) -> None:
-        """Evaluates each formula of a group; the next one has none that cannot be."""
-        if len(group.formulas) == 1:
-            return
-        self.key = None
+    def _split(self, group: FormulaGroup, snapshot: Snapshot) -> None:
+        """Evaluates each formula of a group by itself, as one of them cannot be with others."""
+        self._groups.remove(group)
         for formula in group.formulas:
-            try:
-                FormulaGroup([formula], snapshot, self._shapes).evaluate(snapshot, has_moved=True)
-            except LeftToDuckDBError:
-                self._alone.add(formula)
+            alone = FormulaGroup([formula], snapshot, self._shapes)
+            self._groups.append(alone)
+            with suppress(LeftToDuckDBError):
+                alone.evaluate(snapshot, has_moved=True)
 
 
 class TriggerBatches:
@@ -122,22 +105,24 @@ class TriggerBatches:
 
     Args:
         execution: runs programs.
-        query_of: returns the query to run for a query and its result form.
+        query_of: returns the query to run for a query and its result form; None if each trigger is
+            evaluated by itself.
     """
 
-    def __init__(self, execution: Execution, query_of: Callable[[Query, Adapter], Query]) -> None:
+    def __init__(
+        self, execution: Execution, query_of: Callable[[Query, Adapter], Query] | None
+    ) -> None:
         self._execution = execution
-        self._planner = FormulaPlanner(execution, query_of)
+        self._planner = None if query_of is None else FormulaPlanner(execution, query_of)
         self._generation = 0
         self._shapes: WeakKeyDictionary[World, LiveShapes] = WeakKeyDictionary()
         self._last_due: WeakKeyDictionary[World, _DueFormulas] = WeakKeyDictionary()
-        self._alone: WeakSet[Formula] = WeakSet()
 
     def begin(self, world: World, due: tuple[Trigger, ...], stamp: object) -> TickBatch:
-        """Returns the batch of the triggers that are due in a world at its tick."""
-        last, key = self._last_due.get(world), (stamp, world.snapshot.layout, self._generation)
-        is_same = last is not None and last.key is not None and are_same(last.key[1:], key)
-        if last is None or not is_same or last.key is None or last.key[0] != due:
+        """Evaluates the formulas of the triggers that are due in a world at its tick."""
+        key = due, stamp, world.snapshot.layout, self._generation
+        last = self._last_due.get(world)
+        if last is None or last.key[0] != due or not are_same(last.key[1:], key[1:]):
             by_trigger = {
                 trigger: trigger.meaning.formula
                 for trigger in due
@@ -147,25 +132,39 @@ class TriggerBatches:
                 and trigger.meaning.formula.world is world
             }
             shapes = self._shapes.setdefault(world, LiveShapes())
-            last = _DueFormulas((due, *key), world, shapes, by_trigger, self._alone)
-            self._last_due[world] = last
-        return TickBatch(self, world, last)
+            last = self._last_due[world] = _DueFormulas(key, world, shapes, by_trigger)
+        # Evaluated one by one, the triggers report what is wrong.
+        with self._execution.lock, suppress(SelectScriptError), np.errstate(all="ignore"):
+            if last.by_trigger and not self._execution.is_running:
+                last.evaluate()
+        return TickBatch(self, world, last.by_trigger)
 
-    def note_key(self, trigger: Trigger, key: tuple[Any, ...] | None) -> bool:
-        """Notes what decided the meaning of a program that was evaluated by itself.
+    def note(
+        self,
+        trigger: Trigger,
+        worlds: Sequence[World],
+        key: tuple[Any, ...] | None,
+        tick: int | None,
+    ) -> None:
+        """Notes what decided the result of a trigger that was evaluated by itself.
 
-        Returns:
-            Whether it is the same as at the evaluation before.
+        Args:
+            trigger: the trigger.
+            worlds: the worlds that its program reads.
+            key: what decided the meaning of its program.
+            tick: the number of the tick at which it was evaluated; None if it depends on more.
         """
         before = trigger.meaning
-        if key is not None and before is not None and are_same(before.key, key):
-            before.fingerprint = before.state = None
-            return True
-        if key is not None or before is not None:
+        is_settled = key is not None and before is not None and are_same(before.key, key)
+        if is_settled and before is not None:
+            before.rows = before.state = None
+        elif key is not None or before is not None:
             self.forget(trigger)
-        if key is not None:
+        if key is not None and not is_settled and self._planner is not None:
             trigger.meaning = Meaning(self._planner, trigger.program, trigger.names, key)
-        return False
+        # What changes at each evaluation is not worth the search for its tables.
+        if tick is not None and len(worlds) == 1 and (is_settled or trigger.config.threshold):
+            self.note_tables(trigger, worlds[0], tick)
 
     def forget(self, trigger: Trigger) -> None:
         """Forgets what a program means."""
@@ -188,7 +187,7 @@ class TriggerBatches:
             trigger: the trigger.
             worlds: the worlds that its program reads.
         """
-        if trigger.reads is None or len(worlds) != 1:
+        if trigger.reads is None or len(worlds) != 1 or self._planner is None:
             return None
         names = self._execution
         values = names.bound_values(trigger.names)
@@ -206,20 +205,12 @@ class TriggerBatches:
             meaning.stamp = stamp
         return True
 
-    def note_tables(self, trigger: Trigger, dependencies: Any) -> None:
-        """Notes the numbers on which the result of a trigger depends, after its evaluation.
-
-        Args:
-            trigger: the trigger.
-            dependencies: the variables and ticks on which the result depends.
-        """
+    def note_tables(self, trigger: Trigger, world: World, tick: int) -> None:
+        """Notes the numbers on which the result of a trigger at a tick depends."""
         meaning = trigger.meaning
         if meaning is None:
             return
         meaning.state = None
-        if dependencies is None:
-            return
-        ((world, tick),) = dependencies[1]
         names = TABLES.keys() & (meaning.tables or ())
         with world.lock:
             snapshot = world.snapshot
@@ -240,75 +231,50 @@ class TriggerBatches:
             return meaning.state.is_same(world.snapshot, trigger.config.threshold)
         return False  # evaluated, it raises the error
 
-    def evaluate(self, due: _DueFormulas) -> None:
-        """Evaluates formulas at the tick of their world; see `_DueFormulas.evaluate`."""
-        # Evaluated one by one, the triggers report what is wrong.
-        with self._execution.lock, suppress(SelectScriptError), np.errstate(all="ignore"):
-            if self._execution.is_running or not due.by_trigger:
-                due.standing = None
-            else:
-                due.evaluate()
-
 
 class TickBatch:
-    """The triggers that are due in a world at a tick, evaluated together when the first one is.
+    """The triggers that are due in a world at a tick, whose formulas were evaluated together.
 
     Args:
         batches: evaluates them.
         world: the world.
-        due: their formulas.
+        formulas: the formulas of those triggers that have one.
 
     Attributes:
         is_doubtful: whether variables, functions and worlds may have changed meanwhile.
     """
 
-    def __init__(self, batches: TriggerBatches, world: World, due: _DueFormulas) -> None:
+    def __init__(
+        self, batches: TriggerBatches, world: World, formulas: Mapping[Trigger, Formula]
+    ) -> None:
         self.is_doubtful = False
-        self._batches, self._world, self._due = batches, world, due
-        self._tick = 0
+        self._batches, self._world, self._formulas = batches, world, formulas
+        self._tick = world.snapshot.number
 
-    def unchanged(self) -> Collection[Trigger]:
-        """Returns the triggers whose last results stand, and have been dealt with.
-
-        That is so until a program or a callback makes the batch doubtful.
-        """
-        self._evaluate()
-        due = self._due
-        if due.standing is None:
-            due.standing = frozenset(
-                trigger
-                for trigger, formula in due.by_trigger.items()
-                if trigger.stands(formula.version) and formula.is_evaluated_at(self._tick)
-            )
-        return due.standing
+    def stands(self, trigger: Trigger) -> bool:
+        """Checks whether another evaluation of a trigger would change nothing."""
+        formula = self._formulas.get(trigger)
+        is_known = formula is not None and formula.is_evaluated_at(self._tick)
+        return is_known and not self.is_doubtful and trigger.stands(formula.key)  # type: ignore[union-attr]
 
     def result(self, trigger: Trigger) -> tuple[Any] | None:
         """Returns the result of a trigger, in a tuple; None if it has to be evaluated by itself."""
-        self._evaluate()
-        self._due.standing = None
-        formula, meaning = self._due.by_trigger.get(trigger), trigger.meaning
+        formula, meaning = self._formulas.get(trigger), trigger.meaning
         number = self._world.snapshot.number
         if formula is None or meaning is None or not formula.is_evaluated_at(number):
             return None
         if self.is_doubtful and not self._batches.is_current(trigger, self._world):
             return None
-        is_unchanged = formula.version == meaning.fingerprint
-        threshold = trigger.config.threshold
+        rows, threshold = formula.key, trigger.config.threshold
+        is_unchanged = rows == meaning.rows
         if is_unchanged or (threshold and self._batches.has_same_tables(trigger, [self._world])):
             return (trigger.result,)
         try:
             result = formula.value()
         except Exception:  # noqa: BLE001  # evaluated by itself, it raises the error with its place
             return None
-        meaning.fingerprint = formula.version
+        meaning.rows = rows
         trigger.dependencies = None
         if threshold:
-            self._batches.note_tables(trigger, ((), [(self._world, number)]))
+            self._batches.note_tables(trigger, self._world, number)
         return (result,)
-
-    def _evaluate(self) -> None:
-        """Evaluates the formulas, unless they have been."""
-        if not self._tick:
-            self._tick = self._world.snapshot.number
-            self._batches.evaluate(self._due)
-            self._tick = self._world.snapshot.number

@@ -94,14 +94,11 @@ class Trigger:
             # The thread does not refer to the trigger, and ends with it.
             weakref.finalize(self, self.queue.close)
 
-    def stands(self, version: int) -> bool:
-        """Checks whether its last result is that of a version of its formula's rows, and is old.
-
-        Then another evaluation would change nothing.
-        """
+    def stands(self, rows: Any) -> bool:
+        """Checks whether its last result is that of its formula's rows of a key, and is old."""
         return (
             self.meaning is not None
-            and self.meaning.fingerprint == version
+            and self.meaning.rows == rows
             and self._debouncer.is_steady
             and not self._busy.locked()
         )

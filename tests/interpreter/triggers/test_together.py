@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 import ssduck
 from ssduck.geometry import shape_comparisons
-from ssduck.interpreter.triggers import groups
-from ssduck.interpreter.triggers.tick_batch import TriggerBatches
+from ssduck.interpreter.triggers import groups, tick_batch
 from ssduck.world.handles import Handle
 from tests.support.cases import generated
 from tests.support.triggering import state
@@ -100,7 +99,7 @@ class Session:
         self.client = pybullet.connect(pybullet.DIRECT)
         self.ss = ssduck.Interpreter()
         if not together:
-            self.ss._triggers._batches = None
+            self.ss._triggers._batches._planner = None
         self.world = self.ss.add_variable("sim", scene(self.client))
         self.ss.add_variable("limit", 1)
         self.ss.add_variable("who", "b1")
@@ -431,7 +430,7 @@ def test_what_has_not_changed_is_not_evaluated_again(ss, boxes, client, told, pr
 def test_threshold(ss, boxes, client, monkeypatch, program, batched):
     """Small changes do not add up: each is compared with the last evaluation."""
     if not batched:
-        monkeypatch.setattr(TriggerBatches, "evaluate", lambda *_: None)
+        monkeypatch.setattr(tick_batch._DueFormulas, "evaluate", lambda *_: None)
     moved(boxes, client, 1.0)
     calls = []
     ss.add_trigger("t", program, 0, calls.append, threshold=0.01)
