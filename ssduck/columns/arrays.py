@@ -37,9 +37,6 @@ class Calls(Protocol):
             udf: the function.
             arguments: the ids of entities, and the numbers, (m,) each.
             places: (m,), their places among the n rows of k expressions, one after the other.
-
-        Raises:
-            LeftToDuckDBError: a value is unknown, or an argument is wrong.
         """
 
     @property
@@ -55,9 +52,6 @@ class ArrayValues(dict[Any, Array]):
     """The values of leaves by key, each read when it is first needed.
 
     Args:
-        read: returns the values of a leaf.
-        count: the number of rows.
-        calls: the narrow phase.
         left: (n,), becomes True where a value is not known that matters; None if that is an error.
         is_checked: whether numbers are checked; else the caller learns of NaN from numpy.
 
@@ -102,11 +96,7 @@ class ArrayValues(dict[Any, Array]):
         return bool((places if self.active is None else places & self.active).any())
 
     def leave(self, places: Flags) -> None:
-        """Leaves the values at some places to others, if any of them matters.
-
-        Raises:
-            LeftToDuckDBError: one does, and all rows are evaluated in the same way.
-        """
+        """Leaves the values at some places to others, if any of them matters."""
         if not self.needs(places):
             return
         if self.left is None:
@@ -121,9 +111,6 @@ class ArrayOperations:
     What is not a number, or DuckDB may take for an error, is left to it, where it matters.
 
     Args:
-        schema: the schema of the world.
-        kernels: functions of arrays besides those of shapes, by their names in SQL; those of two
-            ids by the names of the relations of contacts.
         is_exact: whether functions have the last bit of the C library, which DuckDB uses; numpy's
             are many times as fast, and may differ there.
     """
@@ -312,22 +299,14 @@ class ArrayOperations:
 
 
 def _known(result: Array, values: ArrayValues) -> Array:
-    """Returns numbers; DuckDB compares NaN in another way.
-
-    Raises:
-        LeftToDuckDBError: one that matters is NaN.
-    """
+    """Returns numbers; DuckDB compares NaN in another way."""
     if values.is_checked:
         values.leave(np.isnan(result))
     return result
 
 
 def _chosen(holds: Flags, part: Compute, others: Array | None, values: ArrayValues) -> Array:
-    """Returns the values of a part where a condition holds, and others elsewhere.
-
-    Raises:
-        LeftToDuckDBError: they are lists of different lengths.
-    """
+    """Returns the values of a part where a condition holds, and others elsewhere."""
     own = values.narrowed(holds, part)
     if others is None:
         others = np.zeros_like(own)

@@ -156,13 +156,7 @@ class PairCompiler(Protocol):
 
 
 class Compiler:
-    """Makes functions of expressions of SQL.
-
-    Args:
-        operations: what computes them.
-        leaves: returns the expressions of parameters and columns.
-        roots: the expressions that are compiled; their common parts are computed once.
-    """
+    """Makes functions of expressions of SQL."""
 
     def __init__(
         self, operations: Operations, leaves: Leaves, roots: Iterable[exp.Expr] = ()
@@ -176,11 +170,7 @@ class Compiler:
         self._left = Expression("boolean", operations.left())
 
     def expression(self, sql: exp.Expr) -> Expression:
-        """Returns an expression as a function.
-
-        Raises:
-            LeftToDuckDBError: DuckDB has to evaluate it.
-        """
+        """Returns an expression as a function."""
         count = self._counts[sql]
         # The parts of one that occurs as often need no note of their own.
         if count <= self._count or isinstance(sql, _LEAVES):
@@ -301,11 +291,7 @@ class Compiler:
         return part
 
     def integer(self, sql: exp.Expr) -> Compute:
-        """Returns an integer as a function.
-
-        Raises:
-            LeftToDuckDBError: it is none, or DuckDB has to evaluate it.
-        """
+        """Returns an integer as a function."""
         return self._number(sql, ("integer",)).compute
 
     def _boolean(self, sql: exp.Expr) -> Expression:
@@ -435,11 +421,7 @@ def _joined(kind: Kind, compute: Compute, *parts: Expression) -> Expression:
 
 
 def literal_of(sql: exp.Literal) -> tuple[Kind, Any]:
-    """Returns a literal: a text, a double, a small integer, or a DECIMAL of few digits.
-
-    Raises:
-        LeftToDuckDBError: it is another number.
-    """
+    """Returns a literal: a text, a double, a small integer, or a DECIMAL of few digits."""
     text = sql.name
     if sql.is_string:
         return "string", text

@@ -20,33 +20,21 @@ from ssduck.sql.relations.registry import GEOMETRY_UDFS, RELATIONS
 
 
 def known(value: float) -> float:
-    """Returns a number; DuckDB compares NaN in its own way.
-
-    Raises:
-        LeftToDuckDBError: it is NaN.
-    """
+    """Returns a number; DuckDB compares NaN in its own way."""
     if math.isnan(value):
         raise LeftToDuckDBError
     return value
 
 
 def finite(value: float) -> float:
-    """Returns a finite number; whether an overflow is an error is left to DuckDB.
-
-    Raises:
-        LeftToDuckDBError: it is infinite or NaN.
-    """
+    """Returns a finite number; whether an overflow is an error is left to DuckDB."""
     if not math.isfinite(value):
         raise LeftToDuckDBError
     return value
 
 
 class NumberOperations:
-    """Operations on Python's numbers.
-
-    Args:
-        functions: the functions of shapes and contacts that it calls itself, by their names in SQL.
-    """
+    """Operations on Python's numbers."""
 
     def __init__(self, functions: Mapping[str, Callable[..., Any]]) -> None:
         self._functions = functions

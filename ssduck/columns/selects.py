@@ -22,11 +22,6 @@ class ArraySelect:
     """A SELECT of entities of a world, or of combinations of them, as functions of arrays.
 
     Args:
-        plan: the plan of a query.
-        schema: the schema of the world.
-        operations: what computes them.
-        leaf: returns the expressions of parameters and columns.
-        renamed: returns SQL in which parameters have the names that `leaf` knows.
         is_split: whether conditions that AND joins are several, to leave out rows between them;
             else there is one at most.
 
@@ -35,9 +30,6 @@ class ArraySelect:
             phase has the last word.
         columns: the columns of the SELECT, and the keys of its order.
         text: the SQL of all parts.
-
-    Raises:
-        LeftToDuckDBError: it reads something else, or DuckDB has to evaluate a part.
     """
 
     def __init__(

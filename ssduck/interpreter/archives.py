@@ -62,15 +62,7 @@ def episodes(path: str | Path) -> list[Episode]:
 
 
 def recorded_runs(path: Path, database: Database) -> Sequence[RecordedRun]:
-    """Returns the runs in a folder or in a DuckDB file, by world and number.
-
-    Args:
-        path: the path of a folder, or of a DuckDB file, which is attached to be read.
-        database: the database to which the file is attached.
-
-    Raises:
-        RecordError: there is no record, or it is damaged, of a newer version, or in use.
-    """
+    """Returns the runs in a folder or in a DuckDB file, by world and number."""
     if path.is_dir():
         return runs_in(path)
     if not path.is_file():

@@ -97,16 +97,6 @@ def collected_doubts(interpreter: Interpreter) -> Iterator[Collection[str]]:
 class BatchInterpreter:
     """An interpreter with the world of recorded episodes that have the same entities.
 
-    Args:
-        world: the name of the world.
-        recording: what was recorded of each tick.
-        tables: the recorded tables, `ticks` among them.
-        models: the rows of each model.
-        run: the number of the run of one of the episodes.
-        limits: the limits of programs.
-        source: the folder of one of the episodes, for messages.
-        camera: the camera of the episodes.
-
     Attributes:
         interpreter: the interpreter.
         world: the world.
@@ -165,9 +155,6 @@ class BatchInterpreter:
         """Replaces the episodes.
 
         Their numbers of ticks are all larger than those of any episode before.
-
-        Raises:
-            DamagedEpisodeError: a file of an episode is damaged or missing.
         """
         self._series.clear()
         self._least.clear()
@@ -185,10 +172,6 @@ class BatchInterpreter:
         """Yields the interpreter, with the world at the last tick of an episode.
 
         Variables that are set in the context are gone after it.
-
-        Args:
-            index: the index of the episode in the batch.
-            is_present_read: whether the tables of the last tick are read; see `reads_present`.
         """
         self._present = index
         episode = self._episodes[index]

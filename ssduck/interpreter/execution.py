@@ -56,9 +56,6 @@ class Execution(Namespace):
     """Runs programs, and is the scope of their expressions (`EvaluationScope`).
 
     Args:
-        database: the database that runs queries.
-        limits: the limits of programs.
-        value_of_query: a function that returns the value of a query in a frame.
         row_by_row: whether every query runs row by row in Python.
         strict: whether a probable mistake is an error.
 
@@ -392,12 +389,7 @@ class Execution(Namespace):
         return self.database.connection.meter
 
     def worlds_pinned(self, *nodes: Node, is_settled: bool = True) -> PinnedWorlds:
-        """Pins all worlds at their tick, and reads the tables of relations.
-
-        Args:
-            *nodes: what is evaluated meanwhile.
-            is_settled: whether DuckDB may read the tables.
-        """
+        """Pins all worlds at their tick, and reads the tables of relations."""
         tables: frozenset[str] = frozenset().union(*map(self.tables_read, nodes))
         # Which worlds are read matters for their tables, and for stale ticks of users' clients.
         is_relevant = tables or self.database.has_attached_world

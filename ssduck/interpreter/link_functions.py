@@ -89,12 +89,7 @@ LINK_FUNCTIONS = {
 
 
 def mentions_links(node: Node, variables: Mapping[str, Any]) -> bool:
-    """Checks whether a part of a program may have links as values, other than by users' functions.
-
-    Args:
-        node: the part.
-        variables: the values of variables.
-    """
+    """Checks whether a part of a program may have links as values, but for users' functions."""
     if not calls_of(node).isdisjoint(LINK_FUNCTIONS):
         return True
     if any(_has_link(variables[name]) for name in variables_of(node) if name in variables):

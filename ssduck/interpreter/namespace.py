@@ -81,12 +81,7 @@ class Variables(dict[str, Any]):
 
 
 class Namespace:
-    """The variables and functions of an interpreter, and its worlds.
-
-    Args:
-        database: the database to which the worlds are bound.
-        limits: the limits of programs.
-    """
+    """The variables and functions of an interpreter, and its worlds."""
 
     def __init__(self, database: Database, limits: Limits) -> None:
         self.database = database

@@ -57,13 +57,7 @@ class AsClause:
     span: SourceSpan | None = None
 
     def value(self, query: Query, frame: Frame, run: QueryRunner) -> Any:
-        """Returns the result of a query: made from its rows, or from those of each group or path.
-
-        Args:
-            query: the query to run.
-            frame: the scope and the rows around it.
-            run: the function that runs it, while the caller pins the worlds.
-        """
+        """Returns the result of a query: made from its rows, or those of each group or path."""
         meter = frame.scope.meter
         if self.adapter.writes and not meter.limits.files:
             raise LimitError(f"AS {self.name}: files are switched off here", span=self.span)

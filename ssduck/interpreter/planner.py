@@ -67,9 +67,6 @@ class Planner:
     """Runs queries, and caches their plans.
 
     Args:
-        database: the database that runs their SQL.
-        scope: the variables and functions.
-        limits: the limits of a query.
         row_by_row: whether every query runs row by row in Python.
 
     Attributes:
@@ -110,11 +107,6 @@ class Planner:
         A plan is first optimistic: its SQL fails where only Python gives the right result, for
         example for a number out of range. Then the cautious plan runs, which leaves such parts to
         Python.
-
-        Args:
-            query: the query.
-            frame: the scope and the rows around it.
-            check: a function that is called with the columns before the query runs.
         """
         repeated = self._repeated.get(query) if frame.is_outermost else None
         if repeated is not None:
@@ -235,11 +227,7 @@ class Planner:
         types: InterpreterTypes,
         purpose: Purpose,
     ) -> tuple[PlannedQuery, list[Any]]:
-        """Returns the plan for the types of a query's sources, and the values of these.
-
-        Raises:
-            NotSqlError: the query runs row by row.
-        """
+        """Returns the plan for the types of a query's sources, and the values of these."""
         if any(mentions(source.value, states(query)) for source in query.sources):
             raise NotSqlError
         while True:
@@ -358,13 +346,7 @@ def _sees_rows(node: Node) -> bool:
 
 
 class InterpreterTypes:
-    """The names and types of a frame, for the translator (`ssduck.sql.plan.TypeEnvironment`).
-
-    Args:
-        scope: the variables and functions.
-        frame: the scope and the rows around the query.
-        database: the database, which knows the schemas of worlds.
-    """
+    """The names and types of a frame, for the translator (`ssduck.sql.plan.TypeEnvironment`)."""
 
     def __init__(self, scope: FunctionScope, frame: Frame, database: Database) -> None:
         self.max_depth = database.connection.meter.limits.depth

@@ -78,17 +78,7 @@ class TickPlan:
 
 
 def plan_over_ticks(interpreter: Interpreter, text: str) -> TickPlan:
-    """Plans a program for the recorded ticks.
-
-    Args:
-        interpreter: has the world of an episode.
-        text: the program.
-
-    Raises:
-        ParseError: the text is no program.
-        UnsupportedError: SQL alone cannot answer it, or the statement would depend on the episode.
-        SelectScriptError: the program is wrong.
-    """
+    """Plans a program for the recorded ticks."""
     execution = interpreter._execution  # noqa: SLF001  # a part of this package
     program = interpreter.compile(text).tree
     if len(program.statements) != 1 or program.explain:

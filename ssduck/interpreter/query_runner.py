@@ -77,11 +77,6 @@ class SqlFailedError(Exception):
 class PlannedQuery:
     """A query with its plan, ready to run.
 
-    Args:
-        plan: the plan.
-        database: the database that runs its SQL.
-        scope: the variables and functions.
-
     Attributes:
         plan: the plan.
         scalars: the query as functions of Python, if it is a SELECT of one row that Python can
@@ -156,15 +151,7 @@ class PlannedQuery:
         return dict(zip(aliases, values, strict=True))
 
     def run(self, outer: Frame, values: Sequence[Any]) -> Selected:
-        """Returns the rows of the query; the caller pins the worlds.
-
-        Args:
-            outer: the variables, and the rows of the queries around this one.
-            values: the values of the sources.
-
-        Raises:
-            SqlFailedError: the plan is not cautious, and its SQL failed.
-        """
+        """Returns the rows of the query; the caller pins the worlds."""
         sources = self._by_alias(values)
         try:
             fetched = self._fetch(outer, sources)
@@ -186,13 +173,7 @@ class PlannedQuery:
     def selected(
         self, fetched: list[tuple[Any, ...]], outer: Frame, sources: Mapping[str, Any]
     ) -> Selected:
-        """Returns the query's rows for the rows from SQL.
-
-        Args:
-            fetched: the rows.
-            outer: the variables, and the rows of the queries around this one.
-            sources: the values of the sources by alias.
-        """
+        """Returns the query's rows for the rows from SQL."""
         if self._clauses is None:
             return self.output_rows(fetched)
         return self._clauses.selected(self._frames(fetched, outer, sources), outer)
@@ -446,11 +427,6 @@ class RowByRowQuery:
     """A query that runs row by row over all combinations of its sources.
 
     Args:
-        query: the query.
-        resolved: the query with its names resolved.
-        scope: the variables and functions.
-        max_depth: the largest number of rows in a path.
-        deferred: the variables in it that hold lists which the query itself evaluates.
         of_past: whether a source is the past of a world, so that handles depend on the row's tick.
 
     Attributes:
@@ -510,12 +486,7 @@ class RowByRowQuery:
         return self.resolved.columns
 
     def run(self, outer: Frame, values: Sequence[Any]) -> Selected:
-        """Returns the rows of the query; the caller pins the worlds.
-
-        Args:
-            outer: the variables, and the rows of the queries around this one.
-            values: the values of the sources.
-        """
+        """Returns the rows of the query; the caller pins the worlds."""
         elements = all_elements(values)
         cached = {MEMOS: {}, **outer.cached}
         if self._search is None:

@@ -44,15 +44,8 @@ _Reader = Callable[[Frame], Any]
 class ScalarSelect:
     """A SELECT of values that depend on parameters, without FROM or over a list of one element.
 
-    Args:
-        plan: its plan.
-        functions: the functions of shapes that Python calls itself, by their names in SQL.
-
     Attributes:
         kinds: the types of the parameters that are read, besides the list.
-
-    Raises:
-        LeftToDuckDBError: DuckDB has to evaluate it.
     """
 
     def __init__(self, plan: Plan, functions: Mapping[str, Callable[..., Any]]) -> None:
@@ -163,16 +156,8 @@ class _Leaves:
 class RepeatedSelect:
     """A planned SELECT of one row, with functions that read its parameters.
 
-    Args:
-        plan: its plan, which has run in this frame.
-        select: the SELECT.
-        frame: a frame without rows and state variables around it.
-
     Attributes:
         sources: the values of the sources by alias.
-
-    Raises:
-        LeftToDuckDBError: it has to be planned each time.
     """
 
     def __init__(self, plan: Plan, select: ScalarSelect, frame: Frame) -> None:
@@ -214,11 +199,7 @@ class RepeatedSelect:
             raise LeftToDuckDBError
 
     def rows(self, frame: Frame) -> list[tuple[Any, ...]] | None:
-        """Returns the row as DuckDB would; None if the query has to be planned again.
-
-        Args:
-            frame: a frame without rows and state variables around it.
-        """
+        """Returns the row as DuckDB would; None if the query has to be planned again."""
         scope = frame.scope
         if not self._are_same(scope):
             return None

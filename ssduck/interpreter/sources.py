@@ -35,10 +35,9 @@ MAX_EXAMINED = 100
 def elements_of(value: Any) -> Sequence[Any]:
     """Returns the elements of a source.
 
-    Args:
-        value: a world (its entities), a list or a tuple, an array (its rows), a table of
-            pandas, polars, Arrow or of `Interpreter.sql`, or a structured array (its rows as
-            dicts); any other value is the only element.
+    These are the entities of a world, the elements of a list or a tuple, the rows of an array, and
+    those of a table of pandas, polars, Arrow or of `Interpreter.sql`, or of a structured array, as
+    dicts. Any other value is the only element.
 
     >>> elements_of([1, 2])
     [1, 2]
@@ -129,13 +128,7 @@ def _polars_values(column: Any) -> list[Any]:
 def source_types(
     query: Query, values: Sequence[Any], schema_of: SchemaOf
 ) -> tuple[SourceType, ...]:
-    """Returns the types of a query's sources.
-
-    Args:
-        query: the query.
-        values: the values of its sources; `INLINE` for a nested query that is a part of the SQL.
-        schema_of: a function that returns the schema of a world.
-    """
+    """Returns the types of a query's sources."""
     aliases = aliases_of(query)
     return tuple(
         _source_type(alias, value, schema_of) for alias, value in zip(aliases, values, strict=True)
@@ -200,12 +193,7 @@ def _arrow_type(sql_type: SqlType) -> pa.DataType:
 
 
 def with_present_ticks(values: Sequence[Any], elements: Sequence[Any]) -> list[Any]:
-    """Returns the values of sources; a world whose past is a source too, at its current tick.
-
-    Args:
-        values: the values of the sources of a query.
-        elements: the elements of the queries around it on which it depends.
-    """
+    """Returns the values of sources; a world whose past is a source too, at its current tick."""
     records = {
         value.world: cast("Record", value.moment.record)
         for value in elements

@@ -19,11 +19,7 @@ _POINT = Geometry.primitive("sphere", (0.0, 0.0, 0.0))
 
 
 class EnvironmentColumns:
-    """The numbers of entities and links at the last tick of a batch, each read when it is needed.
-
-    Args:
-        world: the batch.
-    """
+    """The numbers of entities and links at the last tick of a batch, each read when needed."""
 
     def __init__(self, world: BatchWorld) -> None:
         self._world = world
@@ -35,11 +31,7 @@ class EnvironmentColumns:
         self._boxers: dict[int, BoundingBoxes] = {}
 
     def column(self, id: int, name: str) -> Array:
-        """Returns a column of an entity or a link, by its id, (n,).
-
-        Raises:
-            LeftToDuckDBError: it is none of a body's pose, velocity or box.
-        """
+        """Returns a column of an entity or a link, by its id, (n,)."""
         self._update()
         key = id, name
         if key not in self._known:
@@ -75,11 +67,7 @@ class EnvironmentColumns:
         return (id, name) in self._with_nan
 
     def body_of(self, id: int) -> tuple[Body, int]:
-        """Returns the body of an entity or a link, and the number of its link there.
-
-        Raises:
-            LeftToDuckDBError: it is a sensor.
-        """
+        """Returns the body of an entity or a link, and the number of its link there."""
         snapshot = self._world.snapshot
         body = snapshot.entities[snapshot.rows[entity_of(id)]].body
         if body is None:

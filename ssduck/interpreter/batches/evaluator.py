@@ -39,11 +39,6 @@ ENV = "env"
 class BatchExpressions:
     """Expressions over all environments of a batch, compiled when they are evaluated first.
 
-    Args:
-        execution: has the variables.
-        engine: reads the batch.
-        nodes: the expressions.
-
     Attributes:
         substituted: the expressions, with placeholders for what arrays provide.
     """
@@ -216,13 +211,7 @@ class BatchExpressions:
         given: Mapping[str, Array],
         unknown: Mapping[str, Flags],
     ) -> list[list[Any]]:
-        """Returns the values of expressions in some environments, each computed by itself.
-
-        Args:
-            rows: the environments of each expression.
-            given: the values of placeholders.
-            unknown: where they are unknown.
-        """
+        """Returns the values of expressions in some environments, each computed by itself."""
         values: list[list[Any]] = [[] for _ in rows]
         chosen = [set(numbers.tolist()) for numbers in rows]
         for number in sorted(set().union(*chosen)):
@@ -270,14 +259,7 @@ def plain(value: Any, node: Node) -> Any:
 
 
 class _KeptFold:
-    """A function of time with the last version of the batch that is in its state.
-
-    Args:
-        name: the name of the function.
-        fold: its state.
-        expression: the expression.
-        world: the batch.
-    """
+    """A function of time with the last version of the batch that is in its state."""
 
     def __init__(
         self, name: str, fold: ArrayFold, expression: BatchExpressions, world: BatchWorld

@@ -77,11 +77,7 @@ class Engine:
 
 
 class Leaves:
-    """The values that expressions read: columns, placeholders and variables.
-
-    Args:
-        engine: reads the batch.
-    """
+    """The values that expressions read: columns, placeholders and variables."""
 
     def __init__(self, engine: Engine) -> None:
         self.engine = engine
@@ -101,11 +97,7 @@ class Leaves:
     def renamed(
         self, sql: exp.Expr, bindings: Sequence[ParameterBinding], frame: Frame
     ) -> exp.Expr:
-        """Returns SQL in which parameters are the keys of leaves.
-
-        Raises:
-            LeftToDuckDBError: an array cannot have the values of one.
-        """
+        """Returns SQL in which parameters are the keys of leaves."""
         return _renamed(sql, {b.name: self._bound(b, frame) for b in bindings if b.node})
 
     def _bound(self, binding: ParameterBinding, frame: Frame) -> str:
@@ -151,13 +143,7 @@ class Leaves:
         sql: Mapping[Node, exp.Expr] | None = None,
         compiler: Compiler | None = None,
     ) -> TreeCompiler:
-        """Returns what makes functions of a tree.
-
-        Args:
-            frame: the values of placeholders in one environment.
-            sql: the SQL of the parts of the tree that have some.
-            compiler: compiles it.
-        """
+        """Returns what makes functions of a tree."""
 
         def variable(node: Name) -> Expression:
             key = self._variable(node, frame.value(node))
@@ -179,11 +165,7 @@ class Leaves:
         return lambda _: shapes.of_rows(columns.column(id, name))
 
     def _constant(self, key: str, value: Any) -> None:
-        """Notes a value that is the same in all environments.
-
-        Raises:
-            LeftToDuckDBError: no array has it.
-        """
+        """Notes a value that is the same in all environments."""
         is_list = isinstance(value, list)
         if is_list and not _are_numbers(value):
             raise LeftToDuckDBError
@@ -303,15 +285,7 @@ def _leave_unknown(array: Array, left: Flags) -> None:
 
 
 class CompiledExpressions:
-    """Expressions that are evaluated together over all environments.
-
-    Args:
-        engine: reads the batch.
-        execution: plans the expressions, at some environment of the batch that is pinned.
-        nodes: the expressions; what differs from environment to environment and is no column is a
-            placeholder in them.
-        samples: the values of placeholders in one environment.
-    """
+    """Expressions that are evaluated together over all environments."""
 
     def __init__(
         self,
@@ -356,11 +330,6 @@ class CompiledExpressions:
         self, given: Mapping[str, Array], unknown: Mapping[str, Flags], count: int
     ) -> tuple[list[Array | None], list[Flags]]:
         """Returns the values of the expressions.
-
-        Args:
-            given: the values of placeholders.
-            unknown: where they are unknown.
-            count: the number of rows.
 
         Returns:
             The values, (count,) or (count, length), None of those that arrays cannot have; and

@@ -42,12 +42,7 @@ _QUESTIONS = {
 
 
 class EnvironmentShapes:
-    """The narrow phase over environments; see `ssduck.columns.arrays.Calls`.
-
-    Args:
-        world: the batch.
-        columns: the poses.
-    """
+    """The narrow phase over environments; see `ssduck.columns.arrays.Calls`."""
 
     def __init__(self, world: BatchWorld, columns: EnvironmentColumns) -> None:
         self._world, self._columns = world, columns
@@ -84,11 +79,7 @@ class EnvironmentShapes:
         return self._world.snapshot.margins
 
     def values(self, udf: GeometryUdf, arguments: Sequence[Array], places: Indices) -> Array:
-        """Returns the values of a function of two entities' shapes, (m,).
-
-        Raises:
-            LeftToDuckDBError: it is no such function, or takes a distance of each environment.
-        """
+        """Returns the values of a function of two entities' shapes, (m,)."""
         kind = _QUESTIONS.get(udf.function)
         distances = [np.unique(argument) for argument in arguments[udf.entities :]]
         has_pair_margins = self._world.snapshot.margins_of_pairs is not None
@@ -166,11 +157,7 @@ def _of_joints(
     values: ArrayValues,
     arguments: Sequence[Array],
 ) -> Array:
-    """Returns the value of a function of an entity's joints.
-
-    Raises:
-        LeftToDuckDBError: the entity has no such joint, or rows are of several entities.
-    """
+    """Returns the value of a function of an entity's joints."""
     _, _, ids, *names = arguments
     if ids.size != 1 or any(each.size != 1 for each in names):
         raise LeftToDuckDBError

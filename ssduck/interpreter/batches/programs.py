@@ -19,11 +19,7 @@ from ssduck.world.handles import Handle
 
 
 class BatchPrograms:
-    """Programs over batches, compiled when they are evaluated first.
-
-    Args:
-        execution: has the variables.
-    """
+    """Programs over batches, compiled when they are evaluated first."""
 
     def __init__(self, execution: Execution) -> None:
         self._execution = execution

@@ -30,13 +30,7 @@ from ssduck.language.tree import Call, ListLiteral, Literal, Name, Node, Query
 
 
 class BatchQuery:
-    """A query over all environments of a batch.
-
-    Args:
-        execution: has the variables.
-        engine: reads the batch.
-        query: the query.
-    """
+    """A query over all environments of a batch."""
 
     def __init__(self, execution: Execution, engine: Engine, query: Query) -> None:
         self._execution, self._engine, self._world = execution, engine, engine.world

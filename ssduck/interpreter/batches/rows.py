@@ -52,18 +52,9 @@ class FoundRows:
 class BatchRows:
     """The rows of a query of a batch's entities, or of combinations of them, as arrays.
 
-    Args:
-        execution: plans the query.
-        engine: reads the batch.
-        query: the query.
-        frame: its placeholders in one environment.
-
     Attributes:
         planned: the query with its plan, whose clauses Python applies to the rows.
         leaves: what the expressions read.
-
-    Raises:
-        LeftToDuckDBError: it is another query.
     """
 
     def __init__(self, execution: Execution, engine: Engine, query: Query, frame: Frame) -> None:
@@ -160,11 +151,6 @@ class BatchRows:
         """Returns the selected rows, or their groups, of each environment.
 
         None if the clauses of the query are applied environment by environment.
-
-        Args:
-            found: the rows; environments whose values arrays lack become left.
-            given: the values of placeholders.
-            unknown: where they are unknown.
         """
         count = self._engine.world.count
         values, unknowns = self._constant_values.values(given, unknown, count)

@@ -32,14 +32,8 @@ class _Aggregate:
 class Selection:
     """SELECT and GROUP BY of the rows of all environments; see `ssduck.language.aggregates`.
 
-    Args:
-        plan: the plan of the query.
-
     Attributes:
         constants: the selected values and keys that are the same for all rows of an environment.
-
-    Raises:
-        LeftToDuckDBError: the clauses of the query are applied environment by environment.
     """
 
     def __init__(self, plan: Plan) -> None:

@@ -27,10 +27,6 @@ def batch_table(world: BatchWorld, name: str) -> pa.Table:
     """Returns a table of a world, with the environment of each row as its first column.
 
     Numbers that the states lack are NULL.
-
-    Args:
-        world: the batch.
-        name: the table.
     """
     if name not in _MADE_BY:
         raise UnsupportedError(

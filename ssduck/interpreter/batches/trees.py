@@ -69,11 +69,7 @@ _KINDS: dict[str, Kind] = {
 
 
 def kind_of(value: Any) -> Kind:
-    """Returns the type of the elements of an array of such values.
-
-    Raises:
-        LeftToDuckDBError: there is none.
-    """
+    """Returns the type of the elements of an array of such values."""
     kind = _KINDS.get(np.asarray(value).dtype.kind)
     if kind is None or np.ndim(value):
         raise LeftToDuckDBError
@@ -99,11 +95,7 @@ class TreeCompiler:
     variable: Callable[[Name], Expression]
 
     def of(self, node: Node) -> Expression:
-        """Returns an expression as a function.
-
-        Raises:
-            LeftToDuckDBError: it has to be evaluated by itself in each environment.
-        """
+        """Returns an expression as a function."""
         if self.compiler is not None and node in self.sql:
             return self.compiler.expression(self.sql[node])
         match node:

@@ -31,11 +31,7 @@ _KINDS: Mapping[NameKind, frozenset[str]] = {
 
 
 class KnownNames:
-    """The names that the entities, links and joints of worlds have, or had in a record.
-
-    Args:
-        recorded: a function that returns the names of all entities in a world's record.
-    """
+    """The names that the entities, links and joints of worlds have, or had in a record."""
 
     def __init__(self, recorded: Callable[[World], Iterable[str]]) -> None:
         self._recorded = recorded

@@ -72,8 +72,6 @@ class Linter:
     Args:
         variable: a function that returns the value of a variable; None if there is none.
         is_function: a function that checks whether a function has a name.
-        worlds: a function that returns the worlds.
-        recorded: a function that returns the names of all entities in a world's record.
         type_of_relation: a function that returns the type of a relation's result; None if a name
             is no relation.
         finds: a function that checks whether a query has a row; None if it cannot run.

@@ -292,14 +292,7 @@ def can_move(entity: Entity) -> bool:
 
 
 def swapped(name: str, carrier: str, carried: str, entity: str = "") -> str:
-    """Returns what is told of a call whose arguments are swapped.
-
-    Args:
-        name: the relation.
-        carrier: how the first argument is written.
-        carried: how the second one is written, which is immovable.
-        entity: the entity that the second one is; "" if it is written so.
-    """
+    """Returns what is told of a call whose arguments are swapped."""
     asks = _ASKED[spelled_relation(name)]
     which = f"which is {entity}, immovable" if entity else "which is immovable"
     return (
@@ -325,11 +318,6 @@ class SwappedRoles:
 
         Nothing in the world carries the entity, which is immovable. It may be above or below
         something at other times: there, something has to be the other way round now.
-
-        Args:
-            name: the relation.
-            entity: its second argument.
-            is_past: whether the rows are those of recorded ticks.
         """
         is_placed = name in _PLACED
         if can_move(entity) or isinstance(entity.world, BatchWorld) or (is_past and is_placed):

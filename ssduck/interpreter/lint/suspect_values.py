@@ -454,15 +454,7 @@ def _unequal(
     variable: Callable[[str], Any],
     this: str = "",
 ) -> Iterator[SelectScriptError]:
-    """Yields the mistakes that what has some kinds never equals values of others.
-
-    Args:
-        what: the name of what is compared.
-        kinds: its kinds; none if they are not known.
-        values: what it is compared with.
-        variable: a function that returns the value of a variable.
-        this: how the entity whose column it is is written; "" if it is a column of none.
-    """
+    """Yields the mistakes that what has some kinds never equals values of others."""
     words = " or ".join(_WORDS[kind] for kind in sorted(kinds))
     for value in values if kinds else ():
         plain = _plain_values(value, variable)

@@ -42,14 +42,7 @@ _OF_VALUES = (Literal, ListLiteral, Unary, Binary, OperatorChain, Branch, If)
 
 
 class ExpressionsAtTicks:
-    """Expressions of entities of one world and of variables, at each tick of an episode.
-
-    Args:
-        interpreter: has the world, at the last tick of an episode.
-        expressions: the expressions.
-        world: the name of the world.
-        variables: the names of the variables whose values differ from tick to tick.
-    """
+    """Expressions of entities of one world and of variables, at each tick of an episode."""
 
     def __init__(
         self,
@@ -153,11 +146,6 @@ class JudgedFolds:
     """The functions of time in expressions that are evaluated at each tick of an episode.
 
     It is an observer of ticks, which others may take, too; see `TickObserver`.
-
-    Args:
-        interpreter: evaluates the expressions.
-        expressions: the expressions.
-        variables: the names of the variables, whose values a later tick may lack.
 
     Attributes:
         need_record: whether an expression needs the record of past ticks.

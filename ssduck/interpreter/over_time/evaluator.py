@@ -63,13 +63,7 @@ class SeriesReader(Protocol):
         """
 
     def least_clearance(self, past: Past, a: int, b: int) -> tuple[int, float] | None:
-        """Returns the first tick with the least clearance of two entities, and the clearance, m.
-
-        Args:
-            past: the ticks.
-            a: the id of an entity.
-            b: the id of another one.
-        """
+        """Returns the first tick with the least clearance of two entities, and the clearance, m."""
 
 
 class TemporalEvaluator:
@@ -99,15 +93,7 @@ class TemporalEvaluator:
         run: RunQuery,
         meter: UsageMeter,
     ) -> TickSeries:
-        """Returns the values of the expression in a call, tick by tick.
-
-        Args:
-            call: the call, `holds(…)` say.
-            frame: the scope, which has the entities in the expression and its other values.
-            record_of: a function that returns the record of a world.
-            run: a function that returns the rows of a query, from the values of its placeholders.
-            meter: checks the limits of the running program.
-        """
+        """Returns the values of the expression in a call, tick by tick."""
         expression, _ = parts_of(call)
         places, world, values, handles = self._given(call, frame)
         query = self._query(call, places, handles)
@@ -239,15 +225,6 @@ def _for_each(
 
     The first entity is read by itself, as there may be no other. So is each one if the expression
     fails for any, as a condition of the query may exclude that.
-
-    Args:
-        columns: a function that returns the values of the entity.
-        query: a query with the rows of all entities.
-        values: the entities and other values of the expression.
-        handles: which of these are entities that follow the ticks.
-        number: the number of the one that differs from row to row.
-        run: a function that returns the rows of a query.
-        cache: what the rows of the query share.
     """
     keys, entity = _keys(values, handles), values[number]
     others = keys[:number] + keys[number + 1 :]

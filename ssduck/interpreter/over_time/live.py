@@ -94,11 +94,7 @@ class LiveFolds:
     """The states of calls of functions of time; equal calls share them.
 
     Args:
-        scope: the variables.
-        planner: runs queries.
-        tables_read: returns the data that an expression reads.
         is_recorded: checks whether a world is recorded.
-        record_of: returns the record of a world.
     """
 
     def __init__(
@@ -142,13 +138,7 @@ class LiveFolds:
         return is_planned and self._unrecorded_world(call) is not None
 
     def value(self, call: Call, form: TemporalFunction, series_of: Callable[[], TickSeries]) -> Any:
-        """Returns the value of a call at the present tick; the caller pins the worlds.
-
-        Args:
-            call: a call that it takes.
-            form: its function, which is a fold.
-            series_of: a function that returns the ticks of its expression.
-        """
+        """Returns the value of a call at the present tick; the caller pins the worlds."""
         fold = form.fold
         assert fold is not None
         world = self._unrecorded_world(call)

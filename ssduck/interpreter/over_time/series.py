@@ -63,9 +63,6 @@ class TickSeries:
     """The values of an expression at the recorded ticks of a world.
 
     Args:
-        record: the record of the world.
-        run: a function that returns the values at some ticks.
-        node: the expression.
         least_clearance: returns the least value of the expression at some ticks, of which no two
             have the same time, with its first tick; None if it is not the clearance of two
             entities.

@@ -14,11 +14,6 @@ class CallbackQueue:
     A full queue drops its oldest value. The thread refers to nothing but this object and the
     callback. It starts with the first value, and ends with `close`.
 
-    Args:
-        call: the callback; it must raise nothing.
-        size: the largest number of waiting values, besides the one in the callback.
-        name: the name of the thread.
-
     Attributes:
         dropped: the number of values that were dropped.
     """

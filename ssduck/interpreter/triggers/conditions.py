@@ -90,12 +90,7 @@ class Debouncer:
         self._candidate_since: WeakKeyDictionary[World, float] | None = None
 
     def fires(self, result: Any, worlds: Sequence[World]) -> tuple[Any] | None:
-        """Returns the value to deliver for a result, in a tuple; None if the trigger does not fire.
-
-        Args:
-            result: the result of the evaluation.
-            worlds: the worlds whose time counts.
-        """
+        """Returns the value to deliver for a result, in a tuple; None if it does not fire."""
         if not self._settles(self._compared(result), worlds):
             return None
         if self._config.when != "change" and self._settled[0] is not (

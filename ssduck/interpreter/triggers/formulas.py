@@ -52,9 +52,6 @@ _LARGEST = 1 << 63
 class Slots:
     """The parameters and the constants of a formula, as the leaves of its expressions.
 
-    Args:
-        parameters: the parameters by name.
-
     Attributes:
         slots: all of them; equal ones are one.
         columns: the columns that are read, also those of entities.
@@ -114,12 +111,6 @@ class Slots:
 class Meaning:
     """What a program means while what decided it is the same.
 
-    Args:
-        planner: plans it.
-        program: the program.
-        names: the names that it reads.
-        key: what decided it: the entities of its world, the functions, and the values of names.
-
     Attributes:
         stamp: the stamp of the names for which the key is known to be up to date.
         rows: the key of the formula's rows at the last result; None if unknown.
@@ -167,12 +158,7 @@ def are_fixed(values: Sequence[Any]) -> bool:
 
 
 class FormulaPlanner:
-    """Makes formulas of programs.
-
-    Args:
-        execution: runs programs.
-        query_of: returns the query to run for a query and its result form.
-    """
+    """Makes formulas of programs."""
 
     def __init__(self, execution: Execution, query_of: Callable[[Query, Adapter], Query]) -> None:
         self.execution = execution
@@ -213,11 +199,7 @@ class FormulaPlanner:
         return None
 
     def _of_plan(self, planned: Planned) -> Formula:
-        """Returns the formula of a plan.
-
-        Raises:
-            LeftToDuckDBError: it is none.
-        """
+        """Returns the formula of a plan."""
         query, (_, planned_query, _, frame) = planned[0], planned
         plan, sources = planned_query.plan, query.sources
         is_left = plan.outputs is None or plan.may_fail or any(plan.deferred.values())
@@ -245,11 +227,7 @@ class FormulaPlanner:
 
 
 def _slot_of(binding: ParameterBinding, plan: Plan, world: World, frame: Frame) -> Any:
-    """Returns the slot of a parameter; its value in SQL if it is no number.
-
-    Raises:
-        LeftToDuckDBError: it does not depend on the values of variables alone.
-    """
+    """Returns the slot of a parameter; its value in SQL if it is no number."""
     node = binding.node
     if node is None or not _is_constant(node):
         raise LeftToDuckDBError

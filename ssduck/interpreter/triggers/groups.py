@@ -113,11 +113,6 @@ def _bits(values: Array) -> tuple[Any, ...]:
 class FormulaGroup:
     """Formulas of one shape that are evaluated at the same ticks.
 
-    Args:
-        formulas: k formulas.
-        snapshot: a tick of their world with the same entities.
-        shapes: the narrow phase of their world.
-
     Attributes:
         formulas: the formulas.
         number: the number of the tick of the last evaluation; 0 before the first.
@@ -156,15 +151,7 @@ class FormulaGroup:
         return [column[slice(*self._ends[place : place + 2])] for column in self._columns]
 
     def evaluate(self, snapshot: Snapshot, *, has_moved: bool) -> None:
-        """Evaluates the formulas at a tick, unless nothing that they read has changed.
-
-        Args:
-            snapshot: the tick.
-            has_moved: whether a number that is read is another one than at the tick before.
-
-        Raises:
-            LeftToDuckDBError: they have to be evaluated by themselves.
-        """
+        """Evaluates the formulas at a tick, unless nothing that they read has changed."""
         if has_moved or self._reads_time or not self.number:
             self.number = 0
             formulas, *columns = self._evaluated(snapshot.table("entities"))

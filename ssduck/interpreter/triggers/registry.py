@@ -106,27 +106,15 @@ class TriggerMethods:
         self._triggers.add(config, program, callback)
 
     def del_trigger(self, name: str) -> None:
-        """Removes a trigger; its callback is not called any more, but a running one goes on.
-
-        Raises:
-            UnknownNameError: no trigger has that name; the error suggests the nearest names.
-        """
+        """Removes a trigger; its callback is not called any more, but a running one goes on."""
         self._triggers.remove(name)
 
     def pause_trigger(self, name: str) -> None:
-        """Stops the evaluations of a trigger until `resume_trigger`.
-
-        Raises:
-            UnknownNameError: no trigger has that name; the error suggests the nearest names.
-        """
+        """Stops the evaluations of a trigger until `resume_trigger`."""
         self._triggers.pause(name)
 
     def resume_trigger(self, name: str) -> None:
-        """Resumes the evaluations of a trigger at the next multiple of its interval.
-
-        Raises:
-            UnknownNameError: no trigger has that name; the error suggests the nearest names.
-        """
+        """Resumes the evaluations of a trigger at the next multiple of its interval."""
         self._triggers.resume(name)
 
     def triggers(self) -> list[TriggerState]:
@@ -159,12 +147,6 @@ class _Readers:
 
 class TriggerRegistry:
     """The triggers of an interpreter; observes the worlds that they read.
-
-    Args:
-        compile: parses a program.
-        evaluate: returns the result of a program.
-        names: the variables and functions.
-        batches: evaluates triggers together.
 
     Attributes:
         listeners: are called with the name of each trigger that fires.
@@ -417,12 +399,7 @@ class TriggerRegistry:
         return scope.stamp, [(w, w.snapshot.number) for w in self._worlds_of(trigger)]
 
     def _worlds_of(self, trigger: Trigger, stamp: object = None) -> Sequence[World]:
-        """Returns the worlds that a program reads; all worlds if unknown or none.
-
-        Args:
-            trigger: the trigger.
-            stamp: the stamp of the names, if it is known.
-        """
+        """Returns the worlds that a program reads; all worlds if unknown or none."""
         known, stamp = trigger.worlds, stamp or self._names.stamp
         if known.stamp is not stamp:
             key = (*self._names.meaning, *self._names.bound_values(trigger.variables))

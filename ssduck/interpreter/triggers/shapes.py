@@ -109,11 +109,7 @@ class LiveShapes:
         return self._snapshot.margins
 
     def values(self, udf: GeometryUdf, arguments: Sequence[Values], places: Indices) -> Values:
-        """Returns the values of a function of shapes, (m,).
-
-        Raises:
-            LeftToDuckDBError: an answer is unknown, or an argument is wrong.
-        """
+        """Returns the values of a function of shapes, (m,)."""
         ids = [column.astype(np.int64) for column in arguments[: udf.entities]]
         numbers = [column.astype(np.float64) for column in arguments[udf.entities :]]
         if any(np.isnan(column).any() for column in numbers):

@@ -58,12 +58,7 @@ class _TableCopy:
 
 
 class TableState:
-    """The numbers of tables at a tick, to compare later ticks with.
-
-    Args:
-        snapshot: the tick.
-        tables: the names of the tables; the tick includes them.
-    """
+    """The numbers of tables at a tick, to compare later ticks with."""
 
     def __init__(self, snapshot: Snapshot, tables: Iterable[str]) -> None:
         self._copies = {}
@@ -73,13 +68,7 @@ class TableState:
             self._copies[name] = _TableCopy(table.version, table.block.copy(), integers)
 
     def is_same(self, snapshot: Snapshot, threshold: float) -> bool:
-        """Checks whether no number in the tables has changed by more than a threshold.
-
-        Args:
-            snapshot: the tick to compare.
-            threshold: the largest change that does not count, in the unit of each number; for
-                quaternions in radians. 0 compares bit for bit.
-        """
+        """Checks whether no number in the tables has changed by more than a threshold."""
         return all(
             copy.has_same(
                 snapshot.tables[name], _known_integers(name, snapshot.tables[name]), threshold

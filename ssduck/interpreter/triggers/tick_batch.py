@@ -31,14 +31,7 @@ def are_same(before: Sequence[Any], now: Sequence[Any]) -> bool:
 
 
 class _DueFormulas:
-    """The formulas of the triggers that are due in a world, in groups of one shape.
-
-    Args:
-        key: what decided them.
-        world: the world.
-        shapes: its narrow phase.
-        by_trigger: the formulas of those triggers that have one.
-    """
+    """The formulas of the triggers that are due in a world, in groups of one shape."""
 
     def __init__(
         self,
@@ -104,7 +97,6 @@ class TriggerBatches:
     """Evaluates triggers together.
 
     Args:
-        execution: runs programs.
         query_of: returns the query to run for a query and its result form; None if each trigger is
             evaluated by itself.
     """
@@ -182,10 +174,6 @@ class TriggerBatches:
 
         It holds while it has the same objects: the entities of the world, the functions, and the
         variables that the program reads.
-
-        Args:
-            trigger: the trigger.
-            worlds: the worlds that its program reads.
         """
         if trigger.reads is None or len(worlds) != 1 or self._planner is None:
             return None
@@ -234,11 +222,6 @@ class TriggerBatches:
 
 class TickBatch:
     """The triggers that are due in a world at a tick, whose formulas were evaluated together.
-
-    Args:
-        batches: evaluates them.
-        world: the world.
-        formulas: the formulas of those triggers that have one.
 
     Attributes:
         is_doubtful: whether variables, functions and worlds may have changed meanwhile.
