@@ -1,6 +1,5 @@
 """Probable mistakes in programs and raw SQL: what is valid, but hardly intended.
 
-`statement_facts` finds the parts of a statement to look at, by `suspect_values` and
-`misread_relations`; `linter` looks them up before the statement runs, and `known_names` whether
-anything has a name.
+`linter` finds checks once in each statement, by the other modules, and makes them before each run:
+what they tell depends on the variables, functions and worlds of a `scope`.
 """

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache, partial
-from typing import Any
+from typing import Any, TypeAlias
 
 from sqlglot import exp
 
 from ssduck import validation
 from ssduck.errors import ArgumentError, SourceSpan
 from ssduck.interpreter.lint.columns import is_comparison
+from ssduck.interpreter.lint.scope import Check, Scope
 from ssduck.interpreter.lint.suspect_values import (
     Comparison,
     is_hidden,
@@ -49,37 +49,32 @@ _COMPARED_IN_SQL = (
 _CALL = re.compile(r"\b(tilt|upright)\s*\(", re.IGNORECASE)
 
 
-@dataclass(frozen=True)
-class AngleSite:
-    """An angle that is compared with values, or the angle that `upright` takes.
-
-    Attributes:
-        name: the function whose value the angle is.
-        column: the column that it is; None for the value of a call.
-        values: the values.
-        span: its place.
-    """
-
-    name: str
-    column: Comparison | None
-    values: tuple[Node, ...]
-    span: SourceSpan
+# An angle that is compared with values, or that `upright` takes: the function whose value it is,
+# the column that it is (None for the value of a call), the values, and its place.
+_Site: TypeAlias = tuple[str, Comparison | None, tuple[Node, ...], SourceSpan]
 
 
-def angle_sites(node: Node, query: Query | None = None) -> Iterator[AngleSite]:
+def angles(statement: Node) -> Iterator[Check]:
+    """Yields the check of a statement's angles."""
+    sites = tuple(_sites(statement, None))
+    if sites:
+        yield partial(_degrees_in, sites)
+
+
+def _sites(node: Node, query: Query | None) -> Iterator[_Site]:
     """Yields the comparisons of angles in a part of a statement; `query` is around it."""
     match node:
         case Query():
             query = node
         case Call(name="upright", arguments=(_, angle)):
-            yield AngleSite("upright", None, (angle,), node.span)
+            yield "upright", None, (angle,), node.span
         case Binary(left=left, right=right) if is_comparison(node):
             for side, other in ((left, right), (right, left)):
                 values = other.items if isinstance(other, ListLiteral) else (other,)
                 for part, name, column in _angles_in(side, query):
-                    yield AngleSite(name, column, values, part.span)
+                    yield name, column, values, part.span
     for child in node.children():
-        yield from angle_sites(child, query)
+        yield from _sites(child, query)
 
 
 def _angles_in(node: Node, query: Query | None) -> Iterator[tuple[Node, str, Comparison | None]]:
@@ -108,44 +103,30 @@ def _angles_in(node: Node, query: Query | None) -> Iterator[tuple[Node, str, Com
         yield from _angles_in(part, query)
 
 
-def degrees_in(
-    sites: Sequence[AngleSite],
-    variable: Callable[[str], Any],
-    type_of_relation: Callable[[str], str | None],
-) -> Iterator[ArgumentError]:
-    """Yields an error for each angle that is compared with degrees, of BETWEEN for one of two.
-
-    Args:
-        sites: the comparisons.
-        variable: a function that returns the value of a variable; None if there is none.
-        type_of_relation: a function that returns the type of a relation's result; None if a name
-            is no relation.
-    """
+def _degrees_in(sites: Sequence[_Site], scope: Scope) -> Iterator[ArgumentError]:
+    """Yields an error for each angle that is compared with degrees, of BETWEEN for one of two."""
     told: set[SourceSpan] = set()
-    for site in sites:
-        column = site.column
+    for name, column, values, span in sites:
         if column is not None:
-            is_angle = not is_hidden(column, variable)
-            is_angle = is_angle and kind_of_relation(column, variable, type_of_relation) is not None
+            is_angle = not is_hidden(column, scope) and kind_of_relation(column, scope) is not None
         else:
-            is_angle = site.name in BUILTINS or type_of_relation(site.name) is not None
-        values = [_number(value, variable) for value in site.values] if is_angle else []
-        for value in values:
-            if abs(value) > math.pi and site.span not in told:
-                told.add(site.span)
-                yield ArgumentError(_in_degrees(site.name, value), span=site.span)
+            is_angle = name in BUILTINS or scope.is_relation(name)
+        for value in map(partial(_number, scope), values if is_angle else ()):
+            if abs(value) > math.pi and span not in told:
+                told.add(span)
+                yield ArgumentError(_in_degrees(name, value), span=span)
 
 
-def _number(node: Node, variable: Callable[[str], Any]) -> float:
+def _number(scope: Scope, node: Node) -> float:
     """Returns a number that is a literal or a variable's value; 0 for another value."""
     value: Any = None
     match node:
         case Unary(operator="-", operand=operand):
-            return -_number(operand, variable)
+            return -_number(scope, operand)
         case Literal(value=value):
             pass
         case Name(name=name):
-            value = variable(name)
+            value = scope.variable(name)
     return value if validation.is_number(value) else 0
 
 

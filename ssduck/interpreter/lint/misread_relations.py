@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from weakref import WeakKeyDictionary
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from functools import partial
+from typing import Any
 
 import numpy as np
 
-from ssduck.errors import SourceSpan
+from ssduck.errors import ArgumentError, SelectScriptError, SourceSpan
 from ssduck.formatting import name_path
+from ssduck.interpreter.lint.columns import is_comparison
+from ssduck.interpreter.lint.scope import Check, Scope, entity_of, worlds_of
+from ssduck.interpreter.lint.suspect_values import VECTORS
+from ssduck.language.analysis import OVER_TIME
 from ssduck.language.operator_chains import conjuncts
 from ssduck.language.tree import (
     AdapterClause,
@@ -30,10 +34,12 @@ from ssduck.language.tree import (
     TimeIndex,
     Unary,
 )
+from ssduck.recording.replay.past import Past
+from ssduck.sql.name_comparisons import RelationOfRows
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.world.batches.batch_world import BatchWorld
 from ssduck.world.entities import Entity
-from ssduck.world.world import World
+from ssduck.world.handles import Handle
 
 # What to write in place of a number that holds of nearly everything as a condition.
 _AS_CONDITION = {
@@ -46,31 +52,83 @@ _AS_CONDITION = {
 _EXTREMES = frozenset(("least", "greatest"))
 _OF_EXTREMES = "{0}(…) is [time, value], and {1} is of such lists here: the value is {0}(…)[1]"
 _CONDITIONS_OVER_TIME = frozenset(("since", "heldFor", "holds"))
-VOLUME_NOTE = (
-    "volume is an eighth of the volume of the box, as published; solidVolume is that of the "
-    "shapes, aabbVolume that of the box (told once)"
-)
-_VOLUME_IN_SQL = re.compile(r"\bvolume\s*\(", re.IGNORECASE)
+# The relations that hold as conditions whatever the world is like, with what they are.
+_NO_CONDITIONS = {
+    **dict.fromkeys(("id", "name", "type", "kind"), "a text"),
+    **dict.fromkeys(VECTORS, "a list"),
+}
 
 
-def misread_calls(statement: Node) -> Iterator[tuple[Call, str]]:
-    """Yields the calls that read as something else, with what is told of them.
-
-    These are conditions that are such a number and are not compared, and extremes in arithmetic.
-    """
+def misread_relations(statement: Node) -> Iterator[Check]:
+    """Yields the checks of a statement's relations and conditions."""
     for node in statement.walk():
         for part in _conditions(node):
             if isinstance(part, Call) and part.name in _AS_CONDITION:
                 told = _AS_CONDITION[part.name]
-                yield part, f"{part.name} as a condition holds of any number but 0; {told}"
-        if isinstance(node, Binary) and node.operator in ("+", "-", "==", "!="):
-            sides = node.left, node.right
-            for side, other in (sides, sides[::-1]):
-                is_number = isinstance(other, Literal) and not isinstance(other.value, str)
-                is_number = is_number or node.operator in ("+", "-")
-                if isinstance(side, Call) and side.name in _EXTREMES and is_number:
-                    yield side, _OF_EXTREMES.format(side.name, node.operator)
-                    break
+                message = f"{part.name} as a condition holds of any number but 0; {told}"
+                yield partial(_misread, part, message)
+            if isinstance(part, Call | Name | QualifiedName | Index):
+                yield partial(_always_true, part)
+        if isinstance(node, Binary):
+            yield from _extremes_in(node)
+            names = [side for side in (node.left, node.right) if isinstance(side, Name)]
+            # x != x asks for what is no number.
+            if is_comparison(node) and len({name.name for name in names}) == len(names):
+                yield from (partial(_not_a_number, name) for name in names)
+        if isinstance(node, Call) and node.name in _OF_SHAPES | _OF_BOXES:
+            yield partial(_unfit_entities, node)
+    for message, span in _same_rows(statement, None):
+        yield partial(_told, message, span)
+    yield from _row_roles(statement, {}, None)
+
+
+def _extremes_in(node: Binary) -> Iterator[Check]:
+    """Yields the check of a function over time, whose value is a list of two, in arithmetic."""
+    sides = node.left, node.right
+    for side, other in (sides, sides[::-1]):
+        is_number = isinstance(other, Literal) and not isinstance(other.value, str)
+        is_number = is_number or node.operator in ("+", "-")
+        is_number = is_number and node.operator in ("+", "-", "==", "!=")
+        if isinstance(side, Call) and side.name in _EXTREMES and is_number:
+            yield partial(_misread, side, _OF_EXTREMES.format(side.name, node.operator))
+            return
+
+
+def _told(message: str, span: SourceSpan, _: Scope) -> Iterator[SelectScriptError]:
+    yield ArgumentError(message, span=span)
+
+
+def _misread(call: Call, message: str, scope: Scope) -> Iterator[SelectScriptError]:
+    if call.name in OVER_TIME or scope.is_relation(call.name):
+        yield ArgumentError(message, span=call.span)
+
+
+def _not_a_number(name: Name, scope: Scope) -> Iterator[SelectScriptError]:
+    if is_nan(scope.variable(name.name)):
+        message = f"{name.name} is NaN, no number: no comparison with it holds but !="
+        yield ArgumentError(message, span=name.span)
+
+
+def is_nan(value: Any) -> bool:
+    """Checks whether a value is the number that is none."""
+    return isinstance(value, float) and math.isnan(value)
+
+
+def _always_true(node: Node, scope: Scope) -> Iterator[SelectScriptError]:
+    """Yields the mistake of a condition that is an entity, a text or a list with elements."""
+    what = ""
+    value = scope.variable(node.name) if isinstance(node, Name) else None
+    if isinstance(value, Handle):
+        what = f"{node.name} is an entity"  # type: ignore[attr-defined]
+    elif isinstance(node, Call | Name):
+        if value is None and node.name in _NO_CONDITIONS and scope.is_relation(node.name):
+            what = f"{node.name} is {_NO_CONDITIONS[node.name]}"
+    elif (named := scope.entity(node)) is not None:
+        what = f"{name_path(named.world.name, named.name)} is an entity"
+    if what:
+        advice = "compare it with something, as in z(this) > 1"
+        message = f"{what}, which always holds as a condition: {advice}"
+        yield ArgumentError(message, span=node.span)
 
 
 # The relations of two whose answer needs the shapes of both, or a region that one of them is.
@@ -85,29 +143,20 @@ _OF_SHAPES = frozenset(
 _OF_BOXES = frozenset(("above", "below", "within", "overlaps"))
 
 
-def of_entities(statement: Node) -> Iterator[Call]:
-    """Yields the calls that ask for shapes or boxes."""
-    for call in statement.walk():
-        if isinstance(call, Call) and call.name in _OF_SHAPES | _OF_BOXES:
-            yield call
-
-
-def unfit(call: Call, entities: Sequence[Entity | None]) -> Iterator[tuple[str, SourceSpan]]:
-    """Yields why a call tells nothing of entities, each with the place.
-
-    Args:
-        call: the call.
-        entities: its arguments; None for what names no entity.
-    """
+def _unfit_entities(call: Call, scope: Scope) -> Iterator[SelectScriptError]:
+    """Yields an error for each entity in a relation that tells nothing of it."""
+    if not scope.is_relation(call.name):
+        return
+    entities = list(map(scope.entity, call.arguments))
     for i, (part, entity) in enumerate(zip(call.arguments, entities, strict=True)):
         told = "" if entity is None else _without_extent(call, entity, is_first=i == 0)
         if told:
-            yield told, part.span
+            yield ArgumentError(told, span=part.span)
     match call.name, entities:
         case name, (Entity() as carrier, Entity() as carried, *_) if name in CARRIED:
             if can_move(carrier) and not can_move(carried):
                 paths = (name_path(one.world.name, one.name) for one in (carrier, carried))
-                yield swapped(name, *paths), call.span
+                yield ArgumentError(_swapped(name, *paths), span=call.span)
 
 
 def _without_extent(call: Call, entity: Entity, *, is_first: bool) -> str:
@@ -129,25 +178,7 @@ def _without_extent(call: Call, entity: Entity, *, is_first: bool) -> str:
     return ""
 
 
-def as_conditions(statement: Node) -> Iterator[Node]:
-    """Yields what stands as a condition, and may be an entity or a list, which always hold."""
-    for node in statement.walk():
-        for part in _conditions(node):
-            if isinstance(part, Call | Name | QualifiedName | Index):
-                yield part
-
-
-def has_volume(statement: Node) -> bool:
-    """Checks whether a statement names the relation `volume`."""
-    return any(isinstance(part, Call | Name) and part.name == "volume" for part in statement.walk())
-
-
-def has_volume_in_sql(sql: str) -> bool:
-    """Checks whether a statement of raw SQL calls `volume`."""
-    return _VOLUME_IN_SQL.search(sql) is not None
-
-
-def same_rows(node: Node, outer: Query | None = None) -> Iterator[tuple[str, SourceSpan]]:
+def _same_rows(node: Node, outer: Query | None) -> Iterator[tuple[str, SourceSpan]]:
     """Yields what is told of `this` beside `b.this`, the same row if b is a query's only source."""
     if isinstance(node, Query) and outer is not None and len(node.sources) == 1:
         alias = node.sources[0].alias
@@ -159,7 +190,7 @@ def same_rows(node: Node, outer: Query | None = None) -> Iterator[tuple[str, Sou
                 yield message, aliases[None].span
     inside = node if isinstance(node, Query) else outer
     for child in node.children():
-        yield from same_rows(child, outer if isinstance(child, Source) else inside)
+        yield from _same_rows(child, outer if isinstance(child, Source) else inside)
 
 
 def _calls_of_query(node: Node) -> Iterator[Call]:
@@ -213,35 +244,10 @@ _ASKED = CARRIED | _PLACED
 _NAMES = ("id", "name")
 
 
-@dataclass(frozen=True, eq=False)
-class RowRole:
-    """A call of such a relation of each row of a query.
-
-    Attributes:
-        name: the relation.
-        source: the source of the rows.
-        row: how the row is written.
-        other: how the second argument is written; "" for the entity itself.
-        value: the second argument: an entity; or its name, of another row.
-        span: the place of the call.
-    """
-
-    name: str
-    source: Name | TimeIndex
-    row: str
-    other: str
-    value: Node
-    span: SourceSpan
-
-
-def row_roles(statement: Node) -> Iterator[RowRole]:
-    """Yields the calls of such relations of each row of a query in a statement."""
-    return _row_roles(statement, {}, None)
-
-
 def _row_roles(
     node: Node, sources: Mapping[str | None, Source], where: Node | None
-) -> Iterator[RowRole]:
+) -> Iterator[Check]:
+    """Yields the checks of such relations of each row of a query, whose roles may be swapped."""
     inside: Mapping[str | None, Source] = sources
     if isinstance(node, Query):
         where = node.where
@@ -253,14 +259,63 @@ def _row_roles(
             source = inside[row.alias].value if row.alias in inside else None
             value = _named_by(other, where) if isinstance(other, This) else other
             if isinstance(source, Name | TimeIndex) and value is not None:
-                written = _written(other) if isinstance(other, This) else ""
-                yield RowRole(name, source, _written(row), written, value, node.span)
+                yield partial(_swapped_roles, node, source, value)
     for child in node.children():
         yield from _row_roles(child, sources if isinstance(child, Source) else inside, where)
 
 
-def _written(row: This) -> str:
-    return "this" if row.alias is None else f"{row.alias}.this"
+def _swapped_roles(
+    call: Call, source: Name | TimeIndex, value: Node, scope: Scope
+) -> Iterator[SelectScriptError]:
+    """Yields the mistake of a relation of each row of a source and an entity that is swapped.
+
+    Args:
+        call: the call, of the row and the entity, or of another row that a condition takes for it.
+        source: the source of the rows.
+        value: the entity, or its name.
+        scope: the variables; it warns of what is less sure.
+    """
+    row, other = call.arguments[:2]
+    worlds = worlds_of(rows := scope.variable(source.name))
+    if isinstance(rows, list) and isinstance(rows[0] if rows else None, Entity):
+        worlds = [rows[0].world]
+    named = value.value if isinstance(value, Literal) else None
+    for world in worlds:
+        entity = scope.entity(value) if named is None else entity_of(world, named)
+        if entity is None or entity.world is not world:
+            continue
+        is_past = isinstance(source, TimeIndex) or isinstance(rows, Past)
+        is_known = scope.variable(world.name) is world and scope.is_relation(call.name)
+        if is_known and _are_swapped(call.name, entity, scope, is_past=is_past):
+            path = name_path(world.name, entity.name)
+            carried = (_written(other), path) if isinstance(other, This) else (path,)
+            error = ArgumentError(_swapped(call.name, _written(row), *carried), span=call.span)
+            yield from _sure(call.name, error, scope)
+
+
+def swapped_rows(
+    relations: Iterable[RelationOfRows], entity: Entity, scope: Scope
+) -> Iterator[SelectScriptError]:
+    """Yields an error for each relation in raw SQL of rows and an entity that is swapped."""
+    for call in relations:
+        name = next((known for known in _ASKED if known.lower() == call.name.lower()), "")
+        if name and _are_swapped(name, entity, scope, is_past=call.is_past):
+            path = name_path(entity.world.name, entity.name)
+            error = ArgumentError(_swapped(call.name, *call.rows, path), span=call.span)
+            yield from _sure(name, error, scope)
+
+
+def _sure(name: str, error: SelectScriptError, scope: Scope) -> Iterator[SelectScriptError]:
+    """Yields the error of a relation if it is one for sure, and else warns of it."""
+    if name in CARRIED:
+        yield error
+    else:
+        scope.warn(error)
+
+
+def _written(row: Node) -> str:
+    alias = row.alias if isinstance(row, This) else None
+    return "this" if alias is None else f"{alias}.this"
 
 
 def _named_by(row: This, where: Node | None) -> Node | None:
@@ -280,20 +335,15 @@ def _named_by(row: This, where: Node | None) -> Node | None:
     return None
 
 
-def spelled_relation(name: str) -> str:
-    """Returns the name of such a relation, whose case does not matter in SQL; "" for others."""
-    return next((known for known in _ASKED if known.lower() == name.lower()), "")
-
-
 def can_move(entity: Entity) -> bool:
     """Checks whether the simulation can move any part of an entity."""
     body = entity.info.body
     return body is None or body.movable
 
 
-def swapped(name: str, carrier: str, carried: str, entity: str = "") -> str:
+def _swapped(name: str, carrier: str, carried: str, entity: str = "") -> str:
     """Returns what is told of a call whose arguments are swapped."""
-    asks = _ASKED[spelled_relation(name)]
+    asks = next(asks for known, asks in _ASKED.items() if known.lower() == name.lower())
     which = f"which is {entity}, immovable" if entity else "which is immovable"
     return (
         f"{name}({carrier}, {carried}) asks whether {carried}, {which}, {asks} {carrier}: "
@@ -301,42 +351,26 @@ def swapped(name: str, carrier: str, carried: str, entity: str = "") -> str:
     )
 
 
-class SwappedRoles:
-    """Tells which relations of the rows of queries have their arguments swapped.
+def _are_swapped(name: str, entity: Entity, scope: Scope, *, is_past: bool) -> bool:
+    """Checks whether a relation of each row, and of an entity, has its arguments swapped.
 
-    Args:
-        finds: a function that checks whether a query has a row; None if it cannot run.
+    Nothing in the world carries the entity, which is immovable. It may be above or below something
+    at other times: there, something has to be the other way round now.
     """
-
-    def __init__(self, finds: Callable[[Query], bool | None]) -> None:
-        self._finds = finds
-        # Whether the arguments are swapped, by relation and entity, as soon as that is known.
-        self._verdicts: WeakKeyDictionary[World, dict[tuple[str, int], bool]] = WeakKeyDictionary()
-
-    def are_swapped(self, name: str, entity: Entity, *, is_past: bool = False) -> bool:
-        """Checks whether a relation of each row, and of an entity, has its arguments swapped.
-
-        Nothing in the world carries the entity, which is immovable. It may be above or below
-        something at other times: there, something has to be the other way round now.
-        """
-        is_placed = name in _PLACED
-        if can_move(entity) or isinstance(entity.world, BatchWorld) or (is_past and is_placed):
-            return False
-        verdicts = self._verdicts.setdefault(entity.world, {})
-        key = name, entity.id
-        if key not in verdicts:
-            has_row = self._finds(_of_rows(name, entity, is_first=False))
-            is_meant = has_row is not False
-            if (
-                not is_meant
-                and is_placed
-                and not self._finds(_of_rows(name, entity, is_first=True))
-            ):
-                return False
-            if has_row is not None:
-                verdicts[key] = not is_meant
-            return not is_meant
+    is_placed = name in _PLACED
+    if can_move(entity) or isinstance(entity.world, BatchWorld) or (is_past and is_placed):
+        return False
+    verdicts = scope.verdicts.setdefault(entity.world, {})
+    key = name, entity.id
+    if key in verdicts:
         return verdicts[key]
+    has_row = scope.finds(_of_rows(name, entity, is_first=False))
+    is_meant = has_row is not False
+    if not is_meant and is_placed and not scope.finds(_of_rows(name, entity, is_first=True)):
+        return False
+    if has_row is not None:
+        verdicts[key] = not is_meant
+    return not is_meant
 
 
 def _of_rows(name: str, entity: Entity, *, is_first: bool) -> Query:

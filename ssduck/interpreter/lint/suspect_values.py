@@ -6,9 +6,10 @@ row of a group, a number as the age of `least` and `holds`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 from typing import Literal as OneOf
 
@@ -16,7 +17,7 @@ from ssduck import validation
 from ssduck.errors import ArgumentError, SelectScriptError, SourceSpan
 from ssduck.formatting import argument_in_words
 from ssduck.interpreter.lint.columns import column_of, first_rows, unnamed
-from ssduck.interpreter.lint.known_names import handle_of, spelled, spelled_id
+from ssduck.interpreter.lint.scope import Check, Scope, spelled, spelled_id
 from ssduck.language.aggregates import is_grouped, over_rows
 from ssduck.language.analysis import states
 from ssduck.language.builtins import EXTREMES
@@ -72,7 +73,6 @@ _INSTEAD_OF_AGE = {
     "holds": "the time for which a condition has held is heldFor(condition) >= 0.2",
     "changes": "the value at a time is at(0.2, expression)",
 }
-_ORDERINGS = ("<", "<=", ">", ">=")
 
 
 @dataclass(frozen=True)
@@ -98,59 +98,35 @@ class Comparison:
     other: Comparison | None = None
 
 
-@dataclass(frozen=True)
-class Suspects:
-    """The parts of a statement to look at.
-
-    Attributes:
-        comparisons: the comparisons of columns.
-        others: what is no column, and is compared with a value, with that value.
-        ages: the calls of `least`, `holds` and others over time with an age.
-        first_rows: the columns of the first row of a group, with their names if they are bare.
-        queries: the nested queries that SELECT has as lists of dicts.
-        vectors: the sums, products and orderings of which a side is a position, or another list of
-            numbers of an entity.
-        aggregates: the aggregates that SELECT has of such a list in each row.
-    """
-
-    comparisons: tuple[Comparison, ...] = ()
-    others: tuple[tuple[Node, Node], ...] = ()
-    ages: tuple[Call, ...] = ()
-    first_rows: tuple[tuple[str, SourceSpan], ...] = ()
-    queries: tuple[Query, ...] = ()
-    vectors: tuple[Binary, ...] = ()
-    aggregates: tuple[Call, ...] = ()
-
-    def __bool__(self) -> bool:
-        return any(getattr(self, part.name) for part in fields(self))
-
-
-def suspects_of(statement: Node) -> Suspects:
-    """Returns the parts of a statement to look at."""
+def suspect_values(statement: Node) -> Iterator[Check]:
+    """Yields the checks of a statement's comparisons, columns, aggregates and ages."""
     queries = [part for part in statement.walk() if isinstance(part, Query)]
     names = {name for query in queries for name in states(query)}
-    return Suspects(
-        tuple(site for query in queries for site in _comparisons(query)),
-        tuple(pair for part in statement.walk() for pair in _compared_with_values(part, names)),
-        tuple(_ages(statement)),
-        tuple(site for query in queries for site in first_rows(query)),
-        tuple(table for query in queries for table in _tables(query)),
-        tuple(
-            part
-            for part in statement.walk()
-            if isinstance(part, Binary)
-            and part.operator in ("+", "*", *_ORDERINGS)
-            and any(map(_vector_of, _sides(part)))
-        ),
-        tuple(
-            call
-            for query in queries
-            if not is_grouped(query)
-            for item in query.items
-            for call in over_rows(item)
-            if call.name != "count" and _vector_of(call.arguments[0])
-        ),
-    )
+    for query in queries:
+        yield from (partial(_mistakes_at, site) for site in _comparisons(query))
+    for part in statement.walk():
+        for side, value in _compared_with_values(part, names):
+            yield partial(_never_equal, side, value)
+        match part:
+            case Call(name=name, arguments=(_, age)) if name in _INSTEAD_OF_AGE and not (
+                isinstance(age, Unary) and age.operator == "-"
+            ):
+                yield partial(_time_as_age, part)
+            case Binary(operator="+" | "*" | "<" | "<=" | ">" | ">=") if any(
+                map(_vector_of, _sides(part))
+            ):
+                yield partial(_operator_of_vectors, part)
+    for query in queries:
+        if not is_grouped(query):
+            for call in (call for item in query.items for call in over_rows(item)):
+                if call.name != "count" and _vector_of(call.arguments[0]):
+                    yield partial(_aggregate_of_vectors, call)
+        for node in map(unnamed, query.items):
+            match node:
+                case Query(items=(_,), adapter=None, recursion=None):
+                    yield partial(_list_of_dicts, node)
+        for name, span in first_rows(query):
+            yield partial(_first_row, name, span)
 
 
 def _sides(node: Binary) -> tuple[Node, Node]:
@@ -165,15 +141,6 @@ def _vector_of(node: Node) -> str:
         case Binary(operator="-", left=left, right=right):
             return _vector_of(left) or _vector_of(right)
     return ""
-
-
-def _tables(query: Query) -> Iterator[Query]:
-    """Yields the nested queries of one column that SELECT has as lists of dicts."""
-    for node in map(unnamed, query.items):
-        if not isinstance(node, Query) or node.adapter is not None or node.recursion is not None:
-            continue
-        if len(node.items) == 1:
-            yield node
 
 
 # -- comparisons --------------------------------------------------------------------------------
@@ -273,81 +240,71 @@ def _source(query: Query, alias: str | None) -> Source | None:
     return next((source for source in query.sources if source.alias == alias), None)
 
 
-def _ages(node: Node) -> Iterator[Call]:
-    """Yields the calls of `least`, `holds` and others over time with an age from the beginning."""
-    for part in node.walk():
-        match part:
-            case Call(name=name, arguments=(_, age)) if name in _INSTEAD_OF_AGE and not (
-                isinstance(age, Unary) and age.operator == "-"
-            ):
-                yield part
-
-
 # -- what is a mistake ----------------------------------------------------------------------------
 
 
-def mistakes_in(
-    suspects: Suspects,
-    variable: Callable[[str], Any],
-    type_of_relation: Callable[[str], str | None],
-) -> Iterator[SelectScriptError]:
-    """Yields the probable mistakes among the parts of a statement.
+def _never_equal(node: Node, value: Node, scope: Scope) -> Iterator[SelectScriptError]:
+    """Yields the mistake of an entity, or of the value of a relation, that is compared."""
+    if scope.handle_of(node) is not None:
+        yield from _unequal("this", {"entity"}, [value], scope)
+    elif isinstance(node, Call) and column_of(node) is None:
+        kind = _KIND_OF_RESULT.get(scope.type_of_relation(node.name) or "")
+        yield from _unequal(node.name, {kind} if kind else set(), [value], scope)
 
-    Args:
-        suspects: the parts.
-        variable: a function that returns the value of a variable; None if there is none.
-        type_of_relation: a function that returns the type of a relation's result; None if a name
-            is no relation.
-    """
-    for site in suspects.comparisons:
-        if is_hidden(site, variable):
-            continue
-        if site.other is not None:
-            if not is_hidden(site.other, variable):
-                yield from _different_columns(site, site.other, variable, type_of_relation)
-            continue
-        yield from _mistakes_at(site, variable, type_of_relation)
-    for node, value in suspects.others:
-        if handle_of(node, variable) is not None:
-            yield from _unequal("this", {"entity"}, [value], variable)
-        elif isinstance(node, Call) and column_of(node) is None:
-            kind = _KIND_OF_RESULT.get(type_of_relation(node.name) or "")
-            yield from _unequal(node.name, {kind} if kind else set(), [value], variable)
-    for call in suspects.ages:
-        if _is_time(call.arguments[1], variable):
-            yield ArgumentError(
-                f"the second argument of {call.name} is an age: {call.name} is over the recorded "
-                f"ticks at that time, or of the last seconds if it is negative; "
-                f"{_INSTEAD_OF_AGE[call.name]}",
-                span=call.span,
-            )
-    for node in suspects.vectors:
-        if node.operator == "*":
-            if any(_is_integer(side, variable) for side in _sides(node)):
-                yield ArgumentError(
-                    "* of a whole number repeats a list; the multiple is [2 * x(a), 2 * y(a), "
-                    "2 * z(a)], or [2 * v[0], 2 * v[1], 2 * v[2]] of another list v",
-                    span=node.span,
-                )
-        elif all(_is_vector(side, variable, type_of_relation) for side in _sides(node)):
-            one = "+" if node.operator == "+" else "<"
-            yield ArgumentError(_OFVECTORS[one].format(node.operator), span=node.span)
-    for call in suspects.aggregates:
-        if _is_vector(call.arguments[0], variable, type_of_relation):
-            yield ArgumentError(
-                f"{call.name} is over the numbers of the list of each row; over the rows write "
-                f"SELECT {call.name}(x(this)) AS x, {call.name}(y(this)) AS y, …",
-                span=call.span,
-            )
-    for query in suspects.queries:
+
+def _time_as_age(call: Call, scope: Scope) -> Iterator[SelectScriptError]:
+    """Yields the mistake of an age that is a number from 0 on, or computed by functions."""
+    age = call.arguments[1]
+    match age:
+        case Literal():
+            is_time = True
+        case Name(name=name) if (value := scope.variable(name)) is not None:
+            is_time = validation.is_number(value) and value >= 0
+        case _:
+            is_time = any(isinstance(part, Call) for part in age.walk())
+    if is_time:
         yield ArgumentError(
-            "the nested query is a list of dicts here; write AS value for its value, or AS list",
-            span=query.span,
+            f"the second argument of {call.name} is an age: {call.name} is over the recorded "
+            f"ticks at that time, or of the last seconds if it is negative; "
+            f"{_INSTEAD_OF_AGE[call.name]}",
+            span=call.span,
         )
-    for name, span in suspects.first_rows:
-        if not name or variable(name) is None:
-            message = "this is of the first row of each group; group by it, too, or aggregate it"
-            yield ArgumentError(message, span=span)
+
+
+def _operator_of_vectors(node: Binary, scope: Scope) -> Iterator[SelectScriptError]:
+    if node.operator == "*":
+        if any(_is_integer(side, scope) for side in _sides(node)):
+            yield ArgumentError(
+                "* of a whole number repeats a list; the multiple is [2 * x(a), 2 * y(a), "
+                "2 * z(a)], or [2 * v[0], 2 * v[1], 2 * v[2]] of another list v",
+                span=node.span,
+            )
+    elif all(_is_vector(side, scope) for side in _sides(node)):
+        one = "+" if node.operator == "+" else "<"
+        yield ArgumentError(_OFVECTORS[one].format(node.operator), span=node.span)
+
+
+def _aggregate_of_vectors(call: Call, scope: Scope) -> Iterator[SelectScriptError]:
+    if _is_vector(call.arguments[0], scope):
+        yield ArgumentError(
+            f"{call.name} is over the numbers of the list of each row; over the rows write "
+            f"SELECT {call.name}(x(this)) AS x, {call.name}(y(this)) AS y, …",
+            span=call.span,
+        )
+
+
+def _list_of_dicts(query: Query, _: Scope) -> Iterator[SelectScriptError]:
+    yield ArgumentError(
+        "the nested query is a list of dicts here; write AS value for its value, or AS list",
+        span=query.span,
+    )
+
+
+def _first_row(name: str, span: SourceSpan, scope: Scope) -> Iterator[SelectScriptError]:
+    """Yields the mistake of a column of a group's first row, whose name is a bare one or ""."""
+    if not name or scope.variable(name) is None:
+        message = "this is of the first row of each group; group by it, too, or aggregate it"
+        yield ArgumentError(message, span=span)
 
 
 # What is told of an operator of two lists of numbers, "<" for all that order them.
@@ -359,55 +316,38 @@ _OFVECTORS = {
 }
 
 
-def _is_time(age: Node, variable: Callable[[str], Any]) -> bool:
-    """Checks whether an age is a number from 0 on, or computed by functions, as of an entity."""
-    match age:
-        case Literal():
-            return True
-        case Name(name=name) if (value := variable(name)) is not None:
-            return validation.is_number(value) and value >= 0
-    return any(isinstance(part, Call) for part in age.walk())
-
-
-def _is_integer(node: Node, variable: Callable[[str], Any]) -> bool:
+def _is_integer(node: Node, scope: Scope) -> bool:
     """Checks whether a part is a whole number: a literal, or a variable."""
     match node:
         case Unary(operator="-", operand=Literal(value=value)) | Literal(value=value):
             return type(value) is int
         case Name(name=name):
-            return type(variable(name)) is int
+            return type(scope.variable(name)) is int
     return False
 
 
-def _is_vector(
-    node: Node,
-    variable: Callable[[str], Any],
-    type_of_relation: Callable[[str], str | None],
-) -> bool:
+def _is_vector(node: Node, scope: Scope) -> bool:
     """Checks whether a part is a list of numbers, such as a position."""
     if isinstance(node, ListLiteral):
         return len(node.items) == _COORDINATES
-    value = variable(node.name) if isinstance(node, Name) else None
+    value = scope.variable(node.name) if isinstance(node, Name) else None
     if value is not None:
         is_list = type(value) is list and len(value) == _COORDINATES
         return is_list and all(isinstance(part, int | float) for part in value)
-    return type_of_relation(_vector_of(node)) is not None
+    return scope.type_of_relation(_vector_of(node)) is not None
 
 
-def is_hidden(site: Comparison, variable: Callable[[str], Any]) -> bool:
+def is_hidden(site: Comparison, scope: Scope) -> bool:
     """Checks whether a bare name is a variable, and not the column."""
-    return site.is_bare and variable(site.column) is not None
+    return site.is_bare and scope.variable(site.column) is not None
 
 
 def _different_columns(
-    site: Comparison,
-    other: Comparison,
-    variable: Callable[[str], Any],
-    type_of_relation: Callable[[str], str | None],
+    site: Comparison, other: Comparison, scope: Scope
 ) -> Iterator[SelectScriptError]:
     """Yields the mistake that two columns of entities can never be equal."""
-    first = kind_of_relation(site, variable, type_of_relation)
-    second = kind_of_relation(other, variable, type_of_relation)
+    first = kind_of_relation(site, scope)
+    second = kind_of_relation(other, scope)
     if first is None or second is None or {first, second} == {"boolean", "number"}:
         return
     if first != second:
@@ -418,14 +358,16 @@ def _different_columns(
         )
 
 
-def _mistakes_at(
-    site: Comparison,
-    variable: Callable[[str], Any],
-    type_of_relation: Callable[[str], str | None],
-) -> Iterator[SelectScriptError]:
-    cells = _cells(site, variable)
+def _mistakes_at(site: Comparison, scope: Scope) -> Iterator[SelectScriptError]:
+    if is_hidden(site, scope):
+        return
+    if site.other is not None:
+        if not is_hidden(site.other, scope):
+            yield from _different_columns(site, site.other, scope)
+        return
+    cells = _cells(site, scope)
     if cells is None:
-        kind = kind_of_relation(site, variable, type_of_relation)
+        kind = kind_of_relation(site, scope)
         kinds = set() if kind is None else {kind}
     else:
         types = set(map(type, cells))
@@ -438,7 +380,7 @@ def _mistakes_at(
         types.discard(type(None))
         kinds = {_KIND_OF_TYPE[kind] for kind in types} if types <= _KIND_OF_TYPE.keys() else set()
     this = _this_of(site.source) if cells is None else ""
-    yield from _unequal(site.column, kinds, site.values, variable, this)
+    yield from _unequal(site.column, kinds, site.values, scope, this)
 
 
 def _this_of(source: Source) -> str:
@@ -451,13 +393,13 @@ def _unequal(
     what: str,
     kinds: AbstractSet[Kind],
     values: Iterable[Node],
-    variable: Callable[[str], Any],
+    scope: Scope,
     this: str = "",
 ) -> Iterator[SelectScriptError]:
     """Yields the mistakes that what has some kinds never equals values of others."""
     words = " or ".join(_WORDS[kind] for kind in sorted(kinds))
     for value in values if kinds else ():
-        plain = _plain_values(value, variable)
+        plain = _plain_values(value, scope)
         if plain:
             is_truth_value = kinds == {"boolean"} and any(one in (0, 1) for one in plain)
             is_equal = is_truth_value or any(_KIND_OF_TYPE[type(one)] in kinds for one in plain)
@@ -465,7 +407,7 @@ def _unequal(
             advice = "; compare its id: id(…)" if isinstance(plain[0], str) else ""
             advice = advice if "entity" in kinds else ""
         else:
-            is_equal = "entity" in kinds or handle_of(value, variable) is None
+            is_equal = "entity" in kinds or scope.handle_of(value) is None
             told, advice = f"the entity {(name := spelled(value))}", ""
             if what in ("id", "name") and this:
                 column = this.removesuffix("this") + what
@@ -480,51 +422,47 @@ def _unequal(
             )
 
 
-def _plain_values(node: Node, variable: Callable[[str], Any]) -> list[Any]:
+def _plain_values(node: Node, scope: Scope) -> list[Any]:
     """Returns the numbers and texts that a part of a comparison is; none if it is another."""
     values: list[Any] = []
     match node:
         case Literal(value=value):
             values = [value]
         case Name(name=name):
-            values = [variable(name)]
+            values = [scope.variable(name)]
         case _Elements(name=name):
-            found = variable(name)
+            found = scope.variable(name)
             values = found if type(found) is list else []
     return values if all(type(value) in _KIND_OF_TYPE for value in values) else []
 
 
-def _cells(site: Comparison, variable: Callable[[str], Any]) -> list[Any] | None:
+def _cells(site: Comparison, scope: Scope) -> list[Any] | None:
     """Returns the values of a column of the dicts in a variable; None if it holds none."""
     value = site.source.value
-    rows = variable(value.name) if isinstance(value, Name) else None
+    rows = scope.variable(value.name) if isinstance(value, Name) else None
     if not isinstance(rows, list) or not rows:
         return None
     dicts = [row for row in rows[:MAX_ROWS] if isinstance(row, dict)]
     return [row[site.column] for row in dicts if site.column in row] if dicts else None
 
 
-def kind_of_relation(
-    site: Comparison,
-    variable: Callable[[str], Any],
-    type_of_relation: Callable[[str], str | None],
-) -> Kind | None:
+def kind_of_relation(site: Comparison, scope: Scope) -> Kind | None:
     """Returns what the values of a column of entities are; None if it is not known."""
     value = site.source.value
     if not isinstance(value, Name | TimeIndex | Call):
         return None
-    if isinstance(value, Name) and not isinstance(variable(value.name), World | Past | Links):
+    if isinstance(value, Name) and not isinstance(scope.variable(value.name), World | Past | Links):
         return None
     if site.column == "this":
-        return "entity" if _has_handles(value, variable) else None
-    return _KIND_OF_RESULT.get(type_of_relation(site.column) or "")
+        return "entity" if _has_handles(value, scope) else None
+    return _KIND_OF_RESULT.get(scope.type_of_relation(site.column) or "")
 
 
-def _has_handles(value: Name | TimeIndex | Call, variable: Callable[[str], Any]) -> bool:
+def _has_handles(value: Name | TimeIndex | Call, scope: Scope) -> bool:
     """Checks whether the elements of a source are entities, links or sites for sure."""
     if isinstance(value, Call):
         return value.name in ("links", "sites")
-    return isinstance(variable(value.name), World | Past | Links)
+    return isinstance(scope.variable(value.name), World | Past | Links)
 
 
 _KIND_OF_RESULT: Mapping[str, Kind] = {

@@ -1,0 +1,333 @@
+"""Finds names that are valid where they stand, but name something else, or nothing.
+
+A variable that hides a function, a text in the place of a name, a name that no entity has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import islice
+from typing import Any
+
+from ssduck.errors import ArgumentError, SelectScriptError, SourceSpan
+from ssduck.formatting import short_repr
+from ssduck.interpreter.lint.columns import is_comparison, unnamed
+from ssduck.interpreter.lint.scope import Check, Scope, worlds_of
+from ssduck.language.analysis import OVER_TIME, states
+from ssduck.language.tree import (
+    AdapterClause,
+    Assignment,
+    Binary,
+    Call,
+    ListLiteral,
+    Literal,
+    Name,
+    Node,
+    OperatorChain,
+    QualifiedName,
+    Query,
+    Source,
+    This,
+    TimeIndex,
+    Unary,
+)
+from ssduck.recording.replay.past import Past
+from ssduck.sql.name_comparisons import NameKind
+from ssduck.world.handles import Handle, Link, Links
+from ssduck.world.world import World
+
+# The largest number of unknown names that are reported in a statement.
+MAX_UNKNOWN = 20
+# The functions that return the name or the kind of an entity.
+_KIND_FUNCTIONS = ("kind", "type")
+_NAME_FUNCTIONS = ("id", "name", *_KIND_FUNCTIONS)
+# The functions that SQL's users know as columns; so common as variables that they may hide them.
+_MAY_HIDE = OVER_TIME | {"name", "kind"}
+_NAMED = (Name, TimeIndex)
+
+
+# -- names of variables, functions and columns ----------------------------------------------------
+
+
+def hidden_names(statement: Node) -> Iterator[Check]:
+    """Yields the checks of names that may be those of something else, and of texts like names."""
+    for node in statement.walk():
+        match node:
+            case Assignment(name=name, span=span, is_bare=False) if len(name) > 1:
+                # Shorter names are checked where they are used.
+                place = SourceSpan(span.start, span.start + len(name))
+                yield partial(_hides_function, name, place, (), _MAY_HIDE)
+            case Query():
+                yield from _hidden_in(node)
+
+
+def _hidden_in(query: Query) -> Iterator[Check]:
+    own = states(query)
+    orders = [key.value for key in query.order]
+    columns = {
+        part.arguments[-1].value
+        for part in query.items
+        if isinstance(part, Call) and part.name == "to" and isinstance(part.arguments[-1], Literal)
+    } - own
+    having = () if query.having is None else (query.having,)
+    for node in _bare_names([*query.group, *orders, *having]):
+        if node.name in columns:
+            yield partial(_hides_column, node)
+    for key in (*query.items, *query.group, *orders):
+        match key:
+            case Name(name=name) if name not in own:
+                yield partial(_hides_function, name, key.span, (name,), _MAY_HIDE)
+            case Literal(value=str() as name):
+                yield partial(_quoted_function, name, key.span)
+    conditions = [part for part in (query.where, query.having) if part is not None]
+    conditions += [item for item in map(unnamed, query.items) if is_comparison(item)]
+    for node, others in _condition_names(conditions):
+        if own.isdisjoint((node.name, *others)):
+            names = node.name, *others
+            yield partial(_hides_function, node.name, node.span, names, OVER_TIME)
+    aliases = {s.alias for s in query.sources if not isinstance(s.value, _NAMED)}
+    aliases |= {s.alias for s in query.sources if getattr(s.value, "name", s.alias) != s.alias}
+    for node in _bare_names(child for child in query.children() if not isinstance(child, Source)):
+        if node.name in aliases - own:
+            yield partial(_hides_element, node)
+    for source in query.sources:
+        match source.value:
+            case Literal(value=str() as name):
+                yield partial(_quoted_source, name, source.value.span)
+
+
+def _hides_function(
+    name: str, span: SourceSpan, variables: Iterable[str], may_hide: frozenset[str], scope: Scope
+) -> Iterator[SelectScriptError]:
+    """Yields the mistake of a variable that hides a function, where some variables are set."""
+    is_hidden = scope.is_function(name) and name not in may_hide
+    if is_hidden and all(scope.variable(one) is not None for one in variables):
+        yield ArgumentError(
+            f"the variable {name} hides the function {name}: a bare {name} is the variable; "
+            f"{name}(…) still calls the function",
+            span=span,
+        )
+
+
+def _hides_column(node: Name, scope: Scope) -> Iterator[SelectScriptError]:
+    if scope.variable(node.name) is not None:
+        message = f"{node.name} is the variable here, and not the column of that name"
+        yield ArgumentError(message, span=node.span)
+
+
+def _hides_element(node: Name, scope: Scope) -> Iterator[SelectScriptError]:
+    is_variable = scope.variable(node.name) is not None
+    if is_variable or scope.is_function(node.name):
+        what = "variable" if is_variable else "function"
+        message = f"{node.name} is the {what} here; the element of the source is {node.name}.this"
+        yield ArgumentError(message, span=node.span)
+
+
+def _quoted_function(name: str, span: SourceSpan, scope: Scope) -> Iterator[SelectScriptError]:
+    if scope.text[span.start : span.start + 1] == '"' and scope.is_function(name):
+        message = f'"{name}" is a text; the function is written without quotes: {name}'
+        yield ArgumentError(message, span=span)
+
+
+def _quoted_source(name: str, span: SourceSpan, scope: Scope) -> Iterator[SelectScriptError]:
+    if isinstance(scope.variable(name), World | Past | list):
+        message = f"{short_repr(name)} is a text, and the only element; the variable is {name}"
+        yield ArgumentError(message, span=span)
+
+
+def _condition_names(nodes: Iterable[Node]) -> Iterator[tuple[Name, tuple[str, ...]]]:
+    """Yields bare names that are conditions, or are compared with constants and other names.
+
+    Each has the names that it is compared with: where all are variables, no row has a part in it.
+    """
+    for node in nodes:
+        match node:
+            case Name():
+                yield node, ()
+            case Binary(operator="AND" | "OR" | "XOR", left=left, right=right):
+                yield from _condition_names((left, right))
+            case OperatorChain(operators=("AND" | "OR" | "XOR", *_), operands=operands):
+                yield from _condition_names(operands)
+            case Unary(operator="NOT", operand=operand):
+                yield from _condition_names((operand,))
+            case Binary(left=left, right=right):
+                for side, other in ((left, right), (right, left)):
+                    names = _names_in(other)
+                    if isinstance(side, Name) and names is not None:
+                        yield side, names
+
+
+def _names_in(node: Node) -> tuple[str, ...] | None:
+    """Returns the names in a value of literals and names; None for another value."""
+    if isinstance(node, Name):
+        return (node.name,)
+    if not isinstance(node, Literal | Unary | Binary | OperatorChain | ListLiteral):
+        return None
+    parts = [_names_in(child) for child in node.children()]
+    return None if None in parts else tuple(name for part in parts if part for name in part)
+
+
+def _bare_names(nodes: Iterable[Node]) -> Iterator[Name]:
+    for node in nodes:
+        if isinstance(node, Name):
+            yield node
+        if not isinstance(node, Query):
+            yield from _bare_names(node.children())
+
+
+# -- names of entities ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _NameSite:
+    """A place where the name or the kind of an entity is compared with a text or a variable.
+
+    Attributes:
+        source: the source of the entity; None if it is not known.
+        function: the function whose value is compared: `id`, `name`, `kind` or `type`.
+        value: the text or the variable.
+        is_bare: whether the name is a bare one, which may be a key of a dict.
+        element: the argument of the function if it is no element of a source; None if it is one.
+    """
+
+    source: Source | None
+    function: str
+    value: Literal | Name
+    is_bare: bool
+    element: Node | None = None
+
+
+_Sources = Mapping[str | None, Source]
+
+
+def unknown_names(statement: Node) -> Iterator[Check]:
+    """Yields the checks of names that no entity may have."""
+    sites = tuple(_name_sites(statement, {}))
+    if sites:
+        yield partial(_unknown, sites)
+    members = tuple(
+        _NameSite(Source(node.right.span, None, node.right), "name", node.left, is_bare=False)
+        for node in statement.walk()
+        if isinstance(node, Binary) and node.operator == "IN" and isinstance(node.right, _NAMED)
+        if isinstance(node.left, Literal | Name)
+    )
+    if members:
+        yield partial(_not_yet_known, members)
+
+
+def _name_sites(node: Node, sources: _Sources) -> Iterator[_NameSite]:
+    """Yields the comparisons of names; `sources` by alias, None for the only one."""
+    match node:
+        case Query():
+            outside: _Sources = {a: source for a, source in sources.items() if a is not None}
+            inside = _sources_in(node, sources)
+            for child in node.children():
+                yield from _name_sites(child, outside if isinstance(child, Source) else inside)
+            return
+        case Binary(operator="==" | "!=", left=left, right=right):
+            for side, other in ((left, right), (right, left)):
+                yield from _compared(side, (other,), sources)
+        case Binary(operator="IN", left=left, right=right):
+            values = right.items if isinstance(right, ListLiteral) else (right,)
+            if not isinstance(right, Literal):  # any text may be a part of a text
+                yield from _compared(left, values, sources)
+            match right:
+                case Query(items=(item,), adapter=AdapterClause(name="list"), recursion=None):
+                    yield from _compared(item, (left,), _sources_in(right, sources))
+            for item in right.items if isinstance(right, ListLiteral) else ():
+                yield from _compared(item, (left,), sources)
+    for child in node.children():
+        yield from _name_sites(child, sources)
+
+
+def _sources_in(query: Query, sources: _Sources) -> _Sources:
+    """Returns the sources that a query's clauses see."""
+    own: dict[str | None, Source] = {s.alias: s for s in query.sources if s.alias is not None}
+    inside = {alias: source for alias, source in sources.items() if alias is not None} | own
+    return inside | {None: query.sources[0]} if len(query.sources) == 1 else inside
+
+
+def _compared(side: Node, values: Iterable[Node], sources: _Sources) -> Iterator[_NameSite]:
+    element: Node | None = None
+    match side:
+        case Call(name=name, arguments=(This(alias=alias),)) if name in _NAME_FUNCTIONS:
+            source, is_bare = sources.get(alias), False
+        case Call(name=name, arguments=(element,)) if name in _NAME_FUNCTIONS:
+            source, is_bare = None, False
+        case QualifiedName(alias=alias, key=name) if name in _NAME_FUNCTIONS:
+            source, is_bare = sources.get(alias), True
+        case Name(name=name) if name in _NAME_FUNCTIONS and None in sources:
+            source, is_bare = sources[None], True
+        case _:
+            return
+    for value in values:
+        if isinstance(value, Name) or (isinstance(value, Literal) and type(value.value) is str):
+            yield _NameSite(source, name, value, is_bare, element)
+
+
+def _not_yet_known(sites: Sequence[_NameSite], scope: Scope) -> Iterable[SelectScriptError]:
+    """Warns of names that are looked for in a world: what has them may come."""
+    for error in _unknown(sites, scope):
+        scope.warn(error)
+    return ()
+
+
+def _unknown(sites: Sequence[_NameSite], scope: Scope) -> Iterable[SelectScriptError]:
+    return islice(_all_unknown(sites, scope), MAX_UNKNOWN)
+
+
+def _all_unknown(sites: Sequence[_NameSite], scope: Scope) -> Iterator[SelectScriptError]:
+    for site in sites:
+        value, local = site.value, scope.local
+        if isinstance(site.element, Name) and site.element.name in local:
+            continue
+        worlds, kinds = _owners_at(site, scope)
+        if not worlds or (isinstance(value, Name) and value.name in local):
+            continue
+        found = value.value if isinstance(value, Literal) else scope.variable(value.name)
+        for text in found if isinstance(found, list) else [found]:
+            if isinstance(text, str) and not scope.names.is_known(text, worlds, kinds):
+                yield scope.names.error(text, worlds, kinds, value.span)
+
+
+def _owners_at(site: _NameSite, scope: Scope) -> tuple[list[World], list[NameKind]]:
+    """Returns the worlds that the name may be of, none if unknown, and whose it may be."""
+    if site.is_bare and scope.variable(site.function) is not None:
+        return [], []
+    is_kind = site.function in _KIND_FUNCTIONS
+    of_entity: NameKind = "kind" if is_kind else "entity"
+    of_link: NameKind = "full link" if site.function == "id" else "link"
+    of_link = "kind of link" if is_kind else of_link
+    if site.element is not None:
+        handle = scope.handle_of(site.element)
+        if handle is None:
+            return [], []
+        worlds = list(scope.worlds()) if handle.world is None else [handle.world]
+        return worlds, [of_link if handle.is_link else of_entity]
+    value = None if site.source is None else site.source.value
+    if isinstance(value, Call) and value.name in ("links", "sites") and len(value.arguments) == 1:
+        (argument,) = value.arguments
+        variable = scope.variable(argument.name) if isinstance(argument, _NAMED) else None
+        return worlds_of(variable) or list(scope.worlds()), [of_link]
+    if isinstance(value, _NAMED):
+        variable = scope.variable(value.name)
+        if isinstance(variable, list):
+            return _owners_in(variable, of_entity, of_link, scope)
+        is_of_links = isinstance(variable, Links) or (
+            isinstance(variable, Past) and variable.table != "entities"
+        )
+        return worlds_of(variable), [of_link if is_of_links else of_entity]
+    return ([] if site.is_bare else list(scope.worlds())), [of_entity, of_link]
+
+
+def _owners_in(
+    elements: list[Any], of_entity: NameKind, of_link: NameKind, scope: Scope
+) -> tuple[list[World], list[NameKind]]:
+    """Returns the worlds and the owners of names for a list, whose first element decides."""
+    if not isinstance(elements[0] if elements else None, Handle):
+        return [], []
+    has_links = any(isinstance(element, Link) for element in elements)
+    kinds: list[NameKind] = [of_entity, of_link] if has_links else [of_entity]
+    return list(scope.worlds()), kinds
