@@ -13,12 +13,11 @@ if TYPE_CHECKING:
     from ssduck.geometry.height_fields import height_field
     from ssduck.interchange.conversion import import_poses
     from ssduck.interchange.record_writer import RecordWriter, write_record
-    from ssduck.interpreter.archives import episodes
+    from ssduck.interpreter.archives import check, episodes
     from ssduck.interpreter.interpreter import Interpreter
     from ssduck.interpreter.opening import load
     from ssduck.interpreter.opening import open_record as open  # noqa: A004
-    from ssduck.interpreter.record_check import check
-    from ssduck.interpreter.triggers.diff import Changed
+    from ssduck.interpreter.triggers.conditions import Changed
     from ssduck.interpreter.triggers.trigger import TriggerWarning
     from ssduck.lakes.lake import Lake
     from ssduck.lakes.lake import open_lake as lake
@@ -80,7 +79,7 @@ offer("task", "ssduck.gym.tasks:task_env")
 offer("terms", "ssduck.gym.batch_terms:BatchTerms")
 
 _HOMES = {
-    "Changed": "interpreter.triggers.diff",
+    "Changed": "interpreter.triggers.conditions",
     "Damage": "recording.folder_check",
     "Entity": "world.entities",
     "Episode": "recording.episode",
@@ -101,7 +100,7 @@ _HOMES = {
     "TriggerWarning": "interpreter.triggers.trigger",
     "World": "world.world",
     "adapter": "adapters.registry",
-    "check": "interpreter.record_check",
+    "check": "interpreter.archives",
     "episodes": "interpreter.archives",
     "height_field": "geometry.height_fields",
     "lake": "lakes.lake",

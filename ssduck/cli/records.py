@@ -217,7 +217,7 @@ def check(
     ] = False,
 ) -> None:
     """List the damaged and missing files of a record, and what is lost with each."""
-    from ssduck.interpreter.record_check import check as damages_of
+    from ssduck.interpreter.archives import check as damages_of
 
     path = expand_path(path)
     damages = damages_of(path, repair=repair)

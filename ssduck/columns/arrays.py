@@ -16,8 +16,14 @@ import numpy as np
 import numpy.typing as npt
 from sqlglot import exp
 
-from ssduck.columns.compiler import PairCompiler, Parts
-from ssduck.columns.expressions import Compute, Expression, Kind, LeftToDuckDBError
+from ssduck.columns.compiler import (
+    Compute,
+    Expression,
+    Kind,
+    LeftToDuckDBError,
+    PairCompiler,
+    Parts,
+)
 from ssduck.geometry.arrays import Flags, Indices
 from ssduck.sql.relation_calls import PairCall
 from ssduck.sql.relations.geometry_query import MARGINS_UDF, GeometryUdf

@@ -9,25 +9,47 @@ from __future__ import annotations
 import math
 import operator
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import reduce
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Literal, Protocol, TypeAlias
 
 import numpy as np
 from sqlglot import exp
 
-from ssduck.columns.expressions import (
-    NUMBERS,
-    Compute,
-    Expression,
-    Kind,
-    LeftToDuckDBError,
-)
 from ssduck.language.operators import is_like
 from ssduck.sql.relation_calls import PAIR_CALL, PairCall
 from ssduck.sql.relations.registry import GEOMETRY_UDFS
 from ssduck.sql.types import EXACT
+
+# `decimal` is a literal with a point, which SQL compares exactly with other literals; `object` is
+# any value that only passes through.
+Kind: TypeAlias = Literal["double", "integer", "decimal", "boolean", "string", "list", "object"]
+NUMBERS: tuple[Kind, ...] = ("double", "integer", "decimal")
+# The values of leaves, which are parameters and columns, and of parts that were computed, by key.
+Values: TypeAlias = Mapping[Any, Any]
+# Returns the value of an expression.
+Compute: TypeAlias = Callable[[Any], Any]
+
+
+class LeftToDuckDBError(Exception):
+    """An expression, or a value, that DuckDB evaluates."""
+
+
+@dataclass(frozen=True)
+class Expression:
+    """An expression as a function.
+
+    Attributes:
+        kind: the type of its value.
+        compute: a function of the values of leaves that returns its value.
+        has_calls: whether it asks for shapes or contacts, which costs more than all else.
+    """
+
+    kind: Kind
+    compute: Compute
+    has_calls: bool = False
+
 
 _COMPARISONS: dict[type[exp.Expr], Callable[[Any, Any], Any]] = {
     exp.EQ: operator.eq,

@@ -13,8 +13,15 @@ from typing import Any
 
 from sqlglot import exp
 
-from ssduck.columns.compiler import PairCompiler, Parts
-from ssduck.columns.expressions import Compute, Expression, Kind, LeftToDuckDBError, Values
+from ssduck.columns.compiler import (
+    Compute,
+    Expression,
+    Kind,
+    LeftToDuckDBError,
+    PairCompiler,
+    Parts,
+    Values,
+)
 from ssduck.sql.relation_calls import PairCall
 from ssduck.sql.relations.registry import GEOMETRY_UDFS, RELATIONS
 

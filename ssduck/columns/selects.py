@@ -8,8 +8,7 @@ import numpy as np
 from sqlglot import exp
 
 from ssduck.columns.arrays import Array, ArrayOperations
-from ssduck.columns.compiler import Compiler, Leaves
-from ssduck.columns.expressions import LeftToDuckDBError
+from ssduck.columns.compiler import Compiler, Leaves, LeftToDuckDBError
 from ssduck.sql.plan import Plan
 from ssduck.sql.relation_calls import PAIR_CALL, PairCall
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
-from ssduck.columns.expressions import LeftToDuckDBError
+from ssduck.columns.compiler import LeftToDuckDBError
 from ssduck.database.database import Database
 from ssduck.database.values import sql_type_of
 from ssduck.errors import ArgumentError, EvaluationError, FunctionError

@@ -11,7 +11,7 @@ from typing import Any
 
 from sqlglot import exp
 
-from ssduck.columns.expressions import LeftToDuckDBError
+from ssduck.columns.compiler import LeftToDuckDBError
 from ssduck.database.database import Database, Statement
 from ssduck.database.pair_rows import pair_rows
 from ssduck.database.values import to_sql

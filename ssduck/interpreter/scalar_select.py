@@ -19,8 +19,7 @@ from typing import Any
 
 from sqlglot import exp
 
-from ssduck.columns.compiler import Compiler
-from ssduck.columns.expressions import Expression, Kind, LeftToDuckDBError
+from ssduck.columns.compiler import Compiler, Expression, Kind, LeftToDuckDBError
 from ssduck.columns.numbers import NumberOperations, known
 from ssduck.database.values import is_exactly
 from ssduck.errors import ArgumentError, EvaluationError

@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 from sqlglot import exp
 
 from ssduck.columns.arrays import ArrayOperations, ArrayValues
-from ssduck.columns.compiler import Compiler
-from ssduck.columns.expressions import Expression, LeftToDuckDBError
+from ssduck.columns.compiler import Compiler, Expression, LeftToDuckDBError
 from ssduck.columns.numbers import NumberOperations
 
 KINDS = {"a": "double", "b": "double", "c": "double", "n": "integer"}

@@ -17,6 +17,7 @@ from ssduck.errors import (
 )
 from ssduck.formatting import first_names, short_repr
 from ssduck.geometry.arrays import Flags, Indices
+from ssduck.interpreter.batches.columns import ENV
 from ssduck.interpreter.batches.expressions import Answers, CompiledExpressions, Engine
 from ssduck.interpreter.batches.folds import ArrayFold, fold_of
 from ssduck.interpreter.execution import Execution
@@ -32,8 +33,6 @@ from ssduck.world.world import World
 
 # The placeholder that has the simulated times.
 _TIME = "time of the environment"
-# The number of an environment in programs.
-ENV = "env"
 
 
 class BatchExpressions:

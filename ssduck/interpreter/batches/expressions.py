@@ -17,11 +17,10 @@ import numpy as np
 from sqlglot import exp
 
 from ssduck.columns.arrays import Array, ArrayOperations, ArrayValues
-from ssduck.columns.compiler import Compiler
-from ssduck.columns.expressions import Compute, Expression, Kind, LeftToDuckDBError
+from ssduck.columns.compiler import Compiler, Compute, Expression, Kind, LeftToDuckDBError
 from ssduck.columns.selects import PLAIN
 from ssduck.geometry.arrays import Flags
-from ssduck.interpreter.batches.columns import EnvironmentColumns
+from ssduck.interpreter.batches.columns import CHANGING, EnvironmentColumns
 from ssduck.interpreter.batches.kernels import EnvironmentShapes, kernels_of
 from ssduck.interpreter.batches.trees import TreeCompiler, kind_of
 from ssduck.interpreter.execution import Execution
@@ -30,15 +29,12 @@ from ssduck.interpreter.query_runner import PlannedQuery
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import Name, Node, Placeholder
 from ssduck.language.value_keys import ATOMS
-from ssduck.schema import BOX, POSE, TWIST
 from ssduck.sql.plan import ParameterBinding
 from ssduck.sql.relation_calls import PAIR_CALL, PairCall
 from ssduck.world.batches.batch_world import BatchWorld
 from ssduck.world.handles import Handle
 
 T = TypeVar("T")
-# The columns that differ from environment to environment.
-CHANGING = frozenset((*POSE, *TWIST, *BOX))
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 from ssduck.columns.arrays import Array, ArrayValues, Kernel
-from ssduck.columns.expressions import LeftToDuckDBError
+from ssduck.columns.compiler import LeftToDuckDBError
 from ssduck.errors import ArgumentError
 from ssduck.geometry.arrays import Flags, Indices
 from ssduck.geometry.distance import CallCounter

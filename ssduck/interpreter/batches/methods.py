@@ -36,8 +36,8 @@ class BatchMethods:
 
     def _begin_batches(self) -> None:
         """Prepares for programs over batches."""
+        from ssduck.interpreter.batches.columns import batch_table
         from ssduck.interpreter.batches.programs import BatchPrograms
-        from ssduck.interpreter.batches.tables import batch_table
 
         if self._batches is None:
             self._batches = BatchPrograms(self._execution)

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from ssduck.columns.arrays import Array
-from ssduck.columns.expressions import LeftToDuckDBError
+from ssduck.columns.compiler import LeftToDuckDBError
 from ssduck.errors import SelectScriptError, UnsupportedError
 from ssduck.geometry.arrays import Flags
+from ssduck.interpreter.batches.columns import ENV
 from ssduck.interpreter.batches.evaluator import (
-    ENV,
     BatchExpressions,
     answers_of,
     at_environment,

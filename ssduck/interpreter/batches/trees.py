@@ -12,8 +12,7 @@ import numpy as np
 from sqlglot import exp
 
 from ssduck.columns.arrays import Array, ArrayOperations, ArrayValues
-from ssduck.columns.compiler import Compiler
-from ssduck.columns.expressions import NUMBERS, Compute, Expression, Kind, LeftToDuckDBError
+from ssduck.columns.compiler import NUMBERS, Compiler, Compute, Expression, Kind, LeftToDuckDBError
 from ssduck.language.tree import (
     Binary,
     Call,

@@ -17,16 +17,14 @@ from sqlglot import exp
 from ssduck.adapters.base import Adapter
 from ssduck.adapters.tabular import VALUES
 from ssduck.columns.arrays import ArrayOperations
-from ssduck.columns.compiler import literal_of
-from ssduck.columns.expressions import Expression, Kind, LeftToDuckDBError
+from ssduck.columns.compiler import Expression, Kind, LeftToDuckDBError, literal_of
 from ssduck.columns.selects import ArraySelect
 from ssduck.database.values import to_sql
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.output import as_clause_of
 from ssduck.interpreter.program import CompiledProgram
-from ssduck.interpreter.triggers.groups import Formula, Planned, Slot
-from ssduck.interpreter.triggers.table_state import TableState
+from ssduck.interpreter.triggers.groups import TIME_COLUMNS, Formula, Planned, Slot, TableState
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import Binary, Literal, Name, Node, Query, Unary
 from ssduck.language.value_keys import ATOMS
@@ -43,8 +41,6 @@ _KINDS: dict[str, Kind] = {
     **dict.fromkeys(("enabled", "visible"), "boolean"),
 }
 _TABLES = frozenset((ALL_ENTITIES, MASSES, MARGINS, "shapes"))
-# The names that read what differs from tick to tick though nothing moves.
-_TIME_NAMES = frozenset(("tick", "time"))
 _CONSTANT_NODES = (Name, Literal, Unary, Binary)
 _LARGEST = 1 << 63
 
@@ -145,7 +141,7 @@ class Meaning:
     @cached_property
     def tables(self) -> frozenset[str] | None:
         """The tables on which alone its result depends; None if these are not known."""
-        is_fixed = self._is_fixed and not _TIME_NAMES & self._names
+        is_fixed = self._is_fixed and not self._names.intersection(TIME_COLUMNS)
         return self._planner.tables(self._program) if is_fixed else None
 
 

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from ssduck.columns.arrays import Array as Values
-from ssduck.columns.expressions import LeftToDuckDBError
+from ssduck.columns.compiler import LeftToDuckDBError
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.id_pairs import Ids
 from ssduck.geometry.queries import ShapeQueries

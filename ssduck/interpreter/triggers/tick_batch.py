@@ -11,13 +11,12 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from ssduck.adapters.base import Adapter
-from ssduck.columns.expressions import LeftToDuckDBError
+from ssduck.columns.compiler import LeftToDuckDBError
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.triggers.formulas import FormulaPlanner, Meaning
-from ssduck.interpreter.triggers.groups import Formula, FormulaGroup
+from ssduck.interpreter.triggers.groups import TIME_COLUMNS, Formula, FormulaGroup, TableState
 from ssduck.interpreter.triggers.shapes import LiveShapes
-from ssduck.interpreter.triggers.table_state import TIME_COLUMNS, TableState
 from ssduck.interpreter.triggers.trigger import Trigger
 from ssduck.language.tree import Query
 from ssduck.schema import TABLES

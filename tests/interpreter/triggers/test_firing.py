@@ -18,7 +18,13 @@ from hypothesis import strategies as st
 
 import ssduck
 from ssduck.errors import ArgumentError, UnknownNameError
-from ssduck.interpreter.triggers.diff import canonical_key, copy_of, difference, is_true, rows_of
+from ssduck.interpreter.triggers.conditions import (
+    canonical_key,
+    copy_of,
+    difference,
+    is_true,
+    rows_of,
+)
 from ssduck.interpreter.triggers.registry import TriggerWarning
 from tests.support.cases import sampled
 from tests.support.triggering import HEIGHT, NAN, Times, state
