@@ -60,10 +60,6 @@ class ArrayValues(dict[Any, Array]):
     Args:
         left: (n,), becomes True where a value is not known that matters; None if that is an error.
         is_checked: whether numbers are checked; else the caller learns of NaN from numpy.
-
-    Attributes:
-        active: the places at which values matter, (k, n) or (1, n); None for all.
-        computed: the values of common parts by key, with the places for which they were computed.
     """
 
     def __init__(
@@ -79,7 +75,9 @@ class ArrayValues(dict[Any, Array]):
         self._read = read
         self.count, self.calls = count, calls
         self.left, self.is_checked = left, is_checked
+        # The places at which values matter, (k, n) or (1, n); None for all.
         self.active: Flags | None = None
+        # The values of common parts by key, with the places for which they were computed.
         self.computed: dict[str, tuple[Flags | None, Array]] = {}
 
     def __missing__(self, key: Any) -> Array:

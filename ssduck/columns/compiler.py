@@ -38,16 +38,11 @@ class LeftToDuckDBError(Exception):
 
 @dataclass(frozen=True)
 class Expression:
-    """An expression as a function.
+    """An expression as a function."""
 
-    Attributes:
-        kind: the type of its value.
-        compute: a function of the values of leaves that returns its value.
-        has_calls: whether it asks for shapes or contacts, which costs more than all else.
-    """
-
-    kind: Kind
-    compute: Compute
+    kind: Kind  # the type of its value
+    compute: Compute  # a function of the values of leaves that returns its value
+    # Whether it asks for shapes or contacts, which costs more than all else.
     has_calls: bool = False
 
 

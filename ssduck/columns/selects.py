@@ -23,12 +23,6 @@ class ArraySelect:
     Args:
         is_split: whether conditions that AND joins are several, to leave out rows between them;
             else there is one at most.
-
-    Attributes:
-        conditions: what rows have to fulfil, each computed where those before it hold; the narrow
-            phase has the last word.
-        columns: the columns of the SELECT, and the keys of its order.
-        text: the SQL of all parts.
     """
 
     def __init__(
@@ -56,14 +50,18 @@ class ArraySelect:
         compiler = Compiler(operations, leaf, parts)
         expressions = [compiler.expression(part) for part in parts]
         count, self.width = len(conditions), len(select.expressions)
+        # What rows have to fulfil, each computed where those before it hold; the narrow phase has
+        # the last word.
         self.conditions = [
             part.compute for part in sorted(expressions[:count], key=lambda part: part.has_calls)
         ]
+        # The columns of the SELECT, and the keys of its order.
         self.columns = [part.compute for part in expressions[count:]]
         limit, offset = (_number(select.args.get(name)) for name in ("limit", "offset"))
         self._start = offset or 0
         self._end = np.inf if limit is None else self._start + limit
         texts = [part.sql("duckdb") for part in parts]
+        # The SQL of all parts.
         self.text = f"{count} {self._descending} {self._start} {self._end} {texts}"
 
     def arranged(self, columns: Sequence[Array]) -> list[Array]:

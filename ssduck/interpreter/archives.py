@@ -175,21 +175,13 @@ def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
 
 @dataclass(frozen=True, eq=False)
 class StoredRun:
-    """A recorded run in a DuckDB file.
-
-    Attributes:
-        file: the file.
-        schema: the schema of the run.
-        world: the name of the world.
-        number: the number of the episode, from 0.
-        reader: a connection that can read it.
-    """
+    """A recorded run in a DuckDB file."""
 
     file: RecordFile
-    schema: str
-    world: str
-    number: int
-    reader: StoreConnection
+    schema: str  # the schema of the run
+    world: str  # the name of the world
+    number: int  # the number of the episode, from 0
+    reader: StoreConnection  # a connection that can read it
 
     @property
     def path(self) -> Path:

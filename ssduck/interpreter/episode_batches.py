@@ -95,13 +95,7 @@ def collected_doubts(interpreter: Interpreter) -> Iterator[Collection[str]]:
 
 
 class BatchInterpreter:
-    """An interpreter with the world of recorded episodes that have the same entities.
-
-    Attributes:
-        interpreter: the interpreter.
-        world: the world.
-        parts: the parts of the episodes that are asked now.
-    """
+    """An interpreter with the world of recorded episodes that have the same entities."""
 
     world: ReplayedWorld
 
@@ -130,7 +124,7 @@ class BatchInterpreter:
             connection.reader(OpenedRecord(expand_path(source))),
             connection.register,
         )
-        self.parts = self._archive.parts
+        self.parts = self._archive.parts  # the parts of the episodes that are asked now
         self._record = Record(
             None,
             TickBuffer(),

@@ -58,11 +58,6 @@ class Execution(Namespace):
     Args:
         row_by_row: whether every query runs row by row in Python.
         strict: whether a probable mistake is an error.
-
-    Attributes:
-        strict: whether a probable mistake is an error; it may be set at any time.
-        is_stopped: tells whether another thread has stopped what runs; None if none can.
-        doubts: the probable mistakes that are collected in place of warnings; None to warn.
     """
 
     def __init__(
@@ -75,8 +70,10 @@ class Execution(Namespace):
         strict: bool = False,
     ) -> None:
         super().__init__(database, limits)
-        self.strict = strict
+        self.strict = strict  # whether a probable mistake is an error; it may be set at any time
+        # Tells whether another thread has stopped what runs; None if none can.
         self.is_stopped: Callable[[], bool] | None = None
+        # The probable mistakes that are collected in place of warnings; None to warn.
         self.doubts: dict[str, None] | None = None
         # The number of probable mistakes of the running program that were not reported before.
         self._new_doubts = 0

@@ -65,15 +65,11 @@ _MAX_WORLDS = 5
 
 
 class Variables(dict[str, Any]):
-    """Variables by name.
-
-    Attributes:
-        version: an object that is replaced whenever a value is bound to a name.
-    """
+    """Variables by name."""
 
     def __init__(self, values: Mapping[str, Any] = MappingProxyType({})) -> None:
         super().__init__(values)
-        self.version = object()
+        self.version = object()  # an object that is replaced whenever a value is bound to a name
 
     def __setitem__(self, name: str, value: Any) -> None:
         self.version = object()

@@ -40,21 +40,13 @@ QueryRunner: TypeAlias = Callable[
 
 @dataclass(frozen=True)
 class AsClause:
-    """The result form of a query.
+    """The result form of a query."""
 
-    Attributes:
-        name: the name behind AS.
-        adapter: the adapter of that name.
-        arguments: the values of its positional arguments.
-        named: the values of its named arguments.
-        span: the place of the clause; None if the query has no AS.
-    """
-
-    name: str
-    adapter: Adapter
-    arguments: tuple[Any, ...] = ()
-    named: Mapping[str, Any] = field(default_factory=dict)
-    span: SourceSpan | None = None
+    name: str  # the name behind AS
+    adapter: Adapter  # the adapter of that name
+    arguments: tuple[Any, ...] = ()  # the values of its positional arguments
+    named: Mapping[str, Any] = field(default_factory=dict)  # the values of its named arguments
+    span: SourceSpan | None = None  # the place of the clause; None if the query has no AS
 
     def value(self, query: Query, frame: Frame, run: QueryRunner) -> Any:
         """Returns the result of a query: made from its rows, or those of each group or path."""

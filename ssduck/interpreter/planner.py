@@ -68,9 +68,6 @@ class Planner:
 
     Args:
         row_by_row: whether every query runs row by row in Python.
-
-    Attributes:
-        generation: an object that is replaced whenever all plans are dropped.
     """
 
     def __init__(
@@ -80,7 +77,7 @@ class Planner:
         self._scope = scope
         self._limits = limits
         self._row_by_row = row_by_row
-        self.generation = object()
+        self.generation = object()  # an object that is replaced whenever all plans are dropped
         self._plans: dict[Query, list[PlannedQuery]] = {}
         self._row_by_row_queries: dict[
             Query, list[tuple[tuple[SourceType, ...], RowByRowQuery]]

@@ -58,22 +58,17 @@ class SelectedSql:
 
 @dataclass(frozen=True)
 class TickPlan:
-    """A statement over the recorded ticks.
+    """A statement over the recorded ticks."""
 
-    Attributes:
-        select: the statement; its tables are those of the past of one world.
-        columns: its columns; without `is_query` the tick, the time and the value of an expression.
-        is_query: whether the rows are the answer.
-        function: the function over time that makes the answer from the values; None for the value
-            at the last tick.
-        age: how many seconds before the last tick the first one is, less than 0; 0 for the last
-            tick only; None for all ticks.
-    """
-
-    select: exp.Select
+    select: exp.Select  # the statement; its tables are those of the past of one world
+    # Its columns; without `is_query` the tick, the time and the value of an expression.
     columns: tuple[SelectedSql, ...]
-    is_query: bool
+    is_query: bool  # whether the rows are the answer
+    # The function over time that makes the answer from the values; None for the value at the last
+    # tick.
     function: str | None
+    # How many seconds before the last tick the first one is, less than 0; 0 for the last tick only;
+    # None for all ticks.
     age: float | None
 
 

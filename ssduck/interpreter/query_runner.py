@@ -78,7 +78,6 @@ class PlannedQuery:
     """A query with its plan, ready to run.
 
     Attributes:
-        plan: the plan.
         scalars: the query as functions of Python, if it is a SELECT of one row that Python can
             evaluate as DuckDB does.
     """
@@ -428,10 +427,6 @@ class RowByRowQuery:
 
     Args:
         of_past: whether a source is the past of a world, so that handles depend on the row's tick.
-
-    Attributes:
-        resolved: the query with its names resolved.
-        deferred: the variables in it that hold lists which the query itself evaluates.
     """
 
     def __init__(
@@ -444,7 +439,8 @@ class RowByRowQuery:
         *,
         of_past: bool = False,
     ) -> None:
-        self.resolved = resolved
+        self.resolved = resolved  # the query with its names resolved
+        # The variables in it that hold lists which the query itself evaluates.
         self.deferred = deferred
         query = resolved.query
         self._query = query

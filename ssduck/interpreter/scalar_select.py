@@ -41,11 +41,7 @@ _Reader = Callable[[Frame], Any]
 
 
 class ScalarSelect:
-    """A SELECT of values that depend on parameters, without FROM or over a list of one element.
-
-    Attributes:
-        kinds: the types of the parameters that are read, besides the list.
-    """
+    """A SELECT of values that depend on parameters, without FROM or over a list of one element."""
 
     def __init__(self, plan: Plan, functions: Mapping[str, Callable[..., Any]]) -> None:
         kinds = _kinds_of(plan)
@@ -54,6 +50,7 @@ class ScalarSelect:
         columns = plan.select.expressions
         compiler = Compiler(NumberOperations(functions), leaves.expression, columns)
         self._columns = [compiler.expression(part).compute for part in columns]
+        # The types of the parameters that are read, besides the list.
         self.kinds = {name: kind for name, kind in kinds.items() if name in leaves.read}
 
     def rows(self, parameters: Mapping[str, Any]) -> list[tuple[Any, ...]] | None:
@@ -153,11 +150,7 @@ class _Leaves:
 
 
 class RepeatedSelect:
-    """A planned SELECT of one row, with functions that read its parameters.
-
-    Attributes:
-        sources: the values of the sources by alias.
-    """
+    """A planned SELECT of one row, with functions that read its parameters."""
 
     def __init__(self, plan: Plan, select: ScalarSelect, frame: Frame) -> None:
         self._select = select
@@ -170,6 +163,7 @@ class RepeatedSelect:
         self._columns: dict[tuple[World, str, int], dict[str, tuple[Any, ...]]] = {}
         # The keys of the values of parameters.
         self._bindings: dict[str, tuple[Any, ...]] = {}
+        # The values of the sources by alias.
         self.sources = {
             shape.alias: _literals(source.value)
             for shape, source in zip(plan.source_types, plan.query.sources, strict=True)

@@ -18,17 +18,11 @@ _TYPES: dict[object, SqlType] = {bool: BOOLEAN, int: INTEGER, float: DOUBLE, str
 
 @dataclass(frozen=True)
 class TypeHints:
-    """The types of a function's parameters, all of them positional, and of its result.
+    """The types of a function's parameters, all of them positional, and of its result."""
 
-    Attributes:
-        parameters: the types of the parameters.
-        required: the number of parameters without a default.
-        result: the type of the result.
-    """
-
-    parameters: tuple[SqlType, ...]
-    required: int
-    result: SqlType
+    parameters: tuple[SqlType, ...]  # the types of the parameters
+    required: int  # the number of parameters without a default
+    result: SqlType  # the type of the result
 
     def signature(self, name: str, arguments: tuple[SqlType, ...]) -> Signature | None:
         """Returns the SQL signature of the function for such arguments; None if they do not fit."""

@@ -12,12 +12,9 @@ from ssduck.interpreter.interpreter import Interpreter
 
 
 class Stoppable(Protocol):
-    """Runs programs, and stops them.
+    """Runs programs, and stops them."""
 
-    Attributes:
-        is_stopped: tells whether its programs have to end; None if nobody can stop them.
-    """
-
+    # Tells whether its programs have to end; None if nobody can stop them.
     is_stopped: Callable[[], bool] | None
 
 

@@ -36,11 +36,7 @@ _TIME = "time of the environment"
 
 
 class BatchExpressions:
-    """Expressions over all environments of a batch, compiled when they are evaluated first.
-
-    Attributes:
-        substituted: the expressions, with placeholders for what arrays provide.
-    """
+    """Expressions over all environments of a batch, compiled when they are evaluated first."""
 
     def __init__(self, execution: Execution, engine: Engine, nodes: Sequence[Node]) -> None:
         self._execution, self._engine = execution, engine
@@ -48,6 +44,7 @@ class BatchExpressions:
         self._folds: dict[str, _KeptFold] = {}
         # The variables that have a value for each environment.
         self._arrays: set[str] = set()
+        # The expressions, with placeholders for what arrays provide.
         self.substituted = [node.replaced(self._replacement) for node in nodes]
         parts = (part for node in self.substituted for part in node.walk())
         self._read = {part.name for part in parts if isinstance(part, Placeholder)}

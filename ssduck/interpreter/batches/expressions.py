@@ -39,28 +39,18 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """The values of an expression in n environments.
+    """The values of an expression in n environments."""
 
-    Attributes:
-        values: (n,), or (n, length) of lists; anything where it is unknown.
-        unknown: (n,), where they are unknown.
-    """
-
-    values: Array
-    unknown: Flags
+    values: Array  # (n,), or (n, length) of lists; anything where it is unknown
+    unknown: Flags  # (n,), where they are unknown
 
 
 @dataclass(eq=False)
 class Engine:
-    """What reads a batch: the columns of its entities, shapes, and functions by name.
+    """What reads a batch: the columns of its entities, shapes, and functions by name."""
 
-    Attributes:
-        world: the batch.
-        schema: the schema of its tables.
-    """
-
-    world: BatchWorld
-    schema: str
+    world: BatchWorld  # the batch
+    schema: str  # the schema of its tables
     columns: EnvironmentColumns = field(init=False)
     shapes: EnvironmentShapes = field(init=False)
     operations: ArrayOperations = field(init=False)

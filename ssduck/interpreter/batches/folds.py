@@ -19,16 +19,12 @@ from ssduck.interpreter.batches.expressions import Answers
 
 @dataclass(eq=False)
 class ArrayFold:
-    """A function of an expression at all ticks until now, in each of n environments.
+    """A function of an expression at all ticks until now, in each of n environments."""
 
-    Attributes:
-        step: adds a tick: from the times (n,), s, the values of the expression and whether the tick
-            is the first one of an episode, (n,).
-        answers: returns the values of the function.
-    """
-
+    # Adds a tick: from the times (n,), s, the values of the expression and whether the tick is the
+    # first one of an episode, (n,).
     step: Callable[[Array, Answers, Flags], None]
-    answers: Callable[[], Answers]
+    answers: Callable[[], Answers]  # returns the values of the function
 
 
 def fold_of(name: str) -> ArrayFold:

@@ -207,19 +207,12 @@ def _openness(joint: Joint, positions: Array) -> Array | None:
 
 @dataclass(frozen=True, eq=False)
 class _Between:
-    """The m contacts of two entities or links in n environments.
+    """The m contacts of two entities or links in n environments."""
 
-    Attributes:
-        count: n.
-        environments: (m,), ascending.
-        forces: (m,), N.
-        normals: (3, m), each of which points from the second of the two to the first.
-    """
-
-    count: int
-    environments: Indices
-    forces: Array
-    normals: Array
+    count: int  # n
+    environments: Indices  # (m,), ascending
+    forces: Array  # (m,), N
+    normals: Array  # (3, m), each of which points from the second of the two to the first
 
     def are_there(self, chosen: Flags | slice = slice(None)) -> Flags:
         """Checks in which environments some of them are, (n,)."""

@@ -47,11 +47,7 @@ class _Aggregate:
 
 
 class Selection:
-    """SELECT and GROUP BY of the rows of all environments; see `ssduck.language.aggregates`.
-
-    Attributes:
-        constants: the selected values and keys that are the same for all rows of an environment.
-    """
+    """SELECT and GROUP BY of the rows of all environments; see `ssduck.language.aggregates`."""
 
     def __init__(self, plan: Plan) -> None:
         clauses = plan.python_clauses
@@ -62,6 +58,7 @@ class Selection:
         holds = clauses.having is None or getattr(clauses.having, "value", None) is True
         if clauses != same or not holds or len(plan.names) < len(clauses.columns):
             raise LeftToDuckDBError
+        # The selected values and keys that are the same for all rows of an environment.
         self.constants: list[Node] = []
         self._plan, self._clauses = plan, clauses
         self._items = [self._item(column.node) for column in clauses.columns]
@@ -205,17 +202,11 @@ _KINDS = {column.name: column.type for column in STORED_TABLES["entities"].colum
 
 @dataclass(frozen=True, eq=False)
 class FoundRows:
-    """The rows that SQL would give in each environment.
+    """The rows that SQL would give in each environment."""
 
-    Attributes:
-        environments: (rows,), the environment of each, ascending.
-        columns: the columns of the SELECT, (rows,) or (rows, length) each.
-        left: (n,), the environments that have to be evaluated by themselves; they have no rows.
-    """
-
-    environments: Indices
-    columns: list[Array]
-    left: Flags
+    environments: Indices  # (rows,), the environment of each, ascending
+    columns: list[Array]  # the columns of the SELECT, (rows,) or (rows, length) each
+    left: Flags  # (n,), the environments that have to be evaluated by themselves; they have no rows
 
 
 class BatchRows:

@@ -77,21 +77,13 @@ def kind_of(value: Any) -> Kind:
 
 @dataclass(frozen=True)
 class TreeCompiler:
-    """Makes functions of the parts of a tree that the translator leaves to Python.
+    """Makes functions of the parts of a tree that the translator leaves to Python."""
 
-    Attributes:
-        operations: operations on arrays.
-        compiler: compiles the SQL of parts; None if there is no such part.
-        sql: the SQL of the parts that have some.
-        given: returns a placeholder as an expression.
-        variable: returns a variable as an expression.
-    """
-
-    operations: ArrayOperations
-    compiler: Compiler | None
-    sql: Mapping[Node, exp.Expr]
-    given: Callable[[Placeholder], Expression]
-    variable: Callable[[Name], Expression]
+    operations: ArrayOperations  # operations on arrays
+    compiler: Compiler | None  # compiles the SQL of parts; None if there is no such part
+    sql: Mapping[Node, exp.Expr]  # the SQL of the parts that have some
+    given: Callable[[Placeholder], Expression]  # returns a placeholder as an expression
+    variable: Callable[[Name], Expression]  # returns a variable as an expression
 
     def of(self, node: Node) -> Expression:
         """Returns an expression as a function."""

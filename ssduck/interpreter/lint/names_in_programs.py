@@ -182,20 +182,13 @@ def _bare_names(nodes: Iterable[Node]) -> Iterator[Name]:
 
 @dataclass(frozen=True)
 class _NameSite:
-    """A place where the name or the kind of an entity is compared with a text or a variable.
+    """A place where the name or the kind of an entity is compared with a text or a variable."""
 
-    Attributes:
-        source: the source of the entity; None if it is not known.
-        function: the function whose value is compared: `id`, `name`, `kind` or `type`.
-        value: the text or the variable.
-        is_bare: whether the name is a bare one, which may be a key of a dict.
-        element: the argument of the function if it is no element of a source; None if it is one.
-    """
-
-    source: Source | None
-    function: str
-    value: Literal | Name
-    is_bare: bool
+    source: Source | None  # the source of the entity; None if it is not known
+    function: str  # the function whose value is compared: `id`, `name`, `kind` or `type`
+    value: Literal | Name  # the text or the variable
+    is_bare: bool  # whether the name is a bare one, which may be a key of a dict
+    # The argument of the function if it is no element of a source; None if it is one.
     element: Node | None = None
 
 

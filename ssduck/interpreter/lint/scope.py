@@ -91,33 +91,22 @@ class KnownNames:
 
 @dataclass(frozen=True, eq=False)
 class Scope:
-    """What the probable mistakes of a program are looked up in.
+    """What the probable mistakes of a program are looked up in."""
 
-    Attributes:
-        variable: returns the value of a variable; None if there is none.
-        is_function: checks whether a function has a name.
-        worlds: returns the worlds.
-        type_of_relation: returns the type of a relation's result; None if a name is no relation.
-        finds: checks whether a query has a row; None if it cannot run.
-        report: warns of a mistake, once.
-        names: the names of the parts of worlds.
-        verdicts: whether the arguments of a relation and an entity are swapped, by their names.
-        text: the program.
-        local: the variables of the program alone.
-    """
-
-    variable: Callable[[str], Any]
-    is_function: Callable[[str], bool]
-    worlds: Callable[[], Iterable[World]]
+    variable: Callable[[str], Any]  # returns the value of a variable; None if there is none
+    is_function: Callable[[str], bool]  # checks whether a function has a name
+    worlds: Callable[[], Iterable[World]]  # returns the worlds
+    # Returns the type of a relation's result; None if a name is no relation.
     type_of_relation: Callable[[str], str | None]
-    finds: Callable[[Query], bool | None]
-    report: Callable[[SelectScriptError], None]
-    names: KnownNames
+    finds: Callable[[Query], bool | None]  # checks whether a query has a row; None if it cannot run
+    report: Callable[[SelectScriptError], None]  # warns of a mistake, once
+    names: KnownNames  # the names of the parts of worlds
+    # Whether the arguments of a relation and an entity are swapped, by their names.
     verdicts: WeakKeyDictionary[World, dict[tuple[str, int], bool]] = field(
         default_factory=WeakKeyDictionary
     )
-    text: str = ""
-    local: Mapping[str, Any] = field(default_factory=dict)
+    text: str = ""  # the program
+    local: Mapping[str, Any] = field(default_factory=dict)  # the variables of the program alone
 
     def warn(self, error: SelectScriptError) -> None:
         """Warns of what may well be meant, so that it is an error nowhere."""
@@ -165,15 +154,10 @@ Check: TypeAlias = Callable[[Scope], Iterable[SelectScriptError]]
 
 @dataclass(frozen=True)
 class KnownHandle:
-    """What is known of an expression that is an entity, a link or a site for sure.
+    """What is known of an expression that is an entity, a link or a site for sure."""
 
-    Attributes:
-        world: its world; None if it is not known.
-        is_link: whether it is a link or a site.
-    """
-
-    world: World | None
-    is_link: bool
+    world: World | None  # its world; None if it is not known
+    is_link: bool  # whether it is a link or a site
 
 
 def entity_of(world: Any, name: Any) -> Entity | None:

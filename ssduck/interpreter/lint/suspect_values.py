@@ -77,25 +77,15 @@ _INSTEAD_OF_AGE = {
 
 @dataclass(frozen=True)
 class Comparison:
-    """A column that is compared with values.
+    """A column that is compared with values."""
 
-    Attributes:
-        source: the source of its row.
-        column: its name.
-        is_bare: whether a variable of that name comes first.
-        values: the literals, and what may be an entity, that it is compared with.
-        other: the column that it is compared with.
-        holds_of_missing: whether the comparison holds of a missing value.
-        span: the place of the comparison.
-    """
-
-    source: Source
-    column: str
-    is_bare: bool
-    values: tuple[Node, ...]
-    holds_of_missing: bool
-    span: SourceSpan
-    other: Comparison | None = None
+    source: Source  # the source of its row
+    column: str  # its name
+    is_bare: bool  # whether a variable of that name comes first
+    values: tuple[Node, ...]  # the literals, and what may be an entity, that it is compared with
+    holds_of_missing: bool  # whether the comparison holds of a missing value
+    span: SourceSpan  # the place of the comparison
+    other: Comparison | None = None  # the column that it is compared with
 
 
 def suspect_values(statement: Node) -> Iterator[Check]:

@@ -146,10 +146,6 @@ class JudgedFolds:
     """The functions of time in expressions that are evaluated at each tick of an episode.
 
     It is an observer of ticks, which others may take, too; see `TickObserver`.
-
-    Attributes:
-        need_record: whether an expression needs the record of past ticks.
-        are_asked: whether expressions are to be evaluated at the next tick, and `settle` follows.
     """
 
     def __init__(
@@ -159,7 +155,9 @@ class JudgedFolds:
         self._variables = frozenset(variables)
         found = [part for expression in expressions for part in self._temporal(expression)]
         self._calls = [part for part in found if isinstance(part, Call) and self._is_fold(part)]
+        # Whether an expression needs the record of past ticks.
         self.need_record = len(self._calls) < len(found)
+        # Whether expressions are to be evaluated at the next tick, and `settle` follows.
         self.are_asked = False
 
     def _temporal(self, node: Node) -> Iterator[Node]:

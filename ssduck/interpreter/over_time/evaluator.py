@@ -67,13 +67,10 @@ class SeriesReader(Protocol):
 
 
 class TemporalEvaluator:
-    """Turns expressions into queries, and caches these: each is planned once.
-
-    Attributes:
-        reader: reads the values of expressions; None to read those of the requested ticks only.
-    """
+    """Turns expressions into queries, and caches these: each is planned once."""
 
     def __init__(self) -> None:
+        # Reads the values of expressions; None to read those of the requested ticks only.
         self.reader: SeriesReader | None = None
         self._queries: WeakKeyDictionary[Node, dict[Any, Query]] = WeakKeyDictionary()
         self._expansions: WeakKeyDictionary[Node, Node] = WeakKeyDictionary()

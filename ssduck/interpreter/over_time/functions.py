@@ -22,52 +22,37 @@ from ssduck.language.tree import Binary, Call, Node
 
 @dataclass(frozen=True)
 class Fold:
-    """A function of all ticks until now as one of its state at the tick before, and the next value.
+    """A function of all ticks until now, of its state at the tick before and the next value."""
 
-    Attributes:
-        first: returns the state for a first tick: from its time, s, and the value.
-        begin: returns the state for all ticks of a series.
-        step: returns the state with one more tick: from the state, the time, s, and the value.
-        value: returns the value of the function: from the state, and the time of its last tick, s.
-        is_of_condition: whether its expression is a condition.
-        reach: the number of the last ticks on which the value depends; 0 for the first tick alone,
-            None for all ticks.
-    """
-
+    # Returns the state for a first tick: from its time, s, and the value.
     first: Callable[[float, Any], Any]
-    begin: Callable[[TickSeries], Any]
+    begin: Callable[[TickSeries], Any]  # returns the state for all ticks of a series
+    # Returns the state with one more tick: from the state, the time, s, and the value.
     step: Callable[[Any, float, Any], Any]
+    # Returns the value of the function: from the state, and the time of its last tick, s.
     value: Callable[[Any, float], Any] = lambda state, _: state
-    is_of_condition: bool = False
+    is_of_condition: bool = False  # whether its expression is a condition
+    # The number of the last ticks on which the value depends; 0 for the first tick alone, None for
+    # all ticks.
     reach: int | None = None
 
 
 @dataclass(frozen=True)
 class TemporalFunction:
-    """A function whose first argument is evaluated at each tick.
-
-    Attributes:
-        name: its name.
-        make: the function that computes its value from a series of ticks and an age.
-        about: its description for help.
-        usage: its signature for help.
-        expansion: the function that returns the expression for which a call stands, of a function
-            that is no series of its own.
-        arguments: the least and the largest number of arguments.
-        expression: the place of the expression among the arguments.
-        fold: the fold over all ticks that it is without an age, if it is one.
-        is_in_lakes: whether it is evaluated over the episodes of a lake by one statement.
-    """
+    """A function whose first argument is evaluated at each tick."""
 
     name: str
+    # The function that computes its value from a series of ticks and an age.
     make: Callable[[TickSeries, Any], Any]
-    about: str
-    usage: str
+    about: str  # its description for help
+    usage: str  # its signature for help
+    # The function that returns the expression for which a call stands, of a function that is no
+    # series of its own.
     expansion: Callable[[Call], Node] | None = None
-    arguments: tuple[int, int] = (1, 2)
-    expression: int = 0
-    fold: Fold | None = None
-    is_in_lakes: bool = True
+    arguments: tuple[int, int] = (1, 2)  # the least and the largest number of arguments
+    expression: int = 0  # the place of the expression among the arguments
+    fold: Fold | None = None  # the fold over all ticks that it is without an age, if it is one
+    is_in_lakes: bool = True  # whether it is evaluated over the episodes of a lake by one statement
 
     @property
     def function(self) -> Function:

@@ -48,46 +48,30 @@ _MANY = 256
 
 @dataclass(frozen=True, eq=False)
 class _Origin:
-    """The recorded ticks that a state was made from.
+    """The recorded ticks that a state was made from."""
 
-    Attributes:
-        first: the number of the first one.
-        layout: the entities of the world.
-        plans: the planner's generation; another one has functions that mean something else.
-    """
-
-    first: int
-    layout: ReferenceType[TableLayout]
-    plans: object
+    first: int  # the number of the first one
+    layout: ReferenceType[TableLayout]  # the entities of the world
+    plans: object  # the planner's generation; another one has functions that mean something else
 
 
 @dataclass(frozen=True, eq=False)
 class _Folded:
-    """The state of a fold at the last tick that was added.
+    """The state of a fold at the last tick that was added."""
 
-    Attributes:
-        run: the number of the world's run.
-        meaning: the values of the variables in its expression.
-        tick: the number of the tick.
-        time: its time, s.
-        state: the state.
-        origin: the recorded ticks that it was made from; None of a world that is not recorded.
-        before: the state before the ticks of this time; None if there is none.
-        failure: the error of the expression at a tick, as long as the value depends on that.
-        reach: the number of ticks from that one on for which it does; None for all.
-        age: the number of ticks of later times than that one.
-    """
-
-    run: int
-    meaning: tuple[Any, ...]
-    tick: int
-    time: float
+    run: int  # the number of the world's run
+    meaning: tuple[Any, ...]  # the values of the variables in its expression
+    tick: int  # the number of the tick
+    time: float  # its time, s
     state: Any
+    # The recorded ticks that it was made from; None of a world that is not recorded.
     origin: _Origin | None = None
+    # The state before the ticks of this time; None if there is none.
     before: tuple[Any] | None = None
+    # The error of the expression at a tick, as long as the value depends on that.
     failure: SelectScriptError | None = None
-    reach: int | None = None
-    age: int = 0
+    reach: int | None = None  # the number of ticks from that one on for which it does; None for all
+    age: int = 0  # the number of ticks of later times than that one
 
 
 class LiveFolds:

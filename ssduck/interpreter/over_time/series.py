@@ -27,15 +27,10 @@ LeastClearance: TypeAlias = Callable[[Past], tuple[int, float] | None]
 
 @dataclass(frozen=True, eq=False)
 class TickColumns:
-    """The values of an expression at some ticks.
+    """The values of an expression at some ticks."""
 
-    Attributes:
-        ticks: the numbers of n ticks in ascending order, (n,).
-        values: the values, (n,); masked, or None of objects, where there is none.
-    """
-
-    ticks: npt.NDArray[np.int64]
-    values: npt.NDArray[Any]
+    ticks: npt.NDArray[np.int64]  # the numbers of n ticks in ascending order, (n,)
+    values: npt.NDArray[Any]  # the values, (n,); masked, or None of objects, where there is none
 
     @classmethod
     def of(cls, rows: Sequence[Sequence[Any]]) -> TickColumns:

@@ -237,10 +237,6 @@ class Debouncer:
     """Holds the result that was last delivered, and the one that is about to settle.
 
     Before the first result there are no rows, the result is false, and any result is a change.
-
-    Attributes:
-        is_steady: whether the last result equals the one that was last delivered, so that the
-            same result again changes nothing.
     """
 
     def __init__(self, config: TriggerConfig) -> None:
@@ -248,6 +244,8 @@ class Debouncer:
         self._delivered_rows: list[Any] = []
         self._settled = _before_the_first(config)
         self._candidate: Any = None
+        # Whether the last result equals the one that was last delivered, so that the same result
+        # again changes nothing.
         self.is_steady = False
         self._candidate_since: WeakKeyDictionary[World, float] | None = None
 

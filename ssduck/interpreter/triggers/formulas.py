@@ -46,18 +46,13 @@ _LARGEST = 1 << 63
 
 
 class Slots:
-    """The parameters and the constants of a formula, as the leaves of its expressions.
-
-    Attributes:
-        slots: all of them; equal ones are one.
-        columns: the columns that are read, also those of entities.
-    """
+    """The parameters and the constants of a formula, as the leaves of its expressions."""
 
     def __init__(self, parameters: Mapping[str, Slot]) -> None:
         self._parameters = parameters
         self._places: dict[tuple[Any, ...], int] = {}
-        self.slots: list[Slot] = []
-        self.columns: set[str | None] = set()
+        self.slots: list[Slot] = []  # all of them; equal ones are one
+        self.columns: set[str | None] = set()  # the columns that are read, also those of entities
 
     def slotted(self, sql: exp.Expr) -> exp.Expr:
         """Returns an expression with the numbers of slots in place of parameters and constants."""
@@ -105,13 +100,7 @@ class Slots:
 
 
 class Meaning:
-    """What a program means while what decided it is the same.
-
-    Attributes:
-        stamp: the stamp of the names for which the key is known to be up to date.
-        rows: the key of the formula's rows at the last result; None if unknown.
-        state: the numbers of the tables at the last evaluation; None if unknown.
-    """
+    """What a program means while what decided it is the same."""
 
     def __init__(
         self,
@@ -122,8 +111,10 @@ class Meaning:
     ) -> None:
         self._planner, self._program, self._names = planner, program, frozenset(names)
         self.key = key
+        # The stamp of the names for which the key is known to be up to date.
         self.stamp: object = None
-        self.rows: Any = None
+        self.rows: Any = None  # the key of the formula's rows at the last result; None if unknown
+        # The numbers of the tables at the last evaluation; None if unknown.
         self.state: TableState | None = None
 
     @cached_property

@@ -37,17 +37,11 @@ _INTEGERS = {
 
 @dataclass(frozen=True)
 class _TableCopy:
-    """The numbers of a table at a tick.
+    """The numbers of a table at a tick."""
 
-    Attributes:
-        version: the version of the table, which changes with all that is no number.
-        doubles: the block of its doubles.
-        integers: its columns of integers.
-    """
-
-    version: int
-    doubles: Array
-    integers: list[npt.NDArray[Any]]
+    version: int  # the version of the table, which changes with all that is no number
+    doubles: Array  # the block of its doubles
+    integers: list[npt.NDArray[Any]]  # its columns of integers
 
     def has_same(self, table: LiveTable, integers: Iterable[str], threshold: float) -> bool:
         """Checks whether no number has changed by more than a threshold."""
@@ -101,17 +95,11 @@ Planned: TypeAlias = tuple[Query, PlannedQuery, AsClause, Frame]
 
 @dataclass(frozen=True)
 class Slot:
-    """A constant of a shape, or a number of an entity that is the value of a variable.
+    """A constant of a shape, or a number of an entity that is the value of a variable."""
 
-    Attributes:
-        kind: the type of its values.
-        value: the constant, or the entity.
-        column: the column of the entity; None for a constant.
-    """
-
-    kind: Kind
-    value: Any
-    column: str | None = None
+    kind: Kind  # the type of its values
+    value: Any  # the constant, or the entity
+    column: str | None = None  # the column of the entity; None for a constant
 
     @property
     def key(self) -> tuple[Any, ...]:
@@ -121,26 +109,17 @@ class Slot:
 
 @dataclass(eq=False)
 class Formula:
-    """A query over the entities of one world, of which each row is decided by itself.
-
-    Attributes:
-        world: the world.
-        select: its SELECT, with slots in place of constants.
-        slots: the constants.
-        tables: what is read from the simulator beside the entities.
-        columns: the columns that it reads.
-        group: the formulas that were last evaluated with it; None before that.
-        place: its place among them.
-    """
+    """A query over the entities of one world, of which each row is decided by itself."""
 
     world: World
-    select: ArraySelect
-    slots: Sequence[Slot]
-    tables: frozenset[str]
-    columns: frozenset[str | None]
+    select: ArraySelect  # its SELECT, with slots in place of constants
+    slots: Sequence[Slot]  # the constants
+    tables: frozenset[str]  # what is read from the simulator beside the entities
+    columns: frozenset[str | None]  # the columns that it reads
     _planned: Planned
+    # The formulas that were last evaluated with it; None before that.
     group: FormulaGroup | None = field(default=None, init=False)
-    place: int = field(default=0, init=False)
+    place: int = field(default=0, init=False)  # its place among them
 
     @cached_property
     def shape(self) -> tuple[Any, ...]:

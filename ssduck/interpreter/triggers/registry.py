@@ -128,29 +128,17 @@ class TriggerMethods:
 
 @dataclass(frozen=True, eq=False)
 class _Readers:
-    """The triggers that read a world and are not paused.
+    """The triggers that read a world and are not paused."""
 
-    Attributes:
-        by_name: all triggers.
-        stamp: the stamp of the names.
-        pauses: the number of times that a trigger was paused or resumed.
-        triggers: those that read the world.
-        are_always_due: whether all of them are due at each tick.
-    """
-
-    by_name: Mapping[str, Trigger]
-    stamp: object
-    pauses: int
-    triggers: tuple[Trigger, ...]
-    are_always_due: bool
+    by_name: Mapping[str, Trigger]  # all triggers
+    stamp: object  # the stamp of the names
+    pauses: int  # the number of times that a trigger was paused or resumed
+    triggers: tuple[Trigger, ...]  # those that read the world
+    are_always_due: bool  # whether all of them are due at each tick
 
 
 class TriggerRegistry:
-    """The triggers of an interpreter; observes the worlds that they read.
-
-    Attributes:
-        listeners: are called with the name of each trigger that fires.
-    """
+    """The triggers of an interpreter; observes the worlds that they read."""
 
     def __init__(
         self,
@@ -163,6 +151,7 @@ class TriggerRegistry:
         self._names = names
         self._batches = batches
         self._by_name: dict[str, Trigger] = {}
+        # Are called with the name of each trigger that fires.
         self.listeners: list[Callable[[str], object]] = []
         self._lock = threading.Lock()
         # The number of times that a trigger was paused or resumed.

@@ -32,11 +32,7 @@ _UNKNOWN = (-math.inf, math.inf, 0.0)
 
 
 class _Motion:
-    """How far bodies have moved since the first tick.
-
-    Attributes:
-        serial: a number that grows whenever a shape moves.
-    """
+    """How far bodies have moved since the first tick."""
 
     def __init__(self, snapshot: Snapshot, serial: int) -> None:
         table = snapshot.table("shapes")
@@ -47,7 +43,7 @@ class _Motion:
         self._starts = np.flatnonzero(np.diff(owners, prepend=-1))
         self._entities: Ids = owners[self._starts]
         self._lengths = np.zeros(len(self._starts))
-        self.serial = serial
+        self.serial = serial  # a number that grows whenever a shape moves
 
     def is_of(self, snapshot: Snapshot) -> bool:
         """Checks whether it knows the shapes of a tick, with these margins."""

@@ -220,15 +220,12 @@ class TriggerBatches:
 
 
 class TickBatch:
-    """The triggers that are due in a world at a tick, whose formulas were evaluated together.
-
-    Attributes:
-        is_doubtful: whether variables, functions and worlds may have changed meanwhile.
-    """
+    """The triggers that are due in a world at a tick, whose formulas were evaluated together."""
 
     def __init__(
         self, batches: TriggerBatches, world: World, formulas: Mapping[Trigger, Formula]
     ) -> None:
+        # Whether variables, functions and worlds may have changed meanwhile.
         self.is_doubtful = False
         self._batches, self._world, self._formulas = batches, world, formulas
         self._tick = world.snapshot.number

@@ -27,13 +27,10 @@ class CallbackQueue:
 
     A full queue drops its oldest value. The thread refers to nothing but this object and the
     callback. It starts with the first value, and ends with `close`.
-
-    Attributes:
-        dropped: the number of values that were dropped.
     """
 
     def __init__(self, call: Callable[[Any], object], size: int, name: str) -> None:
-        self.dropped = 0
+        self.dropped = 0  # the number of values that were dropped
         self._call = call
         self._size = size
         self._waiting: deque[Any] = deque()
@@ -93,17 +90,12 @@ _CHANGING = IMPURE | {"getTime", "var"}
 
 @dataclass
 class KnownWorlds:
-    """The worlds that a program reads.
+    """The worlds that a program reads."""
 
-    Attributes:
-        stamp: the stamp of the names for which they are known.
-        key: the values from which they follow; None if these are not known, or may change.
-        worlds: the worlds; empty if they are not known.
-    """
-
-    stamp: object = None
+    stamp: object = None  # the stamp of the names for which they are known
+    # The values from which they follow; None if these are not known, or may change.
     key: tuple[Any, ...] | None = None
-    worlds: Sequence[World] = ()
+    worlds: Sequence[World] = ()  # the worlds; empty if they are not known
 
 
 class TriggerWarning(RuntimeWarning):
@@ -111,43 +103,36 @@ class TriggerWarning(RuntimeWarning):
 
 
 class Trigger:
-    """One trigger: its program, its callback and its state.
-
-    Attributes:
-        config: when it fires.
-        program: the program that it evaluates.
-        paused: whether it is never due.
-        removed: whether its callback is not to be called any more.
-        reads: the names on which the result depends, if it depends on these and ticks only.
-        dependencies: the variables and ticks of its last result; None if they are unknown.
-        names: the names whose values decide what the program means, in a fixed order.
-        variables: the names of the variables that the program reads, in a fixed order.
-        worlds: the worlds that it reads, with the values from which they follow.
-        meaning: what its program meant when it was last evaluated by itself; None if that failed,
-            or if it is always evaluated by itself.
-        queue: the queue of its callback; None if the callback runs in the stepping thread.
-    """
+    """One trigger: its program, its callback and its state."""
 
     def __init__(
         self, config: TriggerConfig, program: CompiledProgram, callback: Callable[[Any], object]
     ) -> None:
-        self.config = config
-        self.program = program
-        self.paused = False
-        self.removed = False
+        self.config = config  # when it fires
+        self.program = program  # the program that it evaluates
+        self.paused = False  # whether it is never due
+        self.removed = False  # whether its callback is not to be called any more
+        # The names on which the result depends, if it depends on these and ticks only.
         self.reads = _names_read_by(program.tree)
+        # The variables and ticks of its last result; None if they are unknown.
         self.dependencies: Any = None
+        # The names whose values decide what the program means, in a fixed order.
         self.names = tuple(sorted(self.reads or ()))
+        # The names of the variables that the program reads, in a fixed order.
         self.variables = tuple(
             sorted(frozenset().union(*map(variables_of, program.tree.statements)))
         )
+        # The worlds that it reads, with the values from which they follow.
         self.worlds = KnownWorlds()
+        # What its program meant when it was last evaluated by itself; None if that failed, or if it
+        # is always evaluated by itself.
         self.meaning: Meaning | None = None
         self._busy = threading.Lock()
         self._schedules: WeakKeyDictionary[World, Schedule] = WeakKeyDictionary()
         self._debouncer = Debouncer(config)
         self._log = _Log(config.name)
         self._call: Callable[[Any], object] = _with_errors_logged(callback, self._log)
+        # The queue of its callback; None if the callback runs in the stepping thread.
         self.queue: CallbackQueue | None = None
         if config.queue is not None:
             self.queue = CallbackQueue(
