@@ -57,8 +57,7 @@ def renderable(world: AnyWorld) -> Iterator[AnyWorld]:
         yield world
         return
     with warnings.catch_warnings():
-        # A picture does not show the velocities of joints.
-        warnings.filterwarnings("ignore", message=".*velocities of joints are not recorded")
+        warnings.simplefilter("ignore")  # of what a picture does not show: friction, velocities
         copy = world.excerpt(list(world))
     try:
         yield copy

@@ -409,3 +409,14 @@ def test_a_picture_of_a_what_if_world(kitchen):
     )
     with pytest.raises(UnknownNameError):
         kitchen.eval(ROBOTS.format("movd"))
+
+
+@pytest.mark.slow
+def test_a_picture_of_a_record_is_that_of_the_simulation(tmp_path):
+    query = "SELECT obj FROM kitchen WHERE id == 'fridge' AS image(320, 240);"
+    with ssduck.load("kitchen") as ss:
+        expected = np.asarray(ss.eval(query).convert("RGB"), int)
+        ss.export(tmp_path / "run")
+    with ssduck.open(tmp_path / "run") as record:
+        found = np.asarray(record.eval(query).convert("RGB"), int)
+    assert np.mean(np.abs(found - expected) > 8) < 0.01

@@ -405,3 +405,29 @@ def test_nothing_but_answers_is_on_standard_output(tmp_path):
         check=True,
     )
     assert ended.stdout == b""
+
+
+@pytest.mark.slow
+def test_an_agent_asks_a_simulation_that_goes_on():
+    with (
+        ssduck.load("kitchen") as ss,
+        ssduck.Interpreter(limits=ssduck.Limits.strict(progress=False)) as box,
+    ):
+        kitchen = box.add_variable("kitchen", ss["kitchen"])
+        server = create_server(box)
+        for _ in range(2):
+            kitchen.step(5)
+            z = text_of(server, "query", program="z(kitchen.cup_905a);")
+            assert json.loads(z) == kitchen["cup_905a"].position[2]
+        assert "cup_905a" in text_of(server, "schema")
+        program = "SELECT obj FROM kitchen WHERE id == 'fridge';"
+        _, shown = asked(server, "picture", program=program, width=320, height=240)
+        _, expected = asked(create_server(ss), "picture", program=program, width=320, height=240)
+        found, own = (
+            np.asarray(Image.open(io.BytesIO(base64.b64decode(one.data))).convert("RGB"))
+            for one in (shown, expected)
+        )
+        assert found.shape == own.shape
+        assert np.mean(np.abs(found.astype(int) - own) > 8) < 0.01
+        program = "SELECT * FROM read_text('/etc/passwd')"
+        assert "disabled" in error_of(server, "query", program=program, language="sql")

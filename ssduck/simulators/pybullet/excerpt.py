@@ -173,8 +173,7 @@ class _Copier:
             model = estimated_model(original.body, original.link_poses, original.joints)
             self._note_difference(
                 "only shapes, links, joints and masses are known; inertia and centre of mass are "
-                "those of the shapes, friction, damping and colours PyBullet's own, and joints "
-                "are held",
+                "those of the shapes, friction and damping PyBullet's own, and joints are held",
                 original,
             )
         else:

@@ -16,7 +16,7 @@ from ssduck.geometry.bounds import BoundingBoxes
 from ssduck.geometry.mesh_files import load_mesh
 from ssduck.geometry.poses import IDENTITY, compose, invert
 from ssduck.geometry.shapes import Geometry
-from ssduck.simulators.backends import collision_visuals
+from ssduck.simulators.backends import collision_visuals, stored_visuals
 from ssduck.simulators.interface import SCALAR_JOINTS, Body, LinkPoses, VisualShape
 from ssduck.simulators.kinematics import moved_link_poses, position_nearest_zero
 from ssduck.simulators.pybullet.bodies import Pose, primitive_of, wxyz
@@ -109,8 +109,8 @@ def estimated_model(body: Body, link_poses: LinkPoses, joints: Array) -> BodyMod
         [0.0] * len(body.joints),
         [{}] * len(body.links),
         [
-            Visual(s.frame, s.geometry, "", (1.0, 1.0, 1.0), s.position, s.orientation, None)
-            for s in body.shapes
+            Visual(v.link, v.geometry, "", (1.0, 1.0, 1.0), v.position, v.orientation, v.colour)
+            for v in stored_visuals(body)
         ],
     )
 
