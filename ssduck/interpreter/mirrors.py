@@ -32,6 +32,7 @@ from ssduck.recording.stores.base import TickArchive
 from ssduck.recording.stores.memory import MemoryStore
 from ssduck.recording.stores.stored_columns import conformed
 from ssduck.schema import MARGINS, MASSES, RECORDABLE, recorded_tables
+from ssduck.world.ctrl_c import deferred
 from ssduck.world.layout import EntityInfo
 from ssduck.world.snapshot import Snapshot
 from ssduck.world.world import World
@@ -162,18 +163,20 @@ class WorldFeed:
             masses = self.world.snapshot.masses
             return all(masses.get(id, own) == own for id, own in self._masses.items())
 
-    def news(self, tables: Collection[str] = ()) -> WorldNews | None:
+    def news(self, *, is_sensed: bool = False) -> WorldNews | None:
         """Returns what is new since the last call; None if nothing is.
 
         Args:
-            tables: tables that the last tick is to include although they are read on request only.
+            is_sensed: whether the last tick is to include what sensors perceive, which is read on
+                request only.
         """
         world = self.world
         with world.lock:
-            if self._present == self._told and not tables:
+            if self._present == self._told and not is_sensed:
                 return None
             past_models, past, first = self._news_of_past()
-            models, rows = ({}, {}) if self.description.is_past else self._news_of_tick(tables)
+            more = (_SENSINGS,) if is_sensed else ()
+            models, rows = ({}, {}) if self.description.is_past else self._news_of_tick(more)
             self._told = self._present
             return WorldNews(world.tick_number, world.time, models, rows, past_models, past, first)
 
@@ -235,16 +238,16 @@ class WorldCopy:
     Args:
         ss: the interpreter, which gets the copy as a variable with the first news.
         description: what the copy is made with.
-        request: returns the last tick with tables that are read on request only.
+        sensed: returns the last tick with what sensors perceive.
     """
 
     def __init__(
         self,
         ss: Interpreter,
         description: WorldDescription,
-        request: Callable[[Collection[str]], WorldNews | None],
+        sensed: Callable[[], WorldNews | None],
     ) -> None:
-        self._ss, self._description, self._request = ss, description, request
+        self._ss, self._description, self._sensed = ss, description, sensed
         self._geometries: list[pa.Table] = []
         self._numbers: dict[str, int] = {}  # of geometries, by their keys
         # The entities of any tick, and the rows of the last one.
@@ -260,17 +263,18 @@ class WorldCopy:
         return self._world
 
     def apply(self, news: WorldNews) -> None:
-        """Takes over what is new."""
-        if isinstance(self._past, _PastCopy):
-            self._past.apply(news, self._new(news.past_models))
-        if not self._description.is_past:
-            self._members |= self._new(news.models)
-            self._rows = news.rows
-        if self._world is None:
-            self._world = self._first(news)
-            self._ss.add_variable(self._description.name, self._world)
-        elif isinstance(self._world, CopiedWorld):
-            self._world.go_to(news.tick, news.time)
+        """Takes over what is new, whole: Ctrl-C waits."""
+        with deferred():
+            if isinstance(self._past, _PastCopy):
+                self._past.apply(news, self._new(news.past_models))
+            if not self._description.is_past:
+                self._members |= self._new(news.models)
+                self._rows = news.rows
+            if self._world is None:
+                self._world = self._first(news)
+                self._ss.add_variable(self._description.name, self._world)
+            elif isinstance(self._world, CopiedWorld):
+                self._world.go_to(news.tick, news.time)
 
     def _new(self, models: Mapping[str, pa.Table]) -> dict[int, EntityInfo]:
         """Returns the entities of models, whose geometries may be those of earlier ones."""
@@ -306,9 +310,10 @@ class WorldCopy:
 
     def _with_sensings(self) -> None:
         """Copies the last tick with what sensors perceive, for which rays are cast."""
-        news = self._request((_SENSINGS,))
-        assert news is not None
-        self.apply(news)
+        with deferred():
+            news = self._sensed()
+            assert news is not None
+            self.apply(news)
 
 
 def _no_pairs(_: Any) -> NoReturn:
@@ -434,7 +439,9 @@ class Mirror:
         self.interpreter = Interpreter(recording=None, limits=limits)
         self.interpreter.strict = True
         try:
-            self._copy = WorldCopy(self.interpreter, self._feed.description, self._feed.news)
+            self._copy = WorldCopy(
+                self.interpreter, self._feed.description, partial(self._feed.news, is_sensed=True)
+            )
             self.update()
         except BaseException:
             self.interpreter.close()

@@ -269,8 +269,8 @@ class SandboxedInterpreter:
         self._is_called = True
         try:
             match what, *arguments:
-                case "news", str(name), list(tables) if name in self._live:
-                    return self._live.news(name, [str(table) for table in tables])
+                case "sensed", str(name):
+                    return self._live.sensed(name)
                 case "function", str(name), *given if name in self._functions:
                     return self._functions[name][0](*given)
                 case "fired", str(name), value if name in self._triggers:
@@ -412,12 +412,15 @@ class SandboxedInterpreter:
         check_name(name, "a variable")
         with self._lock:
             if isinstance(value, World):
-                self._variables.pop(name, None)
                 self._live.add(name, value)
-                self.ask("ss.__contains__", name)
+                try:
+                    self.ask("ss.__contains__", name)
+                except BaseException:
+                    self._live.remove(name)
+                    raise
+                self._variables.pop(name, None)
                 return value
             self.ask("worker.set_variables", {name: value})
-            self._live.remove(name)
             self._variables[name] = value
             return value
 
@@ -439,7 +442,8 @@ class SandboxedInterpreter:
 
     def __getitem__(self, name: str) -> Any:
         """Returns the value of a variable; a world of the sandbox is a handle of it."""
-        return self._live[name] if name in self._live else self.ask("ss.__getitem__", name)
+        is_live = name in self._live and name not in self._variables
+        return self._live[name] if is_live else self.ask("ss.__getitem__", name)
 
     call_variable = __getitem__
     addVariable, callVariable = add_variable, __getitem__  # noqa: N815  # the tutorial's names

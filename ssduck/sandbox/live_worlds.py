@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,11 +16,19 @@ from ssduck.world.world import World
 
 @dataclass(frozen=True)
 class _Live:
-    """A world of an interpreter of this process, and whether its copy goes to recorded ticks."""
+    """A world of an interpreter of this process.
+
+    Attributes:
+        owner: the interpreter.
+        world: the world.
+        is_past: whether its copy goes to recorded ticks.
+        is_own: whether the interpreter is there for it alone.
+    """
 
     owner: Interpreter
     world: World
-    is_past: bool
+    is_past: bool = False
+    is_own: bool = False
 
 
 class LiveWorlds:
@@ -32,7 +40,7 @@ class LiveWorlds:
     def __init__(self) -> None:
         self._worlds: dict[str, _Live] = {}
         self._feeds: dict[str, WorldFeed] = {}
-        self._recording: Interpreter | None = None
+        self._sensed = set[str]()
 
     def add(
         self,
@@ -52,13 +60,15 @@ class LiveWorlds:
         """
         if isinstance(world, BatchWorld):
             raise UnsupportedError(f"{name!r} is a batch of worlds, which a sandbox cannot have")
-        if owner is None:
-            owner = self._recording = self._recording or Interpreter()
-            owner.add_variable(name, world)
-        live = _Live(owner, world, is_past)
-        if self._worlds.get(name) != live:
-            self._worlds[name] = live
-            self._feeds.pop(name, None)
+        before = self._worlds.get(name)
+        if before is not None:
+            if before == _Live(owner or before.owner, world, is_past, is_own=owner is None):
+                return
+            self.remove(name)
+        live = _Live(owner or Interpreter(), world, is_past, is_own=owner is None)
+        if live.is_own:
+            live.owner.add_variable(name, world)
+        self._worlds[name] = live
 
     def __contains__(self, name: object) -> bool:
         """Checks whether a world has a name."""
@@ -68,9 +78,11 @@ class LiveWorlds:
         return self._worlds[name].world
 
     def remove(self, name: str) -> None:
-        """Removes a world, if there is one of that name."""
-        self._worlds.pop(name, None)
+        """Removes a world, if there is one of that name; it goes on, and is not recorded here."""
         self._feeds.pop(name, None)
+        live = self._worlds.pop(name, None)
+        if live is not None and live.is_own:
+            live.owner.close()
 
     def name_of(self, world: Any) -> str:
         """Returns the name of a world of the sandbox, or of the copy of one of this process."""
@@ -93,23 +105,35 @@ class LiveWorlds:
         Args:
             ask: asks the sandbox.
         """
+        self._sensed.clear()
         for name, live in self._worlds.items():
-            feed = self._feeds.get(name)
+            feed = self._feeds.pop(name, None)
             if feed is None or not feed.is_up_to_date:
                 feed = WorldFeed(live.owner, live.world, name, is_past=live.is_past)
                 ask("worker.copy_world", vars(feed.description))
-            self._feeds.pop(name, None)  # until the copy has what is new
-            if (news := feed.news()) is not None:
-                ask("worker.update_world", name, vars(news))
+            news = feed.news()
             self._feeds[name] = feed
+            if news is not None:
+                try:
+                    ask("worker.update_world", name, vars(news))
+                except BaseException:
+                    del self._feeds[name]  # the copy may lack something
+                    raise
 
-    def news(self, name: str, tables: Collection[str]) -> dict[str, Any]:
-        """Returns the last tick of a world, with tables that are read on request only."""
-        news = self._feeds[name].news(tables)
+    def sensed(self, name: str) -> dict[str, Any]:
+        """Returns the last tick of a world with what its sensors perceive; once for a question."""
+        if name not in self._feeds:
+            raise UnsupportedError(f"{name!r} is no world of this process")
+        if name in self._sensed:
+            raise UnsupportedError("what sensors perceive is copied once for each question")
+        self._sensed.add(name)
+        feed = self._feeds.pop(name)
+        news = feed.news(is_sensed=True)
         assert isinstance(news, WorldNews)
+        self._feeds[name] = feed
         return vars(news)
 
     def close(self) -> None:
-        """Ends the recording; the worlds go on."""
-        if self._recording is not None:
-            self._recording.close()
+        """Removes all worlds."""
+        for name in list(self._worlds):
+            self.remove(name)

@@ -13,8 +13,11 @@ import struct
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import inf
 
+from ssduck.limits import GRACE
 from ssduck.sandbox.budget import InvalidAnswerError
+from ssduck.world.ctrl_c import allowed
 
 # The mark, the number of the question, the sizes of the JSON and of the body, bytes.
 _HEAD = struct.Struct("<4sIQQ")
@@ -111,27 +114,56 @@ def _read(descriptor: int, space: memoryview, wait: Callable[[int], None] | None
 class Waiting:
     """Waits for a socket until a time, and looks at something else now and then.
 
+    Ctrl-C, which is deferred elsewhere, breaks no message off: it stops the other side.
+
     Args:
         descriptor: the socket.
         seconds: how long it may take in all, s; None for ever.
         look: is called about ten times a second; it raises an error if the wait is to end.
+        stop: tells the other side of Ctrl-C, after which it has `GRACE`.
+
+    Attributes:
+        is_pressed: whether Ctrl-C was pressed.
     """
 
-    def __init__(self, descriptor: int, seconds: float | None, look: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        descriptor: int,
+        seconds: float | None,
+        look: Callable[[], None],
+        stop: Callable[[], None],
+    ) -> None:
         self._descriptor = descriptor
-        self._deadline = None if seconds is None else time.monotonic() + seconds
-        self._look = look
+        now = time.monotonic()
+        self._deadline = inf if seconds is None else now + seconds
+        self._look, self._next_look = look, now + LOOK_EVERY
+        self._stop, self.is_pressed = stop, False
         self._poll = select.poll()
+
+    def check(self) -> None:
+        """Checks the time, and looks if it is time to: also if there is never need to wait."""
+        now = time.monotonic()
+        if now >= self._deadline:
+            raise TimeoutError
+        if now >= self._next_look:
+            self._next_look = now + LOOK_EVERY
+            self._look()
 
     def __call__(self, events: int) -> None:
         """Waits for an event of `select.poll`."""
         self._poll.register(self._descriptor, events)
         while True:
-            left = LOOK_EVERY
-            if self._deadline is not None:
-                left = min(left, self._deadline - time.monotonic())
-                if left <= 0:
-                    raise TimeoutError
-            if self._poll.poll(1000 * left):
-                return
-            self._look()
+            self.check()
+            until = min(self._next_look, self._deadline)
+            try:
+                with allowed():
+                    if self._poll.poll(max(0.0, 1000 * (until - time.monotonic()))):
+                        return
+            except KeyboardInterrupt:
+                self.press()
+
+    def press(self) -> None:
+        """Tells the other side of Ctrl-C."""
+        self._deadline = min(self._deadline, time.monotonic() + GRACE)
+        self.is_pressed = True
+        self._stop()

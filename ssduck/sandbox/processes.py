@@ -19,13 +19,12 @@ import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
-from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from ssduck.errors import LimitError, SandboxError
-from ssduck.limits import GRACE, python_command
+from ssduck.limits import python_command
 from ssduck.sandbox.budget import Budget, InvalidAnswerError
 from ssduck.sandbox.kernel import has_ended
 from ssduck.sandbox.messages import LOOK_EVERY, Message, Waiting, receive, send
@@ -33,6 +32,7 @@ from ssduck.sandbox.reports import error_of, tell, told_error
 from ssduck.sandbox.seal import SCRATCH, Walls, remove
 from ssduck.sandbox.values import Decoder, Encoder
 from ssduck.sandbox.zygote import FAILED, FORKED, READY
+from ssduck.world.ctrl_c import allowed, deferred
 
 # What a worker's processes inherit of the host's environment: nothing that may be a secret.
 _KEPT = ("LANG", "LANGUAGE", "TZ", "LD_LIBRARY_PATH", "PYTHONHOME")
@@ -51,8 +51,7 @@ _UNWATCHED = 0.01
 _BEGINNING, _ENDING = 60.0, 10.0
 
 
-# What a call is told after Ctrl-C, and why a worker was ended.
-_STOPPED = b'[null, {"dict": ["class", "LimitError", "message", "the program was stopped"]}]'
+# Why a worker was ended.
 _LATE = "the program took too long, and its process was ended"
 
 
@@ -271,19 +270,20 @@ class WorkerProcess:
             if is_stopped is not None and is_stopped():
                 self._stop()
 
+        wait = Waiting(self._connection.fileno(), seconds, look, self._stop)
         try:
-            self._signal(signal.SIGCONT)
-            wait = Waiting(self._connection.fileno(), seconds, look)
-            message = self._exchange(document, encoder, wait, is_call=False)
-            while message.is_call:
-                name, called_with = self._call_of(message, world)
-                reply, encoder = _reply(partial(call, name, *called_with), name_of)
-                message = self._exchange(reply, encoder, wait, is_call=True)
-            warnings, error, value = self._answer(message, world)
-            self._signal(signal.SIGSTOP)
-            self._unwatched += time.monotonic() - began
-            if self._unwatched > _UNWATCHED:
-                self._look()
+            with deferred():
+                self._signal(signal.SIGCONT)
+                message = self._exchange(document, encoder, wait, is_call=False)
+                while message.is_call:
+                    reply, encoder = self._reply(message, world, name_of, call, wait)
+                    message = self._exchange(reply, encoder, wait, is_call=True)
+                self._signal(signal.SIGSTOP)
+                self._unwatched += time.monotonic() - began
+                if self._unwatched > _UNWATCHED:
+                    self._look()
+            if not wait.is_pressed:
+                warnings, error, value = self._answer(message, world)
         except TimeoutError:
             told = _LATE
         except InvalidAnswerError as error_of_answer:
@@ -293,36 +293,54 @@ class WorkerProcess:
             told += " take, or crashed"
         except _HarmError as harm:
             told = str(harm)
-        except _InterruptedError:
-            raise KeyboardInterrupt from None
         except BaseException:
             self.end()
             raise
         else:
+            if wait.is_pressed:  # the program has ended as it does in this process
+                raise KeyboardInterrupt
             tell(warnings)
             if error is not None:
                 raise error
             return value
         self.end()
+        if wait.is_pressed:
+            raise KeyboardInterrupt from None
         raise WorkerEndedError(told, is_late=told is _LATE) from None
 
     def _exchange(
         self, document: bytes, encoder: Encoder, wait: Waiting, *, is_call: bool
     ) -> Message:
-        """Sends a message, and returns the next one; Ctrl-C stops the program first."""
+        """Sends a message, and returns the next one."""
+        wait.check()
         descriptor = self._connection.fileno()
         send(descriptor, self._number, document, encoder.parts, wait, is_call=is_call)
+        return receive(descriptor, self._check_size, wait)
+
+    def _reply(
+        self,
+        message: Message,
+        world: Callable[[str], Any],
+        name_of: Callable[[Any], str],
+        call: Callable[..., Any],
+        wait: Waiting,
+    ) -> tuple[bytes, Encoder]:
+        """Returns the JSON that replies to a call, and the encoder with its body."""
+        name, arguments = self._call_of(message, world)
+        encoder = Encoder(_unlimited(), name_of)
         try:
-            return receive(descriptor, self._check_size, wait)
-        except KeyboardInterrupt:
-            # The program ends as it does in this process, with its variables as before; its answer
-            # is of no use, but the next question needs the socket.
-            self._stop()
-            grace = Waiting(descriptor, GRACE, self._look)
-            while receive(descriptor, self._check_size, grace).is_call:
-                send(descriptor, self._number, _STOPPED, (), grace, is_call=True)
-            self._signal(signal.SIGSTOP)
-            raise _InterruptedError from None
+            if wait.is_pressed:
+                raise LimitError("the program was stopped")
+            with allowed():
+                value = call(name, *arguments)
+            return encoder.text([value]), encoder
+        except InvalidAnswerError:
+            raise
+        except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  # the program gets it
+            if isinstance(error, KeyboardInterrupt):
+                wait.press()
+            encoder = Encoder(_unlimited(), name_of)
+            return encoder.text([None, told_error(error)]), encoder
 
     def _check_size(self, document: int, body: int) -> None:
         if document + body > self._answer_bytes:
@@ -434,10 +452,6 @@ class _HarmError(Exception):
     """A worker does what no seal forbids, but its host."""
 
 
-class _InterruptedError(KeyboardInterrupt):
-    """Ctrl-C has ended a program; the worker waits for the next question."""
-
-
 def _end_worker(process: int, connection: socket.socket, folder: Path, host: int) -> None:
     connection.close()
     if os.getpid() == host:
@@ -447,18 +461,6 @@ def _end_worker(process: int, connection: socket.socket, folder: Path, host: int
         remove(folder / SCRATCH)
         shutil.rmtree(folder, ignore_errors=True)
     os.close(process)
-
-
-def _reply(call: Callable[[], Any], name_of: Callable[[Any], str]) -> tuple[bytes, Encoder]:
-    """Returns the JSON that replies to a call, and the encoder with its body."""
-    encoder = Encoder(_unlimited(), name_of)
-    try:
-        return encoder.text([call()]), encoder
-    except InvalidAnswerError:
-        raise
-    except Exception as error:  # noqa: BLE001  # the program gets it
-        encoder = Encoder(_unlimited(), name_of)
-        return encoder.text([None, told_error(error)]), encoder
 
 
 def _unlimited() -> Budget:

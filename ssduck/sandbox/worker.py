@@ -13,8 +13,8 @@ import os
 import signal
 import tempfile
 import threading
-from collections.abc import Callable, Collection, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Collection
+from contextlib import ExitStack
 from functools import lru_cache, partial
 from itertools import count
 from typing import Any
@@ -37,6 +37,7 @@ from ssduck.sandbox.reports import Log, called_error, told_error
 from ssduck.sandbox.seal import Walls, seal
 from ssduck.sandbox.values import Decoder, Encoder
 from ssduck.schema import TABLES
+from ssduck.world.ctrl_c import deferred
 from ssduck.world.entities import Entity  # noqa: F401  # a hint of a host's function may name it
 from ssduck.world.handles import Link  # noqa: F401
 from ssduck.world.world import World
@@ -142,7 +143,7 @@ class Worker:
         """Asks the host for something while a question is answered; any thread may call it."""
         encoder = Encoder(self._budget, self._name_of)
         text = encoder.text([name, arguments])
-        with self._calling, _without_interrupts():
+        with self._calling, deferred():  # a reply that nobody takes is taken for a question
             send(self._connection, self._number, text, encoder.parts, is_call=True)
             value, *error = self._decoded(receive(self._connection))
         if error:
@@ -252,14 +253,16 @@ class Worker:
         """Begins a copy of a world of the host, in place of an earlier one of its name."""
         told = WorldDescription(**description)
 
-        def request(tables: Collection[str]) -> WorldNews:
-            return WorldNews(**self.call("news", told.name, list(tables)))
+        def sensed() -> WorldNews:
+            return WorldNews(**self.call("sensed", told.name))
 
-        self._copies[told.name] = WorldCopy(self.ss, told, request)
+        self._copies[told.name] = WorldCopy(self.ss, told, sensed)
 
     def update_world(self, name: str, news: dict[str, Any]) -> None:
-        """Takes over what is new in a world of the host."""
-        self._copies[name].apply(WorldNews(**news))
+        """Takes over what is new in a world of the host; triggers see its tick."""
+        copy = self._copies[name]
+        copy.apply(WorldNews(**news))
+        copy.world.notify_observers()
 
     def add_function(self, name: str, help: str, parameters: Any, hints: dict[str, str]) -> None:
         """Adds a function of the host."""
@@ -287,16 +290,6 @@ def _stand_in(
         stand_in.__signature__ = inspect.Signature(made)  # type: ignore[attr-defined]
     stand_in.__annotations__ = hints
     return stand_in
-
-
-@contextmanager
-def _without_interrupts() -> Iterator[None]:
-    """Keeps Ctrl-C waiting: an answer of the host that nobody takes would be taken for another."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _loaded(scene: str, limits: Limits, options: dict[str, Any]) -> Interpreter:

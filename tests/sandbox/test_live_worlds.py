@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import time
+
 import pybullet
 import pytest
 
 import ssduck
 from ssduck.errors import FunctionError, LimitError, UnknownNameError, UnsupportedError
+from ssduck.limits import Limits
 from ssduck.sandbox import SandboxedInterpreter
 from ssduck.simulators.scenes import find_scene
 from tests.interpreter.test_mirrors import PROGRAMS, STATEMENTS, plain
@@ -80,7 +83,17 @@ def test_a_program_cannot_change_the_world(zygote):
             copy.step()
         box["kitchen"] = 1
         assert (box.eval("kitchen;"), box["kitchen"], box.worlds) == (1, 1, [])
+        assert box.sql("SELECT count(*) FROM kitchen.entities").fetchone() == (len(world),)
         assert (world.tick_number, [entity.name for entity in world]) == before
+
+
+@pytest.mark.slow
+def test_a_world_that_cannot_be_copied_is_not_there(zygote):
+    with ssduck.load("kitchen") as ss, SandboxedInterpreter(zygote=zygote) as box:
+        box["kitchen"] = ss["kitchen"]
+        with pytest.raises(ssduck.SelectScriptError, match="SQL ignores case"):
+            box["KITCHEN"] = ss["kitchen"]
+        assert list(box) == ["kitchen"]
 
 
 @pytest.mark.slow
@@ -100,6 +113,10 @@ def test_masses_that_change_are_seen(zygote):
 def test_what_sensors_perceive_is_asked_of_the_simulation(zygote):
     with ssduck.load("kitchen") as ss, SandboxedInterpreter(zygote=zygote) as box:
         box["kitchen"] = ss["kitchen"]
+        with pytest.raises(UnsupportedError, match="no world"):
+            box.ask("worker.python", "worker.call('sensed', 'other')")
+        with pytest.raises(UnsupportedError, match="once for each question"):
+            box.ask("worker.python", "[worker.call('sensed', 'kitchen') for _ in range(2)]")
         query = "SELECT a.this, b.this FROM a=kitchen, b=kitchen WHERE isSensing(a.this, b.this);"
         assert plain(box.eval(query)) == plain(ss.eval(query)) != []
         statement = "SELECT sensor, entity FROM sensings ORDER BY ALL"
@@ -168,6 +185,41 @@ def test_callbacks_of_triggers_are_called_here(zygote):
 
 
 @pytest.mark.slow
+def test_triggers_see_the_tick_of_each_question(zygote):
+    times, sensed = [], []
+    query = "SELECT count(*) FROM a=kitchen, b=kitchen WHERE isSensing(a.this, b.this) AS value;"
+    with ssduck.load("kitchen") as ss, SandboxedInterpreter(zygote=zygote) as box:
+        world = box.add_variable("kitchen", ss["kitchen"])
+        box.add_trigger("clock", "getTime();", 0.1, times.append)
+        box.add_trigger("eyes", query, 0.1, sensed.append)
+        for _ in range(3):
+            world.run(0.15)
+            box.eval("1;")
+        assert times == [0.0, *(pytest.approx(0.15 * i) for i in (1, 2, 3))]
+        assert sensed[-1] == ss.eval(query)
+
+
+def pressed(_: float) -> float:
+    """Ctrl-C is pressed while this function runs."""
+    raise KeyboardInterrupt
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("question", ["eval", "sql"])
+def test_ctrl_c_in_a_function_ends_the_program_and_keeps_its_variables(zygote, question):
+    programs = {
+        "eval": "SELECT pressed(z) FROM kitchen AS list;",
+        "sql": "SELECT pressed(z) FROM entities",
+    }
+    with SandboxedInterpreter.load("kitchen", zygote=zygote) as box:
+        box.add_function("pressed", pressed)
+        box.eval("mine = 7;")
+        with pytest.raises(KeyboardInterrupt):
+            getattr(box, question)(programs[question])
+        assert box.eval("mine;") == 7
+
+
+@pytest.mark.slow
 def test_a_new_process_has_worlds_functions_and_triggers_again(zygote):
     fired = []
     with ssduck.load("kitchen") as ss, SandboxedInterpreter.load("kitchen", zygote=zygote) as box:
@@ -187,8 +239,8 @@ def test_a_new_process_has_worlds_functions_and_triggers_again(zygote):
 # What a worker that was taken over calls.
 CALLS = [
     "'function', 'nothing', 1",
-    "'news', 'nothing', []",
-    "'news', 'kitchen', 5",
+    "'sensed', 5",
+    "'sensed', 'kitchen', ['shapes']",
     "'fired', 'plus', 1",
     "'shutdown'",
     "5",
@@ -204,3 +256,29 @@ def test_what_nobody_offers_cannot_be_called(zygote, call):
         with pytest.raises(LimitError, match="sent no answer"):
             box.ask("worker.python", f"worker.call({call})")
         assert box.eval("plus(z(kitchen.table));") == plus(ss["kitchen"]["table"].position[2])
+
+
+# Sends calls without waiting for the replies, so that the host has always something to read.
+FLOOD = """
+import os, threading
+from ssduck.sandbox.messages import send
+
+def drain():
+    while True:
+        os.read(connection, 1 << 16)
+
+threading.Thread(target=drain, daemon=True).start()
+call = b'["function", ["pause", 0]]' + b" " * 8192
+while True:
+    send(connection, worker._number, call, is_call=True)
+"""
+
+
+@pytest.mark.slow
+def test_calls_without_end_end_in_time(zygote):
+    limits = Limits.strict(seconds=0.2)
+    with SandboxedInterpreter(limits=limits, zygote=zygote) as box:
+        box.add_function("pause", lambda _: time.sleep(0.002))
+        with pytest.raises(LimitError, match="more than"):
+            box.ask("worker.python", FLOOD)
+        assert box.eval("1 + 1;") == 2
