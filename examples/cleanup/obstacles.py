@@ -18,7 +18,7 @@ from ssduck.geometry.proofs.cores import ConvexCores, PlacedCores
 from ssduck.geometry.proofs.gjk import classify_gaps
 from ssduck.geometry.proofs.verdicts import ABOVE
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
-from ssduck.geometry.solids import Solid, solid_of
+from ssduck.geometry.solids import Solid, SolidsOfShapes, solid_of
 from ssduck.world.entities import Entity
 
 # The number of postures tested at a time.
@@ -132,7 +132,7 @@ class Obstacles:
         numbers = np.concatenate(
             (np.arange(walls), walls + np.tile(np.arange(count), BATCH))
         ).astype(np.intp)
-        self._cores = ConvexCores(solids, numbers)
+        self._cores = ConvexCores(SolidsOfShapes(solids, numbers))
         self._links = np.array([shape.link for shape in self.shapes], dtype=np.intp)
         self._local = np.array([shape.pose for shape in self.shapes])
         self._centre = _homogeneous([shape.solid.centre for shape in self.shapes])

@@ -33,8 +33,8 @@ from ssduck.geometry.distance import CallCounter, SignedDistance
 from ssduck.geometry.placed_solid import PlacedSolid, Point
 from ssduck.geometry.shape_comparisons import ROUNDING, TOUCHING_DISTANCE, ShapeComparisons
 from ssduck.geometry.solids import PlacedSolids, Solid
-from ssduck.geometry.tick_shapes import PairPredicate, ShapeTable, TickShapes, of_known_entities
-from ssduck.geometry.tick_solids import Found, ShapePlaces, ShapeSolids, TickSolids
+from ssduck.geometry.tick_shapes import PairPredicate, ShapeTable, TickShapes
+from ssduck.geometry.tick_solids import Found, ShapePlaces, TickSolids
 
 T = TypeVar("T")
 
@@ -57,26 +57,28 @@ class NarrowPhase:
     shapes collides with nothing; its clearance is unknown.
 
     Args:
-        shapes: the shapes.
+        table: the properties of the shapes.
         places: where they are.
         starts: (entities + 1,): the shapes of entity e are `starts[e]` to `starts[e + 1] - 1`.
         calls: counts the calls of FCL.
 
     Attributes:
         calls: the counter.
+        table: see above.
         shapes: the comparisons of shapes.
         starts: see above.
     """
 
     def __init__(
         self,
-        shapes: ShapeSolids,
+        table: ShapeTable,
         places: ShapePlaces,
         starts: Sequence[int],
         calls: CallCounter,
     ) -> None:
         self.calls = calls
-        self._tick = TickSolids(shapes, places)
+        self.table = table
+        self._tick = TickSolids(table, places)
         self.shapes = ShapeComparisons(self._tick, calls)
         self.starts = starts
         # Each entity's shapes that have points, and whether all its poses and shapes are known.
@@ -93,24 +95,20 @@ class NarrowPhase:
         self._results: dict[PairPredicate, PairResult] = {}
         self._compared: set[int] = set()
         self._compared_first: Indices = _NO_PAIRS
-        self._ticks: dict[ShapeTable, TickShapes] = {}
         # DuckDB calls from its own threads. Without the lock, pairs would be compared twice.
         self._lock = RLock()
 
-    def regrouped(self, shapes: Indices, starts: Sequence[int]) -> NarrowPhase:
+    def regrouped(self, shapes: Indices, owners: Indices, starts: Sequence[int]) -> NarrowPhase:
         """Returns the narrow phase of the tick with other entities: runs of shapes at `starts`."""
-        tick = self._tick
-        parts = tick.positions[shapes], tick.orientations[shapes], tick.boxes[shapes]
-        chosen = ShapeSolids(tick.solids, shapes, tick.margins.take(shapes))
-        return NarrowPhase(chosen, ShapePlaces(*parts), starts, self.calls)
+        places, table = self.places, self.table.regrouped(shapes, owners)
+        parts = places.positions[shapes], places.orientations[shapes], places.boxes[shapes]
+        return NarrowPhase(table, ShapePlaces(*parts), starts, self.calls)
 
     def extended(self, table: ShapeTable, poses: Sequence[Array]) -> NarrowPhase:
         """Returns the narrow phase of the tick with further shapes, which are of no entity yet."""
-        tick = self._tick
-        before = tick.positions, tick.orientations, tick.boxes
+        before = self.places.positions, self.places.orientations, self.places.boxes
         places = ShapePlaces(*map(np.concatenate, zip(before, poses, strict=True)))
-        shapes = ShapeSolids(table.solids, table.solid_indices, table.margins)
-        return NarrowPhase(shapes, places, self.starts, self.calls)
+        return NarrowPhase(table, places, self.starts, self.calls)
 
     @property
     def places(self) -> ShapePlaces:
@@ -136,13 +134,13 @@ class NarrowPhase:
                 self._verdicts[key] = self._decide(*key)
             return self._verdicts[key]
 
-    def all_pairs(self, predicate: PairPredicate, table: ShapeTable) -> PairResult:
+    def all_pairs(self, predicate: PairPredicate) -> PairResult:
         """Returns the pairs of entities for which a predicate holds."""
         with self._lock:
             if predicate not in self._results:
                 decide = partial(self.shapes.satisfies, predicate=predicate)
-                kept = table.kept(predicate)
-                result = matching_pairs(self.tick_shapes(table), predicate, decide, kept=kept)
+                kept = self.table.kept(predicate)
+                result = matching_pairs(self.arrays, predicate, decide, kept=kept)
                 self._count_all(result.compared)
                 self._results[predicate] = result
             return self._results[predicate]
@@ -168,13 +166,10 @@ class NarrowPhase:
             self._compared.update(pairs)
             self.calls.pairs += len(self._compared) - before
 
-    def tick_shapes(self, table: ShapeTable) -> TickShapes:
-        """Returns the shapes in arrays; the table has their other properties."""
-        if table not in self._ticks:
-            known = of_known_entities(table, self._tick.are_finite & table.is_known)
-            poses = self._tick.positions, self._tick.rotations
-            self._ticks[table] = TickShapes(table, known, self._tick.boxes.T, *poses)
-        return self._ticks[table]
+    @property
+    def arrays(self) -> TickShapes:
+        """The shapes in arrays."""
+        return self._tick.arrays
 
     def _margins_of(self, i: int, j: int) -> float:  # the largest of each
         return self.margin(i) + self.margin(j)
@@ -313,7 +308,7 @@ class NarrowPhase:
         return self._hulls[e]
 
     def _solids_with_boxes(self, e: int) -> list[tuple[Solid, Box]]:
-        return [(self._tick.solids[shape], self._tick.corners[shape]) for shape in self._shapes[e]]
+        return [(self.table.solids[shape], self._tick.corners[shape]) for shape in self._shapes[e]]
 
     def solid_volume(self, e: int) -> float | None:
         """Returns the sum of the volumes of the shapes, m³; overlaps count more than once.
@@ -322,7 +317,7 @@ class NarrowPhase:
         """
         if not self._are_known[e]:
             return None
-        return sum(self._tick.solids[shape].volume for shape in self._shapes[e])
+        return sum(self.table.solids[shape].volume for shape in self._shapes[e])
 
     def surrounds(self, i: int, j: int) -> bool:
         """Checks whether a closed mesh of an entity surrounds another entity.
@@ -334,7 +329,7 @@ class NarrowPhase:
             return False
         box, centre = self.box(j), self.box_centre(j)
         return any(
-            self._tick.solids[shape].is_closed_mesh
+            self.table.solids[shape].is_closed_mesh
             and _contains_box(self._tick.corners[shape], box)
             and self._winds_around(shape, centre)
             for shape in self._shapes[i]
@@ -346,7 +341,7 @@ class NarrowPhase:
 
     def margin(self, e: int) -> float:
         """Returns the largest collision margin of the shapes of an entity, m; 0 without shapes."""
-        return max((self._tick.margins.listed[shape] for shape in self._shapes[e]), default=0.0)
+        return max((self.table.margins.listed[shape] for shape in self._shapes[e]), default=0.0)
 
     def is_known(self, e: int) -> bool:
         """Checks whether all poses and shapes of an entity are known."""
@@ -361,10 +356,10 @@ class NarrowPhase:
         counts = [len(self._shapes[e]) for e in entities]
         shapes = [s for e in entities for s in self._shapes[e]]
         return PlacedSolids(
-            [self._tick.solids[s] for s in shapes],
-            self._tick.positions[shapes],
-            self._tick.matrices[shapes],
-            self._tick.boxes[shapes],
+            [self.table.solids[s] for s in shapes],
+            self.places.positions[shapes],
+            self.arrays.matrices[shapes],
+            self.places.boxes[shapes],
             np.repeat(np.array(ids, dtype=np.intp), counts),
         )
 
@@ -442,7 +437,7 @@ class NarrowPhase:
         shapes = range(self.starts[e], self.starts[e + 1])
         if len(shapes) == 1:
             return self._tick.corners[shapes[0]]
-        rows = self._tick.boxes[shapes.start : shapes.stop]
+        rows = self.places.boxes[shapes.start : shapes.stop]
         low, high = rows[:, :3].min(axis=0).tolist(), rows[:, 3:].max(axis=0).tolist()
         return [*low, *high]
 
@@ -454,7 +449,7 @@ class NarrowPhase:
     def shapes_in(self, low: Array, high: Array, excluded: Iterable[int]) -> list[PlacedSolid]:
         """Returns the known shapes whose boxes overlap a box, without those of some entities."""
         with np.errstate(invalid="ignore"):
-            overlaps = (self._tick.boxes[:, :3] <= high) & (self._tick.boxes[:, 3:] >= low)
+            overlaps = (self.places.boxes[:, :3] <= high) & (self.places.boxes[:, 3:] >= low)
         is_overlapping: Flags = np.asarray(overlaps.all(axis=1))
         for e in excluded:
             is_overlapping[self.starts[e] : self.starts[e + 1]] = False
@@ -462,13 +457,15 @@ class NarrowPhase:
         return [
             self._tick.placed(shape)
             for shape in shapes
-            if self._tick.are_known[shape] and not self._tick.solids[shape].is_empty
+            if self._tick.are_known[shape] and not self.table.solids[shape].is_empty
         ]
 
 
 def _shapes_with_points(tick: TickSolids, starts: Sequence[int], e: int) -> list[int]:
     """Returns the shapes of an entity that have points."""
-    return [shape for shape in range(starts[e], starts[e + 1]) if not tick.solids[shape].is_empty]
+    return [
+        shape for shape in range(starts[e], starts[e + 1]) if not tick.table.solids[shape].is_empty
+    ]
 
 
 def _is_known(tick: TickSolids, starts: Sequence[int], e: int) -> bool:

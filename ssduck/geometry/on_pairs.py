@@ -46,10 +46,10 @@ class _ShapePairs:
     touch: Flags  # (n,), whether they surely touch; the others may touch
 
 
-def are_on(tick: TickShapes, narrow: NarrowPhase, a: Indices, b: Indices) -> Flags:
+def are_on(narrow: NarrowPhase, a: Indices, b: Indices) -> Flags:
     """Returns whether b is on a, for pairs of known entities that touch, (n,)."""
     result = np.zeros(len(a), dtype=bool)
-    starts = np.array(narrow.starts)
+    tick, starts = narrow.arrays, np.array(narrow.starts)
     with np.errstate(invalid="ignore"):  # the boxes of planes
         low, high = ground_boxes(tick.boxes, starts, b)
         centres = (low + high) / 2

@@ -25,7 +25,7 @@ from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD
 from ssduck.geometry.proofs.footprints import OVER, over_verdicts, shapes_of
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Verdicts
 from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
-from ssduck.geometry.tick_shapes import PairPredicate, PredicateKind, TickShapes
+from ssduck.geometry.tick_shapes import PairPredicate, PredicateKind
 
 Direction: TypeAlias = tuple[float, float, float]
 
@@ -122,7 +122,6 @@ class PairBatch:
     """The shapes of n pairs of entities; those of pair k are the entities k and n + k.
 
     Args:
-        scene: the shapes, without boxes.
         shapes: the pairs of shapes of the pairs, by pair.
         count: the number n of pairs.
         narrow: the narrow phase of the same shapes, without boxes.
@@ -132,14 +131,14 @@ class PairBatch:
 
     def __init__(
         self,
-        scene: TickShapes,
         shapes: Pairs,
         count: int,
         narrow: NarrowPhase,
         starts: Indices,
         step: Callable[[], object],
     ) -> None:
-        self._scene, self._narrow, self._starts = scene, narrow, starts
+        self._scene = scene = narrow.arrays
+        self._narrow, self._starts = narrow, starts
         self._count, self._step = count, step
         self._all_shapes = shapes
         self._first, self._second = comparable_pairs(scene, shapes)

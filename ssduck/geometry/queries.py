@@ -21,7 +21,7 @@ from ssduck.geometry.on_pairs import are_on
 from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import PlacedSolids
-from ssduck.geometry.tick_shapes import PairPredicate, ShapeTable, depth, pair_number
+from ssduck.geometry.tick_shapes import PairPredicate, depth, pair_number
 from ssduck.schema import LINK_FACTOR, entity_of
 
 # After this number of pairs, or a quarter of the entities, all pairs are compared at once.
@@ -44,7 +44,6 @@ class ShapeQueries:
     Args:
         narrow: the narrow phase.
         numbers: the number in `narrow` of each id.
-        table: the properties of the shapes.
         boxes: (6, n), those of the entities in the order of `ids`, or a function that returns them.
         ids: (n,), the ids.
         links: (shapes,), the number of each shape's link; None if links are not queried.
@@ -57,7 +56,6 @@ class ShapeQueries:
         self,
         narrow: NarrowPhase,
         numbers: Mapping[int, int],
-        table: ShapeTable,
         boxes: Array | Callable[[], Array],
         ids: Ids,
         links: Indices | None = None,
@@ -67,7 +65,7 @@ class ShapeQueries:
         self._are_regions, self._places = are_regions, places
         self._narrow = narrow
         self._numbers = numbers
-        self._table = table
+        self._table = narrow.table
         self._boxes_or_function = boxes
         self._ids = ids
         self._links = links
@@ -160,12 +158,12 @@ class ShapeQueries:
         numbers |= {id: count + place for place, id in enumerate(found.tolist())}
         numbers.empty = count + len(found)
         starts = np.searchsorted(owners, np.arange(numbers.empty + 2))
-        narrow = self._narrow.regrouped(shapes, starts.tolist())
+        narrow = self._narrow.regrouped(shapes, owners, starts.tolist())
         groups = [number for number in range(numbers.empty) if starts[number] < starts[number + 1]]
         id_of = {number: id for id, number in numbers.items()}
         boxes = np.array([narrow.box(number) for number in groups]).reshape(-1, 6).T
         ids = np.array([id_of[number] for number in groups], np.int64)
-        queries = ShapeQueries(narrow, numbers, table.regrouped(shapes, owners), boxes, ids)
+        queries = ShapeQueries(narrow, numbers, boxes, ids)
         queries._whole = whole
         return queries
 
@@ -185,7 +183,6 @@ class ShapeQueries:
         return ShapeQueries(
             narrow,
             self._numbers,
-            table,
             boxes,
             self._ids,
             links,
@@ -219,7 +216,7 @@ class ShapeQueries:
     def _all_pairs(self, predicate: PairPredicate) -> tuple[Indices, Indices]:
         """Returns the numbers of the pairs for which a predicate holds, the lower ones first."""
         if not self._is_of_both:
-            return self._narrow.all_pairs(predicate, self._table).sides
+            return self._narrow.all_pairs(predicate).sides
         # A link and an entity match if the link and one of the entity's links do.
         assert self._whole is not None
         first, second = self._whole.links._all_pairs(predicate)  # noqa: SLF001  # one class
@@ -280,12 +277,12 @@ class ShapeQueries:
     def _on_among(self, touching: tuple[Indices, Indices]) -> tuple[Indices, Indices]:
         """Returns the entities and what is on them, of pairs that touch, in either order."""
         a, b = np.concatenate(touching), np.concatenate(touching[::-1])
-        on = are_on(self._narrow.tick_shapes(self._table), self._narrow, a, b)
+        on = are_on(self._narrow, a, b)
         return a[on], b[on]
 
     def _on_pairs(self) -> Iterator[tuple[int, int]]:
         """Yields the pairs of entity numbers of which the second is on the first."""
-        a, b = self._on_among(self._narrow.all_pairs(_TOUCHING, self._table).sides)
+        a, b = self._on_among(self._narrow.all_pairs(_TOUCHING).sides)
         return zip(a.tolist(), b.tolist(), strict=True)
 
     def all_resting(self) -> IdPairs:

@@ -61,7 +61,7 @@ class ShapeComparisons:
 
     def margin(self, s: int, t: int) -> float:
         """Returns the collision margin of two shapes, m."""
-        return self._tick.margins.of_two(s, t)
+        return self._tick.table.margins.of_two(s, t)
 
     def contact_height(self, s: int, t: int) -> float | None:
         """Returns the z of the unit contact normal from a shape to another one.
@@ -100,14 +100,14 @@ class ShapeComparisons:
 
     def _is_of_mesh(self, s: int, t: int) -> bool:
         """Checks whether one of two shapes is a mesh, and none a half-space."""
-        kinds = {self._tick.solids[s].type, self._tick.solids[t].type}
+        kinds = {self._tick.table.solids[s].type, self._tick.table.solids[t].type}
         return "mesh" in kinds and "plane" not in kinds
 
     def min_distance(self, s: int, t: int) -> float:
         """Returns a lower bound of the distance of two shapes, by boxes and bounding spheres, m."""
-        radii = self._tick.bounding_radii[s] + self._tick.bounding_radii[t]
+        radii = self._tick.table.bounding_radii[s] + self._tick.table.bounding_radii[t]
         if radii == math.inf:
-            is_plane = self._tick.bounding_radii[s] == math.inf
+            is_plane = self._tick.table.bounding_radii[s] == math.inf
             return self._bound_of_plane(s, t) if is_plane else self._bound_of_plane(t, s)
         a, b = self._tick.corners[s], self._tick.corners[t]
         x = max(0.0, a[0] - b[3], b[0] - a[3])
@@ -119,19 +119,19 @@ class ShapeComparisons:
     def _bound_of_plane(self, plane: int, other: int) -> float:
         """Returns a lower bound of the distance to a half-space, m, by a bounding sphere."""
         # The box of a tilted plane does not bound it: far out, the plane leaves its box.
-        if self._tick.solids[other].type == "plane":
+        if self._tick.table.solids[other].type == "plane":
             return 0.0
         x, y, z = self._tick.placed(plane).normals[0].tolist()
         (a, b, c), (d, e, f) = self._tick.centres[other], self._tick.placed(plane).position
         height: float = x * (a - d) + y * (b - e) + z * (c - f)
-        return max(0.0, height - self._tick.solids[other].bounding_radius)
+        return max(0.0, height - self._tick.table.solids[other].bounding_radius)
 
     def min_depth(self, s: int, t: int) -> float:
         """Returns a lower bound of the depth of two shapes, by the spheres in them, m.
 
         Minus infinity for shapes without a known sphere: open meshes, rings and the like.
         """
-        radius, other_radius = (self._tick.solids[k].inscribed_radius for k in (s, t))
+        radius, other_radius = (self._tick.table.solids[k].inscribed_radius for k in (s, t))
         if not (radius > 0.0 and other_radius > 0.0):
             return -math.inf
         distance = math.dist(self._tick.inscribed_centres[s], self._tick.inscribed_centres[t])

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from threading import RLock
@@ -171,6 +171,32 @@ class Solid:
             hull = hull_solid(self.points / size)
             return Surface(hull.core * size, hull.faces)
         return self._equal_volume_surface
+
+
+@dataclass(frozen=True, eq=False)
+class SolidsOfShapes:
+    """The solids of n shapes, of which many are the same.
+
+    Attributes:
+        distinct: the distinct solids.
+        indices: (n,), the index of each shape's solid.
+    """
+
+    distinct: Sequence[Solid]
+    indices: Indices
+
+    def flags(self, test: Callable[[Solid], bool]) -> Flags:
+        """Returns what a test says of each shape's solid, (n,)."""
+        return np.array(list(map(test, self.distinct)), dtype=bool)[self.indices]
+
+    def numbers(self, value: Callable[[Solid], float]) -> Array:
+        """Returns a number of each shape's solid, (n,)."""
+        return np.array(list(map(value, self.distinct)), dtype=np.float64)[self.indices]
+
+    def vectors(self, value: Callable[[Solid], Any]) -> Array:
+        """Returns a vector of each shape's solid, (3, n)."""
+        vectors = np.array(list(map(value, self.distinct)), dtype=np.float64)
+        return vectors.reshape(-1, 3).T[:, self.indices]
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from ssduck.geometry.proofs.cores import ConvexCores, PlacedCores
 from ssduck.geometry.proofs.proposals import Proposer
 from ssduck.geometry.proofs.verdicts import KeptVerdicts, ShapePoses
 from ssduck.geometry.shapes import Geometry
-from ssduck.geometry.solids import Solid, solid_of
+from ssduck.geometry.solids import Solid, SolidsOfShapes, solid_of
 
 # Added to distances of boxes, m, so that pairs exactly at the bound are candidates.
 _BOUND_MARGIN = 1e-8
@@ -74,7 +74,7 @@ class ShapeTable:
     """The properties of shapes that do not depend on their poses, and what is kept between ticks.
 
     Args:
-        solids: the distinct solids.
+        distinct: the distinct solids.
         solid_indices: (n,), the index of each shape's solid.
         entities: (n,), the index of each shape's entity.
         margins: (n,), the collision margins, metres; None for none.
@@ -82,52 +82,50 @@ class ShapeTable:
 
     def __init__(
         self,
-        solids: Sequence[Solid],
+        distinct: Sequence[Solid],
         solid_indices: Indices,
         entities: Indices,
         margins: Margins | Array | None = None,
     ) -> None:
-        self.solids, self.solid_indices = solids, solid_indices
+        self._of_each = SolidsOfShapes(distinct, np.asarray(solid_indices, dtype=np.intp))
         self.entities = entities
         self.margins = Margins.of(margins, len(solid_indices))
         self.count = int(entities.max(initial=-1)) + 1
         self.has_single_shapes = bool(np.bincount(entities).max(initial=0) <= 1)
-        self.is_known = np.array([solid.is_known for solid in solids], dtype=bool)[solid_indices]
-        self.has_points = np.array([not solid.is_empty for solid in solids], dtype=bool)[
-            solid_indices
-        ]
-        self.is_plane = np.array([solid.type == "plane" for solid in solids], dtype=bool)[
-            solid_indices
-        ]
+        of_each = self._of_each
+        self.is_known = of_each.flags(lambda solid: solid.is_known)
+        self.has_points = of_each.flags(lambda solid: not solid.is_empty)
+        self.is_plane = of_each.flags(lambda solid: solid.type == "plane")
         self.has_planes = bool(self.is_plane.any())
-        self.is_box = np.array([solid.type == "box" for solid in solids], dtype=bool)[solid_indices]
-        self.is_convex = np.array([solid.is_convex for solid in solids], dtype=bool)[solid_indices]
+        self.is_box = of_each.flags(lambda solid: solid.type == "box")
+        self.is_convex = of_each.flags(lambda solid: solid.is_convex)
         self.are_all_convex = bool(self.is_convex.all())
-        self.bounding_radius = np.array([solid.bounding_radius for solid in solids])[solid_indices]
-        is_closed_mesh = np.array([solid.is_closed_mesh for solid in solids], dtype=bool)
-        self.with_closed_meshes = frozenset(entities[is_closed_mesh[solid_indices]].tolist())
+        self.bounding_radius = of_each.numbers(lambda solid: solid.bounding_radius)
+        self.inscribed_radius = of_each.numbers(lambda solid: solid.inscribed_radius)
+        is_closed_mesh = of_each.flags(lambda solid: solid.is_closed_mesh)
+        self.with_closed_meshes = frozenset(entities[is_closed_mesh].tolist())
         # In the frames of the shapes, (3, n).
-        self.centres = (
-            np.array([solid.centre for solid in solids]).reshape(-1, 3).T[:, solid_indices]
-        )
-        self.inscribed_centres = (
-            np.array([solid.inscribed_centre for solid in solids])
-            .reshape(-1, 3)
-            .T[:, solid_indices]
-        )
+        self.centres = of_each.vectors(lambda solid: solid.centre)
+        self.inscribed_centres = of_each.vectors(lambda solid: solid.inscribed_centre)
         self.are_off_centre = bool(self.centres.any() or self.inscribed_centres.any())
-        self.inscribed_radius = np.array([solid.inscribed_radius for solid in solids])[
-            solid_indices
-        ]
-        up = np.array([0.0, 0.0, 1.0])
-        normals = [s.normals[0] if s.type == "plane" and s.is_known else up for s in solids]
-        self.normal = np.array(normals).reshape(-1, 3)[solid_indices]
-        self.cores = ConvexCores(solids, solid_indices)
-        self.proposer = Proposer(solids, solid_indices)
+        self.normal = of_each.vectors(_normal).T
+        self.cores = ConvexCores(of_each)
+        self.proposer = Proposer(of_each)
         self._kept: dict[PairPredicate, KeptVerdicts] = {}
         self.kept_touching, self.kept_upward = KeptVerdicts(), KeptVerdicts()
         self._regrouped: dict[tuple[bytes, bytes], ShapeTable] = {}
         self._extended: tuple[tuple[tuple[str, ...], bytes], ShapeTable] | None = None
+
+    @cached_property
+    def solids(self) -> list[Solid]:
+        """The solid of each shape."""
+        return [self._of_each.distinct[index] for index in self._of_each.indices.tolist()]
+
+    @cached_property
+    def bounding_radii(self) -> list[float]:
+        """The radius of the sphere around each shape, m; infinite for half-spaces."""
+        radii: list[float] = self.bounding_radius.tolist()
+        return radii
 
     def kept(self, predicate: PairPredicate) -> KeptVerdicts:
         """Returns the verdicts on a predicate at the tick before."""
@@ -142,13 +140,14 @@ class ShapeTable:
         key = tuple(geometry.key for geometry in geometries), entities.tobytes()
         if self._extended is not None and self._extended[0] == key:
             return self._extended[1]
-        known = len(self.solids)
+        before = self._of_each
+        known = len(before.distinct)
         distinct = {geometry.key: geometry for geometry in geometries}
         places = {key: known + place for place, key in enumerate(distinct)}
         indices = [places[geometry.key] for geometry in geometries]
         table = ShapeTable(
-            [*self.solids, *map(solid_of, distinct.values())],
-            np.concatenate((self.solid_indices, np.array(indices, np.intp))),
+            [*before.distinct, *map(solid_of, distinct.values())],
+            np.concatenate((before.indices, np.array(indices, np.intp))),
             np.concatenate((self.entities, entities)),
             self.margins.padded(len(indices)),
         )
@@ -165,8 +164,9 @@ class ShapeTable:
         if table is None:
             if len(self._regrouped) >= _MAX_REGROUPED:
                 self._regrouped.clear()
-            indices, margins = self.solid_indices[shapes], self.margins.take(shapes)
-            table = self._regrouped[key] = ShapeTable(self.solids, indices, entities, margins)
+            distinct, indices = self._of_each.distinct, self._of_each.indices[shapes]
+            margins = self.margins.take(shapes)
+            table = self._regrouped[key] = ShapeTable(distinct, indices, entities, margins)
         return table
 
 
@@ -241,6 +241,13 @@ def pair_number(i: int, j: int) -> int:
     True
     """
     return min(i, j) * MAX_ENTITIES + max(i, j)
+
+
+def _normal(solid: Solid) -> Sequence[float]:
+    """Returns the normal of a half-space; up for other solids."""
+    is_plane = solid.type == "plane" and solid.is_known
+    normal: list[float] = solid.normals[0].tolist() if is_plane else [0.0, 0.0, 1.0]
+    return normal
 
 
 def of_known_entities(table: ShapeTable, is_known: Flags) -> Flags:

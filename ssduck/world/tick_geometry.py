@@ -20,7 +20,7 @@ from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.solids import solid_of
 from ssduck.geometry.tick_shapes import ShapeTable
-from ssduck.geometry.tick_solids import ShapePlaces, ShapeSolids
+from ssduck.geometry.tick_solids import ShapePlaces
 from ssduck.simulators.interface import LinkPoses
 from ssduck.world.layout import BodyGroup, TableLayout
 from ssduck.world.live_tables import LiveTable
@@ -34,8 +34,7 @@ class ComparableShapes:
     numbers: Mapping[int, int]  # the number of each entity by its id
     ids: Ids  # (n,), the ids in the order of the table of entities
     places: Indices  # what `places_by_number` returns of them
-    table: ShapeTable  # the entities of the shapes, and what else they have
-    solids: ShapeSolids  # their solids and margins
+    table: ShapeTable  # the properties of the shapes
 
     @classmethod
     def of(cls, layout: TableLayout, margins: Margins) -> Self:
@@ -55,9 +54,8 @@ class ComparableShapes:
         owners = np.repeat(np.arange(len(bodies)), counts)
         table = ShapeTable(solids, solid_indices, owners, margins)
         ids = np.array([info.id for info in layout.entities], np.int64)
-        shape_solids = ShapeSolids(solids, solid_indices, margins)
         starts.append(starts[-1])
-        return cls(starts, numbers, ids, places_by_number(numbers, ids), table, shape_solids)
+        return cls(starts, numbers, ids, places_by_number(numbers, ids), table)
 
 
 class TickPlaces(ShapePlaces):
@@ -177,9 +175,8 @@ class TickGeometry(ABC):
         if self._shapes is None:
             shapes, places = self._comparable, TickPlaces(self._layout, self.body_groups)
             self._shapes = ShapeQueries(
-                NarrowPhase(shapes.solids, places, shapes.starts, self.calls),
+                NarrowPhase(shapes.table, places, shapes.starts, self.calls),
                 shapes.numbers,
-                shapes.table,
                 places.entity_boxes,
                 shapes.ids,
                 self._tables["shapes"]["link"],

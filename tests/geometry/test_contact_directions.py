@@ -24,7 +24,7 @@ from ssduck.geometry.proofs.contact_directions import (
 from ssduck.geometry.proofs.verdicts import UNDECIDED
 from tests.support import pairs
 from tests.support.pairs import Shape, gap
-from tests.support.solids import box, narrow, sorts_of, sphere
+from tests.support.solids import box, narrow, sphere
 
 KINDS = ("sphere", "box", "cylinder", "capsule", "ellipsoid", "hull", "flat")
 COMBINATIONS = list(itertools.combinations_with_replacement(KINDS, 2))
@@ -146,7 +146,7 @@ def test_entities_of_several_shapes_are_on_each_other_as_one_by_one(seed):
     every = itertools.permutations(range(len(entities)), 2)
     touching = [(a, b) for a, b in every if one_by_one.touches(a, b)]
     a, b = np.array(touching).T
-    found = are_on(at_once.tick_shapes(sorts_of(at_once)), at_once, a, b)
+    found = are_on(at_once, a, b)
     expected = [one_by_one.on(a, b) for a, b in touching]
     assert found.tolist() == expected
     assert True in expected
@@ -179,7 +179,7 @@ def test_convex_pairs_need_neither_fcl_nor_a_polytope(monkeypatch):
             return original(first, *rest)
 
         monkeypatch.setattr(module, name, counted)
-    found = are_on(scene.tick_shapes(sorts_of(scene)), scene, a, b)
+    found = are_on(scene, a, b)
     assert 10 < found.sum() < len(a) / 2
     assert scene.calls.calls <= len(a) / 50
     assert len(expanded) <= len(a) / 50

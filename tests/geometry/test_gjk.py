@@ -31,7 +31,6 @@ from tests.support.solids import (
     mesh_of,
     narrow,
     plane,
-    sorts_of,
     sphere,
 )
 
@@ -231,7 +230,7 @@ def crowd(seed, *, is_round, side=1.5):
 
 def boxes_apart(tick, i, j):
     """How far apart two entities' boxes are along the axis where they are farthest."""
-    a, b = (tick._tick.boxes[tick.starts[e] : tick.starts[e + 1]] for e in (i, j))
+    a, b = (tick.places.boxes[tick.starts[e] : tick.starts[e + 1]] for e in (i, j))
     gaps = np.maximum(a[:, None, :3] - b[None, :, 3:], b[None, :, :3] - a[:, None, 3:]).max(2)
     return gaps.min(initial=math.inf)
 
@@ -242,15 +241,14 @@ def boxes_apart(tick, i, j):
 def test_all_pairs_of_a_tick(seed, is_round):
     entities = crowd(seed, is_round=is_round)
     together, alone = narrow(*entities), narrow(*entities)
-    sorts = sorts_of(together)
     every = list(itertools.combinations(range(len(entities)), 2))
     collide = [pair for pair in every if alone.collides(*pair)]
-    assert together.all_pairs(COLLIDE, sorts).pairs == collide
+    assert together.all_pairs(COLLIDE).pairs == collide
     assert collide
     gaps = {pair: alone.clearance(*pair) for pair in every}
     for apart in APART:
         near = [pair for pair in every if gaps[pair] is not None and gaps[pair] <= apart]
-        assert together.all_pairs(PairPredicate("within", apart), sorts).pairs == near
+        assert together.all_pairs(PairPredicate("within", apart)).pairs == near
         asked = narrow(*entities)  # anew: what is farther need not be known
         found = {pair: asked.clearance(*pair, apart) for pair in every}
         assert [
@@ -261,7 +259,7 @@ def test_all_pairs_of_a_tick(seed, is_round):
 @pytest.mark.parametrize("apart", [-1e-9, -1.0, -math.inf, math.nan])
 def test_nothing_is_nearer_than_nothing(apart):
     tick = narrow([(box(), (0, 0, 0))], [(box(), (0.5, 0, 0))])
-    assert tick.all_pairs(PairPredicate("within", apart), sorts_of(tick)).pairs == []
+    assert tick.all_pairs(PairPredicate("within", apart)).pairs == []
     assert tick.calls.pairs == 0
 
 
@@ -284,7 +282,7 @@ def test_at_the_bound(name, apart):
     a, b, touching = BESIDE[name]
     for more, expected in ((-1e-7, True), (0.0, None), (1e-7, False)):
         tick = narrow([(a, (0, 0, 0))], [(b, (touching + apart + more, 0, 0))])
-        found = tick.all_pairs(PairPredicate("within", apart), sorts_of(tick)).pairs == [(0, 1)]
+        found = tick.all_pairs(PairPredicate("within", apart)).pairs == [(0, 1)]
         assert found is (tick.clearance(0, 1) <= apart)
         assert expected is None or found is expected
 
@@ -294,7 +292,7 @@ def test_at_the_bound(name, apart):
 def test_at_the_depth_that_collides(name, depth, expected):
     a, b, touching = BESIDE[name]
     tick = narrow([(a, (0, 0, 0))], [(b, (touching - depth, 0, 0))])
-    assert (tick.all_pairs(COLLIDE, sorts_of(tick)).pairs == [(0, 1)]) is expected
+    assert (tick.all_pairs(COLLIDE).pairs == [(0, 1)]) is expected
     assert tick.collides(0, 1) is expected
 
 
@@ -304,10 +302,9 @@ def test_sizes_beyond_any_scene(solid, size):
     """What is too large to be squared is not decided by squares."""
     large = solid(size, size, size)
     tick = narrow([(large, (0, 0, 0))], [(large, (size / 4, 0, 0))], [(sphere(1.0), (0, 0, 0))])
-    sorts = sorts_of(tick)
     expected = [(0, 1), (0, 2), (1, 2)] if size > 1 else [(0, 2), (1, 2)]
-    assert tick.all_pairs(COLLIDE, sorts).pairs == expected
-    assert tick.all_pairs(PairPredicate("within", 0.1), sorts).pairs == [(0, 1), (0, 2), (1, 2)]
+    assert tick.all_pairs(COLLIDE).pairs == expected
+    assert tick.all_pairs(PairPredicate("within", 0.1)).pairs == [(0, 1), (0, 2), (1, 2)]
 
 
 # Of a body of a metre.
@@ -334,9 +331,8 @@ def convex_crowd(count, seed=0):
 
 def test_of_convex_shapes_fcl_is_not_asked():
     tick = narrow(*convex_crowd(300))
-    sorts = sorts_of(tick)
-    assert len(tick.all_pairs(COLLIDE, sorts).numbers) > 100
-    assert len(tick.all_pairs(PairPredicate("within", 0.01), sorts).numbers) > 100
+    assert len(tick.all_pairs(COLLIDE).numbers) > 100
+    assert len(tick.all_pairs(PairPredicate("within", 0.01)).numbers) > 100
     assert tick.calls.calls == 0
     assert not tick._tick._placed
 
@@ -344,18 +340,17 @@ def test_of_convex_shapes_fcl_is_not_asked():
 def test_pairs_count_once_a_tick():
     entities = convex_crowd(60)
     tick = narrow(*entities)
-    sorts = sorts_of(tick)
     every = list(itertools.combinations(range(60), 2))
     meeting = {pair for pair in every if boxes_apart(tick, *pair) <= 0.0}
     near = {pair for pair in every if boxes_apart(tick, *pair) <= 0.1}
-    tick.all_pairs(COLLIDE, sorts)
+    tick.all_pairs(COLLIDE)
     assert tick.calls.pairs == len(meeting)
     for _ in range(2):
-        tick.all_pairs(PairPredicate("within", 0.1), sorts)
-        tick.all_pairs(PairPredicate("within", 0.05), sorts)
-        tick.all_pairs(COLLIDE, sorts)
+        tick.all_pairs(PairPredicate("within", 0.1))
+        tick.all_pairs(PairPredicate("within", 0.05))
+        tick.all_pairs(COLLIDE)
         assert tick.calls.pairs == len(near) > len(meeting)
-    shapes = ShapeQueries(tick, {10 * n: n for n in range(60)}, sorts, BOXES, np.zeros(0, np.int64))
+    shapes = ShapeQueries(tick, {10 * n: n for n in range(60)}, BOXES, np.zeros(0, np.int64))
     for i, j in sorted(near)[:5]:
         shapes.collides(10 * i, 10 * j, MIN_DEPTH)
         shapes.near(10 * j, 10 * i, 0.1)
@@ -370,7 +365,7 @@ def test_many_questions_are_answered_together():
     entities = [*convex_crowd(150), [(box(), (math.nan, 0, 0))], [(box(), (0, 0, 0))]]
     tick, alone = narrow(*entities), narrow(*entities)
     numbers = {n: n for n in range(len(entities))}
-    shapes = ShapeQueries(tick, numbers, sorts_of(tick), BOXES, np.zeros(0, np.int64))
+    shapes = ShapeQueries(tick, numbers, BOXES, np.zeros(0, np.int64))
     every = list(itertools.combinations(numbers, 2))
     meeting = [pair for pair in every if boxes_apart(tick, *pair) <= 0.05]
     unknown = [(149, 150), (151, 150)]
@@ -384,9 +379,7 @@ def test_many_questions_are_answered_together():
 
 def test_ids_of_all_that_are_near():
     tick = narrow(*([(box(), (1.5 * n, 0, 0))] for n in range(3)))
-    shapes = ShapeQueries(
-        tick, {7: 0, 3: 1, 5: 2, 9: 3}, sorts_of(tick), BOXES, np.array([9, 7, 5, 3])
-    )
+    shapes = ShapeQueries(tick, {7: 0, 3: 1, 5: 2, 9: 3}, BOXES, np.array([9, 7, 5, 3]))
     assert shapes.all_within(0.4).numbers == []
     found = shapes.all_within(0.5)
     pairs = [divmod(number, ID_FACTOR) for number in found.numbers]
@@ -400,14 +393,14 @@ def test_shapes_of_two_entities_that_collide_are_left_out():
     """The rest of what two tables are made of is not compared."""
     table = [(ELL, (0, 0, 0)), (box(), (0, 0, 0)), (ELL, (0.1, 0, 0))]
     tick = narrow(table, [(box(), (0.2, 0, 0)), (ELL, (0.1, 0.1, 0))])
-    assert tick.all_pairs(COLLIDE, sorts_of(tick)).pairs == [(0, 1)]
+    assert tick.all_pairs(COLLIDE).pairs == [(0, 1)]
     assert tick.calls.calls == 0
     assert tick.calls.pairs == 1
 
 
 def test_meshes_that_collide_cost_one_call():
     tick = narrow([(ELL, (0, 0, 0))], [(ELL, (0.4, 0.3, 0.1))], [(ELL, (0.3, 0, 5))])
-    assert tick.all_pairs(COLLIDE, sorts_of(tick)).pairs == [(0, 1)]
+    assert tick.all_pairs(COLLIDE).pairs == [(0, 1)]
     assert tick.calls.calls == 1
     assert tick.penetration(0, 1) > 0.01
 
@@ -415,4 +408,4 @@ def test_meshes_that_collide_cost_one_call():
 def test_box_depths_of_no_boxes():
     tick = narrow([(sphere(), (0, 0, 0))])
     none = np.zeros(0, np.intp)
-    assert not len(box_depths(tick.tick_shapes(sorts_of(tick)).placed_cores, none, none))
+    assert not len(box_depths(tick.arrays.placed_cores, none, none))

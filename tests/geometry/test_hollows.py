@@ -13,7 +13,7 @@ from ssduck.geometry.narrow_phase import MIN_DEPTH
 from ssduck.geometry.tick_shapes import PairPredicate, pair_number
 from tests.support import hollows, pairs
 from tests.support.cases import generated, sampled
-from tests.support.solids import narrow, sorts_of
+from tests.support.solids import narrow
 
 SEEDS = range(generated(7))
 EDGE = 1e-8
@@ -84,10 +84,9 @@ def test_all_forms_agree_on_what_is_in_holes(seed):
         asked_alone(shapes, (i, j), gap)
         asked_alone(shapes, (j, i), gap)
     together = tick_of(shapes)
-    sorts = sorts_of(together)
     for question in questions(gaps.values()):
         found = [pair for pair, gap in gaps.items() if holds(question, gap)]
-        assert together.all_pairs(question, sorts).pairs == found, question
+        assert together.all_pairs(question).pairs == found, question
         assert many_ticks(shapes, every, question) == found, question
 
 
@@ -107,7 +106,7 @@ def holds(question, gap):
 def many_ticks(shapes, every, question):
     """The pairs that windows of the past find."""
     tick = tick_of(shapes)
-    scene = tick.tick_shapes(sorts_of(tick))
+    scene = tick.arrays
 
     def satisfies(s, t):
         return tick_of([shapes[s], shapes[t]]).shapes.satisfies(0, 1, question)

@@ -19,7 +19,7 @@ from tests.geometry.test_colliding import fill
 from tests.support.cases import sampled
 from tests.support.pairs import geometry
 from tests.support.solids import box as solid_box
-from tests.support.solids import narrow, sorts_of
+from tests.support.solids import narrow
 
 QUERY = "SELECT id(a.this), id(b.this) FROM a=w, b=w WHERE on(a.this, b.this) AS list;"
 KINDS = ("box", "sphere", "capsule", "cylinder", "hull")
@@ -97,7 +97,7 @@ def test_centres_over_footprints_are_what_single_pairs_say(kind):
     ]
     scene = narrow([lower], *([upper] for upper in uppers))
     a, b = np.zeros(len(uppers), np.intp), np.arange(1, len(uppers) + 1)
-    tick, starts = scene.tick_shapes(sorts_of(scene)), np.array(scene.starts)
+    tick, starts = scene.arrays, np.array(scene.starts)
     expected = np.array([scene.is_over(0, int(other)) for other in b])
     centres = sum(ground_boxes(tick.boxes, starts, b)) / 2
     boxes = ground_boxes(tick.boxes, starts, a)

@@ -8,7 +8,7 @@ import pytest
 from ssduck.geometry.proofs.gjk import tolerances
 from ssduck.geometry.proofs.proposals import Proof, Proposals, Proposer, proposals_of
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Decisions
-from ssduck.geometry.solids import solid_of
+from ssduck.geometry.solids import SolidsOfShapes, solid_of
 from tests.support import pairs
 from tests.support.cases import sampled
 from tests.support.pairs import gap
@@ -23,7 +23,7 @@ class Scene:
     def __init__(self, two):
         shapes = [shape for pair in two for shape in pair]
         solids, indices = [solid_of(one.geometry) for one in shapes], np.arange(len(shapes))
-        self.proposer = Proposer(solids, indices)
+        self.proposer = Proposer(SolidsOfShapes(solids, indices))
         known = self.proposer.interiors.are_known
         self.first = indices[::2][known[::2] & known[1::2]]
         self.pairs = self.first, self.first + 1

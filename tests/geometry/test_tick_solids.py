@@ -9,7 +9,8 @@ import pytest
 
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
-from ssduck.geometry.tick_solids import ShapePlaces, ShapeSolids, TickSolids
+from ssduck.geometry.tick_shapes import ShapeTable
+from ssduck.geometry.tick_solids import ShapePlaces, TickSolids
 
 COUNT = 80
 SOLIDS = [
@@ -32,20 +33,20 @@ def make_tick():
     orientations[: COUNT // 2] /= np.linalg.norm(orientations[: COUNT // 2], axis=1)[:, None]
     positions[3, 1], orientations[5, 2], orientations[7] = np.nan, np.inf, 0.0
     places = ShapePlaces(positions, orientations, rng.normal(size=(COUNT, 6)))
-    shapes = ShapeSolids(SOLIDS, np.arange(COUNT) % len(SOLIDS))
+    shapes = ShapeTable(SOLIDS, np.arange(COUNT) % len(SOLIDS), np.arange(COUNT))
     return lambda: TickSolids(shapes, places)
 
 
 def test_each_shape_is_what_arrays_say(make_tick):
     tick = make_tick()
     for shape in range(COUNT):
-        solid, position = SOLIDS[shape % len(SOLIDS)], tick.positions[shape]
+        solid, position = SOLIDS[shape % len(SOLIDS)], tick.places.positions[shape]
         is_known = bool(tick.are_finite[shape]) and solid.is_known
         assert tick.are_known[shape] == is_known
-        assert tick.corners[shape] == tick.boxes[shape].tolist()
+        assert tick.corners[shape] == tick.places.boxes[shape].tolist()
         if not is_known:
             continue
-        matrix = tick.matrices[shape]
+        matrix = tick.arrays.matrices[shape]
         for found, local in (
             (tick.centres, solid.centre),
             (tick.inscribed_centres, solid.inscribed_centre),

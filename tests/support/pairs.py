@@ -22,7 +22,7 @@ from ssduck.geometry.proofs.cores import ConvexCores, PlacedCores
 from ssduck.geometry.proofs.gjk import classify_gaps
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED
 from ssduck.geometry.shapes import Geometry
-from ssduck.geometry.solids import solid_of
+from ssduck.geometry.solids import SolidsOfShapes, solid_of
 
 KINDS = (
     "sphere", "box", "cylinder", "capsule", "ellipsoid", "plane", "hull", "flat", "mesh", "open mesh",
@@ -168,7 +168,8 @@ def bodies(shapes):
     inner = np.array([one.to_world(*s.inscribed_centre) for one, s in places]).T
     indices = np.arange(len(shapes))
     return PlacedCores(
-        ConvexCores(solids, indices), *map(np.ascontiguousarray, (turns, centres, inner))
+        ConvexCores(SolidsOfShapes(solids, indices)),
+        *map(np.ascontiguousarray, (turns, centres, inner)),
     )
 
 

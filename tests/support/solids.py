@@ -11,7 +11,7 @@ from ssduck.geometry.poses import rotation_matrices
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.geometry.solids import solid_of
 from ssduck.geometry.tick_shapes import ShapeTable
-from ssduck.geometry.tick_solids import ShapePlaces, ShapeSolids
+from ssduck.geometry.tick_solids import ShapePlaces
 
 STRAIGHT = (1.0, 0.0, 0.0, 0.0)
 
@@ -61,10 +61,6 @@ def narrow(*entities):
         )
     solids = [solid_of(geometry) for geometry, _, _ in shapes]
     places = ShapePlaces(positions, turns, boxes)
-    return NarrowPhase(ShapeSolids(solids, np.arange(len(shapes))), places, starts, CallCounter())
-
-
-def sorts_of(tick):
-    counts = np.diff(tick.starts)
-    owners = np.repeat(np.arange(len(counts)), counts)
-    return ShapeTable(tick._tick.solids, np.arange(len(owners)), owners)
+    owners = np.repeat(np.arange(len(entities)), np.diff(starts))
+    table = ShapeTable(solids, np.arange(len(shapes)), owners)
+    return NarrowPhase(table, places, starts, CallCounter())

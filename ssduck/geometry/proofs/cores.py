@@ -11,7 +11,6 @@ less the one of b the other way. A round solid is a core that is grown by a radi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -20,7 +19,7 @@ import numpy as np
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.distance import CONTACT_TOLERANCE, CYLINDER_TOLERANCE
 from ssduck.geometry.proofs.columns import padded_columns
-from ssduck.geometry.solids import Solid
+from ssduck.geometry.solids import Solid, SolidsOfShapes
 
 # The number of points that are compared at a time.
 MAX_POINTS = 1 << 20
@@ -36,43 +35,31 @@ class ConvexCores:
     across z for a cylinder. A half-space is represented by a point without a meaning.
 
     Args:
-        solids: the distinct solids.
-        solid_indices: (n,), the index of each shape's solid.
+        of_each: the solids of n shapes.
     """
 
-    def __init__(self, solids: Sequence[Solid], solid_indices: Indices) -> None:
-        self.half_extents = (
-            np.array([_half_extents(solid) for solid in solids]).reshape(-1, 3).T[:, solid_indices]
-        )
-        axes = np.array([solid.semi_axes for solid in solids]).reshape(-1, 3)
-        self.semi_axes = axes.T[:, solid_indices]
+    def __init__(self, of_each: SolidsOfShapes) -> None:
+        self.half_extents = of_each.vectors(_half_extents)
+        self.semi_axes = of_each.vectors(lambda solid: solid.semi_axes)
         self.is_swept: Flags = np.asarray(self.semi_axes.any(axis=0))
         # The error of signed distances of two shapes is at least the larger of these, metres.
         self.least_error = 2.5 * np.where(self.is_swept, CYLINDER_TOLERANCE, CONTACT_TOLERANCE)
-        self.largest_radius = np.array([solid.largest_radius for solid in solids])[solid_indices]
-        self.radius = np.array([solid.radius for solid in solids])[solid_indices]
-        radii = [
-            solid.bounding_radius if np.isfinite(solid.bounding_radius) else 0.0 for solid in solids
-        ]
-        self.bounding_radius = np.array(radii)[solid_indices]
-        self.is_thick = np.array([solid.inscribed_radius > 0.0 for solid in solids], dtype=bool)[
-            solid_indices
-        ]
+        self.largest_radius = of_each.numbers(lambda solid: solid.largest_radius)
+        self.radius = of_each.numbers(lambda solid: solid.radius)
+        radii = of_each.numbers(lambda solid: solid.bounding_radius)
+        self.bounding_radius = np.where(np.isfinite(radii), radii, 0.0)
+        inscribed_radii = of_each.numbers(lambda solid: solid.inscribed_radius)
+        self.is_thick: Flags = inscribed_radii > 0.0
         # The radius of the ball in the core: a part of a round solid's ball is around its core.
-        self.core_ball_radius = np.array(
-            [solid.inscribed_radius - solid.radius for solid in solids]
-        )[solid_indices]
-        # From the centres to those of the balls in the solids.
-        self.inscribed_offsets = (
-            np.array([np.subtract(solid.inscribed_centre, solid.centre) for solid in solids])
-            .reshape(-1, 3)
-            .T[:, solid_indices]
-        )
+        self.core_ball_radius = inscribed_radii - self.radius
         hulls = {
-            n: corners_from_centre(solid) for n, solid in enumerate(solids) if _has_corners(solid)
+            n: corners_from_centre(solid)
+            for n, solid in enumerate(of_each.distinct)
+            if _has_corners(solid)
         }
         sizes = {n: _padded_size(len(points)) for n, points in hulls.items()}
-        kinds, rows = np.full(len(solids), -1), np.zeros(len(solids), np.intp)
+        count = len(of_each.distinct)
+        kinds, rows = np.full(count, -1), np.zeros(count, np.intp)
         # Of each kind: the corners of its hulls, (3, hulls, size).
         self.points: list[Array] = []
         for kind, size in enumerate(sorted(set(sizes.values()))):
@@ -80,7 +67,7 @@ class ConvexCores:
             kinds[numbers], rows[numbers] = kind, np.arange(len(numbers))
             corners = np.array([padded_columns(hulls[n], size) for n in numbers])
             self.points.append(np.ascontiguousarray(corners.swapaxes(0, 1)))
-        self.kind, self.row = kinds[solid_indices], rows[solid_indices]
+        self.kind, self.row = kinds[of_each.indices], rows[of_each.indices]
 
 
 def _half_extents(solid: Solid) -> Array:

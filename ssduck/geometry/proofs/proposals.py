@@ -14,7 +14,6 @@ counts:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -26,7 +25,7 @@ from ssduck.geometry.proofs.columns import column_lengths, padded_columns
 from ssduck.geometry.proofs.cores import PlacedCores, corners_from_centre
 from ssduck.geometry.proofs.gjk import tolerances
 from ssduck.geometry.proofs.verdicts import Decisions
-from ssduck.geometry.solids import Solid
+from ssduck.geometry.solids import Solid, SolidsOfShapes
 
 # The number of pairs that are remembered to be apart.
 _MAX_APART = 4096
@@ -56,18 +55,17 @@ class Proposer:
     FCL's objects are placed anew for each proposal.
 
     Args:
-        solids: the distinct solids.
-        solid_indices: (n,), the index of each shape's solid.
+        of_each: the solids of n shapes.
     """
 
-    def __init__(self, solids: Sequence[Solid], solid_indices: Indices) -> None:
-        self._solids, self._solid_indices = solids, solid_indices
+    def __init__(self, of_each: SolidsOfShapes) -> None:
+        self._of_each = of_each
         self._apart: set[tuple[int, int]] = set()  # pairs that were apart when last proposed
 
     @cached_property
     def interiors(self) -> ConvexInteriors:
         """The interiors of the shapes, made when first needed: a table of many ticks needs none."""
-        return ConvexInteriors(self._solids, self._solid_indices)
+        return ConvexInteriors(self._of_each)
 
     def decide(
         self, bodies: PlacedCores, poses: Poses, first: Indices, second: Indices, bounds: Array
@@ -83,11 +81,11 @@ class Proposer:
         """The object of each shape; None for shapes that FCL does not compare."""
         import fcl
 
-        indices, known = self._solid_indices.tolist(), self.interiors.are_known.tolist()
+        indices, known = self._of_each.indices.tolist(), self.interiors.are_known.tolist()
         geometries: dict[int, Any] = {}
         for index, is_known in zip(indices, known, strict=True):
             if is_known and index not in geometries:
-                geometries[index] = _geometry(self._solids[index])
+                geometries[index] = _geometry(self._of_each.distinct[index])
         return [
             fcl.CollisionObject(geometries[index]) if is_known else None
             for index, is_known in zip(indices, known, strict=True)
@@ -260,17 +258,15 @@ class ConvexInteriors:
     hull is behind the planes of its faces.
 
     Args:
-        solids: the distinct solids.
-        solid_indices: (n,), the index of each shape's solid.
+        of_each: the solids of n shapes.
 
     Attributes:
         are_known: (n,), whether the shape has a formula.
     """
 
-    def __init__(self, solids: Sequence[Solid], solid_indices: Indices) -> None:
-        self.are_known: Flags = np.array([_has_inside(s) for s in solids], dtype=bool)[
-            solid_indices
-        ]
+    def __init__(self, of_each: SolidsOfShapes) -> None:
+        solids, solid_indices = of_each.distinct, of_each.indices
+        self.are_known = of_each.flags(_has_inside)
         numbers = np.array([_numbers(solid) for solid in solids]).reshape(-1, _ROWS).T
         self._numbers = numbers[:, solid_indices]
         hulls = [n for n, solid in enumerate(solids) if _has_inside(solid) and _is_hull(solid)]

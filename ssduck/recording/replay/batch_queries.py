@@ -23,15 +23,13 @@ from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.pair_batch import Answers, PairBatch, PairQuestion, QuestionKind
 from ssduck.geometry.poses import (
     compose,
-    flat_rotation_matrices,
     rotation_matrices,
-    unit_quaternions,
 )
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.geometry.solids import Solid, solid_of
-from ssduck.geometry.tick_shapes import ShapeTable, TickShapes, of_known_entities
-from ssduck.geometry.tick_solids import ShapePlaces, ShapeSolids
+from ssduck.geometry.tick_shapes import ShapeTable
+from ssduck.geometry.tick_solids import ShapePlaces
 from ssduck.simulators.interface import Link
 from ssduck.world.layout import EntityInfo
 
@@ -161,16 +159,14 @@ class EntityShapes:
             self._shapes_at(model, link_poses)
             for model, link_poses in zip(models, poses, strict=True)
         ]
-        solid_indices, margins = _joined_solids(models)
         places = ShapePlaces(*(np.concatenate([part[i] for part in placed]) for i in range(3)))
         starts = list(accumulate((model.count for model in models), initial=0))
-        shapes = ShapeSolids(self._solids, solid_indices, margins)
-        narrow = NarrowPhase(shapes, places, starts, calls)
+        narrow = NarrowPhase(table, places, starts, calls)
         numbers = {id: number for number, id in enumerate(ids)}
         enclosing_boxes = np.array([_enclosing_box(part[2]) for part in placed]).reshape(-1, 6).T
         links = np.concatenate([model.links for model in models])
         ids_array = np.array(ids, dtype=np.int64)
-        return ShapeQueries(narrow, numbers, table, enclosing_boxes, ids_array, links)
+        return ShapeQueries(narrow, numbers, enclosing_boxes, ids_array, links)
 
     def _shapes_at(self, model: _ShapeModel, poses: Array) -> tuple[Array, Array, Array]:
         """Returns the positions, orientations and boxes of an entity's shapes."""
@@ -301,14 +297,11 @@ class EntityShapes:
         counts = np.bincount(owners, minlength=2 * count)
         starts = np.concatenate(([0], np.cumsum(counts)))
         sides = (starts[:count], counts[:count], starts[count:-1], counts[count:])
-        scene = _tick_shapes(
-            ShapeTable(self._solids, solid_indices, owners, margins), positions, orientations
-        )
         boxes = np.tile([-np.inf] * 3 + [np.inf] * 3, (len(owners), 1))
         places = ShapePlaces(positions, orientations, boxes)
-        shapes = ShapeSolids(self._solids, solid_indices, margins)
-        narrow = NarrowPhase(shapes, places, starts.tolist(), calls)
-        return PairBatch(scene, _cross_pairs(*sides), count, narrow, starts, step)
+        table = ShapeTable(self._solids, solid_indices, owners, margins)
+        narrow = NarrowPhase(table, places, starts.tolist(), calls)
+        return PairBatch(_cross_pairs(*sides), count, narrow, starts, step)
 
     def _place_shapes(
         self, side: PairSide, rows: Indices, start: int
@@ -426,13 +419,3 @@ def _cross_pairs(first: Indices, counts: Indices, second: Indices, others: Indic
     place = np.arange(len(pair)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
     width = others[pair]
     return first[pair] + place // width, second[pair] + place % width
-
-
-def _tick_shapes(table: ShapeTable, positions: Array, orientations: Array) -> TickShapes:
-    """Returns n shapes at poses, (n, 3) and (n, 4), in the world, without boxes."""
-    unit = unit_quaternions(orientations)
-    with np.errstate(invalid="ignore"):
-        finite = np.isfinite(positions).all(axis=1) & np.isfinite(unit).all(axis=1)
-        rotations = flat_rotation_matrices(unit)
-    known = of_known_entities(table, finite & table.is_known)
-    return TickShapes(table, known, np.zeros((6, 0)), positions, rotations)

@@ -15,7 +15,8 @@ from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
 from ssduck.geometry.surfaces import Surface
-from ssduck.geometry.tick_solids import ShapePlaces, ShapeSolids
+from ssduck.geometry.tick_shapes import ShapeTable
+from ssduck.geometry.tick_solids import ShapePlaces
 from tests.support import pairs
 from tests.support.narrow_cases import ORIGIN, OVER, floor, frame, of_trimesh, shape, two
 from tests.support.pairs import ell
@@ -105,7 +106,7 @@ def test_numbers_that_make_no_shape_are_unknown(geometry):
     solid = solid_of(geometry)
     boxes = np.array([[-1.0] * 3 + [1.0] * 3] * 2)
     tick = NarrowPhase(
-        ShapeSolids([solid, solid_of(box())], np.arange(2)),
+        ShapeTable([solid, solid_of(box())], np.arange(2), np.arange(2)),
         ShapePlaces(np.zeros((2, 3)), np.tile(STRAIGHT, (2, 1)), boxes),
         [0, 1, 2],
         CallCounter(),
