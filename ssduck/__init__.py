@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from ssduck.adapters.grid_values import OccupancyGrid
     from ssduck.adapters.registry import adapter
     from ssduck.errors import ProgramWarning, SelectScriptError
-    from ssduck.geometry.height_fields import height_field
+    from ssduck.geometry.shapes import height_field
     from ssduck.interchange.conversion import import_poses
     from ssduck.interchange.record_writer import RecordWriter, write_record
     from ssduck.interpreter.archives import check, episodes
@@ -102,7 +102,7 @@ _HOMES = {
     "adapter": "adapters.registry",
     "check": "interpreter.archives",
     "episodes": "interpreter.archives",
-    "height_field": "geometry.height_fields",
+    "height_field": "geometry.shapes",
     "lake": "lakes.lake",
     "import_poses": "interchange.conversion",
     "load": "interpreter.opening",

@@ -29,20 +29,11 @@ _SHORT_REPR.maxlist = _SHORT_REPR.maxtuple = _SHORT_REPR.maxdict = _SHORT_REPR.m
 _SHORT_REPR.maxstring = _SHORT_REPR.maxlong = _SHORT_REPR.maxother = 2 * MAX_TEXT_LENGTH
 
 
-def path_text(world: str, entity: str, part: str) -> str:
-    """Returns how a program names a link or a site.
-
-    >>> path_text("lab", "arm", "tip"), path_text("lab", "select", "tip")
-    ('lab.arm.tip', "lab['select']['tip']")
-    """
-    return name_path(world, entity, part)
-
-
 def name_path(world: str, *names: str) -> str:
     """Returns how a program names an entity, or a part of one.
 
-    >>> name_path("lab", "cup"), name_path("lab", "duplo2x4/")
-    ('lab.cup', "lab['duplo2x4/']")
+    >>> name_path("lab", "arm", "tip"), name_path("lab", "duplo2x4/")
+    ('lab.arm.tip', "lab['duplo2x4/']")
     """
     words = (*RESERVED_WORDS, "THIS")  # `lab.this.tip` asks for the tips of a column
     if all(name.isidentifier() and name.upper() not in words for name in (world, *names)):
@@ -166,16 +157,6 @@ def as_evaluation_error(error: Exception, span: SourceSpan | None) -> Evaluation
     return EvaluationError(f"{type(error).__name__}: {error_text(error)}", span=span)
 
 
-def first_names(names: Sequence[str], count: int = 6) -> str:
-    """Returns the first names, and how many more there are.
-
-    >>> first_names(["can", "cup", "sink"], 2)
-    'can, cup and 1 more'
-    """
-    more = f" and {len(names) - count} more" if len(names) > count else ""
-    return ", ".join(names[:count]) + more
-
-
 _PLURALS = {"entity": "entities", "kinbody": "kinbodies"}
 
 
@@ -202,4 +183,4 @@ def contents_of(entities: Sequence[tuple[str, str]]) -> str:
         return total
     counts = Counter(kind for _, kind in entities)
     kinds = ", ".join(count_of(number, kind) for kind, number in counts.items())
-    return f"{total} ({kinds}: {first_names([printable(name) for name, _ in entities])})"
+    return f"{total} ({kinds}: {joined_names([printable(name) for name, _ in entities], 6)})"

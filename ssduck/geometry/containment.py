@@ -15,13 +15,11 @@ from ssduck.geometry.arrays import Array
 from ssduck.geometry.common_volume import common_volume
 from ssduck.geometry.placed_solid import PlacedSolid
 from ssduck.geometry.shapes import Geometry
-from ssduck.geometry.solids import FLAT, Solid, hull_solid, solid_of
+from ssduck.geometry.solids import Solid, hull_solid, solid_of
 from ssduck.geometry.surfaces import unique_points
 
 # Shapes that stick out of a hull by less are in it; those that stick into it by less are out, m.
 ROUNDING = 1e-9
-# A line that is nearer to the boundary of a polyhedron, m, may be inside or outside of it.
-CROSSING_ROOM = 1e-4
 # Polyhedra stick out of the round shapes that they stand for by at most this, relative to the
 # radius.
 ROUND_SHAPE_ERROR = 0.002
@@ -58,9 +56,6 @@ def world_hull(a: Sequence[PlacedSolid]) -> WorldHull | None:
     Polyhedra stand for round shapes; see `fraction_inside`.
     """
     planes = [placed for placed in a if placed.solid.type == "plane"]
-    single = _single_hull(a[0]) if len(a) == 1 else None
-    if single is not None:
-        return single
     if not planes:
         solid = hull_solid(_hull_points(a))
         if solid.offsets is None:
@@ -78,17 +73,6 @@ def world_hull(a: Sequence[PlacedSolid]) -> WorldHull | None:
         float(placed.support_heights(normal[None])[0]) + placed.solid.radius for placed in bodies
     ]
     return WorldHull(normal[None], np.array([max(heights)]), unbounded)
-
-
-def _single_hull(a: PlacedSolid) -> WorldHull | None:
-    """Returns the hull of a polyhedron that is convex and certainly not flat."""
-    sharp = (
-        a.solid.type in ("box", "hull")
-        and a.solid.inscribed_radius > FLAT * a.solid.bounding_radius
-    )
-    if not sharp or a.offsets is None:
-        return None
-    return WorldHull(a.normals, a.offsets, a.points[a.solid.faces])
 
 
 def fraction_inside(hull: WorldHull | None, b: Sequence[PlacedSolid]) -> float | None:
@@ -160,21 +144,6 @@ def max_fraction_in_box(hull_box: Box, b: Iterable[tuple[Solid, Box]]) -> float:
             )
         inside += min(solid.volume, overlap_volume)
         total += solid.volume
-    return inside / total
-
-
-def max_fraction_in_hull(hull: WorldHull | None, b: Sequence[PlacedSolid]) -> float:
-    """Returns an upper bound of `fraction_inside`: a face cuts off a cap of a sphere."""
-    if hull is None:
-        return 0.0
-    inside = total = 0.0
-    for placed in b:
-        solid = placed.solid
-        centre, radius = placed.to_world(*solid.inscribed_centre), solid.inscribed_radius
-        highest = float((hull.normals @ centre - hull.offsets).max(initial=-math.inf)) - ROUNDING
-        height = min(max(radius + highest, 0.0), 2.0 * radius)
-        inside += placed.solid.volume - math.pi * height**2 * (radius - height / 3.0)
-        total += placed.solid.volume
     return inside / total
 
 
@@ -272,27 +241,7 @@ class Footprint:
 
     def contains(self, x: float, y: float) -> bool:
         """Checks whether a point of the ground is in it, including its boundary."""
-        crossings = [_crosses_inside(shape, x, y) for shape in self._shapes]
-        if True in crossings or crossings == [False]:
-            return True in crossings
         return _is_over_plane(self._shapes, x, y) or is_in_polygon(self._corners, x, y)
-
-
-def _crosses_inside(shape: PlacedSolid, x: float, y: float) -> bool | None:
-    """Checks whether a vertical line crosses a convex polyhedron."""
-    # What is left of the line between the planes of all faces; None near the boundary.
-    if shape.solid.type not in ("box", "hull") or shape.offsets is None:
-        return None
-    heights = shape.offsets - shape.normals[:, :2] @ (x, y)
-    slopes = shape.normals[:, 2]
-    rising, falling = slopes > ROUNDING, slopes < -ROUNDING
-    level = heights[~(rising | falling)].min(initial=math.inf)
-    for room, is_crossed in ((-CROSSING_ROOM, True), (CROSSING_ROOM, False)):
-        top = ((heights[rising] + room) / slopes[rising]).min(initial=math.inf)
-        bottom = ((heights[falling] + room) / slopes[falling]).max(initial=-math.inf)
-        if bool(bottom <= top and level + room >= 0.0) is is_crossed:
-            return is_crossed
-    return None
 
 
 def footprint(a: Sequence[PlacedSolid]) -> Array:

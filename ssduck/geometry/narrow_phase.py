@@ -26,7 +26,6 @@ from ssduck.geometry.containment import (
     fraction_inside,
     hull_bounds,
     max_fraction_in_box,
-    max_fraction_in_hull,
     world_hull,
 )
 from ssduck.geometry.distance import CallCounter, SignedDistance
@@ -297,10 +296,7 @@ class NarrowPhase:
         if a not in self._hull_bounds:
             self._hull_bounds[a] = hull_bounds(self._solids_with_boxes(a))
         minimum = MIN_FRACTION_INSIDE - FRACTION_ERROR
-        return (
-            max_fraction_in_box(self._hull_bounds[a], self._solids_with_boxes(b)) < minimum
-            or max_fraction_in_hull(self._hull(a), self.shapes_of(b)) < minimum
-        )
+        return max_fraction_in_box(self._hull_bounds[a], self._solids_with_boxes(b)) < minimum
 
     def _hull(self, e: int) -> WorldHull | None:
         if e not in self._hulls:
@@ -369,10 +365,6 @@ class NarrowPhase:
         if not (self._are_known[i] and self._are_known[j]):
             return None
         near = self._near_shapes(i, j, predicate.bound(self._margins_of(i, j)))
-        if predicate.kind == "colliding" and any(
-            self.shapes.min_depth(s, t) > predicate.distance + ROUNDING for s, t in near
-        ):
-            return True
         return any(self.shapes.satisfies(s, t, predicate) for s, t in near)
 
     def _compute_clearance(self, i: int, j: int, limit: float) -> float | None:
@@ -385,8 +377,6 @@ class NarrowPhase:
         for bound, s, t in pairs:
             if bound > min(best, limit) + ROUNDING:
                 break
-            if bound <= 0.0 and self.shapes.min_depth(s, t) > MIN_DEPTH:
-                return 0.0
             result = self.shapes.distance(s, t)
             best = min(best, 0.0 if result is None else max(0.0, result.distance))
             if best == 0.0:

@@ -125,14 +125,3 @@ class ShapeComparisons:
         (a, b, c), (d, e, f) = self._tick.centres[other], self._tick.placed(plane).position
         height: float = x * (a - d) + y * (b - e) + z * (c - f)
         return max(0.0, height - self._tick.table.solids[other].bounding_radius)
-
-    def min_depth(self, s: int, t: int) -> float:
-        """Returns a lower bound of the depth of two shapes, by the spheres in them, m.
-
-        Minus infinity for shapes without a known sphere: open meshes, rings and the like.
-        """
-        radius, other_radius = (self._tick.table.solids[k].inscribed_radius for k in (s, t))
-        if not (radius > 0.0 and other_radius > 0.0):
-            return -math.inf
-        distance = math.dist(self._tick.inscribed_centres[s], self._tick.inscribed_centres[t])
-        return radius + other_radius - distance

@@ -75,7 +75,6 @@ class TickSolids:
         are_known: whether the pose and the solid of each shape are known.
         corners: the box of each shape: lower corner, upper corner.
         centres: the centre of the sphere around each shape.
-        inscribed_centres: the centre of the sphere in each shape.
     """
 
     def __init__(self, table: ShapeTable, places: ShapePlaces) -> None:
@@ -84,7 +83,6 @@ class TickSolids:
         self.are_known = Found(partial(_is_known, table, poses))
         self.corners = Found(places.box)
         self.centres = Found(partial(_centre, table, poses))
-        self.inscribed_centres = Found(partial(_inscribed_centre, table, poses))
         self._placed = Found(partial(_placed, table, poses))
         self._ranks = Found(partial(_rank, table, poses))
 
@@ -159,10 +157,6 @@ def _is_known(table: ShapeTable, poses: Found[_Pose], shape: int) -> bool:
 
 def _centre(table: ShapeTable, poses: Found[_Pose], shape: int) -> list[float]:
     return placed_point(*poses[shape], table.solids[shape].centre)
-
-
-def _inscribed_centre(table: ShapeTable, poses: Found[_Pose], shape: int) -> list[float]:
-    return placed_point(*poses[shape], table.solids[shape].inscribed_centre)
 
 
 def _placed(table: ShapeTable, poses: Found[_Pose], shape: int) -> PlacedSolid:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ssduck.columns.arrays import Array
 from ssduck.errors import ArgumentError, SelectScriptError
-from ssduck.formatting import first_names, short_repr
+from ssduck.formatting import joined_names, short_repr
 from ssduck.geometry.arrays import Flags
 from ssduck.gym.terms import CONDITIONS, Reward, Term, Terms, WhereNaN
 from ssduck.language.tree import Name, Node
@@ -121,7 +121,7 @@ class BatchTerms:
     def _unknown_error(self, term: Term, unknown: Flags) -> ArgumentError:
         """Returns the error of a term that has no value in some environments."""
         numbers = np.flatnonzero(unknown)
-        named = first_names([str(number) for number in numbers], 5)
+        named = joined_names([str(number) for number in numbers], 5)
         with self._world.at(int(numbers[0])):
             has_nan = bool(self._world.snapshot.entities_with_nan())
         if not has_nan:

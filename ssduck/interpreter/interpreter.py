@@ -36,7 +36,7 @@ from ssduck.adapters.registry import find
 from ssduck.adapters.result import MAX_ROWS, Result, TableView
 from ssduck.database.database import Database
 from ssduck.errors import SqlError, UnknownNameError
-from ssduck.formatting import count_of, first_names
+from ssduck.formatting import count_of, joined_names
 from ssduck.geometry.distance import Statistics
 from ssduck.interpreter.additions import AdditionMethods, ServedPage
 from ssduck.interpreter.batches.methods import BatchMethods
@@ -192,7 +192,7 @@ class Interpreter(
             ],
             "triggers": [state.config.name for state in self.triggers()],
         }
-        contents = [f"{kind} {first_names(names, 8)}" for kind, names in parts.items() if names]
+        contents = [f"{kind} {joined_names(names, 8)}" for kind, names in parts.items() if names]
         return f"<Interpreter: {'; '.join(contents) or 'empty'}>"
 
     # -- programs -------------------------------------------------------------------------

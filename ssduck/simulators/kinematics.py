@@ -27,7 +27,7 @@ from ssduck.errors import (
     UnsupportedError,
     nearest,
 )
-from ssduck.formatting import first_names, short_repr
+from ssduck.formatting import joined_names, short_repr
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.poses import (
     IDENTITY,
@@ -437,7 +437,7 @@ class EntityJoints:
         names = [joint.name for joint in self.joints]
         near = nearest(name, names)
         missing = f"no joint {name!r}" if names else "no joints"
-        only = f", only {first_names(names)}" if names and not near else ""
+        only = f", only {joined_names(names, 6)}" if names and not near else ""
         if not names:
             only = f"; leave out what has none: WHERE isRobot(this) AND joint(this, {name!r}) > 0"
         raise JointError(f"{self.entity} has {missing}{only}", suggestions=near)

@@ -17,7 +17,7 @@ from ssduck.errors import (
     nearest,
     printable,
 )
-from ssduck.formatting import first_names, name_path, path_text, short_repr
+from ssduck.formatting import joined_names, name_path, short_repr
 from ssduck.schema import LINK_FACTOR
 from ssduck.simulators.interface import Simulator
 from ssduck.simulators.naming import unique_name
@@ -201,7 +201,7 @@ def no_entity_error(
     if near and not near[0].isidentifier():
         message += f"; names with other signs are written {name_path(world, near[0])}"
     elif not near and infos:
-        message += f", only {first_names([printable(i.name) for i in infos], _MAX_NAMES)}"
+        message += f", only {joined_names([printable(i.name) for i in infos], _MAX_NAMES)}"
     return UnknownNameError(message, suggestions=near)
 
 
@@ -217,11 +217,11 @@ def told_of_part(world: str, name: str, infos: Sequence[EntityInfo]) -> str:
         return f"for the entity, write {name_path(world, name)}"
     for owner, part in _links(infos):
         if f"{owner}.{part}" == name:
-            path = path_text(world, owner, part)
+            path = name_path(world, owner, part)
             return f"it is a link: write {path}; all links are FROM links({world})"
     owners = [owner for owner, link in _links(infos) if link == name]
     if owners:
-        choices = " or ".join(path_text(world, owner, name) for owner in owners[:_MAX_OWNERS])
+        choices = " or ".join(name_path(world, owner, name) for owner in owners[:_MAX_OWNERS])
         return f"a part of another one has that name: write {choices}"
     for owner, body in bodies:
         if any(joint.name == name for joint in body.joints):
@@ -229,7 +229,7 @@ def told_of_part(world: str, name: str, infos: Sequence[EntityInfo]) -> str:
         for number, link in enumerate(body.links):
             if name in link.geoms:
                 part = (
-                    name_path(world, owner) if number == 0 else path_text(world, owner, link.name)
+                    name_path(world, owner) if number == 0 else name_path(world, owner, link.name)
                 )
                 told = f"it is a geom, a shape of the body {link.name}: write {part}"
                 return told + (", which has all of its shapes" if len(link.geoms) > 1 else "")

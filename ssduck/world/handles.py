@@ -16,7 +16,7 @@ from typing import (
 )
 
 from ssduck.errors import RemovedEntityError, UnknownNameError, UnsupportedError, nearest
-from ssduck.formatting import first_names, name_path, short_repr
+from ssduck.formatting import joined_names, name_path, short_repr
 from ssduck.schema import (
     MASSES,
     MAX_LINKS,
@@ -104,7 +104,7 @@ class NamedList(list[T]):
             if element.name == key:
                 return element
         names = [element.name for element in self]
-        told = f"the names are {first_names(names, _MAX_NAMES)}" if names else "the list is empty"
+        told = f"the names are {joined_names(names, _MAX_NAMES)}" if names else "the list is empty"
         raise UnknownNameError(
             f"there is no {short_repr(key)}; {told}", suggestions=nearest(key, names)
         )

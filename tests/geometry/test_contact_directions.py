@@ -15,11 +15,7 @@ from ssduck.geometry.proofs import contact_directions
 from ssduck.geometry.proofs.contact_directions import (
     NOT_UPWARD,
     UPWARD,
-    bounds_of,
-    classes_of,
     decide_upward,
-    mesh_of,
-    stretch_of,
 )
 from ssduck.geometry.proofs.verdicts import UNDECIDED
 from tests.support import pairs
@@ -30,47 +26,6 @@ KINDS = ("sphere", "box", "cylinder", "capsule", "ellipsoid", "hull", "flat")
 COMBINATIONS = list(itertools.combinations_with_replacement(KINDS, 2))
 HEIGHTS = (0.05, MIN_RISING, 0.5, MIN_UP, 0.99)
 STRAIGHT = np.array([1.0, 0.0, 0.0, 0.0])
-
-
-def unit(vectors):
-    return vectors / np.linalg.norm(vectors, axis=0)
-
-
-@pytest.mark.parametrize("min_height", HEIGHTS)
-def test_triangles_cover_all_directions_in_their_classes(min_height):
-    mesh = mesh_of(min_height)
-    directions = unit(np.random.default_rng(1).normal(size=(3, 3000)))
-    corners = mesh.directions[:, mesh.corners]  # (axis, corner, triangle)
-    weights = np.linalg.solve(corners.transpose(2, 0, 1)[:, None], directions.T[None, :, :, None])
-    contains = (weights[..., 0] >= -1e-9).all(axis=2)  # (triangle, direction)
-    assert contains.any(axis=0).all()
-    assert (weights.sum(axis=2)[..., 0][contains] <= np.repeat(mesh.stretch, contains.sum(1))).all()
-    triangles, found = np.nonzero(contains)
-    wanted = np.where(directions[2, found] >= min_height, 1, 2)
-    assert (mesh.classes[triangles] & wanted).all()
-
-
-def test_bounds_are_below_all_overlaps_in_a_triangle():
-    random = np.random.default_rng(2)
-    corners = unit(random.normal(size=(3, 3, 400)).swapaxes(0, 1)).swapaxes(0, 1)
-    points = random.normal(size=(3, 3, 400)) + random.choice([-1.0, 0.0, 1.0], (1, 3, 400))
-    stretch = stretch_of(corners)
-    bounds, facets = bounds_of(np.einsum("kcn,icn->kin", points, corners), stretch)
-    weights = np.concatenate((random.dirichlet((0.5, 0.5, 0.5), 500), np.eye(3)))
-    directions = np.einsum("wi,icn->cwn", weights, corners)
-    directions /= np.linalg.norm(directions, axis=0)
-    overlaps = np.einsum("kcn,cwn->kwn", points, directions).max(axis=0)
-    assert (bounds <= overlaps.min(axis=0) + 1e-12).all()
-    # They are tight where the overlap is positive, and the facet's normal is in the triangle.
-    is_facet = (facets > 0.0).all(axis=0) & (bounds > 0.0)
-    normals = unit(np.einsum("in,icn->cn", facets, corners))[:, is_facet]
-    least = np.einsum("kcn,cn->kn", points[..., is_facet], normals)
-    assert is_facet.sum() > 20
-    assert np.ptp(least, axis=0).max() < 1e-9
-    assert (bounds[is_facet] <= least[0] + 1e-9).all()
-    classes = classes_of(corners[:, 2], stretch, 0.5)
-    assert ((directions[2] >= 0.5).any(axis=0) <= (classes & 1 > 0)).all()
-    assert ((directions[2] < 0.5).any(axis=0) <= (classes & 2 > 0)).all()
 
 
 @pytest.mark.slow
@@ -105,20 +60,6 @@ def test_spheres_about_30_degrees(depth, off, turn):
         way = np.array([across * math.cos(turn), across * math.sin(turn), math.cos(tilt)])
         found = verdict(lower, lower.at(lower.position + way * (1.0 - depth), STRAIGHT))
         assert found in ((wanted,) if off == 0.02 else (wanted, UNDECIDED))
-
-
-@pytest.mark.parametrize("off", [1e-7, 1e-4, 0.02])
-@pytest.mark.parametrize("depth", [0.02, 1e-5, 0.0, -5e-4])
-def test_boxes_on_a_slope_of_about_30_degrees(depth, off):
-    """The axis of least overlap of two boxes with parallel axes is normal to the slope."""
-    for sign, wanted in ((-1, UPWARD), (1, NOT_UPWARD)):
-        tilt = math.acos(MIN_UP) + sign * off
-        turn = np.array([math.cos(tilt / 2), math.sin(tilt / 2), 0.0, 0.0])
-        normal = np.array([0.0, -math.sin(tilt), math.cos(tilt)])
-        lower = Shape("box", box(1.0, 1.0, 0.5), np.zeros(3), turn)
-        upper = Shape("box", box(0.2, 0.2, 0.2), normal * (0.35 - depth), turn)
-        assert verdict(lower, upper) in ((wanted,) if off == 0.02 else (wanted, UNDECIDED))
-        assert verdict(upper, lower) in (NOT_UPWARD, UNDECIDED)
 
 
 def test_equal_overlaps_are_left_to_the_narrow_phase():

@@ -12,8 +12,6 @@ from hypothesis import strategies as st
 
 from ssduck.geometry.narrow_phase import MIN_DEPTH
 from ssduck.geometry.proofs import cores, gjk
-from ssduck.geometry.proofs.gjk import classify_gaps
-from ssduck.geometry.proofs.separating_axes import box_depths
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED
 from ssduck.geometry.queries import MIN_PAIRS_AT_ONCE, ShapeQueries
 from ssduck.geometry.shapes import Geometry
@@ -109,13 +107,6 @@ def test_stacked(depth):
     assert (left > 1e-6).sum() <= 0.02 * 6 * len(two)  # few of those that are apart
 
 
-def test_deep_pairs_take_no_step(monkeypatch):
-    """The ball in their difference reaches the origin, though those in the two do not meet."""
-    monkeypatch.setattr(gjk, "_step", None)
-    two = [(at(one, (0, 0, 0)), at(one, (0.7, 0.7, 0.3))) for one in (box(), CUBE)]
-    assert all((found == BELOW).all() for found in pairs.verdicts(two, -MIN_DEPTH))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_sizes_from_a_millimetre_to_a_kilometre(seed):
@@ -175,28 +166,6 @@ def test_parts_of_all_pairs_are_as_all(monkeypatch):
     monkeypatch.setattr(cores, "MAX_POINTS", 20)
     for found, expected in zip(pairs.verdicts(two, 0.01), together, strict=True):
         assert found.tolist() == expected.tolist()
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 6, 7, 9, 13, 17, 100])
-def test_hulls_of_any_number_of_points(count):
-    random = np.random.default_rng(count)
-    ball = random.normal(size=(count, 3))
-    hull = Geometry.hull(ball / np.linalg.norm(ball, axis=1)[:, None])
-    two = [(at(hull, (x, 0.1, 0)), at(box(), (0, 0, 0))) for x in np.linspace(0, 2, 21)]
-    assert not len(undecided(two, (-MIN_DEPTH, 0.0, 0.1)))
-
-
-def test_no_pairs():
-    assert not len(
-        classify_gaps(pairs.bodies([at(box(), (0, 0, 0))]), *np.zeros((2, 0), np.intp), 0.0)
-    )
-
-
-@pytest.mark.parametrize("apart", [0.3, 1e-4, -0.3])
-def test_boxes_by_axes_and_by_cores(apart):
-    two = [(at(box(), (0, 0, 0)), at(box(), (x, 0, 1 + apart))) for x in np.linspace(0, 0.6, 7)]
-    found = pairs.verdicts(two, -MIN_DEPTH)[0]
-    assert (found == (BELOW if apart < 0 else ABOVE)).all()
 
 
 # -- a tick ------------------------------------------------------------------------------------
@@ -403,9 +372,3 @@ def test_meshes_that_collide_cost_one_call():
     assert tick.all_pairs(COLLIDE).pairs == [(0, 1)]
     assert tick.calls.calls == 1
     assert tick.penetration(0, 1) > 0.01
-
-
-def test_box_depths_of_no_boxes():
-    tick = narrow([(sphere(), (0, 0, 0))])
-    none = np.zeros(0, np.intp)
-    assert not len(box_depths(tick.arrays.placed_cores, none, none))

@@ -48,27 +48,6 @@ def motion(before, after):
 # -- motions -----------------------------------------------------------------------------------
 
 
-def test_shapes_that_move_together_do_not_move_relative_to_each_other():
-    before, after = poses((0, 0, 0), (1, 0, 0)), poses((3, 4, 0), (4, 4, 0))
-    assert motion(before, after) < 1e-12
-
-
-def test_a_shape_that_moves_by_itself():
-    assert motion(poses((0, 0, 0), (1, 0, 0)), poses((0.3, 0.4, 0), (1, 0, 0))) == pytest.approx(
-        0.5, abs=1e-12
-    )
-
-
-@pytest.mark.parametrize("angle", [1e-6, 0.01, 1.0, np.pi])
-def test_a_turn_moves_the_farthest_point_by_its_chord(angle):
-    """By Rodrigues' formula: twice the radius times the sine of half the angle."""
-    before = poses((0, 0, 0), (1, 0, 0), radii=(0.5, 1.0))
-    after = poses(
-        (0, 0, 0), (1, 0, 0), matrices=(turned(angle, (1, 2, 3)), STILL), radii=(0.5, 1.0)
-    )
-    assert motion(before, after) == pytest.approx(2 * 0.5 * np.sin(angle / 2), rel=1e-6)
-
-
 def test_a_half_space_that_stands_still_does_not_move_and_one_that_turns_moves_without_bound():
     radii = (np.inf, 1.0)
     before = poses((0, 0, 0), (0, 0, 1), radii=radii)
@@ -129,17 +108,6 @@ def test_a_verdict_without_room_holds_for_poses_that_are_the_same_to_the_last_bi
     assert kept(ABOVE, 0.0).find(there, *BOTH).verdicts.tolist() == [UNDECIDED]
     here.rotations[0, moved] = np.nextafter(1.0, 0.0)
     assert kept(ABOVE, 0.0).find(here, *BOTH).verdicts.tolist() == [UNDECIDED]
-
-
-def test_verdicts_of_other_pairs_are_not_kept():
-    here = poses((0, 0, 0), (1, 0, 0))
-    swapped = kept(ABOVE, 1.0).find(here, *reversed(BOTH))
-    assert swapped.verdicts.tolist() == [UNDECIDED]
-
-
-def test_undecided_pairs_are_not_kept():
-    here = poses((0, 0, 0), (1, 0, 0))
-    assert kept(UNDECIDED, 1.0).find(here, *BOTH).verdicts.tolist() == [UNDECIDED]
 
 
 def test_poses_that_are_not_known_decide_nothing():

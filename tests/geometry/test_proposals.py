@@ -113,17 +113,6 @@ def test_shapes_that_move_get_no_wrong_verdict(far):
         scene.place(moved(scene.shapes, random, far))
 
 
-def test_points_without_a_direction_between_them_still_bound_the_distance():
-    scene = Scene(random_pairs(14, 2))
-    centres = np.array([scene.cores.centres[:, side] for side in scene.pairs])
-    nowhere, apart = np.zeros_like(centres[0]), np.zeros(len(scene.first), dtype=bool)
-    gaps, interiors = scene.gaps(), scene.proposer.interiors
-    proof = Proof(scene.cores, interiors, Proposals(centres, nowhere, apart), *scene.pairs)
-    error = tolerances(scene.cores, *scene.pairs)
-    assert (proof.least - error <= gaps).all()
-    assert (gaps <= proof.greatest + error).all()
-
-
 def test_shapes_that_begin_to_overlap_or_part():
     """A ball above a box goes down into it, and up again."""
     random = np.random.default_rng(1)

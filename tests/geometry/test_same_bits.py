@@ -7,9 +7,6 @@ import pybullet
 import pytest
 
 import ssduck
-from ssduck.geometry import poses
-from ssduck.geometry.bounds import BoundingBoxes
-from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from tests.support.urdf import box_obj, collision, joint, link, robot
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*PyBullet does not give back")
@@ -139,56 +136,3 @@ def one_by_one(ss, pair, now):
     ((gap, depth, force, points),) = rows
     points = [list(point) for point in points]
     return [gap, depth, force, points if (a, b) == pair else points[::-1]]
-
-
-COUNTS = [1, 2, 3, 4, 5, 7, 8, 9, 16, 31, 64, 1000, 2100]
-
-
-@pytest.mark.parametrize("count", COUNTS)
-def test_a_row_has_the_same_bits_in_any_company(count):
-    random = np.random.default_rng(count)
-    turns = poses.unit_quaternions(random.normal(size=(count, 4)))
-    places, points = random.normal(size=(2, count, 3))
-    matrices = poses.rotation_matrices(turns)
-    functions = {
-        poses.unit_quaternions: (turns,),
-        poses.rotation_matrices: (turns,),
-        poses.rotate: (matrices, points),
-        poses.cross: (places, points),
-        poses.multiply: (turns, turns[::-1].copy()),
-    }
-    for function, given in functions.items():
-        together = function(*given)
-        for some in (slice(0, 1), slice(count // 2, None), slice(None, None, 3)):
-            alone = function(*(values[some] for values in given))
-            assert np.array_equal(alone, together[some]), function.__name__
-    alone = poses.compose(places[:1], turns[:1], points[:1], turns[-1:])
-    together = poses.compose(places, turns, points, np.repeat(turns[-1:], count, axis=0))
-    assert all(np.array_equal(one, all_[:1]) for one, all_ in zip(alone, together, strict=True))
-    assert np.allclose(
-        poses.flat_rotation_matrices(turns).T.reshape(-1, 3, 3), matrices, atol=0, rtol=0
-    )
-    assert np.allclose(np.einsum("nij,nkj->nik", matrices, matrices), np.eye(3), atol=1e-14)
-    crossed = np.cross(places, points)
-    assert np.array_equal(poses.cross(places, points), crossed)
-
-
-def test_boxes_have_the_same_bits_in_any_company():
-    random = np.random.default_rng(1)
-    cube = Geometry.hull(random.normal(size=(30, 3)))
-    shapes = [
-        PlacedGeometry(n, one, random.normal(size=3), turn)
-        for n, (one, turn) in enumerate(
-            zip(
-                [cube, Geometry.primitive("cylinder", (0.3, 1, 0))] * 20,
-                poses.unit_quaternions(random.normal(size=(40, 4))),
-                strict=True,
-            )
-        )
-    ]
-    places = random.normal(size=(40, 3))
-    matrices = poses.rotation_matrices(poses.unit_quaternions(random.normal(size=(40, 4))))
-    together = BoundingBoxes(shapes, range(40), 40).boxes(places, matrices)
-    for n in range(40):
-        alone = BoundingBoxes(shapes[n : n + 1], [0], 1).boxes(places, matrices)
-        assert np.array_equal(alone[:, 0], together[:, n])

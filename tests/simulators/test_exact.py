@@ -13,9 +13,8 @@ import trimesh
 from scipy.spatial import ConvexHull
 
 import ssduck
-from ssduck.geometry.height_fields import height_field
 from ssduck.geometry.poses import rotation_matrices
-from ssduck.geometry.shapes import Geometry
+from ssduck.geometry.shapes import Geometry, height_field
 from ssduck.recording.spec import Recording
 from ssduck.schema import RECORDABLE
 from tests.support.cases import sampled

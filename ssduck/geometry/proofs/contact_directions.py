@@ -25,8 +25,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from ssduck.geometry.arrays import Array, Flags, Indices
-from ssduck.geometry.proofs.columns import column_lengths, unit_columns
+from ssduck.geometry.arrays import Array, Flags, Indices, column_lengths, unit_columns
 from ssduck.geometry.proofs.cores import PlacedCores
 from ssduck.geometry.proofs.gjk import tolerances
 from ssduck.geometry.proofs.verdicts import UNDECIDED, Decisions

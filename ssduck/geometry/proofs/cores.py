@@ -16,9 +16,8 @@ from functools import cached_property
 
 import numpy as np
 
-from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.arrays import Array, Flags, Indices, padded_columns
 from ssduck.geometry.distance import CONTACT_TOLERANCE, CYLINDER_TOLERANCE
-from ssduck.geometry.proofs.columns import padded_columns
 from ssduck.geometry.solids import Solid, SolidsOfShapes
 
 # The number of points that are compared at a time.

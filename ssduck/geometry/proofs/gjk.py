@@ -30,8 +30,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ssduck.geometry.arrays import Array, Indices
-from ssduck.geometry.proofs.columns import column_lengths
+from ssduck.geometry.arrays import Array, Indices, column_lengths
 from ssduck.geometry.proofs.cores import PlacedCores
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, Decisions, Verdicts
 

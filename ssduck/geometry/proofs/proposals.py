@@ -20,8 +20,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ssduck.geometry.arrays import Array, Flags, Indices
-from ssduck.geometry.proofs.columns import column_lengths, padded_columns
+from ssduck.geometry.arrays import Array, Flags, Indices, column_lengths, padded_columns
 from ssduck.geometry.proofs.cores import PlacedCores, corners_from_centre
 from ssduck.geometry.proofs.gjk import tolerances
 from ssduck.geometry.proofs.verdicts import Decisions

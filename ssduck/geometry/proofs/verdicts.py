@@ -22,8 +22,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.geometry.arrays import Array, Flags, Indices
-from ssduck.geometry.proofs.columns import column_lengths
+from ssduck.geometry.arrays import Array, Flags, Indices, column_lengths
 
 Verdicts: TypeAlias = npt.NDArray[np.int8]
 

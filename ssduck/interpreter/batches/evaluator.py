@@ -15,7 +15,7 @@ from ssduck.errors import (
     UnsupportedError,
     warn,
 )
-from ssduck.formatting import first_names, short_repr
+from ssduck.formatting import joined_names, short_repr
 from ssduck.geometry.arrays import Flags, Indices
 from ssduck.interpreter.batches.columns import ENV
 from ssduck.interpreter.batches.expressions import Answers, CompiledExpressions, Engine
@@ -386,7 +386,7 @@ def without_unknown(answers: Answers, what: str) -> Array:
     if not unknown.any():
         return values
     if values.dtype.kind == "b":
-        numbers = first_names([str(number) for number in np.flatnonzero(unknown)], 5)
+        numbers = joined_names([str(number) for number in np.flatnonzero(unknown)], 5)
         raise ArgumentError(
             f"{what} is unknown in {int(unknown.sum())} environments ({numbers}): a "
             "number that it reads is NaN there; ss.terms(…, nan=…) says what it is then"

@@ -18,7 +18,7 @@ import numpy as np
 
 from ssduck import validation
 from ssduck.errors import ArgumentError, ProgramWarning, UnsupportedError, warn
-from ssduck.formatting import first_names, short_repr
+from ssduck.formatting import joined_names, short_repr
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.simulators.backends import backend
 from ssduck.simulators.body_environments import BodyEnvironments
@@ -85,7 +85,7 @@ class BatchWorld(World):
         self.snapshot.read_margins(simulator)  # those of the model, which stay the same
 
     def __repr__(self) -> str:
-        names = first_names([info.name for info in self.snapshot.entities])
+        names = joined_names([info.name for info in self.snapshot.entities], 6)
         return f"<BatchWorld {self.name!r}: {self.count} environments of {names}>"
 
     # -- time -------------------------------------------------------------------------------
@@ -161,7 +161,7 @@ class BatchWorld(World):
         are_fallen: Flags = self._environments.times < before
         if self._is_told_of_resets and not self._has_told_of_fall and are_fallen.any():
             self._has_told_of_fall = True
-            numbers = first_names([str(number) for number in np.flatnonzero(are_fallen)], 5)
+            numbers = joined_names([str(number) for number in np.flatnonzero(are_fallen)], 5)
             warn(
                 f"{self.name}: the time has fallen in environment {numbers} without reset: an "
                 "episode begins there; MuJoCo itself resets a simulation that has become unstable",

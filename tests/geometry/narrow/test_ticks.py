@@ -10,18 +10,9 @@ import numpy as np
 import pytest
 
 from tests.support import pairs
-from tests.support.narrow_cases import ORIGIN, two
-from tests.support.pairs import Shape, ell
-from tests.support.solids import box, narrow, plane, sphere
-
-
-def test_spheres_tell_without_fcl():
-    tick = narrow([(box(), ORIGIN)], [(box(), (0.2, 0, 0))], [(ell(1, 1, 1), (9, 9, 9))])
-    assert tick.collides(0, 1)
-    assert tick.clearance(0, 1) == 0.0
-    assert not tick.collides(0, 2)
-    assert tick.clearance(0, 2, limit=5.0) == math.inf
-    assert tick.calls.calls == 0
+from tests.support.narrow_cases import two
+from tests.support.pairs import Shape
+from tests.support.solids import box, narrow, sphere
 
 
 def test_a_pair_is_asked_once_a_tick():
@@ -51,24 +42,6 @@ def test_an_entity_is_all_its_shapes():
     assert tick.penetration(0, 2) == pytest.approx(0.05)
     assert tick.collides(2, 0)
     assert tick.solid_volume(0) == pytest.approx(0.41)
-
-
-@pytest.mark.parametrize("distance", [0.0, 0.3])
-def test_pairs_of_near_boxes_are_those_of_a_loop(distance):
-    """Of two entities of many shapes, of which one has a tilted half-space; one pose is unknown."""
-    random = np.random.default_rng(7)
-    one = [(box(0.2, 0.2, 0.2), random.uniform(-1, 1, 3)) for _ in range(12)]
-    other = [(sphere(0.1), random.uniform(-1, 1, 3)) for _ in range(12)]
-    tilted = (plane((0.6, 0.0, 0.8)), (0, 0, -9))
-    tick = narrow(one, [*other, tilted], [*other, (sphere(0.1), (math.nan, 0, 0))])
-    for entity in (1, 2):
-        pairs_of = itertools.product(tick._shapes[0], tick._shapes[entity])
-        bound = tick.shapes.min_distance
-        near = sorted((bound(s, t), s, t) for s, t in pairs_of if bound(s, t) <= distance + 1e-9)
-        assert tick._near_shapes(0, entity, distance) == [(s, t) for _, s, t in near]
-        assert 0 < len(near) < 12 * 13
-        boxes = tick._tick.pairs_within(tick._shapes[0], tick._shapes[entity], distance)
-        assert len(near) <= len(list(boxes)) < 12 * 13
 
 
 def test_an_entity_and_itself():
