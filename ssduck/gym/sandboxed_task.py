@@ -16,6 +16,7 @@ from ssduck.gym.wrapper import check_open
 from ssduck.limits import LEAST_OPENING, Limits
 from ssduck.sandbox.interpreter import SandboxedInterpreter
 from ssduck.sandbox.references import RUN_SECONDS
+from ssduck.sandbox.sources import Source
 
 # What is told of a process that has been taken over.
 _NO_ANSWER = "the process of the task sent no answer of one"
@@ -37,7 +38,7 @@ class SandboxedTaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.flo
 
     def __init__(self, file: Path, limits: Limits) -> None:
         self._is_closed = False
-        self.interpreter = SandboxedInterpreter.of_task(file, limits=limits)
+        self.interpreter = SandboxedInterpreter(Source.of_task(file), limits=limits)
         try:
             self.task = _task(file, self.interpreter.ask("task.task.values"))
         except BaseException:

@@ -12,7 +12,8 @@ from ssduck import validation
 from ssduck.errors import UnsupportedError
 from ssduck.limits import Limits
 from ssduck.recording.paths import expand_path
-from ssduck.sandbox.interpreter import SandboxedInterpreter, Source
+from ssduck.sandbox.interpreter import SandboxedInterpreter
+from ssduck.sandbox.sources import Source
 
 # What the process of a question takes care of itself.
 _ITS_OWN = ("engine", "processes", "batch", "resume", "options", "session", "limits", "progress")

@@ -2,63 +2,37 @@
 
 from __future__ import annotations
 
-import glob
 import inspect
 import threading
 import typing
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, Never, Self
+from typing import Any, Never, Self
 
 from ssduck import validation
 from ssduck.adapters.result import MAX_ROWS, Result, TableView
-from ssduck.errors import (
-    LimitError,
-    SandboxError,
-    SceneError,
-    SelectScriptError,
-    UnsupportedError,
-    warn,
-)
+from ssduck.errors import LimitError, SelectScriptError, UnsupportedError, warn
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.namespace import check_name
 from ssduck.interpreter.program import check_parameters
 from ssduck.limits import GRACE, LEAST_OPENING, Limits
-from ssduck.recording.spec import Recording
 from ssduck.sandbox.budget import InvalidAnswerError
 from ssduck.sandbox.effects import check_present
 from ssduck.sandbox.live_worlds import LiveWorlds
 from ssduck.sandbox.processes import WorkerEndedError, WorkerProcess, Zygote, shared_zygote
 from ssduck.sandbox.references import RUN_SECONDS, NotInSandboxError, SandboxedWorld
 from ssduck.sandbox.seal import Walls
-from ssduck.simulators.scenes import scene_file, shipped_scenes
+from ssduck.sandbox.sources import Source, absolute
 from ssduck.world.world import World
 
 _GONE = "variables that programs have set are gone, and its worlds begin anew"
 # A worker's address space beside the memory of its programs, bytes.
 _SPARE = 10**9
 _MOST = 2**47  # more than any machine has
-# A folder with more entries than that is no scene's.
-_MAX_ENTRIES = 500
-
-
-@dataclass(frozen=True)
-class Source:
-    """What a worker opens.
-
-    Attributes:
-        kind: a scene, a record, a lake, a task, or nothing.
-        location: the name of a shipped scene, or an absolute path.
-        options: arguments of `load`, `open` or `Interpreter`.
-        readable: the files and folders that this takes.
-    """
-
-    kind: Literal["scene", "record", "lake", "task", "nothing"] = "nothing"
-    location: str = ""
-    options: Mapping[str, Any] = field(default_factory=dict)
-    readable: tuple[str, ...] = ()
+# The arguments of an interpreter among those of `load` and `open`.
+_OWN = ("strict", "zygote")
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,80 +99,23 @@ class SandboxedInterpreter:
         self._is_called = False
         self._worker: WorkerProcess | None = None
         self._is_closed = False
-        self._start()
+        try:
+            self._start()
+        except BaseException:
+            self.close()
+            raise
 
     @classmethod
-    def load(
-        cls,
-        scene: str | Path,
-        *,
-        recording: Recording | Literal["default"] | None = "default",
-        simulator: str | None = None,
-        name: str | None = None,
-        **others: Any,
-    ) -> Self:
-        """Returns an interpreter with the world of a scene, as `ssduck.load` does.
-
-        Args:
-            scene: the name of a shipped scene, or the path of a scene or a model. Of its folder all
-                can be read that is not hidden.
-            recording: the recording of the world.
-            simulator: the simulator.
-            name: the name of the world.
-            **others: arguments of this class.
-        """
-        options = {"simulator": simulator, "name": name, "recording": _plain(recording)}
-        path = scene_file(Path(scene).expanduser()).absolute()
-        if str(scene) in shipped_scenes() or not path.exists():  # which is an error there
-            return cls(Source("scene", str(scene), options), **others)
-        return cls(Source("scene", str(path), options, _with_folder(path)), **others)
+    def load(cls, scene: str | Path, *, limits: Limits | None = None, **options: Any) -> Self:
+        """Returns an interpreter with the world of a scene; see `Source.of_scene`."""
+        own = {name: options.pop(name) for name in _OWN if name in options}
+        return cls(Source.of_scene(scene, **options), limits=limits, **own)
 
     @classmethod
-    def open(
-        cls,
-        path: str | Path,
-        world: str | None = None,
-        episode: int | None = None,
-        *,
-        partial: bool = False,
-        **others: Any,
-    ) -> Self:
-        """Returns an interpreter on a record, as `ssduck.open` does.
-
-        Args:
-            path: a folder, or a DuckDB file.
-            world: the name of the world.
-            episode: the number of the episode.
-            partial: whether damaged parts are left out.
-            **others: arguments of this class.
-
-        Raises:
-            UnsupportedError: the record is in an object store, or its path has one of `*?[`.
-        """
-        if "://" in str(path):
-            raise UnsupportedError(
-                f"{path} is in an object store, which the sandbox cannot reach; copy it to a folder"
-            )
-        place = Path(path).expanduser().absolute()
-        if glob.has_magic(str(place)):
-            raise UnsupportedError(
-                f"{path} has *, ? or [ in its path, for which DuckDB lists the folder around it: "
-                "give the folder another name"
-            )
-        options = {"world": world, "episode": episode, "partial": partial}
-        real = place.resolve()
-        own = (str(real), *_without_links([Path(f"{real}.wal")]))
-        return cls(Source("record", str(place), options, own), **others)
-
-    @classmethod
-    def of_task(cls, path: Path, **others: Any) -> Self:
-        """Returns the interpreter of a task, which the requests `reset` and `act` are for.
-
-        Args:
-            path: the file, absolute. Of its folder all can be read that is not hidden.
-            **others: arguments of this class.
-        """
-        return cls(Source("task", str(path), readable=_with_folder(path)), **others)
+    def open(cls, path: str | Path, *, limits: Limits | None = None, **options: Any) -> Self:
+        """Returns an interpreter on a record; see `Source.of_record`."""
+        own = {name: options.pop(name) for name in _OWN if name in options}
+        return cls(Source.of_record(path, **options), limits=limits, **own)
 
     def close(self) -> None:
         """Ends the process."""
@@ -206,6 +123,7 @@ class SandboxedInterpreter:
             self._is_closed = True
             self._live.close()
             self._end()
+            self._source.close()
 
     def __enter__(self) -> Self:
         return self
@@ -287,7 +205,7 @@ class SandboxedInterpreter:
         """Starts a process, shows its effects, and has it open the source."""
         zygote = self._zygote or shared_zygote()
         memory = self._limits.memory or 10**9
-        readable = (*self._source.readable, *_absolute(self._limits.readable))
+        readable = (*self._source.readable, *absolute(self._limits.readable))
         walls = Walls("", readable, min(2 * memory + _SPARE, _MOST))
         self._worker = zygote.worker(walls, {"answer_bytes": self._limits.answer_bytes})
         own = self._limits
@@ -562,37 +480,3 @@ def _text_of(program: Any) -> tuple[str, bool]:
     if isinstance(program, SandboxedProgram):
         return program.text, True
     return validation.text(program, "a program is a text or a compiled program"), False
-
-
-def _plain(recording: Any) -> Any:
-    return asdict(recording) if isinstance(recording, Recording) else recording
-
-
-def _absolute(paths: Iterable[str | Path]) -> tuple[str, ...]:
-    return tuple(str(Path(path).expanduser().absolute()) for path in paths)
-
-
-def _with_folder(path: Path) -> tuple[str, ...]:
-    """Returns a file, and what is in its folder, without hidden files and links.
-
-    Raises:
-        SceneError: the file is a link that leads elsewhere.
-        SandboxError: that is too much for one scene.
-    """
-    folder, file = path.parent.resolve(), path.resolve()
-    if not file.is_relative_to(folder):
-        raise SceneError(f"{path} is a link that leads out of its folder: give {file} itself")
-    if not folder.is_dir():
-        return (str(file),)
-    entries = _without_links(sorted(folder.iterdir()))
-    if len(entries) > _MAX_ENTRIES:
-        raise SandboxError(
-            f"{folder} has more than {_MAX_ENTRIES} entries, all of which a scene could read; put "
-            "the scene and its models into a folder of their own"
-        )
-    return (str(file), *entries)
-
-
-def _without_links(paths: Iterable[Path]) -> list[str]:
-    """Returns paths without hidden ones, and without links: a stranger says where they lead."""
-    return [str(one) for one in paths if not (one.name.startswith(".") or one.is_symlink())]

@@ -37,7 +37,9 @@ def open_record(
     path: str | Path, world: str | None, episode: int | None, limits: Limits, *, partial: bool
 ) -> SandboxedInterpreter:
     """Returns an interpreter on a record; for the arguments see `ssduck.open`."""
-    return SandboxedInterpreter.open(path, world, episode, partial=partial, limits=limits)
+    return SandboxedInterpreter.open(
+        path, world=world, episode=episode, partial=partial, limits=limits
+    )
 
 
 def _check_memory(database: str | Path) -> None:

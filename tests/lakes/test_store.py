@@ -169,3 +169,15 @@ def test_an_address_with_a_pattern_lists_no_others(address, recorded, monkeypatc
     monkeypatch.setattr(ArrowFSWrapper, "glob", None)
     with ssduck.open("s3://runs/alone/rec[1]") as ss:
         assert ss.sql("SELECT count(*) FROM entities_history").fetchone()[0] > 0
+
+
+@pytest.mark.slow
+def test_a_sandbox_opens_what_was_fetched(address, recorded):
+    limits = ssduck.Limits.strict(progress=False)
+    with ssduck.open(f"{address}/record", episode=1, limits=limits) as sealed:
+        world = sealed.worlds[0].name
+        found = sealed.eval(f"SELECT id, x, z FROM {world};")
+    with ssduck.open(recorded, episode=1) as own:
+        assert found == own.eval(f"SELECT id, x, z FROM {world};") != []
+    with pytest.raises(RecordError, match="nothing here"):
+        ssduck.open(f"{address}/nothing here", limits=limits)

@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Any, Self
 from urllib.parse import urlsplit
 
 from ssduck.errors import RecordError
+from ssduck.formatting import short_repr
 
 if TYPE_CHECKING:
     from pyarrow.fs import FileInfo, FileSystem
@@ -264,6 +265,32 @@ def written(place: ObjectPath, write: Callable[[Path], object]) -> None:
         file = Path(folder) / place.name
         write(file)
         place.write_bytes(file.read_bytes())
+
+
+def fetch(place: ObjectPath, folder: Path) -> Path:
+    """Copies an object, or all below an address, into a folder, and returns where it is.
+
+    Raises:
+        RecordError: it cannot be read, or a name leads out of the folder.
+    """
+    from pyarrow.fs import FileSelector
+
+    copy, store = Path(folder, place.name), file_system()
+    with reading(place):
+        found = [store.get_file_info(place.key)]
+        if found[0].type == _types().Directory:
+            found = store.get_file_info(FileSelector(place.key, recursive=True))
+    for info in found:
+        parts = Path(info.path).relative_to(place.key).parts
+        if ".." in parts:
+            raise RecordError(f"{place}: the name {short_repr(info.path)} leads elsewhere")
+        if info.type == _types().File:
+            file = copy.joinpath(*parts)
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_bytes(ObjectPath(_PREFIX + info.path).read_bytes())
+    if not copy.exists():
+        raise _missing(place)
+    return copy
 
 
 def remove_tree(place: Path) -> None:
