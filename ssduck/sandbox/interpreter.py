@@ -28,6 +28,7 @@ from ssduck.sandbox.sources import Source, absolute
 from ssduck.world.world import World
 
 _GONE = "variables that programs have set are gone, and its worlds begin anew"
+_IS_CALLED = "a function that a program in the sandbox calls cannot ask it: give it what it needs"
 # A worker's address space beside the memory of its programs, bytes.
 _SPARE = 10**9
 _MOST = 2**47  # more than any machine has
@@ -133,13 +134,21 @@ class SandboxedInterpreter:
 
     # -- the process ----------------------------------------------------------------------
 
-    def ask(self, request: str, *arguments: Any, seconds: float = 0.0, **options: Any) -> Any:
+    def ask(
+        self,
+        request: str,
+        *arguments: Any,
+        seconds: float = 0.0,
+        as_before: bool = False,
+        **options: Any,
+    ) -> Any:
         """Asks the process, which is started again after it has ended.
 
         Args:
             request: what is asked, and for what, as `"ss.sql"`.
             arguments: its arguments.
             seconds: the time beside that of a program, s.
+            as_before: whether copies of worlds stay as they are.
             options: its named arguments.
 
         Raises:
@@ -149,10 +158,7 @@ class SandboxedInterpreter:
             if self._is_closed:
                 raise LimitError("the interpreter is closed")
             if self._is_called:
-                raise UnsupportedError(
-                    "a function that a program in the sandbox calls cannot ask the sandbox: give "
-                    "it what it needs as arguments"
-                )
+                raise UnsupportedError(_IS_CALLED)
             if self._worker is not None and not self._worker.is_alive:
                 self._worker = None
                 warn(f"the process of the sandbox has ended; {_GONE}")
@@ -161,7 +167,8 @@ class SandboxedInterpreter:
             try:
                 limit = self._limits.seconds
                 time = None if limit is None else limit + seconds + GRACE / 4
-                self._live.update(partial(self._ask, time))
+                if not as_before:
+                    self._live.update(partial(self._ask, time))
                 return self._ask(time, request, *arguments, **options)
             except WorkerEndedError as error:
                 self._worker, told = None, str(error)
@@ -246,8 +253,7 @@ class SandboxedInterpreter:
     @property
     def effects(self) -> dict[str, list[str]]:
         """What the process can do although an effect forbids it, by the effect: nothing, mostly."""
-        holes: dict[str, list[str]] = self.ask("worker.effects")["holes"]
-        return holes
+        return dict(self.ask("worker.effects")["holes"])
 
     # -- programs and SQL -----------------------------------------------------------------
 
@@ -301,8 +307,7 @@ class SandboxedInterpreter:
         validation.text(text, "sql: a statement is a text")
         check_parameters("sql", parameters, others)
         if parameters is not None:
-            is_named = isinstance(parameters, Mapping)
-            parameters = dict(parameters) if is_named else list(parameters)
+            parameters = dict(parameters) if isinstance(parameters, Mapping) else list(parameters)
         result: Result = self.ask("ss.sql", text, parameters)
         return result
 
@@ -312,8 +317,7 @@ class SandboxedInterpreter:
 
     def history(self, name: str) -> list[tuple[float, Any]]:
         """Returns the values of a variable with a history, as `Interpreter.history` does."""
-        values: list[tuple[float, Any]] = self.ask("ss.history", name)
-        return values
+        return list(self.ask("ss.history", name))
 
     # -- variables and worlds -------------------------------------------------------------
 
@@ -337,10 +341,10 @@ class SandboxedInterpreter:
                     self._live.remove(name)
                     raise
                 self._variables.pop(name, None)
-                return value
-            self.ask("worker.set_variables", {name: value})
-            self._variables[name] = value
-            return value
+            else:
+                self.ask("worker.set_variables", {name: value})
+                self._variables[name] = value
+        return value
 
     def follow(self, name: str, world: World, owner: Interpreter, *, is_past: bool) -> None:
         """Copies a world of an interpreter of this process, unless that is being done.

@@ -175,6 +175,8 @@ class LiveSource:
         self.world, self.name = world, name
         self.latest: Frame | None = None
         self.firings: list[tuple[str, float]] = []
+        # Is held while another world takes the place of this one.
+        self.replacing = threading.Lock()
         self._changed: Callable[[], object] | None = None
         self._stop_listening: Callable[[], None] | None = None
         self._present: Mirror | None = None
@@ -303,14 +305,15 @@ class LiveSource:
             return mirror
         if mirror is not None:
             mirror.close()
+        self.check_is_there()
         with world.lock:
-            self.check_is_there()
             return Mirror(self.interpreter, world, self.name, page_limits(), is_past=is_past)
 
     def check_is_there(self) -> None:
         """Checks that the interpreter still has the world."""
-        if self.world not in self.interpreter.worlds:
-            raise UnsupportedError(f"{self.name!r} is no longer in its interpreter")
+        with self.replacing:
+            if self.world not in self.interpreter.worlds:
+                raise UnsupportedError(f"{self.name!r} is no longer in its interpreter")
 
     def close(self) -> None:
         """Closes the interpreters of the page; the world goes on."""
@@ -397,7 +400,8 @@ class Simulation:
     def _advance(self, *, is_reset: bool, steps: int, speed: float) -> None:
         if is_reset:
             old = self._source.world
-            self._source.replace_world(self._reload())
+            with self._source.replacing:
+                self._source.replace_world(self._reload())
             old.close()
         world = self._source.world
         if steps:

@@ -7,6 +7,8 @@ one does not delay the simulation.
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
+from functools import lru_cache
 from itertools import count
 from typing import Any, Literal, TypeAlias
 
@@ -14,6 +16,7 @@ from ssduck.errors import LimitError, SandboxError, SelectScriptError, warn
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.stopping import StopRequest
 from ssduck.recording.replay.replayed_world import CopiedWorld, ReplayedWorld
+from ssduck.sandbox.budget import Budget
 from ssduck.sandbox.interpreter import SandboxedInterpreter
 from ssduck.sandbox.processes import shared_zygote
 from ssduck.view.answers import Answers, error_message
@@ -114,23 +117,47 @@ class SealedScan:
 
     def advance(self, seconds: float) -> bool:
         """Asks at further ticks for some time; returns whether there are more."""
-        told = _asked(self._box, self._stop, "advance_scan", self._viewer, seconds)
-        self.progress = told["progress"]
-        return told["more"] is True
+        arguments = self._viewer, seconds
+        told = _asked(self._box, self._stop, "advance_scan", *arguments, as_before=True)
+        more = told.pop("more", False)
+        self.progress = told
+        return more is True
 
 
 def _asked(
-    box: SandboxedInterpreter, stop: StopRequest, method: str, *arguments: Any
+    box: SandboxedInterpreter,
+    stop: StopRequest,
+    method: str,
+    *arguments: Any,
+    as_before: bool = False,
 ) -> dict[str, Any]:
     """Returns what the answers in a sandbox say; another thread may stop the question."""
     with stop.applies_to(box):
-        answer = json.loads(box.ask(f"page answers.{method}", *arguments))
+        text = box.ask(f"page answers.{method}", *arguments, as_before=as_before)
+    try:
+        data = text.encode()
+        Budget().charge_json(data)
+        answer = json.loads(data)
+    except (AttributeError, ValueError, RecursionError):
+        answer = None
     if not isinstance(answer, dict):
         raise LimitError("the process of the page sent no answer")
     return answer
 
 
 # -- in the sandbox ---------------------------------------------------------------------------
+
+
+# So many viewers, the last ones, have a result to download and a search to go on with.
+_VIEWERS = 16
+
+
+@dataclass
+class _Viewer:
+    """What there is for a viewer."""
+
+    answers: Answers
+    scan: Scan | None = None
 
 
 class AnswersInside:
@@ -143,28 +170,25 @@ class AnswersInside:
 
     def __init__(self, ss: Interpreter, record: str | None) -> None:
         self._ss, self._record = ss, record
-        self._viewers: dict[int, Answers] = {}
-        self._scans: dict[int, Scan] = {}
-
-    def _of(self, viewer: int) -> Answers:
-        return self._viewers.setdefault(viewer, Answers(self))
+        self._viewer = lru_cache(_VIEWERS)(lambda _: _Viewer(Answers(self)))
 
     def answer(self, viewer: int, question: dict[str, Any]) -> str:
         """Returns the answer to a question, as JSON."""
-        return json.dumps(self._of(viewer).answer(question, StopRequest()))
+        return json.dumps(self._viewer(viewer).answers.answer(question, StopRequest()))
 
     def begin_scan(self, viewer: int, question: dict[str, Any]) -> str:
         """Begins a search for the changes of an answer, in place of the viewer's last one."""
-        self._scans[viewer] = self._of(viewer).scan(question, StopRequest())
+        own = self._viewer(viewer)
+        own.scan = own.answers.scan(question, StopRequest())
         return json.dumps({})
 
     def advance_scan(self, viewer: int, seconds: float) -> str:
         """Goes on with a search, and returns its progress."""
-        if viewer not in self._scans:
-            raise LimitError("the process of the page is another one: ask again")
-        scan = self._scans[viewer]
+        scan = self._viewer(viewer).scan
+        if scan is None or scan.world is not self._world:
+            raise LimitError("the world is recorded anew, or its process is another one: ask again")
         more = scan.advance(seconds)
-        return json.dumps({"more": more, "progress": scan.progress})
+        return json.dumps(scan.progress | {"more": more})
 
     # -- the source of the answers ------------------------------------------------------------
 

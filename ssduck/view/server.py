@@ -443,7 +443,7 @@ class PageServer:
             scan = await self._in(self._scans, lambda: viewer.answers.scan(question, stop))
             while not is_over and not stop.is_made:
                 is_over = not await self._in(self._scans, lambda: scan.advance(SCAN_PERIOD))
-                await viewer.send(head | scan.progress | {"done": is_over})
+                await viewer.send(scan.progress | head | {"done": is_over})
         except SelectScriptError as error:
             with contextlib.suppress(ConnectionClosed):
                 await viewer.send(head | {"error": error_message(error)})

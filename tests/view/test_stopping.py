@@ -25,12 +25,12 @@ class Running:
         self.errors = []
         self._ask, self._is_long = ask, is_long
 
-    def __call__(self, *arguments):
+    def __call__(self, *arguments, **options):
         if not self._is_long(*arguments):
-            return self._ask(*arguments)
+            return self._ask(*arguments, **options)
         self.began.set()
         try:
-            answer = self._ask(*arguments)
+            answer = self._ask(*arguments, **options)
         except SelectScriptError as error:
             self.errors.append(error.message)
             raise
