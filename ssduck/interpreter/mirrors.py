@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import count
+from itertools import count, islice
 from typing import Any, NoReturn, TypeAlias
 
 import pyarrow as pa
@@ -146,8 +146,9 @@ class WorldFeed:
             is_past=is_past,
         )
         self._rows: tuple[tuple[str, ...], RecordedRows] | None = None
-        # What the copy has: the masses of entities by id, recorded entities, geometries, ticks.
-        self._masses: dict[int, list[float]] = {}
+        # What the copy has: masses and margins of entities by id, recorded entities, geometries,
+        # ticks.
+        self._dynamics: dict[int, tuple[list[float], list[float]]] = {}
         self._recorded = set[int]()
         self._geometries = set[int]()
         self._last_recorded = 0
@@ -155,13 +156,13 @@ class WorldFeed:
 
     @property
     def is_up_to_date(self) -> bool:
-        """Whether the copy can follow the world: its past, and its masses, are the same."""
+        """Whether the copy can follow the world: its past, masses and margins are the same."""
         if history_of(self._owner, self.world) is not self._history:
             return False
         with self.world.lock:
-            self.world.request_tables((MASSES,))
-            masses = self.world.snapshot.masses
-            return all(masses.get(id, own) == own for id, own in self._masses.items())
+            self.world.request_tables((MASSES, MARGINS))
+            present = self._present_dynamics
+            return all(present.get(id, own) == own for id, own in self._dynamics.items())
 
     def news(self, *, is_sensed: bool = False) -> WorldNews | None:
         """Returns what is new since the last call; None if nothing is.
@@ -198,13 +199,25 @@ class WorldFeed:
             assert snapshot.state is not None
             of_tick = selected.of_ticks([snapshot.state])
             rows = {table: of_table.arrow(table) for table, of_table in of_tick.items()}
-            new = [
-                member.with_masses(snapshot.masses.get(member.id, member.masses))
-                for member in selected.members
-                if member.id not in self._masses
-            ]
-            self._masses |= {member.id: member.masses for member in new}
+            present, new = self._present_dynamics, []
+            for member in selected.members:
+                if member.id not in self._dynamics:
+                    masses, margins = self._dynamics[member.id] = present.get(member.id, ([], []))
+                    new.append(member.with_masses(masses).with_margins(margins))
             return self._models(new, with_visuals=True), rows
+
+    @property
+    def _present_dynamics(self) -> dict[int, tuple[list[float], list[float]]]:
+        """The masses of the links and the margins of the shapes of each body, kg and m, by id."""
+        snapshot = self.world.snapshot
+        margins = iter(snapshot.tables["shapes"]["margin"].tolist())
+        return {
+            id: (
+                snapshot.masses.get(id, [link.mass for link in body.links]),
+                list(islice(margins, len(body.shapes))),
+            )
+            for id, body in snapshot.layout.bodies
+        }
 
     def _news_of_past(self) -> tuple[_Tables, _Tables, int]:
         """Returns the models and rows that are new in the past, and its first tick."""

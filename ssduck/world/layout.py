@@ -63,6 +63,14 @@ class EntityInfo:
         )
         return replace(self, body=replace(self.body, links=tuple(links)))
 
+    def with_margins(self, margins: Sequence[float]) -> EntityInfo:
+        """Returns the entity with other collision margins of its shapes, m."""
+        if self.body is None or list(margins) == self.body.margins:
+            return self
+        pairs = zip(self.body.shapes, margins, strict=True)
+        shapes = tuple(replace(shape, margin=margin) for shape, margin in pairs)
+        return replace(self, body=replace(self.body, shapes=shapes))
+
 
 def margins_of(entities: Iterable[EntityInfo]) -> float:
     """Returns the largest distance of two shapes of entities whose margins touch, m."""

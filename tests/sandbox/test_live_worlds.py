@@ -109,6 +109,26 @@ def test_masses_that_change_are_seen(zygote):
         assert box.eval("mass(kitchen.cup_905a);") == pytest.approx(7.5)
 
 
+BOX = """<mujoco><worldbody><body name="box"><freejoint/><geom type="box" size=".1 .1 .1"/></body>
+</worldbody></mujoco>"""
+
+
+@pytest.mark.slow
+def test_margins_that_change_are_seen(zygote, tmp_path):
+    pytest.importorskip("mujoco", reason="the extra mujoco is not installed")
+    (tmp_path / "box.xml").write_text(BOX, encoding="utf-8")
+    query = "SELECT margin FROM shapes"
+    with ssduck.load(tmp_path / "box.xml") as ss, SandboxedInterpreter(zygote=zygote) as box:
+        (world,) = ss.worlds
+        box["scene"] = world
+        assert box.sql(query).fetchall() == ss.sql(query).fetchall() == [(0.0,)]
+        world.simulator.model.geom_margin[:] = 0.03
+        world.step()
+        ((margin,),) = ss.sql(query).fetchall()
+        assert margin > 0.0
+        assert box.sql(query).fetchall() == [(margin,)]
+
+
 @pytest.mark.slow
 def test_what_sensors_perceive_is_asked_of_the_simulation(zygote):
     with ssduck.load("kitchen") as ss, SandboxedInterpreter(zygote=zygote) as box:
