@@ -47,7 +47,7 @@ def mesh_distance(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> SignedD
     """Returns the signed distance of a mesh and another solid; None if their cores overlap."""
     if _pierced_triangles(a, b) or _pierced_triangles(b, a):
         return None
-    distance, p, q = surface_distance(a.fine_fcl_object, b.fine_fcl_object, calls)
+    distance, p, q = surface_distance(a.fcl_object, b.fcl_object, calls)
     if distance <= CONTACT_TOLERANCE or _encloses(a, b) or _encloses(b, a):
         return None
     return offset_by_radii(distance, p, q, (p - q) / distance, a, b)
@@ -81,11 +81,11 @@ def is_surely_deeper(a: PlacedSolid, b: PlacedSolid, min_depth: float, calls: Ca
 
 def _pierced_triangles(segment: PlacedSolid, mesh: PlacedSolid) -> list[int]:
     """Returns the triangles that a segment core passes through; FCL misses some of them."""
-    ends = segment.solid.fine_surface.vertices
+    ends = segment.solid.surface.vertices
     if len(ends) != 2:
         return []
     start, end = _to_local(mesh, _to_world(segment, ends))
-    corners = mesh.solid.fine_surface.triangles
+    corners = mesh.solid.surface.triangles
     direction, offsets = end - start, start - corners[:, 0]
     u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = cross(u, v)
@@ -103,8 +103,8 @@ def _encloses(outer: PlacedSolid, inner: PlacedSolid) -> bool:
     """Checks whether one solid contains a part of the other, if their surfaces do not cross."""
     if not _has_interior(outer):
         return False
-    points = _to_local(outer, _to_world(inner, inner.solid.fine_surface.component_vertices))
-    return bool(outer.solid.fine_surface.encloses(points).any())
+    points = _to_local(outer, _to_world(inner, inner.solid.surface.component_vertices))
+    return bool(outer.solid.surface.encloses(points).any())
 
 
 def _has_interior(placed: PlacedSolid) -> bool:
@@ -127,13 +127,13 @@ def _deepest_corner(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> list[
     """Returns the corner of a that is deepest in b."""
     if not _has_interior(b):
         return []
-    points = _to_world(a, a.solid.fine_surface.vertices)
-    points = points[b.solid.fine_surface.encloses(_to_local(b, points))]
+    points = _to_world(a, a.solid.surface.vertices)
+    points = points[b.solid.surface.encloses(_to_local(b, points))]
     if not len(points):
         return []
     if b.solid.type == "mesh":
         return [_deepest_in_mesh(points, b, calls)]
-    surface = b.solid.fine_surface
+    surface = b.solid.surface
     normals, offsets = b.solid.normals, b.solid.offsets
     if offsets is None:
         normals, offsets = _planes(surface)
@@ -161,7 +161,7 @@ def _deepest_in_mesh(points: Array, mesh: PlacedSolid, calls: CallCounter) -> Co
         index = int(upper_bounds.argmax())
         if upper_bounds[index] <= depth:
             break
-        result = surface_distance(_fcl_point(points[index]), mesh.fine_fcl_object, calls)
+        result = surface_distance(_fcl_point(points[index]), mesh.fcl_object, calls)
         if result[0] > depth:
             depth, p, q = result
         upper_bounds[index] = result[0]
@@ -189,7 +189,7 @@ def _point() -> Surface:
 
 def _normals_at(placed: PlacedSolid, point: Array) -> Array:
     """Returns the normals (n, 3) of the faces that contain a point of the surface."""
-    surface = placed.solid.fine_surface
+    surface = placed.solid.surface
     local = _to_local(placed, point[None])[0]
     corners = surface.triangles
     normals = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -233,7 +233,7 @@ def _crossing_triangles(
     calls.calls += 1
     result = fcl.CollisionResult()
     request = fcl.CollisionRequest(num_max_contacts=max_contacts, enable_contact=True)
-    fcl.collide(a.fine_fcl_object, b.fine_fcl_object, request, result)
+    fcl.collide(a.fcl_object, b.fcl_object, request, result)
     return {(contact.b1, contact.b2) for contact in result.contacts}
 
 
@@ -265,7 +265,7 @@ def _crossing_point(first: Array, second: Array) -> Array:
 
 
 def _world_triangles(placed: PlacedSolid, numbers: list[int] | Array) -> Array:
-    surface = placed.solid.fine_surface
+    surface = placed.solid.surface
     return _to_world(placed, surface.vertices)[surface.faces[numbers]]
 
 
@@ -309,7 +309,7 @@ def triangle_depths(first: Array, second: Array) -> tuple[Array, Array]:
 
 def _touching(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> Core:
     """Cores that share a point of their surfaces and nothing else."""
-    _, p, q = surface_distance(a.fine_fcl_object, b.fine_fcl_object, calls)
+    _, p, q = surface_distance(a.fcl_object, b.fcl_object, calls)
     midpoint = (p + q) / 2
     return 0.0, midpoint, midpoint, _normal_at(a, b, midpoint)
 

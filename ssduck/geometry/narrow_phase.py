@@ -45,7 +45,6 @@ MIN_FRACTION_INSIDE = 0.95
 FRACTION_ERROR = 0.01
 # The largest number of pairs of shapes whose boxes are compared in a loop, which is faster then.
 MAX_LOOPED_PAIRS = 16
-_NO_PAIRS = np.zeros(0, np.intp)
 
 
 class NarrowPhase:
@@ -93,7 +92,6 @@ class NarrowPhase:
         self._footprints: dict[int, Footprint] = {}
         self._results: dict[PairPredicate, PairResult] = {}
         self._compared: set[int] = set()
-        self._compared_first: Indices = _NO_PAIRS
         # DuckDB calls from its own threads. Without the lock, pairs would be compared twice.
         self._lock = RLock()
 
@@ -140,17 +138,9 @@ class NarrowPhase:
                 decide = partial(self.shapes.satisfies, predicate=predicate)
                 kept = self.table.kept(predicate)
                 result = matching_pairs(self.arrays, predicate, decide, kept=kept)
-                self._count_all(result.compared)
+                self.count_compared(result.compared.tolist())
                 self._results[predicate] = result
             return self._results[predicate]
-
-    def _count_all(self, pairs: Indices) -> None:
-        """Counts different pairs of entities as compared; the first ones stay in their array."""
-        if self._compared or len(self._compared_first):
-            self.count_compared(pairs.tolist())
-        else:
-            self._compared_first = pairs
-            self.calls.pairs += len(pairs)
 
     def count_compared(self, pairs: Iterable[int]) -> None:
         """Counts pairs of entities, by their numbers, as compared.
@@ -158,9 +148,6 @@ class NarrowPhase:
         A pair counts once a tick, however often and by whatever it is compared.
         """
         with self._lock:
-            if len(self._compared_first):
-                self._compared.update(self._compared_first.tolist())
-                self._compared_first = _NO_PAIRS
             before = len(self._compared)
             self._compared.update(pairs)
             self.calls.pairs += len(self._compared) - before

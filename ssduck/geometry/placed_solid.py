@@ -73,17 +73,10 @@ class PlacedSolid:
     @cached_property
     def fcl_object(self) -> Any:
         """The surface of the core for FCL; a polyhedron for a cylinder and an ellipsoid."""
-        return self._fcl_object(self.solid.surface.bvh)
-
-    @cached_property
-    def fine_fcl_object(self) -> Any:
-        """The surface of the core for FCL; a cylinder has a finer prism."""
-        return self._fcl_object(self.solid.fine_surface.bvh)
-
-    def _fcl_object(self, bvh: Any) -> Any:
         import fcl
 
-        return fcl.CollisionObject(bvh, fcl.Transform(self.orientation, self.position))
+        pose = fcl.Transform(self.orientation, self.position)
+        return fcl.CollisionObject(self.solid.surface.bvh, pose)
 
     def support_points(self, directions: Array) -> Array:
         """Returns the farthest points (k, 3) of the core in unit directions (k, 3)."""
@@ -116,7 +109,7 @@ class PlacedSolid:
         if self.solid.disc_radius * length > tolerance:
             farthest_points += self.solid.disc_radius / length * radial @ self.matrix[:, :2].T
             return farthest_points
-        rim = self.solid.fine_surface.vertices @ self.matrix.T + self.position
+        rim = self.solid.surface.vertices @ self.matrix.T + self.position
         farthest_points = rim[rim @ direction >= (rim @ direction).max() - 2 * tolerance]
         return np.ascontiguousarray(farthest_points)
 

@@ -71,25 +71,6 @@ def rotate(matrices: Array, vectors: Array) -> Array:
     return rotated
 
 
-def placed_point(
-    position: tuple[float, ...], orientation: tuple[float, ...], point: tuple[float, ...]
-) -> list[float]:
-    """Returns a point of a frame in the frame of its pose, by the terms of the arrays' functions.
-
-    >>> placed_point((1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0), (0.5, 0.0, 0.0))
-    [1.5, 2.0, 3.0]
-    """
-    w, x, y, z = orientation
-    ww, xx, yy, zz = w * w, x * x, y * y, z * z
-    xy, yz, zx, wx, wy, wz = x * y, y * z, z * x, w * x, w * y, w * z
-    rows = (
-        (ww + xx - yy - zz, 2.0 * (xy - wz), 2.0 * (zx + wy)),
-        (2.0 * (xy + wz), ww - xx + yy - zz, 2.0 * (yz - wx)),
-        (2.0 * (zx - wy), 2.0 * (yz + wx), ww - xx - yy + zz),
-    )
-    return moved_point(position, rows, point)
-
-
 def cross(first: Array, second: Array) -> Array:
     """Returns cross products of the rows of two arrays (n, 3)."""
     products = first.T.take(_CROSSED, axis=0)

@@ -28,10 +28,8 @@ SolidType: TypeAlias = Literal[
 ]
 
 # FCL gets an inscribed prism for a cylinder. Against convex shapes the result is corrected to be
-# exact. Against meshes the prism has more sides. It never leaves the cylinder's bounding box and
-# sphere, so that the bounds that these give hold.
-PRISM_SIDES = 24
-FINE_SIDES = 64
+# exact. It never leaves the cylinder's bounding box and sphere, so that their bounds hold.
+PRISM_SIDES = 64
 # An inscribed polyhedron stands for an ellipsoid against meshes: an icosahedron that is divided so
 # often. It is off by up to 0.0013 of the longest half length.
 ELLIPSOID_DIVISIONS = 4
@@ -129,19 +127,12 @@ class Solid:
         return Surface(self.core, self.faces)
 
     @cached_property
-    def fine_surface(self) -> Surface:
-        """The triangles of the core; those of a prism with more sides for a cylinder."""
-        if self.type == "cylinder":
-            return prism(self.disc_radius, self.half_length, FINE_SIDES)
-        return self.surface
-
-    @cached_property
     def _equal_volume_surface(self) -> Surface:
         """The triangles of the core; those of a prism of equal volume for a cylinder."""
         if self.type == "cylinder":
-            angle = 2.0 * math.pi / FINE_SIDES
+            angle = 2.0 * math.pi / PRISM_SIDES
             return prism(
-                self.disc_radius * math.sqrt(angle / math.sin(angle)), self.half_length, FINE_SIDES
+                self.disc_radius * math.sqrt(angle / math.sin(angle)), self.half_length, PRISM_SIDES
             )
         return self.surface
 

@@ -13,7 +13,6 @@ from ssduck.geometry.arrays import Array, Flags
 from ssduck.geometry.placed_solid import PlacedSolid, Point, Quaternion
 from ssduck.geometry.poses import (
     flat_rotation_matrices,
-    placed_point,
     unit_quaternions,
 )
 from ssduck.geometry.tick_shapes import ShapeTable, TickShapes, of_known_entities
@@ -82,8 +81,8 @@ class TickSolids:
         poses = Found(partial(_pose, places))
         self.are_known = Found(partial(_is_known, table, poses))
         self.corners = Found(places.box)
-        self.centres = Found(partial(_centre, table, poses))
         self._placed = Found(partial(_placed, table, poses))
+        self.centres = Found(partial(_centre, self._placed))
         self._ranks = Found(partial(_rank, table, poses))
 
     def placed(self, shape: int) -> PlacedSolid:
@@ -155,12 +154,12 @@ def _is_known(table: ShapeTable, poses: Found[_Pose], shape: int) -> bool:
     return table.solids[shape].is_known and all(map(math.isfinite, position + orientation))
 
 
-def _centre(table: ShapeTable, poses: Found[_Pose], shape: int) -> list[float]:
-    return placed_point(*poses[shape], table.solids[shape].centre)
-
-
 def _placed(table: ShapeTable, poses: Found[_Pose], shape: int) -> PlacedSolid:
     return PlacedSolid(table.solids[shape], *poses[shape])
+
+
+def _centre(placed: Found[PlacedSolid], shape: int) -> Point:
+    return placed[shape].to_world(*placed[shape].solid.centre)
 
 
 def _rank(table: ShapeTable, poses: Found[_Pose], shape: int) -> tuple[str | float, ...]:

@@ -12,7 +12,7 @@ from ssduck.columns.arrays import Array
 from ssduck.errors import ArgumentError, SelectScriptError
 from ssduck.formatting import joined_names, short_repr
 from ssduck.geometry.arrays import Flags
-from ssduck.gym.terms import CONDITIONS, Reward, Term, Terms, WhereNaN
+from ssduck.gym.terms import CONDITIONS, Reward, Term, Terms, WhereNaN, compiled
 from ssduck.language.tree import Name, Node
 from ssduck.world.batches.batch_world import BatchWorld
 
@@ -73,7 +73,10 @@ class BatchTerms:
     ) -> None:
         self._terms = Terms.of(success, failure, reward, stop_when, nan=nan)
         self._interpreter, self._world = interpreter, _batch(interpreter, world)
-        trees = {term.key: self._tree(term) for term in self._terms}
+        trees = {
+            term.key: compiled(interpreter, term.key, term.text).tree.statements[0]
+            for term in self._terms
+        }
         nodes = [self._expanded(term, trees) for term in self._terms]
         for term, node in zip(self._terms, nodes, strict=True):
             try:
@@ -131,17 +134,6 @@ class BatchTerms:
                 "nothing there, as since is where its condition does not hold: heldFor is 0 there"
             )
         return term.nan_error(f"a number that it reads is NaN in environment {named}")
-
-    def _tree(self, term: Term) -> Node:
-        try:
-            program = self._interpreter.compile(f"{term.text};")
-        except SelectScriptError as error:
-            error.message = f"{term.key}: {error.message}"
-            raise
-        statements = program.tree.statements
-        if len(statements) != 1 or program.tree.explain:
-            raise ArgumentError(f"{term.key}: {term.text!r} is to be one expression")
-        return statements[0]
 
     def _expanded(self, term: Term, trees: Mapping[str, Node]) -> Node:
         """Returns a term with the conditions that it names."""

@@ -8,7 +8,7 @@ from typing import Any
 
 from ssduck.errors import ArgumentError, SelectScriptError, UnknownNameError
 from ssduck.formatting import joined_names, short_repr
-from ssduck.gym.terms import CONDITIONS, Judgement, Term, Terms, is_nan
+from ssduck.gym.terms import CONDITIONS, Judgement, Term, Terms, compiled, is_nan
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.over_time.each_tick import ExpressionsAtTicks, JudgedFolds
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, parts_of
@@ -250,7 +250,7 @@ class Judge:
     def _evaluate_each(self) -> None:
         """Evaluates each term by itself."""
         for term, text in zip(self.terms, self._texts, strict=True):
-            self._value(term, self._compiled(term.key, text))
+            self._value(term, compiled(self._interpreter, term.key, text))
 
     def judgements(
         self, times: Sequence[float], variables: Sequence[Mapping[str, Any]]
@@ -334,7 +334,7 @@ class Judge:
                 begins with its key.
         """
         for term, text in zip(self.terms, self._texts, strict=True):
-            program = self._compiled(term.key, text)
+            program = compiled(self._interpreter, term.key, text)
             if not with_variables and self._uses_variables(program):
                 continue
             try:
@@ -372,23 +372,8 @@ class Judge:
                 return "" if is_hinted else f"; {self._if_unknown.format(name=node.name)}"
         return ""
 
-    def _compiled(self, key: str, text: str) -> CompiledProgram:
-        try:
-            program = self._interpreter.compile(f"{text};")
-        except SelectScriptError as error:
-            error.message = f"{key}: {error.message}"
-            raise
-        if len(program.tree.statements) != 1 or program.tree.explain:
-            raise ArgumentError(f"{key}: {text!r} is to be one expression")
-        for doubt in program.tree.suspicions:
-            if doubt.is_grave:
-                raise ArgumentError(
-                    f"{key}: {doubt.message}", text=program.tree.text, span=doubt.span
-                )
-        return program
-
     def _tree(self, text: str) -> Node:
-        return self._compiled("term", text).tree.statements[0]
+        return compiled(self._interpreter, "term", text).tree.statements[0]
 
     def _expanded(self, term: Term) -> str:
         """Returns the text of a term with the conditions that it names, and elements of lists."""
@@ -419,7 +404,7 @@ class Judge:
             replacements.append((node.span.start, node.span.end, replacement))
             return node
 
-        self._compiled(term.key, text).tree.statements[0].replaced(visit)
+        compiled(self._interpreter, term.key, text).tree.statements[0].replaced(visit)
         for start, end, replacement in sorted(replacements, reverse=True):
             text = text[:start] + replacement + text[end:]
         return text

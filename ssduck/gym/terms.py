@@ -5,12 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 from typing import Literal as OneOf
 
 from ssduck import validation
-from ssduck.errors import ArgumentError
+from ssduck.errors import ArgumentError, SelectScriptError
 from ssduck.formatting import short_repr
+
+if TYPE_CHECKING:
+    from ssduck.interpreter.interpreter import Interpreter
+    from ssduck.interpreter.program import CompiledProgram
 
 # A reward: one term, or several by name, which are added.
 Reward: TypeAlias = str | Mapping[str, str]
@@ -231,6 +235,21 @@ class Terms:
         parts = dict(zip(self.parts, left, strict=True))
         reward = sum(parts.values()) if parts else None
         return Judgement(success, failure, stop, reward, parts, computed)
+
+
+def compiled(interpreter: Interpreter, key: str, text: str) -> CompiledProgram:
+    """Returns the program of a term, which is one expression; errors begin with its key."""
+    try:
+        program = interpreter.compile(f"{text};")
+    except SelectScriptError as error:
+        error.message = f"{key}: {error.message}"
+        raise
+    if len(program.tree.statements) != 1 or program.tree.explain:
+        raise ArgumentError(f"{key}: {text!r} is to be one expression")
+    for doubt in program.tree.suspicions:
+        if doubt.is_grave:
+            raise ArgumentError(f"{key}: {doubt.message}", text=program.tree.text, span=doubt.span)
+    return program
 
 
 def is_nan(value: Any) -> bool:

@@ -77,7 +77,7 @@ STACKED = {
     "box": box(),
     "cube": CUBE,
     "cylinder": cylinder(),
-    "prism": Geometry.hull(solid_of(cylinder()).fine_surface.vertices),
+    "prism": Geometry.hull(solid_of(cylinder()).surface.vertices),
     "octahedron": Geometry.hull(np.vstack((np.eye(3), -np.eye(3))) / 2),
     "sphere": sphere(),
     "capsule": capsule(0.25, 0.5),

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 import ssduck
 from ssduck.geometry.proofs.cores import PlacedCores
-from ssduck.geometry.proofs.proposals import SomeInteriors
 from ssduck.geometry.proofs.verdicts import (
     ABOVE,
     BELOW,
@@ -209,7 +208,6 @@ def test_bodies_at_rest_are_not_compared_again(client, monkeypatch):
         )
 
     count(PlacedCores, "support_points")
-    count(SomeInteriors, "heights")  # of those that FCL proposes a proof for
     fill(client, MIXED, seed=8, side=0.8)
     with ssduck.Interpreter() as ss:
         world = ss.add_variable("w", ssduck.World.attach(client))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ssduck.geometry.proofs.gjk import tolerances
-from ssduck.geometry.proofs.proposals import Proof, Proposals, Proposer, proposals_of
+from ssduck.geometry.proofs.proposals import Proposer, gap_bounds
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Decisions
 from ssduck.geometry.solids import SolidsOfShapes, solid_of
 from tests.support import pairs
@@ -43,13 +43,13 @@ class Scene:
         return np.array([gap(*self.shapes[one : one + 2]).distance for one in self.first.tolist()])
 
 
-def decisions(two, bound, spoil=lambda proposals: proposals):
+def decisions(two, bound, spoil=lambda asked: asked):
     """Returns the decisions on pairs of shapes, and their signed distances."""
     scene = Scene(two)
-    proposed = spoil(proposals_of(scene.proposer.ask(scene.poses, *scene.pairs)))
-    proof = Proof(scene.cores, scene.proposer.interiors, proposed, *scene.pairs)
+    asked = spoil(scene.proposer.ask(scene.poses, *scene.pairs))
+    least, greatest = gap_bounds(scene.cores, scene.proposer.interiors, asked, *scene.pairs)
     bounds, error = np.full(len(scene.first), bound), tolerances(scene.cores, *scene.pairs)
-    return Decisions.of_interval(proof.least, proof.greatest, bounds, error), scene.gaps()
+    return Decisions.of_interval(least, greatest, bounds, error), scene.gaps()
 
 
 def check(found, gaps, bound):
@@ -79,10 +79,10 @@ def test_verdicts_and_rooms_are_what_gaps_say(bound):
 def test_wrong_proposals_give_no_wrong_verdict(bound, size):
     random = np.random.default_rng(3)
 
-    def spoil(one):
-        points = one.points + random.normal(size=one.points.shape) * size
-        directions = one.directions + random.normal(size=one.directions.shape) * size
-        return Proposals(points, directions, one.meet ^ (random.random(len(one.meet)) < 0.5))
+    def spoil(asked):
+        spoiled = asked + random.normal(size=asked.shape) * size
+        spoiled[random.random(len(asked)) < 0.5, 2] = 0.0  # as if they did not meet
+        return spoiled
 
     check(*decisions(random_pairs(6, 3), bound, spoil), bound)
 

@@ -340,7 +340,7 @@ def triangles(shape):
 
     ssduck cuts faces into triangles: the depths of crossing triangles depend on how.
     """
-    surface = solid_of(shape.geometry).fine_surface
+    surface = solid_of(shape.geometry).surface
     return surface.triangles @ shape.matrix.T + shape.position, corners(shape)[1]
 
 

@@ -52,7 +52,7 @@ class ConvexCores:
         # The radius of the ball in the core: a part of a round solid's ball is around its core.
         self.core_ball_radius = inscribed_radii - self.radius
         hulls = {
-            n: corners_from_centre(solid)
+            n: _corners_from_centre(solid)
             for n, solid in enumerate(of_each.distinct)
             if _has_corners(solid)
         }
@@ -80,7 +80,7 @@ def _has_corners(solid: Solid) -> bool:
     return solid.type in ("hull", "mesh") and len(solid.core) > 0
 
 
-def corners_from_centre(solid: Solid) -> Array:
+def _corners_from_centre(solid: Solid) -> Array:
     """Returns the corners of a hull or of a mesh's hull from the solid's centre, (n, 3)."""
     points = solid.hull_corners if solid.type == "mesh" else solid.core
     relative: Array = points - np.array(solid.centre)

@@ -14,14 +14,13 @@ counts:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from ssduck.geometry.arrays import Array, Flags, Indices, column_lengths, padded_columns
-from ssduck.geometry.proofs.cores import PlacedCores, corners_from_centre
+from ssduck.geometry.arrays import Array, Indices, column_lengths, padded_columns
+from ssduck.geometry.proofs.cores import PlacedCores
 from ssduck.geometry.proofs.gjk import tolerances
 from ssduck.geometry.proofs.verdicts import Decisions
 from ssduck.geometry.solids import Solid, SolidsOfShapes
@@ -31,21 +30,6 @@ _MAX_APART = 4096
 
 # The positions (n, 3) and the rotations (n, 3, 3) of shapes.
 Poses: TypeAlias = tuple[Array, Array]
-
-
-@dataclass(frozen=True, eq=False)
-class Proposals:
-    """Directions and points that may prove verdicts on n pairs of shapes.
-
-    Attributes:
-        points: (2, 3, n), on or in the first shapes, and the second ones, in the world.
-        directions: (3, n), from the second to the first, of any length.
-        meet: (n,), whether the shapes are thought to overlap, around the points.
-    """
-
-    points: Array
-    directions: Array
-    meet: Flags
 
 
 class Proposer:
@@ -70,10 +54,9 @@ class Proposer:
         self, bodies: PlacedCores, poses: Poses, first: Indices, second: Indices, bounds: Array
     ) -> Decisions:
         """Decides pairs whose signed distances are proved to be beyond the bounds."""
-        proposals = proposals_of(self.ask(poses, first, second))
-        proof = Proof(bodies, self.interiors, proposals, first, second)
-        error = tolerances(bodies, first, second)
-        return Decisions.of_interval(proof.least, proof.greatest, bounds, error)
+        asked = self.ask(poses, first, second)
+        least, greatest = gap_bounds(bodies, self.interiors, asked, first, second)
+        return Decisions.of_interval(least, greatest, bounds, tolerances(bodies, first, second))
 
     @cached_property
     def _objects(self) -> list[Any]:
@@ -134,14 +117,6 @@ class Proposer:
         return np.concatenate(rows).reshape(-1, 3, 3)
 
 
-def proposals_of(asked: Array) -> Proposals:
-    """Returns proposals of what FCL says of pairs; see `Proposer.ask`."""
-    on_first, on_second, directions = asked.transpose(1, 2, 0)
-    meet = np.asarray(directions.any(axis=0))
-    directions = np.where(meet, directions, on_first - on_second)
-    return Proposals(np.array((on_first, on_second)), directions, meet)
-
-
 _NO_DIRECTION = np.zeros(3)
 
 
@@ -165,85 +140,48 @@ def _geometry(solid: Solid) -> Any:
     return fcl.Convex(solid.core, len(solid.faces), corners.ravel())
 
 
-class Proof:
-    """Bounds of the signed distances of pairs of shapes, of whatever is proposed.
+def gap_bounds(
+    bodies: PlacedCores, interiors: ConvexInteriors, asked: Array, first: Indices, second: Indices
+) -> tuple[Array, Array]:
+    """Returns what the signed distances of pairs are at least and at most, (n,), metres.
 
-    Args:
-        bodies: the shapes.
-        interiors: their interiors.
-        proposals: points and directions.
-        first: (n,), shapes with known interiors.
-        second: (n,), the same.
-
-    Attributes:
-        least: (n,), what the signed distances are at least, metres.
-        greatest: (n,), what they are at most.
-        directions: (3, n), of unit length.
-        local: (3, 2 n), the points on the first shapes, then those on the second, in their frames
-            from the solids' centres.
-        meet: (n,), whether the shapes may overlap, so that the points are the same.
+    They hold whatever is `asked`, which `Proposer.ask` describes.
     """
-
-    def __init__(
-        self,
-        bodies: PlacedCores,
-        interiors: ConvexInteriors,
-        proposals: Proposals,
-        first: Indices,
-        second: Indices,
-    ) -> None:
-        both = np.concatenate((first, second))
-        inner, centres = interiors.of(both), bodies.centres.take(both, axis=1)
-        lengths = column_lengths(proposals.directions)
-        is_long = lengths > 0.0
-        self.directions = proposals.directions / np.where(is_long, lengths, 1.0)
-        self.directions[2] += ~is_long  # any direction of length 1 gives a bound
-        between_points = proposals.points[0] - proposals.points[1]
-        on_shapes = np.concatenate(proposals.points, axis=1) - centres
-        vectors = on_shapes, _outward(self.directions), _outward(0.5 * between_points)
-        local, outward, halves = bodies.to_local(both, np.array(vectors))
-        self.least = self._least(inner, outward, centres)
-        self.meet = proposals.meet | (self.least < 0.0)
-        halves *= np.concatenate((self.meet, self.meet))
-        local += halves
-        self.local = self._balanced(inner, outward, local)
-        self.local += SHRINK * (inner.inscribed_offsets - self.local)
-        self.greatest = self._greatest(inner, column_lengths(between_points) * ~self.meet)
-
-    def _least(self, inner: SomeInteriors, outward: Array, centres: Array) -> Array:
-        """Returns bounds from below, (n,): by the supports of the shapes against the directions."""
-        heights, count = inner.heights(outward), self.directions.shape[1]
-        offsets = centres[:, :count] - centres[:, count:]
-        least: Array = np.einsum("cn,cn->n", self.directions, offsets)
-        least -= heights[:count]
-        least -= heights[count:]
-        return least
-
-    def _balanced(self, inner: SomeInteriors, outward: Array, local: Array) -> Array:
-        """Returns points (3, 2 n); those of shapes that meet are about equally deep in both."""
-        if self.meet.any():
-            depths, count = inner.depths(local), len(self.meet)
-            steps = 0.5 * (depths[:count] - depths[count:])
-            steps *= self.meet
-            local += np.concatenate((steps, -steps)) * outward
-        return local
-
-    def _greatest(self, inner: SomeInteriors, apart: Array) -> Array:
-        """Returns bounds from above, (n,): by the balls in the shapes around the points."""
-        depths, count = inner.depths(self.local), len(apart)
-        radii = depths - inner.margins
-        greatest: Array = apart - radii[:count] - radii[count:]
-        greatest[(depths[:count] < 0.0) | (depths[count:] < 0.0)] = np.inf
-        return greatest
+    both, count = np.concatenate((first, second)), len(first)
+    centres = bodies.centres.take(both, axis=1)
+    on_first, on_second, normals = asked.transpose(1, 2, 0)
+    between = on_first - on_second
+    meet = np.asarray(normals.any(axis=0))
+    directions = np.where(meet, normals, between)
+    lengths = column_lengths(directions)
+    directions /= np.where(lengths > 0.0, lengths, 1.0)
+    directions[2] += lengths == 0.0  # any direction of length 1 gives a bound
+    # From below: by the supports of the shapes against the directions.
+    outward = np.concatenate((-directions, directions), axis=1)
+    reach = np.einsum("cn,cn->n", bodies.support_points(both, outward), outward)
+    reach += bodies.cores.radius.take(both)
+    least = np.einsum("cn,cn->n", directions, centres[:, :count] - centres[:, count:])
+    least -= reach[:count] + reach[count:]
+    # From above: by the balls in the shapes around the points; those of shapes that meet are one
+    # point, which is about equally deep in both.
+    meet |= least < 0.0
+    points = np.concatenate((on_first, on_second), axis=1) - centres
+    middles = np.concatenate((-0.5 * between * meet, 0.5 * between * meet), axis=1)
+    local, outward = bodies.to_local(both, np.array((points + middles, outward)))
+    inner = interiors.of(both)
+    if meet.any():
+        depths = inner.depths(local)
+        steps = 0.5 * (depths[:count] - depths[count:]) * meet
+        local += np.concatenate((steps, -steps)) * outward
+    local += SHRINK * (inner.inscribed_offsets - local)
+    depths = inner.depths(local)
+    radii = depths - inner.margins
+    greatest = column_lengths(between) * ~meet - radii[:count] - radii[count:]
+    greatest[(depths[:count] < 0.0) | (depths[count:] < 0.0)] = np.inf
+    return least, greatest
 
 
-def _outward(vectors: Array) -> Array:
-    """Returns the negative vectors (3, n) for the first shapes, and these for the second."""
-    both: Array = np.concatenate((-vectors, vectors), axis=1)
-    return both
-
-
-# -- how deep points are in shapes, and how far these reach, by closed forms -----------------------
+# -- how deep points are in shapes, by closed forms ----------------------------------------------
 
 # Points are moved by this fraction towards the middle of the shape, so that they are surely in it.
 SHRINK = 1e-8
@@ -272,11 +210,7 @@ class ConvexInteriors:
         rows = np.full(len(solids), -1)
         rows[hulls] = np.arange(len(hulls))
         self._hull_rows = rows[solid_indices]
-        # The corners and the planes of each hull, the last one repeated.
-        count = max((len(solids[n].core) for n in hulls), default=0)
-        self._corners = np.array(
-            [padded_columns(corners_from_centre(solids[n]), count) for n in hulls]
-        )
+        # The planes of each hull, the last one repeated.
         count = max((len(solids[n].normals) for n in hulls), default=0)
         self._planes = np.array([_planes(solids[n], count) for n in hulls])
 
@@ -285,7 +219,6 @@ class ConvexInteriors:
         return SomeInteriors(
             self._numbers.take(shapes, axis=1),
             self._hull_rows.take(shapes),
-            self._corners,
             self._planes,
         )
 
@@ -296,7 +229,6 @@ class SomeInteriors:
     Args:
         numbers: (rows, m), see `_numbers`.
         hull_rows: (m,), the place of each shape's hull; -1 for other shapes.
-        corners: (hulls, 3, k), those of hulls.
         planes: (hulls, 4, l), the normals and the offsets of hulls.
 
     Attributes:
@@ -305,24 +237,12 @@ class SomeInteriors:
             far more than the rounding errors of depths.
     """
 
-    def __init__(self, numbers: Array, hull_rows: Indices, corners: Array, planes: Array) -> None:
+    def __init__(self, numbers: Array, hull_rows: Indices, planes: Array) -> None:
         self._numbers = numbers
-        self.inscribed_offsets, self.margins = numbers[16:19], numbers[20]
+        self.inscribed_offsets, self.margins = numbers[10:13], numbers[13]
         self._hulls = np.flatnonzero(hull_rows >= 0)
         if len(self._hulls):
-            rows = hull_rows.take(self._hulls)
-            self._corners, self._planes = corners.take(rows, axis=0), planes.take(rows, axis=0)
-
-    def heights(self, directions: Array) -> Array:
-        """Returns the extents of the shapes from their centres in unit directions (3, m), (m,)."""
-        numbers = self._numbers
-        heights: Array = np.einsum("cn,cn->n", numbers[:3], np.abs(directions))
-        heights += column_lengths(numbers[3:6] * directions)
-        heights += numbers[19]
-        if len(self._hulls):
-            products = np.einsum("nck,cn->nk", self._corners, directions.take(self._hulls, axis=1))
-            heights[self._hulls] = products.max(axis=1)
-        return heights
+            self._planes = planes.take(hull_rows.take(self._hulls), axis=0)
 
     def depths(self, points: Array) -> Array:
         """Returns lower bounds of the depths of points (3, m), (m,), metres; negative outside.
@@ -331,11 +251,11 @@ class SomeInteriors:
         """
         numbers = self._numbers
         magnitudes = np.abs(points)
-        between = (numbers[6:9] - magnitudes).min(axis=0)
-        magnitudes -= numbers[9:12]
+        between = (numbers[0:3] - magnitudes).min(axis=0)
+        magnitudes -= numbers[3:6]
         scaled = np.maximum(magnitudes, 0.0, out=magnitudes)
-        scaled *= numbers[12:15]
-        depths: Array = np.minimum(between, numbers[15] * (1.0 - column_lengths(scaled)))
+        scaled *= numbers[6:9]
+        depths: Array = np.minimum(between, numbers[9] * (1.0 - column_lengths(scaled)))
         if len(self._hulls):
             planes = self._planes
             heights = np.einsum("nck,cn->nk", planes[:, :3], points.take(self._hulls, axis=1))
@@ -354,17 +274,15 @@ def _is_hull(solid: Solid) -> bool:
 
 
 # The rows of `_numbers`.
-_ROWS = 21
+_ROWS = 14
 
 
 def _numbers(solid: Solid) -> list[float]:
     """Returns the properties of a solid; those with x, y and z take three rows."""
     if not _has_inside(solid):
         return [0.0] * _ROWS
-    half = solid.core[-1].tolist() if solid.type in ("box", "capsule", "cylinder") else [0.0] * 3
     inside = np.subtract(solid.inscribed_centre, solid.centre).tolist()
-    last = solid.radius, 2.0 * SHRINK * solid.bounding_radius
-    return [*half, *solid.semi_axes, *_scaled_numbers(solid), *inside, *last]
+    return [*_scaled_numbers(solid), *inside, 2.0 * SHRINK * solid.bounding_radius]
 
 
 def _scaled_numbers(solid: Solid) -> list[float]:

@@ -277,7 +277,7 @@ def test_what_a_mesh_encloses(grid):
     """Points over its corners and edges too, and in the planes of its faces."""
     random = np.random.default_rng(3)
     for geometry in meshes():
-        surface = solid_of(geometry).fine_surface
+        surface = solid_of(geometry).surface
         points = random.integers(-16, 17, (1500, 3)) / 16
         if not grid:
             points = surface.vertices[random.integers(0, len(surface.vertices), (300, 4))]
