@@ -24,7 +24,7 @@ import pyarrow.parquet as pq
 import ssduck
 from benchmarks.timing import text_of, uncollected
 from ssduck import Recording
-from ssduck.recording.stores import checksums, descriptions, parquet_layout, part_log, tick_index
+from ssduck.recording.stores import descriptions, files, parquet_layout, part_log, tick_index
 
 # The greatest ratio.
 MAX_RATIO = 1.05
@@ -123,7 +123,7 @@ def _no_checksums() -> Iterator[None]:
     """Writes and reads records without checksums."""
     whole_file = {"verified_parquet": _unverified_parquet}
     replaced: list[tuple[Any, dict[str, Any]]] = [
-        (checksums, {"zlib": SimpleNamespace(crc32=lambda *_: 0)}),
+        (files, {"zlib": SimpleNamespace(crc32=lambda *_: 0)}),
         (pq, {"ParquetWriter": _writer_without_sums}),
         (descriptions, {"pop_checksum": _unchecked}),
         (part_log, {"log_problem": _no_problem}),
@@ -152,5 +152,5 @@ def _no_problem(*_: object, **__: object) -> None:
 
 
 def _unchecked(content: dict[str, Any]) -> bool:
-    content.pop(checksums.CHECKSUM_KEY, None)
+    content.pop(files.CHECKSUM_KEY, None)
     return True

@@ -16,7 +16,7 @@ from ssduck.demos.cleanup import Outcome
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.recording.spec import Recording
-from ssduck.recording.stores.checksums import write_json, write_parquet
+from ssduck.recording.stores.files import write_json, write_parquet
 
 # Of the ticks of the history, which are 0.27 s apart, each fourth one is kept.
 THINNED = 4

@@ -20,7 +20,7 @@ from ssduck.language.clauses import Rows
 from ssduck.language.operators import size_of
 from ssduck.language.tree import Query
 from ssduck.limits import Limits, UsageMeter
-from ssduck.recording.stores.atomic_files import write_atomically
+from ssduck.recording.stores.files import write_atomically
 from ssduck.world.entities import Sensor
 from ssduck.world.handles import Handle
 from ssduck.world.world import World

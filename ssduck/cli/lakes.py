@@ -180,7 +180,7 @@ def tag(
     ssduck tag runs task=pick --program "success=on(sim.table, sim.cup);"
     """
     from ssduck.lakes.lake import Lake as Episodes
-    from ssduck.recording.tags import parsed_tag
+    from ssduck.recording.episode import parsed_tag
 
     if not tags and not program:
         raise typer.BadParameter("there is no tag: give NAME=VALUE, or --program NAME=PROGRAM")

@@ -79,8 +79,8 @@ def record(
     """Simulate a scene and record it; each step of the simulator is a tick."""
     from ssduck.interpreter.archives import episodes as episodes_of
     from ssduck.interpreter.opening import load
+    from ssduck.recording.episode import parsed_tag
     from ssduck.recording.spec import Recording
-    from ssduck.recording.tags import parsed_tag
     from ssduck.schema import RECORDABLE
     from ssduck.validation import steps_in
 
@@ -174,7 +174,7 @@ def export(
 ) -> None:
     """Write an episode of a record, or a part of it, to a folder or in a format of other tools."""
     from ssduck.interpreter.opening import open_record
-    from ssduck.recording.tags import parsed_tag
+    from ssduck.recording.episode import parsed_tag
 
     tags = dict(map(parsed_tag, tag or ()))
     if format != "folder":

@@ -41,13 +41,12 @@ from ssduck.database.worlds import PinnedWorlds, WorldRegistry
 from ssduck.errors import ArgumentError, EvaluationError, LimitError, SqlError
 from ssduck.language.builtins import Function
 from ssduck.limits import Limits
-from ssduck.recording.export import export
+from ssduck.recording.episode import Tags
 from ssduck.recording.folder_episodes import BegunEpisode
-from ssduck.recording.folder_recording import ParquetRecording
+from ssduck.recording.folder_recording import ParquetRecording, export
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.replay.record import Record
 from ssduck.recording.spec import Recording, check_names, no_ticks_message
-from ssduck.recording.tags import Tags
 from ssduck.schema import HISTORIES, TABLES
 from ssduck.sql.types import Signature, SqlType
 from ssduck.world import ctrl_c

@@ -8,6 +8,7 @@ from pathlib import Path
 from ssduck.database.binding import BoundWorld, WorldHistory
 from ssduck.database.connection import Connection
 from ssduck.errors import UnsupportedError
+from ssduck.recording.episode import Tags
 from ssduck.recording.folder_recording import ParquetRecording
 from ssduck.recording.recorder import BUFFERED_TICKS, MEMORY_TICKS, Recorder
 from ssduck.recording.replay.record import Record
@@ -17,7 +18,6 @@ from ssduck.recording.stores.duckdb import DuckDBStore
 from ssduck.recording.stores.memory import MemoryStore
 from ssduck.recording.stores.model_tables import RUN_SCHEMA
 from ssduck.recording.stores.parquet import PART_TICKS
-from ssduck.recording.tags import Tags
 from ssduck.world import ctrl_c
 from ssduck.world.world import World
 

@@ -18,10 +18,10 @@ from ssduck.database.referenced_tables import ReadData
 from ssduck.database.schemas import Schemas, register_rows
 from ssduck.database.statement import PreparedPlans
 from ssduck.errors import ArgumentError
+from ssduck.recording.episode import Tags
 from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.model_tables import ABOUT, RUN_SCHEMA
-from ssduck.recording.tags import Tags
 from ssduck.world.batches.batch_world import BatchWorld
 from ssduck.world.construction import UNNAMED
 from ssduck.world.observers import EpisodeObserver

@@ -53,14 +53,7 @@ INDICES = ("frame_index", "episode_index", "index", "task_index")
 
 
 def write_dataset(folder: Path, motions: Iterable[Motion], fps: int | None = None) -> Path:
-    """Writes episodes as a dataset; all of it, or nothing.
-
-    Args:
-        folder: a new or empty folder.
-        motions: the episodes, whose entities and joints have the same names.
-        fps: the frames per second. A frame has the last tick until its time. None for a frame for
-            each tick, if the ticks of all episodes are evenly spaced, and equally far apart.
-    """
+    """Writes episodes as a dataset; all of it, or nothing."""
     try:
         if folder.exists() and any(folder.iterdir()):
             raise RecordError(f"{folder} is not empty: give a new folder")

@@ -29,7 +29,7 @@ from ssduck import validation
 from ssduck.errors import NumberError, RecordError, check_known
 from ssduck.language.intervals import INTERVALS, RELATIONS_OF_INTERVALS
 from ssduck.recording.paths import FORMAT, part_name
-from ssduck.recording.stores.checksums import verified_parquet, write_parquet
+from ssduck.recording.stores.files import verified_parquet, write_parquet
 from ssduck.recording.stores.history_sql import all_columns
 from ssduck.recording.stores.parquet_layout import PAIRS, FolderRun
 from ssduck.recording.stores.stored_columns import part_columns

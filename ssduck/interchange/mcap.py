@@ -23,7 +23,7 @@ from ssduck.adapters.optional import library
 from ssduck.errors import ArgumentError
 from ssduck.geometry.shapes import PlacedGeometry
 from ssduck.interchange.motion import Motion, mesh_of
-from ssduck.recording.stores.atomic_files import write_with_folders
+from ssduck.recording.stores.files import write_with_folders
 
 WORLD_FRAME = "world"
 TRANSFORMS, SCENE, TICKS = "/tf", "/scene", "/ssduck/tick"

@@ -93,17 +93,7 @@ def batch_of(
     *,
     are_whole: bool = True,
 ) -> PoseBatch:
-    """Returns poses as a batch; see `ssduck.write_record`.
-
-    Args:
-        frames: the frames of the record.
-        poses: an array, arrays by name, or a table.
-        times: the times of the ticks, s, (ticks,); None if a table has them.
-        velocities: like `poses`; None for unknown ones.
-        after: the time of the last tick before them, s; None if there is none.
-        are_whole: whether a tick of a table that has a part of an entity is an error; otherwise
-            the entity is not there.
-    """
+    """Returns poses as a batch; see `ssduck.write_record`."""
     if hasattr(poses, "__arrow_c_stream__") or hasattr(poses, "__arrow_c_array__"):
         if times is not None or velocities is not None:
             raise ArgumentError(

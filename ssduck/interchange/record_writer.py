@@ -22,11 +22,10 @@ from ssduck.geometry.poses import IDENTITY, rotation_matrices, unit_quaternions
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.interchange.pose_batches import Frames, PoseBatch, batch_of
 from ssduck.recording.buffers import MAX_BUFFERED_ROWS
-from ssduck.recording.episode import Episode
+from ssduck.recording.episode import Episode, Tags, given_tags
 from ssduck.recording.paths import expand_path
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.parquet import PART_TICKS, ParquetStore
-from ssduck.recording.tags import Tags, given_tags
 from ssduck.schema import FRAMES, LINK_FACTOR, MAX_LINKS, RECORDED
 from ssduck.simulators.interface import Body, Link, LinkPoses
 from ssduck.simulators.scene_bodies import PRIMITIVES
@@ -338,11 +337,7 @@ class RecordWriter:
             self.write(batch)
 
     def write_whole(self, batches: Iterable[PoseBatch]) -> Episode:
-        """Writes all batches of the episode, or nothing.
-
-        Raises:
-            ArgumentError: there is no tick.
-        """
+        """Writes all batches of the episode, or nothing."""
         try:
             for batch in batches:
                 if len(batch.times):

@@ -14,7 +14,7 @@ import numpy as np
 from ssduck.adapters.optional import library
 from ssduck.geometry.shapes import PlacedGeometry
 from ssduck.interchange.motion import Motion, mesh_of
-from ssduck.recording.stores.atomic_files import write_with_folders
+from ssduck.recording.stores.files import write_with_folders
 
 
 def write_rrd(file: Path, motion: Motion) -> Path:

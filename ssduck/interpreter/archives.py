@@ -14,7 +14,7 @@ from ssduck import validation
 from ssduck.database.database import Database
 from ssduck.database.file_paths import CHECK_HINT, log_of
 from ssduck.errors import RecordError, SqlError, nearest, record_errors
-from ssduck.recording.episode import Episode, extent_of
+from ssduck.recording.episode import Episode, Tags, extent_of
 from ssduck.recording.folder_check import DAMAGED, Damage, check_folder, set_aside
 from ssduck.recording.folder_episodes import runs_in
 from ssduck.recording.opened_record import OpenedRecord
@@ -34,7 +34,6 @@ from ssduck.recording.stores.duckdb import DuckDBStore
 from ssduck.recording.stores.model_tables import ABOUT, RUN_SCHEMA, VERSION, RecordFile
 from ssduck.recording.stores.parquet_archive import ParquetArchive
 from ssduck.recording.stores.parquet_layout import FolderRun
-from ssduck.recording.tags import Tags
 from ssduck.schema import MODELS, RECORDABLE
 from ssduck.simulators.scene_bodies import MODEL_SUFFIXES
 from ssduck.world.run_numbers import new_run

@@ -20,13 +20,13 @@ from ssduck.interchange.macros import checked_distance, pair_query, write_pairs
 from ssduck.interpreter.planner import Planner
 from ssduck.interpreter.program import CompiledProgram
 from ssduck.interpreter.triggers.registry import TriggerRegistry
+from ssduck.recording.episode import Tags, given_tags
 from ssduck.recording.folder_episodes import whole_record
 from ssduck.recording.folder_recording import ParquetRecording
 from ssduck.recording.paths import episode_number, expand_path
 from ssduck.recording.replay.past import Past, past_of
 from ssduck.recording.spec import Recording, no_ticks_message
 from ssduck.recording.stores.parquet_layout import FolderRun
-from ssduck.recording.tags import Tags, given_tags
 from ssduck.schema import RECORDABLE
 from ssduck.world.entities import Entity
 from ssduck.world.world import World

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -14,9 +15,9 @@ import pyarrow as pa
 from ssduck.errors import ProgramWarning, warn
 from ssduck.formatting import count_of
 from ssduck.lakes.manifest import EpisodeEntry
-from ssduck.lakes.questions import Question, from_text, to_text
+from ssduck.lakes.questions import Question
 from ssduck.lakes.workers import Answer
-from ssduck.recording.stores.checksums import verified_parquet, write_parquet
+from ssduck.recording.stores.files import verified_parquet, write_parquet
 
 KEYS = ("world", "episode", "path")
 ERROR = "error"
@@ -42,7 +43,7 @@ class AnsweredEpisode:
     @property
     def value(self) -> Any:
         """The answer."""
-        return None if self.text is None else from_text(self.text)
+        return None if self.text is None else json.loads(self.text)
 
 
 def answer_table(answered: Iterable[AnsweredEpisode]) -> pa.Table:
@@ -112,7 +113,7 @@ def _array(values: Sequence[Any]) -> pa.Array:
         array = None
     if array is not None and _are_same(array.to_pylist(), list(values)):
         return array
-    return pa.array([None if value is None else to_text(value) for value in values], pa.string())
+    return pa.array([None if value is None else json.dumps(value) for value in values], pa.string())
 
 
 def _are_same(found: Any, value: Any) -> bool:
@@ -131,12 +132,7 @@ def _are_same(found: Any, value: Any) -> bool:
 
 
 class KeptAnswers:
-    """The answers of episodes in finished batches, in a folder with a file for each batch.
-
-    Args:
-        folder: the folder; it is made if it does not exist. None to keep nothing.
-        question: the question.
-    """
+    """The answers of episodes in finished batches, in a folder with a file for each batch."""
 
     def __init__(self, folder: Path | None, question: Question) -> None:
         self._folder = folder

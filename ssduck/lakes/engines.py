@@ -124,14 +124,7 @@ def _read_answers(file: Path) -> list[Answer]:
 def answer_on_ray(
     question: Question, batches: Sequence[Batch], options: Mapping[str, Any] | None
 ) -> Answers:
-    """Answers batches as tasks of Ray, which starts those again whose process was killed.
-
-    Args:
-        question: the question.
-        batches: the batches.
-        options: the arguments of `ray.init`, unless Ray runs already; by default, a cluster on
-            this machine only, without a dashboard.
-    """
+    """Answers batches as tasks of Ray, which starts those again whose process was killed."""
     try:
         import ray
     except ImportError as error:
@@ -152,13 +145,7 @@ def answer_on_ray(
 
 
 def answer_on_spark(question: Question, batches: Sequence[Batch], session: Any) -> Answers:
-    """Answers batches as a job of Spark: `mapInArrow` over the batches, one a partition.
-
-    Args:
-        question: the question.
-        batches: the batches.
-        session: the `SparkSession`; None for one on this machine, `local[*]`.
-    """
+    """Answers batches as a job of Spark: `mapInArrow` over the batches, one a partition."""
     try:
         from pyspark.sql import SparkSession
     except ImportError as error:

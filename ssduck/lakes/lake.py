@@ -45,6 +45,7 @@ from ssduck.lakes.scan import DUCKDB_SUFFIX, entries_of_records, missing, record
 from ssduck.lakes.statements import SqlDialect, statement
 from ssduck.lakes.where import condition, no_episode
 from ssduck.limits import Limits
+from ssduck.recording.episode import Tag, checked_tags, given_tags
 from ssduck.recording.paths import expand_path
 from ssduck.recording.replay.progress import Progress
 from ssduck.recording.stores.descriptions import checked_description
@@ -52,7 +53,6 @@ from ssduck.recording.stores.object_store import ObjectPath
 from ssduck.recording.stores.parquet import write_tags
 from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.recording.stores.summaries import size_and_time
-from ssduck.recording.tags import Tag, checked_tags, given_tags
 
 MANIFEST = "ssduck-manifest"
 # The number of episodes that are asked together, at most.

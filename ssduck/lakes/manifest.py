@@ -16,11 +16,11 @@ from typing import Any
 
 import pyarrow as pa
 
+from ssduck.recording.episode import Tag
 from ssduck.recording.paths import expand_path
-from ssduck.recording.stores.checksums import verified_parquet, write_parquet
+from ssduck.recording.stores.files import verified_parquet, write_parquet
 from ssduck.recording.stores.object_store import ObjectPath
 from ssduck.recording.stores.summaries import StoredFile
-from ssduck.recording.tags import Tag
 
 VERSION = 1
 _LABEL = b"ssduck manifest"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, fields
@@ -246,13 +245,3 @@ def plain(value: Any) -> Any:
     raise ArgumentError(
         f"the answer is {short_repr(value)}: ask for numbers, texts, lists or records"
     )
-
-
-def to_text(answer: Any) -> str:
-    """Returns a plain answer as a text, from which `from_text` makes exactly the same."""
-    return json.dumps(answer)
-
-
-def from_text(text: str) -> Any:
-    """Returns the answer that `to_text` wrote."""
-    return json.loads(text)

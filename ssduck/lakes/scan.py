@@ -8,8 +8,9 @@ import re
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import TypeAlias
 
 import pyarrow as pa
 
@@ -19,8 +20,7 @@ from ssduck.lakes.manifest import EpisodeEntry
 from ssduck.recording.episode_steps import FOLDER as STEPS
 from ssduck.recording.folder_episodes import ABOUT, VERSION, check_about, lost_runs, runs_named
 from ssduck.recording.paths import expand_path
-from ssduck.recording.stores.atomic_files import is_temporary
-from ssduck.recording.stores.checksums import checksum_of, parquet_problem
+from ssduck.recording.stores.files import checksum_of, is_temporary, parquet_problem
 from ssduck.recording.stores.object_store import ObjectPath, file_system, reading
 from ssduck.recording.stores.parquet_layout import LOG, PAIRS, FolderRun
 from ssduck.recording.stores.summaries import (
@@ -51,23 +51,8 @@ _OF_RUN = ("id", "started", "complete", *_EXTENT, "every", "tables", "entities")
 MISSING = "is missing: its files were there when the manifest was made"
 
 
-@dataclass(frozen=True)
-class FoundEpisode:
-    """An episode that was found in a record.
-
-    Attributes:
-        path: the record.
-        world: the name of the world.
-        episode: the number of the episode.
-        listing: its files.
-        entry: what is known of it, of a DuckDB file; None for an episode in a folder.
-    """
-
-    path: Path
-    world: str
-    episode: int
-    listing: Listing
-    entry: EpisodeEntry | None = None
+# An episode in a folder with its files, or the entry of one of which no more is to be read.
+_Found: TypeAlias = EpisodeEntry | tuple[FolderRun, Listing]
 
 
 def records_below(place: Path) -> Iterator[Path]:
@@ -75,9 +60,6 @@ def records_below(place: Path) -> Iterator[Path]:
 
     A record may have others in its folder, beside its own files. Warns of folders that cannot be
     listed.
-
-    Raises:
-        OSError: the folder itself cannot be listed.
     """
 
     def note(error: OSError) -> None:
@@ -133,44 +115,42 @@ def objects_below(place: ObjectPath) -> dict[str, tuple[int, int]]:
     }
 
 
-def found_in(record: Path) -> list[FoundEpisode]:
-    """Returns the episodes of a record, with their files; reads none of a folder."""
+def _found_in(record: Path) -> Iterator[_Found]:
+    """Yields the episodes of a record; reads none of a folder."""
     if isinstance(record, ObjectPath):
-        return _found_in_store(record)
-    if record.is_file():
-        return _found_in_file(record)
+        for (world, number), listing in sorted(_listings_in_store(record).items()):
+            yield FolderRun(record, world, number), listing
+    elif record.is_file():
+        yield from _entries_of_file(record)
+    else:
+        try:
+            runs = runs_named(record)
+            runs += lost_runs(record, [(run.world, run.number) for run in runs])
+        except OSError as error:  # a RecordError is one
+            yield _unreadable(record, error)
+            return
+        yield from map(_found_run, runs)
+
+
+def _found_run(run: FolderRun) -> _Found:
     try:
-        runs = runs_named(record)
-        runs += lost_runs(record, [(run.world, run.number) for run in runs])
-    except (RecordError, OSError) as error:
-        return [_unreadable(record, "", 0, error)]
-    return [_found_run(run) for run in runs]
+        return run, _listing(run)
+    except OSError as error:  # a RecordError is one
+        return _unreadable(run.path, error, run.world, run.number)
 
 
-def _found_run(run: FolderRun) -> FoundEpisode:
-    """Returns an episode in a folder, with its files."""
-    try:
-        return FoundEpisode(run.path, run.world, run.number, _listing(run))
-    except (RecordError, OSError) as error:
-        return _unreadable(run.path, run.world, run.number, error)
+def _unreadable(record: Path, error: Exception, world: str = "", number: int = 0) -> EpisodeEntry:
+    """Returns the entry of an episode, or of a record, that cannot be read."""
+    message = str(error)
+    if isinstance(error, SelectScriptError):
+        message = error.message
+    elif isinstance(error, OSError) and error.filename is not None:
+        message = f"{error.filename}: {error.strerror}"
+    return EpisodeEntry(str(record), world, number, error=message)
 
 
-def _text_of(error: Exception) -> str:
-    """Returns what an error of the operating system says, beginning with the file."""
-    if isinstance(error, OSError) and error.filename is not None:
-        return f"{error.filename}: {error.strerror}"
-    return str(error)
-
-
-def _unreadable(record: Path, world: str, number: int, error: Exception) -> FoundEpisode:
-    """Returns an episode whose files cannot be listed."""
-    message = error.message if isinstance(error, RecordError) else _text_of(error)
-    entry = EpisodeEntry(str(record), world, number, error=message)
-    return FoundEpisode(record, world, number, {}, entry)
-
-
-def _found_in_store(record: ObjectPath) -> list[FoundEpisode]:
-    """Returns the episodes of a record in an object store, of one listing."""
+def _listings_in_store(record: ObjectPath) -> dict[tuple[str, int], dict[str, tuple[int, int]]]:
+    """Returns the files of each episode of a record in an object store, of one listing."""
     objects = objects_below(record)
     others = {name[: -len(ABOUT)] for name in objects if name.endswith(f"/{ABOUT}")}
     listings: dict[tuple[str, int], dict[str, tuple[int, int]]] = {}
@@ -180,7 +160,7 @@ def _found_in_store(record: ObjectPath) -> list[FoundEpisode]:
             world, number = (match["world"] or match["described"]), match["part_of"]
             key = world, int(number or match["number"])
             listings.setdefault(key, {ABOUT: objects.get(ABOUT, (0, 0))})[name] = about
-    return [FoundEpisode(record, *key, listing) for key, listing in sorted(listings.items())]
+    return listings
 
 
 def _listing(run: FolderRun) -> dict[str, tuple[int, int]]:
@@ -205,22 +185,17 @@ def _listing_of_file(file: Path) -> Listing:
     return {one.name: size_and_time(one) for one in (file, log) if one.is_file()}
 
 
-def _found_in_file(file: Path) -> list[FoundEpisode]:
-    """Returns the episodes of a DuckDB file."""
-    listing = _listing_of_file(file)
+def _entries_of_file(file: Path) -> list[EpisodeEntry]:
+    """Returns the entries of the episodes of a DuckDB file."""
     try:
         files = tuple(
             StoredFile(name, size, modified, checksum_of(file.with_name(name)))
-            for name, (size, modified) in sorted(listing.items())
+            for name, (size, modified) in sorted(_listing_of_file(file).items())
         )
-    except OSError as error:
-        return [_unreadable(file, "", 0, error)]
-    try:
         listed = episodes(file)
-    except SelectScriptError as error:
-        entry = EpisodeEntry(str(file), "", 0, error=error.message)
-        return [FoundEpisode(file, "", 0, listing, entry)]
-    entries = [
+    except (SelectScriptError, OSError) as error:
+        return [_unreadable(file, error)]
+    return [
         EpisodeEntry(
             str(file),
             one.world,
@@ -232,7 +207,6 @@ def _found_in_file(file: Path) -> list[FoundEpisode]:
         )
         for one in listed
     ]
-    return [FoundEpisode(file, e.world, e.episode, listing, e) for e in entries]
 
 
 def entries_of_records(
@@ -247,16 +221,16 @@ def entries_of_records(
         if _is_unchanged_file(record, before_of_file):
             yield from before_of_file
             continue
-        for found in found_in(record):
-            before = known.get((str(found.path), found.world, found.episode))
-            if found.entry is not None:
-                yield found.entry
-            elif before is not None and _is_unchanged(before, found.listing):
+        for found in _found_in(record):
+            if isinstance(found, EpisodeEntry):
+                yield found
+                continue
+            run, listing = found
+            before = known.get((str(run.path), run.world, run.number))
+            if before is not None and _is_unchanged(before, listing):
                 yield before
-            else:
-                entry = _described(found)
-                if entry is not None:
-                    yield entry
+            elif (entry := _described(run, listing)) is not None:
+                yield entry
 
 
 def _is_unchanged_file(record: Path, entries: Sequence[EpisodeEntry]) -> bool:
@@ -279,19 +253,18 @@ def missing(entry: EpisodeEntry) -> EpisodeEntry:
     return replace(entry, error=message, group=None, files=())
 
 
-def _described(found: FoundEpisode) -> EpisodeEntry | None:
+def _described(run: FolderRun, listing: Listing) -> EpisodeEntry | None:
     """Returns the entry of an episode in a folder; None if an export has not finished it."""
-    entry = EpisodeEntry(str(found.path), found.world, found.episode)
-    run = FolderRun(found.path, found.world, found.episode)
+    entry = EpisodeEntry(str(run.path), run.world, run.number)
     try:
         if not run.about_file.is_file():
             raise RecordError(f"{run.about_file} is missing, and ticks of its episode are there")
-        check_about(found.path)
+        check_about(run.path)
         if not run.has_begun:
             return None
         if not run.has_ticks:
             raise RecordError(f"no tick of {run.world!r} was stored before the recording ended")
-        return _entry_of(run, entry, found.listing)
+        return _entry_of(run, entry, listing)
     except RecordError as error:
         return replace(entry, error=error.message)
     except (OSError, pa.ArrowException) as error:

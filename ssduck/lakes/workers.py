@@ -1,15 +1,17 @@
 """Answers a question for some episodes: what each process of an engine does.
 
-Episodes of the same group are one record (`ssduck.interpreter.episode_batches`). Whatever fails
+Episodes of the same group are one record (`ssduck.interpreter.episode_batches`): a manifest says
+which are, from the rows of their models, and has the checksums of their files. Whatever fails
 there, a changed file as well as a program that has no value, is asked again of the episode by
 itself, as `ssduck.open` does: its answer or its error is the result.
 """
 
 from __future__ import annotations
 
+import json
 import threading
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from itertools import islice
@@ -24,20 +26,86 @@ from ssduck.gym.terms import Terms
 from ssduck.interpreter.episode_batches import BatchInterpreter, collected_doubts
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.opening import open_record
-from ssduck.lakes.groups import EpisodeGroup
 from ssduck.lakes.manifest import EpisodeEntry
 from ssduck.lakes.pool import pools
-from ssduck.lakes.questions import Answering, Question, StepsQuestion, from_text, to_text
+from ssduck.lakes.questions import Answering, Question, StepsQuestion
 from ssduck.lakes.scan import entries_of_records
 from ssduck.limits import Limits
-from ssduck.recording.paths import expand_path
+from ssduck.recording.paths import expand_path, part_name
 from ssduck.recording.recorded_visuals import camera_of
 from ssduck.recording.spec import Recording
-from ssduck.recording.stores.checksums import checksum_of
-from ssduck.recording.stores.episode_batch import BatchedEpisode, DamagedEpisodeError
+from ssduck.recording.static_tables import run_of
+from ssduck.recording.stores.episode_batch import BatchedEpisode, BatchedFile, DamagedEpisodeError
+from ssduck.recording.stores.files import checksum_of
 from ssduck.recording.stores.object_store import ObjectPath, is_address
-from ssduck.recording.stores.summaries import size_and_time
-from ssduck.schema import RECORDABLE
+from ssduck.recording.stores.parquet_layout import FolderRun
+from ssduck.recording.stores.summaries import StoredFile, size_and_time
+from ssduck.schema import MODELS, RECORDABLE
+
+
+class EpisodeGroup:
+    """The episodes with the models, tables and entities of one of them.
+
+    Attributes:
+        run: the episode.
+        models: the rows of each model.
+        number: the number of its run.
+    """
+
+    def __init__(self, entry: EpisodeEntry) -> None:
+        self.run = _run_of(entry)
+        self.models = {table: self.run.read(f"models/{table}") for table in MODELS}
+        self.number = run_of(self.models) or 0
+        # The files of the episodes whose descriptions were read.
+        self._described: dict[tuple[str, str, int], tuple[StoredFile, ...]] = {}
+
+    def files_of(self, entry: EpisodeEntry) -> EntryFiles:
+        """Returns the files of an episode of the group."""
+        if self._described.get(entry.key) != entry.files:
+            run = _run_of(entry)
+            if _description(run) != _description(self.run):
+                raise RecordError(f"{run.about_file} describes another recording than its group's")
+            self._described[entry.key] = entry.files
+        return EntryFiles(entry)
+
+
+def _run_of(entry: EpisodeEntry) -> FolderRun:
+    return FolderRun(expand_path(entry.path), entry.world, entry.episode)
+
+
+def _description(run: FolderRun) -> tuple[object, ...]:
+    """Returns what the description of an episode has in common with others of its group."""
+    return run.world, run.tables, run.recording, run.description.get("camera")
+
+
+class EntryFiles:
+    """The parts of an episode, as its entry has them."""
+
+    def __init__(self, entry: EpisodeEntry) -> None:
+        self._path = entry.path
+        self._end = f"/world={entry.world}/episode={entry.episode}"
+        self._sums: dict[str, dict[str, int]] = {}
+        for file in entry.files:
+            folder, _, name = file.name.rpartition("/")
+            self._sums.setdefault(folder, {})[name] = file.checksum
+
+    def parts(self, table: str) -> list[BatchedFile]:
+        """Returns the files of a table, in their order."""
+        folder = f"{table}{self._end}"
+        sums: Mapping[str, int] = self._sums.get(folder, {})
+        names = [part_name(number) for number in range(len(sums))]
+        if not names or sorted(sums) != names:
+            raise RecordError(f"{self._path}/{folder} has other files than complete parts")
+        place = f"{_resolved(self._path)}/{folder}"
+        return [BatchedFile(f"{place}/{name}", sums[name], table) for name in names]
+
+
+@lru_cache(maxsize=1024)
+def _resolved(path: str) -> str:
+    """Returns the path of a record without links."""
+    place = expand_path(path).resolve()
+    return str(place) if isinstance(place, ObjectPath) else place.as_posix()
+
 
 # What reading a damaged file may raise.
 UNREADABLE = (SelectScriptError, OSError, pa.ArrowException, KeyError, TypeError, ValueError)
@@ -203,7 +271,7 @@ def answer_by_itself(question: Question, entry: EpisodeEntry) -> Answer:
 def _answer(answering: Answering, interpreter: Interpreter, entry: EpisodeEntry) -> Answer:
     """Returns the answer of an episode, with what would be warnings of an interpreter."""
     with collected_doubts(interpreter) as doubts:
-        text = to_text(answering(interpreter, entry))
+        text = json.dumps(answering(interpreter, entry))
     return Answer(text, doubts=tuple(doubts))
 
 
@@ -254,7 +322,7 @@ def step_scores(
         scores = {entry.episode: answer.text for entry, answer in answers}
         for number in portion:
             text = scores.get(number)
-            yield None if text is None else _score_of(from_text(text))
+            yield None if text is None else _score_of(json.loads(text))
 
 
 def _score_of(told: dict[str, object]) -> EpisodeScore:

@@ -52,10 +52,6 @@ class BackgroundWriter:
     A batch is readable here until it is readable in the store. The writing thread holds `lock`
     during the transition, and a reader of both holds it while it reads.
 
-    Args:
-        append: stores a batch atomically, and holds the given lock while the rows become readable.
-        tables: the columns of each table of a batch.
-
     Attributes:
         lock: is held while the batches and the store are read together.
         batches: the rows that are not stored yet, by table.
@@ -133,9 +129,6 @@ class BackgroundWriter:
         """Waits until the background thread has ended.
 
         Ctrl-C that is deferred is delivered if there is something to wait for, and only then.
-
-        Args:
-            is_final: whether it stays deferred: nobody could store what is left.
         """
         if not self.is_busy:
             return

@@ -5,11 +5,9 @@ The table shows new rows at once.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -73,18 +71,16 @@ class RowBuffer:
     ) -> None:
         self._names = integers, doubles, booleans
         self.count = 0
-        self._lent_buffers: list[list[npt.NDArray[Any]]] = []
         self._allocate(_MIN_ROWS)
 
     def _allocate(self, capacity: int) -> None:
-        integers, _, booleans = self._names
+        integers, doubles, booleans = self._names
         self.capacity = capacity
-        arrays = self._take_arrays(capacity)
-        self.integers = dict(zip(integers, arrays[: len(integers)], strict=True))
+        self.integers = {name: np.zeros(capacity, dtype=np.int64) for name in integers}
         self.ticks = self.integers["tick"]
         self.ticks.fill(-1)
-        self.doubles = arrays[len(integers)]
-        self.booleans = dict(zip(booleans, arrays[len(integers) + 1 :], strict=True))
+        self.doubles = np.zeros((len(doubles), capacity))
+        self.booleans = {name: np.zeros(capacity, dtype=np.uint8) for name in booleans}
         self.arrow = self._table(slice(0, capacity))
         self.version = new_version()
 
@@ -101,22 +97,6 @@ class RowBuffer:
             for column in columns
         ]
         return pa.table(arrays, names=[name for names in self._names for name in names])
-
-    def _take_arrays(self, capacity: int) -> list[npt.NDArray[Any]]:
-        """Returns arrays of integers, doubles and booleans, released ones where there are some."""
-        integers, doubles, booleans = self._names
-        free = [arrays for arrays in self._lent_buffers if _is_unreferenced(arrays)]
-        self._lent_buffers = [
-            arrays for arrays in self._lent_buffers if not any(arrays is other for other in free)
-        ]
-        for arrays in free:
-            if len(arrays[0]) == capacity:
-                return arrays
-        return [
-            *(np.zeros(capacity, dtype=np.int64) for _ in integers),
-            np.zeros((len(doubles), capacity)),
-            *(np.zeros(capacity, dtype=np.uint8) for _ in booleans),
-        ]
 
     @property
     def row_bytes(self) -> int:
@@ -165,9 +145,6 @@ class RowBuffer:
             self.clear()
         else:
             rows = self.rows()
-            self._lent_buffers.append(
-                [*self.integers.values(), self.doubles, *self.booleans.values()]
-            )
             self._allocate(self.capacity)
             self.count = 0
         return rows
@@ -176,11 +153,6 @@ class RowBuffer:
         """Discards the buffered rows."""
         self.ticks[: self.count] = -1
         self.count = 0
-
-
-def _is_unreferenced(arrays: list[npt.NDArray[Any]]) -> bool:
-    """Checks whether only their list, and this call, refer to these arrays."""
-    return all(sys.getrefcount(arrays[place]) == 2 for place in range(len(arrays)))
 
 
 @cache
@@ -213,12 +185,7 @@ class TickBuffer:
 
     @classmethod
     def from_arrays(cls, numbers: npt.ArrayLike, times: npt.ArrayLike) -> TickBuffer:
-        """Makes a buffer of ticks in ascending order.
-
-        Args:
-            numbers: the numbers of the ticks, (n,).
-            times: their simulated times, s, (n,).
-        """
+        """Makes a buffer of ticks in ascending order."""
         ticks = cls()
         ticks._numbers = np.array(numbers, dtype=np.int64)
         ticks._times = np.array(times, dtype=np.float64)

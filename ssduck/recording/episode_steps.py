@@ -20,9 +20,9 @@ import numpy as np
 from ssduck import validation
 from ssduck.errors import ArgumentError, RecordError
 from ssduck.formatting import short_repr
-from ssduck.recording.stores.checksums import write_json
+from ssduck.recording.episode import Tag
 from ssduck.recording.stores.descriptions import Value, check_description, read_description
-from ssduck.recording.tags import Tag
+from ssduck.recording.stores.files import write_json
 
 # The folder of these files in a record.
 FOLDER = "gym"
@@ -174,12 +174,7 @@ class EpisodeSteps:
 
     @classmethod
     def read(cls, folder: Path, world: str, number: int) -> EpisodeSteps:
-        """Returns the steps that a file keeps.
-
-        Raises:
-            NewerStepsError: it is of a later version.
-            RecordError: it is damaged.
-        """
+        """Returns the steps that a file keeps."""
         file = steps_file(folder, world, number)
         if not file.exists():
             raise RecordError(
@@ -236,15 +231,7 @@ def recorded_steps(folder: Path) -> list[tuple[str, int]]:
 
 
 def plain(value: Any, key: str) -> Any:
-    """Returns the value of a variable as one of SelectScript and JSON.
-
-    Args:
-        value: True, False, a number, a text, or a list or an array of such.
-        key: what has the value, to begin the message.
-
-    Raises:
-        ArgumentError: it is another value.
-    """
+    """Returns the value of a variable as one of SelectScript and JSON."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, bool | str) or (isinstance(value, int) and abs(value) < 1 << 53):

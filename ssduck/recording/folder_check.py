@@ -20,15 +20,15 @@ from ssduck.recording.episode_steps import (
 )
 from ssduck.recording.folder_episodes import ABOUT, DESCRIPTION, check_about, lost_runs, runs_named
 from ssduck.recording.paths import part_name
-from ssduck.recording.stores.atomic_files import create_file
-from ssduck.recording.stores.checksums import (
+from ssduck.recording.stores.descriptions import read_description
+from ssduck.recording.stores.files import (
+    create_file,
     footer_in,
     json_text,
     parquet_problem,
     verified_parquet,
     write_json,
 )
-from ssduck.recording.stores.descriptions import read_description
 from ssduck.recording.stores.parquet_layout import LOG, PAIRS, FolderRun
 from ssduck.recording.stores.part_log import log_file_problem, log_files
 from ssduck.recording.stores.stored_columns import MISSING
@@ -67,13 +67,7 @@ class _RunDamage(Damage):
 
 
 def check_folder(path: Path, *, repair: bool = False) -> list[Damage]:
-    """Returns the damaged and missing files of a folder; reads all bytes of all files.
-
-    Args:
-        path: the folder.
-        repair: whether damaged parts are taken out of the record. Their files stay, under names
-            that end in `.damaged`.
-    """
+    """Returns the damaged and missing files of a folder; reads all bytes of all files."""
     try:
         return _checked_folder(path, repair=repair)
     except RecordError:

@@ -15,9 +15,8 @@ from ssduck.errors import RecordError
 from ssduck.formatting import short_repr
 from ssduck.recording.episode_steps import FOLDER as STEPS
 from ssduck.recording.paths import FORMAT, episode_numbers, names_in
-from ssduck.recording.stores.atomic_files import create_file, is_temporary
-from ssduck.recording.stores.checksums import json_text
 from ssduck.recording.stores.descriptions import read_description
+from ssduck.recording.stores.files import create_file, is_temporary, json_text
 from ssduck.recording.stores.object_store import ObjectPath, remove_tree
 from ssduck.recording.stores.parquet_layout import LOG, PAIRS, FolderRun
 from ssduck.recording.stores.tick_index import INDEX
@@ -47,14 +46,7 @@ class BegunEpisode(Protocol):
 
 @contextmanager
 def whole_record(path: Path) -> Iterator[list[BegunEpisode]]:
-    """Lets episodes be added to a folder, all or none.
-
-    Args:
-        path: the folder; one that is made in the context goes, too, if the context fails.
-
-    Yields:
-        The episodes, which are appended as they begin, so that Ctrl-C finds each of them.
-    """
+    """Lets episodes be added to a folder, all or none."""
     made, begun = missing_folders(path), list[BegunEpisode]()
     try:
         yield begun
@@ -175,10 +167,6 @@ def runs_in(path: Path) -> list[FolderRun]:
     """Returns the runs in a folder, sorted by world and number; looks at none of their files.
 
     Of a record with any number of episodes, those without rows are found by two listings a world.
-
-    Raises:
-        RecordError: the folder is no record, a damaged one, or one of a newer version; or it has
-            ticks of an episode, and not the file that describes it.
     """
     check_about(path)
     runs = runs_named(path)
@@ -218,11 +206,7 @@ def _numbers_with_rows(path: Path, world: str) -> set[int]:
 
 
 def check_about(folder: Path) -> None:
-    """Checks that a folder is a record of a known version.
-
-    Raises:
-        RecordError: it is not.
-    """
+    """Checks that a folder is a record of a known version."""
     about_file = folder / ABOUT
     if not about_file.is_file():
         raise RecordError(f"{folder} is no record of ssduck: it has no {ABOUT}")

@@ -26,12 +26,6 @@ class OpenedRecord:
 
     DuckDB and the Parquet library read with threads, which a forked process lacks: it would wait
     for them forever.
-
-    Args:
-        path: the record.
-        about_file: the file that describes the opened episode of a folder; None for other records.
-        description: its content.
-        status: the status that it had before it was read.
     """
 
     def __init__(

@@ -17,9 +17,6 @@ def expand_path(path: str | Path) -> Path:
     """Returns a path with `~` and `~/…` replaced by the home folder, as in a shell.
 
     `s3://bucket/run` is an address in an object store.
-
-    Raises:
-        RuntimeError: the home folder is unknown.
     """
     if is_address(path):
         return ObjectPath(str(path))

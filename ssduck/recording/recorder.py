@@ -13,26 +13,57 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Collection, Mapping
+from contextlib import suppress
 from time import monotonic
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
 
-from ssduck.errors import RecordError
+from ssduck.errors import RecordError, SimulatorError, warn
+from ssduck.formatting import joined_names
 from ssduck.recording import background_writer
 from ssduck.recording.background_writer import BackgroundWriter, BufferedRows
 from ssduck.recording.buffers import MAX_BUFFERED_ROWS, RowBuffer, TickBuffer, new_buffer
-from ssduck.recording.mass_changes import MassChanges
 from ssduck.recording.row_selection import RecordedRows
 from ssduck.recording.spec import RETENTION_PARTS, Recording, quarters_of
 from ssduck.recording.static_tables import IdProvider
 from ssduck.recording.stores.base import PairRequest, TickArchive, TickStore
 from ssduck.recording.stores.stored_columns import conformed
-from ssduck.schema import OFTEN_UNKNOWN
+from ssduck.schema import MASSES, OFTEN_UNKNOWN
 from ssduck.world import ctrl_c
 from ssduck.world.layout import EntityInfo
 from ssduck.world.sensor_readings import TickState
 from ssduck.world.snapshot import Snapshot
+
+if TYPE_CHECKING:
+    from ssduck.world.ticking import SteppedSimulation
+
+
+class MassChanges:
+    """The bodies of a record whose masses have changed since they were recorded."""
+
+    def __init__(self) -> None:
+        self._names: dict[int, str] = {}
+        # How many of them a warning has named.
+        self._warned = 0
+
+    def add(self, id: int, name: str) -> None:
+        """Adds a body by the id and the name of its entity."""
+        self._names[id] = name
+
+    def warn(self, world: SteppedSimulation) -> None:
+        """Reads the masses of a recorded world, and warns once of each body whose mass changed."""
+        with suppress(SimulatorError):  # the simulator may be gone
+            world.request_tables((MASSES,))
+        new = list(self._names.values())[self._warned :]
+        self._warned += len(new)
+        if new:
+            warn(
+                f"{world.name}: {joined_names(new)}: the mass was changed while it is recorded; "
+                "recorded ticks have the mass that a body had when it was first recorded",
+            )
+
 
 # The largest number of buffered ticks, of a record in a file and in memory.
 BUFFERED_TICKS = 240
@@ -43,12 +74,6 @@ _BLOCK_TICKS, _BLOCK_LINKS = 64, 2048
 
 class Recorder:
     """Records the ticks of a world.
-
-    Args:
-        recording: what is recorded of each tick.
-        store: takes the rows.
-        max_ticks: the largest number of buffered ticks.
-        flush_every: the time after which a tick is on the disk, s of real time; None for no limit.
 
     Attributes:
         ticks: the recorded ticks, stored and buffered.
@@ -121,13 +146,7 @@ class Recorder:
         return self._writer.is_writer_thread or background_writer.is_timer_thread()
 
     def record(self, snapshot: Snapshot) -> None:
-        """Records a tick if it is due; the caller holds its world.
-
-        Raises:
-            RecordError: buffered rows cannot be stored in a folder; this tick is buffered with
-                them.
-            SqlError: the same of a database.
-        """
+        """Records a tick if it is due; the caller holds its world."""
         self._tick_count += 1
         if (self._tick_count - 1) % self.recording.every:
             return
@@ -318,12 +337,7 @@ class Recorder:
         self._writer.wait()
 
     def flush(self) -> None:
-        """Stores the buffered rows, and drops ticks that are too old.
-
-        Raises:
-            RecordError: the rows cannot be stored in a folder; they stay buffered.
-            SqlError: the same of a database.
-        """
+        """Stores the buffered rows, and drops ticks that are too old."""
         with ctrl_c.deferred(), self._lock:  # no row may be lost or stored twice
             self.wait()
             error = self._writer.pop_failure()
@@ -338,12 +352,7 @@ class Recorder:
                 raise error
 
     def finish(self) -> None:
-        """Stores the buffered rows, and marks the record as complete.
-
-        Raises:
-            RecordError: a folder cannot be written; the rows that are not stored stay buffered.
-            SqlError: the same of a database.
-        """
+        """Stores the buffered rows, and marks the record as complete."""
         with ctrl_c.deferred(), self._lock:
             self._writer.wait(is_final=True)
             self.flush()

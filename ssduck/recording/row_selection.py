@@ -53,11 +53,6 @@ class _FixedRows:
 class RecordedRows:
     """The rows of a world's tables that are recorded while its entities are the same.
 
-    Args:
-        snapshot: the snapshot of a tick.
-        tables: the recorded tables.
-        names: the names of the recorded entities; None for all.
-
     Attributes:
         members: the recorded entities.
         link_count: the number of links of all bodies.
@@ -114,12 +109,7 @@ class RecordedRows:
 
     @np.errstate(invalid="ignore")  # a diverging simulation has infinite numbers
     def of_ticks(self, states: Sequence[TickState]) -> dict[str, TickRows]:
-        """Returns the rows of ticks, by table.
-
-        Args:
-            states: the states of the ticks, with these entities, and with one object of the poses
-                of those that cannot move.
-        """
+        """Returns the rows of ticks, by table."""
         groups: _Groups = (
             (self._layout.static_bodies, states[0].static),
             (self._layout.moving_bodies, LinkPoses.joined([state.moving for state in states])),

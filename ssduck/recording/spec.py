@@ -113,14 +113,7 @@ def with_size_limit(recording: Recording, *, in_memory: bool) -> Recording:
 
 
 def quarters_of(recording: Recording, ticks: int, seconds: float, size: float) -> float:
-    """Returns how many quarters of what is retained some rows fill, by the nearest limit.
-
-    Args:
-        recording: has the limits; without one, there is nothing to fill.
-        ticks: the number of their ticks.
-        seconds: their simulated time, s.
-        size: their size, bytes.
-    """
+    """Returns how many quarters of what is retained some rows fill, by the nearest limit."""
     filled = [0.0]
     if recording.ticks is not None:
         filled.append(ticks / max(recording.ticks // RETENTION_PARTS, 1))
@@ -177,14 +170,7 @@ def no_ticks_message(world: str) -> str:
 def not_recorded_message(
     table: str, world: str, recording: Recording | None, *, is_live: bool = True
 ) -> str:
-    """Returns the message that a table of a world has no history, with the call that records it.
-
-    Args:
-        table: the name of the table.
-        world: the name of the world.
-        recording: what is recorded of the world; None for nothing.
-        is_live: whether the world is recorded now; else it is a record.
-    """
+    """Returns the message that a table of a world has no history, with the call that records it."""
     recording = recording or Recording()
     tables = tuple(name for name in RECORDABLE if name in (*recording.tables, table))
     call = recording_call(world, replace(recording, tables=tables))

@@ -39,7 +39,7 @@ from ssduck.interpreter.opening import open_record
 from ssduck.interpreter.program import rows_to_show
 from ssduck.recording.paths import is_record
 from ssduck.recording.replay.replayed_world import ReplayedWorld
-from ssduck.recording.stores.atomic_files import write_atomically
+from ssduck.recording.stores.files import write_atomically
 from ssduck.render.canvas import Canvas, Picture
 from ssduck.render.stage import Stage
 from ssduck.simulators.scenes import Camera, find_scene

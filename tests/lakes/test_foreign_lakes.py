@@ -11,7 +11,7 @@ import ssduck
 from ssduck.lakes.engines import answer_locally
 from ssduck.lakes.questions import ProgramQuestion
 from ssduck.lakes.workers import answer_episodes, forget_readers
-from ssduck.recording.stores.checksums import json_text
+from ssduck.recording.stores.files import json_text
 from tests.lakes.conftest import EPISODES
 from tests.support.cases import sampled
 from tests.support.lake_questions import whole_answer_of

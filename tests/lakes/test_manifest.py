@@ -12,7 +12,7 @@ import ssduck
 from ssduck.errors import ArgumentError, RecordError
 from ssduck.lakes.lake import MANIFEST
 from ssduck.lakes.manifest import entries_of, from_bytes, table_of, to_bytes
-from ssduck.recording.stores.checksums import json_text
+from ssduck.recording.stores.files import json_text
 from tests.lakes.conftest import EPISODES, STEPS
 from tests.support.cases import sampled
 from tests.support.command_line import write_scene

@@ -10,11 +10,11 @@ import pytest
 
 import ssduck
 from ssduck.lakes import workers
-from ssduck.lakes.groups import EntryFiles
 from ssduck.lakes.questions import ProgramQuestion
-from ssduck.recording.stores import batched_parts
-from ssduck.recording.stores.batched_parts import BatchedFile, ReadParts
-from ssduck.recording.stores.checksums import write_parquet
+from ssduck.lakes.workers import EntryFiles
+from ssduck.recording.stores import episode_batch
+from ssduck.recording.stores.episode_batch import BatchedFile, ReadParts
+from ssduck.recording.stores.files import write_parquet
 from ssduck.recording.stores.parquet import _options as options
 from tests.support.archive import Archive
 from tests.support.cases import sampled
@@ -104,13 +104,13 @@ def test_each_file_of_an_episode_is_read_once_a_question(record, read, program) 
 @pytest.mark.usefixtures("together")
 def test_the_next_question_decodes_what_is_new_only(record, monkeypatch) -> None:
     opened: list[str] = []
-    check = batched_parts.checked_parquet
+    check = episode_batch.checked_parquet
 
     def counted(source, content, table):
         opened.append(table)
         return check(source, content, table)
 
-    monkeypatch.setattr(batched_parts, "checked_parquet", counted)
+    monkeypatch.setattr(episode_batch, "checked_parquet", counted)
     first = asked(record, PROGRAMS[0])
     assert opened.count("entities") >= EPISODES
     opened.clear()
@@ -155,7 +155,7 @@ def test_a_file_that_changed_is_decoded_anew(record, value) -> None:
 def test_parts_that_are_too_large_to_be_kept_give_the_same_answers(
     record, monkeypatch, read, program
 ) -> None:
-    monkeypatch.setattr(batched_parts, "MOST_READ", 0)
+    monkeypatch.setattr(episode_batch, "MOST_READ", 0)
     assert asked(record, program) == by_themselves(record, program)
     assert max(read.values()) > 1  # they are read again and again
 
@@ -169,7 +169,7 @@ def test_the_columns_that_are_kept_are_bounded(record, monkeypatch) -> None:
     monkeypatch.setattr(BatchedFile, "content", lambda file: Path(file.path).read_bytes())
     parts = ReadParts()
     size = parts.read(files[0]).rows(["x", "y", "z"]).nbytes
-    monkeypatch.setattr(batched_parts, "MOST_KEPT", 2 * size)
+    monkeypatch.setattr(episode_batch, "MOST_KEPT", 2 * size)
     for file in files:
         parts.read(file).rows(["x", "y", "z"])
         parts.clear()

@@ -10,7 +10,7 @@ import pybullet
 import pytest
 
 import ssduck
-from ssduck.recording.stores.checksums import json_text
+from ssduck.recording.stores.files import json_text
 from tests.lakes.conftest import EPISODES
 from tests.support.lake_questions import PROGRAMS
 

@@ -20,7 +20,7 @@ from ssduck.errors import ArgumentError, RecordError
 from ssduck.recording import background_writer
 from ssduck.recording import recorder as recorders
 from ssduck.recording.recorder import Recorder
-from ssduck.recording.stores import checksums, parquet, part_log
+from ssduck.recording.stores import files, parquet, part_log
 from ssduck.recording.stores.parquet_layout import FolderRun
 from tests.support.bodies import create_linked_body
 from tests.support.cases import sampled
@@ -302,7 +302,7 @@ def test_a_recorder_that_is_killed_at_any_file(
             writing.flush()
             world.step()
         with monkeypatch.context() as patch:
-            for module in (checksums, part_log):
+            for module in (files, part_log):
                 patch.setattr(module, "write_atomically", dying(module.write_atomically))
             patch.setattr(parquet.PartLog, "clear", dying(parquet.PartLog.clear))
             patch.setattr(Path, "unlink", dying(Path.unlink))

@@ -16,7 +16,7 @@ import ssduck
 from ssduck.database import database
 from ssduck.interchange import record_writer
 from ssduck.interpreter import recording
-from ssduck.recording import export as exporting
+from ssduck.recording import folder_recording as exporting
 from ssduck.recording.stores import parquet
 from tests.support.cases import sampled
 from tests.support.presser import Presser

@@ -16,8 +16,8 @@ from ssduck import Recording
 from ssduck.database import recorders
 from ssduck.errors import RecordError
 from ssduck.recording.stores import parquet, parquet_archive, parquet_layout, tick_index
-from ssduck.recording.stores.checksums import write_json, write_parquet
 from ssduck.recording.stores.descriptions import read_description
+from ssduck.recording.stores.files import write_json, write_parquet
 from tests.support.archive import Archive
 
 PARTS = 10

@@ -13,7 +13,7 @@ import pytest
 import ssduck
 from ssduck.interchange.macros import macro_script
 from ssduck.interpreter.archives import folder_run
-from ssduck.recording.stores.checksums import write_parquet
+from ssduck.recording.stores.files import write_parquet
 from tests.support.archive import Archive
 from tests.support.cases import sampled
 from tests.support.forged import make_records, part, rewrite_log, with_column, without_checksums

@@ -14,8 +14,8 @@ import ssduck
 from ssduck import Recording
 from ssduck.errors import RecordError
 from ssduck.recording.paths import part_name
-from ssduck.recording.stores.checksums import write_json
 from ssduck.recording.stores.descriptions import read_description
+from ssduck.recording.stores.files import write_json
 from tests.support.recorded import end_part
 
 PARTS = 4

@@ -12,7 +12,7 @@ from ssduck.errors import RecordError
 from ssduck.interchange.conversion import write_runs
 from ssduck.recording import folder_check
 from ssduck.recording.folder_episodes import runs_in
-from ssduck.recording.stores.atomic_files import write_atomically
+from ssduck.recording.stores.files import write_atomically
 from tests.support.archive import Archive
 from tests.support.forged import make_records, part
 

@@ -13,10 +13,10 @@ import pytest
 import ssduck
 from ssduck import Recording
 from ssduck.errors import ArgumentError, ProgramWarning, RecordError
-from ssduck.recording.stores.checksums import json_text
+from ssduck.recording.episode import parsed_tag
+from ssduck.recording.stores.files import json_text
 from ssduck.recording.stores.parquet import write_tags
 from ssduck.recording.stores.parquet_layout import FolderRun
-from ssduck.recording.tags import parsed_tag
 from tests.support.command_line import answer, ssduck_, write_scene
 
 TAGS = {"task": "pick", "success": True, "return": 12.5, "attempt": 3}

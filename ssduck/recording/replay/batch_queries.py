@@ -96,13 +96,7 @@ class EntityShapes:
     def shapes(
         self, ids: Sequence[int], poses: Sequence[Array], calls: CallCounter
     ) -> ShapeQueries:
-        """Returns queries of the shapes of some entities at one tick.
-
-        Args:
-            ids: the ids of the entities, ascending: the order breaks ties.
-            poses: the positions and orientations of the links of each entity, (links, 7).
-            calls: counts comparisons.
-        """
+        """Returns queries of the shapes of some entities at one tick."""
         models = [self._shape_model(id) for id in ids]
         key = tuple(ids)
         if key not in self._shape_tables:
@@ -112,13 +106,7 @@ class EntityShapes:
     def with_sites(
         self, queries: ShapeQueries, ids: Sequence[int], poses: Sequence[Sequence[Array]]
     ) -> ShapeQueries:
-        """Returns queries of `shapes` in which sites have their regions as shapes.
-
-        Args:
-            queries: the queries of some entities at one tick.
-            ids: the ids of the entities.
-            poses: the positions and orientations of the links of each entity, (7,) each.
-        """
+        """Returns queries of `shapes` in which sites have their regions as shapes."""
         sites = [
             (id, number, link.region, at[number])
             for id, at in zip(ids, poses, strict=True)
@@ -188,17 +176,7 @@ class EntityShapes:
         advance: Callable[[int], object] = int,
         groups: Indices | None = None,
     ) -> Answers:
-        """Returns the answers to a question about n pairs of entities.
-
-        Args:
-            first: the first entity of each pair.
-            second: the second entity of each pair.
-            question: the question.
-            calls: counts comparisons.
-            advance: is called with the number of pairs that were answered since the last call, 0
-                while some are being compared.
-            groups: the group of each pair, if only the least clearance of each group matters.
-        """
+        """Returns the answers to a question about n pairs of entities."""
         values = np.zeros(len(first.ids))
         is_open = np.zeros(len(first.ids), dtype=bool)
         step = partial(advance, 0)

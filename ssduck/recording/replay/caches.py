@@ -101,14 +101,7 @@ class AnswerCache:
         return answers[places], is_cached
 
     def add(self, key: Key, ticks: Ticks, answers: Array, first_kept: int) -> None:
-        """Adds answers at ticks that are not cached.
-
-        Args:
-            key: the question and the entities.
-            ticks: the ticks.
-            answers: the answer at each.
-            first_kept: the first tick of the record; earlier ones are dropped.
-        """
+        """Adds answers at ticks that are not cached."""
         with self._lock:
             known, before = self._answers.pop(key, _NOTHING)
             self._count -= len(known)

@@ -49,13 +49,7 @@ class PairQueries:
     def answers(
         self, request: PairRequest, question: PairQuestion, among: Ticks | None = None
     ) -> PairAnswers:
-        """Returns the answers about the pairs of entities whose boxes are near.
-
-        Args:
-            request: selects the pairs.
-            question: the question; its gap and its margins are added to those of the request.
-            among: the ticks that matter; None for all.
-        """
+        """Returns the answers about the pairs of entities whose boxes are near."""
         margins = self._record.margins if question.uses_margins else 0.0
         gap = request.max_gap + question.max_gap + margins
         rows = self._record.near_pairs(replace(request, max_gap=gap))
@@ -87,15 +81,7 @@ class PairQueries:
     def least_clearances(
         self, request: PairRequest, starts: Ticks
     ) -> list[tuple[int, float] | None]:
-        """Returns the least clearance of two entities in each of some ranges of ticks.
-
-        Args:
-            request: the entities, and the ticks of all ranges.
-            starts: the first tick of each range, ascending.
-
-        Returns:
-            The first tick that has it, and the clearance, m; None where it is nowhere known.
-        """
+        """Returns the least clearance of two entities in each of some ranges of ticks."""
         question = PairQuestion("clearance")
         rows = self._record.near_pairs(replace(request, max_gap=question.max_gap))
         ticks = rows["tick"].to_numpy()

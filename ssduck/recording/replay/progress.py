@@ -88,17 +88,7 @@ def _is_notebook() -> bool:
 
 @contextmanager
 def task(meter: UsageMeter, description: str, total: int) -> Iterator[Callable[[int], None]]:
-    """Begins a task of a program, whose progress is shown if the program takes long.
-
-    Args:
-        meter: checks the time limit; its limits say whether progress is shown.
-        description: what is done, in a few words.
-        total: the number of its parts.
-
-    Yields:
-        A function to call with the number of parts that were done since the last call. It raises
-        a LimitError if the time is up.
-    """
+    """Begins a task of a program, whose progress is shown if the program takes long."""
     progress = Progress(description, total, meter.start, is_shown=meter.limits.progress)
 
     def advance(count: int) -> None:
@@ -113,12 +103,6 @@ class Progress:
     """Shows how much of a task is done, if it takes long; `close` removes what is shown.
 
     Only the main thread shows anything, so that displays do not mix.
-
-    Args:
-        description: what is done, in a few words.
-        total: the number of its parts; None if it is unknown.
-        since: when it began, s of `time.monotonic`.
-        is_shown: whether to show anything.
     """
 
     def __init__(

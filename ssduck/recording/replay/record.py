@@ -20,14 +20,14 @@ from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.recording.buffers import TickBuffer
-from ssduck.recording.mass_changes import MassChanges
+from ssduck.recording.episode import Tags
+from ssduck.recording.recorder import MassChanges
 from ssduck.recording.replay.batch_queries import EntityShapes, LinkPosesOverTicks
 from ssduck.recording.replay.caches import AnswerCache, RowCache
 from ssduck.recording.replay.past_world import PastWorld
 from ssduck.recording.replay.restore import SnapshotRestorer, links_of
 from ssduck.recording.spec import Recording, longer_recording_message, not_recorded_message
 from ssduck.recording.stores.base import PairRequest
-from ssduck.recording.tags import Tags
 from ssduck.schema import (
     ALL_ENTITIES,
     LINK_FACTOR,
@@ -59,23 +59,6 @@ _NAN = float("nan")
 
 class Record:
     """The recorded ticks of a world.
-
-    Args:
-        world: the recorded world; None for a replayed world, which sets the attribute later.
-        ticks: the numbers and times of the ticks.
-        members: the recorded entities, by id.
-        tables: the recorded tables.
-        fetch: returns the rows of a table at the ticks from a first to a last one.
-        near_pairs: returns the pairs of entities whose boxes are near at some ticks, with their
-            poses.
-        geometries: the numbers of geometries by their keys; None for those of the world.
-        run: the number of the run; None for that of the world.
-        mass_changes: the bodies whose masses changed after they were recorded; None for none.
-        recording: what is recorded; None for a record of another time.
-        source: the folder or the file that has it, for messages.
-        tags: what the user says of the run, by name.
-        order: the order of its world among those of the record; None if it is not known.
-        entities: the names of the entities to which it was restricted; None for all.
 
     Attributes:
         entity_shapes: the shapes of the members.
@@ -149,11 +132,7 @@ class Record:
     # -- which ticks ------------------------------------------------------------------------
 
     def ticks_until_now(self, now: int | None = None) -> tuple[npt.NDArray[np.int64], Array]:
-        """Returns the numbers and times of the recorded ticks up to the world's current one.
-
-        Args:
-            now: the number of an earlier tick that takes its place.
-        """
+        """Returns the numbers and times of the recorded ticks up to the world's current one."""
         with self.world.lock:
             self.check_open()
             numbers = self.ticks.numbers
@@ -216,11 +195,7 @@ class Record:
             self._mass_changes.warn(self.world)
 
     def warn_of_missing(self, inputs: Collection[str]) -> None:
-        """Warns of what an evaluation reads and the record has not as the world had it.
-
-        Args:
-            inputs: what it reads: tables, masses, all entities of a tick.
-        """
+        """Warns of what an evaluation reads and the record has not as the world had it."""
         if MASSES in inputs:
             self.warn_of_masses()
         if ALL_ENTITIES in inputs:
@@ -246,11 +221,7 @@ class Record:
         return f"; {longer_recording_message(self.world.name, self.recording)}"
 
     def warn_of_dropped_ticks(self, age: float | None = None) -> None:
-        """Warns, once, if ticks were dropped that an answer is to be of.
-
-        Args:
-            age: if negative, it is to be of so many last seconds; None for all ticks.
-        """
+        """Warns, once, if ticks were dropped that an answer is to be of."""
         advice = self.dropped_ticks_message
         if not advice or self._has_told_of_dropped or (age is not None and age >= 0.0):
             return
@@ -297,11 +268,6 @@ class Record:
         """Returns queries of the shapes at a tick.
 
         Only the requested shapes are placed as long as there are few queries of the tick.
-
-        Args:
-            tick: the number of the tick.
-            ids: the ids of the requested entities; None for all.
-            with_sites: whether sites have their regions as shapes.
         """
         if ids is None:
             return _shapes_of(self.at(tick), with_sites=with_sites)
@@ -351,15 +317,7 @@ def _shapes_of(world: PastWorld, *, with_sites: bool) -> ShapeQueries:
 
 
 def index_at(world: str, time: float, times: Array, now: float, advice: str = "") -> int:
-    """Returns the index of the last tick until a time.
-
-    Args:
-        world: the name of the world.
-        time: the simulated time, s.
-        times: the times of the ticks, s, (n,).
-        now: the current time of the world, s.
-        advice: is added to the error of a time before the first tick.
-    """
+    """Returns the index of the last tick until a time."""
     place = int(np.searchsorted(times, time + TIME_TOLERANCE, side="right")) - 1
     if place < 0 or time > max(now, float(times[-1])) + TIME_TOLERANCE:
         raise EvaluationError(

@@ -56,13 +56,7 @@ class SnapshotRestorer:
         return self._template_at(tick).snapshot.past(tick, unavailable)
 
     def restore_into(self, snapshot: Snapshot, tick: int, time: float) -> StaticSimulator:
-        """Restores a tick into a snapshot, and returns the static simulator of the tick.
-
-        Args:
-            snapshot: has the entities of the tick.
-            tick: the number of the tick.
-            time: the simulated time of the tick, s.
-        """
+        """Restores a tick into a snapshot, and returns the static simulator of the tick."""
         template = self._template_at(tick)
         members = template.snapshot.load_order
         rows = self._rows.rows("entities", tick)

@@ -14,17 +14,17 @@ from typing import Any
 
 from ssduck.errors import RecordError, record_error
 from ssduck.formatting import short_repr
+from ssduck.recording.episode import are_tags
 from ssduck.recording.recorded_visuals import is_camera
-from ssduck.recording.stores.atomic_files import sole_writer
-from ssduck.recording.stores.checksums import (
+from ssduck.recording.stores.files import (
     CHECKSUM_KEY,
     WRONG_CHECKSUM,
     json_text,
     pop_checksum,
+    sole_writer,
     write_json,
 )
 from ssduck.recording.stores.object_store import ObjectPath, change_object
-from ssduck.recording.tags import are_tags
 from ssduck.schema import RECORDED
 
 _ID = re.compile("-".join(f"[0-9a-f]{{{digits}}}" for digits in (8, 4, 4, 4, 12)))
@@ -153,12 +153,7 @@ def change_description(file: Path, change: Callable[[dict[str, Any]], Mapping[st
 
 
 def parse_description(text: str | bytes, source: str) -> dict[str, Any]:
-    """Returns the JSON object in a text.
-
-    Args:
-        text: the text; bytes are UTF-8.
-        source: what has the text, to begin the message.
-    """
+    """Returns the JSON object in a text."""
     try:
         decoded = text.decode() if isinstance(text, bytes) else text
         content = json.loads(decoded)
@@ -172,14 +167,7 @@ def parse_description(text: str | bytes, source: str) -> dict[str, Any]:
 def check_description(
     content: Mapping[str, Any], description: Description, source: str, lack: str
 ) -> None:
-    """Checks the values of a JSON object.
-
-    Args:
-        content: the object.
-        description: the values that it may have.
-        source: what has the object, to begin the message.
-        lack: what is missing without a required value, to end the message.
-    """
+    """Checks the values of a JSON object."""
     for key, value in description.items():
         if key not in content:
             if value.is_required:

@@ -19,6 +19,7 @@ import pyarrow as pa
 
 from ssduck.recording.background_writer import NO_LOCK, CommitLock
 from ssduck.recording.buffers import TickBuffer
+from ssduck.recording.episode import Tags
 from ssduck.recording.spec import RETENTION_PARTS, Recording, bytes_before_dropping, quarters_of
 from ssduck.recording.static_tables import IdProvider
 from ssduck.recording.stores.base import (
@@ -39,7 +40,6 @@ from ssduck.recording.stores.history_sql import (
 from ssduck.recording.stores.model_tables import ModelTables, RecordFile
 from ssduck.recording.stores.stored_columns import tick_types
 from ssduck.recording.stores.tick_index import checked_ticks
-from ssduck.recording.tags import Tags
 from ssduck.schema import FRAMES, RECORDED, TABLES, recorded_tables
 from ssduck.simulators.scenes import Camera
 from ssduck.world.layout import EntityInfo
@@ -48,18 +48,7 @@ SLOTS = RETENTION_PARTS + 2
 
 
 class DuckDBStore(TickStore, TickArchive):
-    """The stored ticks of a world in a DuckDB schema.
-
-    Args:
-        schema: the name of the schema.
-        connection: the store's own connection.
-        recording: what is recorded of each tick.
-        world: the name of the world, to create the schema; None to read an existing one.
-        file: the attached file that has the schema; None for the database itself.
-        tags: what the user says of the run.
-        camera: the camera of the world; None if it is not stored.
-        order: a number that is less than those of the worlds that were added later.
-    """
+    """The stored ticks of a world in a DuckDB schema."""
 
     def __init__(
         self,

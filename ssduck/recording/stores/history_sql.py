@@ -49,10 +49,6 @@ def known(name: str, type: str) -> str:
 
     DuckDB computes this in a few nanoseconds a value, a third faster than `nullif`. Of a column
     whose statistics have bounds, it takes `isnan`, and comparisons with NaN, for false.
-
-    Args:
-        name: the column.
-        type: its type in SQL; only numbers may be NaN, and times are checked.
     """
     if type != _NUMBER or name == "time":
         return quoted(name)
@@ -81,14 +77,7 @@ def buffered_rows(table: str, view: str) -> str:
 
 
 def history(table: Table, rows: str, entities: str, model: Callable[[str], str]) -> str:
-    """Returns the SELECT of a table's history, with the columns of the table in order.
-
-    Args:
-        table: a table of a world.
-        rows: a SELECT of the columns that are stored at each tick.
-        entities: the same for the table of entities.
-        model: returns the model of a table, in SQL.
-    """
+    """Returns the SELECT of a table's history, with the columns of the table in order."""
     if not table.model:
         return f"SELECT {column_list(table.names)} FROM ({rows}) AS rows"  # noqa: S608
     stored = table.tick_columns
@@ -109,17 +98,7 @@ def near_pair_rows(
     request: PairRequest,
     buffered: pa.Table | None,
 ) -> pa.Table:
-    """Returns the pairs of entities whose boxes are near at a tick, or unknown, with both poses.
-
-    Args:
-        connection: reads the rows.
-        stored: a SELECT of the stored rows of entities; None if there are none.
-        request: selects the pairs.
-        buffered: the buffered rows of entities; None if there are none.
-
-    Returns:
-        `ssduck.recording.stores.base.PAIR_COLUMNS`, sorted by tick.
-    """
+    """Returns the pairs of entities whose boxes are near at a tick, or unknown, with both poses."""
     columns = ("tick", "id", *POSE, *BOX)
     sources = [] if stored is None else [f"({stored}) AS stored"]
     if buffered is not None:

@@ -15,14 +15,13 @@ from sqlglot import exp
 
 from ssduck.errors import RecordError
 from ssduck.recording.background_writer import NO_LOCK, CommitLock
-from ssduck.recording.episode import new_id
+from ssduck.recording.episode import Tags, new_id
 from ssduck.recording.recorded_visuals import camera_text
 from ssduck.recording.spec import Recording, description_of
 from ssduck.recording.static_tables import IdProvider, model_rows
 from ssduck.recording.stores.base import StoreConnection
 from ssduck.recording.stores.history_sql import all_columns, create_table, quoted
 from ssduck.recording.stores.stored_columns import check_columns, types_of, with_nulls
-from ssduck.recording.tags import Tags
 from ssduck.schema import MODELS, SQL_TYPES, ColumnType
 from ssduck.simulators.scenes import Camera
 from ssduck.world.layout import EntityInfo
@@ -102,13 +101,7 @@ class RecordFile:
 
 
 class ModelTables:
-    """The schema of a record in DuckDB, with the models of its tables.
-
-    Args:
-        schema: the name of the schema.
-        connection: the store's own connection.
-        file: the attached file that has the schema; None for the database itself.
-    """
+    """The schema of a record in DuckDB, with the models of its tables."""
 
     def __init__(
         self, schema: str, connection: StoreConnection, file: RecordFile | None = None

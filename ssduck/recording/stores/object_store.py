@@ -105,10 +105,6 @@ class ObjectPath(type(Path())):  # type: ignore[misc]  # the path of this system
         """Checks whether there is an object below it."""
         return bool(self._info.type == _types().Directory)
 
-    def is_symlink(self) -> bool:
-        """Returns False."""
-        return False
-
     def stat(self, **_: Any) -> Any:
         """Returns the size of an object, as `st_size`."""
         info = self._info
@@ -117,8 +113,6 @@ class ObjectPath(type(Path())):  # type: ignore[misc]  # the path of this system
         return SimpleNamespace(
             st_size=info.size, st_mode=stat.S_IFREG, st_mtime=info.mtime_ns / 1e9
         )
-
-    lstat = stat
 
     def iterdir(self) -> Iterator[Self]:
         """Yields what is directly below it."""

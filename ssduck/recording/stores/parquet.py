@@ -17,7 +17,7 @@ from ssduck.errors import RecordError
 from ssduck.geometry.shapes import Geometry
 from ssduck.recording.background_writer import NO_LOCK, CommitLock
 from ssduck.recording.buffers import MAX_BUFFERED_ROWS
-from ssduck.recording.episode import new_id
+from ssduck.recording.episode import Tags, checked_tags, new_id
 from ssduck.recording.folder_episodes import (
     begin_episode,
     folders_of,
@@ -29,16 +29,14 @@ from ssduck.recording.paths import FORMAT, expand_path, part_name
 from ssduck.recording.recorded_visuals import camera_text
 from ssduck.recording.spec import Recording
 from ssduck.recording.static_tables import IdProvider, complete_rows, model_rows
-from ssduck.recording.stores.atomic_files import sync_folder
 from ssduck.recording.stores.base import TickStore
-from ssduck.recording.stores.checksums import write_parquet
 from ssduck.recording.stores.descriptions import EPISODE, change_description, check_description
+from ssduck.recording.stores.files import sync_folder, write_parquet
 from ssduck.recording.stores.object_store import ObjectPath, remove_tree
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun
 from ssduck.recording.stores.part_log import PartLog
 from ssduck.recording.stores.summaries import write_summary
 from ssduck.recording.stores.tick_index import INDEX, TickIndex
-from ssduck.recording.tags import Tags, checked_tags
 from ssduck.schema import recorded_tables
 from ssduck.simulators.scenes import Camera
 from ssduck.world.layout import EntityInfo
@@ -53,15 +51,6 @@ class ParquetStore(TickStore):
     """An episode of a world that is written into a folder of Parquet files.
 
     Its rows are read when the folder is opened (`ssduck.recording.stores.parquet_archive`).
-
-    Args:
-        path: the folder; it is created if it does not exist.
-        world: the name of the world.
-        recording: what is recorded of each tick.
-        is_export: whether the episode exists only when it is finished.
-        tags: what the user says of the run.
-        camera: the camera of the world; None if it is not stored.
-        order: a number that is less than those of the worlds that were added later.
     """
 
     def __init__(

@@ -37,7 +37,7 @@ import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError, record_errors
 from ssduck.recording.buffers import TickBuffer
-from ssduck.recording.episode import Episode, extent_of
+from ssduck.recording.episode import Episode, Tags, extent_of
 from ssduck.recording.opened_record import FileStatus, file_status
 from ssduck.recording.paths import (
     label_of,
@@ -46,18 +46,18 @@ from ssduck.recording.paths import (
     part_number,
     part_numbers,
 )
-from ssduck.recording.stores.checksums import (
-    footer_in,
-    footer_of,
-    footer_problem,
-    parquet_problem,
-)
 from ssduck.recording.stores.descriptions import (
     EPISODE,
     PARTS,
     RECORDING,
     check_description,
     read_description,
+)
+from ssduck.recording.stores.files import (
+    footer_in,
+    footer_of,
+    footer_problem,
+    parquet_problem,
 )
 from ssduck.recording.stores.object_store import ObjectPath
 from ssduck.recording.stores.part_log import following_rows, is_log, read_log
@@ -69,7 +69,6 @@ from ssduck.recording.stores.stored_columns import (
     with_nulls,
 )
 from ssduck.recording.stores.tick_index import INDEX, checked_ticks, indexed_ticks
-from ssduck.recording.tags import Tags
 from ssduck.schema import RECORDABLE
 
 LOG = "log"

@@ -22,8 +22,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from ssduck.errors import RecordError
-from ssduck.recording.stores.atomic_files import write_atomically
-from ssduck.recording.stores.checksums import UNSEALED, log_problem, write_sealed
+from ssduck.recording.stores.files import UNSEALED, log_problem, write_atomically, write_sealed
 from ssduck.recording.stores.stored_columns import check_stream, with_nulls
 from ssduck.schema import RECORDED
 

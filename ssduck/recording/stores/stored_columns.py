@@ -41,13 +41,7 @@ def types_of(columns: Iterable[Column]) -> dict[str, ColumnType]:
 def check_columns(
     source: str, present: Iterable[tuple[str, str]], expected: Mapping[str, ColumnType]
 ) -> None:
-    """Checks the columns of a stored table; further columns do not matter.
-
-    Args:
-        source: the file, and the table if the file has several, to begin the message.
-        present: the names of its columns, and their types: of `ColumnType`, or any other text.
-        expected: the types of the columns that it is to have, by name.
-    """
+    """Checks the columns of a stored table; further columns do not matter."""
     found = dict(present)
     for name, type in expected.items():
         if name not in found:
@@ -91,13 +85,7 @@ def rows_of_part(file: Path, table: str, part: pq.ParquetFile) -> pa.Table:
 
 
 def checked_parquet(source: str, content: bytes | memoryview, table: str) -> pq.ParquetFile:
-    """Returns a part, or what its footer tells of it, after a check of that.
-
-    Args:
-        source: the file, to begin the message.
-        content: its bytes, or its footer with the magic number at its end.
-        table: the table, or `models/<table>`.
-    """
+    """Returns a part, or what its footer tells of it, after a check of that."""
     try:
         part = pq.ParquetFile(pa.BufferReader(content))
         schema = part.schema_arrow
@@ -142,11 +130,7 @@ def _is_list(type: pa.DataType) -> bool:
 
 
 def parts_of(values: pa.Array) -> list[pa.Array]:
-    """Returns the columns within one of a nested type; the elements of lists are one after another.
-
-    Returns:
-        The columns; none for another type.
-    """
+    """Returns the columns within one of a nested type; none for another type."""
     kind = values.type
     if pa.types.is_map(kind):
         return [values.keys, values.items]

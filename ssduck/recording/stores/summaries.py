@@ -25,7 +25,6 @@ import pyarrow.parquet as pq
 from ssduck.errors import RecordError
 from ssduck.recording.episode import extent_of
 from ssduck.recording.paths import part_number
-from ssduck.recording.stores.checksums import write_json
 from ssduck.recording.stores.descriptions import (
     TEXT,
     Description,
@@ -35,6 +34,7 @@ from ssduck.recording.stores.descriptions import (
     is_whole,
     read_description,
 )
+from ssduck.recording.stores.files import write_json
 from ssduck.recording.stores.object_store import ObjectPath, file_system, reading
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun
 from ssduck.recording.stores.tick_index import INDEX
@@ -112,13 +112,7 @@ def parts_in(run: FolderRun, listing: Listing) -> Listing:
 def summary_of(
     run: FolderRun, files: Mapping[str, StoredFile], *, are_whole: bool
 ) -> EpisodeSummary:
-    """Returns the summary of an episode, computed from its files.
-
-    Args:
-        run: the episode.
-        files: the files of its parts.
-        are_whole: whether their bytes have their checksums.
-    """
+    """Returns the summary of an episode, computed from its files."""
     models = {table: run.read(f"models/{table}") for table in MODELS}
     order = np.argsort(models["entities"]["id"].to_numpy(), kind="stable")
     names = models["entities"]["name"].take(pa.array(order)).to_pylist()

@@ -18,7 +18,7 @@ import pyarrow as pa
 
 from ssduck.errors import RecordError
 from ssduck.recording.buffers import TickBuffer
-from ssduck.recording.stores.checksums import verified_parquet, write_parquet
+from ssduck.recording.stores.files import verified_parquet, write_parquet
 from ssduck.recording.stores.stored_columns import arrow_columns, check_columns
 from ssduck.schema import ColumnType
 

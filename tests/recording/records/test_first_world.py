@@ -8,7 +8,7 @@ import pybullet
 import pytest
 
 import ssduck
-from ssduck.recording.stores.checksums import json_text
+from ssduck.recording.stores.files import json_text
 
 # The first by name is not the first that was added.
 NAMES = ("zoo", "attic", "mill")

@@ -1,16 +1,22 @@
-"""Checksums (CRC-32) of the files of a record: they find damages, not forgeries.
+"""Writes files of records all or nothing, with checksums (CRC-32), and checks them.
 
-The footer of a Parquet file has two: that of all bytes before the footer, and that of the footer,
-computed with zeros in its own place. So a footer is checked without the data, and the data without
-what follows. A file of a log has one, of all its bytes, and a JSON file has that of its content.
+The checksums find damages, not forgeries. The footer of a Parquet file has two: that of all bytes
+before the footer, and that of the footer, computed with zeros in its own place. So a footer is
+checked without the data, and the data without what follows. A file of a log has one, of all its
+bytes, and a JSON file has that of its content.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import re
+import secrets
+import threading
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +24,108 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError
-from ssduck.recording.stores.atomic_files import write_atomically
+from ssduck.recording.stores.object_store import ObjectPath, create_object, written
+
+_fcntl: Any = import_module("fcntl") if os.name == "posix" else None
+_lock = threading.Lock()
+
+
+def temporary_path(place: Path) -> Path:
+    """Returns the path of a file or a folder until it is complete.
+
+    No other process has it, and nobody can have put a link there, which would be written through.
+    """
+    return place.with_name(f".{secrets.token_hex(8)}.unfinished")
+
+
+def write_atomically(place: Path, write: Callable[[Path], object]) -> None:
+    """Writes a file under a temporary name, and renames it when it is on the disk."""
+    if isinstance(place, ObjectPath):
+        written(place, write)
+        return
+    temporary = temporary_path(place)
+    try:
+        write(temporary)
+        with temporary.open("rb+") as file:
+            os.fsync(file.fileno())
+        temporary.replace(place)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    sync_folder(place.parent)
+
+
+def write_with_folders(place: Path, write: Callable[[Path], None]) -> None:
+    """Writes a file, all or nothing, and the folders that it is in."""
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(place, write)
+    except RecordError:
+        raise
+    except OSError as error:
+        raise RecordError(f"{place} cannot be written: {error.strerror}") from error
+
+
+@contextmanager
+def sole_writer(folder: Path) -> Iterator[None]:
+    """Waits until no other writer is in such a context for a folder, whose files may be changed.
+
+    Writers are the threads of this process, and on POSIX other processes of this machine.
+    """
+    with _lock, ExitStack() as opened:
+        if _fcntl is not None and not isinstance(folder, ObjectPath):
+            with suppress(OSError):  # some file systems of networks have no locks
+                handle = os.open(folder, os.O_RDONLY)
+                opened.callback(os.close, handle)
+                _fcntl.flock(handle, _fcntl.LOCK_EX)
+        yield
+
+
+def is_temporary(file: Path) -> bool:
+    """Checks whether a file or a folder is one that is not complete yet."""
+    return file.name.startswith(".") and file.name.endswith(".unfinished")
+
+
+def create_file(place: Path, text: str) -> bool:
+    """Creates a file with a text unless there is one; returns whether there was none.
+
+    Of several processes that create it at the same time, one does, and the others see all of it.
+    """
+    if isinstance(place, ObjectPath):
+        return create_object(place, text.encode())
+    temporary = temporary_path(place)
+    try:
+        with temporary.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        try:
+            os.link(temporary, place)
+        except FileExistsError:
+            return False
+        except OSError:  # the file system has no links
+            try:
+                with place.open("x", encoding="utf-8") as file:
+                    file.write(text)
+            except FileExistsError:
+                return False
+    finally:
+        with suppress(FileNotFoundError):
+            temporary.unlink()
+    sync_folder(place.parent)
+    return True
+
+
+def sync_folder(folder: Path) -> None:
+    """Writes the names in a folder to the disk, where the system supports it."""
+    if os.name != "posix" or isinstance(folder, ObjectPath):
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
 
 # The bytes that begin and end a Parquet file.
 _MAGIC = b"PAR1"
@@ -47,11 +154,7 @@ def _hex(checksum: int) -> bytes:
 
 
 def write_parquet(rows: pa.Table, place: Path, **options: Any) -> int:
-    """Writes rows, with their metadata, to a Parquet file with checksums, all or nothing.
-
-    Returns:
-        The CRC-32 of all bytes of the file.
-    """
+    """Writes rows, with their metadata, to a Parquet file with checksums, all or nothing."""
     sink = pa.BufferOutputStream()
     with pq.ParquetWriter(sink, rows.schema, write_page_checksum=True, **options) as writer:
         writer.write_table(rows)
