@@ -28,9 +28,9 @@ from sqlglot import exp
 from ssduck import validation
 from ssduck.errors import NumberError, RecordError, check_known
 from ssduck.language.intervals import INTERVALS, RELATIONS_OF_INTERVALS
-from ssduck.recording.paths import FORMAT, part_name
+from ssduck.recording.paths import FORMAT, part_name, part_number
 from ssduck.recording.stores.files import verified_parquet, write_parquet
-from ssduck.recording.stores.history_sql import all_columns
+from ssduck.recording.stores.history_sql import file_list, quoted, rows_of_files
 from ssduck.recording.stores.parquet_layout import PAIRS, FolderRun
 from ssduck.recording.stores.stored_columns import part_columns
 from ssduck.schema import LINK_FACTOR, MAX_LINKS, MODELS, RECORDED, TABLES, Column
@@ -116,7 +116,6 @@ _PREFIX = "ssduck "
 # The ticks, and what a view has of each.
 _AT, _VALUE = '"ssduck at"', '"ssduck value"'
 _MOMENTS = f'(SELECT "ssduck tick" AS {_AT} FROM "ssduck ticks") AS moments'  # noqa: S608
-_PATTERN = re.compile(r"[*?[]")
 _WITHOUT_RECORD = "of the table of {}; ssduck macros --of RECORD writes those of a record"
 _NOT_RECORDED = "of the table of {}, which is not recorded"
 _SHAPES = "of shapes, which only ssduck compares"
@@ -160,7 +159,7 @@ def macro_script(names: Sequence[str] = (), run: FolderRun | None = None) -> Mac
             statements += _macros_of_lists(relation)
     for name, allen in RELATIONS_OF_INTERVALS.items():
         if name in is_wanted and name not in RELATIONS:
-            statements.append(f"CREATE OR REPLACE MACRO {_quoted(name)}(a, b) AS ({allen.formula})")
+            statements.append(f"CREATE OR REPLACE MACRO {quoted(name)}(a, b) AS ({allen.formula})")
             made.append(name)
     if not names:
         statements.append(f"CREATE OR REPLACE MACRO intervals(source) AS TABLE {INTERVALS}")
@@ -169,10 +168,6 @@ def macro_script(names: Sequence[str] = (), run: FolderRun | None = None) -> Mac
         views += _pair_views(pairs[0])
     parts = [_heading(run, missing), *(f"{one};" for one in (*views, *statements))]
     return MacroScript("\n".join(parts) + "\n", tuple(made), missing)
-
-
-def _quoted(name: str) -> str:
-    return exp.to_identifier(name, quoted=True).sql("duckdb")
 
 
 def _heading(run: FolderRun | None, missing: Mapping[str, str]) -> str:
@@ -235,7 +230,7 @@ class _Source:
                 body, names = _renamed(body, names)
             overloads.append(f"({', '.join(names)}) AS ({body.sql('duckdb')})")
         overloads = [*overloads_of_others(relation), *overloads]
-        yield f"CREATE OR REPLACE MACRO {_quoted(relation.name)}{', '.join(overloads)}"
+        yield f"CREATE OR REPLACE MACRO {quoted(relation.name)}{', '.join(overloads)}"
 
 
 def _plain(part: exp.Expr, has_links: bool) -> exp.Expr:
@@ -249,7 +244,7 @@ def _macros_of_lists(relation: Relation) -> Iterator[str]:
     """Yields the statement of a relation of intervals that has the name of one of entities."""
     if relation.list_formula:
         lists = overloads_of_others(relation)
-        yield f"CREATE OR REPLACE MACRO {_quoted(relation.name)}{', '.join(lists)}"
+        yield f"CREATE OR REPLACE MACRO {quoted(relation.name)}{', '.join(lists)}"
 
 
 def _without_lookups(tree: exp.Expr, name: str, entity: str) -> tuple[exp.Expr, list[str]]:
@@ -264,7 +259,7 @@ def _without_lookups(tree: exp.Expr, name: str, entity: str) -> tuple[exp.Expr, 
         query = part.args.get("query") if isinstance(part, exp.In) else part
         if not isinstance(query, exp.Subquery) or part.find(exp.Table) is None:
             return part
-        place = _quoted(f"{name} {len(statements)}")
+        place = quoted(f"{name} {len(statements)}")
         tick, rows = exp.column("tick", table=entity), _own_names(query).sql("duckdb")
         has_ticks = any(table.name not in _OF_MODELS for table in query.find_all(exp.Table))
         if not isinstance(part, exp.In):
@@ -272,7 +267,7 @@ def _without_lookups(tree: exp.Expr, name: str, entity: str) -> tuple[exp.Expr, 
             values = f"(SELECT map(list({_AT}), list({_VALUE})) FROM {place})"  # noqa: S608
             return exp.func("map_extract_value", _parsed(values), tick)
         keys = part.this.expressions if isinstance(part.this, exp.Tuple) else [part.this]
-        names = ", ".join(_quoted(f"{_PREFIX}key {number}") for number in range(len(keys)))
+        names = ", ".join(quoted(f"{_PREFIX}key {number}") for number in range(len(keys)))
         if has_ticks:
             keys, found = [tick, *keys], f"{_MOMENTS} CROSS JOIN LATERAL {rows} AS found({names})"
             names = f"{_AT}, {names}"
@@ -320,8 +315,8 @@ def _own_names(query: exp.Expr) -> exp.Expr:
         name.set("quoted", True)
     for table in list(result.find_all(exp.Table)):
         of_model = table.name.removeprefix(_PREFIX) in _OF_MODELS
-        condition = "" if of_model else f" WHERE {_quoted(f'{_PREFIX}tick')} = {_AT}"
-        rows = _parsed(f"SELECT * FROM {_quoted(table.name)}{condition}")  # noqa: S608
+        condition = "" if of_model else f" WHERE {quoted(f'{_PREFIX}tick')} = {_AT}"
+        rows = _parsed(f"SELECT * FROM {quoted(table.name)}{condition}")  # noqa: S608
         alias = exp.TableAlias(this=exp.to_identifier(table.alias_or_name, quoted=True))
         table.replace(exp.Subquery(this=rows, alias=alias))
     return result
@@ -334,14 +329,16 @@ def _files_of(run: FolderRun) -> dict[str, Sequence[Path]]:
     """Returns the files of the complete parts of each table and model of an episode."""
     names = [table for table in run.tables if table in TABLES]
     names += [f"models/{table}" for table in MODELS]
-    files = {name: run.files(name) for name in names}
+    files = {name: run.listed_files(name) for name in names}
+    for name, listed in files.items():
+        run.check_data(name, map(part_number, listed))
     return {name: listed for name, listed in files.items() if listed}
 
 
 def _views(files: Mapping[str, Sequence[Path]]) -> Iterator[str]:
     """Yields the statements of the views of a record's tables."""
     for name, listed in files.items():
-        rows = _scan(name, listed)
+        rows = rows_of_files(listed, _columns(name))
         table = name.removeprefix("models/")
         if name == table:
             yield _view(table, _with_view_columns(table, rows))
@@ -352,30 +349,18 @@ def _views(files: Mapping[str, Sequence[Path]]) -> Iterator[str]:
         if (name == table and table in RECORDED) or (name != table and table in _OF_MODELS):
             source = table if name == table else MODELS[table].model_view
             columns = ", ".join(
-                f"{_quoted(column)} AS {_quoted(_PREFIX + column)}" for column in part_columns(name)
+                f"{quoted(column)} AS {quoted(_PREFIX + column)}" for column in part_columns(name)
             )
-            yield _view(_PREFIX + table, f"SELECT {columns} FROM {_quoted(source)}")  # noqa: S608
+            yield _view(_PREFIX + table, f"SELECT {columns} FROM {quoted(source)}")  # noqa: S608
 
 
 def _view(name: str, rows: str) -> str:
-    return _view_of(_quoted(name), rows)
-
-
-def _scan(name: str, files: Sequence[Path]) -> str:
-    """Returns a SELECT of the rows of files."""
-    paths = ", ".join(exp.Literal.string(_exact(file)).sql("duckdb") for file in files)
-    rows = f"read_parquet([{paths}], hive_partitioning = false)"
-    return all_columns(rows, {column.name: column.sql for column in _columns(name)})
+    return _view_of(quoted(name), rows)
 
 
 def _columns(name: str) -> Sequence[Column]:
     model = name.removeprefix("models/")
     return MODELS[model].model if model != name else TABLES[name].columns
-
-
-def _exact(file: Path) -> str:
-    """Returns a path in which DuckDB finds no pattern."""
-    return _PATTERN.sub(r"[\g<0>]", str(file.absolute()))
 
 
 def _with_view_columns(table: str, rows: str) -> str:
@@ -407,12 +392,12 @@ _FARTHER = "near: the table of pairs has those within {!r} m"
 
 def _pair_macro(name: str, relation: str, within: float) -> str:
     """Returns the statement of a relation that looks up the table of pairs."""
-    columns = {column: _quoted(_PREFIX + column) for column in COLUMNS.names}
+    columns = {column: quoted(_PREFIX + column) for column in COLUMNS.names}
     overloads, ids = [], "ssduck_a.id, ssduck_b.id"
     for count, condition in _PAIR_MACROS[relation].items():
         rows = (
             f"SELECT {columns['tick']}, {columns['a']}, {columns['b']} "  # noqa: S608
-            f"FROM {_quoted(_PREFIX + PAIRS)} WHERE {condition.format(**columns)}"
+            f"FROM {quoted(_PREFIX + PAIRS)} WHERE {condition.format(**columns)}"
         )
         cases = f"WHEN greatest({ids}) >= {LINK_FACTOR} THEN {_error(_ENTITIES_ONLY, name)} "
         if relation == "near":
@@ -424,7 +409,7 @@ def _pair_macro(name: str, relation: str, within: float) -> str:
         overloads.append(
             f"({parameters}) AS (ssduck_a.tick = ssduck_b.tick AND CASE {cases}ELSE {held} END)"
         )
-    return f"CREATE OR REPLACE MACRO {_quoted(name)}{', '.join(overloads)}"
+    return f"CREATE OR REPLACE MACRO {quoted(name)}{', '.join(overloads)}"
 
 
 def _error(message: str, value: object) -> str:
@@ -432,9 +417,8 @@ def _error(message: str, value: object) -> str:
 
 
 def _pair_views(file: Path) -> Iterator[str]:
-    path = exp.Literal.string(_exact(file)).sql("duckdb")
     names = COLUMNS.names
-    rows = f"FROM read_parquet([{path}], hive_partitioning = false)"
-    yield _view(PAIRS, f"SELECT {', '.join(map(_quoted, names))} {rows}")
-    own = ", ".join(f"{_quoted(name)} AS {_quoted(_PREFIX + name)}" for name in names)
-    yield _view(_PREFIX + PAIRS, f"SELECT {own} FROM {_quoted(PAIRS)}")  # noqa: S608
+    rows = f"FROM read_parquet({file_list([file])}, hive_partitioning = false)"
+    yield _view(PAIRS, f"SELECT {', '.join(map(quoted, names))} {rows}")
+    own = ", ".join(f"{quoted(name)} AS {quoted(_PREFIX + name)}" for name in names)
+    yield _view(_PREFIX + PAIRS, f"SELECT {own} FROM {quoted(PAIRS)}")  # noqa: S608

@@ -215,19 +215,12 @@ _READERS = {
 
 @dataclass(frozen=True, eq=False)
 class _Ordered:
-    """What a file tells of frames, in the order of time.
+    """What a file tells of frames, in the order of time."""
 
-    Attributes:
-        moments: the times, ns, (messages,), ascending.
-        places: the frames.
-        parents: the frames that they are relative to; `_GONE`.
-        poses: x, y, z, qw, qx, qy, qz in the parent, (messages, 7).
-    """
-
-    moments: Indices
-    places: Indices
-    parents: Indices
-    poses: Array
+    moments: Indices  # the times, ns, (messages,), ascending
+    places: Indices  # the frames
+    parents: Indices  # the frames that they are relative to; `_GONE`
+    poses: Array  # x, y, z, qw, qx, qy, qz in the parent, (messages, 7)
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,16 +22,11 @@ from ssduck.world.layout import EntityInfo
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A frame whose pose is recorded: an entity, or a link of one.
+    """A frame whose pose is recorded: an entity, or a link of one."""
 
-    Attributes:
-        name: the name of the entity, or `entity.link`.
-        link: the number of the link; 0 for the entity.
-    """
-
-    name: str
+    name: str  # the name of the entity, or `entity.link`
     entity: EntityInfo
-    link: int
+    link: int  # the number of the link; 0 for the entity
 
     @property
     def shapes(self) -> dict[int, PlacedGeometry]:
@@ -42,27 +37,20 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What moves in an episode.
-
-    Attributes:
-        frames: the frames, entity by entity, each followed by its links.
-        ticks: the numbers of the ticks, (ticks,).
-        times: their simulated times, s, (ticks,).
-        poses: x, y, z, qw, qx, qy, qz of each frame, world frame, m, (ticks, frames, 7); NaN where
-            it is not there.
-        joints: the names of the joints whose position is a number, `entity.joint`; empty if joints
-            are not recorded.
-        positions: their positions, rad or m, (ticks, joints); NaN for unknown ones.
-        steps: the steps of an episode of a gymnasium environment; None for others.
-    """
+    """What moves in an episode."""
 
     run: FolderRun
-    frames: tuple[Frame, ...]
-    ticks: Indices
-    times: Array
+    frames: tuple[Frame, ...]  # the frames, entity by entity, each followed by its links
+    ticks: Indices  # the numbers of the ticks, (ticks,)
+    times: Array  # their simulated times, s, (ticks,)
+    # x, y, z, qw, qx, qy, qz of each frame, world frame, m, (ticks, frames, 7); NaN where it is not
+    # there
     poses: Array
+    # the names of the joints whose position is a number, `entity.joint`; empty if joints are not
+    # recorded
     joints: tuple[str, ...]
-    positions: Array
+    positions: Array  # their positions, rad or m, (ticks, joints); NaN for unknown ones
+    # the steps of an episode of a gymnasium environment; None for others
     steps: EpisodeSteps | None = None
 
     @property

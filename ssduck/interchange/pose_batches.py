@@ -28,17 +28,11 @@ _SHAPES = "(ticks, 7): x, y, z, qw, qx, qy, qz, or (ticks, 3): x, y, z"
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """The frames of the entities of a record.
+    """The frames of the entities of a record."""
 
-    Attributes:
-        names: the names of the frames.
-        owners: the number of the entity of each frame, (frames,).
-        starts: the first frame of each entity, (entities,).
-    """
-
-    names: tuple[str, ...]
-    owners: Indices
-    starts: Indices
+    names: tuple[str, ...]  # the names of the frames
+    owners: Indices  # the number of the entity of each frame, (frames,)
+    starts: Indices  # the first frame of each entity, (entities,)
 
     @classmethod
     def of(cls, entities: Sequence[EntityInfo]) -> Frames:
@@ -68,20 +62,14 @@ class Frames:
 
 @dataclass(frozen=True, eq=False)
 class PoseBatch:
-    """The poses of frames at some ticks.
+    """The poses of frames at some ticks."""
 
-    Attributes:
-        times: simulated times, s, (ticks,), ascending.
-        poses: x, y, z, qw, qx, qy, qz, world frame, m, (ticks, frames, 7).
-        twists: the velocities vx, vy, vz, m/s, and wx, wy, wz, rad/s, world frame, (ticks, frames,
-            6); NaN for unknown ones.
-        present: whether each entity is there, (ticks, entities).
-    """
-
-    times: Array
-    poses: Array
+    times: Array  # simulated times, s, (ticks,), ascending
+    poses: Array  # x, y, z, qw, qx, qy, qz, world frame, m, (ticks, frames, 7)
+    # the velocities vx, vy, vz, m/s, and wx, wy, wz, rad/s, world frame, (ticks, frames, 6); NaN
+    # for unknown ones
     twists: Array
-    present: Flags
+    present: Flags  # whether each entity is there, (ticks, entities)
 
 
 def batch_of(
@@ -333,16 +321,12 @@ def _with_unit_quaternions(batch: PoseBatch, frames: Frames) -> Array:
 
 @dataclass(frozen=True)
 class ImportedPoses:
-    """The poses of an episode.
+    """The poses of an episode."""
 
-    Attributes:
-        names: the names of the frames, those of entities that are known before those of links.
-        tables: tables of poses, as `ssduck.write_record` takes them, one after the other.
-        about: what the source says of the episode: `world`, `tags`, `kinds` and `task`.
-        unread: what is in the source and not in the tables.
-    """
-
+    # the names of the frames, those of entities that are known before those of links
     names: Sequence[str]
+    # tables of poses, as `ssduck.write_record` takes them, one after the other
     tables: Iterable[pa.Table]
+    # what the source says of the episode: `world`, `tags`, `kinds` and `task`
     about: Mapping[str, Any]
-    unread: Sequence[str]
+    unread: Sequence[str]  # what is in the source and not in the tables

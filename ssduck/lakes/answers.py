@@ -26,19 +26,12 @@ _DOUBTS = "doubts"
 
 @dataclass(frozen=True)
 class AnsweredEpisode:
-    """The answer of an episode.
+    """The answer of an episode."""
 
-    Attributes:
-        entry: the episode.
-        text: the answer as a text of JSON; None if there is an error.
-        error: the error; None if there is an answer.
-        doubts: the probable mistakes in the question.
-    """
-
-    entry: EpisodeEntry
-    text: str | None
-    error: str | None
-    doubts: tuple[str, ...] = ()
+    entry: EpisodeEntry  # the episode
+    text: str | None  # the answer as a text of JSON; None if there is an error
+    error: str | None  # the error; None if there is an answer
+    doubts: tuple[str, ...] = ()  # the probable mistakes in the question
 
     @property
     def value(self) -> Any:

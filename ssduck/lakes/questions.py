@@ -63,17 +63,11 @@ class Question(ABC):
 
 @dataclass(frozen=True)
 class ProgramQuestion(Question):
-    """A program, whose value is the answer.
+    """A program, whose value is the answer."""
 
-    Attributes:
-        text: the program.
-        limits: the limits of the program.
-        is_strict: whether a probable mistake in it is an error.
-    """
-
-    text: str
-    limits: Limits | None = None
-    is_strict: bool = False
+    text: str  # the program
+    limits: Limits | None = None  # the limits of the program
+    is_strict: bool = False  # whether a probable mistake in it is an error
 
     def __post_init__(self) -> None:
         text(self.text, "a program for a lake is a text of SelectScript")
@@ -152,15 +146,10 @@ def _is_of_episode(node: Node) -> bool:
 
 @dataclass(frozen=True)
 class ScoreQuestion(Question):
-    """The terms of a task, evaluated after each step of an episode of `ssduck.gym`.
+    """The terms of a task, evaluated after each step of an episode of `ssduck.gym`."""
 
-    Attributes:
-        terms: the terms.
-        limits: the limits of the terms.
-    """
-
-    terms: Terms
-    limits: Limits | None = None
+    terms: Terms  # the terms
+    limits: Limits | None = None  # the limits of the terms
     is_strict = True
 
     @property

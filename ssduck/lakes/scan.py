@@ -20,7 +20,7 @@ from ssduck.lakes.manifest import EpisodeEntry
 from ssduck.recording.episode_steps import FOLDER as STEPS
 from ssduck.recording.folder_episodes import ABOUT, VERSION, check_about, lost_runs, runs_named
 from ssduck.recording.paths import expand_path
-from ssduck.recording.stores.files import checksum_of, is_temporary, parquet_problem
+from ssduck.recording.stores.files import checksum_of, is_temporary
 from ssduck.recording.stores.object_store import ObjectPath, file_system, reading
 from ssduck.recording.stores.parquet_layout import LOG, PAIRS, FolderRun
 from ssduck.recording.stores.summaries import (
@@ -297,10 +297,11 @@ def _entry_of(run: FolderRun, entry: EpisodeEntry, listing: Listing) -> EpisodeE
 
 def _computed(run: FolderRun, listing: Listing) -> EpisodeSummary:
     """Returns the summary of an episode, for which each file is read."""
-    files, are_whole = {}, True
+    files = {}
     for name, (size, modified) in parts_in(run, listing).items():
         content = (run.path / name).read_bytes()
         files[name] = StoredFile(name, size, modified, zlib.crc32(content))
-        if not name.startswith("models/"):  # those are checked when they are read
-            are_whole &= parquet_problem(content, has_checksums=True) is None
+    # The models are checked when they are read.
+    numbers = run.parts
+    are_whole = not any(run.problem(table, n) for table in run.tables for n in numbers)
     return summary_of(run, files, are_whole=are_whole)

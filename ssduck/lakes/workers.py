@@ -114,16 +114,11 @@ MAX_READERS = 4
 
 
 class Answer(NamedTuple):
-    """The answer of an episode.
+    """The answer of an episode."""
 
-    Attributes:
-        text: the answer as a text of JSON; None if there is an error.
-        error: the error; None if there is an answer.
-        doubts: the probable mistakes in the question, each once, of which to warn.
-    """
-
-    text: str | None
-    error: str | None = None
+    text: str | None  # the answer as a text of JSON; None if there is an error
+    error: str | None = None  # the error; None if there is an answer
+    # the probable mistakes in the question, each once, of which to warn
     doubts: tuple[str, ...] = ()
 
 

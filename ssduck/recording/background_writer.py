@@ -150,13 +150,10 @@ _IDLE_SECONDS = 5.0
 
 
 class Flushable(Protocol):
-    """A recorder.
+    """A recorder."""
 
-    Attributes:
-        flush_at: the time at which buffered rows are to be stored, s of `time.monotonic`; None if
-            there are none.
-    """
-
+    # the time at which buffered rows are to be stored, s of `time.monotonic`; None if there are
+    # none
     flush_at: float | None
 
     def try_to_flush(self) -> bool:

@@ -27,17 +27,12 @@ _LENT_FRACTION = 4
 
 @dataclass(frozen=True, eq=False)
 class TickRows:
-    """Rows of some ticks, in the order of these.
+    """Rows of some ticks, in the order of these."""
 
-    Attributes:
-        integers: the columns of integers by name, `tick` among them.
-        doubles: the columns of doubles, (columns, rows), the time first.
-        booleans: the columns of booleans by name, as 0 and 1.
-    """
-
+    # the columns of integers by name, `tick` among them
     integers: Mapping[str, npt.NDArray[np.int64]]
-    doubles: Array
-    booleans: Mapping[str, npt.NDArray[np.uint8]]
+    doubles: Array  # the columns of doubles, (columns, rows), the time first
+    booleans: Mapping[str, npt.NDArray[np.uint8]]  # the columns of booleans by name, as 0 and 1
 
     def __len__(self) -> int:
         return len(self.doubles[0])

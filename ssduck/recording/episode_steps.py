@@ -90,28 +90,20 @@ class NewerStepsError(RecordError):
 
 @dataclass
 class EpisodeSteps:
-    """The steps of an episode.
+    """The steps of an episode."""
 
-    Attributes:
-        terms: the texts of the terms.
-        seed: the seed of the reset.
-        options: the options of the reset, as values of JSON; None if they are none.
-        times: the simulated time of the tick at the reset and after each step, s.
-        ticks: the numbers of these ticks.
-        variables: the values of each variable at those ticks.
-        rewards: the reward of each step.
-        actions: the action of each step, as numbers; None if they are others, or not recorded.
-        success: whether the task was done after the last step; None without such a term.
-    """
-
-    terms: Mapping[str, Any]
-    seed: int | None = None
-    options: Any = None
+    terms: Mapping[str, Any]  # the texts of the terms
+    seed: int | None = None  # the seed of the reset
+    options: Any = None  # the options of the reset, as values of JSON; None if they are none
+    # the simulated time of the tick at the reset and after each step, s
     times: list[float] = field(default_factory=list)
-    ticks: list[int] = field(default_factory=list)
+    ticks: list[int] = field(default_factory=list)  # the numbers of these ticks
+    # the values of each variable at those ticks
     variables: dict[str, list[Any]] = field(default_factory=dict)
-    rewards: list[float] = field(default_factory=list)
+    rewards: list[float] = field(default_factory=list)  # the reward of each step
+    # the action of each step, as numbers; None if they are others, or not recorded
     actions: list[list[float]] | None = field(default_factory=list)
+    # whether the task was done after the last step; None without such a term
     success: bool | None = None
 
     def add_tick(self, number: int, time: float, variables: Mapping[str, Any]) -> None:

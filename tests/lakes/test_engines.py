@@ -61,40 +61,28 @@ def answers_after_a_kill(lake, tmp_path, engine, **engines):
     return table
 
 
-def test_ray(ray, folder):
+@pytest.fixture(params=["ray", "spark"])
+def engine(request):
+    request.getfixturevalue(request.param)
+    return request.param
+
+
+def test_the_same_answers(engine, folder):
     lake = ssduck.lake(folder)
     wanted = lake.ask(QUESTION, processes=1)
-    assert lake.ask(QUESTION, engine="ray", batch=2).equals(wanted)
+    assert lake.ask(QUESTION, engine=engine, batch=2).equals(wanted)
 
 
-def test_ray_tells_doubts(ray, folder):
+def test_doubts_are_told(engine, folder):
     with pytest.warns(ProgramWarning, match="'cpu'") as told:
-        ssduck.lake(folder).ask(DOUBT, engine="ray", batch=2)
+        ssduck.lake(folder).ask(DOUBT, engine=engine, batch=2)
     assert [one.category for one in told].count(ProgramWarning) == 1
 
 
-def test_a_killed_worker_of_ray(ray, folder, tmp_path):
+def test_a_killed_worker(engine, folder, tmp_path):
     lake = ssduck.lake(folder)
     wanted = lake.ask(QUESTION, processes=1)
-    assert answers_after_a_kill(lake, tmp_path, "ray").equals(wanted)
-
-
-def test_spark(spark, folder):
-    lake = ssduck.lake(folder)
-    wanted = lake.ask(QUESTION, processes=1)
-    assert lake.ask(QUESTION, engine="spark", batch=2).equals(wanted)
-
-
-def test_spark_tells_doubts(spark, folder):
-    with pytest.warns(ProgramWarning, match="'cpu'") as told:
-        ssduck.lake(folder).ask(DOUBT, engine="spark", batch=2)
-    assert [one.category for one in told].count(ProgramWarning) == 1
-
-
-def test_a_killed_worker_of_spark(spark, folder, tmp_path):
-    lake = ssduck.lake(folder)
-    wanted = lake.ask(QUESTION, processes=1)
-    assert answers_after_a_kill(lake, tmp_path, "spark").equals(wanted)
+    assert answers_after_a_kill(lake, tmp_path, engine).equals(wanted)
 
 
 @pytest.mark.long
@@ -107,10 +95,10 @@ def test_a_killed_process_of_this_machine_is_an_error(folder, tmp_path):
     assert answers_after_a_kill(lake, tmp_path, "local", processes=2).equals(wanted)
 
 
-@pytest.mark.parametrize("engine", ["ray", "spark"])
-def test_missing_engines_say_what_to_install(folder, monkeypatch, engine):
+@pytest.mark.parametrize("name", ["ray", "spark"])
+def test_missing_engines_say_what_to_install(folder, monkeypatch, name):
     monkeypatch.setitem(
-        __import__("sys").modules, {"ray": "ray", "spark": "pyspark.sql"}[engine], None
+        __import__("sys").modules, {"ray": "ray", "spark": "pyspark.sql"}[name], None
     )
-    with pytest.raises(UnsupportedError, match=rf"ssduck\[{engine}\]"):
-        ssduck.lake(folder).ask("1;", engine=engine)
+    with pytest.raises(UnsupportedError, match=rf"ssduck\[{name}\]"):
+        ssduck.lake(folder).ask("1;", engine=name)

@@ -1,5 +1,6 @@
 """Questions for the episodes of `lake_episodes`, and the answers that each gives by itself."""
 
+import json
 import os
 import signal
 from dataclasses import dataclass
@@ -8,7 +9,7 @@ from pathlib import Path
 import ssduck
 from ssduck.gym import score
 from ssduck.interpreter.episode_batches import collected_doubts
-from ssduck.lakes.questions import ProgramQuestion, plain, to_text
+from ssduck.lakes.questions import ProgramQuestion, plain
 from ssduck.lakes.workers import Answer
 from tests.support.lake_episodes import REWARD, SUCCESS
 
@@ -62,7 +63,7 @@ def whole_answer_of(ss, program):
     """Returns the answer of an opened episode, with its error and the doubts."""
     try:
         with collected_doubts(ss) as doubts:
-            text = to_text(plain(ss.eval(program)))
+            text = json.dumps(plain(ss.eval(program)))
     except ssduck.SelectScriptError as error:
         return Answer(None, str(error))
     return Answer(text, None, tuple(doubts))

@@ -65,17 +65,12 @@ class LinkPosesOverTicks:
 
 @dataclass(frozen=True, eq=False)
 class PairSide:
-    """The first or the second entity of each of n pairs.
+    """The first or the second entity of each of n pairs."""
 
-    Attributes:
-        ids: (n,), the ids of the entities.
-        base_poses: the poses of their base links.
-        link_poses: returns the poses of a link for rows of the pairs, by the rows, the id of the
-            entity and the number of the link.
-    """
-
-    ids: Ids
-    base_poses: LinkPosesOverTicks
+    ids: Ids  # (n,), the ids of the entities
+    base_poses: LinkPosesOverTicks  # the poses of their base links
+    # returns the poses of a link for rows of the pairs, by the rows, the id of the entity and the
+    # number of the link
     link_poses: Callable[[Indices, int, int], LinkPosesOverTicks]
 
 

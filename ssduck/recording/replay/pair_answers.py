@@ -23,19 +23,12 @@ from ssduck.schema import POSE
 
 @dataclass(frozen=True, eq=False)
 class PairAnswers:
-    """Answers about n pairs of entities.
+    """Answers about n pairs of entities."""
 
-    Attributes:
-        ticks: (n,), the tick of each pair.
-        first: (n,), the ids of the first entities.
-        second: (n,), the ids of the second entities.
-        values: (n,), the answers: numbers; 1 for True, 0 for False, NaN for unknown.
-    """
-
-    ticks: Ticks
-    first: Ids
-    second: Ids
-    values: Array
+    ticks: Ticks  # (n,), the tick of each pair
+    first: Ids  # (n,), the ids of the first entities
+    second: Ids  # (n,), the ids of the second entities
+    values: Array  # (n,), the answers: numbers; 1 for True, 0 for False, NaN for unknown
 
 
 class PairQueries:

@@ -42,21 +42,13 @@ BufferViews: TypeAlias = Callable[[str], Sequence[str]]
 
 @dataclass(frozen=True)
 class PairRequest:
-    """A request for pairs of entities whose boxes are near each other, at some ticks.
+    """A request for pairs of entities whose boxes are near each other, at some ticks."""
 
-    Attributes:
-        first: the first tick.
-        last: the last tick.
-        a: the id of the first entity; 0 for any.
-        b: the id of the second entity; 0 for any.
-        max_gap: the largest gap between their boxes along each axis, m.
-    """
-
-    first: int
-    last: int
-    a: int
-    b: int
-    max_gap: float
+    first: int  # the first tick
+    last: int  # the last tick
+    a: int  # the id of the first entity; 0 for any
+    b: int  # the id of the second entity; 0 for any
+    max_gap: float  # the largest gap between their boxes along each axis, m
 
 
 # The columns of the result: a tick, two entities, and the pose of each.
@@ -69,33 +61,21 @@ class TickStore(ABC):
     Threads. One thread writes at a time: that of the `BackgroundWriter`, or the one that flushes.
     `add_members`, `add` and `drop_before` are never called concurrently. Other threads read rows
     meanwhile; they hold the lock that `commit_lock` takes, so that they see each row exactly once,
-    either buffered or stored.
-
-    Attributes:
-        recording: what is recorded of each tick.
-        tables: the tables whose rows are stored, `ticks` among them.
-        is_in_place: whether `add` keeps the given buffers, in next to no time; rows are then stored
-            at once, in the thread that steps the world.
-        visible_rows: the stored rows that DuckDB reads from memory, by table.
+    either buffered or stored. What cannot be written is a RecordError of a folder, or a SqlError of
+    a database.
     """
 
-    recording: Recording
-    tables: tuple[str, ...]
+    recording: Recording  # what is recorded of each tick
+    tables: tuple[str, ...]  # the tables whose rows are stored, `ticks` among them
+    # whether `add` keeps the given buffers, in next to no time; rows are then stored at once, in
+    # the thread that steps the world
     is_in_place: bool = False
+    # the stored rows that DuckDB reads from memory, by table
     visible_rows: tuple[Mapping[str, VisibleRows], ...] = ()
 
     @abstractmethod
     def add_members(self, members: Collection[EntityInfo], id_provider: IdProvider) -> None:
-        """Stores the models of entities, all or nothing, before any row of theirs.
-
-        Args:
-            members: entities that were not stored before.
-            id_provider: gives the numbers of their run and of their geometries.
-
-        Raises:
-            RecordError: a folder cannot be written.
-            SqlError: a database cannot be written.
-        """
+        """Stores the models of new entities, all or nothing, before any row of theirs."""
 
     @abstractmethod
     def add(self, rows: Mapping[str, pa.Table], commit_lock: CommitLock = NO_LOCK) -> None:
@@ -107,10 +87,6 @@ class TickStore(ABC):
         Args:
             rows: the rows of each of `tables`, by ascending tick, later than all stored ones.
             commit_lock: is held while the rows become readable.
-
-        Raises:
-            RecordError: a folder cannot be written.
-            SqlError: a database cannot be written.
         """
 
     def append(self, rows: Mapping[str, pa.Table], commit_lock: CommitLock = NO_LOCK) -> None:
@@ -121,27 +97,16 @@ class TickStore(ABC):
         self.add(rows, commit_lock)
 
     def complete(self) -> None:  # noqa: B027  # most stores have one form only
-        """Gives appended rows the form of added ones.
-
-        Raises:
-            RecordError: a folder cannot be written; the rows remain as they were appended.
-        """
+        """Gives appended rows the form of added ones."""
 
     def finish(self) -> None:  # noqa: B027  # a record in memory ends with the process
-        """Marks the record as complete: its recorder was not killed.
-
-        Raises:
-            RecordError: a folder cannot be written.
-            SqlError: a database cannot be written.
-        """
+        """Marks the record as complete: its recorder was not killed."""
 
     def drop_before(self, tick: int) -> int:  # noqa: ARG002  # a folder keeps all ticks
         """Drops rows of ticks before a number, as far as whole parts are older.
 
-        Drops the oldest parts as well while the rows exceed `recording.max_bytes`.
-
-        Returns:
-            The first tick that is still stored, or any before it: 0 if nothing is ever dropped.
+        Drops the oldest parts as well while the rows exceed `recording.max_bytes`. Returns the
+        first tick that is still stored, or any before it: 0 if nothing is ever dropped.
         """
         return 0
 
@@ -150,36 +115,21 @@ class TickArchive(ABC):
     """Recorded ticks that can be read: the stored rows, without the buffered ones.
 
     The caller holds the world that was recorded, so that nothing is dropped meanwhile.
-
-    Attributes:
-        recording: what was recorded of each tick.
-        tables: the tables that have rows, `ticks` among them.
-        visible_rows: the stored rows that DuckDB reads from memory, by table.
-        has_single_links: whether bodies of one link have rows in the table of links.
     """
 
-    has_single_links: bool = False
-    recording: Recording
-    tables: tuple[str, ...]
+    has_single_links: bool = False  # whether bodies of one link have rows in the table of links
+    recording: Recording  # what was recorded of each tick
+    tables: tuple[str, ...]  # the tables that have rows, `ticks` among them
+    # the stored rows that DuckDB reads from memory, by table
     visible_rows: tuple[Mapping[str, VisibleRows], ...] = ()
     _connection: StoreConnection
 
     @abstractmethod
     def select(self, table: str, buffer_views: BufferViews | None) -> str | None:
-        """Returns the SELECT of the view of a table's history; None if it is not recorded.
-
-        Args:
-            table: a table of a world.
-            buffer_views: names the views of the buffered rows; None if there are none.
-        """
+        """Returns the SELECT of the view of a table's history; None if it is not recorded."""
 
     def check(self, table: str, ticks: tuple[int, int] | None = None) -> None:  # noqa: B027
-        """Checks the bytes of the files that SQL reads of a table, each once.
-
-        Args:
-            table: a table of a world.
-            ticks: the first and the last tick that a statement reads; None for all.
-        """
+        """Checks the bytes of the files that SQL reads of a table at some ticks, each once."""
 
     def has_groups(self, table: str) -> bool:  # noqa: ARG002
         """Checks whether a statement about some ticks reads some files of a table only."""
@@ -201,12 +151,8 @@ class TickArchive(ABC):
     def near_pairs(self, request: PairRequest, buffered: pa.Table | None) -> pa.Table:
         """Returns the pairs of entities whose boxes are near at a tick, or unknown.
 
-        Args:
-            request: selects the pairs.
-            buffered: the buffered rows of `entities`; None if there are none.
-
-        Returns:
-            `PAIR_COLUMNS`, sorted by tick; each pair in both orders unless the request selects one.
+        These are `PAIR_COLUMNS`, sorted by tick; each pair in both orders unless the request
+        selects one. The buffered rows of `entities` are in memory.
         """
 
     def close(self, *, forget: bool) -> None:  # noqa: ARG002  # files are kept

@@ -32,17 +32,11 @@ _ID = re.compile("-".join(f"[0-9a-f]{{{digits}}}" for digits in (8, 4, 4, 4, 12)
 
 @dataclass(frozen=True)
 class Value:
-    """A value of a JSON object.
+    """A value of a JSON object."""
 
-    Attributes:
-        expected: a right value, in words.
-        fits: checks a value.
-        is_required: whether the object must have it.
-    """
-
-    expected: str
-    fits: Callable[[Any], bool]
-    is_required: bool = True
+    expected: str  # a right value, in words
+    fits: Callable[[Any], bool]  # checks a value
+    is_required: bool = True  # whether the object must have it
 
 
 # The values of an object, by key. Further keys are those of later versions.

@@ -50,17 +50,11 @@ Columns: TypeAlias = dict[str, pa.ChunkedArray]
 
 @dataclass(frozen=True)
 class BatchedFile:
-    """A file of a part.
+    """A file of a part."""
 
-    Attributes:
-        path: where it is.
-        checksum: the CRC-32 of its bytes.
-        table: its table, or `models/<table>`.
-    """
-
-    path: str
-    checksum: int
-    table: str
+    path: str  # where it is
+    checksum: int  # the CRC-32 of its bytes
+    table: str  # its table, or `models/<table>`
 
     def content(self) -> memoryview:
         """Returns the bytes of the file."""
@@ -87,17 +81,11 @@ def _content(path: str) -> memoryview:
 
 @dataclass(frozen=True, eq=False)
 class ReadPart:
-    """A part whose bytes were read and checked.
+    """A part whose bytes were read and checked."""
 
-    Attributes:
-        file: the file.
-        content: its bytes.
-        columns: those that were decoded.
-    """
-
-    file: BatchedFile
-    content: bytes | memoryview
-    columns: Columns = field(default_factory=dict)
+    file: BatchedFile  # the file
+    content: bytes | memoryview  # its bytes
+    columns: Columns = field(default_factory=dict)  # those that were decoded
 
     @cached_property
     def parquet(self) -> pq.ParquetFile:
@@ -194,17 +182,11 @@ class PartsDataset(ds.InMemoryDataset):  # type: ignore[misc]  # it has no types
 
 @dataclass(frozen=True)
 class BatchedEpisode:
-    """An episode of a batch.
+    """An episode of a batch."""
 
-    Attributes:
-        offset: is added to the numbers of its ticks.
-        ticks: the rows of its ticks: `tick`, without the offset, `time` and `wall_time`.
-        files: the files of its parts, by table.
-    """
-
-    offset: int
-    ticks: pa.Table
-    files: Mapping[str, Sequence[BatchedFile]]
+    offset: int  # is added to the numbers of its ticks
+    ticks: pa.Table  # the rows of its ticks: `tick`, without the offset, `time` and `wall_time`
+    files: Mapping[str, Sequence[BatchedFile]]  # the files of its parts, by table
 
     @cached_property
     def numbers(self) -> npt.NDArray[np.int64]:

@@ -1,9 +1,8 @@
 """Writes files of records all or nothing, with checksums (CRC-32), and checks them.
 
 The checksums find damages, not forgeries. The footer of a Parquet file has two: that of all bytes
-before the footer, and that of the footer, computed with zeros in its own place. So a footer is
-checked without the data, and the data without what follows. A file of a log has one, of all its
-bytes, and a JSON file has that of its content.
+before the footer, and that of the footer, computed with zeros in its own place. A file of a log has
+one, of all its bytes, and a JSON file has that of its content.
 """
 
 from __future__ import annotations
@@ -131,8 +130,6 @@ def sync_folder(folder: Path) -> None:
 _MAGIC = b"PAR1"
 # The length of a footer and the magic, bytes.
 _TAIL = 4 + len(_MAGIC)
-# The size that most footers do not exceed, bytes.
-_MOST_FOOTERS = 1 << 15
 # The number of bytes of a file that are summed at a time: they stay in the cache of a processor.
 _PIECE = 1 << 18
 _KEY = b"ssduck checksums"
@@ -180,46 +177,17 @@ def _write_all(stream: Any, content: memoryview) -> None:
         content = content[stream.write(content) :]
 
 
-def footer_of(file: Path) -> bytes | None:
-    """Returns the footer of a Parquet file; None if the file does not end in one."""
-    with file.open("rb", buffering=0) as stream:
-        size = stream.seek(0, 2)
-        if size < _TAIL + len(_MAGIC):
-            return None
-        stream.seek(-min(size, _MOST_FOOTERS), 2)
-        end = stream.read()
-        length = int.from_bytes(end[-_TAIL:-4], "little") + _TAIL
-        if end[-4:] != _MAGIC or length > size:
-            return None
-        if length <= len(end):
-            return end[-length:]
-        stream.seek(-length, 2)
-        return stream.read()
-
-
-def footer_problem(footer: bytes | None, *, has_checksums: bool) -> str | None:
-    """Returns what is wrong with a footer; None for nothing."""
-    if footer is None:
+def parquet_problem(content: bytes, *, has_checksums: bool) -> str | None:
+    """Returns what is wrong with the content of a Parquet file; None for nothing."""
+    footer = footer_in(content)
+    if content[-4:] != _MAGIC or len(footer) + len(_MAGIC) > len(content):
         return NOT_COMPLETE
     match = _last(_FOOTER_SUMS, footer)
     if match is None:
         return WRONG_CHECKSUM if has_checksums else None
-    start, end = match.span(2)
-    is_right = match.group(2) == _hex(_footer_sum(footer, start, end))
-    return None if is_right else WRONG_CHECKSUM
-
-
-def parquet_problem(content: bytes, *, has_checksums: bool) -> str | None:
-    """Returns what is wrong with the content of a Parquet file; None for nothing."""
-    length = int.from_bytes(content[-_TAIL:-4], "little") + _TAIL
-    is_complete = len(content) >= length + len(_MAGIC) and content[-4:] == _MAGIC
-    footer = content[-length:] if is_complete else None
-    problem = footer_problem(footer, has_checksums=has_checksums)
-    match = None if footer is None else _last(_FOOTER_SUMS, footer)
-    if problem is None and match is not None:
-        data = memoryview(content)[:-length]
-        problem = None if match.group(1) == _hex(zlib.crc32(data)) else WRONG_CHECKSUM
-    return problem
+    data = memoryview(content)[: -len(footer)]
+    sums = _hex(zlib.crc32(data)), _hex(_footer_sum(footer, *match.span(2)))
+    return None if match.groups() == sums else WRONG_CHECKSUM
 
 
 def verified_parquet(file: Path, *, has_checksums: bool) -> pq.ParquetFile:

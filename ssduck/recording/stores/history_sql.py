@@ -15,7 +15,7 @@ from sqlglot import exp
 from ssduck.errors import RecordError
 from ssduck.recording.stores.base import PairRequest, StoreConnection
 from ssduck.recording.stores.object_store import ObjectPath, is_address
-from ssduck.schema import BOX, POSE, RECORDED, Table
+from ssduck.schema import BOX, POSE, RECORDED, Column, Table
 
 # Is added to the largest gap of boxes, m, so that a gap of exactly that size is included.
 BOX_TOLERANCE = 1e-9
@@ -138,6 +138,12 @@ def file_list(files: Sequence[Path]) -> str:
     }
     names = ", ".join(f"{folders[file.parent]}{file.name}'" for file in files)  # by `part_name`
     return f"[{names}]"
+
+
+def rows_of_files(files: Sequence[Path], columns: Sequence[Column]) -> str:
+    """Returns a SELECT of all columns of a table from its files."""
+    rows = f"read_parquet({file_list(files)}, hive_partitioning = false)"
+    return all_columns(rows, {column.name: column.sql for column in columns})
 
 
 def exact_path(place: Path) -> str:

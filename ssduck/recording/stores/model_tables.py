@@ -37,17 +37,11 @@ _TYPES: dict[str, str] = {name: type for type, name in SQL_TYPES.items()}
 
 @dataclass(frozen=True, eq=False)
 class RecordFile:
-    """A DuckDB file with records, which is attached to be read.
+    """A DuckDB file with records, which is attached to be read."""
 
-    Attributes:
-        path: the file.
-        catalog: the name under which it is attached.
-        tables: the tables by their schemas and names; no view is one.
-    """
-
-    path: Path
-    catalog: str
-    tables: Collection[tuple[str, str]]
+    path: Path  # the file
+    catalog: str  # the name under which it is attached
+    tables: Collection[tuple[str, str]]  # the tables by their schemas and names; no view is one
     _checked: set[tuple[str, str]] = field(default_factory=set)
 
     @classmethod

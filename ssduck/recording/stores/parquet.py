@@ -5,7 +5,7 @@ from __future__ import annotations
 import secrets
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,6 @@ import numpy as np
 import pyarrow as pa
 
 from ssduck.errors import RecordError
-from ssduck.geometry.shapes import Geometry
 from ssduck.recording.background_writer import NO_LOCK, CommitLock
 from ssduck.recording.buffers import MAX_BUFFERED_ROWS
 from ssduck.recording.episode import Tags, checked_tags, new_id
@@ -40,6 +39,7 @@ from ssduck.recording.stores.tick_index import INDEX, TickIndex
 from ssduck.schema import recorded_tables
 from ssduck.simulators.scenes import Camera
 from ssduck.world.layout import EntityInfo
+from ssduck.world.snapshot import Snapshot
 
 # The columns of which parts have statistics: queries choose parts by them.
 _WITH_STATISTICS = ("tick", "time")
@@ -152,7 +152,7 @@ class ParquetStore(TickStore):
 
     def _store_empty_models(self) -> None:
         if not self._model_count:  # the world has no entities
-            self.add_members((), _NoIds())
+            self.add_members((), Snapshot())
 
     def _set_last_tick(self, rows: Mapping[str, pa.Table]) -> None:
         self.last_tick = int(np.max(rows["ticks"]["tick"].to_numpy()))
@@ -234,18 +234,6 @@ def _writing(place: Path) -> Iterator[None]:
             f"{place} cannot be written: {error}; the rows that were stored before are intact, "
             "and the others are kept until there is room"
         ) from error
-
-
-@dataclass(frozen=True)
-class _NoIds:
-    """The numbers of a world that has no entities."""
-
-    run: int = 0
-    drawn: None = None
-
-    def geometry_id(self, geometry: Geometry) -> int:
-        """Fails: there are no geometries."""
-        raise AssertionError(geometry)
 
 
 def _options(rows: pa.Table) -> dict[str, Any]:

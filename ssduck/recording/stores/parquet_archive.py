@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -25,19 +25,18 @@ from ssduck.recording.stores.base import (
     TickArchive,
 )
 from ssduck.recording.stores.history_sql import (
-    all_columns,
     column_list,
     exact_path,
-    file_list,
     near_pair_rows,
     quoted,
+    rows_of_files,
 )
 from ssduck.recording.stores.object_store import parquet_source
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun
 from ssduck.recording.stores.stored_columns import unreadable
-from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES, Column
+from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES
 
-# From so many parts on, a record has groups of them, and a part is checked when it is read.
+# From so many parts on, a record has groups of them.
 MANY_PARTS = 16
 
 
@@ -68,11 +67,8 @@ class ParquetArchive(TickArchive):
         exact_path(run.path)
         # The working directory may change.
         self._files = {t: [file.absolute() for file in run.listed_files(t)] for t in run.tables}
-        # The files whose bytes were checked. The footers of all files are checked here, unless they
-        # are many.
+        # The files whose bytes were checked.
         self._checked: set[Path] = set()
-        for table, files in self._files.items() if len(self._starts) < MANY_PARTS else ():
-            self._run.check(table, map(part_number, files))
         self._models = {table: run.read(f"models/{table}") for table in MODELS}
         self._linked = multi_link_bodies(self._models["entities"])
         if len(self._linked) and not {"links", FRAMES} & set(run.tables):
@@ -137,15 +133,15 @@ class ParquetArchive(TickArchive):
     def models(self) -> dict[str, str]:
         """Returns the SELECT of the view of each model, by the name of the view."""
         return {
-            table.model_view: _select_all(files, table.model)
+            table.model_view: rows_of_files(files, table.model)
             for table in MODELS.values()
-            if (files := self._run.files(f"models/{table.name}"))
+            if (files := self._run.listed_files(f"models/{table.name}"))
         }
 
     def _select_parts(self, table: str, parts: range) -> str:
         """Returns a SELECT of all columns of some parts of a table."""
         files = self._files[table]
-        rows = _select_all(files[parts.start : parts.stop], TABLES[table].columns)
+        rows = rows_of_files(files[parts.start : parts.stop], TABLES[table].columns)
         if len(parts) == len(files):
             return rows
         first, last = self._ticks_of(parts)
@@ -242,9 +238,3 @@ def _between(rows: pa.Table, first: int, last: int) -> pa.Table:
     """Returns the rows at the ticks from first to last."""
     ticks = rows["tick"].to_numpy()
     return rows.filter(pa.array((ticks >= first) & (ticks <= last)))
-
-
-def _select_all(files: Sequence[Path], columns: Sequence[Column]) -> str:
-    """Returns a SELECT of all columns of a table from its files."""
-    rows = f"read_parquet({file_list(files)}, hive_partitioning = false)"
-    return all_columns(rows, {column.name: column.sql for column in columns})

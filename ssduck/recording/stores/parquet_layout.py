@@ -55,8 +55,6 @@ from ssduck.recording.stores.descriptions import (
 )
 from ssduck.recording.stores.files import (
     footer_in,
-    footer_of,
-    footer_problem,
     parquet_problem,
 )
 from ssduck.recording.stores.object_store import ObjectPath
@@ -87,21 +85,14 @@ class FolderRun:
     """A run of a world that is recorded in a folder.
 
     Whatever reads a file that is missing or damaged raises a RecordError.
-
-    Attributes:
-        path: the folder.
-        world: the name of the world.
-        number: of the episode, from 0.
-        left_out: the numbers of parts that are taken for removed.
-        log_end: the number of files of the log that are read; None for all.
-        is_empty: whether it had no folder of ticks or of a log when the record was listed.
     """
 
-    path: Path
-    world: str
-    number: int
-    left_out: frozenset[int] = frozenset()
-    log_end: int | None = None
+    path: Path  # the folder
+    world: str  # the name of the world
+    number: int  # of the episode, from 0
+    left_out: frozenset[int] = frozenset()  # the numbers of parts that are taken for removed
+    log_end: int | None = None  # the number of files of the log that are read; None for all
+    # whether it had no folder of ticks or of a log when the record was listed
     is_empty: bool = field(default=False, compare=False)
 
     @property
@@ -274,12 +265,6 @@ class FolderRun:
     def _has_rows(self) -> bool:
         return bool(part_numbers(self.place("ticks"))) or is_log(self.place(LOG))
 
-    def files(self, table: str) -> list[Path]:
-        """Returns the files of a table, of complete parts only."""
-        files = self.listed_files(table)
-        self.check(table, map(part_number, files))
-        return files
-
     @record_errors()
     def listed_files(self, table: str) -> list[Path]:
         """Returns the files of a table, of complete parts only; looks into none of them."""
@@ -293,14 +278,6 @@ class FolderRun:
     def label(self, table: str, number: int) -> bytes:
         """Returns the label in the footer of a part's file."""
         return label_of(self.key, table, number)
-
-    def check(self, table: str, numbers: Iterable[int]) -> None:
-        """Checks that the files of parts are there and complete, with right footers."""
-        for number in numbers:
-            footer, problem = self._footer_of(table, number)
-            if footer is None or problem is not None:
-                raise self._error_of(table, number, problem or MISSING)
-            checked_parquet(str(self.place(table) / part_name(number)), footer, table)
 
     def check_data(self, table: str, numbers: Iterable[int]) -> None:
         """Checks all bytes of the files of parts."""
@@ -329,15 +306,6 @@ class FolderRun:
             return problem or checked_parquet(str(file), content, table)
         except OSError as error:  # a RecordError is one
             return unreadable_because(file, error)
-
-    def _footer_of(self, table: str, number: int) -> tuple[bytes | None, str | None]:
-        """Returns the footer of the file of a part, and what is wrong with it."""
-        try:
-            footer = footer_of(self.place(table) / part_name(number))
-        except OSError as error:
-            return None, unreadable_because(self.place(table) / part_name(number), error)
-        problem = footer_problem(footer, has_checksums=self.has_checksums)
-        return footer, problem or self._problem_of_label(table, number, footer)
 
     def _problem_of_label(self, table: str, number: int, footer: bytes | None) -> str | None:
         """Returns that the footer of a part has the label of another; None if it has not."""

@@ -24,7 +24,6 @@ import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError
 from ssduck.recording.episode import extent_of
-from ssduck.recording.paths import part_number
 from ssduck.recording.stores.descriptions import (
     TEXT,
     Description,
@@ -47,44 +46,26 @@ Listing = Mapping[str, tuple[int, int]]
 
 @dataclass(frozen=True)
 class StoredFile:
-    """A file of an episode.
+    """A file of an episode."""
 
-    Attributes:
-        name: its path in the record, with slashes.
-        size: its size, bytes.
-        modified: when it was last changed, ns since 1970.
-        checksum: the CRC-32 of its bytes.
-    """
-
-    name: str
-    size: int
-    modified: int
-    checksum: int
+    name: str  # its path in the record, with slashes
+    size: int  # its size, bytes
+    modified: int  # when it was last changed, ns since 1970
+    checksum: int  # the CRC-32 of its bytes
 
 
 @dataclass(frozen=True)
 class EpisodeSummary:
-    """What a lake has to know of the ticks and models of an episode.
+    """What a lake has to know of the ticks and models of an episode."""
 
-    Attributes:
-        ticks: the number of ticks.
-        first_tick: the number of the first tick.
-        last_tick: the number of the last tick.
-        start: the simulated time of the first tick, s.
-        end: the simulated time of the last tick, s.
-        entities: the names of the entities, by id.
-        group: the same text for episodes that can be asked together; None for no others.
-        files: the files of its parts, by name.
-    """
-
-    ticks: int
-    first_tick: int
-    last_tick: int
-    start: float
-    end: float
-    entities: tuple[str, ...]
-    group: str | None
-    files: Mapping[str, StoredFile]
+    ticks: int  # the number of ticks
+    first_tick: int  # the number of the first tick
+    last_tick: int  # the number of the last tick
+    start: float  # the simulated time of the first tick, s
+    end: float  # the simulated time of the last tick, s
+    entities: tuple[str, ...]  # the names of the entities, by id
+    group: str | None  # the same text for episodes that can be asked together; None for no others
+    files: Mapping[str, StoredFile]  # the files of its parts, by name
 
 
 def summary_name(run: FolderRun) -> str:
@@ -126,8 +107,6 @@ def _group_of(run: FolderRun, models: Mapping[str, pa.Table]) -> str | None:
     if run.log or run.removed_parts or not run.has_checksums:
         return None
     parts = {table: run.listed_files(table) for table in run.tables}
-    for table, files in parts.items():
-        run.check(table, map(part_number, files))
     every, entities = run.recording.get("every", 1), run.recording["entities"]
     described = run.world, run.tables, every, entities, run.description.get("camera")
     sink = hashlib.sha256(repr(described).encode())
