@@ -128,7 +128,7 @@ def _no_checksums() -> Iterator[None]:
         (descriptions, {"pop_checksum": _unchecked}),
         (part_log, {"log_problem": _no_problem}),
         (tick_index, whole_file),
-        (parquet_layout, {"parquet_problem": _no_problem}),
+        *((parquet_layout, {name: _no_problem}) for name in ("parquet_problem", "footer_problem")),
     ]
     with ExitStack() as stack:
         for module, values in replaced:

@@ -1,8 +1,9 @@
 """Writes files of records all or nothing, with checksums (CRC-32), and checks them.
 
 The checksums find damages, not forgeries. The footer of a Parquet file has two: that of all bytes
-before the footer, and that of the footer, computed with zeros in its own place. A file of a log has
-one, of all its bytes, and a JSON file has that of its content.
+before the footer, and that of the footer, computed with zeros in its own place. So a footer is
+checked without the data. A file of a log has one, of all its bytes, and a JSON file has that of its
+content.
 """
 
 from __future__ import annotations
@@ -177,17 +178,39 @@ def _write_all(stream: Any, content: memoryview) -> None:
         content = content[stream.write(content) :]
 
 
-def parquet_problem(content: bytes, *, has_checksums: bool) -> str | None:
-    """Returns what is wrong with the content of a Parquet file; None for nothing."""
-    footer = footer_in(content)
-    if content[-4:] != _MAGIC or len(footer) + len(_MAGIC) > len(content):
+def footer_of(file: Path) -> bytes | None:
+    """Returns the footer of a Parquet file; None if the file does not end in one."""
+    with file.open("rb", buffering=0) as stream:
+        size = stream.seek(0, 2)
+        stream.seek(-min(size, _TAIL), 2)
+        length = int.from_bytes(stream.read()[:4], "little") + _TAIL
+        stream.seek(-min(size, length), 2)
+        footer: bytes = stream.read()
+    is_whole = footer[-4:] == _MAGIC and len(footer) == length <= size - len(_MAGIC)
+    return footer if is_whole else None
+
+
+def footer_problem(footer: bytes | None, *, has_checksums: bool) -> str | None:
+    """Returns what is wrong with a footer; None for nothing."""
+    if footer is None:
         return NOT_COMPLETE
     match = _last(_FOOTER_SUMS, footer)
     if match is None:
         return WRONG_CHECKSUM if has_checksums else None
-    data = memoryview(content)[: -len(footer)]
-    sums = _hex(zlib.crc32(data)), _hex(_footer_sum(footer, *match.span(2)))
-    return None if match.groups() == sums else WRONG_CHECKSUM
+    is_right = match.group(2) == _hex(_footer_sum(footer, *match.span(2)))
+    return None if is_right else WRONG_CHECKSUM
+
+
+def parquet_problem(content: bytes, *, has_checksums: bool) -> str | None:
+    """Returns what is wrong with the content of a Parquet file; None for nothing."""
+    footer = footer_in(content)
+    is_complete = content[-4:] == _MAGIC and len(footer) + len(_MAGIC) <= len(content)
+    problem = footer_problem(footer if is_complete else None, has_checksums=has_checksums)
+    match = _last(_FOOTER_SUMS, footer)
+    if problem is None and match is not None:
+        data = memoryview(content)[: -len(footer)]
+        problem = None if match.group(1) == _hex(zlib.crc32(data)) else WRONG_CHECKSUM
+    return problem
 
 
 def verified_parquet(file: Path, *, has_checksums: bool) -> pq.ParquetFile:

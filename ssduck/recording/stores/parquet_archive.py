@@ -36,7 +36,7 @@ from ssduck.recording.stores.parquet_layout import LOG, FolderRun
 from ssduck.recording.stores.stored_columns import unreadable
 from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES
 
-# From so many parts on, a record has groups of them.
+# From so many parts on, a record has groups of them, and a part is checked when it is read.
 MANY_PARTS = 16
 
 
@@ -67,8 +67,11 @@ class ParquetArchive(TickArchive):
         exact_path(run.path)
         # The working directory may change.
         self._files = {t: [file.absolute() for file in run.listed_files(t)] for t in run.tables}
-        # The files whose bytes were checked.
+        # The files whose bytes were checked. The footers of all files are checked here, unless they
+        # are many.
         self._checked: set[Path] = set()
+        for table, files in self._files.items() if len(self._starts) < MANY_PARTS else ():
+            self._run.check_footers(table, map(part_number, files))
         self._models = {table: run.read(f"models/{table}") for table in MODELS}
         self._linked = multi_link_bodies(self._models["entities"])
         if len(self._linked) and not {"links", FRAMES} & set(run.tables):

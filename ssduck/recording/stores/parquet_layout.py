@@ -55,6 +55,8 @@ from ssduck.recording.stores.descriptions import (
 )
 from ssduck.recording.stores.files import (
     footer_in,
+    footer_of,
+    footer_problem,
     parquet_problem,
 )
 from ssduck.recording.stores.object_store import ObjectPath
@@ -278,6 +280,20 @@ class FolderRun:
     def label(self, table: str, number: int) -> bytes:
         """Returns the label in the footer of a part's file."""
         return label_of(self.key, table, number)
+
+    def check_footers(self, table: str, numbers: Iterable[int]) -> None:
+        """Checks that the files of parts are there and complete, with right footers."""
+        for number in numbers:
+            file = self.place(table) / part_name(number)
+            try:
+                footer = footer_of(file)
+                problem = footer_problem(footer, has_checksums=self.has_checksums)
+                problem = problem or self._problem_of_label(table, number, footer)
+            except OSError as error:
+                footer, problem = None, unreadable_because(file, error)
+            if footer is None or problem is not None:
+                raise self._error_of(table, number, problem or MISSING)
+            checked_parquet(str(file), footer, table)
 
     def check_data(self, table: str, numbers: Iterable[int]) -> None:
         """Checks all bytes of the files of parts."""
