@@ -176,9 +176,9 @@ class Lake:
         """Returns the rows of `episodes` for which a condition holds.
 
         Args:
-            where: the condition, an expression of SQL over the columns of `episodes`, tags among
-                them: `"task = 'pick' AND NOT success"`. It may have comparisons, AND, OR, NOT, IN,
-                BETWEEN, LIKE, IS NULL, arithmetic and a few functions. None for all episodes.
+            where: the condition, an expression of DuckDB's SQL over the columns of `episodes`, tags
+                among them: `"task = 'pick' AND NOT success"`. It has no queries. None for all
+                episodes.
 
         Raises:
             ArgumentError: it is no such condition.

@@ -14,9 +14,8 @@ from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.pair_batch import PairQuestion
 from ssduck.limits import UsageMeter
 from ssduck.recording.replay.batch_queries import Ids, LinkPosesOverTicks, PairSide
-from ssduck.recording.replay.caches import Ticks
 from ssduck.recording.replay.progress import task
-from ssduck.recording.replay.record import Record
+from ssduck.recording.replay.record import Record, Ticks
 from ssduck.recording.stores.base import PairRequest
 from ssduck.schema import POSE
 

@@ -12,8 +12,8 @@ import numpy.typing as npt
 from ssduck import validation
 from ssduck.errors import EvaluationError, RecordError, UnsupportedError
 from ssduck.geometry.arrays import Array
-from ssduck.recording.replay.past_world import PastWorld
 from ssduck.recording.replay.record import Record, index_at
+from ssduck.recording.replay.restore import PastWorld
 from ssduck.recording.stores.base import TickArchive
 from ssduck.simulators.scenes import Camera
 from ssduck.world.entities import Entity, Sensor

@@ -1,21 +1,73 @@
-"""Restores the snapshot of a recorded tick from its rows."""
+"""Restores a world as it was at a recorded tick, from rows that are cached in blocks."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections import OrderedDict
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
 
 from ssduck.errors import RecordError
+from ssduck.formatting import past_path, past_query
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.poses import rotation_matrices
-from ssduck.recording.replay.caches import RowCache
+from ssduck.geometry.queries import ShapeQueries
+from ssduck.recording.buffers import TickBuffer
 from ssduck.schema import FRAMES, ON_DEMAND, POSE, TABLES
-from ssduck.simulators.interface import Body, LinkPoses
+from ssduck.simulators.interface import Body, LinkPoses, Simulator
 from ssduck.simulators.partial import StaticSimulator
+from ssduck.world.entities import Entity
+from ssduck.world.handles import RecordedTick
 from ssduck.world.layout import BodyGroup, EntityInfo, TableLayout
 from ssduck.world.snapshot import Snapshot
+from ssduck.world.world import World
+
+# The number of ticks of a block, and the number of cached blocks.
+BLOCK = 64
+MAX_BLOCKS = 8
+
+
+class RowCache:
+    """The rows of a record, with a cache of the least recently used blocks."""
+
+    def __init__(
+        self, fetch: Callable[[str, int, int], pa.Table], ticks: TickBuffer, source: str
+    ) -> None:
+        self.source = source
+        self._fetch = fetch
+        self._ticks = ticks
+        self._blocks: OrderedDict[tuple[int, int], dict[str, dict[str, npt.NDArray[Any]]]] = (
+            OrderedDict()
+        )
+
+    def clear(self) -> None:
+        """Drops all rows."""
+        self._blocks.clear()
+
+    def rows(self, table: str, tick: int) -> dict[str, npt.NDArray[Any]]:
+        """Returns the columns of a table at a tick; NaN for unknown numbers."""
+        number = tick // BLOCK
+        # The key of the last block changes when further ticks are recorded.
+        last = min((number + 1) * BLOCK - 1, int(self._ticks.numbers[-1]))
+        key = number, last
+        if key not in self._blocks:
+            while len(self._blocks) >= MAX_BLOCKS:
+                self._blocks.popitem(last=False)
+            self._blocks[key] = {}
+        self._blocks.move_to_end(key)
+        block = self._blocks[key]
+        if table not in block:
+            rows = self._fetch(table, number * BLOCK, last)
+            order = np.argsort(rows["tick"].to_numpy(), kind="stable")
+            block[table] = {name: rows[name].to_numpy()[order] for name in rows.column_names}
+        columns = block[table]
+        first, end = np.searchsorted(columns["tick"], [tick, tick + 1])
+        return {name: column[first:end] for name, column in columns.items()}
+
 
 _NAN = float("nan")
 # Tables that only a simulator provides; their rows are copied from the record.
@@ -208,3 +260,71 @@ def _sources(
         start = starts.get(id, layout.rows[id])
         rows += range(start, start + len(body.links))
     return part, np.array(rows, dtype=np.intp)
+
+
+# Tables that are read from the static simulator; the others are copied from the record.
+_READ = frozenset(name for name in ON_DEMAND if TABLES[name].key)
+
+
+class PastWorld(World):
+    """A world as it was at a recorded tick, which never changes."""
+
+    def __init__(
+        self, moment: RecordedTick, simulator: StaticSimulator, snapshot: Snapshot
+    ) -> None:
+        record = moment.record
+        self._begin(record.world.name, record.world.camera)
+        self._record = record
+        self._set_state(simulator, snapshot)
+
+    def _set_state(self, simulator: Simulator, snapshot: Snapshot) -> None:
+        super()._set_state(simulator, snapshot)
+        entities = snapshot.tables["entities"]
+        self._recorded = entities.block[entities.block_rows(_ENTITY_DOUBLES)].copy()
+
+    @property
+    def origin(self) -> World:
+        """The recorded world."""
+        return self._record.world
+
+    def _take(self) -> None:
+        super()._take()
+        # Other tables are computed from poses; this one has exactly the recorded numbers.
+        entities = self.snapshot.tables["entities"]
+        entities.block[entities.block_rows(_ENTITY_DOUBLES)] = self._recorded
+        entities.publish_unknown()
+
+    def removal_of(self, name: str) -> str:
+        """Returns that an entity of a name is recorded at other ticks; '' if none is."""
+        if all(member.name != name for member in self._record.members.values()):
+            return ""
+        return (
+            f"it is there at other ticks of the record: {past_path(self.name, name)}; functions of "
+            f"time take it from a query at its last time t, as {past_query(self.name, name, 't')}"
+        )
+
+    def request_tables(self, tables: Iterable[str]) -> None:
+        """Ensures that the tick includes tables; recorded ones are always there."""
+        requested = frozenset(tables)
+        self._record.warn_of_missing(requested)
+        super().request_tables(_READ & requested)
+
+    def shapes(self) -> ShapeQueries:
+        """Returns queries of the shapes at this tick."""
+        self.request_tables(("shapes",))
+        return self.snapshot.shapes()
+
+    def shapes_and_sites(self) -> ShapeQueries:
+        """Returns queries in which sites have their regions as shapes."""
+        self.request_tables(("shapes",))
+        return self.snapshot.shapes_and_sites()
+
+    def entity(self, id: int) -> Entity:
+        """Returns the handle of an entity at this tick, by its id."""
+        return self._record.entity(self.snapshot.number, id)
+
+    def __contains__(self, thing: object) -> bool:
+        """Checks whether there is an entity of a name, or a given entity."""
+        if isinstance(thing, Entity):
+            return thing.world is self._record.world and thing.id in self.snapshot.rows
+        return super().__contains__(thing)

@@ -19,7 +19,8 @@ from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.pair_batch import PairQuestion
 from ssduck.geometry.poses import unit_quaternions
 from ssduck.limits import Limits, UsageMeter
-from ssduck.recording.replay import batch_queries, caches
+from ssduck.recording.replay import batch_queries
+from ssduck.recording.replay import record as records
 from ssduck.recording.replay.pair_answers import PairQueries
 from ssduck.recording.stores.base import PairRequest
 from tests.support.urdf import box_obj, collision, joint, link, robot
@@ -339,7 +340,7 @@ def test_the_answers_are_bounded(heap: ssduck.Interpreter, monkeypatch: pytest.M
     cache = heap.past("sim").record.answer_cache
     cache.clear()
     ticks = len(heap.past("sim").ticks)
-    monkeypatch.setattr(caches, "MAX_ANSWERS", 2 * ticks + 1)
+    monkeypatch.setattr(records, "MAX_ANSWERS", 2 * ticks + 1)
     for other in ("box", "ball", "can", "pill"):
         heap.eval(f"holds(clearance(table, {other}) < 0.05);")
     assert len(cache) == 2 * ticks
@@ -348,7 +349,7 @@ def test_the_answers_are_bounded(heap: ssduck.Interpreter, monkeypatch: pytest.M
     assert _work(heap) == before
     heap.eval("least(clearance(table, box));")
     assert _work(heap)[1] == before[1] + ticks
-    monkeypatch.setattr(caches, "MAX_ANSWERS", 3)
+    monkeypatch.setattr(records, "MAX_ANSWERS", 3)
     first = heap.eval("changes(on(table, box));")
     assert len(cache) <= 3
     assert heap.eval("changes(on(table, box));") == first
