@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Collection, Container, Iterator
+from collections.abc import Collection, Container, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
@@ -17,7 +17,8 @@ import numpy as np
 
 from ssduck.errors import SceneError
 from ssduck.simulators.backends import BACKENDS, BodyToCopy, TickToCopy, backend
-from ssduck.simulators.interface import LinkPoses, Simulator
+from ssduck.simulators.interface import Joint, LinkPoses, Simulator
+from ssduck.simulators.partial import StaticSimulator
 from ssduck.simulators.scene_bodies import BodySpec, Material, Primitive
 from ssduck.simulators.scenes import Camera, ConstraintSpec, Engine, Scene, SensorSpec
 from ssduck.world.snapshot import Snapshot
@@ -32,6 +33,26 @@ def excerpt(
     sensors = sensors_of(snapshot, with_hosts)
     originals = list(originals_of(snapshot, with_hosts))
     return backend(source.backend).excerpt(source, originals, tick_of(snapshot)), sensors
+
+
+def posed(snapshot: Snapshot, source: Simulator) -> Simulator:
+    """Returns a simulation that is drawn, and never stepped: all bodies of a tick, as they are.
+
+    The joints of what no simulator runs are fixed: PyBullet, which draws it, may not have them.
+    """
+    originals: Iterable[BodyToCopy] = originals_of(snapshot, snapshot.rows)
+    if isinstance(source, StaticSimulator):
+        originals = map(_with_fixed_joints, originals)
+    return backend(source.backend).excerpt(source, list(originals), tick_of(snapshot))
+
+
+def _with_fixed_joints(original: BodyToCopy) -> BodyToCopy:
+    joints = tuple(
+        Joint(link.name, "fixed", number, None, None, None, None)
+        for number, link in enumerate(original.body.links[1:], start=1)
+    )
+    body = replace(original.body, joints=joints)
+    return replace(original, body=body, joints=np.zeros((len(joints), 2)))
 
 
 def tick_of(snapshot: Snapshot) -> TickToCopy:

@@ -31,17 +31,14 @@ class Renderable(Protocol):
     def is_final(self) -> bool:
         """Whether it has no simulation of its own."""
 
-    def excerpt(self, entities: list[Any]) -> Any:
-        """Returns a world with a simulation, of entities of this one."""
+    def posed(self) -> Any:
+        """Returns a world with a simulation: all bodies as they are."""
 
     def render(self, width: int, height: int, camera: Camera) -> npt.NDArray[np.uint8]:
         """Returns a picture."""
 
     def close(self) -> None:
         """Ends the simulation."""
-
-    def __iter__(self) -> Iterator[Any]:
-        """Iterates over the entities."""
 
 
 AnyWorld = TypeVar("AnyWorld", bound=Renderable)
@@ -58,7 +55,7 @@ def renderable(world: AnyWorld) -> Iterator[AnyWorld]:
         return
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of what a picture does not show: friction, velocities
-        copy = world.excerpt(list(world))
+        copy = world.posed()
     try:
         yield copy
     finally:

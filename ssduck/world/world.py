@@ -43,7 +43,7 @@ from ssduck.simulators.scenes import Camera, SensorSpec, variable_name
 from ssduck.world.construction import UNNAMED, ConstructibleWorld
 from ssduck.world.entities import HANDLES, Entity, Sensor
 from ssduck.world.entity_registry import no_entity_error, told_of_part
-from ssduck.world.excerpt import excerpt, new_folder, scene_of, write_scene
+from ssduck.world.excerpt import excerpt, new_folder, posed, scene_of, write_scene
 from ssduck.world.handles import Handle, Link, links_and_sites_of
 from ssduck.world.manipulation import ManipulableSimulation
 from ssduck.world.pictures import framing_camera
@@ -325,6 +325,13 @@ class World(ConstructibleWorld, ManipulableSimulation, PublicNames):
             ids = {self._id_of(entity) for entity in entities}
             simulator, sensors = excerpt(self.snapshot, ids, self.origin.simulator)
         return World.owning(simulator, self.name, sensors, self.camera)
+
+    def posed(self) -> World:
+        """Returns a copy of all bodies as they are at this tick, to be drawn."""
+        tables = () if self._simulator.is_external else ("joints",)
+        with self.pinned(tables), self.origin.lock:
+            simulator = posed(self.snapshot, self.origin.simulator)
+        return World.owning(simulator, self.name, [], self.camera)
 
     def _id_of(self, entity: str | Entity) -> int:
         """Returns the id of an entity of this world or of its origin."""

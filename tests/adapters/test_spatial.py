@@ -420,3 +420,23 @@ def test_a_picture_of_a_record_is_that_of_the_simulation(tmp_path):
     with ssduck.open(tmp_path / "run") as record:
         found = np.asarray(record.eval(query).convert("RGB"), int)
     assert np.mean(np.abs(found - expected) > 8) < 0.01
+
+
+@pytest.mark.slow
+def test_a_record_of_mujoco_is_drawn_with_joints_that_pybullet_has_not(tmp_path):
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><geom type='plane' size='2 2 1'/><body name='ball' pos='0 0 .5'>"
+        "<freejoint/><geom size='.2' rgba='1 0 0 1'/></body><body name='door' pos='1 0 .5'>"
+        "<joint axis='0 0 1' pos='.3 0 0'/><joint type='slide' axis='1 0 0'/>"
+        "<geom type='box' size='.3 .05 .4' rgba='0 0 1 1'/></body></worldbody></mujoco>"
+    )
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("sim", ssduck.World.attach(model, mujoco.MjData(model)))
+        ss.export(tmp_path / "run")
+    with ssduck.open(tmp_path / "run") as record:
+        picture = record.eval("SELECT obj FROM sim AS image(320, 240);")
+    pixels = np.asarray(picture.convert("RGB"), int)
+    for colour in (0, 2):  # the ball is red, the door blue
+        others = np.delete(pixels, colour, axis=2).max(axis=2)
+        assert 200 < (pixels[:, :, colour] > others + 60).sum() < 20_000
