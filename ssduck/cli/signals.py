@@ -1,36 +1,27 @@
-"""Handles the signals that end a command: Ctrl-C, SIGTERM and SIGHUP."""
+"""Handles the signals that end a command: Ctrl-C and SIGTERM."""
 
 from __future__ import annotations
 
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, NoReturn
 
 import typer
-
-# The signals that end a process; Windows lacks the last one.
-ENDING = [
-    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
-]
-Handler = Callable[[int, Any], object]
 
 
 @contextmanager
 def deferred() -> Iterator[list[int]]:
     """Yields a list to which the first signal to end is added; the second one acts as usual."""
     received: list[int] = []
-    before = _handlers()
 
     def on_first_signal(number: int, _: object) -> None:
         received.append(number)
         signal.signal(number, before[number])
 
-    # In the background of a shell, Ctrl-C is ignored, but `kill -INT` ends a recording.
-    heard = (n for n, old in before.items() if n == signal.SIGINT or old != signal.SIG_IGN)
-    with _handled_by(on_first_signal, heard, before):
+    with _handled_by(on_first_signal) as before:
         yield received
 
 
@@ -49,9 +40,7 @@ def raised() -> Iterator[None]:
         raise KeyboardInterrupt
 
     try:
-        before = _handlers()
-        heard = (n for n, old in before.items() if old != signal.SIG_IGN)
-        with _handled_by(on_signal, heard, before):
+        with _handled_by(on_signal):
             yield
     except BaseException:
         if received:  # a library may make another exception of it
@@ -59,22 +48,17 @@ def raised() -> Iterator[None]:
         raise
 
 
-def _handlers() -> dict[int, Any]:
-    """Returns the handlers of the signals that end a process; none in other threads."""
-    if threading.current_thread() is not threading.main_thread():
-        return {}
-    return {number: signal.getsignal(number) for number in ENDING}
-
-
 @contextmanager
-def _handled_by(
-    handler: Handler, numbers: Iterable[int], before: Mapping[int, Any]
-) -> Iterator[None]:
-    """Has a handler handle some signals, and puts the handlers before back."""
+def _handled_by(handler: Callable[[int, Any], object]) -> Iterator[dict[int, Any]]:
+    """Has a handler handle the signals that are not ignored; yields the handlers before."""
+    is_main = threading.current_thread() is threading.main_thread()  # others get no signal
+    numbers = (signal.SIGINT, signal.SIGTERM) if is_main else ()
+    before: dict[int, Any] = {number: signal.getsignal(number) for number in numbers}
+    heard = [number for number, old in before.items() if old != signal.SIG_IGN]
     try:
-        for number in numbers:
+        for number in heard:
             signal.signal(number, handler)
-        yield
+        yield before
     finally:
-        for number, old in before.items():
-            signal.signal(number, old)
+        for number in heard:
+            signal.signal(number, before[number])

@@ -109,7 +109,6 @@ def test_a_folder_of_the_name_of_a_scene_is_not_taken_for_it(here):
 ENDS = [
     (signal.SIGINT, "interrupted: the record is complete up to then\n"),
     (signal.SIGTERM, "terminated: the record is complete up to then\n"),
-    (signal.SIGHUP, "terminated: the record is complete up to then\n"),
 ]
 
 
