@@ -174,9 +174,6 @@ def contents_of(entities: Sequence[tuple[str, str]]) -> str:
 
     >>> contents_of([("fridge", "robot"), ("can", "kinbody"), ("cup", "kinbody")])
     '3 entities (1 robot, 2 kinbodies: fridge, can, cup)'
-
-    Args:
-        entities: names and kinds.
     """
     total = count_of(len(entities), "entity")
     if not entities:

@@ -33,14 +33,7 @@ MAX_PIXELS = 8192
 def no_others(
     given: Mapping[str, object], function: str, known: Sequence[str], instead: Mapping[str, str]
 ) -> None:
-    """Checks that a function was called without other keywords than its own.
-
-    Args:
-        given: the other arguments.
-        function: the name of the function.
-        known: the names of its own arguments.
-        instead: what to write for names that users of other libraries know.
-    """
+    """Checks that a function was called without other keywords than its own."""
     for name in given:
         told = instead.get(name, f"the arguments are {joined_names(known)}")
         raise ArgumentError(
@@ -61,13 +54,6 @@ def integer(
     expected: str | None = None,
 ) -> int:
     """Returns an integer within bounds, which are included.
-
-    Args:
-        value: the value to check.
-        argument: the name of the argument, which begins the message.
-        minimum: the lower bound.
-        maximum: the upper bound; None for no bound.
-        expected: the description of a right value in the message; by default the bounds.
 
     >>> integer(3, "show: rows", minimum=0)
     3
@@ -93,12 +79,6 @@ def tick_interval(value: Any, argument: str) -> int | None:
 def step_count(value: Any, argument: str, call_with_seconds: str) -> int:
     """Returns a number of simulation steps, 0 or more.
 
-    Args:
-        value: the value to check.
-        argument: the name of the argument, which begins the message.
-        call_with_seconds: the call that takes seconds, with {} in their place; the message
-            suggests it for a number that is no integer.
-
     >>> step_count(0.5, "step", "run({})")
     Traceback (most recent call last):
     ssduck.errors.NumberError: step: 0.5 is no whole number of steps; for seconds there is run(0.5)
@@ -115,13 +95,7 @@ def step_count(value: Any, argument: str, call_with_seconds: str) -> int:
 
 
 def steps_in(seconds: float, timestep: float, argument: str) -> int:
-    """Returns the number of time steps in a duration, rounded to the nearest.
-
-    Args:
-        seconds: the duration, s.
-        timestep: the length of a step, s.
-        argument: the name of the argument, which begins the message.
-    """
+    """Returns the number of time steps in a duration, rounded to the nearest."""
     count = seconds / timestep + 0.5
     if not count < MAX_STEPS:
         raise NumberError(f"{argument}: {seconds:g} s are more than {MAX_STEPS:,} steps")
@@ -165,11 +139,6 @@ def picture_size(width: Any, height: Any, argument: str) -> tuple[int, int]:
 def number(value: Any, subject: str, unit: str = "") -> float:
     """Returns a finite number.
 
-    Args:
-        value: the value to check.
-        subject: the argument as the subject of the message: "an age".
-        unit: the unit of the number in the message; none by default.
-
     >>> number("2", "an age", "seconds")
     Traceback (most recent call last):
     ssduck.errors.ArgumentError: an age is a number of seconds, not '2'
@@ -190,12 +159,6 @@ def seconds(value: Any, subject: str = "an age") -> float:
 
 def number_list(values: Any, count: int, subject: str, expected: str) -> list[float]:
     """Returns finite numbers from a list, a tuple or an array.
-
-    Args:
-        values: the values to check.
-        count: the right number of them.
-        subject: the argument as the subject of the message.
-        expected: the description of a right list in the message.
 
     >>> number_list([1, 2], 3, "size", "[x, y, z]")
     Traceback (most recent call last):
@@ -297,10 +260,6 @@ def function(value: Any, argument: str) -> Callable[..., Any]:
 def identifier(value: Any, owner: str) -> str:
     """Returns a name of letters, digits and `_`.
 
-    Args:
-        value: the value to check.
-        owner: the owner of the name in the message, for example "a variable".
-
     >>> identifier("2nd", "a variable")
     Traceback (most recent call last):
     ssduck.errors.ArgumentError: '2nd' cannot be a variable's name: letters, digits and _ only
@@ -325,10 +284,6 @@ def world_name(name: Any) -> str:
 def text(value: Any, rule: str) -> str:
     """Returns a text.
 
-    Args:
-        value: the value to check.
-        rule: the beginning of the message: "eval takes a text".
-
     >>> text(3, "eval takes a text")
     Traceback (most recent call last):
     ssduck.errors.ArgumentError: eval takes a text, not 3
@@ -339,25 +294,14 @@ def text(value: Any, rule: str) -> str:
 
 
 def sequence(value: Any, length: int, rule: str) -> list[Any] | tuple[Any, ...]:
-    """Returns a list or a tuple of a length.
-
-    Args:
-        value: the value to check.
-        length: the number of elements.
-        rule: the beginning of the message: "bounds are [low, high]".
-    """
+    """Returns a list or a tuple of a length."""
     if not isinstance(value, list | tuple) or len(value) != length:
         raise ArgumentError(f"{rule}, not {short_repr(value)}")
     return value
 
 
 def mapping(value: Any, rule: str) -> Mapping[Any, Any]:
-    """Returns a dict; an empty one for None.
-
-    Args:
-        value: the value to check.
-        rule: the beginning of the message: "velocities are given in a dict".
-    """
+    """Returns a dict; an empty one for None."""
     if not isinstance(value, Mapping | None):
         raise ArgumentError(f"{rule}, not as {short_repr(value)}")
     return value or {}

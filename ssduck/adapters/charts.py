@@ -92,15 +92,7 @@ def chart(
     entries: Sequence[tuple[Colour, str]] = (),
     scale: ColourScale | None = None,
 ) -> Image.Image:
-    """Returns a picture with axes, and with a legend or a scale of colours at its right.
-
-    Args:
-        area: the picture of the area of the axes.
-        bounds: the coordinates of its lower left and its upper right corner.
-        labels: the labels of the axis to the right and of the axis upwards.
-        entries: the colours and texts of the legend.
-        scale: the scale of colours.
-    """
+    """Returns a picture with axes, and with a legend or a scale of colours at its right."""
     (left, low), (right, high) = bounds
     width, height = area.size
     x_ticks = ticks(left, right, max(2, width // 45))
@@ -283,13 +275,7 @@ class View:
 
 
 def draw_points(points: Array, owners: Indices, names: Sequence[str]) -> Image.Image:
-    """Returns a picture of points, with a colour for each owner.
-
-    Args:
-        points: (n, 3), m.
-        owners: (n,), the index in `names` of each point's owner.
-        names: the names of the owners, for the legend.
-    """
+    """Returns a picture of points, with a colour for each owner."""
     if not len(points):
         points, owners = np.zeros((0, 3)), np.zeros(0, dtype=np.intp)
         return View(np.zeros(3), np.ones(3)).with_legend(names)

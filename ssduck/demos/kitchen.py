@@ -129,15 +129,7 @@ def run(folder: Path, say: Say, *, seed: int) -> bool:  # noqa: ARG001
 def ask(
     scene: Scene, say: Say, folder: Path | None, picture: Path | None = None, with_sql: bool = True
 ) -> None:
-    """Asks the questions about a scene and draws the scene.
-
-    Args:
-        scene: the scene.
-        say: writes lines.
-        folder: the folder for a picture named like the scene; existing files stay. None for none.
-        picture: the file for the picture instead, which is replaced if it exists.
-        with_sql: whether to show the SQL of the programs.
-    """
+    """Asks the questions about a scene and draws the scene."""
     console = plain_console()
     scene_questions = questions(scene)
     with load(scene.path) as ss, warnings.catch_warnings():

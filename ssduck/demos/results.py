@@ -38,10 +38,6 @@ def keep(target: Path, write: Callable[[Path], object]) -> Path:
     """Writes files to a path or, if it exists, to a new one beside it, like kitchen_2.png.
 
     Existing files stay. If they are equal to the new ones, nothing is written. Returns the path.
-
-    Args:
-        target: the path, in an existing folder.
-        write: writes a file or a folder to a path, and possibly files of the same stem beside it.
     """
     numbered = (target.with_stem(f"{target.stem}_{number}") for number in count(2))
     for path in chain([target], numbered):

@@ -86,7 +86,10 @@ class BoundingBoxes:
             )
 
     def boxes(self, positions: Array, matrices: Array) -> Array:
-        """Returns the boxes at some poses of the frames, in the frame of the poses."""
+        """Returns the boxes (6, groups): lower corners, upper corners; infinite with a plane.
+
+        The frames are at positions (frames, 3) with rotations (frames, 3, 3).
+        """
         boxes = self._group_boxes(positions, matrices)
         if self._planes:
             self._extend(boxes, positions, matrices)
@@ -145,7 +148,7 @@ class BoundingBoxes:
         return boxes if len(self._groups) == self._count else self._fill_groups(boxes)
 
     def over(self, positions: Array, matrices: Array) -> Array:
-        """Returns the boxes at n sets of poses, as `boxes` does of each, to the last bit."""
+        """Returns the boxes (n, 6, groups) at n sets of poses, as `boxes` does of each."""
         # What stands still does so in all of them.
         is_same = all(
             (poses[-1] == poses[0]).all() and (poses == poses[0]).all()

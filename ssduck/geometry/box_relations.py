@@ -102,11 +102,6 @@ def positions_over_boxes(
     >>> [(box.tolist(), position.tolist()) for box, position in
     ...  positions_over_boxes(low, high, positions)]
     [([0, 0], [0, 2])]
-
-    Args:
-        low: (2, n), the lower corners of the boxes.
-        high: (2, n), the upper corners.
-        positions: (2, m).
     """
     boxes = np.flatnonzero((low <= high).all(axis=0))  # not with NaN
     points = np.flatnonzero(~np.isnan(positions).any(axis=0))

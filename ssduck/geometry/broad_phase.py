@@ -54,14 +54,6 @@ def overlapping_pairs(boxes: Array, max_distance: float = 0.0) -> Pairs:
     >>> boxes = np.array([[0, 0, 0, 1, 1, 1], [0.5, 0, 0, 2, 1, 1], [5, 5, 5, 6, 6, 6]], float).T
     >>> [side.tolist() for side in overlapping_pairs(boxes)]
     [[0], [1]]
-
-    Args:
-        boxes: (6, n), the lower corners' x, y, z, then the upper corners', metres. A box with
-            NaN, or with a lower corner above its upper one, overlaps nothing.
-        max_distance: the greatest distance of two boxes along each axis, metres; inclusive.
-
-    Returns:
-        The lower and the higher number of each pair, in no order; each pair once.
     """
     low, high = boxes[:3], boxes[3:]
     if max_distance != 0.0:

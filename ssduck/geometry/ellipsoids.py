@@ -24,11 +24,6 @@ def nearest_on_ellipsoid(semi_axes: Sequence[float], point: Sequence[float]) -> 
 
     >>> nearest_on_ellipsoid((3.0, 2.0, 1.0), (0.0, 0.0, 5.0))
     (0.0, 0.0, 1.0)
-
-    Args:
-        semi_axes: half the lengths along x, y and z, metres; positive.
-        point: a finite point, metres. If several points are nearest, the result is one of them, on
-            the side of positive coordinates.
     """
     order = sorted(range(3), key=lambda k: -semi_axes[k])
     found = _nearest([semi_axes[k] for k in order], [abs(point[k]) for k in order])

@@ -20,28 +20,12 @@ CACHED_FILES = 64
 
 
 def load_mesh(path: Path, scale: tuple[float, ...]) -> Geometry:
-    """Reads all triangles of a mesh file (OBJ, STL, …).
-
-    Args:
-        path: the file.
-        scale: a factor for each axis.
-
-    Raises:
-        ValueError: the file cannot be read, or has no triangles.
-    """
+    """Reads all triangles of a mesh file (OBJ, STL, …)."""
     return _cached_mesh(path, scale, _version(path))
 
 
 def load_hulls(path: Path, scale: tuple[float, ...]) -> tuple[Geometry, ...]:
-    """Reads the convex hull of each object in a mesh file (OBJ, STL, …).
-
-    Args:
-        path: the file.
-        scale: a factor for each axis.
-
-    Raises:
-        ValueError: the file cannot be read, or has no triangles.
-    """
+    """Reads the convex hull of each object in a mesh file (OBJ, STL, …)."""
     return _cached_hulls(path, scale, _version(path))
 
 

@@ -121,16 +121,7 @@ class Judge:
         self._folds.are_asked = True
 
     def begin_tick(self, values: Mapping[str, Any], *, is_first: bool = False) -> None:
-        """Sets the variables of the present tick.
-
-        Args:
-            values: their values.
-            is_first: whether the tick is the first one of an episode.
-
-        Raises:
-            ArgumentError: a list is too short, or a variable in a function of time has changed
-                within the episode.
-        """
+        """Sets the variables of the present tick."""
         if is_first:
             self._were_nan.clear()
             if not self.needs_record:
@@ -209,11 +200,7 @@ class Judge:
         return {self._element(name, index) for name, used in indices for index in used}
 
     def judgement(self) -> Judgement:
-        """Returns the values of the terms at the present tick.
-
-        Raises:
-            SelectScriptError: a term failed, or its value is of the wrong type.
-        """
+        """Returns the values of the terms at the present tick."""
         try:
             return self._judgement()
         finally:
@@ -255,15 +242,7 @@ class Judge:
     def judgements(
         self, times: Sequence[float], variables: Sequence[Mapping[str, Any]]
     ) -> list[Judgement] | None:
-        """Returns the values of the terms at the ticks of a recorded episode.
-
-        Args:
-            times: the times of the ticks, s; the world is at the last one.
-            variables: the values of the variables at each.
-
-        Returns:
-            None if they have to be computed at each tick by itself, as where a number is NaN.
-        """
+        """Returns the values of the terms at the ticks of a recorded episode."""
         try:
             if self._at_ticks is None:
                 trees = list(map(self._tree, self._texts))
@@ -323,16 +302,7 @@ class Judge:
         return " NaN, and ".join(sources) + " NaN at this step" if sources else ""
 
     def check(self, *, may_be_constant: bool = False, with_variables: bool = True) -> None:
-        """Checks each term by itself at the present tick.
-
-        Args:
-            may_be_constant: whether a term may be one that can never change.
-            with_variables: whether terms that use variables are checked, too.
-
-        Raises:
-            SelectScriptError: a term fails, can never change, or is of the wrong type; the message
-                begins with its key.
-        """
+        """Checks each term by itself at the present tick."""
         for term, text in zip(self.terms, self._texts, strict=True):
             program = compiled(self._interpreter, term.key, text)
             if not with_variables and self._uses_variables(program):

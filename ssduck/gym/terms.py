@@ -42,11 +42,7 @@ class Term:
     is_condition: bool
 
     def check(self, value: Any) -> Any:
-        """Returns the value of the term.
-
-        Raises:
-            ArgumentError: it is of the wrong type.
-        """
+        """Returns the value of the term."""
         if self.is_condition and isinstance(value, bool):
             return value
         if not self.is_condition and validation.is_number(value):
@@ -132,19 +128,7 @@ class Terms:
         table: str = WHOLE,
         nan: WhereNaN = "error",
     ) -> Terms:
-        """Returns the terms that texts describe.
-
-        Args:
-            success: whether the task is done.
-            failure: whether it has failed.
-            reward: the reward, or its parts by name.
-            stop_when: whether the episode ends.
-            table: the argument that has the parts, for messages.
-            nan: what terms are that depend on NaN.
-
-        Raises:
-            ArgumentError: a term is no text, or there is none, or `nan` is something else.
-        """
+        """Returns the terms that texts describe."""
         is_finite = not isinstance(nan, str) and validation.is_number(nan) and math.isfinite(nan)
         if not (is_finite or nan in ("error", "failure")):
             raise ArgumentError(f"nan: give 'error', 'failure' or a number, not {short_repr(nan)}")
@@ -195,15 +179,7 @@ class Terms:
         return conditions | {"reward": rewards} | where_nan
 
     def judgement_of_nan(self, values: Sequence[Any], sources: str) -> Judgement:
-        """Returns what values mean of which some could not be computed, since numbers are NaN.
-
-        Args:
-            values: the values of all terms, in their order.
-            sources: what is NaN.
-
-        Raises:
-            ArgumentError: this is an error, or a value is of the wrong type.
-        """
+        """Returns what values mean of which some could not be computed, since numbers are NaN."""
         number = self.nan if isinstance(self.nan, float) else 0.0
         replaced = []
         for term, value in zip(self, values, strict=True):
@@ -221,11 +197,7 @@ class Terms:
         return replace(judgement, success=success, failure=True, stop=True)
 
     def judgement(self, values: Sequence[Any]) -> Judgement:
-        """Returns what the values of all terms, in their order, mean.
-
-        Raises:
-            ArgumentError: a value is of the wrong type.
-        """
+        """Returns what the values of all terms, in their order, mean."""
         computed = [term.check(value) for term, value in zip(self, values, strict=True)]
         left = iter(computed)
         success, failure, stop = (

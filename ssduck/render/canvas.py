@@ -101,13 +101,7 @@ def look_at(eye: Array, target: Array) -> Array:
 
 
 def projection(fov: float, aspect: float, far: float) -> Array:
-    """Returns OpenGL's perspective projection (4, 4).
-
-    Args:
-        fov: the vertical field of view, degrees.
-        aspect: the width divided by the height.
-        far: the greatest distance that is drawn, m.
-    """
+    """Returns OpenGL's perspective projection (4, 4)."""
     scale = 1.0 / math.tan(math.radians(fov) / 2)
     matrix = np.zeros((4, 4))
     matrix[0, 0], matrix[1, 1] = scale / aspect, scale
@@ -296,15 +290,7 @@ class Canvas:
     def draw(
         self, matrices: Array, colours: Array, camera: Camera, low: Array, high: Array
     ) -> Picture:
-        """Returns the picture (height, width, 3) of the shapes.
-
-        Args:
-            matrices: their poses (n, 4, 4), from the shape to the world.
-            colours: (n, 4), red, green, blue, alpha, 0 to 1; transparent ones are drawn last.
-            camera: the camera.
-            low: (3,), the lower corner of the box that gets shadows, m.
-            high: (3,), its upper corner.
-        """
+        """Returns the picture (height, width, 3) of the shapes."""
         centre, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 0.05)
         light = sun_matrix(centre, radius)
         self._draw_shadows(matrices, colours, light)

@@ -39,18 +39,7 @@ class Raster:
     def overlapped_cells(
         self, low: Array, high: Array, min_overlap: float, axis: int
     ) -> tuple[Indices, Indices]:
-        """Returns the first and the last cell along an axis that intervals overlap.
-
-        Args:
-            low: the starts of the intervals.
-            high: their ends.
-            min_overlap: the length by which an interval has to extend into a cell, m; negative if
-                it may stay that far away.
-            axis: x (0) or y (1).
-
-        Returns:
-            Indices from 0; if an interval overlaps no cell, the last is below the first.
-        """
+        """Returns the first and the last cell along an axis that intervals overlap."""
         start, count = self.origin[axis], self.shape[axis]
         first = np.floor((low + min_overlap - start) / self.size)
         last = np.ceil((high - min_overlap - start) / self.size) - 1
