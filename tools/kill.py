@@ -32,7 +32,7 @@ from typing import Any, Literal, TypeAlias
 
 import ssduck
 from ssduck import Recording
-from ssduck.database import recorders, writer
+from ssduck.database import worlds, writer
 from ssduck.errors import RecordError, SelectScriptError
 from ssduck.recording.stores import parquet
 from tests.support.bodies import create_linked_body
@@ -72,7 +72,7 @@ def record(kind: Kind, path: str, seed: int) -> None:
     timed = is_timed(seed)
     if not timed and rng.random() < 0.5:
         few = rng.randrange(1, 9)
-        vars(recorders).update(BUFFERED_TICKS=few, PART_TICKS=few)
+        vars(worlds).update(BUFFERED_TICKS=few, PART_TICKS=few)
         vars(parquet).update(PART_TICKS=2 * few)
         writer.LONG_LOG = 1
     world, move = new_world(rng)

@@ -31,7 +31,7 @@ from unittest.mock import patch
 
 import ssduck
 from ssduck import Recording
-from ssduck.database import recorders
+from ssduck.database import worlds
 from ssduck.errors import RecordError
 from ssduck.interchange.conversion import write_runs
 from ssduck.recording.stores import parquet
@@ -68,7 +68,7 @@ def _record(path: Path, flushed: Report | None = None, seed: int = 1) -> None:
     world, move = new_world(random.Random(seed))  # noqa: S311  # no secret
     recording = Recording(tables=TABLES, flush_every=None)
     with (
-        patch.multiple(recorders, BUFFERED_TICKS=PART_TICKS, PART_TICKS=PART_TICKS),
+        patch.multiple(worlds, BUFFERED_TICKS=PART_TICKS, PART_TICKS=PART_TICKS),
         patch.object(parquet, "PART_TICKS", PART_TICKS),
         ssduck.Interpreter()
         if path.suffix == ""

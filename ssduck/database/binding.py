@@ -44,44 +44,30 @@ _NO_SHAPES = (
 
 @dataclass(frozen=True)
 class WorldHistory:
-    """The recorded ticks of a world.
+    """The recorded ticks of a world."""
 
-    Attributes:
-        store: the store that holds them.
-        record: the record, which reads them.
-        recorder: the recorder that adds ticks; None if they are only read.
-        visible_rows: the rows that DuckDB reads in place, by table.
-    """
-
-    store: TickArchive
-    record: Record
-    recorder: Recorder | None = None
+    store: TickArchive  # the store that holds them
+    record: Record  # the record, which reads them
+    recorder: Recorder | None = None  # the recorder that adds ticks; None if they are only read
+    # The rows that DuckDB reads in place, by table.
     visible_rows: tuple[Mapping[str, VisibleRows], ...] = ()
 
 
 @dataclass
 class BoundWorld:
-    """A world that is bound to a database.
+    """A world that is bound to a database."""
 
-    Attributes:
-        reference: a weak reference to the world; None when nothing else refers to the world.
-        number: tells the worlds of a database apart, and ascends in the order they were added.
-        schemas: its names; ssduck's own statements use the first.
-        versions: the versions of the tables that DuckDB has registered.
-        registered: the `state` of the rows that DuckDB has.
-        planned_margins: the margins, m, that DuckDB's plans assume.
-        history: its recorded ticks; None if they are not recorded.
-        named_world: the world, if the user named it; it keeps the world alive.
-    """
-
+    # A weak reference to the world; None when nothing else refers to the world.
     reference: weakref.ref[World]
-    number: int
+    number: int  # tells the worlds of a database apart, and ascends in the order they were added
+    # Its names; ssduck's own statements use the first.
     schemas: list[str] = field(default_factory=list)
+    # The versions of the tables that DuckDB has registered.
     versions: dict[str, int] = field(default_factory=dict)
-    registered: tuple[object, ...] | None = None
-    history: WorldHistory | None = None
-    named_world: World | None = None
-    planned_margins: float = 0.0
+    registered: tuple[object, ...] | None = None  # the `state` of the rows that DuckDB has
+    history: WorldHistory | None = None  # its recorded ticks; None if they are not recorded
+    named_world: World | None = None  # the world, if the user named it; it keeps the world alive
+    planned_margins: float = 0.0  # the margins, m, that DuckDB's plans assume
     _poses: OrderedDict[tuple[int, EntityTable], Poses] = field(default_factory=OrderedDict)
     _changed_margins: set[str] = field(default_factory=set)
     _checked_overlaps: set[int] = field(default_factory=set)
@@ -281,21 +267,12 @@ class BoundWorld:
             )
 
     def warn_of_missing_entities(self, tick: int) -> None:
-        """Warns, once, if a recorded tick lacks entities; the present one of a simulator has all.
-
-        Args:
-            tick: the number of the tick.
-        """
+        """Warns, once, if a recorded tick lacks entities; the present one has all."""
         if tick != self.world.snapshot.number and self.history is not None:
             self.history.record.warn_of_missing_entities()
 
     def warn_of_overlaps(self, shapes: ShapeQueries, id: int) -> None:
-        """Warns, once for each entity or link, of overlaps of its shapes, which are counted twice.
-
-        Args:
-            shapes: the shapes at a tick.
-            id: the id of what is partly inside of something.
-        """
+        """Warns, once for each entity or link, of overlaps of its shapes, counted twice."""
         if id in self._checked_overlaps:
             return
         self._checked_overlaps.add(id)
@@ -332,11 +309,6 @@ class BoundWorld:
 
     def fastest_link(self, tick: int, id: int, columns: Sequence[str]) -> float | None:
         """Returns the greatest magnitude of a velocity of an entity's links but its base.
-
-        Args:
-            tick: the number of the tick.
-            id: the id of the entity; 0 is returned for a link, which has no others.
-            columns: the components of the velocity in the table of links.
 
         Returns:
             None if a velocity is unknown.

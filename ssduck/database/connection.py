@@ -24,22 +24,20 @@ from ssduck.database.fetched_rows import (
     arrow_table,
     fetched,
 )
-from ssduck.database.file_paths import (
-    absolute_path,
-    check_beside,
-    open_error_text,
-)
 from ssduck.database.instances import (
     FILE_NAME,
     MEMORY,
     POOL,
+    absolute_path,
+    check_beside,
+    open_error_text,
     open_file,
     reach_objects,
     set_up,
 )
 from ssduck.database.on_demand import OnDemand
-from ssduck.database.referenced_tables import types_and_texts
 from ssduck.database.running import StatementRunner, translated
+from ssduck.database.statement_names import types_and_texts
 from ssduck.database.writer import WriterConnection
 from ssduck.errors import (
     RecordError,
@@ -76,13 +74,6 @@ _CHANGED = "['nested_loop_join_threshold', 'merge_join_threshold', 'search_path'
 
 class Connection(StatementRunner):
     """A connection to DuckDB, which is closed when nothing refers to it.
-
-    Args:
-        path: the path of a DuckDB file, or `":memory:"`.
-        tracer: a function that is called with each statement before it runs, but for those that
-            make views.
-        limits: the limits of SQL.
-        recorders: the recorders whose waiting ticks are stored before it is closed.
 
     Attributes:
         meter: the use of the running program's limits.
@@ -131,13 +122,7 @@ class Connection(StatementRunner):
             self.run("SET temp_directory = ''")
 
     def seal(self, readable: Sequence[Path], memory: int | None = None) -> None:
-        """Switches files off for all later statements, and changes of settings.
-
-        Args:
-            readable: the folders whose files statements can still reach.
-            memory: the memory that DuckDB may take, bytes, without files for more; None for what
-                the limits say.
-        """
+        """Switches files off for all later statements, and changes of settings."""
         self._is_altered = True
         if readable:
             # DuckDB checks the pattern that it is given, and each file that fits it.
@@ -363,11 +348,6 @@ class Connection(StatementRunner):
     ) -> FetchedRows | None:
         """Returns all rows of a user's statement as tuples; the caller pins the worlds.
 
-        Args:
-            sql: the statement.
-            parameters: the values of its parameters.
-            header: the columns; None if they are not known.
-
         Returns:
             The rows; None if the types of the columns require an Arrow table.
         """
@@ -418,12 +398,7 @@ class Connection(StatementRunner):
             self._tracer = tracer
 
     def prepare(self, name: str, select: str) -> None:
-        """Prepares a statement from the translator; the caller pins the worlds.
-
-        Args:
-            name: its name; `rows` takes `execution_of(name)`.
-            select: the statement.
-        """
+        """Prepares a statement from the translator; the caller pins the worlds."""
         self.on_demand.provide(select, self)
         sql = f"PREPARE {quoted(name)} AS {select}"
         self._execute(sql, lambda: self._connection.execute(sql).fetchall())

@@ -15,7 +15,6 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from ssduck.database.batches import BatchStatement, BatchTable
 from ssduck.database.binding import BoundWorld, WorldHistory
 from ssduck.database.connection import Connection, Parameters
 from ssduck.database.fetched_rows import FetchedRows
@@ -26,18 +25,17 @@ from ssduck.database.functions import (
     offer_user_function,
     shape_functions,
 )
-from ssduck.database.raw_sql import RawSql
-from ssduck.database.recorders import Recorders, check_is_live
-from ssduck.database.referenced_tables import (
+from ssduck.database.plans import PreparedPlans
+from ssduck.database.raw_sql import BatchStatement, BatchTable, RawSql
+from ssduck.database.schemas import Schemas, TickRanges
+from ssduck.database.statement_names import (
     ReadData,
     ReferencedTables,
     StatementWords,
     words_of,
 )
-from ssduck.database.schemas import Schemas, TickRanges
-from ssduck.database.statement import PreparedPlans, Statement
 from ssduck.database.values import Converter
-from ssduck.database.worlds import PinnedWorlds, WorldRegistry
+from ssduck.database.worlds import PinnedWorlds, Recorders, WorldRegistry, check_is_live
 from ssduck.errors import ArgumentError, EvaluationError, LimitError, SqlError
 from ssduck.language.builtins import Function
 from ssduck.limits import Limits
@@ -53,20 +51,12 @@ from ssduck.world import ctrl_c
 from ssduck.world.observers import EpisodeObserver
 from ssduck.world.world import World
 
-__all__ = ["Database", "Statement"]
-
 # The names of a world's tables, which may be used without the name of the first world.
 WORLD_TABLES = frozenset((*TABLES, *(table.history_view for table in HISTORIES.values())))
 
 
 class Database:
     """A DuckDB connection and the worlds that are bound to it.
-
-    Args:
-        path: the path of a DuckDB file, or `":memory:"`.
-        tracer: a function that is called with each statement before it runs.
-        limits: the limits of SQL.
-        recording: the recording of each world; None for none.
 
     Attributes:
         connection: the connection that runs the translator's statements.
@@ -320,11 +310,7 @@ class Database:
             return self._worlds.schema_of(world)
 
     def reading_ticks(self, ticks: TickRanges) -> AbstractContextManager[None]:
-        """Has only some ticks of histories checked in a context, in which a statement reads these.
-
-        Args:
-            ticks: the first and the last tick that it reads, by schema and view.
-        """
+        """Has only the ticks of histories checked that a statement in the context reads."""
         return self._schemas.reading(self._worlds.by_schema, ticks)
 
     def bound_world(self, schema: str) -> BoundWorld:

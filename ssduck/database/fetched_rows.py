@@ -45,15 +45,11 @@ _ROW, _VALUE, _TEXT, _POINTER = 64, 32, 56, 8
 
 @dataclass(frozen=True)
 class RowLimits:
-    """The limits of the rows that a statement yields.
+    """The limits of the rows that a statement yields."""
 
-    Attributes:
-        most: the number of rows after which no more are fetched; None for all.
-        charge: a function that is called with the sizes of rows, bytes, and raises an error if they
-            are too large.
-    """
-
-    most: int | None
+    most: int | None  # the number of rows after which no more are fetched; None for all
+    # A function that is called with the sizes of rows, bytes, and raises an error if they are too
+    # large.
     charge: Callable[[int], None]
 
     def rows(self, result: duckdb.DuckDBPyConnection) -> list[tuple[Any, ...]]:

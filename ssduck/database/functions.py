@@ -19,6 +19,7 @@ from ssduck.database.binding import BoundWorld
 from ssduck.database.connection import Connection
 from ssduck.database.values import Converter, converter, is_exactly
 from ssduck.errors import EvaluationError, UnknownNameError, UnsupportedError, nearest
+from ssduck.geometry.arrays import Indices
 from ssduck.geometry.id_pairs import IdPairs
 from ssduck.geometry.pair_batch import PairQuestion, QuestionKind
 from ssduck.geometry.queries import ShapeQueries
@@ -32,6 +33,7 @@ from ssduck.recording.stores.base import PairRequest
 from ssduck.schema import LINK_FACTOR, entity_of
 from ssduck.simulators.contact_pairs import ContactPairs
 from ssduck.simulators.kinematics import JointError
+from ssduck.sql.pair_lookup import PairLookup
 from ssduck.sql.relations.common import RECORDED_NUMBERS_UDF
 from ssduck.sql.relations.geometry_query import (
     MARGINS_UDF,
@@ -39,11 +41,11 @@ from ssduck.sql.relations.geometry_query import (
     PairKind,
     name_over_ticks,
 )
-from ssduck.sql.relations.joints import JOINT_UDFS
-from ssduck.sql.relations.motion import LINK_SPEED_UDFS
+from ssduck.sql.relations.motion import JOINT_UDFS, LINK_SPEED_UDFS
 from ssduck.sql.relations.registry import GEOMETRY_UDFS, RELATIONS
 from ssduck.sql.relations.relation import CHECKED_TICK_UDF, LENIENT_PREFIX
 from ssduck.sql.types import Signature, SqlType
+from ssduck.world.live_tables import LiveTable
 
 
 def add_user_function(
@@ -79,12 +81,6 @@ def offer_user_function(
     """Has a user's function registered under its own name when a statement names it.
 
     A function of SQL's own of that name stays.
-
-    Args:
-        connection: the connection to the database.
-        function: the function.
-        parameters: the types of its arguments, without entities.
-        result: the type of its result.
     """
 
     def call(*arguments: Any) -> Any:
@@ -103,12 +99,7 @@ def offer_user_function(
 
 
 def converter_of(sql_type: SqlType, worlds: Mapping[str, BoundWorld]) -> Converter | None:
-    """Returns the function from SQL's values to Python's; it keeps no world alive.
-
-    Args:
-        sql_type: the type of the values.
-        worlds: the worlds of the database by name, up to date.
-    """
+    """Returns the function from SQL's values to Python's; it keeps no world alive."""
     return converter(
         sql_type, _WorldParts(worlds, lambda bound: bound.world), _WorldParts(worlds, _record_of)
     )
@@ -118,12 +109,7 @@ T = TypeVar("T")
 
 
 class _WorldParts(Mapping[str, T]):
-    """A mapping to a part of each world in a database, up to date.
-
-    Args:
-        worlds: the worlds by name.
-        part: a function that returns the part.
-    """
+    """A mapping to a part of each world in a database, up to date."""
 
     def __init__(self, worlds: Mapping[str, BoundWorld], part: Callable[[BoundWorld], T]) -> None:
         self._worlds = worlds
@@ -158,12 +144,7 @@ def _exact_value(value: Any, sql_type: SqlType) -> Any:
 
 
 def offer_geometry_functions(connection: Connection, worlds: Mapping[str, BoundWorld]) -> None:
-    """Has the functions of shapes, joints and recorded ticks registered when SQL names them.
-
-    Args:
-        connection: the connection to the database.
-        worlds: the worlds of the database by name, up to date.
-    """
+    """Has the functions of shapes, joints and recorded ticks registered when SQL names them."""
     for udf in GEOMETRY_UDFS.values():
         connection.offer_function(
             udf.name,
@@ -285,22 +266,51 @@ def _pair_search(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Callable
     def call(world: str, kind: PairKind, *values: Any) -> list[int] | None:
         if None in values:
             return None
-        bound = _bound(worlds, world)
-        if udf.of_boxes:
-            of_boxes: IdPairs = udf.function(bound.world.snapshot.boxes())
-            return of_boxes.numbers
-        shapes = bound.shapes(None, None)
-        if udf.uses_margins:
-            bound.warn_of_changed_margins(None)
-        if kind == "links":
-            shapes = shapes.links
-        elif kind == "links and entities":
-            shapes = shapes.links_and_entities
-        bound.warn_of_filled_meshes(udf.function, shapes)
-        found: IdPairs | list[int] = udf.function(shapes, *values)
+        found: IdPairs | list[int] = _found(_bound(worlds, world), udf, kind, values)
         return found.numbers if isinstance(found, IdPairs) else found
 
     return call
+
+
+def _found(bound: BoundWorld, udf: GeometryUdf, kind: PairKind, values: Sequence[Any]) -> Any:
+    """Returns what a search finds at a world's current tick."""
+    if udf.of_boxes:
+        return udf.function(bound.world.snapshot.boxes())
+    shapes = bound.shapes(None, None)
+    if kind == "links":
+        shapes = shapes.links
+    elif kind == "links and entities":
+        shapes = shapes.links_and_entities
+    bound.warn_of_filled_meshes(udf.function, shapes)
+    return udf.function(shapes, *values)
+
+
+def pair_rows(
+    lookup: PairLookup, bound: BoundWorld, parameters: Mapping[str, Any]
+) -> list[tuple[Any, ...]]:
+    """Returns the rows that the SQL of a look-up's query has, without a statement."""
+    entities = bound.world.snapshot.tables["entities"]
+    distance, distances = lookup.distance, []
+    if lookup.search.takes_distance:
+        distances = [float(parameters[distance] if isinstance(distance, str) else distance)]
+    found: IdPairs = _found(bound, lookup.search.udf, "entities", distances)
+    rows = found.first, found.second
+    for comparison in lookup.comparisons:
+        ranks = entities["id"] if comparison.column == "id" else _ranks(entities)
+        left, right = (ranks[rows[side]] for side in comparison.sides)
+        holds = comparison.compare(left, right)
+        rows = rows[0][holds], rows[1][holds]
+    if not lookup.columns:  # the SQL selects a constant
+        return [(1,)] * len(rows[0])
+    columns = (entities.values(column.name, rows[column.side]) for column in lookup.columns)
+    return list(zip(*columns, strict=True))
+
+
+def _ranks(entities: LiveTable) -> Indices:
+    """Returns the place of each entity's name in their order; equal names have equal places."""
+    names = entities.values("name")
+    places = {name: place for place, name in enumerate(sorted(set(names)))}
+    return np.array([places[name] for name in names], np.intp)
 
 
 def _margins(worlds: Mapping[str, BoundWorld], world: str) -> float:

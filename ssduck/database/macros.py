@@ -22,23 +22,14 @@ from ssduck.sql.relations.registry import RELATIONS
 
 @dataclass(frozen=True)
 class PairTableMacro:
-    """A table of pairs of entities or links, faster than a join of rows for thousands of them.
+    """A table of pairs of entities or links, faster than a join of rows for thousands of them."""
 
-    Attributes:
-        name: its name in a world's schema; the schema of the only world may be omitted.
-        parameters: its parameters.
-        search: the search for pairs.
-        distance: the parameter that is the distance or the depth, m.
-        about: the meaning of a row.
-        kind: what the two sides of a pair are.
-    """
-
-    name: str
-    parameters: tuple[str, ...]
-    search: PairSearch
-    distance: str
-    about: str
-    kind: PairKind = "entities"
+    name: str  # its name in a world's schema; the schema of the only world may be omitted
+    parameters: tuple[str, ...]  # its parameters
+    search: PairSearch  # the search for pairs
+    distance: str  # the parameter that is the distance or the depth, m
+    about: str  # the meaning of a row
+    kind: PairKind = "entities"  # what the two sides of a pair are
 
     def macro(self, schema: str, *, inside: bool) -> str:
         """Returns the statement that creates it, in the schema of its world or for all."""
@@ -109,11 +100,6 @@ def description_script(
 
     Relations read the tables of the only world, as a row does not name its world; each world
     also has them in its own schema. All arguments must be hashable.
-
-    Args:
-        worlds: the schemas of all worlds; a world may have several.
-        only: the schema of the only world; None if there are several worlds.
-        recorded: the schemas of recorded worlds.
     """
     return ";\n".join(_description_statements(worlds, only, recorded))
 

@@ -15,9 +15,9 @@ from sqlglot import exp
 
 from ssduck.database.binding import BoundWorld
 from ssduck.database.connection import Connection
-from ssduck.database.referenced_tables import COMMENT
+from ssduck.database.plans import NAME_PREFIX
 from ssduck.database.schemas import Schemas
-from ssduck.database.statement import NAME_PREFIX
+from ssduck.database.statement_names import COMMENT
 from ssduck.database.worlds import WorldRegistry
 from ssduck.errors import SelectScriptError, SqlError
 from ssduck.recording.stores.history_sql import quoted
@@ -49,13 +49,7 @@ _DATABASES = "SELECT database_name FROM duckdb_databases()"
 
 
 class OwnCatalog:
-    """The views, macros and prepared statements of ssduck's own.
-
-    Args:
-        connection: the connection to the database.
-        worlds: the worlds of the database.
-        schemas: the schemas of their tables.
-    """
+    """The views, macros and prepared statements of ssduck's own."""
 
     def __init__(self, connection: Connection, worlds: WorldRegistry, schemas: Schemas) -> None:
         self._connection = connection

@@ -1,32 +1,90 @@
-"""Runs users' statements: as they are, or as queries whose plans and pairs are kept."""
+"""Raw SQL over batches: a query reads tables of all environments in place of those of a tick."""
 
 from __future__ import annotations
 
 import re
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import pyarrow as pa
+from sqlglot import exp
 
-from ssduck.database.batches import BatchStatement, over_batches
+from ssduck.database.binding import BoundWorld
 from ssduck.database.connection import NO_RANGE_JOINS, Connection, Parameters
 from ssduck.database.fetched_rows import FetchedRows
 from ssduck.database.instances import NO_IE_JOINS
 from ssduck.database.own_catalog import OwnCatalog
-from ssduck.database.referenced_tables import (
+from ssduck.database.plans import NAME_PREFIX, PreparedPlans
+from ssduck.database.relation_rewriting import parsed, start_of
+from ssduck.database.schemas import Schemas, with_view_columns
+from ssduck.database.statement_names import (
     COMMENT,
     ReadData,
     ReferencedTables,
     StatementWords,
+    WorldNames,
+    source_tables,
     words_of,
 )
-from ssduck.database.schemas import Schemas
-from ssduck.database.statement import NAME_PREFIX, PreparedPlans
-from ssduck.database.statement_names import WorldNames
 from ssduck.database.user_statements import UserStatement, UserStatements
 from ssduck.database.worlds import WorldRegistry
+from ssduck.errors import UnsupportedError
+from ssduck.recording.stores.history_sql import quoted
 from ssduck.recording.stores.model_tables import RUN_SCHEMA
 from ssduck.schema import HISTORIES, MARGINS, MASSES, MODELS, ON_DEMAND, TABLES
 from ssduck.sql.relations.registry import RELATIONS
+from ssduck.sql.user_sql import Edit, edited
+from ssduck.world.batches.batch_world import BatchWorld
+
+_RELATIONS = {name.lower(): name for name in RELATIONS}
+# Returns a table of a batch with the environment of each row, by the batch and the name.
+BatchTable: TypeAlias = Callable[[BatchWorld, str], pa.Table]
+
+
+@dataclass(frozen=True)
+class BatchStatement:
+    """A query that reads batches."""
+
+    text: str  # its text, in which their tables have names of their own
+    tables: Mapping[str, tuple[BatchWorld, str]]  # the batch and the table of each of these names
+
+
+def over_batches(
+    sql: str, names: WorldNames, worlds: Mapping[str, BoundWorld]
+) -> BatchStatement | None:
+    """Returns a statement as a query that reads batches; None if it is no such query."""
+    tree = parsed(sql)
+    edits: list[Edit] = []
+    tables: dict[str, tuple[BatchWorld, str]] = {}
+    for table in () if tree is None else source_tables(tree):
+        live, schema = names.live_table(table), names.schema(table)
+        world = worlds[schema].reference() if schema is not None and schema in worlds else None
+        start = start_of(table)
+        if live is None or schema is None or start is None or not isinstance(world, BatchWorld):
+            continue
+        name = f"environments of {schema}: {live.name}"
+        tables[name] = world, live.name
+        rows = with_view_columns(live, f"SELECT * FROM {quoted(name)}", schema)  # noqa: S608
+        alias = "" if table.alias else f" AS {quoted(table.name)}"
+        edits.append(Edit(start, table.this.meta["end"] + 1, f"({rows}){alias}"))
+    if tree is None or not tables:
+        return None
+    _check_calls(tree)
+    return BatchStatement(edited(sql, edits), tables)
+
+
+def _check_calls(tree: exp.Expr) -> None:
+    """Checks that a query calls no relation, which is of the rows of one world."""
+    for call in tree.find_all(exp.Anonymous):
+        name = _RELATIONS.get(call.name.lower())
+        if name is not None:
+            raise UnsupportedError(
+                f"in raw SQL, {name}(…) is of one world, and this reads a batch: select the rows "
+                f'with ss.eval("SELECT env, … WHERE {name}(…) AS arrow;"), and ss.register makes '
+                "them a table"
+            )
+
 
 _NAME = r'(?:"[^"]*"|\w+)'
 # What a statement defines, changes or drops, with the schemas before it.
@@ -68,15 +126,7 @@ _OWN_NAMES = (
 
 
 class RawSql:
-    """Runs users' statements.
-
-    Args:
-        connection: the connection to the database.
-        plans: the plans of prepared statements.
-        references: the tables that users' statements refer to.
-        worlds: the worlds of the database.
-        schemas: the schemas of their tables.
-    """
+    """Runs users' statements."""
 
     def __init__(
         self,
@@ -115,11 +165,7 @@ class RawSql:
         return self._has_stored_queries
 
     def ready(self, sql: str) -> UserStatement | None:
-        """Returns a query that has run before and only has to be executed; None if there is none.
-
-        Args:
-            sql: its text; it has no parameters.
-        """
+        """Returns a query that has run before and only has to be executed; None for another."""
         if self._world_names is None or self._version != self._worlds.version:
             return None
         if self._references.search_path_changes:
@@ -270,13 +316,7 @@ _MACROS = (
 
 
 def stored_queries(connection: Connection, *, of_attached: bool = False) -> list[str]:
-    """Returns the texts of the users' views and macros.
-
-    Args:
-        connection: the connection to the database.
-        of_attached: whether those of attached databases are returned, instead of those of the
-            connection's own.
-    """
+    """Returns the texts of the users' views and macros."""
     rows = connection.internal_rows(_MACROS, [of_attached])
     if connection.internal_rows(_HAS_VIEWS, [of_attached, _OWN_VIEWS]):
         rows += connection.internal_rows(_VIEWS, [of_attached, _OWN_VIEWS])

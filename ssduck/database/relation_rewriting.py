@@ -20,7 +20,7 @@ rows.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import count
 
@@ -31,16 +31,23 @@ from sqlglot.tokenizer_core import Token, TokenType
 from ssduck.database.statement_names import Scope, Source, WorldNames, is_inner, is_one_sided
 from ssduck.recording.stores.history_sql import quoted
 from ssduck.schema import ID_FACTOR
-from ssduck.sql.exists_conditions import ExistsCondition, NamedColumns, exists_condition
 from ssduck.sql.from_clause import pair_table
 from ssduck.sql.pair_lookup import JoinedPairs, PairLookup, pair_lookup
 from ssduck.sql.relation_calls import expanded
-from ssduck.sql.relations.geometry_query import UNKNOWN_UDF, PairSearch
+from ssduck.sql.relations.geometry_query import UNKNOWN, PairSearch
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.relations.relation import Relation, in_schema
 from ssduck.sql.sql_values import SqlValue
 from ssduck.sql.types import DOUBLE, SqlType
-from ssduck.sql.user_sql import MAX_LENGTH, Edit, edited, statement_trees
+from ssduck.sql.user_sql import (
+    MAX_LENGTH,
+    Edit,
+    ExistsCondition,
+    NamedColumns,
+    edited,
+    exists_condition,
+    statement_trees,
+)
 
 _RELATIONS = {
     relation.name.lower(): relation
@@ -64,38 +71,30 @@ def parsed(sql: str) -> exp.Expr | None:
     return statements[0] if len(statements) == 1 and isinstance(statements[0], exp.Query) else None
 
 
-def rewritten(sql: str, tree: exp.Expr, names: WorldNames, *, only_joins: bool) -> str | None:
+def rewritten(sql: str, calls: Sequence[RelationCall], *, only_joins: bool) -> str | None:
     """Returns a statement with its relations rewritten; None if there is nothing to rewrite.
 
-    Args:
-        sql: the statement.
-        tree: its tree.
-        names: the names of the worlds.
-        only_joins: whether calls outside of joins become formulas, as DuckDB does not allow a
-            subquery everywhere.
+    With `only_joins`, calls outside of joins become formulas, as DuckDB does not allow a subquery
+    everywhere.
     """
     edits: list[Edit] = []
     numbers = count(1)
-    tokens = sqlglot.tokenize(sql, dialect="duckdb")
-    for call in _calls(sql, tree, names, tokens):
+    for call in calls:
         if only_joins and not call.is_joined:
             edits.append(Edit(call.start, call.end, call.formula()))
         else:
-            edits += call.edits(f"ssduck pairs {next(numbers)}", tokens)
+            edits += call.edits(f"ssduck pairs {next(numbers)}")
     return edited(sql, edits) if edits else None
 
 
-def number_parameters(sql: str, tree: exp.Expr, names: WorldNames) -> frozenset[str]:
+def number_parameters(calls: Sequence[RelationCall]) -> frozenset[str]:
     """Returns the parameters that are arguments of the relations that `rewritten` rewrites."""
-    calls = _calls(sql, tree, names, sqlglot.tokenize(sql, dialect="duckdb"))
     found = (_parameter(number) for call in calls for number in call.numbers)
     return frozenset(name for name in found if name is not None)
 
 
-def lookup_of(sql: str, tree: exp.Expr, names: WorldNames) -> PairLookup | None:
+def lookup_of(tree: exp.Expr, calls: Sequence[RelationCall]) -> PairLookup | None:
     """Returns the look-up that replaces a query of all pairs; None if it does more than look up."""
-    tokens = sqlglot.tokenize(sql, dialect="duckdb")
-    calls = list(_calls(sql, tree, names, tokens))
     clauses = {name for name, value in tree.args.items() if value}
     if len(calls) != 1 or not clauses <= {"expressions", "from_", "joins", "where"}:
         return None
@@ -114,10 +113,11 @@ def lookup_of(sql: str, tree: exp.Expr, names: WorldNames) -> PairLookup | None:
 
 
 @dataclass(frozen=True, eq=False)
-class _Call:
+class RelationCall:
     """A call of a relation for two rows of entities of one world."""
 
     sql: str
+    tokens: list[Token]
     node: exp.Expr
     start: int
     end: int
@@ -152,7 +152,7 @@ class _Call:
                 return False
         return True
 
-    def edits(self, name: str, tokens: list[Token]) -> Iterator[Edit]:
+    def edits(self, name: str) -> Iterator[Edit]:
         """Yields the changes of the statement."""
         search, place = self.search, self.join_place()
         if search is None:
@@ -162,7 +162,7 @@ class _Call:
         elif place is None:
             yield Edit(self.start, self.end, self._membership(search))
         else:
-            exists = self._exists(search, tokens)
+            exists = self._exists(search)
             if exists is not None:
                 yield from self._exists_edits(search, exists, name)
                 return
@@ -206,7 +206,7 @@ class _Call:
         own = self.scope.sources.values()
         return next((n for n, entity in enumerate(self.entities) if entity not in own), 0)
 
-    def _exists(self, search: PairSearch, tokens: list[Token]) -> ExistsCondition | None:
+    def _exists(self, search: PairSearch) -> ExistsCondition | None:
         """Returns the EXISTS that needs only the pairs and one of its entities; None for none."""
         scope, outer = self.scope, self.entities[self._outer_place()]
         if outer in scope.sources.values() or outer.columns is None:
@@ -218,7 +218,7 @@ class _Call:
         sources = {name: source.columns for name, source in scope.sources.items()}
         is_read = not search.is_exact  # by the formula
         names = NamedColumns(sources, outer.text.lower(), outer.columns, is_read)
-        return exists_condition(scope.select, self.node, self.start, tokens, names)
+        return exists_condition(scope.select, self.node, self.start, self.tokens, names)
 
     def _is_in_pair(self, place: int, name: str) -> str:
         """Returns the condition that an entity is that of a row of a table of pairs."""
@@ -320,6 +320,7 @@ class _Call:
                 yield Edit(start, start + 1, columns)
 
     def distance(self) -> exp.Expr:
+        """Returns the distance or the depth of its pairs, m."""
         parameters = self.relation.parameters
         names = [parameter.name for parameter in parameters[2 : 2 + len(self.numbers)]]
         values = {
@@ -341,7 +342,7 @@ class _Call:
         ids = [_id_of(entity) for entity in self.entities]
         a, b = (f"({id})::BIGINT" for id in ids)
         unknown = exp.Anonymous(
-            this=exp.to_identifier(UNKNOWN_UDF, quoted=True),
+            this=exp.to_identifier(UNKNOWN.name, quoted=True),
             expressions=[exp.Literal.string(self.schema), exp.Literal.string("entities")],
         )
         is_unknown = " OR ".join(
@@ -370,11 +371,12 @@ class _Call:
         return f"({expanded(tree, values).sql('duckdb')})"
 
 
-def _calls(sql: str, tree: exp.Expr, names: WorldNames, tokens: list[Token]) -> Iterator[_Call]:
+def relation_calls(sql: str, tree: exp.Expr, names: WorldNames) -> Iterator[RelationCall]:
     """Yields the calls of relations that can be rewritten.
 
     Their numbers are literals or parameters with names, which may be written several times.
     """
+    tokens = sqlglot.tokenize(sql, dialect="duckdb")
     ends = _closing_brackets(tokens)
     for node in tree.find_all(exp.Anonymous, exp.Contains):
         name = "contains" if isinstance(node, exp.Contains) else node.name.lower()
@@ -409,7 +411,9 @@ def _calls(sql: str, tree: exp.Expr, names: WorldNames, tokens: list[Token]) -> 
         is_one_pair = len({source.text.lower() for source in sources}) == entity_count
         if schema is None or len(sources) < entity_count or not (is_of_world and is_one_pair):
             continue
-        call = _Call(sql, outer, start, end, relation, tuple(sources), numbers, schema, scope)
+        call = RelationCall(
+            sql, tokens, outer, start, end, relation, tuple(sources), numbers, schema, scope
+        )
         if relation.geometry is not None or call.is_joined:
             yield call
 

@@ -24,7 +24,7 @@ from typing import NoReturn, TypeVar
 import duckdb
 
 from ssduck.database.fetched_rows import is_duckdb_error
-from ssduck.database.file_paths import damage_text, hint_of, is_damage, needed_extension
+from ssduck.database.instances import damage_text, hint_of, is_damage, needed_extension
 from ssduck.errors import (
     EvaluationError,
     LimitError,
@@ -100,9 +100,6 @@ class InterruptListener:
 
     Python may raise KeyboardInterrupt inside `enter` and `leave`; `leave` undoes a part of
     `enter`, and may be called again.
-
-    Args:
-        stop: a function that is called at Ctrl-C, from another thread.
 
     Attributes:
         pressed: whether Ctrl-C was pressed; final after `leave`.
@@ -262,11 +259,6 @@ if hasattr(os, "register_at_fork"):  # a child has no such threads, and no state
 
 class StatementRunner(ABC):
     """Runs statements on a connection to DuckDB, traced, and interrupts them in time.
-
-    Args:
-        connection: the connection.
-        tracer: a function that is called with each statement before it runs; None for none.
-        limits: the limits of SQL.
 
     Attributes:
         meter: the use of the running program's limits.

@@ -41,11 +41,7 @@ TickRanges: TypeAlias = Mapping[tuple[str, str], tuple[int, int]]
 
 
 class Schemas:
-    """The schemas of worlds.
-
-    Args:
-        connection: the connection to the database.
-    """
+    """The schemas of worlds."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
@@ -91,10 +87,6 @@ class Schemas:
         """Has the files of some histories checked at the ticks only that a statement reads.
 
         Before any other statement that names their views, all of their files are.
-
-        Args:
-            worlds: the worlds, by schema.
-            ticks: the first and the last tick that the statement reads, by schema and view.
         """
         on_demand = self._connection.on_demand
         partly = [
@@ -312,14 +304,7 @@ def _not_recorded(table: Table, world: str, history: WorldHistory | None) -> str
 
 
 def with_view_columns(table: Table, rows: str, schema: str, entities: str = "entities") -> str:
-    """Returns the SELECT of a table's rows, with the columns that only views have at the end.
-
-    Args:
-        table: the table.
-        rows: its rows.
-        schema: the schema of the view.
-        entities: the view of the entities of the same ticks.
-    """
+    """Returns the SELECT of a table's rows, with the columns that only views have at the end."""
     if table.view_columns:
         place, listed = f"{quoted(schema)}.{quoted(entities)}", "*"
         if not table.part_of:
@@ -335,14 +320,7 @@ def with_view_columns(table: Table, rows: str, schema: str, entities: str = "ent
 
 
 def part_rows(table: Table, rows: str, entities: str, listed: str) -> str:
-    """Returns the SELECT of the view of links or sites.
-
-    Args:
-        table: the table of links or of sites.
-        rows: the rows of both.
-        entities: the rows of the entities of the same ticks, as a name or a query in brackets.
-        listed: the columns of the rows that the view has.
-    """
+    """Returns the SELECT of the view of links or sites."""
     added = _link_columns(entities, "site" if table.part_of else "link")
     columns = ", ".join(f"{value} AS {quoted(name)}" for name, value in added.items())
     condition = "region IS NOT NULL" if table.part_of else "region IS NULL"

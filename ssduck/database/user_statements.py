@@ -30,24 +30,29 @@ from ssduck.database.fetched_rows import (
     are_plain,
     is_short_and_plain,
 )
-from ssduck.database.kept_plans import MARK, KeptQuery, RowSource, live_source
-from ssduck.database.pair_rows import pair_rows
-from ssduck.database.referenced_tables import ReadData
+from ssduck.database.functions import pair_rows
+from ssduck.database.plans import (
+    MARK,
+    RUNS_BEFORE_PLAN,
+    KeptQuery,
+    NumberTypes,
+    ParameterRow,
+    PreparedPlans,
+    RowSource,
+    live_source,
+    statement_name,
+)
 from ssduck.database.relation_rewriting import (
     lookup_of,
     mentions_relations,
     number_parameters,
     parsed,
+    relation_calls,
     rewritten,
     start_of,
 )
-from ssduck.database.statement import (
-    RUNS_BEFORE_PLAN,
-    ParameterRow,
-    PreparedPlans,
-    statement_name,
-)
 from ssduck.database.statement_names import (
+    ReadData,
     WorldNames,
     may_read_unnamed,
     reads_only_live_tables,
@@ -100,40 +105,31 @@ _ORDERED = frozenset(
 
 @dataclass(eq=False)
 class UserStatement:
-    """A user's statement that is a single query.
+    """A user's statement that is a single query."""
 
-    Attributes:
-        text: the statement.
-        name: the name of the prepared statement.
-        tables: the tables that its plan reads, as far as their buffers may be replaced.
-        query: the statement that runs in its place; None if it is not known yet.
-        columns: the names of its columns, if another query runs in its place.
-        numbers: the parameters that are distances of relations in that query.
-        lookup: the look-up that has its rows without a statement, if there is one.
-        as_tuples: whether its rows are fetched as Python's values; None if unknown.
-        may_be_kept: whether its plan may be kept; None if that is not known yet.
-        runs: the number of runs since it was not prepared.
-        table_names: the names of its columns in Arrow, when it ran without being prepared.
-        row: the numbers that it is prepared with; None if it has no parameters.
-        unread: the data of a simulator that its words refer to, and that it does not read.
-        last_header: the columns of its last run.
-        reads: the data that it reads; None if it is not known to be the same at each run.
-    """
-
-    text: str
-    name: str
+    text: str  # the statement
+    name: str  # the name of the prepared statement
+    # The tables that its plan reads, as far as their buffers may be replaced.
     tables: frozenset[str]
-    query: str | None = None
+    query: str | None = None  # the statement that runs in its place; None if it is not known yet
+    # The names of its columns, if another query runs in its place.
     columns: tuple[str, ...] | None = None
+    # The parameters that are distances of relations in that query.
     numbers: frozenset[str] = frozenset()
+    # The look-up that has its rows without a statement, if there is one.
     lookup: PairLookup | None = None
+    # Whether its rows are fetched as Python's values; None if unknown.
     as_tuples: bool | None = None
-    may_be_kept: bool | None = None
-    runs: int = 0
+    may_be_kept: bool | None = None  # whether its plan may be kept; None if that is not known yet
+    runs: int = 0  # the number of runs since it was not prepared
+    # The names of its columns in Arrow, when it ran without being prepared.
     table_names: list[str] | None = None
+    # The numbers that it is prepared with; None if it has no parameters.
     row: ParameterRow | None = None
+    # The data of a simulator that its words refer to, and that it does not read.
     unread: frozenset[str] = frozenset()
-    last_header: Header | None = None
+    last_header: Header | None = None  # the columns of its last run
+    # The data that it reads; None if it is not known to be the same at each run.
     reads: ReadData | None = None
 
     @cached_property
@@ -143,15 +139,7 @@ class UserStatement:
 
 
 class UserStatements:
-    """Runs users' queries, and keeps their plans by text.
-
-    Args:
-        connection: the connection to the database.
-        plans: the plans of prepared statements.
-        worlds: the worlds of the database by name, up to date.
-        settle: writes what their ticks left for later, some columns of entities or all there is:
-            DuckDB reads it without asking.
-    """
+    """Runs users' queries, and keeps their plans by text."""
 
     def __init__(
         self,
@@ -260,9 +248,9 @@ class UserStatements:
         tree = parsed(sql)
         if tree is None:
             return text
-        columns = None
+        columns, calls = None, list(relation_calls(sql, tree, names))
         for only_joins in (False, True):
-            query = rewritten(sql, tree, names, only_joins=only_joins)
+            query = rewritten(sql, calls, only_joins=only_joins)
             if query is None:
                 return text
             try:
@@ -271,11 +259,11 @@ class UserStatements:
                 if types == [kind for _, kind in self._connection.columns(query, parameters)]:
                     statement.as_tuples = are_plain(types)
                     statement.columns = tuple(name for name, _ in columns)
-                    statement.numbers = number_parameters(sql, tree, names)
+                    statement.numbers = number_parameters(calls)
                     if reads_only_live_tables(tree, names):
                         statement.unread = unread_columns(tree, sql)
                     if statement.as_tuples:
-                        statement.lookup = lookup_of(sql, tree, names)
+                        statement.lookup = lookup_of(tree, calls)
                         statement.last_header = Header(statement.columns, tuple(types))
                     return query
             except SqlError:
@@ -335,9 +323,12 @@ class UserStatements:
         numbers = _numbers_of(parameters)
         if numbers is None or sql != statement.text or statement.may_be_kept is False:
             return False
-        if statement.row is None or not statement.row.has_types_of(numbers):
+        kinds: NumberTypes = {
+            name: "integer" if type(value) is int else "double" for name, value in numbers.items()
+        }
+        if statement.row is None or statement.row.types != kinds:
             self._drop(statement)
-            statement.row = ParameterRow(self._connection, statement.name, numbers)
+            statement.row = ParameterRow(self._connection, statement.name, kinds)
         statement.row.set(numbers)
         if self._plans.has(statement.name):
             return True

@@ -20,15 +20,7 @@ SchemaOf: TypeAlias = Callable[[World], str]
 
 
 def sql_type_of(value: Any, schema_of: SchemaOf) -> SqlType:
-    """Returns the SQL type of a value.
-
-    Args:
-        value: any value.
-        schema_of: a function that returns the schema of a world.
-
-    >>> sql_type_of([1.5, 2.5], lambda world: world.name).element.type
-    'double'
-    """
+    """Returns the SQL type of a value."""
     match value:
         case bool():
             return BOOLEAN
@@ -57,10 +49,6 @@ def common_sql_type(values: Sequence[Any], schema_of: SchemaOf) -> SqlType | Non
     """Returns the common SQL type of values; None for no values.
 
     Values of one class are examined together, as there may be millions.
-
-    Args:
-        values: any values.
-        schema_of: a function that returns the schema of a world.
     """
     kinds = dict.fromkeys(map(type, values))
     return merged(
@@ -136,12 +124,7 @@ def _record(values: Sequence[Mapping[Any, Any]], schema_of: SchemaOf) -> SqlType
 
 
 def is_exactly(value: Any, sql_type: SqlType) -> bool:
-    """Checks whether a value has a type, and SQL preserves it: 3 is not a double, 3.0 is.
-
-    Args:
-        value: any value.
-        sql_type: the type of a boolean, a number, a text, or of lists of these.
-    """
+    """Checks whether a value has a type, and SQL preserves it: 3 is not a double, 3.0 is."""
     element = sql_type.element
     if sql_type.type == "list":
         is_list = type(value) is list
@@ -171,13 +154,7 @@ Converter: TypeAlias = Callable[[Any], Any]
 def converter(
     sql_type: SqlType, worlds: Mapping[str, World], records: Mapping[str, Record]
 ) -> Converter | None:
-    """Returns the function from SQL's values to Python's; None if they are the same.
-
-    Args:
-        sql_type: the type of the values.
-        worlds: the worlds by schema.
-        records: the records of recorded worlds by schema.
-    """
+    """Returns the function from SQL's values to Python's; None if they are the same."""
     schema = sql_type.schema
     if sql_type.type == "entity" and schema is not None:
         if sql_type.past:

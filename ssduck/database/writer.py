@@ -12,7 +12,7 @@ from typing import Any
 import duckdb
 import pyarrow as pa
 
-from ssduck.database.file_paths import damage_text, is_damage, log_of
+from ssduck.database.instances import damage_text, is_damage, log_of
 from ssduck.database.running import translated
 from ssduck.errors import RecordError, SqlError
 from ssduck.recording.opened_record import OpenedRecord
@@ -28,12 +28,6 @@ class WriterConnection:
 
     It writes regardless of other connections, and reads on another one, which sees a
     transaction only after its end.
-
-    Args:
-        connection: the connection that writes.
-        reading: the connection that reads.
-        file: the file of the database; None for memory.
-        record: the record that it reads; None for the database itself.
     """
 
     def __init__(

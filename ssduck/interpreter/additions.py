@@ -14,8 +14,8 @@ from ssduck.errors import ArgumentError
 from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.namespace import check_name
 from ssduck.interpreter.signatures import type_hints_of
+from ssduck.language.analysis import OPERATOR_NAMES
 from ssduck.language.builtins import Function
-from ssduck.language.overrides import OPERATOR_NAMES
 from ssduck.world.world import World
 
 

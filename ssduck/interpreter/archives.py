@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 
 from ssduck import validation
 from ssduck.database.database import Database
-from ssduck.database.file_paths import CHECK_HINT, log_of
+from ssduck.database.instances import CHECK_HINT, log_of
 from ssduck.errors import RecordError, SqlError, nearest, record_errors
 from ssduck.recording.episode import Episode, Tags, extent_of
 from ssduck.recording.folder_check import DAMAGED, Damage, check_folder, set_aside

@@ -16,9 +16,9 @@ from ssduck import validation
 from ssduck.adapters.registry import all_adapters, loaded_adapters
 from ssduck.errors import ArgumentError, nearest
 from ssduck.interpreter.interpreter import Interpreter
-from ssduck.language.tokenizer import DelimitedText, delimited, escaped
+from ssduck.language.tokens import DelimitedText, delimited, escaped
 from ssduck.schema import HISTORIES, TABLES
-from ssduck.sql.relations import RELATIONS
+from ssduck.sql.relations.registry import RELATIONS
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
 

@@ -12,9 +12,9 @@ from itertools import product
 from typing import Any, overload
 
 from ssduck.errors import ArgumentError
+from ssduck.language.analysis import written_name
 from ssduck.language.clauses import SelectedValue
 from ssduck.language.evaluator import Frame
-from ssduck.language.overrides import written_name
 from ssduck.language.tree import (
     Call,
     Index,

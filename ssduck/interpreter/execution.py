@@ -32,15 +32,15 @@ from ssduck.interpreter.over_time.live import LiveFolds
 from ssduck.interpreter.over_time.series import TickSeries
 from ssduck.interpreter.planner import Planner
 from ssduck.interpreter.sources import check_tick
+from ssduck.language.analysis import with_overrides
 from ssduck.language.clauses import formed
-from ssduck.language.deferred import LazyList
 from ssduck.language.evaluation_errors import unknown_function
 from ssduck.language.evaluator import Frame
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS, are_intervals
-from ssduck.language.overrides import with_overrides
 from ssduck.language.parser import parse
 from ssduck.language.sql_readings import SqlReader
 from ssduck.language.tree import Call, Node, Placeholder, Program, Query
+from ssduck.language.value_history import LazyList
 from ssduck.limits import Limits, UsageMeter
 from ssduck.recording.replay.past import pin_to_common_tick
 from ssduck.sql.explain import explained, in_dialect

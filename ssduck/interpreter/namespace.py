@@ -21,24 +21,31 @@ from ssduck.interpreter.link_functions import LINK_FUNCTIONS, mentions_links
 from ssduck.interpreter.output import help_of_result_form, help_of_result_forms
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS
 from ssduck.interpreter.sources import worlds_in
-from ssduck.language.analysis import calls_of, forms_of, variables_of
-from ssduck.language.builtins import AGGREGATES, BUILTINS, EXTREMES, Function
-from ssduck.language.deferred import LazyList
-from ssduck.language.evaluation_errors import unknown_function
-from ssduck.language.intervals import RELATIONS_OF_INTERVALS
-from ssduck.language.operators import SMALL_BYTES, check_size, size_of
-from ssduck.language.overrides import (
+from ssduck.language.analysis import (
     BINARY_SIGNS,
     NOT_OVERRIDABLE,
     OPERATOR_NAMES,
     UNARY_SIGNS,
+    calls_of,
+    forms_of,
     marked_name,
+    variables_of,
     written_name,
 )
+from ssduck.language.builtins import AGGREGATES, BUILTINS, EXTREMES, Function
+from ssduck.language.evaluation_errors import unknown_function
+from ssduck.language.intervals import RELATIONS_OF_INTERVALS
+from ssduck.language.operators import SMALL_BYTES, check_size, size_of
 from ssduck.language.parser import is_reserved
 from ssduck.language.sql_suggestions import suggestion_for_name
 from ssduck.language.tree import Call, Literal, Node
-from ssduck.language.value_history import ValueHistory, history_of, past_value, with_assignment
+from ssduck.language.value_history import (
+    LazyList,
+    ValueHistory,
+    history_of,
+    past_value,
+    with_assignment,
+)
 from ssduck.language.value_keys import python_value
 from ssduck.limits import Limits
 from ssduck.recording.replay.past import Past, past_of

@@ -24,9 +24,9 @@ from ssduck.language.analysis import (
 )
 from ssduck.language.builtins import Function
 from ssduck.language.clauses import Selected
-from ssduck.language.deferred import LazyList
 from ssduck.language.evaluator import EvaluationScope, Frame
 from ssduck.language.tree import Call, Name, Node, Placeholder, Query, TimeIndex
+from ssduck.language.value_history import LazyList
 from ssduck.limits import Limits
 from ssduck.recording.replay.past import Past
 from ssduck.sql.name_resolution import ResolvedQuery, resolve

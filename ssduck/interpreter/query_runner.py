@@ -12,8 +12,9 @@ from typing import Any
 from sqlglot import exp
 
 from ssduck.columns.compiler import LeftToDuckDBError
-from ssduck.database.database import Database, Statement
-from ssduck.database.pair_rows import pair_rows
+from ssduck.database.database import Database
+from ssduck.database.functions import pair_rows
+from ssduck.database.plans import Statement
 from ssduck.database.values import to_sql
 from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError, SqlError, warn
 from ssduck.interpreter.scalar_select import ScalarSelect

@@ -23,9 +23,9 @@ from ssduck.columns.compiler import Compiler, Expression, Kind, LeftToDuckDBErro
 from ssduck.columns.numbers import NumberOperations, known
 from ssduck.database.values import is_exactly
 from ssduck.errors import ArgumentError, EvaluationError
-from ssduck.language.deferred import LazyList
 from ssduck.language.evaluator import EvaluationScope, Frame
 from ssduck.language.tree import Index, ListLiteral, Literal, Name, Node, QualifiedName
+from ssduck.language.value_history import LazyList
 from ssduck.sql.plan import Plan
 from ssduck.sql.types import EXACT, SqlType
 from ssduck.world.handles import Handle, place_of

@@ -94,12 +94,7 @@ def is_grouped(query: Query) -> bool:
 
 
 def is_aggregated(query: Query, selected: Iterable[Node]) -> bool:
-    """Checks whether SELECT gives one row a group.
-
-    Args:
-        query: the query.
-        selected: what it selects, bare names looked up.
-    """
+    """Checks whether SELECT gives one row a group."""
     if query.recursion is not None or not is_grouped(query):
         return False
     calls = (call for node in selected for call in over_rows(node))
@@ -116,10 +111,6 @@ class GroupFunction:
     """A part of a query as a function of the rows of a group.
 
     An aggregate is over all rows of the group; everything else is that of its first row.
-
-    Args:
-        node: the part.
-        compiler: makes functions of its parts.
     """
 
     def __init__(self, node: Node, compiler: ExpressionCompiler) -> None:
@@ -136,12 +127,7 @@ class GroupFunction:
         )
 
     def __call__(self, rows: Sequence[Frame], outer: Frame) -> Any:
-        """Returns the value for a group.
-
-        Args:
-            rows: of the group.
-            outer: what is around the query, where the group has no row.
-        """
+        """Returns the value for a group."""
         first = rows[0] if rows else outer
         placeholders = dict(first.placeholders)
         for name, call, argument in self._aggregates:
@@ -191,12 +177,7 @@ def _refusal_message(name: str, values: Sequence[Any]) -> str:
 
 
 def check_one_group(query: Query, selected: Sequence[Node]) -> None:
-    """Checks that no value of a single row is used if all rows are one group.
-
-    Args:
-        query: the query, bare names looked up.
-        selected: what it selects.
-    """
+    """Checks that no value of a single row is used if all rows are one group."""
     if not is_one_group(query):
         return
     aliases = {None, *aliases_of(query)}

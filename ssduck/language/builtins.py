@@ -14,8 +14,8 @@ from typing import Any
 
 from ssduck.errors import ArgumentError, FunctionError, LimitError, SelectScriptError
 from ssduck.formatting import argument_in_words, error_text, first_line
+from ssduck.language.analysis import BINARY_NAMES
 from ssduck.language.operators import apply, apply_unary, check_size
-from ssduck.language.overrides import BINARY_NAMES
 from ssduck.language.value_keys import ATOMS, NUMPYS, equality_key, python_key, tuple_or_vector
 
 # Sums of squares below this may have lost digits.
@@ -26,26 +26,17 @@ MAX_DIGITS = 400
 
 @dataclass(frozen=True)
 class Function:
-    """A Python function in the language.
+    """A Python function in the language."""
 
-    Attributes:
-        name: its name in programs.
-        call: the function; lists and dicts are copied before and after a call. NumPy's numbers
-            and booleans in its results become Python's, and tuples of numbers lists.
-        help: the text of `help('name')` after the name.
-        min_arguments: the least number of arguments.
-        max_arguments: the largest number of arguments; None for any number.
-        builtin: whether it is a part of the language.
-        hints: the types in its signature, for SQL; None if SQL cannot call it.
-    """
-
-    name: str
+    name: str  # its name in programs
+    # The function; lists and dicts are copied before and after a call. NumPy's numbers and booleans
+    # in its results become Python's, and tuples of numbers lists.
     call: Callable[..., Any]
-    help: str
-    min_arguments: int
-    max_arguments: int | None
-    builtin: bool = False
-    hints: object = None
+    help: str  # the text of `help('name')` after the name
+    min_arguments: int  # the least number of arguments
+    max_arguments: int | None  # the largest number of arguments; None for any number
+    builtin: bool = False  # whether it is a part of the language
+    hints: object = None  # the types in its signature, for SQL; None if SQL cannot call it
 
     @classmethod
     def of(
@@ -57,13 +48,7 @@ class Function:
         return cls(name, call, text, min_arguments, max_arguments, hints=hints)
 
     def __call__(self, arguments: Sequence[Any]) -> Any:
-        """Calls the function.
-
-        Raises:
-            FunctionError: a user's function raised; the original error is the cause.
-            ArgumentError: a function of the language does not take these values.
-            LimitError: a program that it ran exceeded a limit.
-        """
+        """Calls the function."""
         try:
             if self.builtin:  # these do not change their arguments
                 value = self.call(*arguments)

@@ -27,15 +27,11 @@ MANY_COLUMNS = 16
 
 @dataclass(frozen=True)
 class Rows:
-    """The rows of a query.
+    """The rows of a query."""
 
-    Attributes:
-        values: a tuple for each row, in order, with a value for each column.
-        names: the names of the columns; a tuple for each row if `to` names a column differently
-            from row to row.
-    """
-
-    values: list[tuple[Any, ...]]
+    values: list[tuple[Any, ...]]  # a tuple for each row, in order, with a value for each column
+    # The names of the columns; a tuple for each row if `to` names a column differently from row to
+    # row.
     names: tuple[Any, ...] | list[tuple[Any, ...]]
 
 
@@ -48,15 +44,10 @@ class Paths:
 
 @dataclass(frozen=True)
 class Groups:
-    """The result of a query with GROUP BY: the rows, or the paths, of each group.
+    """The result of a query with GROUP BY: the rows, or the paths, of each group."""
 
-    Attributes:
-        groups: the result of each group, by its printed key.
-        empty: no rows, with the names of the columns.
-    """
-
-    groups: dict[str, Selected]
-    empty: Rows
+    groups: dict[str, Selected]  # the result of each group, by its printed key
+    empty: Rows  # no rows, with the names of the columns
 
     @classmethod
     def of(
@@ -92,31 +83,18 @@ class SelectedValue:
 
 @dataclass(frozen=True)
 class PythonClauses:
-    """The clauses of a query that Python applies to its rows, in this order.
+    """The clauses of a query that Python applies to its rows, in this order."""
 
-    Attributes:
-        columns: the selected columns.
-        conditions: the conditions on rows.
-        order: the keys to sort by.
-        group: the keys to group by.
-        having: the condition on groups.
-        limit: the largest number of rows or groups.
-        offset: the number of rows or groups to skip first.
-        is_one_group: whether all rows are one group.
-        is_aggregated: whether each group becomes one row.
-        distinct: whether equal rows are selected once.
-    """
-
-    columns: tuple[SelectedValue, ...]
-    conditions: tuple[Node, ...] = ()
-    order: tuple[OrderKey, ...] = ()
-    group: tuple[Node, ...] = ()
-    having: Node | None = None
-    limit: Node | None = None
-    is_one_group: bool = False
-    is_aggregated: bool = False
-    distinct: bool = False
-    offset: Node | None = None
+    columns: tuple[SelectedValue, ...]  # the selected columns
+    conditions: tuple[Node, ...] = ()  # the conditions on rows
+    order: tuple[OrderKey, ...] = ()  # the keys to sort by
+    group: tuple[Node, ...] = ()  # the keys to group by
+    having: Node | None = None  # the condition on groups
+    limit: Node | None = None  # the largest number of rows or groups
+    is_one_group: bool = False  # whether all rows are one group
+    is_aggregated: bool = False  # whether each group becomes one row
+    distinct: bool = False  # whether equal rows are selected once
+    offset: Node | None = None  # the number of rows or groups to skip first
 
     @property
     def clauses(self) -> list[str]:
@@ -126,12 +104,7 @@ class PythonClauses:
 
 
 class Clauses:
-    """The clauses of a query as functions of frames.
-
-    Args:
-        clauses: the clauses.
-        compiler: makes functions of their parts.
-    """
+    """The clauses of a query as functions of frames."""
 
     def __init__(self, clauses: PythonClauses, compiler: ExpressionCompiler) -> None:
         self._clauses, self._only_selects = clauses, clauses == PythonClauses(clauses.columns)
@@ -176,15 +149,7 @@ class Clauses:
         window: slice,
         outer: Frame,
     ) -> Selected:
-        """Returns the selected values of rows or paths, ordered, grouped and limited.
-
-        Args:
-            entries: the rows or paths.
-            row: a function that returns the frame of an entry, in which keys are evaluated.
-            select: a function that returns the selected values of entries.
-            window: the entries or groups to return.
-            outer: the frame of the outer query.
-        """
+        """Returns the selected values of rows or paths, ordered, grouped and limited."""
         if self._order:
             entries = _sorted(
                 entries,
@@ -319,17 +284,14 @@ class _Aggregated:
             column.name if isinstance(column.name, str) else GroupFunction(column.name, compiler)
             for column in columns
         ]
-        self._fixed = tuple(name for name in self._names if isinstance(name, str))
 
     def row(self, frames: list[Frame], outer: Frame, *, is_there: bool = True) -> Rows:
         """Returns the row of a group; None where HAVING excludes it."""
         if not is_there:
-            return Rows([], self._fixed)
-        values = [tuple(item(frames, outer) for item in self._items)]
-        if len(self._fixed) == len(self._names):
-            return Rows(values, self._fixed)
+            return Rows([], tuple(name for name in self._names if isinstance(name, str)))
+        values = tuple(item(frames, outer) for item in self._items)
         names = tuple(n if isinstance(n, str) else n(frames, outer) for n in self._names)
-        return Rows(values, [names])
+        return Rows([values], names if all(isinstance(n, str) for n in self._names) else [names])
 
 
 def _sorted(
@@ -382,12 +344,7 @@ def _unsigned(value: Any) -> Any:
 
 
 class LockstepSource(Sequence[Any]):
-    """Entities at recorded ticks, which go through their ticks together with another source.
-
-    Args:
-        elements: the entities, tick by tick.
-        leader: the index of the other source, before this one.
-    """
+    """Entities at recorded ticks, which go through their ticks together with another source."""
 
     def __init__(self, elements: Sequence[Any], leader: int) -> None:
         self.leader = leader

@@ -70,10 +70,6 @@ def argument_check(call: Call, query: Query | None) -> Callable[[Sequence[Any]],
 
     An aggregate takes a list; a text is not one.
 
-    Args:
-        call: the call.
-        query: the query that contains it; None outside of queries.
-
     Returns:
         A function of the arguments' values, which raises an ArgumentError.
     """

@@ -19,7 +19,6 @@ from ssduck.errors import (
 )
 from ssduck.formatting import as_evaluation_error, short_repr
 from ssduck.language.analysis import OVER_TIME, aliases_of, free_aliases, is_impure
-from ssduck.language.deferred import LazyList
 from ssduck.language.evaluation_errors import (
     argument_check,
     key_not_variable_error,
@@ -57,7 +56,7 @@ from ssduck.language.tree import (
     UnboundedHorizon,
     UnresolvedName,
 )
-from ssduck.language.value_history import horizon_of
+from ssduck.language.value_history import LazyList, horizon_of
 from ssduck.language.value_keys import MEMOS, NUMPYS, Memo, node_key, python_value
 from ssduck.limits import UsageMeter
 
@@ -126,19 +125,7 @@ class EvaluationScope(Protocol):
 
 
 class Frame:
-    """The values that an expression is evaluated over.
-
-    Args:
-        scope: variables, functions, queries.
-        elements: the current element of each source, by alias; that of the only source also
-            by None.
-        local: the state variables of a path through a hierarchical query.
-        placeholders: the values of `Placeholder` parts.
-        columns: the SQL columns of this row.
-        cached: the values of constant parts that are evaluated already.
-        state: the same for parts that are constant within a state.
-        outer_elements: the elements of outer queries on which this query does not depend.
-    """
+    """The values that an expression is evaluated over."""
 
     __slots__ = (
         "cached",
@@ -235,17 +222,7 @@ def compiled(node: Node, scope: EvaluationScope) -> Thunk:
 
 
 class ExpressionCompiler:
-    """Compiles nodes of a tree to functions of frames.
-
-    Args:
-        scope: the scope in which names are checked, even if no row evaluates them.
-        known: the parts with known values, as functions of a frame.
-        constants: the parts that are the same for all rows; they are evaluated once.
-        state_constants: the parts that are the same for all rows of a state.
-        memorize: whether a user's function is called once a row for equal calls; not possible if
-            variables change between the calls.
-        query: the query that contains the parts.
-    """
+    """Compiles nodes of a tree to functions of frames."""
 
     def __init__(
         self,
@@ -293,14 +270,6 @@ class ExpressionCompiler:
             and isinstance(node, Call)
             and self._scope.is_users(node.name)
             and not is_impure(node)
-        )
-
-    def is_deferred(self, node: Node) -> bool:
-        """Checks whether a part is a variable that holds a list for the query that uses it."""
-        return (
-            isinstance(node, Name)
-            and self._scope.has_variable(node.name)
-            and isinstance(self._scope.variable(node.name), LazyList)
         )
 
     def _thunk(self, node: Node) -> Thunk:

@@ -12,28 +12,26 @@ query has side effects.
 
 from __future__ import annotations
 
-from collections import defaultdict, deque
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
-from itertools import count, islice, tee
-from operator import itemgetter
+from itertools import islice, tee
 from typing import Any, Generic, TypeAlias, TypeVar
 
 from ssduck.errors import ArgumentError, LimitError
-from ssduck.language.analysis import is_impure, mentions, states
+from ssduck.language.analysis import is_impure
 from ssduck.language.clauses import Clauses, Paths, Rows, Selected, checked_count
-from ssduck.language.deferred import LazyList
 from ssduck.language.evaluator import ExpressionCompiler, Frame, Thunk, resolved
 from ssduck.language.operators import check_size, truth
-from ssduck.language.tree import Assignment, Name, Node, Query, Recursion, TimeIndex
+from ssduck.language.tree import Assignment, Node, Query, Recursion
+from ssduck.language.value_history import LazyList
 from ssduck.language.value_keys import ValueKeys
 
 # The largest number of states whose rows are cached.
 MAX_STATES = 10_000
 # The size of a row of a path with its frame, bytes, roughly.
 _STEP_BYTES = 400
-# The key of the selected values among the cached calls of a row; no call has it.
-_SELECT = "SELECT"
 
 
 class RowSelection:
@@ -84,70 +82,34 @@ class PathStep:
 # first row.
 Steps: TypeAlias = Iterator[PathStep]
 RowsOf: TypeAlias = Callable[[dict[str, Any]], Iterable[Mapping[str | None, Any]]]
-Calls: TypeAlias = dict[str, Any]
 
 
 class _States:
-    """The rows of each state that was reached; equal states share them.
-
-    Rows of different states share the results of users' functions if the states differ only in
-    variables that the calls do not mention.
-
-    Args:
-        make_steps: a function that yields the rows of a state, with the results of users'
-            functions for each row.
-        call_variables: the state variables that calls of users' functions mention; None if rows
-            of different states share nothing.
-        max_states: the largest number of cached states.
+    """The rows of each state that was reached, by a function that yields them; equal ones share.
 
     Attributes:
         keys: the numbers that identify rows.
     """
 
     def __init__(
-        self,
-        make_steps: Callable[[dict[str, Any], Iterator[Calls]], Iterator[PathStep]],
-        call_variables: Collection[str] | None,
-        max_states: int,
+        self, make_steps: Callable[[dict[str, Any]], Iterator[PathStep]], max_states: int
     ) -> None:
         self.keys = ValueKeys()
         self._make_steps = make_steps
-        self._call_variables = call_variables
         self._max_states = max_states
         self._known: dict[Any, Steps] = {}
-        self._calls: dict[Any, dict[int, Calls]] = defaultdict(lambda: defaultdict(dict))
-        self._picks: dict[int, Callable[[tuple[Any, ...]], Any]] = {}
 
     def __call__(self, state: dict[str, Any]) -> Steps:
         """Returns the rows of a state."""
-        try:
+        key = None
+        with suppress(ArgumentError):  # its values have no keys
             key = self.keys.exact(state.values())
-        except ArgumentError:  # its values have no keys
-            return self._steps(state, None)
-        result = self._known.get(key)
-        if result is not None:
-            return result
-        if len(self._known) >= self._max_states:
-            return self._steps(state, None)
-        result = self._known[key] = self._steps(state, key)
-        return result
-
-    def _steps(self, state: dict[str, Any], key: tuple[Any, ...] | None) -> Steps:
-        return tee(self._make_steps(state, self._calls_of(state, key)), 1)[0]
-
-    def _calls_of(self, state: dict[str, Any], key: tuple[Any, ...] | None) -> Iterator[Calls]:
-        """Yields the results of users' functions for each row of a state."""
-        if key is None or self._call_variables is None:
-            return iter(dict, None)
-        pick = self._picks.get(len(state))  # CONNECT BY may set more variables than START WITH
-        if pick is None:
-            places = [place for place, name in enumerate(state) if name in self._call_variables]
-            pick = self._picks[len(state)] = itemgetter(*places) if places else _nothing
-        return map(self._calls[pick(key)].__getitem__, count())
-
-
-def _nothing(_: object) -> None:
-    """Returns the key of a state for calls that mention none of its variables."""
+        steps = None if key is None else self._known.get(key)
+        if steps is None:
+            steps = tee(self._make_steps(state), 1)[0]
+            if key is not None and len(self._known) < self._max_states:
+                self._known[key] = steps
+        return steps
 
 
 def _from_start(steps: Steps) -> Iterator[PathStep]:
@@ -156,14 +118,7 @@ def _from_start(steps: Steps) -> Iterator[PathStep]:
 
 
 class Hierarchy:
-    """A hierarchical query as functions of frames.
-
-    Args:
-        query: the query.
-        clauses: SELECT, and the clauses that apply to the paths.
-        compiler: the compiler of its parts.
-        max_depth: the largest number of rows of a path.
-    """
+    """A hierarchical query as functions of frames."""
 
     def __init__(
         self, query: Query, clauses: Clauses, compiler: ExpressionCompiler, max_depth: int
@@ -183,22 +138,9 @@ class Hierarchy:
         }
         self._deepest = max_depth
         self._has_side_effects = is_impure(query)
-        self._call_variables = _call_variables(query, compiler)
-        selected = _variables_read(query.items, states(query), compiler)
-        self._shares_selected = (
-            self._call_variables is not None
-            and selected is not None
-            and selected <= self._call_variables
-        )
 
     def selected(self, outer: Frame, rows: RowsOf, cached: dict[Node, Any]) -> Selected:
-        """Returns the paths.
-
-        Args:
-            outer: the frame of the outer query.
-            rows: a function that returns the elements of the sources at each row of a state.
-            cached: the values of constant parts that are evaluated already.
-        """
+        """Returns the paths."""
         recursion = self._recursion
         state = dict(outer.local)
         for name, value in self._start:
@@ -207,7 +149,7 @@ class Hierarchy:
             if name is not None:
                 state[name] = resolved(initial, frame) if isinstance(initial, LazyList) else initial
         max_states = 0 if self._has_side_effects else MAX_STATES
-        states = _States(self._steps_of(outer, rows, cached), self._call_variables, max_states)
+        states = _States(self._steps_of(outer, rows, cached), max_states)
         search = self._graph_paths if recursion.memorizes else self._depth_first
         paths = search(outer, states, state)
         max_paths = self._number(recursion.maximum, "MAXIMUM", outer)
@@ -244,7 +186,7 @@ class Hierarchy:
 
     def _steps_of(
         self, outer: Frame, rows: RowsOf, cached: dict[Node, Any]
-    ) -> Callable[[dict[str, Any], Iterator[Calls]], Iterator[PathStep]]:
+    ) -> Callable[[dict[str, Any]], Iterator[PathStep]]:
         """Returns a function that yields the rows of a state, without dead ends."""
         stop_node, (stop, where) = self._recursion.stop, (self._stop, self._where)
         result_node = stop_node if self._query.where is None else self._query.where
@@ -253,14 +195,14 @@ class Hierarchy:
         scope, placeholders = outer.scope, outer.placeholders
         count, charge = scope.meter.combination_counter(), scope.meter.charge
 
-        def steps(state: dict[str, Any], calls: Iterator[Calls]) -> Iterator[PathStep]:
+        def steps(state: dict[str, Any]) -> Iterator[PathStep]:
             state_values: dict[Node, Any] = {}
             frame = None
-            for elements, known in zip(rows(state), calls, strict=False):
+            for elements in rows(state):
                 count()
                 if frame is None:
                     frame = Frame(scope, elements, state, placeholders, (), cached, state_values)
-                frame.elements, frame.calls = elements, known
+                frame.elements, frame.calls = elements, {}
                 selection = self._selected_of(frame) if self._has_side_effects else None
                 result = False if where is None else where(frame)
                 if result is not True and result is not False:
@@ -284,14 +226,8 @@ class Hierarchy:
         return step.selection
 
     def _selected_of(self, frame: Frame) -> RowSelection:
-        if self._shares_selected and _SELECT in frame.calls:
-            shared: RowSelection = frame.calls[_SELECT]
-            return shared
         items = self._clauses.items
-        selection = RowSelection(items.values(frame), items.names(frame))
-        if self._shares_selected:
-            frame.calls[_SELECT] = selection
-        return selection
+        return RowSelection(items.values(frame), items.names(frame))
 
     def _key(self, step: PathStep, keys: ValueKeys) -> int:
         """Returns the key by which rows are distinguished."""
@@ -410,46 +346,17 @@ def _assignments(
     ]
 
 
-def _call_variables(query: Query, compiler: ExpressionCompiler) -> frozenset[str] | None:
-    """Returns the state variables that calls of users' functions mention.
-
-    None where there is no such call, or where each state has rows of its own.
-    """
-    names = states(query)
-    calls = [node for node in query.walk() if compiler.calls_once(node)]
-    if not calls or any(mentions(source.value, names) for source in query.sources):
-        return None
-    return _variables_read(calls, names, compiler)
-
-
-def _variables_read(
-    nodes: Sequence[Node], names: frozenset[str], compiler: ExpressionCompiler
-) -> frozenset[str] | None:
-    """Returns the state variables that nodes read; None if unknown."""
-    read = [part for node in nodes for part in node.walk() if isinstance(part, Name | TimeIndex)]
-    if any(compiler.is_deferred(part) for part in read):
-        return None
-    return names & {part.name for part in read}
-
-
 T = TypeVar("T")
 
 
 @dataclass(eq=False)
 class Vertex(Generic[T]):
-    """A distinct selected row.
+    """A distinct selected row."""
 
-    Attributes:
-        value: the row.
-        is_result: whether paths end here.
-        next: the rows of its state, in order.
-        distance: the number of steps to the nearest result.
-    """
-
-    value: T
-    is_result: bool
-    next: list[Vertex[T]] = field(default_factory=list)
-    distance: int | None = None
+    value: T  # the row
+    is_result: bool  # whether paths end here
+    next: list[Vertex[T]] = field(default_factory=list)  # the rows of its state, in order
+    distance: int | None = None  # the number of steps to the nearest result
 
 
 def simple_paths(
@@ -464,12 +371,6 @@ def simple_paths(
     ones are yielded.
 
     At the end, the edges are removed, which is faster than garbage collection.
-
-    Args:
-        roots: the first vertices of paths.
-        vertices: all vertices.
-        max_length: the largest number of vertices of a path; None for that of the shortest path.
-        count: a function that is called once a step.
     """
     _set_distances(vertices)
     limit = _shortest(roots) if max_length is None else min(max_length, len(vertices))

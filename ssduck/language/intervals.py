@@ -81,19 +81,13 @@ def _ends(value: Any) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Allen:
-    """A relation of two intervals.
+    """A relation of two intervals."""
 
-    Attributes:
-        name: its name in the language and in SQL.
-        holds: a function that checks whether it holds of [a, b] and [c, d].
-        formula: the same in DuckDB's SQL, for the lists a and b.
-        about: its meaning.
-    """
-
-    name: str
+    name: str  # its name in the language and in SQL
+    # A function that checks whether it holds of [a, b] and [c, d].
     holds: Callable[[float, float, float, float], bool]
-    formula: str
-    about: str
+    formula: str  # the same in DuckDB's SQL, for the lists a and b
+    about: str  # its meaning
 
     @property
     def function(self) -> Function:

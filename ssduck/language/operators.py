@@ -17,7 +17,7 @@ from ssduck.formatting import (
     short_repr,
     type_in_words,
 )
-from ssduck.language.overrides import written_name
+from ssduck.language.analysis import written_name
 from ssduck.language.sql_suggestions import suggestion_for_name
 from ssduck.language.tree import Binary, Call, ListLiteral, Literal, Node, OperatorChain, Unary
 
@@ -27,8 +27,6 @@ MAX_BITS = 1_000_000
 _BITS_PER_ELEMENT = 64
 _WIDE = 1 << _BITS_PER_ELEMENT
 MAX_ELEMENTS = 10_000_000
-# The largest number of comparisons of letters by LIKE.
-MAX_COMPARISONS = 200_000_000
 # The size of an element of a list, bytes, and the largest size of a value that is not counted.
 ELEMENT_BYTES, SMALL_BYTES = 8, 64
 SMALL_BITS = 8 * SMALL_BYTES
@@ -38,40 +36,19 @@ def is_like(text: Any, pattern: Any) -> bool:
     """Checks whether a text matches a pattern: `%` for any characters, `_` for any one."""
     if not isinstance(text, str) or not isinstance(pattern, str):
         raise TypeError
-    if len(text) < len(pattern.replace("%", "")):
-        return False
-    if "_" in pattern and len(text) * len(pattern) > MAX_COMPARISONS:
-        raise EvaluationError("the text and the pattern of LIKE are too long")
-    first, *others = pattern.split("%")
-    if not others:
-        return len(text) == len(first) and _fits(text, first, 0)
-    end = len(first) if _fits(text, first, 0) else -1
-    for part in others[:-1]:  # the first place of each part leaves most to the next ones
-        end = -1 if end < 0 else _end_of(part, text, end)
-    last = len(text) - len(others[-1])
-    return 0 <= end <= last and _fits(text, others[-1], last)
-
-
-def _fits(text: str, part: str, place: int) -> bool:
-    """Checks whether a part of a pattern without `%` fits at a place of a text."""
-    if "_" not in part:
-        return text.startswith(part, place)
-    return _like_part(part).match(text, place) is not None
-
-
-def _end_of(part: str, text: str, place: int) -> int:
-    """Returns the end of the first place from one on that a part fits; -1 if there is none."""
-    if "_" not in part:
-        start = text.find(part, place)
-        return -1 if start < 0 else start + len(part)
-    match = _like_part(part).search(text, place)
-    return -1 if match is None else match.end()
+    return _like(pattern).fullmatch(text) is not None
 
 
 @lru_cache(maxsize=256)
-def _like_part(part: str) -> re.Pattern[str]:
-    """Returns a part of a pattern without `%`: of a fixed length, so that nothing backtracks."""
-    return re.compile("".join("." if c == "_" else re.escape(c) for c in part), re.DOTALL)
+def _like(pattern: str) -> re.Pattern[str]:
+    """Returns a pattern as a regular expression, which does not go back before a part it found.
+
+    The first place of each part between two `%` leaves most to the next ones.
+    """
+    parts = pattern.split("%")
+    first, *others = ("".join("." if c == "_" else re.escape(c) for c in p) for p in parts)
+    middle = "".join(f"(?>.*?{part})" for part in others[:-1])
+    return re.compile(first + middle + "".join(f".*{part}" for part in others[-1:]), re.DOTALL)
 
 
 def _remainder(left: Any, right: Any) -> Any:

@@ -16,11 +16,18 @@ from sqlglot.tokenizer_core import Token, TokenType
 
 from ssduck.errors import ParseError, SourceSpan, nearest
 from ssduck.formatting import RESERVED_WORDS
-from ssduck.language.operator_chains import OperandRow
 from ssduck.language.sql_suggestions import STATEMENTS
 from ssduck.language.sql_syntax import CHAIN_OF_EQUALS, RELATIONAL, SqlForms, numbered_column
-from ssduck.language.token_cursor import LEVEL_OF, is_kind, is_word, slice_of, span_of
-from ssduck.language.tokenizer import divisions, tokenize, unquoted
+from ssduck.language.tokens import (
+    LEVEL_OF,
+    divisions,
+    is_kind,
+    is_word,
+    slice_of,
+    span_of,
+    tokenize,
+    unquoted,
+)
 from ssduck.language.tree import (
     AdapterClause,
     Assignment,
@@ -33,6 +40,7 @@ from ssduck.language.tree import (
     Literal,
     Name,
     Node,
+    OperandRow,
     OrderKey,
     Program,
     Query,

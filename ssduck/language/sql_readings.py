@@ -18,7 +18,7 @@ from ssduck.errors import ParseError, SourceSpan
 from ssduck.language.aggregates import over_rows
 from ssduck.language.builtins import AGGREGATES, BUILTINS, NUMBER_FUNCTIONS
 from ssduck.language.sql_syntax import CHAIN_OF_EQUALS
-from ssduck.language.token_cursor import LEVEL_OF
+from ssduck.language.tokens import LEVEL_OF
 from ssduck.language.tree import (
     AdapterClause,
     Assignment,
@@ -78,11 +78,7 @@ class Names(Protocol):
 
 
 class SqlReader:
-    """Reads the programs of a session.
-
-    Args:
-        names: the names of the session.
-    """
+    """Reads the programs of a session."""
 
     def __init__(self, names: Names) -> None:
         self._names = names
@@ -113,14 +109,10 @@ class SqlReader:
 
 @dataclass(frozen=True)
 class _Doubts:
-    """The names on which the reading of a program depends; none if it has one reading.
+    """The names on which the reading of a program depends; none if it has one reading."""
 
-    Attributes:
-        names: the names.
-        keys: the sources that are called by their variables, with a key behind each: `room.z`.
-    """
-
-    names: frozenset[str] = frozenset()
+    names: frozenset[str] = frozenset()  # the names
+    # The sources that are called by their variables, with a key behind each: `room.z`.
     keys: frozenset[tuple[str, str]] = frozenset()
 
 

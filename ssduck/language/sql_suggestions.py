@@ -30,60 +30,60 @@ _PYTHON = (
 )
 _TEXTS = "texts are compared exactly; find a part of one by 'part' IN text, or by LIKE"
 
-_INSTEAD_OF: dict[tuple[str, ...], str] = {
-    ("JOIN", "INNER", "LEFT", "RIGHT", "FULL", "OUTER", "CROSS", "NATURAL", "USING"): _JOIN,
-    ("ON",): f"{_JOIN}; of two entities write on(a, b)",
-    ("UNION", "INTERSECT", "EXCEPT", "MINUS"): _SETS,
-    ("ANY", "SOME"): f"{_EXISTS}, of a list True IN list; x > ANY is x > min(SELECT …)",
-    ("EXISTS",): "write EXISTS (SELECT … FROM …)",
-    ("OFFSET", "SKIP"): "write LIMIT n OFFSET m behind ORDER BY",
-    ("FETCH", "TOP", "FIRST"): _LIMIT_ADVICE,
-    ("NULLS",): "leave out the rows without a value: WHERE x IS NOT NULL",
-    ("QUALIFY", "WINDOW", "OVER", "PARTITION", "ROLLUP", "CUBE", "PIVOT", "LATERAL"): _RAW,
-    ("RANK", "DENSE_RANK", "ROW_NUMBER", "LAG", "LEAD", "NTILE", "GROUPING", "SETS"): _RAW,
-    ("FILTER",): "write sum(CASE WHEN condition THEN 1 ELSE 0 END)",
-    ("DATE", "TIMESTAMP", "INTERVAL", "EXTRACT"): _TIMES,
-    ("INSERT", "UPDATE", "DELETE"): _CHANGE,
-    ("CREATE", "DROP", "ALTER", "MERGE", "TRUNCATE"): _RAW,
-    ("COPY", "ATTACH", "PRAGMA", "SHOW", "DESCRIBE", "INSTALL"): _RAW,
-    ("WITH",): "name the result of a query: rows = SELECT … AS list; SELECT … FROM rows",
-    ("VALUES",): "write a list: FROM [[1, 2], [3, 4]]",
-    ("ILIKE", "GLOB", "SIMILAR", "REGEXP", "RLIKE", "ESCAPE", "COLLATE"): _TEXTS,
-    ("UPPER", "LOWER", "SUBSTRING", "SUBSTR", "TRIM", "STARTS_WITH"): _TEXTS,
-    ("CAST", "TRY_CAST", "CONVERT"): _CAST,
-    ("NULL", "NONE", "NIL"): _MISSING,
-    ("NAN", "INF", "INFINITY"): _NOT_A_NUMBER,
-    ("COALESCE", "IFNULL", "NVL"): _INSTEAD,
-    ("NULLIF",): "write IF(…; …; …)",
-    ("CONCAT",): "texts are joined by +",
-    ("LEN", "LENGTH"): "write count(x), of a list or of the letters of a text",
-    ("POWER",): "write pow(x, y) or x ^ y",
-    ("CEILING",): "write ceil(x)",
-    ("MEAN", "AVERAGE"): "write avg(x)",
-    ("ALL",): f"{_ALL}, of a list NOT False IN list; x > ALL is x > max(SELECT …); behind "
+_INSTEAD_OF = {
+    "JOIN INNER LEFT RIGHT FULL OUTER CROSS NATURAL USING": _JOIN,
+    "ON": f"{_JOIN}; of two entities write on(a, b)",
+    "UNION INTERSECT EXCEPT MINUS": _SETS,
+    "ANY SOME": f"{_EXISTS}, of a list True IN list; x > ANY is x > min(SELECT …)",
+    "EXISTS": "write EXISTS (SELECT … FROM …)",
+    "OFFSET SKIP": "write LIMIT n OFFSET m behind ORDER BY",
+    "FETCH TOP FIRST": _LIMIT_ADVICE,
+    "NULLS": "leave out the rows without a value: WHERE x IS NOT NULL",
+    "QUALIFY WINDOW OVER PARTITION ROLLUP CUBE PIVOT LATERAL": _RAW,
+    "RANK DENSE_RANK ROW_NUMBER LAG LEAD NTILE GROUPING SETS": _RAW,
+    "FILTER": "write sum(CASE WHEN condition THEN 1 ELSE 0 END)",
+    "DATE TIMESTAMP INTERVAL EXTRACT": _TIMES,
+    "INSERT UPDATE DELETE": _CHANGE,
+    "CREATE DROP ALTER MERGE TRUNCATE": _RAW,
+    "COPY ATTACH PRAGMA SHOW DESCRIBE INSTALL": _RAW,
+    "WITH": "name the result of a query: rows = SELECT … AS list; SELECT … FROM rows",
+    "VALUES": "write a list: FROM [[1, 2], [3, 4]]",
+    "ILIKE GLOB SIMILAR REGEXP RLIKE ESCAPE COLLATE": _TEXTS,
+    "UPPER LOWER SUBSTRING SUBSTR TRIM STARTS_WITH": _TEXTS,
+    "CAST TRY_CAST CONVERT": _CAST,
+    "NULL NONE NIL": _MISSING,
+    "NAN INF INFINITY": _NOT_A_NUMBER,
+    "COALESCE IFNULL NVL": _INSTEAD,
+    "NULLIF": "write IF(…; …; …)",
+    "CONCAT": "texts are joined by +",
+    "LEN LENGTH": "write count(x), of a list or of the letters of a text",
+    "POWER": "write pow(x, y) or x ^ y",
+    "CEILING": "write ceil(x)",
+    "MEAN AVERAGE": "write avg(x)",
+    "ALL": f"{_ALL}, of a list NOT False IN list; x > ALL is x > max(SELECT …); behind "
     "SELECT and LIMIT leave ALL out",
-    ("MOD", "DIV"): "write x % y for the remainder, floor(x / y) for the integer quotient",
-    ("OF",): "a result form is one word, perhaps with arguments: AS dict, AS list, AS df, "
+    "MOD DIV": "write x % y for the remainder, floor(x / y) for the integer quotient",
+    "OF": "a result form is one word, perhaps with arguments: AS dict, AS list, AS df, "
     "AS image(640, 480); help('AS') lists all",
-    ("WHILE", "DEF", "RETURN", "LAMBDA", "IMPORT", "DEL", "RAISE", "ASSERT"): _PYTHON,
-    ("DISTINCT",): "write SELECT DISTINCT x, without brackets or ON, or uniq(x) with GROUP BY",
-    ("WHEN", "THEN", "ELSE", "END"): "write CASE WHEN … THEN … ELSE … END, or IF(…; …; …)",
-    ("NOTNULL", "ISNULL"): "write x IS NOT NULL, or x IS NULL",
-    ("AND",): "a condition stands on both sides of AND",
-    ("IS",): "write x IS NULL, or == to compare",
-    ("!",): "write NOT",
-    ("&", "&&"): "write AND",
-    ("|", "||"): "write OR between conditions; texts are joined by +",
-    ("::",): _CAST,
-    (":",): f"a part of a list is [p[0], p[1]], not p[0:2]; for a conversion {_CAST}",
-    ("`",): "names are written without quotes",
-    ("~", "~~"): "write LIKE",
-    ("{",): "no braces here: a list is [1, 2, 3]; a world's past is kitchen{12.5}",
-    ("IF", "?"): _IF,
-    ("$",): "pass values as variables: ss.add_variable('name', value)",
-    ("FOR",): "the time for which a condition has held is heldFor(condition) >= 0.2; what holds of "
+    "WHILE DEF RETURN LAMBDA IMPORT DEL RAISE ASSERT": _PYTHON,
+    "DISTINCT": "write SELECT DISTINCT x, without brackets or ON, or uniq(x) with GROUP BY",
+    "WHEN THEN ELSE END": "write CASE WHEN … THEN … ELSE … END, or IF(…; …; …)",
+    "NOTNULL ISNULL": "write x IS NOT NULL, or x IS NULL",
+    "AND": "a condition stands on both sides of AND",
+    "IS": "write x IS NULL, or == to compare",
+    "!": "write NOT",
+    "& &&": "write AND",
+    "| ||": "write OR between conditions; texts are joined by +",
+    "::": _CAST,
+    ":": f"a part of a list is [p[0], p[1]], not p[0:2]; for a conversion {_CAST}",
+    "`": "names are written without quotes",
+    "~ ~~": "write LIKE",
+    "{": "no braces here: a list is [1, 2, 3]; a world's past is kitchen{12.5}",
+    "IF ?": _IF,
+    "$": "pass values as variables: ss.add_variable('name', value)",
+    "FOR": "the time for which a condition has held is heldFor(condition) >= 0.2; what holds of "
     "each entity of a world is SELECT z(this) FROM room",
-    ("IN",): "IN looks into a list or a text, x IN (a, b); what is in a region is within(a, b)",
+    "IN": "IN looks into a list or a text, x IN (a, b); what is in a region is within(a, b)",
 }
 
 # What to write for signs of other languages.
@@ -107,7 +107,7 @@ NUMPY = (
     "an array of NumPy is written array.tolist(), as in [0.1, 0.2, 0.3], or given as a parameter: "
     "ss.eval('distance(sim.cup, p);', {'p': array})"
 )
-HABITS = {word: suggestion for words, suggestion in _INSTEAD_OF.items() for word in words}
+HABITS = {word: text for words, text in _INSTEAD_OF.items() for word in words.split()}
 
 # The clauses behind FROM, in their order.
 ORDER = "WHERE, START WITH … CONNECT BY … STOP WITH, GROUP BY, HAVING, ORDER BY, LIMIT, AS"
@@ -145,140 +145,130 @@ _ANGLE = (
     "orientation(b)"
 )
 _NOT_KEPT = "a world does not keep it: bind a number of the simulator as a variable"
-# The suggestions for names of other libraries, and for words of time.
-_OF_LIBRARIES: dict[tuple[str, ...], str] = {
-    ("QUANTILE", "QUANTILE_CONT", "QUANTILE_DISC", "PERCENTILE", "MODE", "ANY_VALUE"): _AGGREGATES,
-    ("STRING_AGG", "ARRAY_AGG", "GROUP_CONCAT", "LISTAGG", "HISTOGRAM", "ENTROPY"): _AGGREGATES,
-    ("CORR", "COVAR_POP", "COVAR_SAMP", "SKEWNESS", "KURTOSIS", "PRODUCT", "PROD"): _AGGREGATES,
-    ("STD", "STDEV", "STDDEV_SAMP"): "write stddev(x), that of a sample",
-    ("STDDEV_POP", "PSTDEV"): "write sqrt(avg(x ^ 2) - avg(x) ^ 2)",
-    ("VARIANCE", "VAR_SAMP"): "write stddev(x) ^ 2, that of a sample",
-    ("VAR_POP", "PVARIANCE"): "write avg(x ^ 2) - avg(x) ^ 2",
-    ("ARG_MAX", "ARGMAX", "MAX_BY"): "write SELECT id FROM room ORDER BY z DESC LIMIT 1",
-    ("ARG_MIN", "ARGMIN", "MIN_BY"): "write SELECT id FROM room ORDER BY z LIMIT 1",
-    ("RMS",): "write sqrt(avg(x ^ 2)), or norm(list) / sqrt(count(list))",
-    ("TOTAL",): "write sum(x)",
-    ("BOOL_AND", "EVERY", "FORALL"): _ALL,
-    ("BOOL_OR",): _EXISTS,
-    ("CLAMP",): "write clip(x, low, high)",
-    ("MAXIMUM", "FMAX"): "write max([a, b])",
-    ("MINIMUM", "FMIN"): "write min([a, b])",
-    ("SQUARE",): "write x ^ 2",
-    ("LOG2",): "write log(x) / log(2)",
-    ("SIGMOID",): "write 1 / (1 + exp(-x))",
-    ("DOT", "INNER"): "write sum([a[0] * b[0], a[1] * b[1], a[2] * b[2]])",
-    ("CROSS",): "write [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], "
+# The suggestions for names of SQL and of other libraries, and for words of time.
+_OF_NAMES = {
+    "RANDOM RAND": _RANDOM,
+    "ENTITIES SHAPES CONTACTS SENSINGS TICKS": _TABLE,
+    "JOINTS": "the position of one joint is joint(entity, 'name'); all are a table of ss.sql: "
+    "SELECT name, position FROM joints",
+    "NOW CURRENT_DATE CURRENT_TIME CURRENT_TIMESTAMP TODAY": _TIMES,
+    "DATE_PART DATEDIFF DATE_DIFF DATE_TRUNC STRFTIME": _TIMES,
+    "ARRAY NDARRAY FLOAT64 FLOAT32 INT64 INT32 TENSOR ASARRAY": NUMPY,
+    "FIRST": f"the first time at which a condition held is holds(condition)[0][0]; {_AGGREGATES}",
+    "LAST": f"the last time at which a condition held is holds(condition)[-1][1]; {_AGGREGATES}",
+    "LEFT RIGHT REPLACE REVERSE CONTAINS STRPOS": _TEXTS,
+    "CHAR_LENGTH INITCAP SPLIT_PART LPAD RPAD": _TEXTS,
+    "PI": "write 3.141592653589793",
+    "LN": "write log(x), the natural logarithm",
+    "LOG10": "write log(x) / log(10)",
+    "TRUNC": "write int(x)",
+    "ISNAN": "write x != x",
+    "SIGN": "write CASE WHEN x > 0 THEN 1 WHEN x < 0 THEN -1 ELSE 0 END",
+    "QUANTILE QUANTILE_CONT QUANTILE_DISC PERCENTILE MODE ANY_VALUE": _AGGREGATES,
+    "STRING_AGG ARRAY_AGG GROUP_CONCAT LISTAGG HISTOGRAM ENTROPY": _AGGREGATES,
+    "CORR COVAR_POP COVAR_SAMP SKEWNESS KURTOSIS PRODUCT PROD": _AGGREGATES,
+    "STD STDEV STDDEV_SAMP": "write stddev(x), that of a sample",
+    "STDDEV_POP PSTDEV": "write sqrt(avg(x ^ 2) - avg(x) ^ 2)",
+    "VARIANCE VAR_SAMP": "write stddev(x) ^ 2, that of a sample",
+    "VAR_POP PVARIANCE": "write avg(x ^ 2) - avg(x) ^ 2",
+    "ARG_MAX ARGMAX MAX_BY": "write SELECT id FROM room ORDER BY z DESC LIMIT 1",
+    "ARG_MIN ARGMIN MIN_BY": "write SELECT id FROM room ORDER BY z LIMIT 1",
+    "RMS": "write sqrt(avg(x ^ 2)), or norm(list) / sqrt(count(list))",
+    "TOTAL": "write sum(x)",
+    "BOOL_AND EVERY FORALL": _ALL,
+    "BOOL_OR": _EXISTS,
+    "CLAMP": "write clip(x, low, high)",
+    "MAXIMUM FMAX": "write max([a, b])",
+    "MINIMUM FMIN": "write min([a, b])",
+    "SQUARE": "write x ^ 2",
+    "LOG2": "write log(x) / log(2)",
+    "SIGMOID": "write 1 / (1 + exp(-x))",
+    "DOT INNER": "write sum([a[0] * b[0], a[1] * b[1], a[2] * b[2]])",
+    "CROSS": "write [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], "
     "a[0] * b[1] - a[1] * b[0]]",
-    ("MAGNITUDE",): "write norm(list)",
-    ("DEGREES", "DEG", "RAD2DEG"): "angles are radians; degrees are x * 180 / 3.141592653589793",
-    ("RADIANS", "RAD", "DEG2RAD"): "write x * 3.141592653589793 / 180",
-    ("YAW", "HEADING"): "write atan2(rot(e)[1][0], rot(e)[0][0])",
-    ("PITCH",): "write asin(-rot(e)[2][0]); the angle to the vertical is tilt(e)",
-    ("ROLL",): "write atan2(rot(e)[2][1], rot(e)[2][2]); the angle to the vertical is tilt(e)",
-    (
-        "EULER",
-        "RPY",
-        "EULERFROMQUATERNION",
-    ): "write [atan2(rot(e)[2][1], rot(e)[2][2]), asin(-rot(e)[2][0]), "
+    "MAGNITUDE": "write norm(list)",
+    "DEGREES DEG RAD2DEG": "angles are radians; degrees are x * 180 / 3.141592653589793",
+    "RADIANS RAD DEG2RAD": "write x * 3.141592653589793 / 180",
+    "YAW HEADING": "write atan2(rot(e)[1][0], rot(e)[0][0])",
+    "PITCH": "write asin(-rot(e)[2][0]); the angle to the vertical is tilt(e)",
+    "ROLL": "write atan2(rot(e)[2][1], rot(e)[2][2]); the angle to the vertical is tilt(e)",
+    "EULER RPY EULERFROMQUATERNION": "write [atan2(rot(e)[2][1], rot(e)[2][2]), "
+    "asin(-rot(e)[2][0]), "
     "atan2(rot(e)[1][0], rot(e)[0][0])] for roll, pitch and yaw",
-    ("XPOS",): "write position(e)",
-    ("ROTATION", "XQUAT", "QUATERNION"): "write orientation(e), which is w, x, y, z, or rot(e), "
-    "the matrix",
-    ("XMAT",): "write rot(e)",
-    ("HEIGHT",): "the height is z(e), the top is aabb(e)[5]; the extent is aabb(e)[5] - aabb(e)[4]",
-    ("BBOX", "BOUNDINGBOX"): "aabb(e) is the bounding box [xmin, xmax, ymin, ymax, zmin, zmax]",
-    ("SIZE", "EXTENT", "EXTENTS", "DIMENSIONS", "WIDTH"): _BOX.format(1, 0),
-    ("BASEPOSITIONANDORIENTATION", "POSITIONANDORIENTATION", "TRANSFORM"): "write position(e) and "
+    "XPOS": "write position(e)",
+    "ROTATION XQUAT QUATERNION": "write orientation(e), which is w, x, y, z, or rot(e), the matrix",
+    "XMAT": "write rot(e)",
+    "HEIGHT": "the height is z(e), the top is aabb(e)[5]; the extent is aabb(e)[5] - aabb(e)[4]",
+    "BBOX BOUNDINGBOX": "aabb(e) is the bounding box [xmin, xmax, ymin, ymax, zmin, zmax]",
+    "SIZE EXTENT EXTENTS DIMENSIONS WIDTH": _BOX.format(1, 0),
+    "BASEPOSITIONANDORIENTATION POSITIONANDORIENTATION TRANSFORM": "write position(e) and "
     "orientation(e), which is w, x, y, z; pose(e) is both in one list",
-    (
-        "BASEVELOCITY",
-        "LINEARVEL",
-        "LINVEL",
-        "VEL",
-    ): "write velocity(e); angularVelocity(e) is that of the turn",
-    ("ANGVEL", "ANGULARVEL", "OMEGA", "SPIN"): "write angularVelocity(e)",
-    ("LINKSTATE", "LINKSTATES", "LINKPOSITION", "LINKPOSE", "EEPOSITION"): "a link is written by "
+    "BASEVELOCITY LINEARVEL LINVEL VEL": "write velocity(e); angularVelocity(e) is that of "
+    "the turn",
+    "ANGVEL ANGULARVEL OMEGA SPIN": "write angularVelocity(e)",
+    "LINKSTATE LINKSTATES LINKPOSITION LINKPOSE EEPOSITION": "a link is written by "
     "its names: position(room.panda.hand), and likewise orientation and velocity",
-    ("DYNAMICSINFO", "BODYMASS"): "write mass(e)",
-    ("NUMBODIES", "NUMLINKS"): "write count(SELECT this FROM room), or count(links(e))",
-    ("NUMJOINTS", "JOINTINFO"): f"{_JOINT}; its range {_JOINT_TABLE.format('lower, upper')}",
-    (
-        "CONTACTPOINTS",
-        "CONTACTPOINT",
-    ): "inContact(a, b) asks for contacts that press, hasContact(a, "
+    "DYNAMICSINFO BODYMASS": "write mass(e)",
+    "NUMBODIES NUMLINKS": "write count(SELECT this FROM room), or count(links(e))",
+    "NUMJOINTS JOINTINFO": f"{_JOINT}; its range {_JOINT_TABLE.format('lower, upper')}",
+    "CONTACTPOINTS CONTACTPOINT": "inContact(a, b) asks for contacts that press, hasContact(a, "
     "b) for any; the points are a table of ss.sql: SELECT * FROM contacts",
-    ("MATRIXFROMQUATERNION",): "write rot(e)",
-    ("STEPSIMULATION", "RESETBASEPOSITIONANDORIENTATION", "APPLYEXTERNALFORCE"): _CHANGE,
-    (
-        "QPOS",
-        "JOINTPOSITION",
-        "JOINTANGLE",
-        "JOINTPOS",
-        "JOINTSTATE",
-        "JOINTSTATES",
-    ): f"{_JOINT}, that of a body position(entity)",
-    ("QVEL", "JOINTVELOCITY", "JOINTVEL", "JOINTSPEED"): "the velocity of a joint is "
+    "MATRIXFROMQUATERNION": "write rot(e)",
+    "STEPSIMULATION RESETBASEPOSITIONANDORIENTATION APPLYEXTERNALFORCE": _CHANGE,
+    "QPOS JOINTPOSITION JOINTANGLE JOINTPOS JOINTSTATE JOINTSTATES": f"{_JOINT}, that of a body "
+    "position(entity)",
+    "QVEL JOINTVELOCITY JOINTVEL JOINTSPEED": "the velocity of a joint is "
     f"rate(joint(entity, 'name')), and {_JOINT_TABLE.format('velocity')}; that of a body is "
     "velocity(entity)",
-    ("JOINTLIMIT", "JOINTLIMITS", "JOINTRANGE"): "the range of a joint "
+    "JOINTLIMIT JOINTLIMITS JOINTRANGE": "the range of a joint "
     f"{_JOINT_TABLE.format('lower, upper')}",
-    ("ATLIMIT", "NEARLIMIT", "INLIMITS", "JOINTFRACTION"): "write isOpen(entity, 'joint', share) "
+    "ATLIMIT NEARLIMIT INLIMITS JOINTFRACTION": "write isOpen(entity, 'joint', share) "
     "or isClosed(entity, 'joint', share), of shares of the joint's range",
-    ("JOINTFORCE", "JOINTTORQUE", "JOINTEFFORT"): f"the effort of a joint "
-    f"{_JOINT_TABLE.format('effort')}",
-    ("MOVING", "ISMOVING", "MOVED"): "write speed(e) > 0.01, or NOT settled(e)",
-    ("ATREST", "STATIONARY", "STILL", "RESTING"): "write settled(e), or speed(e) < 0.01",
-    ("STATIC", "ISSTATIC", "FIXED", "ISFIXED"): "the mass of what nothing moves is 0: mass(e) == 0",
-    ("FALLEN", "TIPPED", "FLIPPED", "LYING"): "write NOT upright(e), or tilt(e) > 0.5",
-    ("REACHED", "ARRIVED"): "write distance(a, b) < 0.05",
-    ("DISTANCEXY", "DISTANCE2D", "HYPOT"): "write norm([x(a) - x(b), y(a) - y(b)])",
-    (
-        "STACKED",
-        "STACKEDON",
-        "ONTOPOF",
-        "STACKEDONTOPOF",
-        "PLACEDON",
-        "SITSON",
-        "STANDSON",
-    ): "write on(support, thing), or restsOn(support, thing) for a stack: what carries comes first",
-    ("TOUCHES", "TOUCHED"): "write touching(a, b), or inContact(a, b) for contacts that press",
-    ("UPSIDEDOWN", "INVERTED"): "write tilt(e) > 2.8",
-    ("GAP", "SEPARATION"): "write clearance(a, b)",
-    ("CLOSESTTO", "NEAREST", "NEARESTTO"): "write SELECT id FROM room WHERE this != room.cup "
+    "JOINTFORCE JOINTTORQUE JOINTEFFORT": f"the effort of a joint {_JOINT_TABLE.format('effort')}",
+    "MOVING ISMOVING MOVED": "write speed(e) > 0.01, or NOT settled(e)",
+    "ATREST STATIONARY STILL RESTING": "write settled(e), or speed(e) < 0.01",
+    "STATIC ISSTATIC FIXED ISFIXED": "the mass of what nothing moves is 0: mass(e) == 0",
+    "FALLEN TIPPED FLIPPED LYING": "write NOT upright(e), or tilt(e) > 0.5",
+    "REACHED ARRIVED": "write distance(a, b) < 0.05",
+    "DISTANCEXY DISTANCE2D HYPOT": "write norm([x(a) - x(b), y(a) - y(b)])",
+    "STACKED STACKEDON ONTOPOF STACKEDONTOPOF PLACEDON SITSON STANDSON": "write on(support, "
+    "thing), or restsOn(support, thing) for a stack: what carries comes first",
+    "TOUCHES TOUCHED": "write touching(a, b), or inContact(a, b) for contacts that press",
+    "UPSIDEDOWN INVERTED": "write tilt(e) > 2.8",
+    "GAP SEPARATION": "write clearance(a, b)",
+    "CLOSESTTO NEAREST NEARESTTO": "write SELECT id FROM room WHERE this != room.cup "
     "ORDER BY distance(this, room.cup) LIMIT 1",
-    ("CANSEE", "SEES", "SEEN", "LOOKSAT"): "write isSensing(sensor, entity)",
-    ("ATTACHED", "WELDED", "CONSTRAINT"): "what a gripper holds is grasped(a, b); the constraints "
+    "CANSEE SEES SEEN LOOKSAT": "write isSensing(sensor, entity)",
+    "ATTACHED WELDED CONSTRAINT": "what a gripper holds is grasped(a, b); the constraints "
     "of the simulator are not kept",
-    ("BETWEEN",): "write x BETWEEN a AND b",
-    ("RANGE", "ARANGE", "LINSPACE"): "a list is written [0, 1, 2]",
-    (
-        "CLOSEST",
-        "CLOSESTPOINTS",
-    ): "the closest points of two are nearestPoints(a, b), and the gap is clearance(a, b)",
-    ("ANGLE", "ANGLEBETWEEN", "ANGULARDISTANCE", "ROTATIONDISTANCE"): _ANGLE,
-    ("ORIENTATIONDISTANCE", "ALIGNED", "PARALLEL"): _ANGLE,
-    ("XAXIS", "YAXIS", "ZAXIS", "UP"): "the axes of e are the columns of rot(e): the z axis is "
+    "BETWEEN": "write x BETWEEN a AND b",
+    "RANGE ARANGE LINSPACE": "a list is written [0, 1, 2]",
+    "CLOSEST CLOSESTPOINTS": "the closest points of two are nearestPoints(a, b), and the gap is "
+    "clearance(a, b)",
+    "ANGLE ANGLEBETWEEN ANGULARDISTANCE ROTATIONDISTANCE": _ANGLE,
+    "ORIENTATIONDISTANCE ALIGNED PARALLEL": _ANGLE,
+    "XAXIS YAXIS ZAXIS UP": "the axes of e are the columns of rot(e): the z axis is "
     "[rot(e)[0][2], rot(e)[1][2], rot(e)[2][2]]",
-    ("ACCELERATION", "ACCEL"): "write rate(velocity(e))",
-    ("DERIVATIVE", "DDT"): "write rate(expression)",
-    ("DURATION", "TIMESINCE"): "write heldFor(condition), or holds(condition) for the times",
-    ("ELAPSED",): "the simulated time is getTime(); since a condition holds, heldFor(condition)",
-    ("COM", "CENTEROFMASS", "CENTREOFMASS", "COLOR", "COLOUR", "FRICTION", "INERTIA"): _NOT_KEPT,
-    ("ENERGY", "MOMENTUM", "IMPULSE"): _NOT_KEPT,
-    ("CTRL",): "what an actuator is told is no part of the world: bind it, "
+    "ACCELERATION ACCEL": "write rate(velocity(e))",
+    "DERIVATIVE DDT": "write rate(expression)",
+    "DURATION TIMESINCE": "write heldFor(condition), or holds(condition) for the times",
+    "ELAPSED": "the simulated time is getTime(); since a condition holds, heldFor(condition)",
+    "COM CENTEROFMASS CENTREOFMASS COLOR COLOUR FRICTION INERTIA": _NOT_KEPT,
+    "ENERGY MOMENTUM IMPULSE": _NOT_KEPT,
+    "CTRL": "what an actuator is told is no part of the world: bind it, "
     "ss.add_variable('ctrl', list(data.ctrl))",
-    ("RANGES", "READING"): "the readings of a sensor are Python's: world['name'].ranges; "
+    "RANGES READING": "the readings of a sensor are Python's: world['name'].ranges; "
     "a program has isSensing(sensor, entity) and sensingAmount(sensor, entity)",
-    ("UNDER", "UNDERNEATH", "BENEATH"): "write below(a, b)",
-    ("OVER",): "write above(a, b)",
-    ("HOLDING", "GRASPING", "ISGRASPED"): "write grasped(a, b)",
-    ("EVER", "EVENTUALLY", "ONCE", "SOMETIMES"): "write count(holds(condition)) > 0",
-    ("ALWAYS", "GLOBALLY"): "write count(holds(NOT (condition))) == 0",
-    ("NEVER",): "write count(holds(condition)) == 0",
-    ("DELTA", "DIFF"): "write x - previous(x), or rate(x) for the change in a second",
-    ("PREV", "LAG"): "write previous(x)",
-    ("T", "SIMTIME", "CLOCK"): "the simulated time is getTime()",
-    ("IIF", "IFELSE"): _IF,
+    "UNDER UNDERNEATH BENEATH": "write below(a, b)",
+    "OVER": "write above(a, b)",
+    "HOLDING GRASPING ISGRASPED": "write grasped(a, b)",
+    "EVER EVENTUALLY ONCE SOMETIMES": "write count(holds(condition)) > 0",
+    "ALWAYS GLOBALLY": "write count(holds(NOT (condition))) == 0",
+    "NEVER": "write count(holds(condition)) == 0",
+    "DELTA DIFF": "write x - previous(x), or rate(x) for the change in a second",
+    "PREV LAG": "write previous(x)",
+    "T SIMTIME CLOCK": "the simulated time is getTime()",
+    "IIF IFELSE": _IF,
 }
 # Functions of other libraries that return a part of an entity.
 _PARTS = frozenset(("LINK", "BODY", "SITE", "GEOM", "GETLINK", "GETBODY"))
@@ -293,36 +283,12 @@ _ELEMENTS = {
     "angularVelocity": ("WX", "WY", "WZ"),
     "orientation": ("QW", "QX", "QY", "QZ"),
 }
-# The suggestions for names of SQL that a program may use as its own.
-_OWN_NAMES = {
-    **dict.fromkeys(("RANDOM", "RAND"), _RANDOM),
-    **dict.fromkeys(("ENTITIES", "SHAPES", "CONTACTS", "SENSINGS"), _TABLE),
-    "JOINTS": "the position of one joint is joint(entity, 'name'); all are a table of ss.sql: "
-    "SELECT name, position FROM joints",
-    "TICKS": _TABLE,
-    **dict.fromkeys(("NOW", "CURRENT_DATE", "CURRENT_TIME", "CURRENT_TIMESTAMP", "TODAY"), _TIMES),
-    **dict.fromkeys(("DATE_PART", "DATEDIFF", "DATE_DIFF", "DATE_TRUNC", "STRFTIME"), _TIMES),
-    **dict.fromkeys(
-        ("ARRAY", "NDARRAY", "FLOAT64", "FLOAT32", "INT64", "INT32", "TENSOR", "ASARRAY"), NUMPY
-    ),
-    "FIRST": f"the first time at which a condition held is holds(condition)[0][0]; {_AGGREGATES}",
-    "LAST": f"the last time at which a condition held is holds(condition)[-1][1]; {_AGGREGATES}",
-    **dict.fromkeys(("LEFT", "RIGHT", "REPLACE", "REVERSE", "CONTAINS", "STRPOS"), _TEXTS),
-    **dict.fromkeys(("CHAR_LENGTH", "INITCAP", "SPLIT_PART", "LPAD", "RPAD"), _TEXTS),
-    "PI": "write 3.141592653589793",
-    "LN": "write log(x), the natural logarithm",
-    "LOG10": "write log(x) / log(10)",
-    "TRUNC": "write int(x)",
-    "ISNAN": "write x != x",
-    "SIGN": "write CASE WHEN x > 0 THEN 1 WHEN x < 0 THEN -1 ELSE 0 END",
-    **{
-        column: f"write {name}(e)[{number}]"
-        for name, columns in _ELEMENTS.items()
-        for number, column in enumerate(columns)
-    },
-    **{word: suggestion for words, suggestion in _OF_LIBRARIES.items() for word in words},
+# The suggestions for names that a program may use as its own.
+_OWN_NAMES = {word: text for words, text in _OF_NAMES.items() for word in words.split()} | {
+    column: f"write {name}(e)[{number}]"
+    for name, columns in _ELEMENTS.items()
+    for number, column in enumerate(columns)
 }
-
 
 # What names of functions begin with in other libraries: getJointState, is_holding.
 _PREFIX = re.compile(r"^(GET|IS|HAS|COMPUTE|CHECK)(?=[A-Z]{2})")
@@ -356,9 +322,6 @@ def suggestion_for(word: str) -> str:
 
     >>> suggestion_for("coalesce")
     'write IF(x IS NULL; 0; x)'
-
-    Args:
-        word: as it is written; case does not matter.
     """
     word = word.upper()
     if word in CLAUSES:

@@ -14,9 +14,8 @@ from sqlglot.tokenizer_core import Token, TokenType
 
 from ssduck.errors import SourceSpan
 from ssduck.language.builtins import AGGREGATES
-from ssduck.language.operator_chains import OperandRow
 from ssduck.language.sql_suggestions import HABITS, NUMPY
-from ssduck.language.token_cursor import (
+from ssduck.language.tokens import (
     CLAUSES,
     LEVEL_OF,
     OPERATOR_WORDS,
@@ -36,6 +35,7 @@ from ssduck.language.tree import (
     Literal,
     Name,
     Node,
+    OperandRow,
     OperatorChain,
     QualifiedName,
     Query,
@@ -199,12 +199,7 @@ class SqlForms(Cursor):
         return False
 
     def comparison(self, row: OperandRow, places: Sequence[SourceSpan]) -> Node:
-        """Returns a comparison; `a < b <= c` is `a < b AND b <= c`.
-
-        Args:
-            row: the operands, and `<`, `<=`, `>` or `>=` between them.
-            places: the place of the first token of each operand.
-        """
+        """Returns a comparison; `a < b <= c` is `a < b AND b <= c`."""
         parts: list[Any] = []
         # A comparison in parentheses begins behind its first token; it is a value like others.
         first, *others = (
@@ -234,12 +229,7 @@ class SqlForms(Cursor):
         return node
 
     def check_equality(self, row: OperandRow, places: Sequence[SourceSpan]) -> None:
-        """Reports `a == b == c`, which compares whether a equals b with c.
-
-        Args:
-            row: the operands, and the operators between them.
-            places: the place of the first token of each operand.
-        """
+        """Reports `a == b == c`, which compares whether a equals b with c."""
         if row.operators[0] not in _EQUALITIES or any(map(_is_truth_value, row.operands)):
             return
         is_chain = len(row.operators) > 1 or any(
@@ -255,13 +245,7 @@ class SqlForms(Cursor):
             self.add_suspicion(span, message, is_grave=True)
 
     def check_sign(self, row: OperandRow, start: SourceSpan, exponent: SourceSpan) -> None:
-        """Reports `-x ^ 2`, which is `(-x) ^ 2`, and `x ^ 3 ^ 2`, which is `(x ^ 3) ^ 2`.
-
-        Args:
-            row: the operands until the base.
-            start: the place of the first token of the base.
-            exponent: the place of the first token of the exponent, which has been parsed.
-        """
+        """Reports `-x ^ 2`, which is `(-x) ^ 2`, and `x ^ 3 ^ 2`, which is `(x ^ 3) ^ 2`."""
         base, negated = row.operands[-1], self.text[start.start : row.ends[-1]]
         unsigned, is_negative = negated, False
         while isinstance(base, Unary) and unsigned.startswith(("-", "+")):
@@ -414,11 +398,7 @@ class SqlForms(Cursor):
         return self.expect_own_name("a source's name").text
 
     def limits(self, *, may_be_followed: bool) -> tuple[Node | None, Node | None]:
-        """Returns the parts of LIMIT and OFFSET, in either order; None for one that is missing.
-
-        Args:
-            may_be_followed: whether a comma may follow the query.
-        """
+        """Returns the parts of LIMIT and OFFSET, in either order; None for one that is missing."""
         limit = offset = None
         while self.at_word("LIMIT", "OFFSET"):
             if limit is None and self.take_words("LIMIT"):

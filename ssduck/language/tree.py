@@ -157,11 +157,7 @@ class QualifiedName(Node):
         return This(self.span, self.alias)
 
     def call(self, name: str) -> Call:
-        """Returns the function of it.
-
-        Args:
-            name: the name that calls the function; it is marked for a user's function.
-        """
+        """Returns the function of it."""
         return Call(self.span, name, (self.this,), self.index.indices[0].span)
 
     def children(self) -> Iterator[Node]:
@@ -205,17 +201,11 @@ class Binary(Node):
 
 @dataclass(frozen=True, eq=False)
 class OperatorChain(Node):
-    """`a + b - c …`: a long chain of operators of one level, which is kept flat.
+    """`a + b - c …`: a long chain of operators of one level, which is kept flat."""
 
-    Attributes:
-        operators: the operators, one less than operands.
-        operands: the operands from the left.
-        ends: the end of each operand in the text.
-    """
-
-    operators: tuple[str, ...]
-    operands: tuple[Node, ...]
-    ends: tuple[int, ...]
+    operators: tuple[str, ...]  # the operators, one less than operands
+    operands: tuple[Node, ...]  # the operands from the left
+    ends: tuple[int, ...]  # the end of each operand in the text
 
     def until(self, index: int) -> SourceSpan:
         """Returns the place of the operands up to this one."""
@@ -232,19 +222,12 @@ class Branch(Node):
 
 @dataclass(frozen=True, eq=False)
 class If(Node):
-    """`IF(condition; then, …; else, …)`: its value is the last one of a branch.
+    """`IF(condition; then, …; else, …)`: its value is the last one of a branch."""
 
-    Attributes:
-        condition: the first condition.
-        then: the expressions to evaluate if it holds.
-        otherwise: the expressions to evaluate if no condition holds.
-        else_ifs: the further conditions, in order, and their expressions.
-    """
-
-    condition: Node
-    then: tuple[Node, ...]
-    otherwise: tuple[Node, ...]
-    else_ifs: tuple[Branch, ...] = ()
+    condition: Node  # the first condition
+    then: tuple[Node, ...]  # the expressions to evaluate if it holds
+    otherwise: tuple[Node, ...]  # the expressions to evaluate if no condition holds
+    else_ifs: tuple[Branch, ...] = ()  # the further conditions, in order, and their expressions
 
     @property
     def branches(self) -> tuple[Branch, ...]:
@@ -259,21 +242,14 @@ class UnboundedHorizon(Node):
 
 @dataclass(frozen=True, eq=False)
 class Assignment(Node):
-    """`name = value`, or `name{horizon} = value`.
+    """`name = value`, or `name{horizon} = value`."""
 
-    Attributes:
-        name: the name of the variable.
-        horizon: the time for which the variable keeps its values.
-        value: the new value.
-        is_bare: whether it is a whole item of SELECT, where `==` may be meant.
-        value_start: the place of the value in the text where `=` may compare, which is in SELECT,
-            GROUP BY and ORDER BY; None elsewhere.
-    """
-
-    name: str
-    horizon: Node | None
-    value: Node
-    is_bare: bool = False
+    name: str  # the name of the variable
+    horizon: Node | None  # the time for which the variable keeps its values
+    value: Node  # the new value
+    is_bare: bool = False  # whether it is a whole item of SELECT, where `==` may be meant
+    # The place of the value in the text where `=` may compare, which is in SELECT, GROUP BY and
+    # ORDER BY; None elsewhere.
     value_start: int | None = None
 
 
@@ -319,22 +295,15 @@ class Recursion(Node):
 
 @dataclass(frozen=True, eq=False)
 class AdapterClause(Node):
-    """`AS name(arguments)`.
+    """`AS name(arguments)`."""
 
-    Attributes:
-        name: the name of the result form.
-        arguments: its positional arguments.
-        named: its named arguments.
-        of_sql: whether a nested query has it as in SQL: a value is of one row at most, and nothing
-            without a row; the rows of all groups are together.
-        is_required: whether a value must not be nothing: `<>` and NOT IN hold of it here, but not
-            in SQL.
-    """
-
-    name: str
-    arguments: tuple[Node, ...] = ()
-    named: tuple[Assignment, ...] = ()
+    name: str  # the name of the result form
+    arguments: tuple[Node, ...] = ()  # its positional arguments
+    named: tuple[Assignment, ...] = ()  # its named arguments
+    # Whether a nested query has it as in SQL: a value is of one row at most, and nothing without a
+    # row; the rows of all groups are together.
     of_sql: bool = False
+    # Whether a value must not be nothing: `<>` and NOT IN hold of it here, but not in SQL.
     is_required: bool = False
 
 
@@ -358,17 +327,11 @@ class Query(Node):
 
 @dataclass(frozen=True)
 class Suspicion:
-    """A probable mistake: a construct that is valid, but rarely intended.
+    """A probable mistake: a construct that is valid, but rarely intended."""
 
-    Attributes:
-        span: its place.
-        message: the reason, and a correction.
-        is_grave: whether it is an error in a term of success or reward.
-    """
-
-    span: SourceSpan
-    message: str
-    is_grave: bool = False
+    span: SourceSpan  # its place
+    message: str  # the reason, and a correction
+    is_grave: bool = False  # whether it is an error in a term of success or reward
 
 
 @dataclass(frozen=True, eq=False)
@@ -379,3 +342,62 @@ class Program:
     statements: tuple[Node, ...]
     explain: bool = False
     suspicions: tuple[Suspicion, ...] = ()
+
+
+# The largest number of nested operands; SQL allows more.
+MAX_NESTING = 32
+# The largest number of joined conditions in SQL; DuckDB's time grows with their square.
+MAX_CHAIN = 400
+
+
+class OperandRow:
+    """The operands of a chain of operators, as they are parsed.
+
+    Attributes:
+        start: where the text of the first operand begins.
+        operators: the operators between them.
+        operands: the operands.
+        ends: where the text of each ends.
+    """
+
+    def __init__(self, start: int, first: Node, end: int) -> None:
+        self.start = start
+        self.operators: list[str] = []
+        self.operands = [first]
+        self.ends = [end]
+
+    def add(self, operator: str, operand: Node, end: int) -> None:
+        """Adds an operand, with the operator before it and the end of its text."""
+        self.operators.append(operator)
+        self.operands.append(operand)
+        self.ends.append(end)
+
+    def node(self) -> Node:
+        """Returns the node of the whole chain."""
+        if len(self.operands) > MAX_NESTING:
+            span = SourceSpan(self.start, self.ends[-1])
+            return OperatorChain(
+                span, tuple(self.operators), tuple(self.operands), tuple(self.ends)
+            )
+        node, *others = self.operands
+        for sign, operand, end in zip(self.operators, others, self.ends[1:], strict=True):
+            node = Binary(SourceSpan(self.start, end), sign, node, operand)
+        return node
+
+
+def conjuncts(node: Node | None) -> Iterator[Node]:
+    """Yields the parts of a condition that AND joins, in order; the whole if they are too many.
+
+    >>> from ssduck.language.parser import parse
+    >>> [part.outline() for part in conjuncts(parse("a AND b AND c;").statements[0])]
+    ["Name('a')", "Name('b')", "Name('c')"]
+    """
+    match node:
+        case Binary(operator="AND", left=left, right=right):
+            yield from conjuncts(left)
+            yield from conjuncts(right)
+        case OperatorChain(operators=("AND", *_), operands=operands) if len(operands) <= MAX_CHAIN:
+            for operand in operands:
+                yield from conjuncts(operand)
+        case Node():
+            yield node

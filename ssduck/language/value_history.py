@@ -1,8 +1,4 @@
-"""Variables with a history: `name{5.0} = …` keeps values, `name{…}` reads them.
-
-A history is the values of a variable with the simulated times at which they were assigned,
-oldest first. It is immutable: a program that fails restores the previous one.
-"""
+"""Lists that are evaluated by the query that uses them."""
 
 from __future__ import annotations
 
@@ -15,7 +11,29 @@ from typing import Any, Self
 from ssduck import validation
 from ssduck.errors import ArgumentError, EvaluationError
 from ssduck.formatting import short_repr
-from ssduck.language.deferred import LazyList
+from ssduck.language.tree import Node
+
+
+class LazyList:
+    """A list that mentions elements of sources that do not exist yet.
+
+    It is resolved in the query that uses it.
+    """
+
+    IN_WORDS = "a list for the query that uses it"
+
+    def __init__(self, node: Node, text: str) -> None:
+        self.node = node
+        self.text = text
+
+    def __repr__(self) -> str:
+        return f"<list for the query that uses it: {self.source}>"
+
+    @property
+    def source(self) -> str:
+        """The text of the list as it was written."""
+        return self.text[self.node.span.start : self.node.span.end]
+
 
 # The largest difference of equal times, s: times are rounded multiples of a step, and 0.7 s
 # is the 168th step of 1/240 s.
@@ -50,20 +68,13 @@ class ValueHistory:
 
     Adding a value takes constant time on average. If the history is not the latest one of its log
     (after a program failed), its values are copied once.
-
-    Attributes:
-        last: the value of the variable itself.
-        horizon: how long values are kept; infinite if without end.
-        log: the log that contains its times and values.
-        first: the index of its first value in the log.
-        end: the index after its last value.
     """
 
-    last: Any
-    horizon: float
-    log: ValueLog = field(repr=False)
-    first: int
-    end: int
+    last: Any  # the value of the variable itself
+    horizon: float  # how long values are kept; infinite if without end
+    log: ValueLog = field(repr=False)  # the log that contains its times and values
+    first: int  # the index of its first value in the log
+    end: int  # the index after its last value
 
     @classmethod
     def started(cls, value: Any, horizon: float, now: float) -> Self:
@@ -162,14 +173,7 @@ def with_assignment(before: Any, value: Any, horizon: float, now: float) -> Valu
 def past_value(
     name: str, variable_value: Any, age: tuple[Any, ...], now: Callable[[], float]
 ) -> Any:
-    """Returns the value of `name{…}`.
-
-    Args:
-        name: the name of the variable.
-        variable_value: the value of the variable: a history, or a value without one.
-        age: the value in the braces; an empty tuple if they are empty.
-        now: a function that returns the current simulated time, s.
-    """
+    """Returns the value of `name{…}`."""
     history = history_of(name, variable_value)
     present = now()
     if not age:

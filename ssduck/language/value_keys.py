@@ -183,10 +183,6 @@ class Memo:
     Arguments are compared exactly: 1, 1.0 and True differ, and so do 0.0 and -0.0. Calls whose
     arguments have no keys are not cached. Identical objects are not compared, because lists do not
     change while a query runs.
-
-    Args:
-        call: the function.
-        by_identity: whether calls may repeat the same objects; SQL makes new ones for each call.
     """
 
     def __init__(self, call: Callable[[list[Any]], Any], *, by_identity: bool = True) -> None:

@@ -10,13 +10,11 @@ from functools import reduce
 from sqlglot import exp
 
 from ssduck.errors import ArgumentError
-from ssduck.language.analysis import IMPURE, OVER_TIME
+from ssduck.language.analysis import BINARY_SIGNS, IMPURE, OVER_TIME, UNARY_SIGNS
 from ssduck.language.builtins import LEAST_SQUARE
-from ssduck.language.overrides import BINARY_SIGNS, UNARY_SIGNS
 from ssduck.language.tree import Binary, Call, Node, Query, Unary
 from ssduck.sql import subqueries
-from ssduck.sql.lists import element_at
-from ssduck.sql.operators import double_of
+from ssduck.sql.operators import double_of, element_at
 from ssduck.sql.relation_calls import expanded, in_world, note_pair
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.relations.relation import Parameter, Relation
@@ -41,11 +39,7 @@ MAX_EXPONENT_OF_E = 709.782712893384
 
 
 def call(sql: ExpressionScope, node: Call) -> SqlValue:
-    """Returns a function call.
-
-    Raises:
-        NotSqlError: it is left to Python.
-    """
+    """Returns a function call."""
     sql.names.check_call(node)
     if node.name in IMPURE or node.name in OVER_TIME:
         raise NotSqlError

@@ -23,14 +23,7 @@ PlanOf: TypeAlias = Callable[[Query], Plan | None]
 
 
 def explained(text: str, statement: Node, plan_of: PlanOf, stand_ins: StandIns) -> str:
-    """Describes the SQL of the queries in a statement.
-
-    Args:
-        text: the program.
-        statement: the statement.
-        plan_of: a function that returns the plan of a query; None if it runs row by row.
-        stand_ins: the entities for which relations of shapes are not exact.
-    """
+    """Describes the SQL of the queries in a statement."""
     queries = outermost([statement])
     if not queries:
         return "-- no query, but an expression of single values"
@@ -129,18 +122,7 @@ _DUCKDB_ONLY = (
 
 
 def in_dialect(query: Query, plan: Plan | None, values: dict[str, Any], dialect: str) -> str:
-    """Returns the SQL of a query for an engine.
-
-    Args:
-        query: the query.
-        plan: its plan; None if it runs row by row.
-        values: the values of the plan's parameters.
-        dialect: sqlglot's name of the engine.
-
-    Raises:
-        UnknownNameError: sqlglot knows no such engine.
-        UnsupportedError: Python evaluates a part, or the engine lacks it.
-    """
+    """Returns the SQL of a query for an engine."""
     names = {name for name in sqlglot.Dialect.classes if name}
     if not isinstance(dialect, str) or dialect not in names:
         raise UnknownNameError(
@@ -157,9 +139,6 @@ def select_for(query: Query, plan: Plan | None, values: dict[str, Any], dialect:
     """Returns the SQL of a query as sqlglot's tree, which has nothing that an engine lacks.
 
     The arguments are those of `in_dialect`.
-
-    Raises:
-        UnsupportedError: Python evaluates a part, or the engine lacks it.
     """
     if plan is None:
         raise UnsupportedError("this query runs row by row in Python", span=query.span)

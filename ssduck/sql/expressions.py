@@ -16,8 +16,9 @@ from sqlglot import exp
 from ssduck.errors import ArgumentError
 from ssduck.language import tree
 from ssduck.language.analysis import is_impure
-from ssduck.language.operator_chains import MAX_CHAIN, MAX_NESTING
 from ssduck.language.tree import (
+    MAX_CHAIN,
+    MAX_NESTING,
     Binary,
     Call,
     If,
@@ -34,12 +35,13 @@ from ssduck.language.tree import (
 )
 from ssduck.sql import subqueries
 from ssduck.sql.calls import call
-from ssduck.sql.lists import concatenation, indexed, list_literal
 from ssduck.sql.operators import (
     COMPARISONS,
     arithmetic,
     comparison,
+    concatenation,
     like_match,
+    list_literal,
     membership,
     missing,
     truth,
@@ -50,10 +52,12 @@ from ssduck.sql.sql_values import (
     NotSqlError,
     SqlValue,
     column_type,
+    copied,
     literal,
+    or_failure,
     wrapped,
 )
-from ssduck.sql.types import BOOLEAN, STRING
+from ssduck.sql.types import BOOLEAN, EXACT, STRING
 
 LOGIC = ("AND", "OR", "XOR")
 # Longer lists of literals are parameters.
@@ -64,11 +68,7 @@ class Expressions(ExpressionScope):
     """The expressions of one query, over the elements of its sources."""
 
     def value(self, node: Node) -> SqlValue:
-        """Returns a part as SQL.
-
-        Raises:
-            NotSqlError: it is left to Python.
-        """
+        """Returns a part as SQL."""
         before = self.context.possible_failures
         value = self._value(node)
         if self.context.possible_failures == before or value.may_fail:
@@ -220,7 +220,7 @@ class Expressions(ExpressionScope):
             raise NotSqlError
         value = self.value(node.base)
         for index in node.indices:
-            value = indexed(self, value, index)
+            value = _indexed(self, value, index)
         return value
 
     def _choice(self, node: If, otherwise: Node) -> SqlValue:
@@ -258,3 +258,36 @@ def _joined(sign: str, sides: Sequence[exp.Expr]) -> exp.Expr:
 def _is_short(items: Sequence[Node]) -> bool:
     """Checks whether a list is so short that it is written out."""
     return 0 < len(items) <= MAX_WRITTEN_LENGTH and all(isinstance(i, tree.Literal) for i in items)
+
+
+def _indexed(sql: ExpressionScope, value: SqlValue, index: Node) -> SqlValue:
+    """Returns an element of a list, or what a key of a record holds."""
+    match index:
+        case tree.Literal(value=str() as key) if key in value.fields:
+            return value.fields[key]
+        case tree.Literal(value=number) if type(number) is int and value.elements is not None:
+            if value.may_fail:
+                raise NotSqlError  # SQL would not evaluate the other elements
+            if -len(value.elements) <= number < len(value.elements):
+                return value.elements[number]
+    element = value.sql_type.element
+    if value.sql_type.type != "list" or element is None or value.sql_type.nullable:
+        raise NotSqlError
+    if not element.is_sql:
+        raise NotSqlError
+    sql.context.note_possible_failure()
+    result = exp.Anonymous(this="list_extract", expressions=[value.sql.copy(), _place(sql, index)])
+    return SqlValue(or_failure(result, element), element, domain=value.domain)
+
+
+def _place(sql: ExpressionScope, index: Node) -> exp.Expr:
+    """Returns an index as SQL counts: from 1, or from the end."""
+    match index:
+        case tree.Literal(value=number) if type(number) is int and number < EXACT:
+            return exp.Literal.number(number + 1)
+    place = sql.number(index)
+    if place.sql_type.type != "integer":
+        raise NotSqlError
+    negative = exp.LT(this=wrapped(place.sql), expression=exp.Literal.number(0))
+    shifted = exp.Add(this=wrapped(place.sql), expression=exp.Literal.number(1))
+    return exp.case().when(negative, copied(place.sql)).else_(shifted)

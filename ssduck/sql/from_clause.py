@@ -16,17 +16,11 @@ from ssduck.sql.types import ANY, BOOLEAN, DOUBLE, IDS, SqlType
 
 @dataclass(frozen=True)
 class FromItem:
-    """A source in SQL.
+    """A source in SQL."""
 
-    Attributes:
-        value: its current element.
-        table: its table in FROM.
-        position: the keys of the order of its elements.
-    """
-
-    value: SqlValue
-    table: exp.Expr
-    position: tuple[exp.Ordered, ...]
+    value: SqlValue  # its current element
+    table: exp.Expr  # its table in FROM
+    position: tuple[exp.Ordered, ...]  # the keys of the order of its elements
 
 
 def product_of(elements: Sequence[FromItem]) -> exp.Select:
@@ -150,16 +144,7 @@ def pairs_over_ticks(
     columns: tuple[exp.Expr, exp.Expr],
     name: str,
 ) -> JoinedEntity:
-    """Returns a relation of two entities at the tick of a row, computed for all ticks at once.
-
-    Args:
-        relation: a relation of shapes that is decided over many ticks.
-        distance: the distance or the depth, m.
-        row: the range of ticks, and the tick of the row.
-        ids: the ids of the entities; columns if they differ from row to row.
-        columns: the ids of the entities at the row; NULL where one was not there.
-        name: the name of the table of pairs.
-    """
+    """Returns a relation of two entities at the tick of a row, computed for all ticks at once."""
     geometry = relation.geometry
     assert geometry is not None
     assert geometry.over_ticks is not None
@@ -246,17 +231,11 @@ def _unnested_past(
 
 @dataclass(frozen=True)
 class PairTable:
-    """A table of pairs of ids, each pair in both orders.
+    """A table of pairs of ids, each pair in both orders."""
 
-    Attributes:
-        table: its table in FROM.
-        columns: the columns of the two ids.
-        position: the key of the order of both sources, if they are entities.
-    """
-
-    table: exp.Expr
-    columns: tuple[exp.Expr, exp.Expr]
-    position: exp.Ordered
+    table: exp.Expr  # its table in FROM
+    columns: tuple[exp.Expr, exp.Expr]  # the columns of the two ids
+    position: exp.Ordered  # the key of the order of both sources, if they are entities
 
 
 def pair_table(

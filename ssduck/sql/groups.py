@@ -58,29 +58,17 @@ _EXACT_SUM = sqlglot.parse_one(
 
 @dataclass(frozen=True)
 class GroupedRows:
-    """A query with groups in SQL: the types of its columns, and how to select from its rows.
+    """A query with groups in SQL: the types of its columns, and how to select from its rows."""
 
-    Attributes:
-        items: the selected values of each group.
-        keys: the keys of GROUP BY, as they are printed.
-        columns: the columns of the rows.
-        select: the groups, FROM nothing yet.
-        alias: the alias of the rows.
-    """
-
-    items: tuple[SqlValue, ...]
-    keys: tuple[SqlValue, ...]
-    columns: tuple[exp.Expr, ...]
-    select: exp.Select
-    alias: str
+    items: tuple[SqlValue, ...]  # the selected values of each group
+    keys: tuple[SqlValue, ...]  # the keys of GROUP BY, as they are printed
+    columns: tuple[exp.Expr, ...]  # the columns of the rows
+    select: exp.Select  # the groups, FROM nothing yet
+    alias: str  # the alias of the rows
 
 
 class Groups(Expressions):
     """The expressions of a query with groups, over columns of its rows.
-
-    Args:
-        rows: the expressions of its rows.
-        is_plain: whether sums are written as they are in any SQL, and not exact.
 
     Attributes:
         part: the part of the query that was translated last.
@@ -106,12 +94,6 @@ class Groups(Expressions):
         are_numbers: bool,
     ) -> GroupedRows:
         """Returns the groups of a query, each with one row, or the distinct rows.
-
-        Args:
-            query: the query.
-            columns: the selected columns.
-            elements: its sources.
-            are_numbers: whether the keys of their order are whole numbers and truth values.
 
         Raises:
             NotSqlError: they are left to Python, for the sake of `part`.
@@ -211,11 +193,7 @@ class Groups(Expressions):
         return not over_rows(node) and self._of_rows.is_constant(node)
 
     def value(self, node: Node) -> SqlValue:
-        """Returns the value of a part for a group; SQL fails where Python has nothing.
-
-        Raises:
-            NotSqlError: it is left to Python.
-        """
+        """Returns the value of a part for a group; SQL fails where Python has nothing."""
         aggregates = over_rows(node)
         if aggregates == [node]:
             assert isinstance(node, Call)

@@ -1,10 +1,4 @@
-"""Resolves the bare names in a query once its sources are known.
-
->>> from ssduck.sql.examples import resolved_query
->>> print(resolved_query("SELECT id FROM kitchen WHERE isRobot ORDER BY z;").outline())
-Query([Name('id')], [Source('kitchen', Name('kitchen'))], Call('isRobot', [This(None)]),
-      [OrderKey(Call('z', [This(None)]), False)])
-"""
+"""Resolves the bare names in a query once its sources are known."""
 
 from __future__ import annotations
 
@@ -13,10 +7,9 @@ from dataclasses import dataclass, field, replace
 
 from ssduck.errors import ArgumentError, SelectScriptError, SourceSpan
 from ssduck.language.aggregates import is_grouped, is_one_group, over_rows
-from ssduck.language.analysis import free_aliases, states
+from ssduck.language.analysis import free_aliases, states, written_name
 from ssduck.language.builtins import AGGREGATES, NUMBER_FUNCTIONS
 from ssduck.language.clauses import SelectedValue
-from ssduck.language.overrides import written_name
 from ssduck.language.tree import (
     Assignment,
     Binary,
@@ -44,16 +37,11 @@ SCALARS = frozenset(("double", "integer", "number", "string", "boolean"))
 
 @dataclass
 class ResolvedQuery:
-    """A query whose bare names have been looked up.
+    """A query whose bare names have been looked up."""
 
-    Attributes:
-        query: the query; its remaining names are variables.
-        columns: the selected columns.
-        bare: the resolved names, and whether there was a variable of that name.
-    """
-
-    query: Query
-    columns: tuple[SelectedValue, ...] = ()
+    query: Query  # the query; its remaining names are variables
+    columns: tuple[SelectedValue, ...] = ()  # the selected columns
+    # The resolved names, and whether there was a variable of that name.
     bare: dict[str, bool] = field(default_factory=dict)
 
 
@@ -67,12 +55,6 @@ def resolve(
 
     Such a name is a key of the current element if that is a dict, else a variable, else the
     function of that name applied to `this`.
-
-    Args:
-        query: the query.
-        source_types: what its sources are.
-        names: the variables and functions.
-        outer: the state variables of outer hierarchical queries.
     """
     return _Resolver(query, source_types, names, outer).resolved()
 
@@ -88,6 +70,12 @@ class _Resolver:
         self._query = query
         self._source_types = source_types
         self._names = names
+        self._only = source_types[0] if len(source_types) == 1 else None
+        # The keys of the only source's elements if these are records; None if they are others.
+        self._keys: frozenset[str] | None = None
+        only_type = None if self._only is None else self._only.sql_type
+        if only_type is not None and only_type.type == "record":
+            self._keys = frozenset(key for key, _ in only_type.fields)
         self._states = states(query).union(outer)
         self._bare: dict[str, bool] = {}
         self._named_columns = dict(_named_columns(query))
@@ -236,11 +224,7 @@ class _Resolver:
             return None
         if self._is_hidden(part.name):
             return None
-        only = self._source_types[0] if len(self._source_types) == 1 else None
-        if only is not None and (only.sql_type is not None and only.sql_type.type == "record"):
-            if any(key == part.name for key, _ in only.sql_type.fields):
-                return None
-        elif only is not None and (only.dicts or not only.known):
+        if part.name in self._keys if self._keys is not None else self._may_be_key():
             return None
         if self._function_of_only(part.name, part.span) is not None:
             return None
@@ -253,21 +237,17 @@ class _Resolver:
             return part
         if not isinstance(part, Name) or part.name in self._states:
             return None
-        only = self._source_types[0] if len(self._source_types) == 1 else None
         known = self._bare[part.name] = self._names.has_variable(part.name)
-        is_record = (
-            only is not None and only.sql_type is not None and only.sql_type.type == "record"
-        )
         if known:
             return part
-        if only is not None and (is_record or only.dicts or not only.known):
-            if is_record and not self._is_known(only, part.name):
-                return self._column_or(part, self._looked_up)
+        if self._keys is not None and not self._is_known(part.name):
+            return self._column_or(part, self._looked_up)
+        if self._keys is not None or self._may_be_key():
             return self._looked_up(part)
         call = self._function_of_only(part.name, part.span)
         if call is None:  # the error at its evaluation is more precise
             return self._column_or(part, lambda name: name)
-        return part if only is None else call
+        return part if self._only is None else call
 
     def _function_of_only(self, name: str, span: SourceSpan) -> Call | None:
         """Returns the call of a function of the only element; None if there is no such function."""
@@ -278,10 +258,13 @@ class _Resolver:
             return None
         return call
 
-    def _is_known(self, source_type: SourceType, name: str) -> bool:
-        """Checks whether a name is a key of records, or a function."""
-        fields = () if source_type.sql_type is None else source_type.sql_type.fields
-        is_key = any(key == name for key, _ in fields)
+    def _may_be_key(self) -> bool:
+        """Checks whether a name may be a key of the only source's elements, which differ."""
+        return self._only is not None and (self._only.dicts or not self._only.known)
+
+    def _is_known(self, name: str) -> bool:
+        """Checks whether a name is a key of the records, or a function."""
+        is_key = self._keys is not None and name in self._keys
         return is_key or self._function_of_only(name, self._query.span) is not None
 
     def _column_or(self, part: Name, other: Callable[[Node], Node | None]) -> Node | None:
@@ -295,12 +278,10 @@ class _Resolver:
             return part
         if not isinstance(part, Name) or part.name in self._states:
             return part if isinstance(part, Name) else None
-        only = self._source_types[0] if len(self._source_types) == 1 else None
-        if only is not None and only.sql_type is not None and only.sql_type.type == "record":
-            if any(key == part.name for key, _ in only.sql_type.fields):
-                key = Literal(part.span, part.name)
-                return Index(part.span, This(part.span, None), (key,))
-        elif only is not None and (only.dicts or not only.known):
+        if self._keys is not None and part.name in self._keys:
+            key = Literal(part.span, part.name)
+            return Index(part.span, This(part.span, None), (key,))
+        if self._keys is None and self._may_be_key():
             return UnresolvedName(part.span, part.name)
         known = self._bare[part.name] = self._names.has_variable(part.name)
         if known:

@@ -1,6 +1,9 @@
-"""Translates operators: comparisons, membership in lists, the truth of values, arithmetic."""
+"""Translates operators and lists: comparisons, membership, truth, arithmetic, elements."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
 
 from sqlglot import exp
 
@@ -15,7 +18,7 @@ from ssduck.sql.sql_values import (
     failure,
     wrapped,
 )
-from ssduck.sql.types import BOOLEAN, DOUBLE, EXACT, INTEGER, SqlType, merged
+from ssduck.sql.types import ANY, BOOLEAN, DOUBLE, EXACT, INTEGER, SqlType, merged
 
 COMPARISONS = {"==": exp.EQ, "!=": exp.NEQ, ">=": exp.GTE, ">": exp.GT, "<=": exp.LTE, "<": exp.LT}
 # Values of different kinds among these are never equal.
@@ -265,3 +268,45 @@ def double_of(value: SqlValue) -> exp.Expr:
         if value.sql_type.type == "double"
         else exp.cast(value.sql.copy(), "DOUBLE")
     )
+
+
+def list_literal(context: StatementContext, values: Sequence[SqlValue]) -> SqlValue:
+    """Returns a list that is written out."""
+    sql_type = merged(value.sql_type for value in values)
+    if any(value.sql_type.nullable or value.may_exceed_double for value in values):
+        raise NotSqlError
+    elements = tuple(map(context.nan_checked, values))
+    domain = max((value.domain for value in elements), default=FloatDomain.FINITE)
+    if sql_type is None:
+        return SqlValue(
+            exp.cast(exp.Array(expressions=[]), "INTEGER[]"), SqlType("list"), elements=()
+        )
+    length = 3 if len(values) == 3 else None
+    if not sql_type.is_sql or sql_type.type == "record":
+        if all(value.sql_type.is_sql for value in values):  # its elements are available one by one
+            return SqlValue(None, SqlType("list", ANY, length), elements=elements, domain=domain)
+        raise NotSqlError
+    sql: exp.Expr = exp.Array(expressions=[value.sql.copy() for value in elements])
+    if sql_type.type == "list":
+        sql = exp.cast(sql, f"{sql_type.duckdb_type}[]", dialect="duckdb")
+    return SqlValue(sql, SqlType("list", sql_type, length), elements=elements, domain=domain)
+
+
+def concatenation(left: SqlValue, right: SqlValue) -> SqlValue:
+    """Returns one list behind the other."""
+    sql_type = merged((left.sql_type, right.sql_type))
+    if sql_type is None or not sql_type.comes_back:
+        raise NotSqlError
+    sql = exp.Anonymous(this="list_concat", expressions=[left.sql.copy(), right.sql.copy()])
+    elements = None
+    if left.elements is not None and right.elements is not None:
+        elements = left.elements + right.elements
+    domain = max(left.domain, right.domain)
+    return SqlValue(sql, replace(sql_type, length=None), elements=elements, domain=domain)
+
+
+def element_at(value: SqlValue, place: int) -> exp.Expr:
+    """Returns an element of a list that has so many, counted from 1."""
+    if value.elements is not None:
+        return value.elements[place - 1].sql
+    return exp.func("list_extract", value.sql.copy(), exp.Literal.number(place))

@@ -28,20 +28,14 @@ _LESS, _MORE = ("<", "<="), (">", ">=")
 
 @dataclass(frozen=True)
 class PairJoin:
-    """A condition on two sources of one world.
+    """A condition on two sources of one world."""
 
-    Attributes:
-        table: the table of candidate pairs.
-        pairs: the search for these pairs, and the condition on a row of the sources and of the
-            table.
-        position: the key of the order of the call's two arguments; None if there is none.
-        sides: the sources in that order.
-    """
-
-    table: exp.Expr
+    table: exp.Expr  # the table of candidate pairs
+    # The search for these pairs, and the condition on a row of the sources and of the table.
     pairs: JoinedPairs
+    # The key of the order of the call's two arguments; None if there is none.
     position: exp.Ordered | None
-    sides: tuple[This, This]
+    sides: tuple[This, This]  # the sources in that order
 
 
 def sides_of(node: Node) -> tuple[This, This] | None:
@@ -56,22 +50,7 @@ def sides_of(node: Node) -> tuple[This, This] | None:
 def pair_join(
     sql: Expressions, node: Call, sides: tuple[This, This], schema: str
 ) -> PairJoin | None:
-    """Returns the join that finds all pairs of `near(a.this, b.this, 0.1)`; None if SQL cannot.
-
-    >>> from ssduck.sql.examples import sql_of
-    >>> query = "SELECT id(a.this) FROM a = kitchen, b = kitchen WHERE near(a.this, b.this, 0.1);"
-    >>> print(sql_of(query))
-    SELECT a.name FROM kitchen.entities AS a CROSS JOIN kitchen.entities AS b CROSS JOIN
-    (SELECT n // 4294967296 AS a, n % 4294967296 AS b, n
-     FROM (SELECT UNNEST("NARROW ALL_WITHIN"('kitchen', 'entities', CAST(0.1e0 AS DOUBLE))) AS n)
-     AS numbered) AS pairs WHERE a.id = pairs.a AND b.id = pairs.b ORDER BY pairs.n ASC
-
-    Args:
-        sql: the expressions of the query.
-        node: a call of a relation of `sides_of`.
-        sides: its two arguments, in the order of the sources.
-        schema: the world that both sources are.
-    """
+    """Returns the join that finds all pairs of `near(a.this, b.this, 0.1)`; None if SQL cannot."""
     relation, constants = RELATIONS[node.name], node.arguments[2:]
     assert relation.candidate_pairs is not None
     search = relation.candidate_pairs.search
@@ -111,13 +90,7 @@ def _kind_of(tables: Collection[EntityTable]) -> PairKind:
 
 
 def implied_box_condition(sql: Expressions, node: Node) -> exp.Expr | None:
-    """Returns the condition on boxes that `clearance(a, b) < 0.1` implies; None if there is none.
-
-    >>> from ssduck.sql.examples import sql_of
-    >>> near = "clearance(a.this, b.this) < 1"
-    >>> print(sql_of(f"SELECT id(a.this) FROM a = kitchen, b = kitchen WHERE {near};"))
-    SELECT ... WHERE (a.xmin <= b.xmax + (1) + 1e-9 AND ...) AND CASE WHEN (...) THEN ...
-    """
+    """Returns the condition on boxes that `clearance(a, b) < 0.1` implies; None for none."""
     match node:
         case Binary(operator=sign, left=Call() as call, right=limit) if sign in _LESS + _MORE:
             is_less = sign in _LESS

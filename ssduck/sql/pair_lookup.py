@@ -8,8 +8,10 @@ definition of its rows, and runs where the search refuses its distance.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import operator
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from sqlglot import exp
 
@@ -18,78 +20,52 @@ from ssduck.sql.relations.geometry_query import PairSearch
 
 _COLUMNS = frozenset(column.name for column in TABLES["entities"].columns)
 _COMPARED = ("name", "id")
-_SIGNS: Mapping[type[exp.Expr], str] = {
-    exp.LT: "<",
-    exp.LTE: "<=",
-    exp.GT: ">",
-    exp.GTE: ">=",
-    exp.EQ: "=",
-    exp.NEQ: "<>",
+_COMPARE: Mapping[type[exp.Expr], Callable[[Any, Any], Any]] = {
+    exp.LT: operator.lt,
+    exp.LTE: operator.le,
+    exp.GT: operator.gt,
+    exp.GTE: operator.ge,
+    exp.EQ: operator.eq,
+    exp.NEQ: operator.ne,
 }
 
 
 @dataclass(frozen=True)
 class PairColumn:
-    """A column of one of the two entities of a pair.
+    """A column of one of the two entities of a pair."""
 
-    Attributes:
-        side: 0 for the entity of the first source, 1 for that of the second.
-        name: the column of the table of entities.
-    """
-
-    side: int
-    name: str
+    side: int  # 0 for the entity of the first source, 1 for that of the second
+    name: str  # the column of the table of entities
 
 
 @dataclass(frozen=True)
 class NameComparison:
-    """A condition on the names or the ids of the two entities of a pair: `a.name < b.name`.
+    """A condition on the names or the ids of the two entities of a pair: `a.name < b.name`."""
 
-    Attributes:
-        sign: `<`, `<=`, `>`, `>=`, `=` or `<>`.
-        sides: the sides of the two names.
-        column: `name` or `id`.
-    """
-
-    sign: str
-    sides: tuple[int, int]
-    column: str = "name"
+    compare: Callable[[Any, Any], Any]  # the operator, of arrays
+    sides: tuple[int, int]  # the sides of the two names
+    column: str = "name"  # `name` or `id`
 
 
 @dataclass(frozen=True)
 class PairLookup:
-    """The rows of a query of all pairs that a search finds, in ascending order of both ids.
+    """The rows of a query of all pairs that a search finds, in ascending order of both ids."""
 
-    Attributes:
-        schema: the world.
-        search: the search; its pairs are exact.
-        distance: the distance of the search, m, or the name of the parameter that has it.
-        comparisons: the conditions on names.
-        columns: the columns of a row.
-    """
-
-    schema: str
-    search: PairSearch
-    distance: float | str
-    comparisons: tuple[NameComparison, ...]
-    columns: tuple[PairColumn, ...]
+    schema: str  # the world
+    search: PairSearch  # the search; its pairs are exact
+    distance: float | str  # the distance of the search, m, or the name of the parameter that has it
+    comparisons: tuple[NameComparison, ...]  # the conditions on names
+    columns: tuple[PairColumn, ...]  # the columns of a row
 
 
 @dataclass(frozen=True)
 class JoinedPairs:
-    """A search whose pairs are joined with two sources.
+    """A search whose pairs are joined with two sources."""
 
-    Attributes:
-        schema: the world.
-        search: the search.
-        distance: the distance of the search, m, in SQL.
-        condition: the condition on a row of the sources and of the pairs.
-    """
-
-    schema: str
-    search: PairSearch
-    distance: exp.Expr
-    condition: exp.Expr
+    schema: str  # the world
+    search: PairSearch  # the search
+    distance: exp.Expr  # the distance of the search, m, in SQL
+    condition: exp.Expr  # the condition on a row of the sources and of the pairs
 
 
 def pair_lookup(
@@ -98,14 +74,7 @@ def pair_lookup(
     conditions: Sequence[exp.Expr],
     columns: Sequence[exp.Expr],
 ) -> PairLookup | None:
-    """Returns the look-up that replaces a SELECT; None if it does more than look up.
-
-    Args:
-        pairs: the search, whose pairs order the rows.
-        tables: the names of the two tables of entities.
-        conditions: the conditions of the SELECT.
-        columns: its columns.
-    """
+    """Returns the look-up that replaces a SELECT; None if it does more than look up."""
     distance = _constant(pairs.distance)
     comparisons = [_comparison(c, tables) for c in conditions if c is not pairs.condition]
     selected = [_column(column, tables) for column in columns]
@@ -136,13 +105,13 @@ def _constant(distance: exp.Expr) -> float | str | None:
 
 def _comparison(condition: exp.Expr, tables: Sequence[str]) -> NameComparison | None:
     """Returns a condition in SQL as a comparison of the two names or ids."""
-    sign = _SIGNS.get(type(condition))
-    if sign is None:
+    compare = _COMPARE.get(type(condition))
+    if compare is None:
         return None
     left, right = (_column(side, tables) for side in (condition.this, condition.expression))
     if left is None or right is None or left.name != right.name or left.name not in _COMPARED:
         return None
-    return NameComparison(sign, (left.side, right.side), left.name)
+    return NameComparison(compare, (left.side, right.side), left.name)
 
 
 def _column(column: exp.Expr, tables: Sequence[str]) -> PairColumn | None:

@@ -19,11 +19,6 @@ from ssduck.sql.types import SqlType
 class QueryTicks:
     """The ticks of the sources of one query, and of handles in its expressions.
 
-    Args:
-        context: the state that the expressions of the statement share.
-        rows: the current element of each source, by alias.
-        outer: the same for the outer query.
-
     Attributes:
         joined_entities: the joined rows of handles at ticks of other rows, and of pairs.
         tick_ranges: the ticks of sources with several ticks, by the tick of the current row.
@@ -46,11 +41,6 @@ class QueryTicks:
 
         A handle stands for the entity at the current tick; beside rows of the past, at their tick.
         A handle that is fixed to a tick stays there.
-
-        Args:
-            values: the arguments of a relation.
-            at_one_tick: whether the relation is of entities at one tick; else it computes with
-                their columns.
 
         Raises:
             NotSqlError: Python finds the ticks.
@@ -140,12 +130,7 @@ class QueryTicks:
         return self.joined_entities[key].value
 
     def record_single_entity(self, alias: str, other: Callable[[], SqlValue]) -> None:
-        """Notes that a source's element is always one entity.
-
-        Args:
-            alias: the alias of the source.
-            other: a function that returns the entity or its name, a constant.
-        """
+        """Notes that a source's element is always one entity."""
         value = self._rows.get(alias)
         if value is None or value.column is None or not value.sql_type.past:
             return
@@ -230,19 +215,12 @@ _VIEWS = frozenset(table.history_view for table in HISTORIES.values())
 
 @dataclass(frozen=True)
 class HistoryWindow:
-    """A table of the past that a query reads at some ticks only.
+    """A table of the past that a query reads at some ticks only."""
 
-    Attributes:
-        schema: the schema of its world.
-        view: the name of its view.
-        first: the parameter of the first tick.
-        last: the parameter of the last tick.
-    """
-
-    schema: str
-    view: str
-    first: str
-    last: str
+    schema: str  # the schema of its world
+    view: str  # the name of its view
+    first: str  # the parameter of the first tick
+    last: str  # the parameter of the last tick
 
 
 def history_windows(

@@ -8,7 +8,7 @@ from typing import Literal, Protocol, TypeAlias
 
 from sqlglot import exp
 
-from ssduck.language.clauses import PythonClauses, SelectedValue
+from ssduck.language.clauses import PythonClauses
 from ssduck.language.tree import Call, Node, Query
 from ssduck.schema import EntityTable
 from ssduck.sql.pair_lookup import PairLookup
@@ -22,29 +22,19 @@ Purpose: TypeAlias = Literal["run", "cautious", "portable", "rows"]
 
 @dataclass(frozen=True)
 class SourceType:
-    """The type of a source, and its alias.
+    """The type of a source, and its alias."""
 
-    Attributes:
-        alias: its alias.
-        schema: the schema of a world.
-        past_kind: the ticks of a world's past: one, several, or the current one beside its past.
-        is_one_entity: whether it is the past of one entity.
-        table: the table of the world that has its elements.
-        sql_type: the type of its values.
-        has_values: whether its values are known before the query runs; if not, it is a part of it.
-        dicts: whether some of its elements are dicts.
-        known: whether it has elements, so that names can be looked up in them.
-    """
-
-    alias: str
-    schema: str | None = None
-    sql_type: SqlType | None = None
+    alias: str  # its alias
+    schema: str | None = None  # the schema of a world
+    sql_type: SqlType | None = None  # the type of its values
+    # Whether its values are known before the query runs; if not, it is a part of it.
     has_values: bool = True
-    dicts: bool = False
-    known: bool = True
+    dicts: bool = False  # whether some of its elements are dicts
+    known: bool = True  # whether it has elements, so that names can be looked up in them
+    # The ticks of a world's past: one, several, or the current one beside its past.
     past_kind: PastKind = ""
-    is_one_entity: bool = False
-    table: EntityTable = "entities"
+    is_one_entity: bool = False  # whether it is the past of one entity
+    table: EntityTable = "entities"  # the table of the world that has its elements
 
 
 class TypeEnvironment(Protocol):
@@ -81,23 +71,15 @@ class TypeEnvironment(Protocol):
 
 @dataclass(frozen=True)
 class ParameterBinding:
-    """A parameter of the SQL.
+    """A parameter of the SQL."""
 
-    Attributes:
-        name: the name of the parameter.
-        node: the expression whose value it is; None for a source.
-        column: the column of the entity that is the value of the expression.
-        source: the source whose elements it lists.
-        end: the number of the source's past: its first or its last tick, or the id of its entity.
-        sql_type: the type of the value.
-    """
-
-    name: str
-    node: Node | None = None
-    column: str | None = None
-    source: str | None = None
+    name: str  # the name of the parameter
+    node: Node | None = None  # the expression whose value it is; None for a source
+    column: str | None = None  # the column of the entity that is the value of the expression
+    source: str | None = None  # the source whose elements it lists
+    # The number of the source's past: its first or its last tick, or the id of its entity.
     end: Literal["", "first", "last", "id"] = ""
-    sql_type: SqlType = field(default_factory=lambda: SqlType("list"))
+    sql_type: SqlType = field(default_factory=lambda: SqlType("list"))  # the type of the value
 
 
 @dataclass(frozen=True)
@@ -118,58 +100,42 @@ class PathSearch:
 
 @dataclass(eq=False)
 class Plan:
-    """The plan of a query.
+    """The plan of a query."""
 
-    Attributes:
-        query: the query, its bare names resolved.
-        source_types: the types of the sources.
-        select: the SQL as sqlglot's tree.
-        bindings: the parameters of the SQL.
-        tables: the names of tables for sources that are lists of dicts, by alias.
-        constants: the parts that do not depend on rows, with the types that the plan relies on.
-        worlds: the schemas of the constants that are worlds.
-        signatures: the users' functions that SQL calls.
-        known: the SQL column of each part of the tree that has one.
-        elements: the column of each source's element, by alias.
-        python_constants: the constants that Python evaluates.
-        python_clauses: the clauses that Python applies to the rows.
-        outputs: the selected columns, if nothing is left to Python.
-        keys: the keys of GROUP BY, by which the rows are sorted into groups, if nothing else is
-            left to Python.
-        left_for: the part for whose sake groups are left to Python.
-        names: the names of the columns, if all of them are texts.
-        paths: whether each row of the SQL is a path, or an edge of a graph of paths.
-        graph: the search for paths over the edges.
-        bare: the resolved names, and whether there was a variable of that name.
-        deferred: the lists in variables that the query evaluates.
-        purpose: what the SQL is for.
-        may_fail: whether something in the SQL may fail, so that Python decides.
-        lookup: the look-up that has the rows of the SQL, if there is one.
-    """
-
-    query: Query
-    source_types: tuple[SourceType, ...]
-    select: exp.Select = field(default_factory=exp.Select)
-    bindings: list[ParameterBinding] = field(default_factory=list)
+    query: Query  # the query, its bare names resolved
+    source_types: tuple[SourceType, ...]  # the types of the sources
+    select: exp.Select = field(default_factory=exp.Select)  # the SQL as sqlglot's tree
+    bindings: list[ParameterBinding] = field(default_factory=list)  # the parameters of the SQL
+    # The names of tables for sources that are lists of dicts, by alias.
     tables: dict[str, str] = field(default_factory=dict)
+    # The parts that do not depend on rows, with the types that the plan relies on.
     constants: dict[Node, SqlType] = field(default_factory=dict)
+    # The schemas of the constants that are worlds.
     worlds: dict[Node, str | None] = field(default_factory=dict)
-    signatures: set[Signature] = field(default_factory=set)
+    signatures: set[Signature] = field(default_factory=set)  # the users' functions that SQL calls
+    # The SQL column of each part of the tree that has one.
     known: dict[Node, OutputColumn] = field(default_factory=dict)
+    # The column of each source's element, by alias.
     elements: dict[str, OutputColumn] = field(default_factory=dict)
+    # The constants that Python evaluates.
     python_constants: list[Node] = field(default_factory=list)
+    # The clauses that Python applies to the rows.
     python_clauses: PythonClauses = field(default_factory=lambda: PythonClauses(()))
-    outputs: list[OutputColumn] | None = None
+    outputs: list[OutputColumn] | None = None  # the selected columns, if nothing is left to Python
+    # The keys of GROUP BY, by which the rows are sorted into groups, if nothing else is left to
+    # Python.
     keys: list[OutputColumn] = field(default_factory=list)
-    left_for: Node | None = None
-    names: tuple[str, ...] = ()
-    paths: bool = False
-    graph: PathSearch | None = None
+    left_for: Node | None = None  # the part for whose sake groups are left to Python
+    names: tuple[str, ...] = ()  # the names of the columns, if all of them are texts
+    paths: bool = False  # whether each row of the SQL is a path, or an edge of a graph of paths
+    graph: PathSearch | None = None  # the search for paths over the edges
+    # The resolved names, and whether there was a variable of that name.
     bare: dict[str, bool] = field(default_factory=dict)
+    # The lists in variables that the query evaluates.
     deferred: dict[str, Node | None] = field(default_factory=dict)
-    purpose: Purpose = "run"
-    may_fail: bool = False
-    lookup: PairLookup | None = None
+    purpose: Purpose = "run"  # what the SQL is for
+    may_fail: bool = False  # whether something in the SQL may fail, so that Python decides
+    lookup: PairLookup | None = None  # the look-up that has the rows of the SQL, if there is one
 
     @cached_property
     def sql(self) -> str:
@@ -209,14 +175,3 @@ class Plan:
     def is_in_python(self, node: Node) -> bool:
         """Checks whether a part is evaluated in Python for each row."""
         return node not in self.known and node not in self.python_constants
-
-
-__all__ = [
-    "OutputColumn",
-    "ParameterBinding",
-    "Plan",
-    "SelectedValue",
-    "Signature",
-    "SourceType",
-    "TypeEnvironment",
-]

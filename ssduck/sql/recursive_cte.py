@@ -32,28 +32,19 @@ _STEPS = "steps"
 
 @dataclass(frozen=True)
 class RecursiveSearch:
-    """A search in SQL.
+    """A search in SQL."""
 
-    Attributes:
-        select: a row for each path, with a list of each item's values along the path; or a row for
-            each edge of a graph: the places of its ends, whether the second is a result, its items.
-        sql_types: the types of the columns.
-        graph: the largest length and number of paths in a graph.
-    """
-
+    # A row for each path, with a list of each item's values along the path; or a row for each edge
+    # of a graph: the places of its ends, whether the second is a result, its items.
     select: exp.Select
-    sql_types: tuple[SqlType, ...]
-    graph: PathSearch | None = None
+    sql_types: tuple[SqlType, ...]  # the types of the columns
+    graph: PathSearch | None = None  # the largest length and number of paths in a graph
 
 
 def recursive_search(
     sql: Expressions, query: Query, columns: Sequence[SelectedValue], elements: Sequence[FromItem]
 ) -> RecursiveSearch:
-    """Returns a hierarchical query as SQL.
-
-    Raises:
-        NotSqlError: it runs row by row.
-    """
+    """Returns a hierarchical query as SQL."""
     recursion = query.recursion
     assert recursion is not None
     if recursion.unique or query.group or query.order or query.having is not None:

@@ -21,15 +21,10 @@ def expanded(
     """Returns a relation's formula with its parameters replaced.
 
     >>> from ssduck.sql.from_clause import entity_value
-    >>> from ssduck.sql.relations import RELATIONS
+    >>> from ssduck.sql.relations.registry import RELATIONS
     >>> formula = RELATIONS["aabbVolume"].expressions[1]
     >>> expanded(formula, {"object": entity_value("kitchen", "cup")}).sql("duckdb")
     '(cup.xmax - cup.xmin) * (cup.ymax - cup.ymin) * (cup.zmax - cup.zmin)'
-
-    Args:
-        formula: a formula over columns of the parameters.
-        values: the arguments, by parameter.
-        name: the column in place of `name`, for a relation that yields an entity.
     """
 
     def substitute(part: exp.Expr) -> exp.Expr:
@@ -55,12 +50,6 @@ def in_world(
 ) -> exp.Expr:
     """Returns a relation's formula with the tables of its entities' world.
 
-    Args:
-        relation: the relation.
-        formula: its formula.
-        values: its arguments.
-        ticks: the ticks of its entities that may differ; none for those of the present alone.
-
     Raises:
         NotSqlError: the world is not known yet.
     """
@@ -79,18 +68,12 @@ def in_world(
 
 @dataclass(frozen=True)
 class PairCall:
-    """A relation of two entities or links of a world's present tick, which a formula stands for.
+    """A relation of two entities or links of a world's present tick, which a formula stands for."""
 
-    Attributes:
-        relation: the name of the relation.
-        schema: the schema of the world.
-        ids: the ids of both, as SQL.
-        call: the call of a function of shapes that decides alone; None for one of contacts.
-    """
-
-    relation: str
-    schema: str
-    ids: tuple[exp.Expr, ...]
+    relation: str  # the name of the relation
+    schema: str  # the schema of the world
+    ids: tuple[exp.Expr, ...]  # the ids of both, as SQL
+    # The call of a function of shapes that decides alone; None for one of contacts.
     call: exp.Anonymous | None = None
 
 

@@ -32,10 +32,6 @@ from ssduck.sql.sql_values import NotSqlError, SqlValue, StatementContext
 class ExpressionScope(ABC):
     """The scope of the expressions of one query, and their translation.
 
-    Args:
-        context: the state that the expressions of the statement share.
-        outer: the expressions of the outer query.
-
     Attributes:
         rows: the current element of each source, by alias.
         only: the alias of the only source; None if there are several.
@@ -128,26 +124,14 @@ class ExpressionScope(ABC):
 
     @abstractmethod
     def value(self, node: Node) -> SqlValue:
-        """Returns the node as SQL.
-
-        Raises:
-            NotSqlError: it is left to Python.
-        """
+        """Returns the node as SQL."""
 
     def condition(self, node: Node) -> exp.Expr:
-        """Returns the node as a condition.
-
-        Raises:
-            NotSqlError: it is left to Python.
-        """
+        """Returns the node as a condition."""
         return truth(self.value(node))
 
     def number(self, node: Node) -> SqlValue:
-        """Returns the node as SQL, if it is a number.
-
-        Raises:
-            NotSqlError: it is left to Python.
-        """
+        """Returns the node as SQL, if it is a number."""
         value = self.value(node)
         if not value.sql_type.is_number or value.sql_type.nullable:
             raise NotSqlError

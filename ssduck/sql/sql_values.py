@@ -51,28 +51,18 @@ class FloatDomain(IntEnum):
 
 @dataclass(frozen=True)
 class SqlValue:
-    """A node as SQL: its expression, its type, and its columns, elements or fields.
+    """A node as SQL: its expression, its type, and its columns, elements or fields."""
 
-    Attributes:
-        expression: the value; None for an entity stands for its id, or its key at a recorded tick.
-        sql_type: its type.
-        column: a function that returns a column of an entity.
-        elements: the elements of a list literal.
-        fields: the values of a record, by key.
-        may_exceed_double: whether it may be an integer that a DOUBLE cannot represent.
-        is_non_negative: whether it is a number that is never below 0; it may be NaN.
-        domain: the reals that it, or the elements of a list, may be.
-        may_fail: whether SQL may fail at it, so that it must be evaluated where Python does.
-    """
-
+    # The value; None for an entity stands for its id, or its key at a recorded tick.
     expression: exp.Expr | None
-    sql_type: SqlType
-    column: Callable[[str], exp.Expr] | None = None
-    elements: tuple[SqlValue, ...] | None = None
-    fields: Mapping[str, SqlValue] = field(default_factory=dict)
-    may_exceed_double: bool = False
-    is_non_negative: bool = False
-    domain: FloatDomain = FloatDomain.FINITE
+    sql_type: SqlType  # its type
+    column: Callable[[str], exp.Expr] | None = None  # a function that returns a column of an entity
+    elements: tuple[SqlValue, ...] | None = None  # the elements of a list literal
+    fields: Mapping[str, SqlValue] = field(default_factory=dict)  # the values of a record, by key
+    may_exceed_double: bool = False  # whether it may be an integer that a DOUBLE cannot represent
+    is_non_negative: bool = False  # whether it is a number that is never below 0; it may be NaN
+    domain: FloatDomain = FloatDomain.FINITE  # the reals that it, or the elements of a list, may be
+    # Whether SQL may fail at it, so that it must be evaluated where Python does.
     may_fail: bool = False
 
     @property
@@ -97,33 +87,24 @@ class SqlValue:
 
 @dataclass
 class StatementContext:
-    """The state that the expressions of one statement share.
+    """The state that the expressions of one statement share."""
 
-    Attributes:
-        names: the variables, the functions, and the types of constants.
-        cautious: whether parts that may fail are left to Python.
-        changing: the variables that differ from row to row.
-        bindings: the parameters of the statement.
-        constants: the parts that do not depend on rows, with their types.
-        worlds: the schemas of the constants that are worlds.
-        signatures: the users' functions that it calls.
-        deferred: the lists in variables that the query evaluates.
-        aliases: the aliases in SQL, in lower case.
-        bare: the bare names in nested queries, and whether there was a variable of that name.
-        possible_failures: the number of parts that may fail in SQL.
-    """
-
-    names: TypeEnvironment
-    cautious: bool = False
-    changing: frozenset[str] = frozenset()
+    names: TypeEnvironment  # the variables, the functions, and the types of constants
+    cautious: bool = False  # whether parts that may fail are left to Python
+    changing: frozenset[str] = frozenset()  # the variables that differ from row to row
+    # The parameters of the statement.
     bindings: list[ParameterBinding] = field(default_factory=list)
+    # The parts that do not depend on rows, with their types.
     constants: dict[Node, SqlType] = field(default_factory=dict)
+    # The schemas of the constants that are worlds.
     worlds: dict[Node, str | None] = field(default_factory=dict)
-    signatures: set[Signature] = field(default_factory=set)
+    signatures: set[Signature] = field(default_factory=set)  # the users' functions that it calls
+    # The lists in variables that the query evaluates.
     deferred: dict[str, Node | None] = field(default_factory=dict)
-    aliases: set[str] = field(default_factory=set)
+    aliases: set[str] = field(default_factory=set)  # the aliases in SQL, in lower case
+    # The bare names in nested queries, and whether there was a variable of that name.
     bare: dict[str, bool] = field(default_factory=dict)
-    possible_failures: int = 0
+    possible_failures: int = 0  # the number of parts that may fail in SQL
 
     def note_possible_failure(self) -> None:
         """Notes that the expression may fail in SQL; a cautious plan leaves it to Python."""

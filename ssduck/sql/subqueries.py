@@ -53,11 +53,7 @@ _SCALAR = "scalar"
 
 @dataclass(frozen=True)
 class Subquery:
-    """The rows of a nested query: tables, conditions, selected values, and order.
-
-    Attributes:
-        may_fail: whether a part of it may fail, so that all rows must be evaluated.
-    """
+    """The rows of a nested query: tables, conditions, selected values, and order."""
 
     elements: tuple[FromItem, ...]
     conditions: tuple[exp.Expr, ...]
@@ -65,7 +61,7 @@ class Subquery:
     names: tuple[str, ...]
     order: tuple[exp.Ordered, ...]
     limit: int | None
-    may_fail: bool = False
+    may_fail: bool = False  # whether a part of it may fail, so that all rows must be evaluated
 
     def select(self, *columns: exp.Expr, where: Sequence[exp.Expr] = ()) -> exp.Select:
         """Returns the rows, as a SELECT of these columns."""
@@ -89,11 +85,7 @@ Rows: TypeAlias = Subquery | UnrolledRows
 
 
 def value(outer: ExpressionScope, query: Query) -> SqlValue:
-    """Returns the value of a nested query.
-
-    Raises:
-        NotSqlError: it is left to Python.
-    """
+    """Returns the value of a nested query."""
     form = _form(query)
     rows = _rows(outer, query)
     if form in _LISTS:

@@ -24,8 +24,7 @@ from ssduck.language.aggregates import (
 )
 from ssduck.language.analysis import OVER_TIME, changing, free_aliases, is_impure
 from ssduck.language.clauses import PythonClauses
-from ssduck.language.operator_chains import conjuncts
-from ssduck.language.tree import Binary, Call, Node, OrderKey, Query, This
+from ssduck.language.tree import Binary, Call, Node, OrderKey, Query, This, conjuncts
 from ssduck.sql import subqueries
 from ssduck.sql.expressions import Expressions
 from ssduck.sql.from_clause import (
@@ -76,22 +75,7 @@ def translate(
 ) -> Plan:
     """Plans a query.
 
-    >>> from ssduck.sql.examples import sql_of
-    >>> print(sql_of("SELECT id, z FROM kitchen WHERE z > 1;"))
-    SELECT kitchen.name, kitchen.z FROM kitchen.entities AS kitchen WHERE kitchen.z > 1
-    >>> print(sql_of("SELECT distance(this, [0, 0, 0]) FROM kitchen LIMIT 2;"))
-    SELECT SQRT(POWER((kitchen.x - 0), 2) + POWER((kitchen.y - 0), 2) + POWER((kitchen.z - 0), 2))
-    FROM kitchen.entities AS kitchen LIMIT 2
-
-    Args:
-        query: the query.
-        source_types: the types of its sources, in order.
-        names: the variables, the functions, and the types of constants.
-        purpose: what the SQL is for.
-        step: is called before each condition: it may end the planning of many, by an error.
-
     Raises:
-        SelectScriptError: a name or a number of arguments is wrong.
         NotInlineError: a source in SQL must be evaluated first.
         NotSqlError: the query is hierarchical, and runs row by row.
     """

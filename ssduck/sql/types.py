@@ -21,25 +21,17 @@ class SqlType:
 
     >>> SqlType("list", SqlType("double")).duckdb_type
     'DOUBLE[]'
-
-    Attributes:
-        type: the name of the type.
-        element: the type of a list's elements; None for a list without elements.
-        length: 3 for a list that may be a point.
-        schema: the schema of an entity's world.
-        past: whether it is an entity at a recorded tick.
-        table: the table of an entity's row; that of links if it is a link.
-        nullable: whether the value may be missing.
-        fields: the keys of a record and the types of their values.
     """
 
-    type: ValueType
+    type: ValueType  # the name of the type
+    # The type of a list's elements; None for a list without elements.
     element: SqlType | None = None
-    length: int | None = None
-    schema: str | None = None
-    past: bool = False
-    table: EntityTable = "entities"
-    nullable: bool = False
+    length: int | None = None  # 3 for a list that may be a point
+    schema: str | None = None  # the schema of an entity's world
+    past: bool = False  # whether it is an entity at a recorded tick
+    table: EntityTable = "entities"  # the table of an entity's row; that of links if it is a link
+    nullable: bool = False  # whether the value may be missing
+    # The keys of a record and the types of their values.
     fields: tuple[tuple[str, SqlType], ...] = ()
 
     @property

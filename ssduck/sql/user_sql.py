@@ -1,17 +1,22 @@
-"""Parses users' SQL, and replaces parts of its text: the rest stays as the user wrote it."""
+"""Users' SQL: parsed, with parts of its text replaced, and with what its conditions compare."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import re
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
+from typing import Any, Literal, TypeAlias
 
 import sqlglot
 from sqlglot import exp
 from sqlglot.dialects.dialect import Dialect
 from sqlglot.errors import SqlglotError
 from sqlglot.parsers.duckdb import DuckDBParser
-from sqlglot.tokenizer_core import TokenType
+from sqlglot.tokenizer_core import Token, TokenType
+
+from ssduck.errors import SourceSpan
 
 
 @dataclass(frozen=True)
@@ -94,3 +99,272 @@ def statement_trees(sql: str) -> list[exp.Expr]:
     except (SqlglotError, RecursionError):
         return []
     return [tree for tree in trees if tree is not None]
+
+
+# The parts of a subquery that do nothing but choose rows.
+_PARTS = frozenset(("expressions", "from_", "joins", "where"))
+
+
+@dataclass(frozen=True)
+class ExistsCondition:
+    """An EXISTS in a statement."""
+
+    start: int  # the index of its first character
+    list_start: int  # the index at which its subquery begins
+    list_end: int  # the index of the subquery's FROM
+    end: int  # the index after its closing bracket
+    reads_outer: bool  # whether the subquery reads columns of the entity around it
+
+
+@dataclass(frozen=True)
+class NamedColumns:
+    """The names that a subquery sees, in small letters."""
+
+    # The columns of its own sources, by name; None if they are unknown.
+    sources: Mapping[str, Collection[str] | None]
+    outer: str  # the name of the entity around it
+    outer_columns: Collection[str]  # the columns of that
+    is_outer_read: bool  # whether the relation itself reads columns of it
+
+
+def exists_condition(
+    select: exp.Select, call: exp.Expr, place: int, tokens: Sequence[Token], names: NamedColumns
+) -> ExistsCondition | None:
+    """Returns the EXISTS of a subquery; None if it needs more of what is around it."""
+    if not isinstance(select.parent, exp.Exists) or select.parent.find_ancestor(exp.Join):
+        return None
+    parts = {name for name, value in select.args.items() if value}
+    is_plain = parts <= _PARTS and all(map(_is_plain, select.expressions))
+    if not is_plain or sum(1 for _ in select.find_all(exp.Query)) > 1:
+        return None
+    reads_outer = _reads_outer(_columns_of_conditions(select, call), names)
+    written = _written(tokens, place)
+    return (
+        None if reads_outer is None or written is None else ExistsCondition(*written, reads_outer)
+    )
+
+
+def _is_plain(selected: exp.Expr) -> bool:
+    """Checks whether a selected value neither adds nor removes rows, as an aggregate does."""
+    return isinstance(selected, exp.Literal | exp.Column | exp.Star)
+
+
+def _columns_of_conditions(select: exp.Select, call: exp.Expr) -> Iterator[exp.Column]:
+    """Yields the columns in a subquery, but for those that are selected or arguments of a call."""
+    for column in select.find_all(exp.Column):
+        around: exp.Expr | None = column
+        while around is not None and around is not call and around.parent is not select:
+            around = around.parent
+        if around is not call and not any(around is selected for selected in select.expressions):
+            yield column
+
+
+def _reads_outer(columns: Iterator[exp.Column], names: NamedColumns) -> bool | None:
+    """Checks whether columns are of the entity around a subquery; None if one may be of others.
+
+    If some are, that entity becomes a source of the subquery, so that columns without a table would
+    be ambiguous.
+    """
+    reads_outer, has_bare = names.is_outer_read, False
+    for column in columns:
+        table, name = column.table.lower(), column.name.lower()
+        if column.args.get("db"):
+            return None
+        if table == names.outer and table not in names.sources and name in names.outer_columns:
+            reads_outer = True
+        elif not table and any(name in (known or ()) for known in names.sources.values()):
+            has_bare = True
+        elif (table or name) not in names.sources:
+            return None
+    return None if reads_outer and has_bare else reads_outer
+
+
+def _written(tokens: Sequence[Token], place: int) -> tuple[int, int, int, int] | None:
+    """Returns where the innermost EXISTS around a place is written; None if that is not known.
+
+    These are its start, that of its subquery, the subquery's FROM, and its end.
+    """
+    found = None
+    opened: list[tuple[bool, int]] = []
+    for number, (before, token) in enumerate(pairwise(tokens)):
+        if token.token_type == TokenType.L_PAREN:
+            opened.append((before.token_type == TokenType.EXISTS, number))
+        elif token.token_type == TokenType.R_PAREN and opened:
+            is_exists, first = opened.pop()
+            if is_exists and tokens[first].start < place < token.start:
+                found = first, number + 1
+                break
+    if found is None:
+        return None
+    first, last = found
+    inside = tokens[first + 2 : last]
+    clauses = [t for t in inside if t.token_type in (TokenType.SELECT, TokenType.FROM)]
+    kinds = [clause.token_type for clause in clauses]
+    if kinds not in ([TokenType.FROM], [TokenType.SELECT, TokenType.FROM]):
+        return None
+    return tokens[first].start, inside[0].start, clauses[-1].start, tokens[last].end + 1
+
+
+# What a name is of: an entity, a link as in its model, a link with its entity, a joint; or a kind.
+NameKind: TypeAlias = Literal["entity", "link", "full link", "joint", "kind", "kind of link"]
+_COLUMNS: Mapping[str, Mapping[str, NameKind]] = {
+    "entities": {"name": "entity", "kind": "kind"},
+    "links": {"name": "link", "full_name": "full link", "kind": "kind of link"},
+    "joints": {"name": "joint"},
+}
+# A statement without such a column and a text or a parameter compares none; it need not be parsed.
+_NAME = r"\b(?:name|full_name|kind)\b"
+_MAY_COMPARE = re.compile(rf"{_NAME}.*['?$]|['?$].*{_NAME}", re.IGNORECASE | re.DOTALL)
+
+
+@dataclass(frozen=True)
+class NameComparison:
+    """A comparison of a name or a kind with a text."""
+
+    schema: str | None  # the schema of the table; None for that of the first world
+    kind: NameKind  # what the name is of
+    # The text; or the parameter in its place, `name` of `$name` and 1 of `$1`.
+    value: str | Parameter
+    span: SourceSpan  # its place in the statement
+    # The relations of other rows, and of the row that the name selects.
+    relations: tuple[RelationOfRows, ...] = ()
+
+    def text(self, parameters: Sequence[Any] | Mapping[str, Any] | None) -> str | None:
+        """Returns the text that the name is compared with; None for no text."""
+        found = bound_value(self.value, parameters)
+        return found if isinstance(found, str) else None
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of a statement, by its name or its number from 1."""
+
+    name: str
+
+
+def bound_value(value: Any, parameters: Sequence[Any] | Mapping[str, Any] | None) -> Any:
+    """Returns a value, or that of a parameter; None if a parameter has none."""
+    if not isinstance(value, Parameter):
+        return value
+    if isinstance(parameters, Mapping):
+        return parameters.get(value.name)
+    place = int(value.name) if value.name.isdecimal() else 0
+    is_there = isinstance(parameters, Sequence) and 1 <= place <= len(parameters)
+    return parameters[place - 1] if is_there else None  # type: ignore[index]
+
+
+@dataclass(frozen=True)
+class RelationOfRows:
+    """A call of a relation of two rows."""
+
+    name: str  # the relation, as it is written
+    rows: tuple[str, str]  # the aliases of the rows
+    is_past: bool  # whether they are of recorded ticks
+    span: SourceSpan  # the place of its name
+
+
+@lru_cache(maxsize=256)
+def name_comparisons(sql: str) -> tuple[NameComparison, ...]:
+    """Returns the comparisons of columns that are names or kinds with texts by `=`, `<>` and IN.
+
+    >>> [c.value for c in name_comparisons("SELECT z FROM entities e WHERE e.name = 'tabel'")]
+    ['tabel']
+    >>> [c.kind for c in name_comparisons("SELECT position FROM joints WHERE name = 'hinge'")]
+    ['joint']
+    >>> name_comparisons("SELECT name FROM contacts WHERE name = 'hinge'")
+    ()
+    """
+    if len(sql) > MAX_LENGTH or not _MAY_COMPARE.search(sql):
+        return ()
+    comparisons: list[NameComparison] = []
+    for statement in statement_trees(sql):
+        for select in statement.find_all(exp.Select):
+            comparisons += _comparisons_in(select, sql)
+    return tuple(comparisons)
+
+
+def _comparisons_in(select: exp.Select, sql: str) -> Iterator[NameComparison]:
+    """Yields the comparisons in the clauses of one SELECT, without those of nested ones."""
+    tables = _tables_of(select)
+    for node in select.find_all(exp.EQ, exp.NEQ, exp.In):
+        if node.find_ancestor(exp.Select) is not select:
+            continue
+        sides = [node.this, *node.expressions, node.args.get("expression")]
+        for column in sides:
+            if not isinstance(column, exp.Column):
+                continue
+            if column.table:
+                table = tables.get(column.table.lower())
+            else:
+                table = next(iter(tables.values())) if len(tables) == 1 else None
+            kind = None if table is None else _columns_of(table).get(column.name.lower())
+            if table is None or kind is None:
+                continue
+            for side in sides:
+                value = _value_of(side, sql)
+                if value is not None:
+                    row = column.table if isinstance(node, exp.EQ) else ""
+                    relations = tuple(_relations_of(row, node, select, sql)) if row else ()
+                    yield NameComparison(table.db or None, kind, *value, relations)
+
+
+def _relations_of(
+    row: str, condition: exp.Expr, select: exp.Select, sql: str
+) -> Iterator[RelationOfRows]:
+    """Yields the calls in a SELECT of relations of other rows and of one that it selects."""
+    if condition.find_ancestor(exp.Or, exp.Not) is not None:
+        return
+    tables = _tables_of(select)
+    for call in select.find_all(exp.Anonymous, exp.Contains):
+        is_text = isinstance(call, exp.Contains)
+        sides = [call.this, call.expression] if is_text else call.expressions[:2]
+        match [side.name for side in sides if isinstance(side, exp.Column) and not side.table]:
+            case [first, second] if second.lower() == row.lower():
+                found = tables.get(first.lower()), tables.get(second.lower())
+                is_past = any(one and one.name.lower().endswith("_history") for one in found)
+                name = "contains" if is_text else call.name
+                if None not in found:
+                    yield RelationOfRows(name, (first, second), is_past, span_of(name, sql))
+
+
+def _value_of(side: exp.Expr | None, sql: str) -> tuple[str | Parameter, SourceSpan] | None:
+    """Returns a text or a parameter, and its place; None for another side of a comparison."""
+    if isinstance(side, exp.Literal) and side.is_string:
+        return side.name, span_of("'" + side.name.replace("'", "''") + "'", sql)
+    parameter = parameter_of(side, sql)
+    if parameter is None:
+        return None
+    is_named = isinstance(side, exp.Placeholder) and side.this
+    return parameter, span_of(f"${parameter.name}" if is_named else "?", sql)
+
+
+def parameter_of(side: exp.Expr | None, sql: str) -> Parameter | None:
+    """Returns the parameter that a part of a statement is; None for another part."""
+    if not isinstance(side, exp.Placeholder | exp.Parameter):
+        return None
+    if side.this:
+        return Parameter(side.name)
+    # The tree does not tell which one of several `?` it is.
+    return Parameter("1") if sql.count("?") == 1 else None
+
+
+def _tables_of(select: exp.Select) -> dict[str, exp.Table | None]:
+    """Returns the tables with names behind FROM by alias; None for other sources."""
+    tables: dict[str, exp.Table | None] = {}
+    clause = select.args.get("from_") or select.args.get("from")
+    sources = [] if clause is None else [clause.this]
+    sources += [join.this for join in select.args.get("joins") or []]
+    for source in sources:
+        has_names = isinstance(source, exp.Table) and bool(_columns_of(source))
+        tables[source.alias_or_name.lower()] = source if has_names else None
+    return tables
+
+
+def _columns_of(table: exp.Table) -> Mapping[str, NameKind]:
+    return _COLUMNS.get(table.name.lower().removesuffix("_history"), {})
+
+
+def span_of(part: str, sql: str) -> SourceSpan:
+    """Returns the place where a part first stands in a statement."""
+    start = max(sql.find(part), 0)
+    return SourceSpan(start, start + len(part))

@@ -19,7 +19,7 @@ import ssduck
 from ssduck.database.connection import Connection
 from ssduck.database.database import Database
 from ssduck.database.macros import TABLE_MACROS
-from ssduck.database.statement import RUNS_BEFORE_PLAN
+from ssduck.database.plans import RUNS_BEFORE_PLAN
 from ssduck.schema import MODELS, TABLES
 from ssduck.sql.relations.registry import RELATIONS
 from tests.support.cases import sampled

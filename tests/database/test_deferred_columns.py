@@ -9,7 +9,7 @@ import mujoco
 import pytest
 
 import ssduck
-from ssduck.database.statement import RUNS_BEFORE_PLAN
+from ssduck.database.plans import RUNS_BEFORE_PLAN
 from tests.support.cases import sampled
 
 TICKS = RUNS_BEFORE_PLAN + 8

@@ -8,8 +8,8 @@ import pybullet
 import pytest
 
 import ssduck
-from ssduck.database.referenced_tables import words_of
-from ssduck.database.statement import RUNS_BEFORE_PLAN
+from ssduck.database.plans import RUNS_BEFORE_PLAN
+from ssduck.database.statement_names import words_of
 from tests.support.cases import generated, sampled
 
 RUNS = RUNS_BEFORE_PLAN + 2

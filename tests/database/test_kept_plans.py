@@ -9,8 +9,8 @@ import pybullet
 import pytest
 
 import ssduck
-from ssduck.database import kept_plans
-from ssduck.database.statement import RUNS_BEFORE_PLAN
+from ssduck.database import plans
+from ssduck.database.plans import RUNS_BEFORE_PLAN
 from ssduck.schema import TABLES
 from ssduck.world.layout import BodyGroup
 from tests.support.cases import sampled
@@ -309,11 +309,11 @@ BOXES = [
 
 
 @pytest.mark.slow
-@sampled("most", [kept_plans.MAX_ROWS, 0], ids=["kept", "scanned"], every=2)
+@sampled("most", [plans.MAX_ROWS, 0], ids=["kept", "scanned"], every=2)
 @sampled(("sql", "reads"), BOXES, every=3)
 def test_boxes_are_written_for_statements_that_read_them(traced, monkeypatch, sql, reads, most):
     ss, client, statements = traced
-    monkeypatch.setattr(kept_plans, "MAX_ROWS", most)
+    monkeypatch.setattr(plans, "MAX_ROWS", most)
     ss.sql("CREATE MACRO highest(e) AS e.zmax")
     calls = []
     write = BodyGroup.write_boxes
@@ -337,7 +337,7 @@ def test_boxes_are_written_for_statements_that_read_them(traced, monkeypatch, sq
 @pytest.mark.slow
 def test_no_plan_is_kept_of_many_rows(traced, monkeypatch):
     ss, _, _ = traced
-    monkeypatch.setattr(kept_plans, "MAX_ROWS", 6)  # there are 7
+    monkeypatch.setattr(plans, "MAX_ROWS", 6)  # there are 7
     for _ in range(RUNS):
         assert len(ss.sql("SELECT name FROM entities")) == 7
     assert not is_kept(ss)
@@ -347,7 +347,7 @@ def test_no_plan_is_kept_of_many_rows(traced, monkeypatch):
 @pytest.mark.parametrize(("maximum", "kept"), [(48, False), (49, True)])
 def test_no_plan_is_kept_of_many_combinations(traced, monkeypatch, maximum, kept):
     ss, _, _ = traced
-    monkeypatch.setattr(kept_plans, "MAX_COMBINATIONS", maximum)
+    monkeypatch.setattr(plans, "MAX_COMBINATIONS", maximum)
     for _ in range(RUNS):
         ss.sql("SELECT a.name FROM entities a, entities b WHERE a.z > b.z").fetchall()
     assert is_kept(ss) == kept

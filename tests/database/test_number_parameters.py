@@ -7,7 +7,7 @@ import pytest
 
 import ssduck
 from ssduck.adapters.result import Result
-from ssduck.database.statement import RUNS_BEFORE_PLAN
+from ssduck.database.plans import RUNS_BEFORE_PLAN
 from ssduck.errors import SqlError
 
 # Statements, the values of their parameters in turn, and whether their plans are kept.

@@ -7,8 +7,8 @@ import pytest
 
 import ssduck
 from ssduck.adapters.result import Result
-from ssduck.database.referenced_tables import words_of
-from ssduck.database.statement import RUNS_BEFORE_PLAN
+from ssduck.database.plans import RUNS_BEFORE_PLAN
+from ssduck.database.statement_names import words_of
 from ssduck.errors import EvaluationError, LimitError, SqlError
 from tests.support.cases import generated, sampled
 

@@ -10,7 +10,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import ssduck
-from ssduck.database.statement import RUNS_BEFORE_PLAN
+from ssduck.database.plans import RUNS_BEFORE_PLAN
 from ssduck.errors import ArgumentError, SelectScriptError, SimulatorError, UnknownNameError
 from ssduck.gym import QueryWrapper, score
 from tests.support.cases import sampled

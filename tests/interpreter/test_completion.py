@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 import ssduck
 from ssduck.errors import ArgumentError, NumberError
 from ssduck.interpreter.completion import complete
-from ssduck.language.tokenizer import escaped, unquoted
+from ssduck.language.tokens import escaped, unquoted
 from ssduck.schema import TABLES
 
 

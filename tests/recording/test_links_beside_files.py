@@ -13,7 +13,7 @@ import pytest
 
 import ssduck
 from ssduck.database import writer
-from ssduck.database.file_paths import log_of
+from ssduck.database.instances import log_of
 from ssduck.errors import RecordError, SelectScriptError, SqlError
 from tests.support.archive import Archive
 from tests.support.forged import make_records

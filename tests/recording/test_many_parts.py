@@ -13,7 +13,7 @@ import pytest
 
 import ssduck
 from ssduck import Recording
-from ssduck.database import recorders
+from ssduck.database import worlds
 from ssduck.errors import RecordError
 from ssduck.recording.stores import parquet, parquet_archive, parquet_layout, tick_index
 from ssduck.recording.stores.descriptions import read_description
@@ -27,7 +27,7 @@ PLACE = "world=lab/episode={}"
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, archive: Archive) -> Path:
     """A record of two episodes of ten parts of two ticks."""
-    for module in (parquet, recorders):
+    for module in (parquet, worlds):
         monkeypatch.setattr(module, "PART_TICKS", 2)
     monkeypatch.setattr(tick_index, "INDEXED_PARTS", 4)
     monkeypatch.setattr(tick_index, "MIN_PARTS", 1)

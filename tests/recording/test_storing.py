@@ -17,7 +17,7 @@ import pytest
 
 import ssduck
 from ssduck import Recording
-from ssduck.database import recorders, writer
+from ssduck.database import worlds, writer
 from ssduck.database.writer import WriterConnection
 from ssduck.errors import SqlError
 from ssduck.recording.recorder import Recorder
@@ -77,7 +77,7 @@ def gate(monkeypatch: pytest.MonkeyPatch) -> Iterator[Gate]:
 @pytest.fixture
 def world(client: int, monkeypatch: pytest.MonkeyPatch) -> ssduck.World:
     """A world of falling balls; a file takes its ticks ten at a time, and each time a checkpoint."""
-    monkeypatch.setattr(recorders, "BUFFERED_TICKS", RING)
+    monkeypatch.setattr(worlds, "BUFFERED_TICKS", RING)
     monkeypatch.setattr(writer, "LONG_LOG", 1)
     ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
     for place in range(BALLS):
@@ -424,9 +424,9 @@ def test_garbage_is_collected_in_the_thread_that_stores(
 
 SCRIPT = """
 import os, sys, time, pybullet, ssduck
-from ssduck.database import recorders
+from ssduck.database import worlds
 from ssduck.database.writer import WriterConnection
-recorders.BUFFERED_TICKS = 10
+worlds.BUFFERED_TICKS = 10
 client = pybullet.connect(pybullet.DIRECT)
 ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1)
 for place in range(3):

@@ -19,7 +19,7 @@ from ssduck.errors import (
     UnknownNameError,
 )
 from ssduck.formatting import RESERVED_WORDS
-from ssduck.language.token_cursor import CLAUSES
+from ssduck.language.tokens import CLAUSES
 from ssduck.simulators.scenes import Camera, find_scene
 from ssduck.world import entity_registry
 from tests.support.urdf import collision, joint, link, robot

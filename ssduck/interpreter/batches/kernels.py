@@ -28,7 +28,7 @@ from ssduck.simulators.environments import NO_CONTACTS, EnvironmentContacts
 from ssduck.simulators.interface import SCALAR_JOINTS, Joint
 from ssduck.simulators.kinematics import openness
 from ssduck.sql.relations.geometry_query import GeometryUdf
-from ssduck.sql.relations.joints import JOINT_UDFS
+from ssduck.sql.relations.motion import JOINT_UDFS
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.world.batches.batch_world import BatchWorld
 from ssduck.world.layout import EntityInfo

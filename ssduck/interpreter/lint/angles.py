@@ -33,8 +33,7 @@ from ssduck.language.tree import (
     Query,
     Unary,
 )
-from ssduck.sql.name_comparisons import bound_value, parameter_of, span_of
-from ssduck.sql.user_sql import statement_trees
+from ssduck.sql.user_sql import bound_value, parameter_of, span_of, statement_trees
 
 # The functions whose values are angles, with the least one.
 _ANGLES = {"tilt": "0", "acos": "0", "asin": "-1.57", "atan": "-1.57", "atan2": "-3.14"}

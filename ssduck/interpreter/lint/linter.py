@@ -20,7 +20,7 @@ from ssduck.interpreter.lint.names_in_programs import MAX_UNKNOWN, hidden_names,
 from ssduck.interpreter.lint.scope import Check, KnownNames, Scope, entity_of
 from ssduck.interpreter.lint.suspect_values import suspect_values
 from ssduck.language.tree import Call, Name, Node, Query
-from ssduck.sql.name_comparisons import name_comparisons
+from ssduck.sql.user_sql import name_comparisons
 from ssduck.world.world import World
 
 # Each yields the checks of a statement.

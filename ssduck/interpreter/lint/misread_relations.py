@@ -15,7 +15,6 @@ from ssduck.interpreter.lint.columns import is_comparison
 from ssduck.interpreter.lint.scope import Check, Scope, entity_of, worlds_of
 from ssduck.interpreter.lint.suspect_values import VECTORS
 from ssduck.language.analysis import OVER_TIME
-from ssduck.language.operator_chains import conjuncts
 from ssduck.language.tree import (
     AdapterClause,
     Binary,
@@ -33,10 +32,11 @@ from ssduck.language.tree import (
     This,
     TimeIndex,
     Unary,
+    conjuncts,
 )
 from ssduck.recording.replay.past import Past
-from ssduck.sql.name_comparisons import RelationOfRows
 from ssduck.sql.relations.registry import RELATIONS
+from ssduck.sql.user_sql import RelationOfRows
 from ssduck.world.batches.batch_world import BatchWorld
 from ssduck.world.entities import Entity
 from ssduck.world.handles import Handle

@@ -34,7 +34,7 @@ from ssduck.language.tree import (
     Unary,
 )
 from ssduck.recording.replay.past import Past
-from ssduck.sql.name_comparisons import NameKind
+from ssduck.sql.user_sql import NameKind
 from ssduck.world.handles import Handle, Link, Links
 from ssduck.world.world import World
 

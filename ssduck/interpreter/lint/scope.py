@@ -12,7 +12,7 @@ from ssduck.formatting import short_repr
 from ssduck.language.tree import Call, Index, Literal, Name, Node, QualifiedName, Query
 from ssduck.recording.replay.past import Past
 from ssduck.simulators.interface import Kind
-from ssduck.sql.name_comparisons import NameKind
+from ssduck.sql.user_sql import NameKind
 from ssduck.world.entities import Entity
 from ssduck.world.handles import Handle, Link, Links
 from ssduck.world.world import World

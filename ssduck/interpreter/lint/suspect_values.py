@@ -21,7 +21,6 @@ from ssduck.interpreter.lint.scope import Check, Scope, spelled, spelled_id
 from ssduck.language.aggregates import is_grouped, over_rows
 from ssduck.language.analysis import states
 from ssduck.language.builtins import EXTREMES
-from ssduck.language.operator_chains import conjuncts
 from ssduck.language.tree import (
     Binary,
     Call,
@@ -37,6 +36,7 @@ from ssduck.language.tree import (
     This,
     TimeIndex,
     Unary,
+    conjuncts,
 )
 from ssduck.recording.replay.past import Past
 from ssduck.sql.relations.registry import RELATIONS

@@ -2,53 +2,26 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from ssduck.schema import LINK_FACTOR
 from ssduck.sql.relations.relation import Parameter, Relation, ValueType
 
 # The function that yields numbers of contacts and sensors at a recorded tick.
-RECORDED_NUMBERS_UDF = "then told"
+RECORDED_NUMBERS_UDF = "recorded numbers"
 ENTITY = (Parameter("object", "entity", "an entity"),)
 A_B = (Parameter("a", "entity", "an entity"), Parameter("b", "entity", "another entity"))
 
 
 def entity_relation(
-    name: str,
-    result: ValueType,
-    formula: str,
-    about: str,
-    unit: str = "",
-    element: ValueType = "double",
-    recorded_formula: str = "",
-    aliases: tuple[str, ...] = (),
-    link_formula: str = "",
-    link_name: str = "name",
-    further_inputs: frozenset[str] = frozenset(),
+    name: str, result: ValueType, formula: str, about: str, unit: str = "", **further: Any
 ) -> Relation:
     """Returns a relation of one entity."""
-    return Relation(
-        name,
-        ENTITY,
-        result,
-        formula,
-        about,
-        unit=unit,
-        element=element,
-        recorded_formula=recorded_formula,
-        aliases=aliases,
-        link_formula=link_formula,
-        link_name=link_name,
-        further_inputs=further_inputs,
-    )
+    return Relation(name, ENTITY, result, formula, about, unit=unit, **further)
 
 
 def if_from_0_up(relation: str, formula: str, **parameters: str) -> str:
-    """Returns a condition that is an error if a parameter is negative or not a number.
-
-    Args:
-        relation: the name of the relation.
-        formula: the condition.
-        parameters: what each of the parameters is, for the message: `r="a radius, m"`.
-    """
+    """Returns a condition that is an error if a parameter is negative or not a number."""
     checks = (
         f"WHEN {name} < 0 OR isnan({name}::DOUBLE) THEN "
         f"error('{relation}: {name} is {what}, from 0 up, not ' || {name})::BOOLEAN"
@@ -57,10 +30,13 @@ def if_from_0_up(relation: str, formula: str, **parameters: str) -> str:
     return f"CASE {' '.join(checks)} ELSE {formula} END"
 
 
-def in_frame(frame: str, point: str) -> tuple[str, str, str]:
-    """Returns formulas: the coordinates of a row's position in the frame of another row."""
+def in_frame(frame: str, point: str, origin: str = "") -> tuple[str, str, str]:
+    """Returns formulas: the coordinates of a row's position in the frame of another row.
+
+    With an origin, they are those of the way from that row's position, along the axes of the frame.
+    """
     w, x, y, z = (f"{frame}.q{part}" for part in "wxyz")
-    away = [f"({point}.{axis} - {frame}.{axis})" for axis in "xyz"]
+    away = [f"({point}.{axis} - {origin or frame}.{axis})" for axis in "xyz"]
     rows = (
         (
             f"1 - 2 * ({y} ** 2 + {z} ** 2)",

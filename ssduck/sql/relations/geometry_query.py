@@ -25,8 +25,6 @@ MARGINS_UDF = "narrow margins"
 MARGINS = f'"{MARGINS_UDF}"($world)'
 ZERO = "0.0::DOUBLE"
 
-# The ids of the entities whose pairs are unknown.
-UNKNOWN_UDF = "narrow all_unknown"
 # What the two sides of a pair are, in either order.
 PairKind: TypeAlias = Literal["entities", "links", "links and entities"]
 
@@ -56,37 +54,28 @@ class GeometryQuery:
     """A function of the shapes of one entity or two, and the condition under which it is called.
 
     All expressions are DuckDB's, over the relation's parameters.
-
-    Attributes:
-        function: a method of `ShapeQueries`: it takes the ids of the entities, and numbers.
-        arguments: these numbers.
-        arguments_with_options: the same with the relation's optional parameters given.
-        bound: the largest distance of two boxes at which the function is called, metres; None to
-            call it for every pair.
-        bound_with_options: the same with the optional parameters given.
-        otherwise: the value beyond the bound, and of an entity with itself.
-        only_if: a further condition; without it the relation is False.
-        pairs: the pairs that are compared, for the manual and EXPLAIN.
-        is_at_least_box_distance: whether the result is at least the distance of the two boxes.
-        needs_whole_tick: whether the answer depends on all entities of the tick.
-        uses_margins: whether the collision margins of shapes count.
-        decides_alone: whether the function compares the boxes itself, so that Python need not.
-        over_ticks: the question that it is about two entities at many recorded ticks, if all ticks
-            can be decided at once.
     """
 
+    # A method of `ShapeQueries`: it takes the ids of the entities, and numbers.
     function: Callable[..., Any]
-    arguments: tuple[str, ...] = ()
+    arguments: tuple[str, ...] = ()  # these numbers
+    # The same with the relation's optional parameters given.
     arguments_with_options: tuple[str, ...] | None = None
+    # The largest distance of two boxes at which the function is called, metres; None to call it for
+    # every pair.
     bound: str | None = "0"
-    bound_with_options: str = "0"
-    otherwise: str = "FALSE"
-    only_if: str = ""
-    pairs: str = MEETING_BOXES
+    bound_with_options: str = "0"  # the same with the optional parameters given
+    otherwise: str = "FALSE"  # the value beyond the bound, and of an entity with itself
+    only_if: str = ""  # a further condition; without it the relation is False
+    pairs: str = MEETING_BOXES  # the pairs that are compared, for the manual and EXPLAIN
+    # Whether the result is at least the distance of the two boxes.
     is_at_least_box_distance: bool = False
-    needs_whole_tick: bool = False
-    uses_margins: bool = False
+    needs_whole_tick: bool = False  # whether the answer depends on all entities of the tick
+    uses_margins: bool = False  # whether the collision margins of shapes count
+    # Whether the function compares the boxes itself, so that Python need not.
     decides_alone: bool = False
+    # The question that it is about two entities at many recorded ticks, if all ticks can be decided
+    # at once.
     over_ticks: QuestionKind | None = None
 
     @property
@@ -145,29 +134,35 @@ class GeometryQuery:
 
 @dataclass(frozen=True)
 class PairSearch:
-    """A function that finds all pairs of a tick at once.
+    """A function that finds all pairs of a tick at once."""
 
-    Attributes:
-        function: a method of `ShapeQueries` or of `BoxQueries` that returns `IdPairs`.
-        is_exact: whether the relation holds of all pairs of the search, and need not be checked.
-        takes_distance: whether the pairs depend on a distance, or a depth.
-        uses_margins: whether the collision margins of shapes count.
-        finds_links: whether it also finds pairs of links, and of links and entities.
-        of_boxes: whether it is a method of `BoxQueries`, which needs no shapes. Its pairs are in
-            the order of the table of entities, not of their numbers.
-    """
-
+    # A method of `ShapeQueries` or of `BoxQueries` that returns `IdPairs`.
     function: Callable[..., Any]
+    # Whether the relation holds of all pairs of the search, and need not be checked.
     is_exact: bool = True
-    takes_distance: bool = True
-    uses_margins: bool = False
-    finds_links: bool = True
+    takes_distance: bool = True  # whether the pairs depend on a distance, or a depth
+    uses_margins: bool = False  # whether the collision margins of shapes count
+    finds_links: bool = True  # whether it also finds pairs of links, and of links and entities
+    # Whether it is a method of `BoxQueries`, which needs no shapes. Its pairs are in the order of
+    # the table of entities, not of their numbers.
     of_boxes: bool = False
 
     @property
     def name(self) -> str:
         """The name of the function in SQL."""
         return udf_name(self.function)
+
+    @property
+    def udf(self) -> GeometryUdf:
+        """The function as DuckDB calls it."""
+        return GeometryUdf(
+            self.function,
+            entities=0,
+            numbers=int(self.takes_distance),
+            result="BIGINT[]",
+            uses_margins=self.uses_margins,
+            of_boxes=self.of_boxes,
+        )
 
 
 COLLIDING = PairSearch(ShapeQueries.all_colliding)
@@ -185,33 +180,21 @@ ABOVE, BELOW, INSIDE = (
     PairSearch(function, takes_distance=False, finds_links=False, of_boxes=True)
     for function in (BoxQueries.all_above, BoxQueries.all_below, BoxQueries.all_inside)
 )
+# The entities whose pairs are unknown.
+UNKNOWN = PairSearch(ShapeQueries.all_unknown, takes_distance=False)
 PAIR_SEARCHES = (
-    COLLIDING,
-    WITHIN,
-    TOUCHING,
-    RESTING,
-    STACKED,
-    BOXES_MEETING,
-    BOXES_REACHING,
-    ABOVE,
-    BELOW,
-    INSIDE,
+    *(COLLIDING, WITHIN, TOUCHING, RESTING, STACKED, BOXES_MEETING, BOXES_REACHING),
+    *(ABOVE, BELOW, INSIDE, UNKNOWN),
 )
 
 
 @dataclass(frozen=True)
 class CandidatePairs:
-    """The pairs of a tick of which a relation of two entities may hold.
+    """The pairs of a tick of which a relation of two entities may hold."""
 
-    Attributes:
-        search: finds them.
-        distance: metres, a DuckDB expression over parameters that are values.
-        distance_with_options: the same with the optional parameters given.
-    """
-
-    search: PairSearch
-    distance: str = "0"
-    distance_with_options: str = "0"
+    search: PairSearch  # finds them
+    distance: str = "0"  # metres, a DuckDB expression over parameters that are values
+    distance_with_options: str = "0"  # the same with the optional parameters given
 
 
 # The functions to which it does not matter whether a simulator takes a closed mesh as a solid.
@@ -231,27 +214,22 @@ class GeometryUdf:
     """A function of the shapes of a tick, as DuckDB calls it: with the name of a world first.
 
     A function that finds all pairs then takes the kind of the pairs.
-
-    Attributes:
-        name: its name in SQL.
-        function: a method of `ShapeQueries`.
-        entities: how many entities it takes; each is given as its tick and its id. 0 for a
-            function that finds all pairs.
-        numbers: how many numbers it takes after them.
-        result: DuckDB's type of the result.
-        needs_whole_tick: whether the answer depends on all entities of the tick.
-        uses_margins: whether the collision margins of shapes count.
-        of_boxes: whether it is a method of `BoxQueries`.
     """
 
-    name: str
-    function: Callable[..., Any]
+    function: Callable[..., Any]  # a method of `ShapeQueries`
+    # How many entities it takes; each is given as its tick and its id. 0 for a function that finds
+    # all pairs.
     entities: int
-    numbers: int
-    result: str
-    needs_whole_tick: bool = False
-    uses_margins: bool = False
-    of_boxes: bool = False
+    numbers: int  # how many numbers it takes after them
+    result: str  # DuckDB's type of the result
+    needs_whole_tick: bool = False  # whether the answer depends on all entities of the tick
+    uses_margins: bool = False  # whether the collision margins of shapes count
+    of_boxes: bool = False  # whether it is a method of `BoxQueries`
+
+    @property
+    def name(self) -> str:
+        """Its name in SQL."""
+        return udf_name(self.function)
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -263,29 +241,9 @@ class GeometryUdf:
 
 def name_over_ticks(kind: QuestionKind) -> str:
     """Returns the SQL name of the function that answers a question over many recorded ticks."""
-    return f"then {kind}"
+    return f"{kind} over ticks"
 
 
 def udf_name(function: Callable[..., Any]) -> str:
     """Returns the SQL name of a method of `ShapeQueries`; no user's function has a blank."""
     return f"narrow {function.__name__}"
-
-
-def search_udf(search: PairSearch) -> GeometryUdf:
-    """Returns the function that DuckDB calls to find all pairs of a tick."""
-    return GeometryUdf(
-        search.name,
-        search.function,
-        entities=0,
-        numbers=int(search.takes_distance),
-        result="BIGINT[]",
-        uses_margins=search.uses_margins,
-        of_boxes=search.of_boxes,
-    )
-
-
-def unknown_udf() -> GeometryUdf:
-    """Returns the function that DuckDB calls to find the entities whose pairs are unknown."""
-    return GeometryUdf(
-        UNKNOWN_UDF, ShapeQueries.all_unknown, entities=0, numbers=0, result="BIGINT[]"
-    )

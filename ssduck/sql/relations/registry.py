@@ -20,23 +20,16 @@ from collections.abc import Iterable
 
 import sqlglot
 
-from ssduck.sql.relations.contacts import CONTACT_RELATIONS
-from ssduck.sql.relations.entities import ENTITY_RELATIONS
+from ssduck.sql.relations.contacts import CONTACT_RELATIONS, SENSOR_RELATIONS
+from ssduck.sql.relations.entities import ENTITY_RELATIONS, REGION_RELATIONS
 from ssduck.sql.relations.geometry_query import (
     PAIR_SEARCHES,
-    UNKNOWN_UDF,
     GeometryUdf,
     boxes_within,
-    search_udf,
-    udf_name,
-    unknown_udf,
 )
-from ssduck.sql.relations.joints import JOINT_RELATIONS
-from ssduck.sql.relations.motion import MOTION_RELATIONS
+from ssduck.sql.relations.motion import JOINT_RELATIONS, MOTION_RELATIONS
 from ssduck.sql.relations.ode import ODE_RELATIONS
-from ssduck.sql.relations.regions import REGION_RELATIONS
 from ssduck.sql.relations.relation import Relation, by_name
-from ssduck.sql.relations.sensors import SENSOR_RELATIONS
 from ssduck.sql.relations.shapes import SHAPE_RELATIONS
 
 RELATIONS: dict[str, Relation] = by_name(
@@ -68,7 +61,6 @@ def _geometry_udf(relation: Relation) -> GeometryUdf:
         known = ", ".join(types)
         raise ValueError(f"{relation.name}: the geometry yields {known}, not {relation.result}")
     return GeometryUdf(
-        udf_name(query.function),
         query.function,
         entities=sum(parameter.type == "entity" for parameter in relation.parameters),
         numbers=len(query.arguments),
@@ -79,13 +71,8 @@ def _geometry_udf(relation: Relation) -> GeometryUdf:
 
 
 def geometry_udfs(relations: Iterable[Relation]) -> dict[str, GeometryUdf]:
-    """Returns the functions of shapes that relations call, and those that find all pairs, by name.
-
-    Raises:
-        ValueError: two relations describe the same function differently.
-    """
-    result = {search.name: search_udf(search) for search in PAIR_SEARCHES}
-    result[UNKNOWN_UDF] = unknown_udf()
+    """Returns the functions of shapes that relations call or that find all pairs, by name."""
+    result = {search.name: search.udf for search in PAIR_SEARCHES}
     for relation in relations:
         if relation.geometry is not None:
             udf = _geometry_udf(relation)

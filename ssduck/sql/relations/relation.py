@@ -55,58 +55,38 @@ class Relation:
     'height(object) -> float'
     >>> height.macro()
     'CREATE OR REPLACE TEMP MACRO "height" (object) AS (object.zmax - object.zmin)'
-
-    Attributes:
-        name: its name in SelectScript and in SQL.
-        parameters: its parameters.
-        result: the type of its result.
-        formula: a DuckDB expression over the columns of its parameters.
-        about: its meaning and its boundary, in a sentence or two.
-        formula_with_options: the formula with all optional parameters given.
-        formula_with_first_option: the formula with the first of two optional parameters given.
-        result_with_options: the type of its result then, if it is another one.
-        unit: the unit of the result.
-        is_symmetric: whether the order of two entities does not matter.
-        element: the type of the elements, if the result is a list.
-        geometry: the function of shapes that it calls, if any.
-        candidate_pairs: the pairs of a tick of which it may hold, if they can be found at once.
-        recorded_formula: the formula of a macro for rows of a recorded tick, if it looks up what
-            differs from tick to tick.
-        link_formula: the formula where an entity may be a link, if it is another one.
-        site_formula: the formula where the first entity is a site, whose row has its region.
-        link_name: the column of a link that stands for `name`.
-        list_formula: the formula for two lists, if it has another meaning for them.
-        aliases: other names; a name that raw SQL has to quote has one.
-        alias_of: the first name, if this is another one.
-        python_table: the table that its Python function reads, if that is not of shapes.
-        further_inputs: what to fetch before it is evaluated that its formula does not show.
-        may_fail: whether there are entities for which it is an error.
-        of_contacts: the function of contacts that returns the same for two entities of a tick.
     """
 
-    name: str
-    parameters: tuple[Parameter, ...]
-    result: ValueType
-    formula: str
-    about: str
-    formula_with_options: str | None = None
+    name: str  # its name in SelectScript and in SQL
+    parameters: tuple[Parameter, ...]  # its parameters
+    result: ValueType  # the type of its result
+    formula: str  # a DuckDB expression over the columns of its parameters
+    about: str  # its meaning and its boundary, in a sentence or two
+    formula_with_options: str | None = None  # the formula with all optional parameters given
+    # The formula with the first of two optional parameters given.
     formula_with_first_option: str | None = None
+    # The type of its result then, if it is another one.
     result_with_options: ValueType | None = None
-    unit: str = ""
-    is_symmetric: bool = False
-    element: ValueType = "double"
-    geometry: GeometryQuery | None = None
+    unit: str = ""  # the unit of the result
+    is_symmetric: bool = False  # whether the order of two entities does not matter
+    element: ValueType = "double"  # the type of the elements, if the result is a list
+    geometry: GeometryQuery | None = None  # the function of shapes that it calls, if any
+    # The pairs of a tick of which it may hold, if they can be found at once.
     candidate_pairs: CandidatePairs | None = None
+    # The formula of a macro for rows of a recorded tick, if it looks up what differs from tick to
+    # tick.
     recorded_formula: str = ""
-    link_formula: str = ""
-    site_formula: str = ""
-    link_name: str = "name"
-    list_formula: str = ""
-    aliases: tuple[str, ...] = ()
-    alias_of: str = ""
-    python_table: str = ""
+    link_formula: str = ""  # the formula where an entity may be a link, if it is another one
+    site_formula: str = ""  # the formula where the first entity is a site, whose row has its region
+    link_name: str = "name"  # the column of a link that stands for `name`
+    list_formula: str = ""  # the formula for two lists, if it has another meaning for them
+    aliases: tuple[str, ...] = ()  # other names; a name that raw SQL has to quote has one
+    alias_of: str = ""  # the first name, if this is another one
+    python_table: str = ""  # the table that its Python function reads, if that is not of shapes
+    # What to fetch before it is evaluated that its formula does not show.
     further_inputs: frozenset[str] = frozenset()
-    may_fail: bool = False
+    may_fail: bool = False  # whether there are entities for which it is an error
+    # The function of contacts that returns the same for two entities of a tick.
     of_contacts: Callable[[ContactPairs, int, int], bool | float] | None = None
 
     @property
@@ -276,12 +256,7 @@ class Relation:
         return exp.case().when(exp.or_(*differ), exp.func("error", message)).else_(formula)
 
     def macro(self, schema: str | None = None, *, inside: bool = False) -> str:
-        """Returns the statement that makes the DuckDB macro of the same name.
-
-        Args:
-            schema: that of the world that it looks things up in; without one it fails.
-            inside: whether the macro is one of that schema, rather than one for all.
-        """
+        """Returns the statement that makes the DuckDB macro of the same name."""
         name = exp.to_identifier(self.name, quoted=True).sql("duckdb")
         place = f"TEMP MACRO {name}"
         if inside:
@@ -289,11 +264,7 @@ class Relation:
         return f"CREATE OR REPLACE {place} {_overloads(self, schema)}"
 
     def comment(self, schema: str | None = None) -> str:
-        """Returns the statement that describes the macro in DuckDB's own list of functions.
-
-        Args:
-            schema: whose macro it is; without one, that for all.
-        """
+        """Returns the statement that describes the macro in DuckDB's own list of functions."""
         place = ("temp", "main") if schema is None else (schema,)
         parts = (exp.to_identifier(part, quoted=True).sql("duckdb") for part in (*place, self.name))
         return (
@@ -360,7 +331,7 @@ LENIENT_PREFIX = "any "
 
 
 def _lenient_joints(tree: exp.Expr) -> exp.Expr:
-    """Returns a formula for raw SQL, whose conditions have no order: see `joints`."""
+    """Returns a formula for raw SQL, whose conditions have no order: see `motion`."""
 
     def renamed(part: exp.Expr) -> exp.Expr:
         if isinstance(part, exp.Anonymous) and part.name.startswith("joints "):

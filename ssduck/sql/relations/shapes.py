@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS
 from ssduck.sql.relations.common import A_B, ENTITY
@@ -34,26 +36,9 @@ def shape_relation(
     about: str,
     *,
     parameters: tuple[Parameter, ...] = A_B,
-    unit: str = "",
-    is_symmetric: bool = False,
-    element: ValueType = "double",
-    candidate_pairs: CandidatePairs | None = None,
-    aliases: tuple[str, ...] = (),
+    **further: Any,
 ) -> Relation:
-    """Returns a relation that a function of the shapes of its entities answers.
-
-    Args:
-        name: its name.
-        result: the type of its result.
-        geometry: the function, and the pairs for which it is called.
-        about: its meaning and its boundary.
-        parameters: its parameters: a and b, if it is not said.
-        unit: the unit of the result.
-        is_symmetric: whether the order of a and b does not matter.
-        element: the type of the elements, if the result is a list.
-        candidate_pairs: the pairs of a tick of which it may hold, if they can be found at once.
-        aliases: other names.
-    """
+    """Returns a relation that a function of the shapes of its entities answers."""
     entities = [parameter.name for parameter in parameters if parameter.type == "entity"]
     if len(entities) > 1 and result != "boolean" and geometry.otherwise == "FALSE":
         raise ValueError(
@@ -68,12 +53,8 @@ def shape_relation(
         geometry.formula(entities),
         about,
         formula_with_options=geometry.formula_with_options(entities),
-        unit=unit,
-        is_symmetric=is_symmetric,
-        element=element,
         geometry=geometry,
-        candidate_pairs=candidate_pairs,
-        aliases=aliases,
+        **further,
     )
 
 

@@ -9,7 +9,7 @@ import weakref
 import pytest
 
 import ssduck
-from ssduck.database.statement import RUNS_BEFORE_PLAN
+from ssduck.database.plans import RUNS_BEFORE_PLAN
 from tests.support.cases import sampled
 from tests.support.timing import HANGS
 from tests.support.triggering import HEIGHT, state, until

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import ssduck
-from ssduck.sql.relations import RELATIONS
+from ssduck.sql.relations.registry import RELATIONS
 from tests.support.two_simulators import TOLERANCE, differences, in_mujoco, in_pybullet, parts_of
 
 mujoco, pybullet = pytest.importorskip("mujoco"), pytest.importorskip("pybullet")

@@ -9,7 +9,7 @@ import duckdb
 import pytest
 
 import ssduck
-from ssduck.database.statement import RUNS_BEFORE_PLAN
+from ssduck.database.plans import RUNS_BEFORE_PLAN
 from ssduck.errors import ProgramWarning, SelectScriptError
 from ssduck.interpreter import query_runner
 from tests.sql.habits.test_queries import DATA
