@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal, TypeAlias
 
 from ssduck.geometry.box_relations import BoxQueries
@@ -152,7 +153,7 @@ class PairSearch:
         """The name of the function in SQL."""
         return udf_name(self.function)
 
-    @property
+    @cached_property
     def udf(self) -> GeometryUdf:
         """The function as DuckDB calls it."""
         return GeometryUdf(
