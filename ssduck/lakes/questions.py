@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, fields
 from typing import Any, TypeAlias
@@ -34,35 +33,8 @@ Answering: TypeAlias = Callable[[Interpreter, EpisodeEntry], Any]
 _OF_EPISODE = frozenset(("tick", "run", "eval", "var"))
 
 
-class Question(ABC):
-    """A question that each episode answers by itself."""
-
-    limits: Limits | None
-    # Whether a probable mistake in it is an error.
-    is_strict = False
-
-    @property
-    @abstractmethod
-    def key(self) -> str:
-        """What tells it from other questions."""
-
-    @property
-    @abstractmethod
-    def is_batchable(self) -> bool:
-        """Whether episodes may be one record while they answer it."""
-
-    @property
-    @abstractmethod
-    def reads_present(self) -> bool:
-        """Whether it reads more of the last tick than its time."""
-
-    @abstractmethod
-    def answering(self, interpreter: Interpreter) -> Answering:
-        """Returns a function that answers episodes, with one interpreter for all of them."""
-
-
 @dataclass(frozen=True)
-class ProgramQuestion(Question):
+class ProgramQuestion:
     """A program, whose value is the answer."""
 
     text: str  # the program
@@ -145,7 +117,7 @@ def _is_of_episode(node: Node) -> bool:
 
 
 @dataclass(frozen=True)
-class ScoreQuestion(Question):
+class ScoreQuestion:
     """The terms of a task, evaluated after each step of an episode of `ssduck.gym`."""
 
     terms: Terms  # the terms
@@ -200,6 +172,10 @@ class StepsQuestion(ScoreQuestion):
 
     def _told(self, score: EpisodeScore) -> dict[str, Any]:
         return {field.name: getattr(score, field.name) for field in fields(score)}
+
+
+# What each episode answers by itself.
+Question: TypeAlias = ProgramQuestion | ScoreQuestion
 
 
 def plain(value: Any) -> Any:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import threading
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from itertools import islice
@@ -59,14 +59,14 @@ class EpisodeGroup:
         # The files of the episodes whose descriptions were read.
         self._described: dict[tuple[str, str, int], tuple[StoredFile, ...]] = {}
 
-    def files_of(self, entry: EpisodeEntry) -> EntryFiles:
-        """Returns the files of an episode of the group."""
+    def parts_of(self, entry: EpisodeEntry) -> dict[str, list[BatchedFile]]:
+        """Returns the files of an episode by table, whose description is that of the group."""
         if self._described.get(entry.key) != entry.files:
             run = _run_of(entry)
             if _description(run) != _description(self.run):
                 raise RecordError(f"{run.about_file} describes another recording than its group's")
             self._described[entry.key] = entry.files
-        return EntryFiles(entry)
+        return parts_of_entry(entry, self.run.tables)
 
 
 def _run_of(entry: EpisodeEntry) -> FolderRun:
@@ -78,26 +78,21 @@ def _description(run: FolderRun) -> tuple[object, ...]:
     return run.world, run.tables, run.recording, run.description.get("camera")
 
 
-class EntryFiles:
-    """The parts of an episode, as its entry has them."""
-
-    def __init__(self, entry: EpisodeEntry) -> None:
-        self._path = entry.path
-        self._end = f"/world={entry.world}/episode={entry.episode}"
-        self._sums: dict[str, dict[str, int]] = {}
-        for file in entry.files:
-            folder, _, name = file.name.rpartition("/")
-            self._sums.setdefault(folder, {})[name] = file.checksum
-
-    def parts(self, table: str) -> list[BatchedFile]:
-        """Returns the files of a table, in their order."""
-        folder = f"{table}{self._end}"
-        sums: Mapping[str, int] = self._sums.get(folder, {})
-        names = [part_name(number) for number in range(len(sums))]
-        if not names or sorted(sums) != names:
-            raise RecordError(f"{self._path}/{folder} has other files than complete parts")
-        place = f"{_resolved(self._path)}/{folder}"
-        return [BatchedFile(f"{place}/{name}", sums[name], table) for name in names]
+def parts_of_entry(entry: EpisodeEntry, tables: Collection[str]) -> dict[str, list[BatchedFile]]:
+    """Returns the files of the parts of an episode by table, in order, as its entry has them."""
+    place, sums = _resolved(entry.path), dict[str, dict[str, int]]()
+    for file in entry.files:
+        folder, _, name = file.name.rpartition("/")
+        sums.setdefault(folder, {})[name] = file.checksum
+    parts = {}
+    for table in tables:
+        folder = f"{table}/world={entry.world}/episode={entry.episode}"
+        own = sums.get(folder, {})
+        names = [part_name(number) for number in range(len(own))]
+        if not names or sorted(own) != names:
+            raise RecordError(f"{entry.path}/{folder} has other files than complete parts")
+        parts[table] = [BatchedFile(f"{place}/{folder}/{name}", own[name], table) for name in names]
+    return parts
 
 
 @lru_cache(maxsize=1024)
@@ -180,8 +175,7 @@ class _Reader:
 
     def _read(self, entry: EpisodeEntry) -> BatchedEpisode:
         """Returns an episode of the group; its ticks come after those of all others."""
-        listed = self._group.files_of(entry)
-        files = {table: listed.parts(table) for table in self._tables}
+        files = self._group.parts_of(entry)
         ticks_of_parts = [
             self._batch.parts.read(file).rows(["tick", "time", "wall_time"])
             for file in files["ticks"]

@@ -11,7 +11,7 @@ import pytest
 import ssduck
 from ssduck.lakes import workers
 from ssduck.lakes.questions import ProgramQuestion
-from ssduck.lakes.workers import EntryFiles
+from ssduck.lakes.workers import parts_of_entry
 from ssduck.recording.stores import episode_batch
 from ssduck.recording.stores.episode_batch import BatchedFile, ReadParts
 from ssduck.recording.stores.files import write_parquet
@@ -164,7 +164,7 @@ def test_the_columns_that_are_kept_are_bounded(record, monkeypatch) -> None:
     files = [
         file
         for number in range(EPISODES)
-        for file in EntryFiles(ssduck.lake(record).entries[number]).parts("entities")
+        for file in parts_of_entry(ssduck.lake(record).entries[number], ["entities"])["entities"]
     ]
     monkeypatch.setattr(BatchedFile, "content", lambda file: Path(file.path).read_bytes())
     parts = ReadParts()
