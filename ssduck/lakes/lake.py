@@ -9,7 +9,7 @@ import time
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
@@ -74,6 +74,14 @@ class _How:
     progress: bool = True
     options: Mapping[str, Any] | None = None
     session: Any = None
+
+
+def _how(method: str, engine: EngineName, arguments: Mapping[str, Any]) -> _How:
+    """Returns how episodes are asked by a method that takes further arguments of `ask`."""
+    known = [field.name for field in fields(_How)]
+    others = {name: value for name, value in arguments.items() if name not in known}
+    validation.no_others(others, method, known, {})
+    return _How(engine, **arguments)
 
 
 def _program(text: str, limits: Limits | None, strict: bool) -> ProgramQuestion:
@@ -297,7 +305,7 @@ class Lake:
         the first table. Each table has the types of its own answers.
         """
         check_in_process(limits, "stream")
-        how = _How(engine, **arguments)
+        how = _how("stream", engine, arguments)
         answered = self._answered(_program(program, limits, strict), where, how)
         return _tables(answered, how.batch or BATCH)
 
@@ -429,7 +437,7 @@ class Lake:
         checked_tags({name: True}, "tag")
         validation.text(program, "tag takes a program (set_tags takes tags)")
         check_in_process(limits, "tag")
-        how = _How(engine, **arguments)
+        how = _how("tag", engine, arguments)
         answered = list(self._answered(_program(program, limits, strict), where, how))
         values = {
             one.entry.key: _single_value(one.value)

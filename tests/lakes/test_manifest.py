@@ -274,6 +274,8 @@ def test_tags(folder):
         lake.tag("many", "[1, 2];", processes=1)
     with pytest.raises(ArgumentError, match="task"):
         lake.set_tags({"task": [1]})
+    with pytest.raises(ArgumentError, match="there is no argument 'proceses'"):
+        lake.tag("near", "1;", proceses=1)
 
 
 @pytest.mark.parametrize(
