@@ -44,18 +44,13 @@ from ssduck.schema import MODELS, RECORDABLE
 
 
 class EpisodeGroup:
-    """The episodes with the models, tables and entities of one of them.
-
-    Attributes:
-        run: the episode.
-        models: the rows of each model.
-        number: the number of its run.
-    """
+    """The episodes with the models, tables and entities of one of them."""
 
     def __init__(self, entry: EpisodeEntry) -> None:
-        self.run = _run_of(entry)
+        self.run = _run_of(entry)  # the episode
+        # The rows of each model.
         self.models = {table: self.run.read(f"models/{table}") for table in MODELS}
-        self.number = run_of(self.models) or 0
+        self.number = run_of(self.models) or 0  # the number of its run
         # The files of the episodes whose descriptions were read.
         self._described: dict[tuple[str, str, int], tuple[StoredFile, ...]] = {}
 

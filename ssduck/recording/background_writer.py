@@ -30,17 +30,12 @@ StoreBatch: TypeAlias = Callable[[Mapping[str, pa.Table], CommitLock], None]
 
 
 class BufferedRows:
-    """The rows of a table in several parts.
-
-    Attributes:
-        empty: a table without rows that has the columns.
-        parts: the parts, oldest first.
-        version: a number that changes whenever `arrow` becomes another object.
-    """
+    """The rows of a table in several parts."""
 
     def __init__(self, columns: pa.Schema) -> None:
-        self.empty = columns.empty_table()
-        self.parts: list[pa.Table] = []
+        self.empty = columns.empty_table()  # a table without rows that has the columns
+        self.parts: list[pa.Table] = []  # the parts, oldest first
+        # A number that changes whenever `arrow` becomes another object.
         self.version = new_version()
 
     @property
@@ -54,10 +49,6 @@ class BackgroundWriter:
 
     A batch is readable here until it is readable in the store. The writing thread holds `lock`
     during the transition, and a reader of both holds it while it reads.
-
-    Attributes:
-        lock: is held while the batches and the store are read together.
-        batches: the rows that are not stored yet, by table.
     """
 
     def __init__(
@@ -68,6 +59,7 @@ class BackgroundWriter:
         self._append = append
         # A condition: waiting for the thread releases the lock, however often it was acquired.
         self.lock = threading.Condition(threading.RLock())
+        # The rows that are not stored yet, by table.
         self.batches = {table: BufferedRows(columns) for table, columns in tables.items()}
         self._count = 0
         self._thread: threading.Thread | None = None

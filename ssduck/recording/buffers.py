@@ -50,33 +50,26 @@ class TickRows:
 
 
 class RowBuffer:
-    """Buffered rows of one table.
-
-    Attributes:
-        arrow: the table; its unused rows have tick -1.
-        version: a number that changes whenever `arrow` becomes another object.
-        count: the number of buffered rows.
-        capacity: the number of rows that fit.
-        ticks: the tick of each row, (capacity,).
-        doubles: the columns of doubles, (columns, capacity).
-    """
+    """Buffered rows of one table."""
 
     def __init__(
         self, integers: tuple[str, ...], doubles: tuple[str, ...], booleans: tuple[str, ...] = ()
     ) -> None:
         self._names = integers, doubles, booleans
-        self.count = 0
+        self.count = 0  # the number of buffered rows
         self._allocate(_MIN_ROWS)
 
     def _allocate(self, capacity: int) -> None:
         integers, doubles, booleans = self._names
-        self.capacity = capacity
+        self.capacity = capacity  # the number of rows that fit
         self.integers = {name: np.zeros(capacity, dtype=np.int64) for name in integers}
-        self.ticks = self.integers["tick"]
+        self.ticks = self.integers["tick"]  # the tick of each row, (capacity,)
         self.ticks.fill(-1)
+        # The columns of doubles, (columns, capacity).
         self.doubles = np.zeros((len(doubles), capacity))
         self.booleans = {name: np.zeros(capacity, dtype=np.uint8) for name in booleans}
-        self.arrow = self._table(slice(0, capacity))
+        self.arrow = self._table(slice(0, capacity))  # the table; its unused rows have tick -1
+        # A number that changes whenever `arrow` becomes another object.
         self.version = new_version()
 
     def _table(self, rows: slice, *, copied: bool = False) -> pa.Table:
@@ -163,17 +156,13 @@ def new_buffer(table: str) -> RowBuffer:
 
 
 class TickBuffer:
-    """The numbers and times of recorded ticks, ascending.
-
-    Attributes:
-        has_dropped: whether ticks were removed.
-    """
+    """The numbers and times of recorded ticks, ascending."""
 
     def __init__(self) -> None:
         self._numbers = np.zeros(256, dtype=np.int64)
         self._times = np.zeros(256)
         self._first = self._end = 0
-        self.has_dropped = False
+        self.has_dropped = False  # whether ticks were removed
 
     def __len__(self) -> int:
         return self._end - self._first

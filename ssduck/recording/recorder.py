@@ -73,15 +73,7 @@ _BLOCK_TICKS, _BLOCK_LINKS = 64, 2048
 
 
 class Recorder:
-    """Records the ticks of a world.
-
-    Attributes:
-        ticks: the recorded ticks, stored and buffered.
-        members: the recorded entities by id, removed ones included.
-        mass_changes: the bodies whose masses have changed since they were recorded.
-        flush_at: the time at which buffered rows are stored even if the buffers are not full, s of
-            `time.monotonic`; None for none.
-    """
+    """Records the ticks of a world."""
 
     def __init__(
         self,
@@ -105,8 +97,10 @@ class Recorder:
         self._flush_every = flush_every
         # The time at which the buffered rows are to be stored, s of `monotonic`; None for no time.
         self.flush_at: float | None = None
-        self.ticks = TickBuffer()
+        self.ticks = TickBuffer()  # the recorded ticks, stored and buffered
+        # The recorded entities by id, removed ones included.
         self.members: dict[int, EntityInfo] = {}
+        # The bodies whose masses have changed since they were recorded.
         self.mass_changes = MassChanges()
         self._tick_count = 0
         self._has_dropped_old = True

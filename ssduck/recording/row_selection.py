@@ -51,12 +51,7 @@ class _FixedRows:
 
 
 class RecordedRows:
-    """The rows of a world's tables that are recorded while its entities are the same.
-
-    Attributes:
-        members: the recorded entities.
-        link_count: the number of links of all bodies.
-    """
+    """The rows of a world's tables that are recorded while its entities are the same."""
 
     def __init__(
         self, snapshot: Snapshot, tables: Collection[str], names: Collection[str] | None
@@ -64,6 +59,7 @@ class RecordedRows:
         self._tables, self._layout = tables, snapshot.layout
         self._flags = snapshot.disabled, snapshot.hidden
         members = self._layout.entities
+        # The recorded entities.
         self.members = members if names is None else chosen_members(members, names)
         # The ids of the recorded entities; None for all.
         self._ids = None if names is None else np.array([m.id for m in self.members], np.int64)
@@ -72,6 +68,7 @@ class RecordedRows:
             _select_links(part, self._layout, ids)
             for part in (self._layout.static_bodies, self._layout.moving_bodies)
         ]
+        # The number of links of all bodies.
         self.link_count = sum(len(body.links) for _, body in self._layout.bodies)
         self._fixed = {t: self._fixed_rows(snapshot, t) for t in tables if t in FIXED_ROW_TABLES}
         if FRAMES in tables:

@@ -118,12 +118,7 @@ _NAN = float("nan")
 
 
 class Record:
-    """The recorded ticks of a world.
-
-    Attributes:
-        entity_shapes: the shapes of the members.
-        answer_cache: the answers about pairs of entities at its ticks, as far as they are cached.
-    """
+    """The recorded ticks of a world."""
 
     def __init__(
         self,
@@ -157,7 +152,8 @@ class Record:
         self.fetch = fetch
         self._mass_changes = mass_changes
         self.near_pairs = near_pairs
-        self.entity_shapes = EntityShapes(members)
+        self.entity_shapes = EntityShapes(members)  # the shapes of the members
+        # The answers about pairs of entities at its ticks, as far as they are cached.
         self.answer_cache = AnswerCache()
         # The number of members that the value was computed for, and the value.
         self._cached_margins = -1, 0.0

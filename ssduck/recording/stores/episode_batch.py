@@ -202,23 +202,15 @@ class BatchedEpisode:
 
 
 class DamagedEpisodeError(RecordError):
-    """A file of an episode of a batch is missing or damaged.
-
-    Attributes:
-        index: the index of the episode.
-    """
+    """A file of an episode of a batch is missing or damaged."""
 
     def __init__(self, message: str, index: int) -> None:
         super().__init__(message)
-        self.index = index
+        self.index = index  # the index of the episode
 
 
 class EpisodeBatch(TickArchive):
-    """The ticks of episodes with the same entities and tables.
-
-    Attributes:
-        parts: the parts of the batch being asked.
-    """
+    """The ticks of episodes with the same entities and tables."""
 
     def __init__(
         self,
@@ -229,7 +221,7 @@ class EpisodeBatch(TickArchive):
         connection: StoreConnection,
         register: Callable[[str, PartsDataset], None],
     ) -> None:
-        self.parts = ReadParts()
+        self.parts = ReadParts()  # the parts of the batch being asked
         self.recording = recording
         self.tables = tuple(tables)
         self._run = run
