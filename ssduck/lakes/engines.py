@@ -14,12 +14,14 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, fields
 from pathlib import Path
 from tempfile import TemporaryDirectory, mkstemp
 from typing import Any, Literal, TypeAlias
 
 import pyarrow as pa
 
+from ssduck import validation
 from ssduck.errors import ArgumentError, EvaluationError, UnsupportedError
 from ssduck.lakes.manifest import EpisodeEntry, from_bytes, to_bytes
 from ssduck.lakes.pool import end_at_once, pools
@@ -37,6 +39,27 @@ _RAY_HINT = "engine='ray' needs Ray: pip install 'ssduck[ray]'"
 _SPARK_HINT = "engine='spark' needs PySpark and Java 17 or newer: pip install 'ssduck[spark]'"
 _PARTS = "batch int, question binary, entries binary"
 _RESULTS = "batch int, place int, answer string, error string, doubts array<string>"
+
+
+@dataclass(frozen=True)
+class How:
+    """How episodes are asked; see `Lake.ask`."""
+
+    engine: EngineName = "local"
+    processes: int | None = None
+    batch: int | None = None
+    resume: str | Path | None = None
+    progress: bool = True
+    options: Mapping[str, Any] | None = None
+    session: Any = None
+
+
+def how_of(method: str, engine: EngineName, arguments: Mapping[str, Any]) -> How:
+    """Returns how episodes are asked by a method that takes further arguments of `ask`."""
+    known = [field.name for field in fields(How)]
+    others = {name: value for name, value in arguments.items() if name not in known}
+    validation.no_others(others, method, known, {})
+    return How(engine, **arguments)
 
 
 def answer_locally(question: Question, batches: Sequence[Batch], processes: int) -> Answers:

@@ -9,7 +9,7 @@ import time
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
@@ -30,7 +30,7 @@ from ssduck.errors import (
 )
 from ssduck.gym.terms import Reward, Terms, WhereNaN
 from ssduck.lakes.answers import AnsweredEpisode, KeptAnswers, answer_table, whole_table
-from ssduck.lakes.engines import Answerer, EngineName, engine_of
+from ssduck.lakes.engines import Answerer, EngineName, How, engine_of, how_of
 from ssduck.lakes.manifest import (
     EpisodeEntry,
     named_errors,
@@ -61,27 +61,6 @@ BATCH = 100
 MAX_DOUBTS = 10
 _FILE_SCHEME = "file://"
 _INTERNAL = ("group", "tags", "files", "error")
-
-
-@dataclass(frozen=True)
-class _How:
-    """How episodes are asked; see `Lake.ask`."""
-
-    engine: EngineName = "local"
-    processes: int | None = None
-    batch: int | None = None
-    resume: str | Path | None = None
-    progress: bool = True
-    options: Mapping[str, Any] | None = None
-    session: Any = None
-
-
-def _how(method: str, engine: EngineName, arguments: Mapping[str, Any]) -> _How:
-    """Returns how episodes are asked by a method that takes further arguments of `ask`."""
-    known = [field.name for field in fields(_How)]
-    others = {name: value for name, value in arguments.items() if name not in known}
-    validation.no_others(others, method, known, {})
-    return _How(engine, **arguments)
 
 
 def _program(text: str, limits: Limits | None, strict: bool) -> ProgramQuestion:
@@ -283,7 +262,7 @@ class Lake:
             ProgramWarning: a probable mistake in the program, once, with the first episode that
                 has it.
         """
-        how = _How(engine, processes, batch, resume, progress, options, session)
+        how = How(engine, processes, batch, resume, progress, options, session)
         if limits is not None and limits.is_sandboxed:
             with SandboxedLake(self.path, limits) as lake:
                 return lake.ask(program, where, strict=strict, **vars(how))
@@ -305,7 +284,7 @@ class Lake:
         the first table. Each table has the types of its own answers.
         """
         check_in_process(limits, "stream")
-        how = _how("stream", engine, arguments)
+        how = how_of("stream", engine, arguments)
         answered = self._answered(_program(program, limits, strict), where, how)
         return _tables(answered, how.batch or BATCH)
 
@@ -339,7 +318,7 @@ class Lake:
             ArgumentError: a term is none, or another argument is wrong.
             UnsupportedError: the engine is not installed.
         """
-        how = _How(engine, processes, batch, resume, progress, options, session)
+        how = How(engine, processes, batch, resume, progress, options, session)
         if limits is not None and limits.is_sandboxed:
             terms = success, failure, reward, stop_when
             with SandboxedLake(self.path, limits) as lake:
@@ -348,7 +327,7 @@ class Lake:
         return whole_table(self._answered(question, where, how))
 
     def _answered(
-        self, question: Question, where: str | None, how: _How
+        self, question: Question, where: str | None, how: How
     ) -> Iterator[AnsweredEpisode]:
         """Returns the answers of the selected episodes, in order, which are asked one by one."""
         progress = validation.boolean(how.progress, "ask: progress")
@@ -437,7 +416,7 @@ class Lake:
         checked_tags({name: True}, "tag")
         validation.text(program, "tag takes a program (set_tags takes tags)")
         check_in_process(limits, "tag")
-        how = _how("tag", engine, arguments)
+        how = how_of("tag", engine, arguments)
         answered = list(self._answered(_program(program, limits, strict), where, how))
         values = {
             one.entry.key: _single_value(one.value)

@@ -12,15 +12,12 @@ import weakref
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from time import monotonic
-from typing import TYPE_CHECKING, TypeAlias
+from typing import Protocol, TypeAlias
 
 import pyarrow as pa
 
 from ssduck.world import ctrl_c
 from ssduck.world.live_tables import new_version
-
-if TYPE_CHECKING:
-    from ssduck.recording.recorder import Recorder
 
 # Held by a store while added rows become readable.
 CommitLock: TypeAlias = AbstractContextManager[None]
@@ -144,15 +141,26 @@ RETRY_INTERVAL = 0.02
 _IDLE_SECONDS = 5.0
 
 
+class Flushable(Protocol):
+    """A recorder."""
+
+    # the time at which buffered rows are to be stored, s of `time.monotonic`; None if there are
+    # none
+    flush_at: float | None
+
+    def try_to_flush(self) -> bool:
+        """Starts storing rows that are due; returns False if that is not possible now."""
+
+
 class _FlushTimer:
     """The thread that stores rows of worlds that stand still, and the recorders of these."""
 
     def __init__(self) -> None:
         self._wakes = threading.Condition()
-        self._recorders: weakref.WeakSet[Recorder] = weakref.WeakSet()
+        self._recorders: weakref.WeakSet[Flushable] = weakref.WeakSet()
         self.thread: threading.Thread | None = None
 
-    def watch(self, recorder: Recorder) -> None:
+    def watch(self, recorder: Flushable) -> None:
         """Stores the buffered rows of a recorder when they are due."""
         with self._wakes:
             self._recorders.add(recorder)
@@ -195,7 +203,7 @@ class _FlushTimer:
 _timer = _FlushTimer()
 
 
-def start_watching(recorder: Recorder) -> None:
+def start_watching(recorder: Flushable) -> None:
     """Stores the buffered rows of a recorder from now on whenever they are due."""
     _timer.watch(recorder)
 

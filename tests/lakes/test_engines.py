@@ -9,7 +9,7 @@ import pytest
 import ssduck
 from ssduck.errors import EvaluationError, ProgramWarning, UnsupportedError
 from ssduck.lakes.answers import answer_table
-from ssduck.lakes.lake import _How
+from ssduck.lakes.engines import How
 from tests.support.lake_questions import PROGRAMS, KillingQuestion
 
 QUESTION = PROGRAMS["last tick"]
@@ -54,7 +54,7 @@ def spark(request):
 def answers_after_a_kill(lake, tmp_path, engine, **engines):
     """Returns the answers to a question that kills one of the processes that answer it."""
     question = KillingQuestion(QUESTION, mark=str(tmp_path / "killed"))
-    how = _How(engine, batch=1, resume=tmp_path / "kept", progress=False, **engines)
+    how = How(engine, batch=1, resume=tmp_path / "kept", progress=False, **engines)
     answered = lake._answered(question, None, how)
     table = answer_table(answered)
     assert (tmp_path / "killed").exists()
