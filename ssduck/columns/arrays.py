@@ -8,6 +8,7 @@ of n rows is (n,), and the values are (k, n), or (1, n) where they are the same 
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from itertools import count
 from typing import Any, Protocol, TypeAlias
@@ -25,6 +26,7 @@ from ssduck.columns.compiler import (
     Parts,
 )
 from ssduck.geometry.arrays import Flags, Indices
+from ssduck.language.operators import is_like
 from ssduck.sql.relation_calls import PairCall
 from ssduck.sql.relations.geometry_query import MARGINS_UDF, GeometryUdf
 from ssduck.sql.relations.registry import GEOMETRY_UDFS, RELATIONS
@@ -109,6 +111,37 @@ class ArrayValues(dict[Any, Array]):
         self.left |= np.broadcast_to(matter, (len(np.atleast_2d(matter)), self.count)).any(axis=0)
 
 
+_LIKE = np.frompyfunc(is_like, 2, 1)
+# Functions that the C library and numpy have, by their names in the first one.
+_REAL_FUNCTIONS: dict[str, Callable[..., Any]] = {
+    **{name: getattr(np, name) for name in ("exp", "log", "sin", "cos", "tan", "tanh")},
+    **{name: getattr(np, f"arc{name[1:]}") for name in ("asin", "acos", "atan", "atan2")},
+    "pow": np.power,
+}
+_CHECKED = frozenset(("+", "-", "*", "power", "sqrt"))
+_FUNCTIONS: dict[str, Callable[..., Any]] = {
+    "+": operator.add,
+    "-": operator.sub,
+    "*": operator.mul,
+    "power": np.power,
+    "%": np.fmod,
+    "=": operator.eq,
+    "<>": operator.ne,
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+    "like": lambda a, b: np.asarray(_LIKE(a, b), dtype=np.bool_),
+    "not": operator.invert,
+    "double": lambda part: np.asarray(part, dtype=np.float64),
+    "integer": lambda part: np.asarray(part, dtype=np.int64),
+    "negative": operator.neg,
+    "abs": np.abs,
+    "isfinite": np.isfinite,
+    "sqrt": np.sqrt,
+}
+
+
 class ArrayOperations:
     """Operations on arrays of the rows of a world's table.
 
@@ -145,8 +178,18 @@ class ArrayOperations:
 
         return compute
 
-    def arithmetic(self, operate: Callable[[Any, Any], Any], a: Compute, b: Compute) -> Compute:
-        return lambda values: _known(operate(a(values), b(values)), values)
+    def applied(self, name: str, *parts: Compute) -> Compute:
+        if name in _REAL_FUNCTIONS:
+            apply = self._apply
+            return lambda values: apply(values, name, *[part(values) for part in parts])
+        function = _FUNCTIONS[name]
+        is_checked = name in _CHECKED
+
+        def compute(values: ArrayValues) -> Array:
+            result = np.asarray(function(*[part(values) for part in parts]))
+            return _known(result, values) if is_checked else result
+
+        return compute
 
     def quotient(self, a: Compute, b: Compute) -> Compute:
         def compute(values: ArrayValues) -> Array:
@@ -157,36 +200,6 @@ class ArrayOperations:
 
         return compute
 
-    def remainder(self, part: Compute, divisor: int) -> Compute:
-        return lambda values: np.fmod(part(values), divisor)
-
-    def double(self, part: Compute) -> Compute:
-        return lambda values: np.asarray(part(values), dtype=np.float64)
-
-    def integer(self, part: Compute) -> Compute:
-        return lambda values: np.asarray(part(values), dtype=np.int64)
-
-    def negated(self, part: Compute) -> Compute:
-        return lambda values: -part(values)
-
-    def absolute(self, part: Compute) -> Compute:
-        return lambda values: np.abs(part(values))
-
-    def root(self, part: Compute) -> Compute:
-        return lambda values: _known(np.sqrt(part(values)), values)
-
-    def angle(self, y: Compute, x: Compute) -> Compute:
-        return lambda values: self._apply(values, math.atan2, y(values), x(values))
-
-    def power(self, part: Compute, exponent: float) -> Compute:
-        return lambda values: self._apply(values, math.pow, part(values), exponent)
-
-    def real(self, function: Callable[[float], float], part: Compute) -> Compute:
-        return lambda values: self._apply(values, function, part(values))
-
-    def is_finite(self, part: Compute) -> Compute:
-        return lambda values: np.isfinite(part(values))
-
     def extreme(self, compare: Callable[[Any, Any], Any], parts: Parts) -> Compute:
         def compute(values: ArrayValues) -> Array:
             result: Array = parts[0](values)
@@ -196,12 +209,6 @@ class ArrayOperations:
             return result
 
         return compute
-
-    def compared(self, compare: Callable[[Any, Any], Any], a: Compute, b: Compute) -> Compute:
-        return lambda values: np.asarray(compare(a(values), b(values)), dtype=np.bool_)
-
-    def inverted(self, part: Compute) -> Compute:
-        return lambda values: ~part(values)
 
     def both(self, first: Expression, second: Expression) -> Compute:
         return self._combined(first, second, is_and=True)
@@ -321,21 +328,19 @@ def _chosen(holds: Flags, part: Compute, others: Array | None, values: ArrayValu
     return np.where(holds, own, others)
 
 
-def _by_c_library(values: ArrayValues, function: Callable[..., float], *parts: Any) -> Array:
+def _by_c_library(values: ArrayValues, name: str, *parts: Any) -> Array:
     """Returns the values of a function as the C library computes them: rarely, numpy's differ."""
     del values
     columns = np.broadcast_arrays(*(np.asarray(part, dtype=np.float64) for part in parts))
     try:
+        function = getattr(math, name)
         numbers = list(map(function, *(column.ravel().tolist() for column in columns)))
     except (OverflowError, ValueError):
         raise LeftToDuckDBError from None
     return np.array(numbers).reshape(columns[0].shape)
 
 
-_OF_NUMPY: dict[Any, Callable[..., Any]] = {math.atan2: np.arctan2, math.pow: np.power}
-
-
-def _by_numpy(values: ArrayValues, function: Callable[..., float], *parts: Any) -> Array:
+def _by_numpy(values: ArrayValues, name: str, *parts: Any) -> Array:
     """Returns the values of a function as numpy computes them."""
-    compute = _OF_NUMPY.get(function) or getattr(np, function.__name__)
-    return _known(compute(*(np.asarray(part, dtype=np.float64) for part in parts)), values)
+    numbers = (np.asarray(part, dtype=np.float64) for part in parts)
+    return _known(_REAL_FUNCTIONS[name](*numbers), values)

@@ -14,10 +14,8 @@ from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Any, Literal, Protocol, TypeAlias
 
-import numpy as np
 from sqlglot import exp
 
-from ssduck.language.operators import is_like
 from ssduck.sql.relation_calls import PAIR_CALL, PairCall
 from ssduck.sql.relations.registry import GEOMETRY_UDFS
 from ssduck.sql.types import EXACT
@@ -46,26 +44,19 @@ class Expression:
     has_calls: bool = False
 
 
-_COMPARISONS: dict[type[exp.Expr], Callable[[Any, Any], Any]] = {
-    exp.EQ: operator.eq,
-    exp.NEQ: operator.ne,
-    exp.LT: operator.lt,
-    exp.LTE: operator.le,
-    exp.GT: operator.gt,
-    exp.GTE: operator.ge,
+# The functions of one value or two that `Operations.applied` has, by their forms in SQL.
+_COMPARISONS: dict[type[exp.Expr], str] = {
+    exp.EQ: "=",
+    exp.NEQ: "<>",
+    exp.LT: "<",
+    exp.LTE: "<=",
+    exp.GT: ">",
+    exp.GTE: ">=",
+    exp.Like: "like",  # of texts alone
 }
-# Of texts alone; numpy applies it to arrays of them.
-_LIKE = np.frompyfunc(is_like, 2, 1)
-_ARITHMETIC: dict[type[exp.Expr], Callable[[Any, Any], Any]] = {
-    exp.Add: operator.add,
-    exp.Sub: operator.sub,
-    exp.Mul: operator.mul,
-}
+_ARITHMETIC: dict[type[exp.Expr], str] = {exp.Add: "+", exp.Sub: "-", exp.Mul: "*"}
 # Functions that SQL and Python take from C, with the same results to the last digit.
-_REAL_FUNCTIONS = {
-    function.__name__: function
-    for function in (math.exp, math.sin, math.cos, math.tan, math.atan, math.tanh)
-}
+_REAL_FUNCTIONS = frozenset(("exp", "sin", "cos", "tan", "atan", "tanh"))
 _EXTREMES = {
     **dict.fromkeys(("list_min", "arraymin"), operator.le),
     **dict.fromkeys(("list_max", "arraymax"), operator.ge),
@@ -89,50 +80,17 @@ class Operations(Protocol):
     def once(self, part: Expression) -> Compute:
         """Returns a value that is computed once for the same leaves."""
 
-    def arithmetic(self, operate: Callable[[Any, Any], Any], a: Compute, b: Compute) -> Compute:
-        """Returns a sum, a difference or a product of which one operand is a double."""
+    def applied(self, name: str, *parts: Compute) -> Compute:
+        """Returns the value of a function or an operator of one value or two, by its name.
+
+        Of `+ - * power` one operand is a double; what is no number is left to DuckDB.
+        """
 
     def quotient(self, a: Compute, b: Compute) -> Compute:
         """Returns a quotient of doubles; a division by zero is left to DuckDB."""
 
-    def remainder(self, part: Compute, divisor: int) -> Compute:
-        """Returns the remainder of an integer, which has its sign."""
-
-    def double(self, part: Compute) -> Compute:
-        """Returns a number as a double."""
-
-    def integer(self, part: Compute) -> Compute:
-        """Returns 1 where a condition holds, and else 0."""
-
-    def negated(self, part: Compute) -> Compute:
-        """Returns a number with the other sign."""
-
-    def absolute(self, part: Compute) -> Compute:
-        """Returns a number without its sign."""
-
-    def root(self, part: Compute) -> Compute:
-        """Returns a square root; that of a negative number is left to DuckDB."""
-
-    def angle(self, y: Compute, x: Compute) -> Compute:
-        """Returns the angle of a point, rad."""
-
-    def power(self, part: Compute, exponent: float) -> Compute:
-        """Returns a power of a double, as the C library computes it."""
-
-    def real(self, function: Callable[[float], float], part: Compute) -> Compute:
-        """Returns a function of a real number, as the C library computes it."""
-
-    def is_finite(self, part: Compute) -> Compute:
-        """Returns whether a number is finite."""
-
     def extreme(self, compare: Callable[[Any, Any], Any], parts: Parts) -> Compute:
         """Returns the least or the greatest of some numbers, the last one of several."""
-
-    def compared(self, compare: Callable[[Any, Any], Any], a: Compute, b: Compute) -> Compute:
-        """Returns a comparison."""
-
-    def inverted(self, part: Compute) -> Compute:
-        """Returns whether a condition does not hold."""
 
     def both(self, first: Expression, second: Expression) -> Compute:
         """Returns whether both of two conditions hold; the second is computed where needed."""
@@ -225,14 +183,12 @@ class Compiler:
                     return self._constant("double", math.inf)
                 return self._double(sql.this)
             case exp.Cast() if sql.to.sql("duckdb") == "BIGINT":
-                part = self._boolean(sql.this)
-                return replace(part, kind="integer", compute=self._operations.integer(part.compute))
+                return self.applied("integer", "integer", self._boolean(sql.this))
             case exp.Neg():
                 part = self._number(sql.this)
-                return replace(part, compute=self._operations.negated(part.compute))
+                return self.applied(part.kind, "negative", part)
             case exp.Abs():
-                part = self._number(sql.this, ("double",))
-                return replace(part, compute=self._operations.absolute(part.compute))
+                return self.applied("double", "abs", self._number(sql.this, ("double",)))
             case exp.Pow() | exp.Sqrt() | exp.Atan2():
                 return self._function(sql)
             case exp.Between() if not sql.args.get("symmetric"):
@@ -265,15 +221,14 @@ class Compiler:
                 )
                 if kind != "integer":
                     raise LeftToDuckDBError
-                compute = self._operations.remainder(part.compute, divisor)
-                return _joined("integer", compute, part)
+                return self.applied("integer", "%", part, self._constant(kind, divisor))
             case exp.And() | exp.Or() | exp.Not():
                 return self._logic(sql)
             case exp.Case() if sql.this is None:
                 return self._case(sql)
         if type(sql) in _ARITHMETIC:
             return self._arithmetic(sql)
-        if isinstance(sql, exp.Like) or type(sql) in _COMPARISONS:
+        if type(sql) in _COMPARISONS:
             return self._comparison(sql)
         return self._named(sql)
 
@@ -282,12 +237,9 @@ class Compiler:
         name = (sql.name if isinstance(sql, exp.Anonymous) else type(sql).__name__).lower()
         argument = sql.this if not isinstance(sql, exp.Anonymous) else sql.expressions[0]
         if name in _REAL_FUNCTIONS:
-            part = self._double(argument)
-            compute = self._operations.real(_REAL_FUNCTIONS[name], part.compute)
-            return _joined("double", compute, part)
+            return self.applied("double", name, self._double(argument))
         if name == "isfinite":
-            part = self._number(argument, ("double",))
-            return _joined("boolean", self._operations.is_finite(part.compute), part)
+            return self.applied("boolean", "isfinite", self._number(argument, ("double",)))
         if name in _EXTREMES and isinstance(argument, exp.Array) and argument.expressions:
             parts = [self._number(part, ("double",)) for part in argument.expressions]
             computes = [part.compute for part in parts]
@@ -319,31 +271,32 @@ class Compiler:
 
     def _double(self, sql: exp.Expr) -> Expression:
         part = self._number(sql)
-        if part.kind == "double":
-            return part
-        return replace(part, kind="double", compute=self._operations.double(part.compute))
+        return part if part.kind == "double" else self.applied("double", "double", part)
+
+    def applied(self, kind: Kind, name: str, *parts: Expression) -> Expression:
+        """Returns the value of a function or an operator, by its name."""
+        computes = [part.compute for part in parts]
+        return _joined(kind, self._operations.applied(name, *computes), *parts)
 
     def _arithmetic(self, sql: exp.Expr) -> Expression:
         """Returns a sum, a difference or a product of which one operand is a double."""
         left, right = self._number(sql.this), self._number(sql.expression)
         if "double" not in (left.kind, right.kind):
             raise LeftToDuckDBError
-        operate = _ARITHMETIC[type(sql)]
-        compute = self._operations.arithmetic(operate, left.compute, right.compute)
-        return _joined("double", compute, left, right)
+        return self.applied("double", _ARITHMETIC[type(sql)], left, right)
 
     def _function(self, sql: exp.Expr) -> Expression:
         """Returns a root, an angle, or a power whose exponent is a whole literal."""
-        part, operations = self._number(sql.this, ("double",)), self._operations
+        part = self._number(sql.this, ("double",))
         if isinstance(sql, exp.Atan2):
             other = self._number(sql.expression, ("double",))
-            return _joined("double", operations.angle(part.compute, other.compute), part, other)
+            return self.applied("double", "atan2", part, other)
         if isinstance(sql, exp.Sqrt):
-            return _joined("double", operations.root(part.compute), part)
+            return self.applied("double", "sqrt", part)
         exponent = sql.expression
         if not (isinstance(exponent, exp.Literal) and exponent.name.isdecimal()):
             raise LeftToDuckDBError
-        return _joined("double", operations.power(part.compute, float(exponent.name)), part)
+        return self.applied("double", "pow", part, self._constant("double", float(exponent.name)))
 
     def _comparison(self, sql: exp.Expr) -> Expression:
         """Returns a comparison of numbers, or of texts, by their code points or by LIKE."""
@@ -354,15 +307,13 @@ class Compiler:
         are_numbers = kinds <= set(NUMBERS) and not are_decimal and not is_like
         if not (are_texts or are_numbers):
             raise LeftToDuckDBError
-        compare = _LIKE if is_like else _COMPARISONS[type(sql)]
-        compute = self._operations.compared(compare, left.compute, right.compute)
-        return _joined("boolean", compute, left, right)
+        return self.applied("boolean", _COMPARISONS[type(sql)], left, right)
 
     def _logic(self, sql: exp.Expr) -> Expression:
         """Returns a negation, a conjunction or a disjunction of conditions."""
         first, operations = self._boolean(sql.this), self._operations
         if isinstance(sql, exp.Not):
-            return _joined("boolean", operations.inverted(first.compute), first)
+            return self.applied("boolean", "not", first)
         second = self._unless_unknown(sql.expression)
         if second.kind != "boolean":
             raise LeftToDuckDBError

@@ -7,6 +7,7 @@ compares in its own way, is left to DuckDB.
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from itertools import count
 from typing import Any
@@ -22,6 +23,7 @@ from ssduck.columns.compiler import (
     Parts,
     Values,
 )
+from ssduck.language.operators import is_like
 from ssduck.sql.relation_calls import PairCall
 from ssduck.sql.relations.registry import GEOMETRY_UDFS, RELATIONS
 
@@ -38,6 +40,51 @@ def finite(value: float) -> float:
     if not math.isfinite(value):
         raise LeftToDuckDBError
     return value
+
+
+def _checked(operate: Callable[[Any, Any], Any]) -> Callable[[Any, Any], float]:
+    """Returns a sum, a difference or a product: an integer becomes a double without rounding."""
+
+    def compute(x: Any, y: Any) -> float:
+        result: float = operate(x, y)
+        if math.isfinite(result):
+            return result
+        # The box of a plane is infinite, and so are its sums with other numbers.
+        is_infinite = math.isinf(x) or math.isinf(y)
+        return known(result) if is_infinite else finite(result)
+
+    return compute
+
+
+_FUNCTIONS: dict[str, Callable[..., Any]] = {
+    "+": _checked(operator.add),
+    "-": _checked(operator.sub),
+    "*": _checked(operator.mul),
+    # The remainder has the sign of the number.
+    "%": lambda number, divisor: number % divisor if number >= 0 else -(-number % divisor),
+    "=": operator.eq,
+    "<>": operator.ne,
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+    "like": is_like,
+    "not": operator.not_,
+    "double": float,
+    "integer": int,
+    "negative": operator.neg,
+    "abs": abs,
+    "isfinite": math.isfinite,
+    "sqrt": lambda number: finite(math.sqrt(number)),
+    "pow": lambda number, exponent: finite(math.pow(number, exponent)),
+    "atan2": math.atan2,
+    "exp": math.exp,
+    "sin": math.sin,
+    "cos": math.cos,
+    "tan": math.tan,
+    "atan": math.atan,
+    "tanh": math.tanh,
+}
 
 
 class NumberOperations:
@@ -60,54 +107,16 @@ class NumberOperations:
 
         return compute
 
-    def arithmetic(self, operate: Callable[[Any, Any], Any], a: Compute, b: Compute) -> Compute:
-        def compute(values: Values) -> float:
-            x, y = a(values), b(values)
-            result: float = operate(x, y)  # an integer becomes a double without rounding
-            if math.isfinite(result):
-                return result
-            # The box of a plane is infinite, and so are its sums with other numbers.
-            is_infinite = math.isinf(x) or math.isinf(y)
-            return known(result) if is_infinite else finite(result)
-
-        return compute
+    def applied(self, name: str, *parts: Compute) -> Compute:
+        function = _FUNCTIONS[name]
+        if len(parts) == 1:
+            (part,) = parts
+            return lambda values: function(part(values))
+        a, b = parts
+        return lambda values: function(a(values), b(values))
 
     def quotient(self, a: Compute, b: Compute) -> Compute:
         return lambda values: finite(a(values) / b(values))
-
-    def remainder(self, part: Compute, divisor: int) -> Compute:
-        def compute(values: Values) -> int:
-            number: int = part(values)
-            return number % divisor if number >= 0 else -(-number % divisor)
-
-        return compute
-
-    def double(self, part: Compute) -> Compute:
-        return lambda values: float(part(values))
-
-    def integer(self, part: Compute) -> Compute:
-        return lambda values: int(part(values))
-
-    def negated(self, part: Compute) -> Compute:
-        return lambda values: -part(values)
-
-    def absolute(self, part: Compute) -> Compute:
-        return lambda values: abs(part(values))
-
-    def root(self, part: Compute) -> Compute:
-        return lambda values: finite(math.sqrt(part(values)))
-
-    def angle(self, y: Compute, x: Compute) -> Compute:
-        return lambda values: math.atan2(y(values), x(values))
-
-    def power(self, part: Compute, exponent: float) -> Compute:
-        return lambda values: finite(math.pow(part(values), exponent))
-
-    def real(self, function: Callable[[float], float], part: Compute) -> Compute:
-        return lambda values: function(part(values))
-
-    def is_finite(self, part: Compute) -> Compute:
-        return lambda values: math.isfinite(part(values))
 
     def extreme(self, compare: Callable[[Any, Any], Any], parts: Parts) -> Compute:
         def compute(values: Values) -> float:
@@ -119,12 +128,6 @@ class NumberOperations:
             return result
 
         return compute
-
-    def compared(self, compare: Callable[[Any, Any], Any], a: Compute, b: Compute) -> Compute:
-        return lambda values: compare(a(values), b(values))
-
-    def inverted(self, part: Compute) -> Compute:
-        return lambda values: not part(values)
 
     def both(self, first: Expression, second: Expression) -> Compute:
         a, b = first.compute, second.compute

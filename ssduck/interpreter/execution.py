@@ -95,6 +95,8 @@ class Execution(Namespace):
         self._program_texts: list[str] = []
         self._stamp: tuple[object, ...] = ()
         self._override_cache: WeakKeyDictionary[Program, Program] = WeakKeyDictionary()
+        # The stamp of the names for which a statement has no probable mistake.
+        self._sound: WeakKeyDictionary[Node, object] = WeakKeyDictionary()
         self._reader = SqlReader(self)
 
     def transaction(self, program: Program) -> _Transaction:
@@ -193,7 +195,12 @@ class Execution(Namespace):
                 ArgumentError(d.message, text=program.text, span=d.span) for d in program.suspicions
             )
         for node in self._with_overrides(program).statements:
-            self.report(self.linter.check(program.text, node, frame.local))
+            stamp = self.stamp
+            if self._sound.get(node) is not stamp:
+                mistakes = self.linter.check(program.text, node, frame.local)
+                self.report(mistakes)
+                if not mistakes:
+                    self._sound[node] = stamp
             yield node
 
     def report(self, suspicions: Iterable[SelectScriptError]) -> None:

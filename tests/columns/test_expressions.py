@@ -168,8 +168,10 @@ def test_a_common_part_is_computed_once():
     calls = []
 
     class Counted(NumberOperations):
-        def real(self, function, part):
-            return lambda values: calls.append(1) or function(part(values))
+        def applied(self, name, *parts):
+            if name == "tanh":
+                return lambda values: calls.append(1) or parts[0](values)
+            return super().applied(name, *parts)
 
     assert len(list(parsed.find_all(exp.Tanh))) == 3
     Compiler(Counted({}), leaf, [parsed]).expression(parsed).compute({"a": 0.5})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -27,36 +26,12 @@ from ssduck.language.tree import (
     Unary,
 )
 
-_NUMBER_FUNCTIONS: dict[str, Callable[[float], float]] = {
-    function.__name__: function
-    for function in (
-        math.exp,
-        math.log,
-        math.sin,
-        math.cos,
-        math.tan,
-        math.asin,
-        math.acos,
-        math.atan,
-        math.tanh,
-        math.sqrt,
-    )
-}
-_COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
-    "=": operator.eq,
-    "==": operator.eq,
-    "!=": operator.ne,
-    "<>": operator.ne,
-    "<": operator.lt,
-    "<=": operator.le,
-    ">": operator.gt,
-    ">=": operator.ge,
-}
-_ARITHMETIC: dict[str, Callable[[Any, Any], Any]] = {
-    "+": operator.add,
-    "-": operator.sub,
-    "*": operator.mul,
-}
+# The functions of numbers and the operators that `ArrayOperations.applied` has.
+_NUMBER_FUNCTIONS = frozenset(
+    ("exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "tanh", "sqrt", "abs")
+)
+_COMPARISONS = {"==": "=", "!=": "<>", **{sign: sign for sign in ("=", "<>", "<", "<=", ">", ">=")}}
+_ARITHMETIC = {"^": "power", "**": "power", **{sign: sign for sign in "+-*"}}
 _KINDS: dict[str, Kind] = {
     "f": "double",
     "i": "integer",
@@ -105,11 +80,10 @@ class TreeCompiler:
                     "double", self.operations.element(whole.compute, index), [whole]
                 )
             case Unary(operator=word, operand=operand) if word.lower() == "not":
-                part = self._of_kind(operand, "boolean")
-                return replace(part, compute=self.operations.inverted(part.compute))
+                return self._applied("boolean", "not", self._of_kind(operand, "boolean"))
             case Unary(operator="-", operand=operand):
                 part = self._number(operand)
-                return replace(part, compute=self.operations.negated(part.compute))
+                return self._applied(part.kind, "negative", part)
             case Binary(operator=word, left=left, right=right):
                 return self._binary(word.lower(), self.of(left), self.of(right))
             case OperatorChain(operators=words, operands=operands):
@@ -139,9 +113,11 @@ class TreeCompiler:
         return self._as_double(self._number(node))
 
     def _as_double(self, part: Expression) -> Expression:
-        if part.kind == "double":
-            return part
-        return replace(part, kind="double", compute=self.operations.double(part.compute))
+        return part if part.kind == "double" else self._applied("double", "double", part)
+
+    def _applied(self, kind: Kind, name: str, *parts: Expression) -> Expression:
+        """Returns the value of a function or an operator of numbers or conditions."""
+        return self._joined(kind, self.operations.applied(name, *self._computes(parts)), parts)
 
     def _binary(self, word: str, left: Expression, right: Expression) -> Expression:
         operations, parts = self.operations, [left, right]
@@ -153,20 +129,15 @@ class TreeCompiler:
         if left.kind not in NUMBERS or right.kind not in NUMBERS:
             raise LeftToDuckDBError
         if word in _COMPARISONS:
-            compare = operations.compared(_COMPARISONS[word], left.compute, right.compute)
-            return self._joined("boolean", compare, parts)
+            return self._applied("boolean", _COMPARISONS[word], left, right)
         if "double" not in (left.kind, right.kind):
             raise LeftToDuckDBError
-        first, second = (self._as_double(part).compute for part in parts)
+        first, second = map(self._as_double, parts)
         if word in _ARITHMETIC:
-            compute = operations.arithmetic(_ARITHMETIC[word], first, second)
-        elif word == "/":
-            compute = operations.quotient(first, second)
-        elif word in ("^", "**"):
-            compute = operations.arithmetic(np.power, first, second)
-        else:
+            return self._applied("double", _ARITHMETIC[word], first, second)
+        if word != "/":
             raise LeftToDuckDBError
-        return self._joined("double", compute, parts)
+        return self._joined("double", operations.quotient(first.compute, second.compute), parts)
 
     def _if(self, condition: Node, then: Node, otherwise: Node) -> Expression:
         holds = self._of_kind(condition, "boolean")
@@ -187,26 +158,19 @@ class TreeCompiler:
         if name in ("norm", "min", "max", "sum", "avg") and len(arguments) == 1:
             return self._of_list(name, arguments[0])
         if name == "int" and self.of(arguments[0]).kind == "boolean":
-            part = self.of(arguments[0])
-            return replace(part, kind="integer", compute=operations.integer(part.compute))
+            return self._applied("integer", "integer", self.of(arguments[0]))
         parts = [self._double(argument) for argument in arguments]
-        computes = self._computes(parts)
         if name in _NUMBER_FUNCTIONS and len(parts) == 1:
-            compute = operations.real(_NUMBER_FUNCTIONS[name], computes[0])
-        elif name == "abs":
-            compute = operations.absolute(computes[0])
-        elif name == "float":
-            compute = computes[0]
-        elif name == "atan2":
-            compute = operations.angle(*computes)
-        elif name == "pow":
-            compute = operations.arithmetic(np.power, *computes)
-        elif name == "clip":
-            above = operations.extreme(operator.gt, computes[:2])
-            compute = operations.extreme(operator.lt, [above, computes[2]])
-        else:
+            return self._applied("double", name, *parts)
+        if name in ("atan2", "pow"):
+            return self._applied("double", "power" if name == "pow" else name, *parts)
+        if name == "float":
+            return parts[0]
+        if name != "clip":
             raise LeftToDuckDBError
-        return self._joined("double", compute, parts)
+        number, low, high = self._computes(parts)
+        above = operations.extreme(operator.gt, [number, low])
+        return self._joined("double", operations.extreme(operator.lt, [above, high]), parts)
 
     def _of_list(self, name: str, argument: Node) -> Expression:
         """Returns a function of the numbers in a list."""
