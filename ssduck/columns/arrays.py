@@ -18,11 +18,11 @@ import numpy.typing as npt
 from sqlglot import exp
 
 from ssduck.columns.compiler import (
+    Compiler,
     Compute,
     Expression,
     Kind,
     LeftToDuckDBError,
-    PairCompiler,
     Parts,
 )
 from ssduck.geometry.arrays import Flags, Indices
@@ -300,7 +300,7 @@ class ArrayOperations:
 
         return compute
 
-    def pair(self, pair: PairCall, compiler: PairCompiler) -> Expression | None:
+    def pair(self, pair: PairCall, compiler: Compiler) -> Expression | None:
         kernel = self._kernels.get(pair.relation)
         if kernel is None or pair.call is not None:
             return None  # of many pairs, the boxes in the formula leave out most

@@ -116,18 +116,8 @@ class Operations(Protocol):
     def call(self, function: str, arguments: Parts) -> Compute:
         """Returns the value of a function of shapes or contacts."""
 
-    def pair(self, pair: PairCall, compiler: PairCompiler) -> Expression | None:
+    def pair(self, pair: PairCall, compiler: Compiler) -> Expression | None:
         """Returns a relation of two rows of a tick by one call; None to evaluate its formula."""
-
-
-class PairCompiler(Protocol):
-    """Makes functions of the parts of a relation of two rows."""
-
-    def integer(self, sql: exp.Expr) -> Compute:
-        """Returns an integer, such as the id of a row."""
-
-    def expression(self, sql: exp.Expr) -> Expression:
-        """Returns an expression as a function."""
 
 
 class Compiler:
@@ -213,7 +203,7 @@ class Compiler:
                 return self._constant("boolean", value=False)
             case exp.Div():
                 a, b = self._number(sql.this, ("double",)), self._double(sql.expression)
-                return _joined("double", self._operations.quotient(a.compute, b.compute), a, b)
+                return joined("double", self._operations.quotient(a.compute, b.compute), a, b)
             case exp.Mod(expression=exp.Literal()) if sql.expression.name != "0":
                 part, (kind, divisor) = (
                     self._number(sql.this, ("integer",)),
@@ -244,7 +234,7 @@ class Compiler:
             parts = [self._number(part, ("double",)) for part in argument.expressions]
             computes = [part.compute for part in parts]
             compute = self._operations.extreme(_EXTREMES[name], computes)
-            return _joined("double", compute, *parts)
+            return joined("double", compute, *parts)
         raise LeftToDuckDBError
 
     def _constant(self, kind: Kind, value: Any) -> Expression:
@@ -276,7 +266,7 @@ class Compiler:
     def applied(self, kind: Kind, name: str, *parts: Expression) -> Expression:
         """Returns the value of a function or an operator, by its name."""
         computes = [part.compute for part in parts]
-        return _joined(kind, self._operations.applied(name, *computes), *parts)
+        return joined(kind, self._operations.applied(name, *computes), *parts)
 
     def _arithmetic(self, sql: exp.Expr) -> Expression:
         """Returns a sum, a difference or a product of which one operand is a double."""
@@ -318,7 +308,7 @@ class Compiler:
         if second.kind != "boolean":
             raise LeftToDuckDBError
         combine = operations.both if isinstance(sql, exp.And) else operations.either
-        return _joined("boolean", combine(first, second), first, second)
+        return joined("boolean", combine(first, second), first, second)
 
     def _case(self, sql: exp.Case) -> Expression:
         """Returns the value of the first condition that holds; without ELSE, one of them has to."""
@@ -335,7 +325,7 @@ class Compiler:
         ]
         compute = self._operations.case(branches, otherwise.compute)
         return replace(
-            _joined(kinds.pop(), compute, *conditions, *results, otherwise), has_calls=True
+            joined(kinds.pop(), compute, *conditions, *results, otherwise), has_calls=True
         )
 
     def _unless_unknown(self, sql: exp.Expr) -> Expression:
@@ -354,7 +344,7 @@ class Compiler:
         parts = [self._number(part, ("double",)) for part in sql.expressions]
         if not parts:
             raise LeftToDuckDBError
-        return _joined("list", self._operations.listed([part.compute for part in parts]), *parts)
+        return joined("list", self._operations.listed([part.compute for part in parts]), *parts)
 
     def _element(self, sql: exp.Anonymous) -> Expression:
         """Returns an element of a parameter that is a list of doubles."""
@@ -383,7 +373,7 @@ class Compiler:
         return Expression("boolean" if result == "BOOLEAN" else "double", compute, has_calls=True)
 
 
-def _joined(kind: Kind, compute: Compute, *parts: Expression) -> Expression:
+def joined(kind: Kind, compute: Compute, *parts: Expression) -> Expression:
     """Returns an expression of some parts."""
     return Expression(kind, compute, has_calls=any(part.has_calls for part in parts))
 

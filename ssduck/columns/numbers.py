@@ -15,11 +15,11 @@ from typing import Any
 from sqlglot import exp
 
 from ssduck.columns.compiler import (
+    Compiler,
     Compute,
     Expression,
     Kind,
     LeftToDuckDBError,
-    PairCompiler,
     Parts,
     Values,
 )
@@ -174,7 +174,7 @@ class NumberOperations:
 
         return compute
 
-    def pair(self, pair: PairCall, compiler: PairCompiler) -> Expression | None:
+    def pair(self, pair: PairCall, compiler: Compiler) -> Expression | None:
         if pair.call is None and pair.relation not in self._functions:
             return None
         first, second = (compiler.integer(id) for id in pair.ids)

@@ -27,29 +27,17 @@ Kind: TypeAlias = Literal[
     "alias", "column", "entity", "form", "function", "keyword", "link", "table", "variable", "world"
 ]
 
+_QUERY = "SELECT, FROM, WHERE, GROUP BY, HAVING, ORDER BY, ASC, DESC, LIMIT, OFFSET, AS, AND, OR, "
+_QUERY += "NOT, IN, LIKE, BETWEEN, IS NULL, CASE, WHEN, THEN, ELSE, END"
 KEYWORDS: dict[Language, tuple[str, ...]] = {
     "selectscript": (
-        *("SELECT", "FROM", "WHERE", "GROUP BY", "HAVING", "ORDER BY", "ASC", "DESC", "LIMIT"),
-        *("OFFSET", "AS", "START WITH", "CONNECT BY", "STOP WITH", "AND", "OR", "XOR", "NOT", "IN"),
-        *("LIKE", "BETWEEN", "IS NULL", "CASE", "WHEN", "THEN", "ELSE", "END", "IF", "True"),
-        *("False", "None", "this"),
+        *_QUERY.split(", "),
+        *("START WITH", "CONNECT BY", "STOP WITH", "XOR", "IF", "True", "False", "None", "this"),
     ),
     "sql": (
-        *("SELECT", "FROM", "WHERE", "GROUP BY", "HAVING", "ORDER BY", "ASC", "DESC", "LIMIT"),
-        *(
-            "OFFSET",
-            "AS",
-            "WITH",
-            "JOIN",
-            "LEFT JOIN",
-            "ON",
-            "USING",
-            "UNION",
-            "EXCEPT",
-            "DISTINCT",
-        ),
-        *("AND", "OR", "NOT", "IN", "LIKE", "BETWEEN", "IS NULL", "CASE", "WHEN", "THEN", "ELSE"),
-        *("END", "EXISTS", "CAST", "OVER", "PARTITION BY", "TRUE", "FALSE", "NULL"),
+        *_QUERY.split(", "),
+        *("WITH", "JOIN", "LEFT JOIN", "ON", "USING", "UNION", "EXCEPT", "DISTINCT", "EXISTS"),
+        *("CAST", "OVER", "PARTITION BY", "TRUE", "FALSE", "NULL"),
     ),
 }
 # The order of the kinds among equally near names.

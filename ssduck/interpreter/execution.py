@@ -421,26 +421,17 @@ class _Transaction:
     def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
         execution = self._execution
         try:
-            if error is None:
-                try:
-                    execution.check_variables()
-                except BaseException as late:
-                    self._undo(late)
-                    raise
-            else:
-                self._undo(error)
-                if isinstance(error, RecursionError):
-                    raise EvaluationError("the program is nested too deeply") from error
+            if error is not None:
+                execution.variables = self._before
+            if isinstance(error, SelectScriptError):
+                error.locate(self._text)
+            if isinstance(error, RecursionError):
+                raise EvaluationError("the program is nested too deeply") from error
         finally:
             try:
                 execution.end_transaction()
             finally:  # a warning may be an error
                 execution.lock.release()
-
-    def _undo(self, error: BaseException) -> None:
-        self._execution.variables = self._before
-        if isinstance(error, SelectScriptError):
-            error.locate(self._text)
 
 
 def _is_vector(value: Any) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 from ssduck.errors import ArgumentError
 from ssduck.formatting import type_in_words
@@ -17,26 +17,25 @@ from ssduck.world.handles import Link, Links
 from ssduck.world.world import World
 
 
+def _parts(table: Literal["links", "sites"], thing: Any) -> Any:
+    """Returns the links or sites of an entity, or a source of those of all entities of a world."""
+    if isinstance(thing, World):
+        return Links(thing, table)
+    if isinstance(thing, Past):
+        return replace(thing, table=table)
+    if isinstance(thing, Entity):
+        return getattr(thing, table)
+    raise ArgumentError(f"{table} takes a world or an entity, not {type_in_words(thing)}")
+
+
 def links(thing: Any) -> Any:
     """Returns the links of an entity, or a source of the links of all entities of a world."""
-    if isinstance(thing, World):
-        return Links(thing)
-    if isinstance(thing, Past):
-        return replace(thing, table="links")
-    if isinstance(thing, Entity):
-        return thing.links
-    raise ArgumentError(f"links takes a world or an entity, not {type_in_words(thing)}")
+    return _parts("links", thing)
 
 
 def sites(thing: Any) -> Any:
     """Returns the sites of an entity, or a source of the sites of all entities of a world."""
-    if isinstance(thing, World):
-        return Links(thing, "sites")
-    if isinstance(thing, Past):
-        return replace(thing, table="sites")
-    if isinstance(thing, Entity):
-        return thing.sites
-    raise ArgumentError(f"sites takes a world or an entity, not {type_in_words(thing)}")
+    return _parts("sites", thing)
 
 
 def entity(thing: Any) -> Entity:

@@ -12,7 +12,6 @@ from types import MappingProxyType
 from typing import Any
 
 from ssduck import validation
-from ssduck.adapters.base import made_bytes
 from ssduck.adapters.registry import all_adapters, tables_read_by
 from ssduck.database.database import Database
 from ssduck.errors import ArgumentError, LimitError, UnknownNameError, nearest, warn
@@ -35,7 +34,7 @@ from ssduck.language.analysis import (
 from ssduck.language.builtins import AGGREGATES, BUILTINS, EXTREMES, Function
 from ssduck.language.evaluation_errors import unknown_function
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS
-from ssduck.language.operators import SMALL_BYTES, check_size, size_of
+from ssduck.language.operators import check_size
 from ssduck.language.parser import is_reserved
 from ssduck.language.sql_suggestions import suggestion_for_name
 from ssduck.language.tree import Call, Literal, Node
@@ -89,9 +88,8 @@ class Namespace:
     def __init__(self, database: Database, limits: Limits) -> None:
         self.database = database
         self._limits = limits
-        # The variables that programs have set, and the sizes of their values when last measured.
+        # The variables that programs have set.
         self._assigned: set[str] = set()
-        self._sizes: dict[str, tuple[Any, int]] = {}
         self.lock = threading.RLock()
         self._variables = Variables()
         self.functions: dict[str, Function] = dict(BUILTINS)
@@ -249,19 +247,6 @@ class Namespace:
         """Checks that a program of a stranger leaves a world of the user's as it is."""
         if self._limits.select_only and name not in self._assigned and self.is_world(name):
             raise LimitError(f"{name} is a world, which programs cannot replace here")
-
-    def check_variables(self) -> None:
-        """Checks the size of the variables that programs have set."""
-        maximum = self._limits.memory
-        if maximum is None or not self._assigned:
-            return
-        sizes: dict[str, tuple[Any, int]] = {}
-        for name in self._assigned.intersection(self.variables):
-            value = self.variables[name]
-            sizes[name] = (value, _size_kept(value, *self._sizes.get(name, (None, 0))))
-        if sum(size for _, size in sizes.values()) > maximum:
-            raise LimitError(f"the variables of programs take more than {maximum:,} bytes")
-        self._sizes = sizes
 
     def past_value(self, name: str, *age: Any) -> Any:
         """Returns the past value of a variable; all kept values if no age is given."""
@@ -496,19 +481,6 @@ class Namespace:
             if isinstance(value, LazyList):
                 tables |= self.tables_read(value.node)
         return tables
-
-
-def _size_kept(value: Any, before: Any, size_before: int) -> int:
-    """Returns the size of a variable's values in bytes, roughly."""
-    if value is before:
-        return size_before
-    if not isinstance(value, ValueHistory):
-        return SMALL_BYTES + size_of(value) + made_bytes(value)
-    first, size = 0, 0
-    if isinstance(before, ValueHistory) and (before.log, before.first) == (value.log, value.first):
-        first, size = before.end - before.first, size_before
-    added = value.log.values[value.first + first : value.end]
-    return size + sum(SMALL_BYTES + size_of(kept) + made_bytes(kept) for kept in added)
 
 
 def check_name(name: str, owner: str) -> None:

@@ -82,7 +82,6 @@ def _memory(name):
 
 TOO_LARGE, TOO_MUCH = "too large", "values of more than 50,000,000 bytes"
 DEEP = "nested deeper than 60 levels"
-VARIABLES = "the variables of programs take more than"
 DUCKDB = "more memory than available|values of more than"
 
 
@@ -148,7 +147,6 @@ LARGE_VALUES = [
     # Variables.
     ("x{} = text * 90; x{} = text * 91; x{} = text * 92; x{} = text * 93; x{} = text * 94; "
      "x{} = text * 95;", LimitError, TOO_MUCH),
-    ("x = [text] * 90; y = [x[0]] * 99;", LimitError, VARIABLES),
 ]  # fmt: skip
 
 LONG_TEXTS = [
@@ -374,50 +372,6 @@ def test_a_harmless_program_has_its_value(patient, program, value):
 def test_python_attributes_of_rows_are_not_there(patient, program):
     with pytest.raises(SelectScriptError):
         patient.eval(program)
-
-
-@pytest.mark.slow
-def test_variables_of_one_program_after_another_are_counted(patient):
-    """The largest values of each are freed; what its variables keep adds up."""
-    names = []
-    for number in range(MEMORY // (40 * 100_000)):
-        patient.eval(f"kept{number} = text * 40;")
-        names.append(f"kept{number}")
-    with pytest.raises(LimitError, match=VARIABLES):
-        patient.eval("one_more = text * 40;")
-    for name in names:
-        patient.eval(f"clear('{name}');")
-    assert patient.eval("x = text * 90; count(x);") == 9_000_000
-    patient.eval("clear('x');")
-
-
-@pytest.mark.slow
-def test_grids_and_worlds_that_variables_keep_are_counted(patient):
-    """Those of one program after another."""
-    for number in range(4):
-        patient.eval(f"w{number} = SELECT obj FROM kitchen WHERE isRobot(this) AS environment;")
-    with pytest.raises(LimitError, match=VARIABLES):
-        patient.eval(f"g = {BODIES} plane('XY', [0, 0], [1200, 1200, 0.01]);")
-    for number in range(4):
-        patient.eval(f"clear('w{number}');")
-    assert patient.eval(f"g = {BODIES} plane('XY', [0, 0], [1200, 1200, 0.01]); 1;") == 1
-    patient.eval("clear('g');")
-
-
-@pytest.mark.slow
-def test_the_users_own_variables_do_not_count(patient):
-    patient.add_variable("large", "a" * 2 * MEMORY)
-    assert patient.eval("x = 1; x + count(large);") == 2 * MEMORY + 1
-    patient.eval("clear('large');")
-
-
-def test_a_history_counts_with_all_its_values(patient):
-    for number in range(5):
-        patient.eval(f"trace{{}} = text * 90 + '{number}';")
-    with pytest.raises(LimitError, match=VARIABLES):
-        patient.eval("trace{} = text * 90;")
-    assert patient.eval("count(trace{});") == 5
-    patient.eval("clear('trace');")
 
 
 @pytest.mark.slow

@@ -11,7 +11,15 @@ import numpy as np
 from sqlglot import exp
 
 from ssduck.columns.arrays import Array, ArrayOperations, ArrayValues
-from ssduck.columns.compiler import NUMBERS, Compiler, Compute, Expression, Kind, LeftToDuckDBError
+from ssduck.columns.compiler import (
+    NUMBERS,
+    Compiler,
+    Compute,
+    Expression,
+    Kind,
+    LeftToDuckDBError,
+    joined,
+)
 from ssduck.language.tree import (
     Binary,
     Call,
@@ -73,12 +81,10 @@ class TreeCompiler:
                 return Expression(kind_of(value), self.operations.constant(value))
             case ListLiteral(items=items):
                 parts = [self._double(item) for item in items]
-                return self._joined("list", self.operations.listed(self._computes(parts)), parts)
+                return joined("list", self.operations.listed(self._computes(parts)), *parts)
             case Index(base=base, indices=(Literal(value=int() as index),)) if index >= 0:
                 whole = self._of_kind(base, "list")
-                return self._joined(
-                    "double", self.operations.element(whole.compute, index), [whole]
-                )
+                return joined("double", self.operations.element(whole.compute, index), whole)
             case Unary(operator=word, operand=operand) if word.lower() == "not":
                 return self._applied("boolean", "not", self._of_kind(operand, "boolean"))
             case Unary(operator="-", operand=operand):
@@ -117,7 +123,7 @@ class TreeCompiler:
 
     def _applied(self, kind: Kind, name: str, *parts: Expression) -> Expression:
         """Returns the value of a function or an operator of numbers or conditions."""
-        return self._joined(kind, self.operations.applied(name, *self._computes(parts)), parts)
+        return joined(kind, self.operations.applied(name, *self._computes(parts)), *parts)
 
     def _binary(self, word: str, left: Expression, right: Expression) -> Expression:
         operations, parts = self.operations, [left, right]
@@ -125,7 +131,7 @@ class TreeCompiler:
             if {left.kind, right.kind} != {"boolean"}:
                 raise LeftToDuckDBError
             combine = operations.both if word == "and" else operations.either
-            return self._joined("boolean", combine(left, right), parts)
+            return joined("boolean", combine(left, right), *parts)
         if left.kind not in NUMBERS or right.kind not in NUMBERS:
             raise LeftToDuckDBError
         if word in _COMPARISONS:
@@ -137,7 +143,7 @@ class TreeCompiler:
             return self._applied("double", _ARITHMETIC[word], first, second)
         if word != "/":
             raise LeftToDuckDBError
-        return self._joined("double", operations.quotient(first.compute, second.compute), parts)
+        return joined("double", operations.quotient(first.compute, second.compute), *parts)
 
     def _if(self, condition: Node, then: Node, otherwise: Node) -> Expression:
         holds = self._of_kind(condition, "boolean")
@@ -145,7 +151,7 @@ class TreeCompiler:
         if first.kind != second.kind:
             first, second = self._as_number(first), self._as_number(second)
         compute = self.operations.case([(holds.compute, first.compute)], second.compute)
-        return replace(self._joined(first.kind, compute, [holds, first, second]), has_calls=True)
+        return replace(joined(first.kind, compute, holds, first, second), has_calls=True)
 
     def _as_number(self, part: Expression) -> Expression:
         if part.kind not in NUMBERS:
@@ -170,7 +176,7 @@ class TreeCompiler:
             raise LeftToDuckDBError
         number, low, high = self._computes(parts)
         above = operations.extreme(operator.gt, [number, low])
-        return self._joined("double", operations.extreme(operator.lt, [above, high]), parts)
+        return joined("double", operations.extreme(operator.lt, [above, high]), *parts)
 
     def _of_list(self, name: str, argument: Node) -> Expression:
         """Returns a function of the numbers in a list."""
@@ -178,7 +184,7 @@ class TreeCompiler:
             parts = [self._double(item) for item in argument.items]
             compare = operator.lt if name == "min" else operator.gt
             compute = self.operations.extreme(compare, self._computes(parts))
-            return self._joined("double", compute, parts)
+            return joined("double", compute, *parts)
         part = self._of_kind(argument, "list")
         whole = part.compute
 
@@ -199,15 +205,11 @@ class TreeCompiler:
                         result = result / numbers.shape[-1]
             return np.asarray(result)
 
-        return self._joined("double", compute_list, [part])
+        return joined("double", compute_list, part)
 
     @staticmethod
     def _computes(parts: Sequence[Expression]) -> list[Compute]:
         return [part.compute for part in parts]
-
-    @staticmethod
-    def _joined(kind: Kind, compute: Compute, parts: Sequence[Expression]) -> Expression:
-        return Expression(kind, compute, has_calls=any(part.has_calls for part in parts))
 
 
 def _sum(lists: Array) -> Array:
