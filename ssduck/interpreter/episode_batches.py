@@ -17,21 +17,14 @@ import pyarrow as pa
 
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.interpreter import Interpreter
-from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, parts_of
+from ssduck.interpreter.over_time.functions import OF_VALUES, TEMPORAL_FUNCTIONS, parts_of
 from ssduck.interpreter.over_time.series import ColumnsOf, TickColumns
 from ssduck.language.builtins import BUILTINS
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS
 from ssduck.language.tree import (
-    Binary,
-    Branch,
     Call,
-    If,
-    ListLiteral,
-    Literal,
     Node,
-    OperatorChain,
     Program,
-    Unary,
 )
 from ssduck.limits import Limits
 from ssduck.recording.buffers import TickBuffer
@@ -52,9 +45,6 @@ from ssduck.recording.stores.episode_batch import (
 )
 from ssduck.simulators.scenes import Camera
 
-# Parts of a program that give the same value in any world, if their own parts do.
-_OF_VALUES = (Literal, ListLiteral, Unary, Binary, OperatorChain, Branch, If)
-
 
 def reads_present(program: Program) -> bool:
     """Checks whether a program may read more of the current tick than its number and its time.
@@ -74,7 +64,7 @@ def _reads_present(node: Node) -> bool:
         is_of_values = node.name in BUILTINS or node.name in RELATIONS_OF_INTERVALS
         if not is_of_values:
             return True
-    elif not isinstance(node, _OF_VALUES):
+    elif not isinstance(node, OF_VALUES):
         return True
     return any(map(_reads_present, node.children()))
 

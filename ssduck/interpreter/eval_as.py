@@ -29,24 +29,14 @@ from ssduck.language.tree import (
 
 
 class QueryPart:
-    """A part of a query, to be evaluated for the elements of a row.
-
-    Args:
-        node: the part, its names resolved.
-        frame: the scope and the rows around the query.
-    """
+    """A part of a query, to be evaluated for the elements of a row."""
 
     def __init__(self, node: Node, frame: Frame) -> None:
         self.node = node
         self._frame = frame
 
     def value(self, elements: Sequence[Any], names: Sequence[str]) -> Any:
-        """Returns its value.
-
-        Args:
-            elements: the elements of the row, one of each source.
-            names: the names of the sources.
-        """
+        """Returns its value for the elements of a row, one of each of the named sources."""
         if len(elements) != len(names):
             raise ArgumentError(f"{len(elements)} elements and {len(names)} names of sources")
         row: dict[str | None, Any] = {**self._frame.elements, **dict(zip(names, elements))}  # noqa: B905
@@ -61,12 +51,7 @@ class Condition(QueryPart):
 
 
 class SelectedColumn(QueryPart, Sequence[Any]):
-    """A column: `["function", name, arguments]`; for `to`, the value and the name.
-
-    Args:
-        column: the column.
-        frame: the scope and the rows around the query.
-    """
+    """A column: `["function", name, arguments]`; for `to`, the value and the name."""
 
     def __init__(self, column: SelectedValue, frame: Frame) -> None:
         super().__init__(column.node, frame)
@@ -120,13 +105,7 @@ class SelectedColumn(QueryPart, Sequence[Any]):
 
 
 class SelectedColumns(Sequence[SelectedColumn]):
-    """The columns behind SELECT; `eval` gives the value of the only column, or a list of all.
-
-    Args:
-        query: the query.
-        columns: the selected columns, their names resolved.
-        frame: the scope and the rows around the query.
-    """
+    """The columns behind SELECT; `eval` gives the value of the only column, or a list of all."""
 
     def __init__(self, query: Query, columns: Sequence[SelectedValue], frame: Frame) -> None:
         self.query = query

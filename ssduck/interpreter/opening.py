@@ -75,12 +75,7 @@ def load(
 
 
 def with_usable_name(scene: Scene, name: str | None = None) -> Scene:
-    """Returns a scene whose name can be that of a variable and of a schema.
-
-    Args:
-        scene: the scene.
-        name: another name; None for that of the scene, or, with a warning, one like it.
-    """
+    """Returns a scene with a usable name: a given one, its own or, with a warning, one like it."""
     if name is not None:
         _check_world_name(name)
         return replace(scene, name=name)

@@ -54,13 +54,6 @@ def tree_of(program: str | CompiledProgram) -> Program:
 def rows_to_show(compiled: CompiledProgram, evaluate: Callable[[CompiledProgram], Any]) -> Any:
     """Returns the value of a program; the empty table of its columns if its query has no rows.
 
-    Args:
-        compiled: the program.
-        evaluate: `Interpreter.eval`.
-
-    Raises:
-        SelectScriptError: as `Interpreter.eval` does.
-
     >>> import ssduck
     >>> with ssduck.Interpreter() as ss:
     ...     program = ss.compile("SELECT n.this FROM n=[1, 2] WHERE n.this > 2;")
@@ -101,16 +94,7 @@ def with_last(
 
 
 def check_parameters(function: str, parameters: Any, others: Mapping[str, Any]) -> None:
-    """Checks the parameters of a program, or of a statement of SQL.
-
-    Args:
-        function: the method that takes them.
-        parameters: a list or a dict; None if there are none.
-        others: its arguments that have other names.
-
-    Raises:
-        ArgumentError: they are given as keywords, or are a single value; it says what to write.
-    """
+    """Checks that the parameters of a program, or of SQL, are a dict or a list, and no keywords."""
     text = "program" if function == "eval" else "statement"
     for name in others:
         given = ", ".join(f"{key!r}: {short_repr(value)}" for key, value in others.items())

@@ -13,32 +13,22 @@ from typing import Any
 
 from ssduck.errors import SelectScriptError, UnsupportedError
 from ssduck.interpreter.interpreter import Interpreter
-from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, parts_of
+from ssduck.interpreter.over_time.functions import OF_VALUES, TEMPORAL_FUNCTIONS, parts_of
 from ssduck.language.analysis import IMPURE
 from ssduck.language.builtins import BUILTINS
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import (
-    Binary,
-    Branch,
     Call,
-    If,
     Index,
-    ListLiteral,
-    Literal,
     Name,
     Node,
-    OperatorChain,
     Placeholder,
     QualifiedName,
     Query,
     TimeIndex,
-    Unary,
 )
 from ssduck.language.value_keys import node_key
 from ssduck.sql.relations.registry import RELATIONS
-
-# What is computed from values alone.
-_OF_VALUES = (Literal, ListLiteral, Unary, Binary, OperatorChain, Branch, If)
 
 
 class ExpressionsAtTicks:
@@ -65,7 +55,7 @@ class ExpressionsAtTicks:
         if self._is_of_entities(node):
             return self._placeholder(Call(node.span, "changes", (node,), node.span))
         is_builtin = isinstance(node, Call) and node.name in BUILTINS and node.name not in IMPURE
-        if not (isinstance(node, _OF_VALUES) or is_builtin):
+        if not (isinstance(node, OF_VALUES) or is_builtin):
             raise UnsupportedError("it is computed at each tick by itself", span=node.span)
         children = {id(child): self._of_values(child) for child in node.children()}
         return node.replaced(lambda part: children.get(id(part)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import gt, lt
 from typing import Any, TypeAlias
 
@@ -17,7 +17,20 @@ from ssduck.interpreter.over_time.series import TickSeries
 from ssduck.language.builtins import Function
 from ssduck.language.intervals import changes_of, intervals_of
 from ssduck.language.operators import apply
-from ssduck.language.tree import Binary, Call, Node
+from ssduck.language.tree import (
+    Binary,
+    Branch,
+    Call,
+    If,
+    ListLiteral,
+    Literal,
+    Node,
+    OperatorChain,
+    Unary,
+)
+
+# Parts of a program that are computed from values alone, if their own parts are.
+OF_VALUES = (Literal, ListLiteral, Unary, Binary, OperatorChain, Branch, If)
 
 
 @dataclass(frozen=True)
@@ -238,6 +251,8 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not math.isnan(value)
 
 
+_SINCE = Fold(_since_first, lambda series: _since(series, None), _since_step, is_of_condition=True)
+_LAST_TWO = Fold(_first_two, _last_two, _next_two, _rate_of, reach=2)
 TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
     form.name: form
     for form in (
@@ -248,12 +263,7 @@ TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
             "recorded tick; nothing if it does not hold now.",
             "since(condition) -> float",
             arguments=(1, 1),
-            fold=Fold(
-                _since_first,
-                lambda series: _since(series, None),
-                _since_step,
-                is_of_condition=True,
-            ),
+            fold=_SINCE,
         ),
         TemporalFunction(
             "heldFor",
@@ -262,13 +272,7 @@ TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
             "0 if it does not hold now.",
             "heldFor(condition) -> float",
             arguments=(1, 1),
-            fold=Fold(
-                _since_first,
-                lambda series: _since(series, None),
-                _since_step,
-                _duration,
-                is_of_condition=True,
-            ),
+            fold=replace(_SINCE, value=_duration),
         ),
         TemporalFunction(
             "holds",
@@ -317,7 +321,7 @@ TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
             "previous(expression) -> value",
             arguments=(1, 1),
             is_in_lakes=False,
-            fold=Fold(_first_two, _last_two, _next_two, lambda state, _: state[0][1], reach=2),
+            fold=replace(_LAST_TWO, value=lambda state, _: state[0][1]),
         ),
         TemporalFunction(
             "rate",
@@ -328,7 +332,7 @@ TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
             "rate(expression) -> number",
             arguments=(1, 1),
             is_in_lakes=False,
-            fold=Fold(_first_two, _last_two, _next_two, _rate_of, reach=2),
+            fold=_LAST_TWO,
         ),
         TemporalFunction(
             "at",

@@ -106,15 +106,27 @@ class TriggerMethods:
         self._triggers.add(config, program, callback)
 
     def del_trigger(self, name: str) -> None:
-        """Removes a trigger; its callback is not called any more, but a running one goes on."""
+        """Removes a trigger; its callback is not called any more, but a running one goes on.
+
+        Raises:
+            UnknownNameError: no trigger has that name; the error suggests the nearest names.
+        """
         self._triggers.remove(name)
 
     def pause_trigger(self, name: str) -> None:
-        """Stops the evaluations of a trigger until `resume_trigger`."""
+        """Stops the evaluations of a trigger until `resume_trigger`.
+
+        Raises:
+            UnknownNameError: no trigger has that name; the error suggests the nearest names.
+        """
         self._triggers.pause(name)
 
     def resume_trigger(self, name: str) -> None:
-        """Resumes the evaluations of a trigger at the next multiple of its interval."""
+        """Resumes the evaluations of a trigger at the next multiple of its interval.
+
+        Raises:
+            UnknownNameError: no trigger has that name; the error suggests the nearest names.
+        """
         self._triggers.resume(name)
 
     def triggers(self) -> list[TriggerState]:
