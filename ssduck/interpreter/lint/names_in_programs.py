@@ -88,7 +88,10 @@ def _hidden_in(query: Query) -> Iterator[Check]:
             names = node.name, *others
             yield partial(_hides_function, node.name, node.span, names, OVER_TIME)
     aliases = {s.alias for s in query.sources if not isinstance(s.value, _NAMED)}
-    aliases |= {s.alias for s in query.sources if getattr(s.value, "name", s.alias) != s.alias}
+    for source in query.sources:
+        match source.value:
+            case Name(name=name) if name != source.alias:
+                aliases.add(source.alias)
     for node in _bare_names(child for child in query.children() if not isinstance(child, Source)):
         if node.name in aliases - own:
             yield partial(_hides_element, node)
