@@ -460,7 +460,7 @@ _TICKS = Table(
     "ticks",
     "the tick",
     (*_TICK, Column("wall_time", "double", "seconds since 1970")),
-    ("world.snapshot.Snapshot._finish",),
+    ("world.snapshot.Snapshot._write_rows",),
     is_recordable=False,
 )
 _FRAMES = Table(

@@ -138,14 +138,6 @@ class KeptPlans:
         for function in self._functions.pop(name, ()):
             self._connection.remove_function(function)
 
-    def readable(self, name: str, sql: str, columns: frozenset[str]) -> frozenset[str]:
-        """Returns those of some columns that a prepared statement may read of any table."""
-        scans = [one["extra_info"] for one in self._operators(execution_of(name)) if _is_scan(one)]
-        if any(info["Function"] != _SCAN for info in scans):
-            return columns
-        words = {*map(str.lower, _WORD.findall(sql)), *_WORD.findall(json.dumps(scans))}
-        return columns & words
-
     def _read_columns(self, sql: str, query: KeptQuery) -> set[str] | None:
         """Returns the columns that a query may need of a source; None if no plan is worth it."""
         sizes = [max(1, source.table().count) for source in query.sources]
@@ -212,7 +204,7 @@ class _CurrentRows:
 
     def __call__(self, calls: pa.Array) -> pa.Array:
         table = self._table()
-        arrow = table.arrow_with(self._columns)
+        arrow = table.arrow
         if table.version != self._version or self._rows is None:
             columns = [_array_of(arrow.column(name)) for name in self._columns]
             rows = pa.StructArray.from_arrays(columns, self._columns)
@@ -274,8 +266,6 @@ _TABLES = frozenset((*TABLES, *(table.history_view for table in RECORDED.values(
 RUNS_BEFORE_PLAN = 3
 # What a plan depends on that reads no buffer.
 _LAYOUT = frozenset(("entities",))
-# What a tick may write when it is read (`LiveTable.defer`): positions, velocities and boxes.
-_DEFERRED = frozenset(TABLES["entities"].tick_columns.doubles) - {"time"}
 # The types of the parameters of a statement, which are numbers, by name.
 NumberTypes: TypeAlias = Mapping[str, Literal["double", "integer"]]
 # No source can have this name, because it has a space.
@@ -297,8 +287,6 @@ class PreparedPlans:
         self._kept = KeptPlans(connection)
         # The tables that ssduck's own valid statements read, by the statement's name.
         self._own: dict[str, frozenset[str]] = {}
-        # The columns that a tick may write later which each of them may read without asking.
-        self._deferred: dict[str, frozenset[str]] = {}
 
     def has(self, name: str) -> bool:
         """Checks whether one of ssduck's own statements is prepared and valid."""
@@ -308,15 +296,9 @@ class PreparedPlans:
         """Prepares one of ssduck's own statements, which has run before."""
         if query is not None and self._kept.prepare(name, sql, query):
             tables = _LAYOUT  # it reads what the tables are at each run
-            self._deferred[name] = frozenset()  # it asks
         else:
             self.connection.prepare(name, sql)
-            self._deferred[name] = self._kept.readable(name, sql, _DEFERRED)
         self._own[name] = tables
-
-    def deferred_columns(self, name: str) -> frozenset[str]:
-        """Returns the columns of entities that have to be written before a statement runs."""
-        return self._deferred[name]
 
     def deallocate(self, name: str) -> None:
         """Drops one of ssduck's own prepared statements, if DuckDB keeps it."""
@@ -342,7 +324,6 @@ class PreparedPlans:
                     self._deallocate(name)
 
     def _deallocate(self, name: str) -> None:
-        self._deferred.pop(name, None)
         self.connection.deallocate(name)
         self._kept.drop(name)
 

@@ -146,7 +146,7 @@ class UserStatements:
         connection: Connection,
         plans: PreparedPlans,
         worlds: Mapping[str, BoundWorld],
-        settle: Callable[[frozenset[str] | None], None],
+        settle: Callable[[bool], None],
     ) -> None:
         self._settle = settle
         self._connection = connection
@@ -208,7 +208,7 @@ class UserStatements:
             found = self._looked_up(statement, parameters)
             if found is not None:
                 return found
-            self._settle(None)
+            self._settle(True)
             return self._connection.table(statement.text, parameters)
         if is_rewritten or statement.as_tuples is not None:
             try:
@@ -225,7 +225,7 @@ class UserStatements:
             except SelectScriptError:
                 self._release(statement)
                 raise
-        self._settle(None)
+        self._settle(True)
         table = self._connection.table(statement.text, parameters)
         statement.as_tuples = is_short_and_plain(table)
         return table
@@ -283,7 +283,7 @@ class UserStatements:
         if self._is_ready(statement, sql, parameters, names):
             sql, parameters, header = statement.execute, None, statement.last_header
         is_planned = sql == statement.execute
-        self._settle(self._plans.deferred_columns(statement.name) if is_planned else None)
+        self._settle(not is_planned)
         if statement.as_tuples:
             rows = self._connection.fetched(sql, parameters, header)
             statement.as_tuples = rows is not None and len(rows) < MANY_ROWS

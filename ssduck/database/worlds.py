@@ -318,29 +318,17 @@ class WorldRegistry:
         worlds = (bound.reference() for bound in self.bound)
         return [w.serial for w in worlds if w is not None and not isinstance(w, BatchWorld)]
 
-    def settle(self, columns: frozenset[str] | None = None) -> None:
-        """Writes what the ticks left for later, for DuckDB to read.
-
-        Args:
-            columns: only these columns of the tables of entities; None for all rows there are.
-        """
+    def settle(self, are_rows_unwritten: bool = True) -> None:
+        """Writes what recorders, and perhaps ticks, left for later, for DuckDB to read."""
         for bound in self.bound:
             bound.settle_history()
-        for bound, snapshot in self._snapshots():
-            if columns is None:
-                snapshot.settle()
-                self.register(bound)  # its buffers may be others
-            elif columns:
-                snapshot.tables["entities"].settle(columns)
+        if are_rows_unwritten:
+            self.write_rows()
 
     def write_rows(self) -> None:
-        """Writes the rows of the ticks, but for what is deferred, before a plan is chosen.
-
-        A plan that reads buffers ends where these are replaced.
-        """
+        """Writes the rows of the ticks; a plan that reads buffers ends where they are replaced."""
         for bound, snapshot in self._snapshots():
-            snapshot.write_rows()
-            snapshot.write_contacts()
+            snapshot.settle()
             self.register(bound)
 
     def _snapshots(self) -> Iterator[tuple[BoundWorld, Snapshot]]:

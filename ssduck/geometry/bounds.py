@@ -76,14 +76,6 @@ class BoundingBoxes:
             for core in cores
         ]
         self._vectors = np.array(vectors).reshape(len(cores), -1, 3).T.copy() if cores else None
-        # The only core, if it is one of points in spheres, and nothing else is there.
-        self._only: tuple[int, list[list[float]], float] | None = None
-        if len(cores) == 1 == self._count and not count and not self._planes:
-            self._only = (
-                cores[0].frame,
-                np.unique(cores[0].points, axis=0).tolist(),
-                cores[0].radius,
-            )
 
     def boxes(self, positions: Array, matrices: Array) -> Array:
         """Returns the boxes (6, groups): lower corners, upper corners; infinite with a plane.
@@ -102,22 +94,6 @@ class BoundingBoxes:
             box = boxes[..., group]
             np.minimum(box[..., :3], low, out=box[..., :3])
             np.maximum(box[..., 3:], high, out=box[..., 3:])
-
-    def single(self, positions: Array, matrices: Array) -> list[float]:
-        """Returns the box of the only group at finite poses, as `boxes` does, to the last bit."""
-        if self._only is None:
-            box: list[float] = self.boxes(positions, matrices)[:, 0].tolist()
-            return box
-        # For a few points, numbers of Python take a third of the time of arrays.
-        frame, points, radius = self._only
-        low, high = [], []
-        for origin, (a, b, c) in zip(
-            positions[frame].tolist(), matrices[frame].tolist(), strict=True
-        ):
-            offsets = [a * x + b * y + c * z for x, y, z in points]
-            low.append(min(offsets) + origin - radius)
-            high.append(max(offsets) + origin + radius)
-        return low + high
 
     def _plane_boxes(self, positions: Array, matrices: Array) -> list[Array]:
         """Returns the box of each plane, (2, 3): the lower corner and the upper one."""

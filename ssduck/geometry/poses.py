@@ -97,22 +97,6 @@ def multiply(first: Array, second: Array) -> Array:
     return np.ascontiguousarray(product.T)
 
 
-def product(first: Sequence[float], second: Sequence[float]) -> list[float]:
-    """Returns the Hamilton product of two quaternions, with the bits that `multiply` gives.
-
-    >>> product((0.0, 1.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0))
-    [-1.0, 0.0, 0.0, 0.0]
-    """
-    w, x, y, z = first
-    s, i, j, k = second
-    return [
-        w * s - x * i - y * j - z * k,
-        w * i + x * s + y * k - z * j,
-        w * j + y * s + z * i - x * k,
-        w * k + z * s + x * j - y * i,
-    ]
-
-
 def moved_point(
     origin: Sequence[float], matrix: Sequence[Sequence[float]], point: Sequence[float]
 ) -> list[float]:

@@ -36,7 +36,7 @@ from ssduck.recording.stores.parquet_archive import ParquetArchive
 from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.schema import MODELS, RECORDABLE
 from ssduck.simulators.scene_bodies import MODEL_SUFFIXES
-from ssduck.world.run_numbers import new_run
+from ssduck.world.snapshot import new_run
 
 # The number of an episode in the name of a schema.
 _NUMBER = re.compile("0|[1-9][0-9]{0,8}")

@@ -13,7 +13,7 @@ from ssduck.geometry.arrays import Array, Indices
 from ssduck.recording.buffers import TickRows
 from ssduck.recording.spec import chosen_members
 from ssduck.schema import FRAMES, RECORDED, STORED_TABLES, TABLES
-from ssduck.simulators.interface import LinkPoses
+from ssduck.simulators.interface import ContactPoints, LinkPoses
 from ssduck.world.layout import BodyGroup, TableLayout
 from ssduck.world.rows import CONTACT_SIDES, contact_rows
 from ssduck.world.sensor_readings import SENSING_COLUMNS, TickState, sensing_rows
@@ -169,8 +169,7 @@ class RecordedRows:
 
     def _contacts(self, states: Sequence[TickState]) -> _Columns:
         """Returns the columns of the table of contacts."""
-        contacts = [state.contacts for state in states]
-        points, counts = contacts[0].joined(contacts)
+        points, counts = ContactPoints.joined([state.contacts for state in states])
         ticks = np.arange(len(states)).repeat(counts)
         entities = self._layout.ids_of_handles[points.bodies]
         sides, numbers = contact_rows(points, entities, ticks)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.schema import LINK_FACTOR, entity_of, link_of
@@ -15,15 +15,6 @@ OPPOSING = -0.5
 
 # The entities of contacts, (2, n), and the numbers of their links there, (2, n).
 Sides: TypeAlias = tuple[Indices, Indices]
-# Contacts in the order of their table: sides, forces and normals: (n,) and (3, n).
-Columns: TypeAlias = tuple[Sides, Array, Array]
-
-
-class ContactsBetween(Protocol):
-    """Returns the contacts of two entities, in any order: all, or those that press."""
-
-    def __call__(self, a: int, b: int, *, pressing: bool) -> Sides:
-        """Returns them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,31 +24,24 @@ class ContactPairs:
     The values are those of the relations' formulas in SQL, to the last bit.
     """
 
-    between: ContactsBetween  # a function that returns the contacts of two entities
-    # A function that returns the contacts in the order of their table, whose sums depend on it. The
-    # normals are of length 1.
-    columns: Callable[[], Columns]
-
-    def _ordered(self, a: int, b: int) -> tuple[Array, Array]:
-        """Returns the forces and the normals of the contacts of two entities, in order."""
-        sides, forces, normals = self.columns()
-        rows = are_of(sides, a, b).nonzero()[0]
-        return forces.take(rows), normals.take(rows, axis=1)
+    # Returns those of two entities, in any order: all, or those that press.
+    between: Callable[[int, int, bool], Sides]
+    # Returns all in the order of their table, which sums depend on: sides, forces (n,), and unit
+    # normals (3, n).
+    ordered: Callable[[], tuple[Sides, Array, Array]]
 
     def is_pressing(self, a: int, b: int) -> bool:
         """Checks whether a contact of two entities or links presses."""
-        return self._is_there(a, b, pressing=True)
+        return self._is_there(a, b, is_pressing=True)
 
     def is_listed(self, a: int, b: int) -> bool:
         """Checks whether two entities or links have a contact, which may press or not."""
-        return self._is_there(a, b, pressing=False)
+        return self._is_there(a, b, is_pressing=False)
 
-    def _is_there(self, a: int, b: int, *, pressing: bool) -> bool:
+    def _is_there(self, a: int, b: int, *, is_pressing: bool) -> bool:
         if a == b:
             return False
-        sides = self.between(entity_of(a), entity_of(b), pressing=pressing)
-        if not sides[0].size or max(a, b) < LINK_FACTOR:
-            return bool(sides[0].size)
+        sides = self.between(entity_of(a), entity_of(b), is_pressing)
         return bool(are_of(sides, a, b).any())
 
     def force(self, a: int, b: int) -> float:
@@ -65,7 +49,8 @@ class ContactPairs:
         if a == b:
             return 0.0
         total = 0.0
-        for force in self._ordered(a, b)[0].tolist():
+        sides, forces, _ = self.ordered()
+        for force in forces[are_of(sides, a, b)].tolist():
             total += force
         return total
 
@@ -73,8 +58,8 @@ class ContactPairs:
         """Checks whether two contacts that press have normals that are at least 120° apart."""
         if a == b < LINK_FACTOR:
             return False
-        forces, normals = self._ordered(a, b)
-        x, y, z = normals[:, forces > 0]
+        sides, forces, normals = self.ordered()
+        x, y, z = normals[:, are_of(sides, a, b) & (forces > 0)]
         products = x[:, None] * x + y[:, None] * y + z[:, None] * z
         return bool((products <= OPPOSING).any())
 

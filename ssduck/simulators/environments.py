@@ -1,20 +1,22 @@
-"""The states of many simulations of one model, each an *environment*, in arrays."""
+"""The states of many simulations of one model or world, each an *environment*, in arrays."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.errors import ArgumentError
+from ssduck.errors import ArgumentError, UnknownNameError, nearest
 from ssduck.formatting import short_repr
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.margins import Margins
+from ssduck.geometry.poses import cross, multiply, rotate, rotation_matrices
 from ssduck.simulators.clock import Clock
-from ssduck.simulators.interface import Body, ContactPoints, LinkPoses, Simulator
+from ssduck.simulators.interface import SCALAR_JOINTS, Body, ContactPoints, LinkPoses, Simulator
 from ssduck.simulators.partial import PartialSimulator, unsupported
 
 # The libraries whose arrays cannot change.
@@ -46,49 +48,67 @@ class EnvironmentContacts:
         return self.points.only(self.environments == environment)
 
 
-class Environments(Protocol):
+class Environments(ABC):
     """The states of many simulations of one model.
 
     Positions are metres, orientations quaternions w, x, y, z, in the world frame.
     """
 
-    count: int  # the number n of environments
-    times: Array  # (n,), the simulated time of each, s
-    has_times: bool  # whether the last states had times
-    sample: Any  # an array of the last states as it was given, for the library of answers
+    accepted: Sequence[str]  # the names of the arrays of a state
 
-    @property
-    def accepted(self) -> Sequence[str]:
-        """The names of the arrays of a state."""
+    def __init__(self, count: int) -> None:
+        self.count = count  # the number n of environments
+        # (n,), the simulated time of each, s, and whether the last states had times.
+        self.times, self.has_times = np.zeros(count), False
+        # An array of the last states as it was given, for the library of answers.
+        self.sample: Any = None
 
+    def check_names(self, given: Iterable[str], told: str) -> None:
+        """Checks that arrays of some names are accepted."""
+        for name in given:
+            if name not in self.accepted:
+                raise ArgumentError(
+                    f"tick: {name!r} is no {told}", suggestions=nearest(name, self.accepted)
+                )
+
+    @abstractmethod
     def update(self, states: States, arrays: Mapping[str, Any]) -> None:
         """Takes the states that are read from now on."""
 
     def reset(self, environments: Indices) -> None:
-        """Notes that some environments begin a new episode, at the next states."""
+        """Sets the times of some environments to 0; their states come with the next tick."""
+        self.times = self.times.copy()  # earlier ones may be kept
+        self.times[environments] = 0.0
 
+    @abstractmethod
     def link_poses(self, bodies: tuple[Body, ...], environment: int) -> LinkPoses:
         """Returns the poses of the links of some bodies in an environment, body after body."""
 
+    @abstractmethod
     def frames(self, body: Body, link: int) -> tuple[Array, Array]:
         """Returns the positions (n, 3) and the orientations (n, 4) of a link."""
 
+    @abstractmethod
     def velocities(self, body: Body, link: int) -> Array:
         """Returns the linear (m/s) and angular (rad/s) velocities of a frame, (n, 6); or NaN."""
 
+    @abstractmethod
     def joints(self, body: Body) -> Array:
         """Returns positions, velocities and efforts of joints, (n, joints, 3); NaN if unknown."""
 
+    @abstractmethod
     def check_joints(self, body: Body) -> None:
         """Checks that the positions of a body's joints are known."""
 
     @property
     def knows_contacts(self) -> bool:
         """Whether the contacts are known; they may be read when they are asked for."""
+        return False
 
     @property
     def contacts(self) -> EnvironmentContacts | None:
         """The contacts; None if they are not known."""
+        return None
 
 
 class EnvironmentSimulator(PartialSimulator):
@@ -236,4 +256,150 @@ def check_lengths(orientations: npt.NDArray[Any], name: str) -> None:
             raise ArgumentError(
                 f"{name}: the quaternion w, x, y, z at ({environment}, {place}) is of length "
                 f"{np.sqrt(squares[environment, place]):.3g}, not 1"
+            )
+
+
+# The numbers of a pose, and of a pose with velocities.
+_POSE, _STATE = 7, 13
+
+
+class BodyEnvironments(Environments):
+    """The states of environments that have the bodies of a world; see `Environments`.
+
+    Args:
+        bodies: the bodies by the names of their entities.
+        states: the states of the links of each body at first, (links, 13); see `LinkPoses`.
+        joints: the positions, velocities and efforts of its joints at first, (joints, 3).
+        count: the number of environments.
+    """
+
+    accepted = ("poses", "joints", "time")
+
+    def __init__(
+        self,
+        bodies: Mapping[str, Body],
+        states: Mapping[Body, Array],
+        joints: Mapping[Body, Array],
+        count: int,
+    ) -> None:
+        super().__init__(count)
+        self._bodies = bodies
+        self._states = {
+            body: np.broadcast_to(own, (count, *own.shape)) for body, own in states.items()
+        }
+        self._joints = {
+            body: np.broadcast_to(own, (count, *own.shape)) for body, own in joints.items()
+        }
+        # The bodies with joints whose poses were given without these.
+        self._moved: frozenset[Body] = frozenset()
+
+    def update(self, states: States, arrays: Mapping[str, Any]) -> None:
+        given = {**(states or {}), **arrays}
+        self.check_names(
+            given,
+            "part of a state; give poses={'cup': (n, 7)}, joints={'arm': (n, joints)} and time",
+        )
+        new_states, new_joints = dict(self._states), dict(self._joints)
+        for name, values in self._named(given, "poses"):
+            body = self._bodies[name]
+            new_states[body] = self._poses_of(name, body, values)
+        for name, values in self._named(given, "joints"):
+            body = self._bodies[name]
+            new_joints[body] = self._joints_of(name, body, values)
+        time = given.get("time")
+        times = self.times if time is None else times_of(time, self.count)
+        self.times, self.has_times = times, time is not None
+        self.sample = next(iter((given.get("poses") or {}).values()), self.sample)
+        self._states, self._joints = new_states, new_joints
+        of_joints = frozenset(self._bodies[name] for name, _ in self._named(given, "joints"))
+        posed = frozenset(self._bodies[name] for name, _ in self._named(given, "poses"))
+        self._moved = (self._moved | {body for body in posed if body.joints}) - of_joints
+
+    def _named(self, given: Mapping[str, Any], part: str) -> Sequence[tuple[str, Any]]:
+        """Returns the names and arrays of a part of a state."""
+        by_name = given.get(part) or {}
+        if not isinstance(by_name, Mapping):
+            raise ArgumentError(f"tick: {part}: give a dict of arrays by the names of entities")
+        for name in by_name:
+            if name not in self._bodies:
+                raise UnknownNameError(
+                    f"tick: {part}: no body has the name {name!r}",
+                    suggestions=nearest(name, list(self._bodies)),
+                )
+        return list(by_name.items())
+
+    def _poses_of(self, name: str, body: Body, values: Any) -> Array:
+        """Returns the states of a body's links, (n, links, 13)."""
+        key, links = f"tick: poses[{name!r}]", len(body.links)
+        array = to_numpy(values, key)
+        if array.ndim == 2:
+            if any(link.region is None for link in body.links[1:]) and any(
+                joint.type != "fixed" for joint in body.joints
+            ):
+                raise ArgumentError(
+                    f"{key}: {name} has {links} links, which joints move: give the poses of all, "
+                    f"({self.count}, {links}, 7)"
+                )
+            array = array[:, None]
+        size = array.shape[-1] if array.shape[-1] in (_POSE, _STATE) else _POSE
+        rows = 1 if array.shape[1] == 1 else links
+        own = checked(array, key, (self.count, rows, size)).astype(np.float64)
+        check_lengths(own[..., 3:7], key)
+        if size == _POSE:
+            own = np.concatenate((own, np.full((*own.shape[:2], _STATE - _POSE), np.nan)), axis=2)
+        return own if rows == links else self._rigid(body, own[:, 0])
+
+    def _rigid(self, body: Body, base: Array) -> Array:
+        """Returns the states of all links of a body without joints, from those of its base."""
+        first = self._states[body][0]
+        conjugate = first[0, 3:7] * np.array([1.0, -1.0, -1.0, -1.0])
+        inverse = rotation_matrices(conjugate[None])
+        result = np.zeros((self.count, len(first), _STATE))
+        matrices = rotation_matrices(base[:, 3:7])
+        for number, link in enumerate(first):
+            inner = rotate(inverse, (link[:3] - first[0, :3])[None])
+            turn = multiply(conjugate[None], link[None, 3:7])
+            arms = rotate(matrices, np.broadcast_to(inner, (self.count, 3)))
+            result[:, number, :3] = base[:, :3] + arms
+            result[:, number, 3:7] = multiply(base[:, 3:7], np.broadcast_to(turn, (self.count, 4)))
+            result[:, number, 7:10] = base[:, 7:10] + cross(base[:, 10:], arms)
+            result[:, number, 10:] = base[:, 10:]
+        return result
+
+    def _joints_of(self, name: str, body: Body, values: Any) -> Array:
+        """Returns positions, velocities and efforts of a body's joints, (n, joints, 3)."""
+        key, count = f"tick: joints[{name!r}]", len(body.joints)
+        scalar = [place for place, j in enumerate(body.joints) if j.type in SCALAR_JOINTS]
+        array = to_numpy(values, key)
+        wanted = len(scalar) if array.ndim == 2 and array.shape[1] == len(scalar) else count
+        own = checked(array, key, (self.count, wanted)).astype(np.float64)
+        result = np.full((self.count, count, 3), np.nan)
+        result[:, scalar if wanted == len(scalar) else slice(None), 0] = own
+        return result
+
+    # -- reading ----------------------------------------------------------------------------
+
+    def link_poses(self, bodies: tuple[Body, ...], environment: int) -> LinkPoses:
+        parts = [np.zeros((0, _STATE)), *(self._states[body][environment] for body in bodies)]
+        states = np.concatenate(parts)
+        with np.errstate(invalid="ignore"):
+            return LinkPoses(states[:, :3], rotation_matrices(states[:, 3:7]), states)
+
+    def frames(self, body: Body, link: int) -> tuple[Array, Array]:
+        states = self._states[body][:, link]
+        return states[:, :3], states[:, 3:7]
+
+    def velocities(self, body: Body, link: int) -> Array:
+        velocities: Array = self._states[body][:, link, 7:]
+        return velocities
+
+    def joints(self, body: Body) -> Array:
+        return self._joints[body]
+
+    def check_joints(self, body: Body) -> None:
+        if body in self._moved:
+            name = next(name for name, one in self._bodies.items() if one is body)
+            raise ArgumentError(
+                f"the positions of the joints of {name} are not known: give tick "
+                f"joints={{{name!r}: (n, joints)}} with its poses"
             )

@@ -10,15 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
-from typing import Literal, NamedTuple, Protocol, TypeAlias
+from functools import cache, partial
+from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.margins import Margins
-from ssduck.geometry.poses import cross
+from ssduck.geometry.poses import cross, rotation_matrices
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.scenes import Camera
@@ -174,10 +174,9 @@ class LinkPoses:
             the point x y z, the angular velocity x y z.
         are_finite: whether the states are surely finite.
         orientations: (n, 4), those of the states, if they are there before these.
-        source: what all of these follow from, if the simulator keeps that; see `joined`.
 
     Attributes:
-        are_finite, source: see above.
+        are_finite: see above.
     """
 
     def __init__(
@@ -188,9 +187,8 @@ class LinkPoses:
         *,
         are_finite: bool = False,
         orientations: Array | None = None,
-        source: PosesSource | None = None,
     ) -> None:
-        self.are_finite, self.source, self._positions = are_finite, source, positions
+        self.are_finite, self._positions = are_finite, positions
         self._matrices, self._states, self._orientations = matrices, states, orientations
 
     @classmethod
@@ -198,12 +196,12 @@ class LinkPoses:
         """Returns the poses of the same links at several ticks, one tick after the other."""
         if len(ticks) == 1:
             return ticks[0]
-        sources = [tick.source for tick in ticks]
-        first = sources[0]
-        if first is not None and all(s is not None and s.derive == first.derive for s in sources):
-            return first.derive(np.stack([source.numbers for source in sources if source]))
-        parts = zip(*((t.positions, t.matrices, t.states) for t in ticks), strict=True)
-        return cls(*map(np.concatenate, parts), are_finite=all(t.are_finite for t in ticks))
+        positions, states = (
+            np.concatenate(parts)
+            for parts in zip(*((tick.positions, tick.states) for tick in ticks), strict=True)
+        )
+        matrices = partial(rotation_matrices, states[:, 3:7])
+        return cls(positions, matrices, states, are_finite=all(tick.are_finite for tick in ticks))
 
     @property
     def positions(self) -> Array:
@@ -250,18 +248,6 @@ class LinkPoses:
         return states
 
 
-class PosesSource(NamedTuple):
-    """The simulator's own numbers at a tick, which link poses follow from.
-
-    Attributes:
-        numbers: (k,), the numbers.
-        derive: returns the link poses of t ticks, one tick after the other, of numbers (t, k).
-    """
-
-    numbers: Array
-    derive: Callable[[Array], LinkPoses]
-
-
 @dataclass(frozen=True)
 class ContactPoints:
     """Contact points of the physics solver, in the world; normals point from body b to body a.
@@ -302,7 +288,7 @@ class ContactPoints:
 
     @classmethod
     def joined(cls, ticks: Sequence[Contacts]) -> tuple[ContactPoints, Indices]:
-        """Returns the contacts of several ticks, one tick after the other; see `Contacts`."""
+        """Returns all contacts of several ticks, and the number of each tick's."""
         points = [tick.all() for tick in ticks]
         columns = zip(*(vars(one).values() for one in points), strict=True)
         return cls(*map(np.concatenate, columns)), np.array([len(one) for one in points], np.intp)
@@ -313,11 +299,8 @@ class ContactPoints:
 
     def between(self, a: int, b: int, *, pressing: bool) -> tuple[Indices, Indices]:
         """Returns the bodies and links of those of two bodies; see `Contacts`."""
-        first, second = self.bodies.T
-        is_of_both = ((first == a) & (second == b)) | ((first == b) & (second == a))
-        if pressing:
-            is_of_both &= self.forces > 0
-        rows = is_of_both.nonzero()[0]
+        is_of_both = (self.bodies == (a, b)).all(axis=1) | (self.bodies == (b, a)).all(axis=1)
+        rows = (is_of_both & (self.forces > 0) if pressing else is_of_both).nonzero()[0]
         return self.bodies[rows], self.links[rows]
 
     def __len__(self) -> int:
@@ -334,17 +317,8 @@ class Contacts(Protocol):
     def all(self) -> ContactPoints:
         """Returns all of them."""
 
-    def joined(self, ticks: Sequence[Contacts], /) -> tuple[ContactPoints, Indices]:
-        """Returns all contacts of ticks, this one among them, and the number of each tick's."""
-
     def between(self, a: int, b: int, *, pressing: bool) -> tuple[Indices, Indices]:
-        """Returns the bodies and links, (n, 2) each, of those of two bodies.
-
-        Args:
-            a: the handle of a body.
-            b: that of the other one, or the same.
-            pressing: whether those that do not press are left out.
-        """
+        """Returns the bodies and links, (n, 2) each, of those of two bodies: all, or that press."""
 
 
 @dataclass(frozen=True)

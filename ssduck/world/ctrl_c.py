@@ -1,7 +1,6 @@
-"""Defers Ctrl-C and other signals while a tick is taken, so that it is taken and recorded whole.
+"""Defers signals that end the program while a tick is taken, so that it is recorded whole.
 
-A user's handler of a signal may raise at any place: that of SIGTERM ends the program, that of
-SIGALRM a call that takes too long.
+A user's handler may raise at any place, as that of SIGTERM that ends the program.
 """
 
 from __future__ import annotations
@@ -15,8 +14,8 @@ from typing import Any
 # Without the wrappers of `signal`, which take ten times longer.
 handler_of = _signal.getsignal
 _set_handler = _signal.signal
-# The signals whose handlers raise; Windows lacks some.
-_NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGALRM")
+# The signals that end the program; Windows has no SIGHUP.
+_NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
 _NUMBERS = tuple(int(getattr(signal, name)) for name in _NAMES if hasattr(signal, name))
 # The handlers that are replaced, by signal, of each context, the outermost first.
 _replaced: list[dict[int, Any]] = []
@@ -115,7 +114,7 @@ def _restore(handlers: dict[int, Any]) -> None:
 
 def _deliver(handlers: dict[int, Any]) -> None:
     """Calls the handlers of the signals that came, as often as they came."""
-    raised: list[BaseException] = []
+    raised: BaseException | None = None
     while own := [number for number in _noted if number in handlers]:
         number = own[0]
         _noted.remove(number)
@@ -126,6 +125,6 @@ def _deliver(handlers: dict[int, Any]) -> None:
             elif handler == signal.SIG_DFL:  # the first one has switched to it
                 signal.raise_signal(number)
         except BaseException as error:  # noqa: BLE001  # it is raised below
-            raised.append(error)
-    if raised:
-        raise next((one for one in raised if not isinstance(one, Exception)), raised[0])
+            raised = raised or error
+    if raised is not None:
+        raise raised

@@ -7,10 +7,11 @@ whole arrays.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, partial
+from functools import cached_property
 from itertools import accumulate
+from typing import Any
 
 import numpy as np
 
@@ -19,9 +20,7 @@ from ssduck.geometry.bounds import BoundingBoxes
 from ssduck.geometry.poses import (
     IDENTITY,
     compose,
-    moved_point,
     multiply,
-    product,
     rotate,
     rotation_matrices,
 )
@@ -29,7 +28,6 @@ from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.schema import BOX, POSE, TWIST
 from ssduck.simulators.interface import Body, Kind, LinkPoses
 from ssduck.simulators.scenes import SensorSpec
-from ssduck.world.live_tables import LiveTable
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,15 +105,6 @@ class TableLayout:
             )
             for is_static in (True, False)
         )
-
-    @cached_property
-    def shape_groups(self) -> list[tuple[int, int]]:
-        """The number of each shape's group, static or moving bodies, and its number there."""
-        groups = [(0, 0)] * sum(len(body.shapes) for _, body in self.bodies)
-        for group, bodies in enumerate((self.static_bodies, self.moving_bodies)):
-            for number, row in enumerate(bodies.shape_rows.tolist()):
-                groups[row] = group, number
-        return groups
 
     @cached_property
     def shape_order(self) -> Indices | None:
@@ -214,15 +203,8 @@ class BodyGroup:
         mounts = np.array([mount.frame for mount in self._mounts], dtype=np.intp)
         self.sensors_on_links = bool(np.setdiff1d(mounts, self._bases).size)
         self._row_frames = np.concatenate((self._bases, mounts))
-        # The last link poses, with the boxes of the links and sensors, and of the entities.
-        self._last_boxes: tuple[LinkPoses, Array] | None = None
-        self._last_states: tuple[LinkPoses, Array] | None = None
-        self._last_shape_boxes: tuple[LinkPoses, Array] | None = None
-        self._last_shapes: tuple[LinkPoses, tuple[Array, Array, Array]] | None = None
-        self._last_entity_boxes: tuple[LinkPoses, Array] | None = None
-        # The last link poses, with the boxes of some shapes, by the range of these.
-        self._last_single_boxes: tuple[LinkPoses, dict[range, list[float]]] | None = None
-        self._single_boxers: dict[range, BoundingBoxes] = {}
+        # What was computed of the last link poses, with these.
+        self._computed: dict[str, tuple[LinkPoses, Any]] = {}
 
     # The columns x to zmax of the tables of entities and links are pose, velocities and box. What
     # writes rows takes the link poses of one tick or of several, one tick after the other.
@@ -255,67 +237,48 @@ class BodyGroup:
         self.write_states(link_poses, block)
         self.write_boxes(link_poses, block)
 
-    def write_later(self, link_poses: LinkPoses, table: LiveTable) -> bool:
-        """Writes these rows when they are read: few programs read all. Returns whether it will.
-
-        Numbers that may not be finite are written at once, and those of sensors' poses.
-        """
-        block = table.doubles("x", "zmax")[..., None]
-        is_later = link_poses.are_finite and table.is_complete and not self._mounts
-        if is_later:
-            parts = link_poses, block
-            table.defer("x", "z", partial(self._write_positions, *parts))
-            table.defer("qw", "wz", partial(self.write_states, *parts))
-            table.defer("xmin", "zmax", partial(self.write_boxes, *parts))
-            return True
-        if self.write_states(link_poses, block) and table.is_complete:
-            table.defer("xmin", "zmax", partial(self.write_boxes, link_poses, block))
-        else:
-            self.write_boxes(link_poses, block)
-        return False
-
-    def _write_positions(self, link_poses: LinkPoses, block: Array) -> None:
-        """Writes the positions of these rows, if there are no sensors."""
-        block[:3, self._rows, 0] = link_poses.positions.take(self._row_frames, axis=0).T
+    def _once(self, name: str, link_poses: LinkPoses, compute: Callable[[], Any]) -> Any:
+        """Returns what follows from link poses: few bodies that cannot move ever have others."""
+        last = self._computed.get(name)
+        if last is None or last[0] is not link_poses:
+            last = self._computed[name] = link_poses, compute()
+        return last[1]
 
     def numbers_in(
         self, link_poses: LinkPoses, table: str, row: int, columns: tuple[str, ...]
     ) -> list[float] | None:
         """Returns numbers x to zmax of the row of a body or link here; None for other rows."""
-        is_link, chosen = table == "links", _chosen(columns)
-        place = (self._link_places if is_link else self._places).get(row)
-        if place is None or chosen is None:
+        place = self._places[table].get(row)
+        if place is None or not _COLUMNS.keys() >= set(columns):
             return None
-        places, has_state, has_box = chosen
-        link, box = place if is_link else self._bases[place], list[float]()
-        if has_box and is_link:
-            box = self._boxes(link_poses)[:, link].tolist()
-        elif has_box:
-            box = self._box_of_body(link_poses, place)
-        read = self._states(link_poses) if has_state else link_poses.positions
-        numbers: list[float] = read[link].tolist()
-        return [(box if number < 0 else numbers)[number] for number in places]
+        wanted = [_COLUMNS[name] for name in columns]
+        link = place if table == "links" else self._bases[place]
+        if max(wanted) < 3:  # which velocities are not computed for
+            numbers = link_poses.positions[link].tolist()
+        else:
+            numbers = self._once("states", link_poses, lambda: self._states(link_poses))[
+                link
+            ].tolist()
+        if max(wanted) >= len(numbers):
+            boxes = self._boxes(link_poses) if table == "links" else self._entity_boxes(link_poses)
+            numbers += boxes[:, place].tolist()
+        return [numbers[number] for number in wanted]
 
     def _states(self, link_poses: LinkPoses) -> Array:
         """Returns the poses and velocities of the links at one tick, (links, 13)."""
-        last = self._last_states
-        if last is None or last[0] is not link_poses:
-            states = link_poses.states_at(link_poses.positions, np.arange(self.link_count))
-            last = self._last_states = link_poses, states
-        return last[1]
+        return link_poses.states_at(link_poses.positions, np.arange(self.link_count))
 
     @cached_property
-    def _link_places(self) -> dict[int, int]:
-        """The place of a row's link among the links."""
-        return {row: place for place, row in enumerate(self._link_rows.tolist())}
+    def _places(self) -> Mapping[str, Mapping[int, int]]:
+        """The places of the rows of bodies and of links, by table."""
+        rows = {"entities": self._rows[: len(self.bodies)], "links": self._link_rows}
+        return {
+            table: {row: place for place, row in enumerate(of_table.tolist())}
+            for table, of_table in rows.items()
+        }
 
-    @cached_property
-    def _places(self) -> dict[int, int]:
-        """The place of a row's body among the bodies."""
-        return {row: place for place, row in enumerate(self._rows[: len(self.bodies)].tolist())}
-
-    def write_states(self, link_poses: LinkPoses, block: Array) -> bool:
-        """Writes the poses and velocities of these rows; returns whether all are finite."""
+    def write_states(self, link_poses: LinkPoses, block: Array) -> None:
+        """Writes the poses and velocities of these rows."""
         frames, ticks = self._at_ticks(self._row_frames, link_poses), self._ticks_of(link_poses)
         positions = link_poses.positions.take(frames, axis=0)
         first = len(self.bodies) * ticks
@@ -327,7 +290,6 @@ class BodyGroup:
             turns = self._turns.repeat(ticks, axis=0)
             states[first:, 3:7] = multiply(states[first:, 3:7], turns)
         block[:13, self._rows] = states.T.reshape(13, len(self._rows), ticks)
-        return bool(np.isfinite(states).all())
 
     def _mount_offsets(self, columns: Array) -> Array:
         """Returns the vectors from links, of orientations (n, 3, 3), to their sensors, (n, 3)."""
@@ -374,104 +336,29 @@ class BodyGroup:
 
         At several ticks, the first shape comes first, at all of them; boxes are (6, shapes, ticks).
         """
-        last = self._last_shapes
-        if last is None or last[0] is not link_poses:
-            links, *inner = self._shape_places
-            ticks = self._ticks_of(link_poses)
-            links = self._at_ticks(links, link_poses)
-            inner_positions, inner_orientations = (part.repeat(ticks, axis=0) for part in inner)
-            positions = link_poses.positions.take(links, axis=0)
-            orientations = link_poses.orientations.take(links, axis=0)
-            if self._are_shapes_at_links and link_poses.are_finite:
-                positions += 0.0  # as a sum, it has no negative zero
-                orientations += 0.0
-            else:
-                positions += rotate(link_poses.matrices.take(links, axis=0), inner_positions)
-                orientations = multiply(orientations, inner_orientations)
-            placed = positions, orientations, self.shape_boxes(link_poses)
-            last = self._last_shapes = link_poses, placed
-        return last[1]
+        placed: tuple[Array, Array, Array] = self._once(
+            "shapes", link_poses, lambda: self._place_shapes(link_poses)
+        )
+        return placed
 
-    def shape_boxes(self, link_poses: LinkPoses) -> Array:
-        """Returns the boxes of the shapes, (6, shapes), or (6, shapes, ticks)."""
-        if self._are_shapes_links:
-            return self._boxes(link_poses)[:, : len(self._shapes)]
-        last = self._last_shape_boxes
-        if last is None or last[0] is not link_poses:
-            last = self._last_shape_boxes = (
-                link_poses,
-                self._bounds(self._shape_boxer, link_poses),
-            )
-        return last[1]
-
-    def shape_box(self, link_poses: LinkPoses, number: int) -> list[float]:
-        """Returns the box of a shape, that of `shape_boxes`."""
-        last = self._last_boxes if self._are_shapes_links else self._last_shape_boxes
-        is_known = last is not None and last[0] is link_poses
-        if is_known or not link_poses.are_finite:
-            box: list[float] = self.shape_boxes(link_poses)[:, number].tolist()
-            return box
-        return self._single_box(link_poses, range(number, number + 1))
-
-    def _box_of_body(self, link_poses: LinkPoses, place: int) -> list[float]:
-        """Returns the box of a body at finite poses, that of `write_boxes`."""
-        shapes, single = self._shape_ranges[place], self._last_single_boxes
-        lasts = self._last_entity_boxes, single if single and len(single[1]) >= _FEW else None
-        if not shapes or any(last is not None and last[0] is link_poses for last in lasts):
-            box: list[float] = self._entity_boxes(link_poses)[:, place].tolist()
-            return box
-        return self._single_box(link_poses, shapes)
-
-    def _single_box(self, link_poses: LinkPoses, shapes: range) -> list[float]:
-        """Returns the box of some shapes; few programs need those of all at a tick."""
-        last = self._last_single_boxes
-        if last is None or last[0] is not link_poses:
-            last = self._last_single_boxes = link_poses, {}
-        boxes = last[1]
-        if shapes not in boxes:
-            boxer = self._single_boxers.get(shapes)
-            if boxer is None:
-                chosen = self._shapes[shapes.start : shapes.stop]
-                boxer = self._single_boxers[shapes] = BoundingBoxes(chosen, [0] * len(chosen), 1)
-            boxes[shapes] = boxer.single(link_poses.positions, link_poses.matrices)
-        return boxes[shapes]
-
-    @cached_property
-    def _shape_ranges(self) -> list[range]:
-        """The numbers of each body's shapes."""
-        ends = list(accumulate((len(body.shapes) for body in self.bodies), initial=0))
-        return list(map(range, ends, ends[1:]))
-
-    def shape_pose(self, link_poses: LinkPoses, number: int) -> tuple[list[float], list[float]]:
-        """Returns the position and the orientation of a shape, those of `write_shapes`."""
-        shape = self._shapes[number]
-        frame = shape.frame
-        origin = link_poses.positions[frame].tolist()
-        turn = link_poses.orientations[frame].tolist()
-        if self._are_at_links[number] and link_poses.are_finite:
-            return [x + 0.0 for x in origin], [x + 0.0 for x in turn]  # as sums: no negative zeros
-        matrix = link_poses.matrices[frame].tolist()
-        position = moved_point(origin, matrix, shape.position.tolist())
-        return position, product(turn, shape.orientation.tolist())
+    def _place_shapes(self, link_poses: LinkPoses) -> tuple[Array, Array, Array]:
+        links, *inner = self._shape_places
+        ticks = self._ticks_of(link_poses)
+        links = self._at_ticks(links, link_poses)
+        inner_positions, inner_orientations = (part.repeat(ticks, axis=0) for part in inner)
+        arms = rotate(link_poses.matrices.take(links, axis=0), inner_positions)
+        return (
+            link_poses.positions.take(links, axis=0) + arms,
+            multiply(link_poses.orientations.take(links, axis=0), inner_orientations),
+            self._boxes(link_poses)[:, : len(self._shapes)]
+            if self._are_shapes_links
+            else self._bounds(self._shape_boxer, link_poses),
+        )
 
     @cached_property
     def _are_shapes_links(self) -> bool:
         """Whether each link has one shape, in the order of the links: then it has its box."""
-        frames = [shape.frame for shape in self._shapes]
-        return frames == list(range(self.link_count))
-
-    @cached_property
-    def _are_shapes_at_links(self) -> bool:
-        """Whether the pose of each shape is that of its link."""
-        return all(self._are_at_links)
-
-    @cached_property
-    def _are_at_links(self) -> list[bool]:
-        """Whether each shape has the pose of its link."""
-        _, positions, orientations = self._shape_places
-        are_there = ~positions.any(axis=1) & (orientations == IDENTITY).all(axis=1)
-        flags: list[bool] = are_there.tolist()
-        return flags
+        return [shape.frame for shape in self._shapes] == list(range(self.link_count))
 
     @cached_property
     def _shape_places(self) -> tuple[Indices, Array, Array]:
@@ -490,11 +377,8 @@ class BodyGroup:
 
     def _entity_boxes(self, link_poses: LinkPoses) -> Array:
         """Returns the boxes of the bodies, then those of the sensors, as `_boxes` does."""
-        # The poses of sensors take them, and later the boxes themselves, often of the same tick.
-        last = self._last_entity_boxes
-        if last is None or last[0] is not link_poses:
-            last = self._last_entity_boxes = link_poses, self._merged_boxes(link_poses)
-        return last[1]
+        boxes: Array = self._once("entities", link_poses, lambda: self._merged_boxes(link_poses))
+        return boxes
 
     def _merged_boxes(self, link_poses: LinkPoses) -> Array:
         """Computes them from the boxes of the links."""
@@ -518,10 +402,10 @@ class BodyGroup:
 
     def _boxes(self, link_poses: LinkPoses) -> Array:
         """Returns the boxes of links, then those of sensors, (6, n) or (6, n, ticks)."""
-        last = self._last_boxes
-        if last is None or last[0] is not link_poses:
-            last = self._last_boxes = link_poses, self._bounds(self._boxer, link_poses)
-        return last[1]
+        boxes: Array = self._once(
+            "links", link_poses, lambda: self._bounds(self._boxer, link_poses)
+        )
+        return boxes
 
     @cached_property
     def _boxer(self) -> BoundingBoxes:
@@ -538,22 +422,9 @@ class BodyGroup:
         return BoundingBoxes(self._shapes, range(len(self._shapes)), len(self._shapes))
 
 
-_POINT = Geometry.primitive("sphere", (0, 0, 0))
-# The columns of a row that follow from link poses; where orientation and box begin.
+# The columns of a row that follow from link poses.
 _COLUMNS = {name: place for place, name in enumerate((*POSE, *TWIST, *BOX))}
-_STATE, _BOX = _COLUMNS["qw"], _COLUMNS["xmin"]
-# Of more boxes of single bodies at a tick, all are computed at once.
-_FEW = 4
-
-
-@lru_cache(maxsize=1024)
-def _chosen(columns: tuple[str, ...]) -> tuple[list[int], bool, bool] | None:
-    """Returns places among pose, twist and box (from its end); if any is of a turn, of a box."""
-    if not _COLUMNS.keys() >= set(columns):
-        return None
-    places = [_COLUMNS[name] for name in columns]
-    numbers = [place if place < _BOX else place - len(_COLUMNS) for place in places]
-    return numbers, any(_STATE <= p < _BOX for p in places), max(places) >= _BOX
+_POINT = Geometry.primitive("sphere", (0, 0, 0))
 
 
 def _centred(frame: int, geometry: Geometry) -> PlacedGeometry:

@@ -1,16 +1,15 @@
 """Holds the rows of a tick in numpy buffers that an Arrow table shares.
 
 The numbers of a table are overwritten in place, so that readers of the Arrow table, such as
-DuckDB, see the next tick without further calls. Columns that few programs read may be written later
-(`defer`): when they are asked for here, or when a world is pinned for a statement.
+DuckDB, see the next tick without further calls.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Collection, Iterable
 from itertools import count
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -48,13 +47,6 @@ def last_version() -> int:
     return _last_version
 
 
-class _Deferred(NamedTuple):
-    """Adjacent columns of doubles that are still to be written."""
-
-    columns: range  # the rows of the block that hold them
-    write: Callable[[], object]  # a function that writes them
-
-
 class LiveTable:
     """A table of the current tick.
 
@@ -73,7 +65,6 @@ class LiveTable:
     def fill(self, count: int, values: dict[str, Any]) -> None:
         """Resets the table to a number of rows; columns of numbers without values start at 0."""
         self.count = count
-        self._deferred: list[_Deferred] = []
         kinds: dict[str, ColumnType] = {column.name: column.type for column in self.columns}
         self._numbers: dict[str, npt.NDArray[Any]] = {}
         # Columns of numbers without missing values get buffers; the others stay Arrow arrays.
@@ -125,7 +116,6 @@ class LiveTable:
 
     def clone(self) -> LiveTable:
         """Returns a table of the same rows with its own buffers; constant columns are shared."""
-        self.settle()
         clone = copy.copy(self)
         block = clone._block = self._block.copy()  # noqa: SLF001  # one class
         clone._numbers = {  # noqa: SLF001
@@ -147,16 +137,6 @@ class LiveTable:
     @property
     def arrow(self) -> pa.Table:
         """The Arrow table, made when it is asked for; its numbers change in place."""
-        self.settle()
-        return self._shared()
-
-    def arrow_with(self, names: Iterable[str]) -> pa.Table:
-        """Returns the Arrow table, in which only these columns are certain to be written."""
-        self.settle(names)
-        return self._shared()
-
-    def _shared(self) -> pa.Table:
-        """Returns the Arrow table; deferred columns have numbers of an earlier tick."""
         if self._arrow is None:
             unknown = np.logical_or.reduce(np.isnan(self._block), axis=1)
             self._arrow = pa.table(
@@ -184,7 +164,6 @@ class LiveTable:
 
     def __getitem__(self, name: str) -> npt.NDArray[Any]:
         """Returns the buffer of a column of numbers, (rows,)."""
-        self._settle(name)
         return self._numbers[name]
 
     def values(self, name: str, rows: Indices | None = None) -> list[Any]:
@@ -197,7 +176,6 @@ class LiveTable:
                 return values
             objects: list[Any] = np.fromiter(values, object, len(values)).take(rows).tolist()
             return objects
-        self._settle(name)
         column = self._numbers[name]
         selected = column if rows is None else column.take(rows)
         numbers: list[Any] = selected.tolist()
@@ -210,61 +188,22 @@ class LiveTable:
         column = self._numbers.get(name)
         if column is None:
             return self.values(name)[row]
-        self._settle(name)
         number = column[row].item()
         return None if number != number else number  # noqa: PLR0124  # NaN is unknown
 
     def doubles_in(self, row: int, names: tuple[str, ...]) -> list[float | None]:
         """Returns the values of columns of doubles in a row, None for unknown ones."""
-        self.settle(names)
         numbers = self._block[self.block_rows(names), row].tolist()
         return [None if number != number else number for number in numbers]  # noqa: PLR0124
 
     def doubles(self, first: str, last: str) -> Array:
         """Returns the buffer of adjacent columns of doubles, (columns, rows)."""
-        self._settle(first, last)
         return self._block[self._row[first] : self._row[last] + 1]
 
     @property
     def block(self) -> Array:
         """The columns of doubles, (columns, rows)."""
-        self.settle()
         return self._block
-
-    def defer(self, first: str, last: str, write: Callable[[], object]) -> None:
-        """Has adjacent columns of doubles written later, before anything reads any of them.
-
-        Their numbers must all be finite. Until then, the columns have those of an earlier tick.
-        """
-        columns = range(self._row[first], self._row[last] + 1)
-        # A clone has the same list.
-        self._deferred = [*self._deferred, _Deferred(columns, write)]
-
-    def settle(self, names: Iterable[str] | None = None) -> None:
-        """Writes the columns that were deferred: all, or those that are written with some."""
-        if names is not None:
-            for name in names:
-                self._settle(name)
-        elif self._deferred:
-            self._write(self._deferred)
-
-    def _write(self, deferred: list[_Deferred]) -> None:
-        """Writes some columns that were deferred; they stay so if that fails."""
-        for entry in list(deferred):
-            entry.write()
-            self._deferred = [other for other in self._deferred if other is not entry]
-
-    def overwritten(self, first: str, last: str) -> Array:
-        """Returns the buffer of adjacent columns that the caller overwrites, deferred or not."""
-        self._deferred = []
-        return self.doubles(first, last)
-
-    def _settle(self, first: str, last: str | None = None) -> None:
-        """Writes the deferred columns that are written together with any of some adjacent ones."""
-        if not self._deferred or first not in self._row:
-            return
-        low, high = self._row[first], self._row[last or first]
-        self._write([d for d in self._deferred if low < d.columns.stop and high >= d.columns.start])
 
     @property
     def names_of_doubles(self) -> list[str]:
@@ -288,7 +227,6 @@ class LiveTable:
     def publish_unknown(self) -> None:
         """Turns unknown numbers (NaN) into NULL, after numbers were written."""
         if not self.is_complete or _has_nan(self._block):
-            self.settle()
             self.publish()
 
 

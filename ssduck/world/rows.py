@@ -10,7 +10,7 @@ import numpy as np
 from ssduck.errors import EvaluationError
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.shapes import Geometry
-from ssduck.simulators.contact_pairs import Columns, ContactPairs, are_of
+from ssduck.simulators.contact_pairs import ContactPairs, are_of
 from ssduck.simulators.contact_pairs import Sides as ContactSides
 from ssduck.simulators.interface import Body, ContactPoints, Contacts
 from ssduck.world.layout import TableLayout
@@ -39,34 +39,27 @@ def write_contacts(table: LiveTable, contacts: ContactPoints, layout: TableLayou
 def contact_pairs(
     unwritten: Contacts | None, layout: TableLayout, table: Callable[[], LiveTable]
 ) -> ContactPairs:
-    """Returns the contacts of a tick, as the simulator has them, or as in the table if written."""
+    """Returns the contacts of a tick, as the simulator has them until their table is written."""
 
-    def columns() -> Columns:
+    def ordered() -> tuple[ContactSides, Array, Array]:
         rows = table()
         if not rows.is_complete:
             raise EvaluationError("a contact has an unknown number")
-        entities, links = (
-            np.stack((rows["a"], rows["b"])),
-            np.stack((rows["link_a"], rows["link_b"])),
-        )
+        entities = np.stack((rows["a"], rows["b"]))
+        links = np.stack((rows["link_a"], rows["link_b"]))
         return (entities, links), rows["force"], rows.doubles("nx", "nz")
 
-    def between(a: int, b: int, *, pressing: bool) -> ContactSides:
+    def between(a: int, b: int, pressing: bool) -> ContactSides:
         if unwritten is None:
-            (entities, links), forces, _ = columns()
-            is_chosen = are_of((entities, links), a, b)
-            if pressing:
-                is_chosen &= forces > 0
-            rows = is_chosen.nonzero()[0]
-            return entities.take(rows, axis=1), links.take(rows, axis=1)
-        first, second = layout.handles.get(a), layout.handles.get(b)
-        if first is None or second is None:  # a sensor has no body, and no contacts
-            none = np.zeros((2, 0), np.intp)
-            return none, none
+            sides, forces, _ = ordered()
+            is_chosen = are_of(sides, a, b) & ((forces > 0) | (not pressing))
+            return sides[0][:, is_chosen], sides[1][:, is_chosen]
+        # A sensor has no body, and no contacts.
+        first, second = (layout.handles.get(id, -2) for id in (a, b))
         bodies, links = unwritten.between(first, second, pressing=pressing)
         return layout.ids_of_handles[bodies.T], links.T
 
-    return ContactPairs(between, columns)
+    return ContactPairs(between, ordered)
 
 
 def contact_rows(

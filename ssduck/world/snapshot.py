@@ -11,10 +11,9 @@ read with every tick until `FORGOTTEN_AFTER` ticks have passed without another r
 from __future__ import annotations
 
 import copy
+import secrets
 import time
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
-from collections.abc import Set as AbstractSet
-from functools import partial
 from itertools import chain
 from typing import Any
 
@@ -45,7 +44,6 @@ from ssduck.world.rows import (
     shape_columns,
     write_contacts,
 )
-from ssduck.world.run_numbers import new_run
 from ssduck.world.sensor_readings import (
     SensorReader,
     TickContext,
@@ -55,6 +53,14 @@ from ssduck.world.sensor_readings import (
     write_sensings,
 )
 from ssduck.world.tick_geometry import TickGeometry
+
+# The bits of a double's significand: readers may convert the number to a double without loss.
+_BITS = 53
+
+
+def new_run() -> int:
+    """Returns a random number for a run, above 0, which no other run has in practice."""
+    return secrets.randbits(_BITS) or 1
 
 
 class Snapshot(TickGeometry):
@@ -136,8 +142,8 @@ class Snapshot(TickGeometry):
 
     def settle(self) -> None:
         """Writes all rows of this tick that were left for later: DuckDB reads without asking."""
-        for name in ("entities", "links", "shapes"):
-            self.tables[name].settle()
+        self.write_rows()
+        self.write_contacts()
 
     def contacts(self) -> ContactPairs:
         """Returns the contacts of this tick, whose table must have been requested."""
@@ -423,14 +429,25 @@ class Snapshot(TickGeometry):
 
     @np.errstate(invalid="ignore")
     def _write_rows(self, state: TickState, *, with_static: bool) -> None:
-        known = self._write_poses(*self._link_poses, with_static=with_static)
+        table = self._live["entities"]
+        block = table.doubles("x", "zmax")[..., None]
+        static, moving = self.body_groups
+        for group, poses in (static, moving) if with_static else (moving,):
+            group.write_entities(poses, block)
+        for name in self._read.intersection(("links", "shapes")):
+            self._write_parts(name)
         if state.joints is not None:
             self._live["joints"].doubles("position", "effort")[:] = state.joints.T
         if "sensings" in self._read:
             write_sensings(self._live["sensings"], state.readings, self.rows)
         if not self._is_past:
             self._live["ticks"]["wall_time"].fill(state.wall_time)
-        self._finish(known)
+        for name in ("entities", "ticks", *self._read.difference(("contacts",))):
+            self._publish(name)
+        self._are_rows_written = True
+        # The warning for a past tick was given when it was taken.
+        if not self._is_past:
+            self._warn_of_unknown()
 
     def is_still_of(self, simulator: Simulator, load_order: list[EntityInfo]) -> bool:
         """Checks whether the simulator is in this tick's state, so that more tables may be read."""
@@ -507,47 +524,21 @@ class Snapshot(TickGeometry):
         sensors = [info for info in layout.entities if info.sensor is not None]
         return sensors if all_sensors else [info for info in sensors if info.id in requested]
 
-    def _write_poses(self, static: LinkPoses, moving: LinkPoses, *, with_static: bool) -> set[str]:
-        """Writes poses, velocities and boxes; returns the tables whose numbers are surely known."""
-        table, bodies = self._live["entities"], self._layout.moving_bodies
-        block = table.overwritten("x", "zmax")[..., None]
-        if with_static:
-            self._layout.static_bodies.write_entities(static, block)
-        is_later = bodies.write_later(moving, table)
-        known = {"ticks", "entities"} if is_later and not with_static else {"ticks"}
-        parts = self._read.intersection(("links", "shapes"))
-        return known.union([name for name in parts if self._write_parts(name)])
-
-    def _write_parts(self, name: str) -> bool:
-        """Writes the rows of links or shapes; returns whether all numbers are surely known."""
-        table, are_known = self._live[name], name == "shapes"
-        block = table.overwritten("x", "zmax")[..., None]
+    def _write_parts(self, name: str) -> None:
+        """Writes the rows of links or shapes; of bodies that cannot move, once."""
+        block = self._live[name].doubles("x", "zmax")[..., None]
         for group, poses in self.body_groups:
             write = group.write_links if name == "links" else group.write_shapes
-            if poses.are_finite and table.is_complete and group is self._layout.moving_bodies:
-                table.defer("x", "zmax", partial(write, poses, block))
-            elif self._written.get(name) is not poses:
+            if self._written.get(name) is not poses:
                 write(poses, block)
-                are_known = False
         self._written[name] = self._link_poses[0]
-        return are_known and table.is_complete
 
-    def _finish(self, known: AbstractSet[str]) -> None:
-        """Publishes the tables that were read; those that are known have no unknown number."""
-        for name in ("entities", "ticks", *self._read.difference(("contacts",))):
-            self._publish(name, are_known=name in known)
-        self._are_rows_written = True
-        # The warning for a past tick was given when it was taken.
-        if not self._is_past:
-            self._warn_of_unknown()
-
-    def _publish(self, name: str, *, are_known: bool = False) -> None:
-        """Writes tick and time into a table, and publishes it, unless all numbers are known."""
+    def _publish(self, name: str) -> None:
+        """Writes tick and time into a table, and publishes it."""
         table = self._live[name]
         table["tick"].fill(self.number)
         table["time"].fill(self.time)
-        if not are_known:
-            table.publish_unknown()
+        table.publish_unknown()
 
     def entities_with_nan(self) -> list[EntityInfo]:
         """Returns the entities with a pose, a box or a velocity that is not a number."""

@@ -59,7 +59,7 @@ class ComparableShapes:
 
 
 class TickPlaces(ShapePlaces):
-    """Where the shapes of a tick are; those of two entities take no arrays of all shapes."""
+    """Where the shapes of a tick are."""
 
     def __init__(self, layout: TableLayout, groups: Iterable[tuple[BodyGroup, LinkPoses]]) -> None:
         self._layout, self._groups = layout, list(groups)
@@ -69,11 +69,6 @@ class TickPlaces(ShapePlaces):
         """The positions, the orientations and the boxes of the shapes of each group."""
         with np.errstate(invalid="ignore"):  # a diverging simulation has infinite numbers
             return [group.place_shapes(poses) for group, poses in self._groups]
-
-    @property
-    def _are_placed(self) -> bool:
-        """Whether the arrays of all shapes are there."""
-        return "_of_groups" in self.__dict__
 
     def _in_order(self, part: int, axis: int) -> Array:
         """Returns a part of what is known of each group, of all shapes in their order."""
@@ -107,23 +102,6 @@ class TickPlaces(ShapePlaces):
             for group, poses in self._groups:
                 group.write_boxes(poses, boxes)
         return boxes[..., 0]
-
-    def pose(self, shape: int) -> tuple[list[float], list[float]]:
-        """Returns the position and the orientation of a shape."""
-        if self._are_placed:
-            return super().pose(shape)
-        number, place = self._layout.shape_groups[shape]
-        group, poses = self._groups[number]
-        return group.shape_pose(poses, place)
-
-    def box(self, shape: int) -> list[float]:
-        """Returns the box of a shape: lower corner, upper corner."""
-        if self._are_placed:
-            return super().box(shape)
-        number, place = self._layout.shape_groups[shape]
-        group, poses = self._groups[number]
-        with np.errstate(invalid="ignore"):
-            return group.shape_box(poses, place)
 
 
 class TickGeometry(ABC):
@@ -163,12 +141,12 @@ class TickGeometry(ABC):
         """Returns numbers that follow from poses, for which no row need be written; else None."""
         if table not in ("entities", "links") or not self._link_poses:
             return None
-        for group, poses in reversed(list(self.body_groups)):  # most asked for can move
-            if poses.are_finite:
-                found = group.numbers_in(poses, table, row, columns)
-                if found is not None:
-                    return found
-        return None
+        found = (
+            group.numbers_in(poses, table, row, columns)
+            for group, poses in self.body_groups
+            if poses.are_finite
+        )
+        return next((numbers for numbers in found if numbers is not None), None)
 
     def shapes(self) -> ShapeQueries:
         """Returns the shape queries of this tick; the table of shapes must have been requested."""
@@ -179,7 +157,7 @@ class TickGeometry(ABC):
                 shapes.numbers,
                 places.entity_boxes,
                 shapes.ids,
-                self._tables["shapes"]["link"],
+                self._live["shapes"]["link"],
                 places=shapes.places,
             )
         return self._shapes
@@ -209,7 +187,7 @@ class TickGeometry(ABC):
     def _comparable(self) -> ComparableShapes:
         """What comparisons of the shapes need to know, the same while nothing changes."""
         if self._solids is None or self._solids[0] is not self._layout:
-            margins = self.margins_of_pairs or Margins(self._tables["shapes"]["margin"].copy())
+            margins = self.margins_of_pairs or Margins(self._live["shapes"]["margin"].copy())
             self._solids = self._layout, ComparableShapes.of(self._layout, margins)
         return self._solids[1]
 

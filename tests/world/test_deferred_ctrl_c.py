@@ -8,7 +8,6 @@ import sys
 
 import pytest
 
-import ssduck
 from ssduck.world import ctrl_c
 
 
@@ -65,47 +64,7 @@ def test_the_handler_is_back_wherever_ctrl_c_comes():
         assert not ctrl_c._noted
 
 
-class TimeIsUpError(Exception):
-    """What a handler of SIGALRM may raise."""
-
-
-def time_is_up(*_):
-    raise TimeIsUpError
-
-
 UNIX = pytest.mark.skipif(not hasattr(signal, "SIGALRM"), reason="Windows has no such signal")
-
-
-def with_an_alarm(presser):
-    """Has an alarm come in a context that defers it."""
-    sys.settrace(presser.trace)
-    try:
-        with ctrl_c.deferred():
-            signal.raise_signal(signal.SIGALRM)
-            with ctrl_c.allowed():
-                pass
-    finally:
-        sys.settrace(None)
-
-
-@pytest.mark.slow
-@UNIX
-def test_the_handlers_are_back_whichever_of_two_signals_raises():
-    """An alarm comes, and Ctrl-C at any place: one error follows from the other, or is the only."""
-    kept = signal.signal(signal.SIGALRM, time_is_up)
-    try:
-        for event in (None, *range(2, with_ctrl_c_at(None)[1])):
-            with pytest.raises((KeyboardInterrupt, TimeIsUpError)) as caught:
-                with_an_alarm(Presser(event))
-            assert event is not None or caught.type is TimeIsUpError
-            del caught
-            gc.collect()
-            assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-            assert signal.getsignal(signal.SIGALRM) is time_is_up
-            assert not ctrl_c._replaced
-            assert not ctrl_c._noted
-    finally:
-        signal.signal(signal.SIGALRM, kept)
 
 
 @UNIX
@@ -138,43 +97,3 @@ def test_a_handler_is_called_as_often_as_its_signal_came():
         assert signal.getsignal(signal.SIGTERM) is second
     finally:
         signal.signal(signal.SIGTERM, kept)
-
-
-def raise_in_a_context(*names):
-    """Raises signals in a context that defers them."""
-    with ctrl_c.deferred():
-        for name in names:
-            signal.raise_signal(getattr(signal, name))
-
-
-@UNIX
-@pytest.mark.parametrize("names", [("SIGINT", "SIGALRM"), ("SIGALRM", "SIGINT")])
-def test_the_signal_that_ends_the_program_wins(names):
-    """Who catches the error of an alarm goes on, and would have missed Ctrl-C."""
-    kept = signal.signal(signal.SIGALRM, time_is_up)
-    try:
-        with pytest.raises(KeyboardInterrupt):
-            raise_in_a_context(*names)
-        assert not ctrl_c._noted
-    finally:
-        signal.signal(signal.SIGALRM, kept)
-
-
-@pytest.mark.slow
-@UNIX
-def test_the_tables_are_those_of_the_simulator_whatever_a_handler_raises():
-    """An alarm that ends a long `step` comes between two steps of the simulator."""
-    kept = signal.signal(signal.SIGALRM, time_is_up)
-    try:
-        with ssduck.load("kitchen") as ss:
-            world = ss.call_variable("kitchen")
-            for place in range(8):
-                signal.setitimer(signal.ITIMER_REAL, 0.02 + 0.0007 * place)
-                with pytest.raises(TimeIsUpError):
-                    world.step(100_000, every=100_000)
-                assert world.snapshot.time == world._simulator.time
-                (time,) = {row[0] for row in ss.sql("SELECT time FROM entities").fetchall()}
-                assert time == world._simulator.time
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, kept)

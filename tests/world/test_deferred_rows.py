@@ -9,9 +9,7 @@ import pytest
 import ssduck
 from ssduck.geometry.bounds import BoundingBoxes
 from ssduck.geometry.poses import rotation_matrices, unit_quaternions
-from ssduck.simulators.mujoco.readings import LinkReader
 from ssduck.simulators.scenes import find_scene
-from ssduck.world import rows as rows_of_tables
 from ssduck.world.layout import BodyGroup
 from ssduck.world.tick_geometry import TickPlaces
 from tests.support.gym_environments import PUSH
@@ -151,50 +149,6 @@ def test_contacts_are_of_the_present_tick(lab):
     assert any(seen)
 
 
-@pytest.mark.slow
-def test_a_condition_puts_no_contacts_in_order(lab, monkeypatch):
-    _, _, model, data = lab
-    with ssduck.Interpreter(recording=None) as other:
-        world = other.add_variable("lab", ssduck.World.attach(model, data))
-        program = other.compile("SELECT inContact(lab.table, lab.ball) FROM [0] AS list;")
-        mujoco.mj_step(model, data, 500)
-        for _ in range(3):
-            world.tick()
-            other.eval(program)
-        calls, rows = [], rows_of_tables.contact_rows
-        monkeypatch.setattr(
-            rows_of_tables, "contact_rows", lambda *of: calls.append(1) or rows(*of)
-        )
-        for _ in range(5):
-            mujoco.mj_step(model, data)
-            world.tick()
-            assert other.eval(program) == [True]
-        assert not calls
-        assert other.sql(COUNT).fetchall() == [(contacts_of(model, data, "table", "ball")[0],)]
-        assert calls == [1]
-
-
-@pytest.mark.slow
-def test_a_condition_on_positions_computes_no_velocities(lab, monkeypatch):
-    _, _, model, data = lab
-    with ssduck.Interpreter(recording=None) as other:
-        world = other.add_variable("lab", ssduck.World.attach(model, data))
-        program = other.compile("SELECT z(lab.ball) > 0.1 FROM [0] AS list;")
-        calls, states = [], LinkReader._states
-        monkeypatch.setattr(LinkReader, "_states", lambda *of: calls.append(1) or states(*of))
-        for _ in range(3):
-            mujoco.mj_step(model, data)
-            world.tick()
-            calls.clear()
-            assert other.eval(program) == [data.body("ball").xpos[2] > 0.1]
-        assert not calls
-        velocity = np.zeros(6)
-        number, kind = model.body("ball").id, mujoco.mjtObj.mjOBJ_BODY
-        mujoco.mj_objectVelocity(model, data, kind, number, velocity, 0)
-        assert world["ball"].velocity == pytest.approx([*velocity[3:], *velocity[:3]], abs=1e-12)
-        assert calls == [1]
-
-
 SHAPES = """
 <mujoco><worldbody>
   <geom type="plane" size="1 1 .1"/>
@@ -231,102 +185,6 @@ def test_a_shape_is_where_the_table_has_it():
             assert arrays.tolist() == list(map(list, rows))
 
 
-@pytest.mark.slow
-def test_rows_that_are_read_one_by_one_are_those_of_all(monkeypatch):
-    """The boxes of few entities are computed alone, to the last bit."""
-    model = mujoco.MjModel.from_xml_string(SHAPES)
-    data = mujoco.MjData(model)
-    calls = []
-    for name in ("write_boxes", "write_links"):
-        write = getattr(BodyGroup, name)
-        monkeypatch.setattr(BodyGroup, name, lambda *of, write=write: calls.append(1) or write(*of))
-    with ssduck.Interpreter(recording=None) as ss:
-        world = ss.add_variable("lab", ssduck.World.attach(model, data))
-        for _ in range(3):
-            mujoco.mj_step(model, data, 20)
-            world.tick()
-            calls.clear()
-            world.request_tables(("links",))
-            snapshot = world.snapshot
-            names = ("x", "y", "z", "qw", "vx", "wz", "xmin", "ymin", "zmin", "xmax")
-            for name in ("entities", "links"):
-                rows = range(snapshot.table(name).count)
-                alone = [snapshot.doubles_in(row, names, name) for row in rows]
-                tops = [snapshot.value(row, "zmax", name) for row in rows]
-                assert not calls
-                table = snapshot.tables[name]
-                assert np.array(alone).T.tolist() == [table[column].tolist() for column in names]
-                assert tops == table["zmax"].tolist()
-                assert calls.pop() == 1
-
-
-@pytest.mark.slow
-def test_boxes_of_ellipsoids_are_the_same_alone():
-    """Squares are summed in one order: with another, a last bit differs at every third tick."""
-    bodies = "".join(
-        f'<body pos="{n} .1 .{n + 3}7" euler="{20 + n * 37} {31 + n * 11} {n * 53}"><freejoint/>'
-        '<geom type="ellipsoid" size=".05 .07 .03"/></body>'
-        for n in range(12)
-    )
-    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
-    data = mujoco.MjData(model)
-    data.qvel[:] = np.random.default_rng(1).normal(size=model.nv) * 3
-    world = ssduck.World.attach(model, data)
-    names = ("xmin", "ymin", "zmin", "xmax", "ymax", "zmax")
-    for tick in range(30):
-        mujoco.mj_step(model, data)
-        world.tick()
-        row = tick % 12
-        alone = world.snapshot.doubles_in(row, names)
-        table = world.snapshot.tables["entities"]
-        assert list(alone) == [float(table[name][row]) for name in names]
-
-
-@pytest.mark.slow
-def test_many_rows_are_computed_at_once(monkeypatch):
-    bodies = "".join(
-        f'<body pos="{n} 0 1"><freejoint/><geom type="box" size=".1 .2 .3"/></body>'
-        for n in range(40)
-    )
-    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
-    calls, boxes = [], BoundingBoxes.boxes
-    monkeypatch.setattr(BoundingBoxes, "boxes", lambda *of: calls.append(1) or boxes(*of))
-    world = ssduck.World.attach(model, mujoco.MjData(model))
-    world.tick()
-    calls.clear()
-    tops = [world.snapshot.value(row, "zmax") for row in range(len(world.snapshot.entities))]
-    assert calls == [1]
-    assert tops == pytest.approx([1.3] * 40)
-
-
-ON = """
-SELECT onTop(t, b) FROM lab.entities t, lab.entities b WHERE t.name = 'table' AND b.name = 'ball'
-"""
-
-
-@pytest.mark.slow
-def test_shapes_of_two_entities_take_no_boxes_of_others(lab, monkeypatch):
-    _, _, model, data = lab
-    with ssduck.Interpreter(recording=None) as other:
-        world = other.add_variable("lab", ssduck.World.attach(model, data))
-        program = other.compile("SELECT on(lab.table, lab.ball) FROM [0] AS list;")
-        calls, seen = [], set()
-        for part in ("write_boxes", "shape_boxes"):
-            of_all = getattr(BodyGroup, part)
-            monkeypatch.setattr(
-                BodyGroup, part, lambda *of, of_all=of_all: calls.append(1) or of_all(*of)
-            )
-        for tick in range(60):
-            mujoco.mj_step(model, data, 10)
-            world.tick()
-            calls.clear()
-            values = other.eval(program)
-            assert tick < 2 or not calls  # it is planned first
-            assert other.sql(ON).fetchall() == [tuple(values)]
-            seen.add(tuple(values))
-        assert len(seen) > 1
-
-
 @pytest.mark.parametrize("pose", ["", 'pos=".1 0 0"', 'quat=".6 .8 0 0"'])
 def test_shapes_are_where_their_poses_in_links_have_them(pose):
     """Those that are where their links are take these poses as they are."""
@@ -352,9 +210,9 @@ def test_shapes_are_where_their_poses_in_links_have_them(pose):
 
 @pytest.mark.slow
 def test_shapes_of_bodies_that_stay_are_placed_once(monkeypatch):
-    groups, boxes = [], BodyGroup.shape_boxes
+    groups, boxes = [], BodyGroup._place_shapes
     monkeypatch.setattr(
-        BodyGroup, "shape_boxes", lambda group, poses: groups.append(group) or boxes(group, poses)
+        BodyGroup, "_place_shapes", lambda group, poses: groups.append(group) or boxes(group, poses)
     )
     with ssduck.Interpreter(recording=None) as ss:
         world = ss.add_variable("kitchen", ssduck.World.load(find_scene("kitchen")))
@@ -369,26 +227,3 @@ def test_shapes_of_bodies_that_stay_are_placed_once(monkeypatch):
     assert len(layout.moving_bodies.shape_rows)
     assert groups.count(layout.static_bodies) == 1
     assert groups.count(layout.moving_bodies) == 4
-
-
-@pytest.mark.slow
-def test_a_pair_of_shapes_places_no_others(monkeypatch):
-    model = mujoco.MjModel.from_xml_string(SHAPES)
-    data = mujoco.MjData(model)
-    with ssduck.Interpreter(recording=None) as ss:
-        world = ss.add_variable("lab", ssduck.World.attach(model, data))
-        program = ss.compile("SELECT on(lab.world, lab.ball) FROM [0] AS list;")
-        calls, place = [], BodyGroup.place_shapes
-        values = []
-        for number in range(60):
-            mujoco.mj_step(model, data, 10)
-            world.tick()
-            values += ss.eval(program)
-            if number == 5:  # it is planned, and its tables are read
-                monkeypatch.setattr(
-                    BodyGroup, "place_shapes", lambda *of: calls.append(1) or place(*of)
-                )
-        assert {True, False} == set(values)
-        assert not calls
-        assert "ball" in ss.eval("SELECT id FROM lab WHERE on(lab.world, this) AS list;")
-        assert calls

@@ -17,12 +17,11 @@ import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.margins import Margins
-from ssduck.simulators.interface import ContactPoints, Contacts
+from ssduck.simulators.interface import ContactPoints
 from ssduck.simulators.mujoco.flexes import Flex, entity_roots, flexes_of
 from ssduck.simulators.mujoco.library import copied_data, mujoco
 
 # The largest number of contacts whose forces are compared one by one, which is faster then.
-_FEW = 16
 # Of the numbers of a wrench, those that are forces; the others are moments.
 _FORCE_AXES = 3
 _PYRAMIDAL = int(mujoco.mjtCone.mjCONE_PYRAMIDAL)
@@ -183,30 +182,14 @@ class MuJoCoContacts:
         return roots
 
     def between(self, a: int, b: int, *, pressing: bool) -> tuple[Indices, Indices]:
+        # Most programs ask for two bodies: the forces of others are not computed.
         is_a, is_b = self._roots == a, self._roots == b
-        rows = (is_a & is_b[:, ::-1]).nonzero()[0]
-        is_kept = self._are_pressing(rows)
+        rows = (is_a & is_b[:, ::-1]).any(axis=1).nonzero()[0]
+        are_kept = self._wrenches(rows)[:, 0] > 0.0
         if not pressing:
-            is_kept |= self.contacts.distances.take(rows) <= 0.0
-        rows = rows[is_kept]
-        roots = self._roots.take(rows, axis=0)
-        return roots, self.contacts.bodies.take(rows, axis=0) - roots
-
-    def _are_pressing(self, rows: Indices) -> Flags:
-        """Checks which contacts have a positive normal force."""
-        if len(rows) <= _FEW:
-            return np.array([self._is_pressing(row) for row in rows.tolist()], bool)
-        are_pressing: Flags = self._wrenches(rows)[:, 0] > 0.0
-        return are_pressing
-
-    def _is_pressing(self, row: int) -> bool:
-        """Checks whether the normal force of a contact is positive; see `_wrenches`."""
-        first, dim = int(self.contacts.addresses[row]), int(self.contacts.dims[row])
-        if first < 0:
-            return False
-        count = 2 * (dim - 1) if self.is_pyramidal and dim > 1 else 1
-        edges: list[float] = self.contacts.efc_forces[first : first + count].tolist()
-        return sum(edges) > 0.0
+            are_kept |= self.contacts.distances.take(rows) <= 0.0
+        roots = self._roots.take(rows[are_kept], axis=0)
+        return roots, self.contacts.bodies.take(rows[are_kept], axis=0) - roots
 
     def all(self) -> ContactPoints:
         return self._all
@@ -220,22 +203,6 @@ class MuJoCoContacts:
     @cached_property
     def _every_wrench(self) -> Array:
         return self._wrenches(np.arange(len(self._roots)))
-
-    def joined(self, ticks: Sequence[Contacts]) -> tuple[ContactPoints, Indices]:
-        alike = [
-            one.contacts for one in ticks if isinstance(one, MuJoCoContacts) and self._is_like(one)
-        ]
-        if len(alike) < len(ticks) or len(ticks) == 1:
-            return ContactPoints.joined(ticks)
-        contacts = StepContacts.joined(alike)
-        joined = MuJoCoContacts(contacts, self.roots, self.only, is_pyramidal=self.is_pyramidal)
-        kept = np.append(0, np.cumsum(joined._are_kept))
-        return joined.all(), np.diff(kept[np.cumsum([len(one.dims) for one in alike])], prepend=0)
-
-    def _is_like(self, other: MuJoCoContacts) -> bool:
-        """Checks whether contacts of another step were of the same bodies and kind of cones."""
-        mine, others = (self.only, self.is_pyramidal), (other.only, other.is_pyramidal)
-        return self.roots is other.roots and mine == others
 
     @cached_property
     def _are_kept(self) -> Flags:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.errors import ArgumentError, ProgramWarning, StateError, nearest, warn
+from ssduck.errors import ArgumentError, ProgramWarning, StateError, warn
 from ssduck.formatting import joined_names, short_repr
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.poses import cross, multiply
@@ -40,7 +40,6 @@ from ssduck.simulators.mujoco.simulator import MuJoCoSimulator
 # What a contact has: the numbers of its geoms, their distance, m, and what is known besides.
 _OF_CONTACTS = ("geom", "dist", "force", "frame", "efc_address", "dim")
 _MOCAP = frozenset(("mocap_pos", "mocap_quat"))
-_DEFAULT_TIME = 0.0
 # The world may be off its place by rounding, m.
 _WORLD_TOLERANCE = 1e-3
 
@@ -56,14 +55,12 @@ def environments_of(model: Any, count: int) -> EnvironmentSimulator:
     return EnvironmentSimulator(bodies, states, simulator, simulator.read_margins)
 
 
-class MuJoCoEnvironments:
+class MuJoCoEnvironments(Environments):
     """The states of environments of a model; its data is what kinematics are computed with."""
 
     def __init__(self, model: Any, data: Any, count: int, simulator: MuJoCoSimulator) -> None:
+        super().__init__(count)
         self._model, self._data, self._simulator = model, data, simulator
-        self.count = count
-        self.times, self.has_times = np.full(count, _DEFAULT_TIME), False
-        self.sample: Any = None
         self._shapes: dict[str, tuple[int, ...]] = {
             "xpos": (model.nbody, 3),
             "xquat": (model.nbody, 4),
@@ -76,6 +73,7 @@ class MuJoCoEnvironments:
             "mocap_pos": (model.nmocap, 3),
             "mocap_quat": (model.nmocap, 4),
         }
+        self.accepted = [*self._shapes, "time", "contact", "efc_force"]
         self._arrays: dict[str, npt.NDArray[Any]] = {
             name: np.broadcast_to(getattr(data, name), (count, *shape))
             for name, shape in self._shapes.items()
@@ -98,10 +96,6 @@ class MuJoCoEnvironments:
         self._owners: Owners | None = None
         self._has_told_of_mocap = False
 
-    @property
-    def accepted(self) -> Sequence[str]:
-        return [*self._shapes, "time", "contact", "efc_force"]
-
     def update(self, states: States, arrays: Mapping[str, Any]) -> None:
         if isinstance(states, Sequence):
             self._take(states)
@@ -109,13 +103,8 @@ class MuJoCoEnvironments:
         if isinstance(states, Mapping):
             states, arrays = None, {**states, **arrays}
         given = {name: value for name, value in arrays.items() if value is not None}
-        for name in given:
-            if name not in self.accepted:
-                raise ArgumentError(
-                    f"tick: {name!r} is no array of a state of MuJoCo; there are "
-                    f"{', '.join(self.accepted)}",
-                    suggestions=nearest(name, self.accepted),
-                )
+        there = ", ".join(self.accepted)
+        self.check_names(given, f"array of a state of MuJoCo; there are {there}")
         if states is not None:
             found = {name: _attribute(states, name) for name in self.accepted}
             given = {n: value for n, value in found.items() if value is not None} | given
@@ -179,12 +168,8 @@ class MuJoCoEnvironments:
         for state in states:
             contacts = SleepingContacts().complete(self._model, state, owners)
             of_each.append(MuJoCoContacts.of(self._model, contacts, owners, None))
-        points, counts = of_each[0].joined(of_each)
+        points, counts = ContactPoints.joined(of_each)
         return EnvironmentContacts(np.repeat(np.arange(self.count), counts), points)
-
-    def reset(self, environments: Indices) -> None:
-        self.times = self.times.copy()  # earlier ones may be kept
-        self.times[environments] = _DEFAULT_TIME
 
     def _forward(self, known: dict[str, Any]) -> dict[str, Any]:
         """Adds the poses and velocities that follow from joint positions and velocities."""
@@ -397,6 +382,3 @@ def _attribute(states: States, name: str) -> Any:
     inner = getattr(states, "_impl", None)
     own = getattr(inner, name, None)
     return getattr(states, name, None) if own is None else own
-
-
-_: type[Environments] = MuJoCoEnvironments

@@ -2,6 +2,12 @@
 
 PyBullet returns the pose of a shape relative to the link's centre of mass. The pose of that in the
 link frame is `com`. PyBullet does not return all shapes; see `_BodyReader._read_shapes`.
+
+The *margin* of a shape is the distance at which it already touches. Bullet grows hulls and the
+triangles of concave meshes by it. Boxes and cylinders shrink by it first, spheres and capsules
+consist of margin, half-spaces have none: for these, contact begins at the surface. PyBullet returns
+one number for each link. If the link is a compound (it has several shapes, or one that is not in
+the frame of its centre of mass), the number is the compound's own margin, which has no effect.
 """
 
 from __future__ import annotations
@@ -22,13 +28,73 @@ from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.interface import Body, Joint, Kind, Link
 from ssduck.simulators.pybullet.bullet_file import SavedShapes
 from ssduck.simulators.pybullet.clients import pybullet
-from ssduck.simulators.pybullet.collision_margins import (
-    LinkMargin,
-    link_margin,
-    links_with_margins,
-    margin_of,
-    with_margins,
-)
+
+# PyBullet's default for hulls, compounds, and concave meshes that are made by a call, metres.
+DEFAULT = 1e-3
+_PADDED = ("hull", "mesh")
+# The tolerance for a shape in the frame of its link's centre of mass.
+_POSE_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True)
+class LinkMargin:
+    """The margin of a link as PyBullet returns it."""
+
+    margin: float | None  # metres; None if PyBullet returns none
+    is_compound: bool = False  # whether it is the margin of a compound of the shapes
+    # Whether a shape comes from a mesh file; such a hull is a compound of its own.
+    is_of_file: bool = False
+
+
+def link_margin(dynamics: Sequence[Any], entries: Sequence[tuple[Any, ...]] | None) -> LinkMargin:
+    """Returns the margin of a link by `getDynamicsInfo` and `getCollisionShapeData`, if called."""
+    if entries is None:
+        return LinkMargin(None)
+    is_offset = [np.abs((*entry[5], *entry[6][:3])).max() > _POSE_TOLERANCE for entry in entries]
+    is_of_file = any(
+        entry[2] == pybullet.GEOM_MESH and entry[4] not in (b"", b"unknown_file")
+        for entry in entries
+    )
+    return LinkMargin(float(dynamics[11]), len(entries) > 1 or any(is_offset), is_of_file)
+
+
+def margin_of(type: str, link_margin: LinkMargin) -> float:
+    """Returns the margin of a shape, metres.
+
+    `changeDynamics` does not reach the hulls of a mesh file in a compound. A margin of 0 of
+    a compound may have been set or not; it counts as not set.
+    """
+    if type not in _PADDED:
+        return 0.0
+    default = 0.0 if type == "mesh" and link_margin.is_of_file else DEFAULT
+    if link_margin.margin is None:
+        return default
+    if not link_margin.is_compound:
+        return link_margin.margin
+    if link_margin.margin in (0.0, DEFAULT) or (type == "hull" and link_margin.is_of_file):
+        return default
+    return link_margin.margin
+
+
+def with_margins(shapes: Sequence[PlacedGeometry], link_margin: LinkMargin) -> list[PlacedGeometry]:
+    """Returns the shapes of a link with their margins."""
+    return [replace(shape, margin=margin_of(shape.geometry.type, link_margin)) for shape in shapes]
+
+
+def margins_now(client: int, body: Body, known: Sequence[LinkMargin]) -> list[float]:
+    """Returns the present margins of a body's shapes, whose links had some when described."""
+    handle, get = body.handle, pybullet.getDynamicsInfo
+    links = {shape.frame for shape in body.shapes if shape.geometry.type in _PADDED}
+    now = {
+        link: replace(known[link], margin=float(get(handle, link - 1, client)[11]))
+        for link in links
+        if known and known[link].margin is not None
+    }
+    return [
+        margin_of(shape.geometry.type, now[shape.frame]) if shape.frame in now else shape.margin
+        for shape in body.shapes
+    ]
+
 
 Pose: TypeAlias = tuple[Array, Array]
 # The shapes of a link; None if PyBullet does not return them.
@@ -66,11 +132,6 @@ class BodyDescription:
     exact: bool  # whether all shapes are those that PyBullet uses; else boxes stand in for some
     # The margin of each link; empty for a body that was not read.
     link_margins: tuple[LinkMargin, ...] = ()
-
-    @cached_property
-    def links_with_margins(self) -> frozenset[int]:
-        """The links whose shapes have margins that PyBullet can change."""
-        return links_with_margins(self.body.shapes, self.link_margins)
 
 
 def describe(

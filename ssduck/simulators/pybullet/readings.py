@@ -27,14 +27,12 @@ from typing import Any, ClassVar, Self, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.geometry.arrays import Array, Flags, Indices, are_moderate
+from ssduck.geometry.arrays import Array, Indices, are_moderate
 from ssduck.geometry.poses import invert, multiply, rotate, rotation_matrices
 from ssduck.simulators.interface import (
     Body,
     ContactPoints,
-    Contacts,
     LinkPoses,
-    PosesSource,
     RayHits,
 )
 from ssduck.simulators.pybullet.bodies import Pose, is_soft
@@ -96,23 +94,15 @@ class PyBulletContacts:
     def between(self, a: int, b: int, *, pressing: bool) -> tuple[Indices, Indices]:
         return self.all().between(a, b, pressing=pressing)
 
-    def joined(self, ticks: Sequence[Contacts]) -> tuple[ContactPoints, Indices]:
-        lists = [one.points for one in ticks if isinstance(one, PyBulletContacts)]
-        if len(lists) < len(ticks):
-            return ContactPoints.joined(ticks)
-        found, is_found = _found([*chain.from_iterable(lists)])
-        counts = np.append(0, np.cumsum(is_found))[np.cumsum([len(one) for one in lists])]
-        return found, np.diff(counts, prepend=0)
-
     @cached_property
     def _all(self) -> ContactPoints:
-        return _found(self.points)[0]
+        return _found(self.points)
 
 
-def _found(points: Sequence[_Point]) -> tuple[ContactPoints, Flags]:
-    """Returns the points at which shapes press or meet, and which of the points these are."""
+def _found(points: Sequence[_Point]) -> ContactPoints:
+    """Returns the points at which shapes press or meet."""
     if not points:
-        return ContactPoints.none(), np.zeros(0, bool)
+        return ContactPoints.none()
     sides, floats = _columns(points) or _columns_by_field(points)
     is_found = (floats[_DISTANCE] <= 0.0) | (floats[_FORCE] > 0.0)
     if not is_found.all():
@@ -120,7 +110,7 @@ def _found(points: Sequence[_Point]) -> tuple[ContactPoints, Flags]:
         sides, floats = sides.take(chosen, axis=1), floats.take(chosen, axis=1)
     friction = floats[_FRICTION_1] * floats[_FRICTION_1 + 1 : _FRICTION_2]
     friction += floats[_FRICTION_2] * floats[_FRICTION_2 + 1 :]
-    found = ContactPoints(
+    return ContactPoints(
         bodies=sides[:2].T,
         links=sides[2:].T + 1,
         points=floats[:6].reshape(2, 3, -1).transpose(2, 0, 1),
@@ -129,7 +119,6 @@ def _found(points: Sequence[_Point]) -> tuple[ContactPoints, Flags]:
         forces=floats[_FORCE],
         frictions=friction.T,
     )
-    return found, is_found
 
 
 def _columns(points: Sequence[_Point]) -> _Columns | None:
@@ -228,40 +217,27 @@ class LinkPosesReader:
             map(_pose_and_twist if with_velocities else _pose, _flatten(links)),
             _UNKNOWN,
         )
-        count, _ = self._orders[with_velocities]
+        count, order = self._orders[with_velocities]
         numbers = np.fromiter(_flatten(_flatten(results)), np.float64, count)
-        return (self._poses if with_velocities else self._poses_without)(numbers[None])
-
-    def _poses(self, numbers: Array, *, with_velocities: bool = True) -> LinkPoses:
-        """Returns the link poses at t ticks, one after the other, of PyBullet's numbers, (t, k)."""
-        states = cache(partial(self._states, numbers, self._orders[with_velocities][1]))
+        states = cache(partial(self._states, numbers, order))
         matrices = cache(lambda: rotation_matrices(states()[:, 3:7]))
         return LinkPoses(
             lambda: self._positions(states()[:, :3], matrices),
             matrices,
             states,
-            are_finite=self._are_known and are_moderate(numbers[:, :-1].reshape(-1)),
-            source=PosesSource(numbers[0], self._poses if with_velocities else self._poses_without),
+            are_finite=self._are_known and are_moderate(numbers[:-1]),
         )
 
     def _states(self, numbers: Array, order: Indices) -> Array:
-        """Returns the states of the links at t ticks, (t n, 13); see `LinkPoses`."""
-        states = numbers.take(order, axis=1).reshape(-1, 13)
+        """Returns the states of the links, (n, 13); see `LinkPoses`."""
+        states = numbers.take(order)
         if self._has_rotated_com:
-            turns = np.tile(self._link_from_com, (len(numbers), 1))
-            states[:, 3:7] = multiply(states[:, 3:7], turns)
+            states[:, 3:7] = multiply(states[:, 3:7], self._link_from_com)
         return states
 
     def _positions(self, centres: Array, matrices: Callable[[], Array]) -> Array:
-        """Returns the origins of link frames, (t n, 3), of the centres of mass of the links."""
-        if not self._has_shifted_com:
-            return centres
-        origins = np.tile(self._origins, (len(centres) // len(self._origins), 1))
-        return centres + rotate(matrices(), origins)
-
-    def _poses_without(self, numbers: Array) -> LinkPoses:
-        """Returns the link poses likewise, without the velocities of links."""
-        return self._poses(numbers, with_velocities=False)
+        """Returns the origins of link frames, (n, 3), of the centres of mass of the links."""
+        return centres + rotate(matrices(), self._origins) if self._has_shifted_com else centres
 
 
 # A result like those of PyBullet, of one value, for velocities that are not read.

@@ -36,12 +36,12 @@ from ssduck.simulators.pybullet.bodies import (
     BodyDescription,
     UserShapes,
     describe,
+    margins_now,
     masses_of,
     xyzw,
 )
 from ssduck.simulators.pybullet.bullet_file import SavedShapes
 from ssduck.simulators.pybullet.clients import all_handles_of, captured, handles_of, pybullet
-from ssduck.simulators.pybullet.collision_margins import LinkMargin, MarginReader
 from ssduck.simulators.pybullet.given_bodies import GivenBodies, names_of
 from ssduck.simulators.pybullet.readings import LinkPosesReader, PyBulletContacts, cast_rays
 from ssduck.simulators.pybullet.scene_loader import (
@@ -101,7 +101,7 @@ class PyBulletSimulator:
         # The colours of hidden bodies: link, index among its visual shapes, colour.
         self._colours: dict[Body, list[tuple[int, int, Sequence[float]]]] = {}
         self._descriptions: dict[int, BodyDescription] = {}
-        self._margin_reader: MarginReader | None = None  # of these descriptions
+        self._margins: list[list[float]] = []  # the last that were read
         # The tags of two worlds on one client must differ.
         self._tag = f"ssduck.{id(self)}"
         # Of the last description: the bodies' numbers and their tags.
@@ -157,7 +157,6 @@ class PyBulletSimulator:
         gone = [d.body for handle, d in self._descriptions.items() if handle not in present]
         self._forget(gone)
         self._descriptions = {handle: self._descriptions[handle] for handle in present} | new
-        self._margin_reader = None
         self._handles_and_tags = handles, self.call(lambda: self._tags_of(handles))
         self._tags = dict(zip(*self._handles_and_tags, strict=True))
         self._given.end()
@@ -179,7 +178,6 @@ class PyBulletSimulator:
         self.call(lambda: pybullet.performCollisionDetection(self.client))
         self._forget([body])
         del self._descriptions[body.handle]
-        self._margin_reader = None
         for values in (self.loaded.origins, self.loaded.motor_positions):
             values.pop(body.handle, None)
         self._removed.append(body)
@@ -282,26 +280,18 @@ class PyBulletSimulator:
         )
 
     def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
-        # It is the same object as long as nothing has changed.
-        reader = self._margin_reader
-        if reader is None or reader.bodies != tuple(bodies):
-            reader = self._margin_reader = self._new_margin_reader(bodies)
-        are_present = self._are_present(reader.changeable)
-        return self.call(lambda: reader.read(self.client, are_present))
-
-    def _new_margin_reader(self, bodies: Sequence[Body]) -> MarginReader:
-        """Returns a reader of the margins that PyBullet can change, of bodies that it has."""
-        known: list[tuple[LinkMargin, ...]] = []
-        changeable: list[frozenset[int]] = []
-        for body in bodies:
-            description = self._descriptions.get(body.handle)
-            if description is None or description.body is not body:
-                known.append(())
-                changeable.append(frozenset())
-            else:
-                known.append(description.link_margins)
-                changeable.append(description.links_with_margins)
-        return MarginReader(bodies, known, changeable)
+        are_present = self._are_present(bodies)
+        margins = self.call(
+            lambda: [
+                margins_now(self.client, body, self._descriptions[body.handle].link_margins)
+                if is_present
+                else body.margins
+                for body, is_present in zip(bodies, are_present, strict=True)
+            ]
+        )
+        if margins != self._margins:  # the same object as long as nothing has changed
+            self._margins = margins
+        return self._margins
 
     def _are_present(self, bodies: Sequence[Body]) -> list[bool]:
         """Returns whether the client still has each of some bodies."""

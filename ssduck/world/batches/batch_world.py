@@ -21,9 +21,9 @@ from ssduck.errors import ArgumentError, ProgramWarning, UnsupportedError, warn
 from ssduck.formatting import joined_names, short_repr
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.simulators.backends import backend
-from ssduck.simulators.body_environments import BodyEnvironments
 from ssduck.simulators.environments import (
     NO_CONTACTS,
+    BodyEnvironments,
     Environments,
     EnvironmentSimulator,
     States,
