@@ -14,7 +14,7 @@ import re
 import sys
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
-from itertools import groupby
+from itertools import groupby, islice
 from pathlib import Path
 
 import typer
@@ -24,19 +24,39 @@ from ssduck.adapters.registry import all_adapters
 from ssduck.cli.app import app
 from ssduck.language.builtins import BUILTINS
 from ssduck.schema import TABLES, Column
-from ssduck.sql.relations.registry import RELATIONS
+from ssduck.sql.relations.contacts import CONTACT_RELATIONS, SENSOR_RELATIONS
+from ssduck.sql.relations.entities import ENTITY_RELATIONS, REGION_RELATIONS
+from ssduck.sql.relations.motion import JOINT_RELATIONS, MOTION_RELATIONS
+from ssduck.sql.relations.ode import ODE_RELATIONS
 from ssduck.sql.relations.relation import Relation
+from ssduck.sql.relations.shapes import SHAPE_RELATIONS
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs" / "reference"
 TEST_DATA = ROOT / "tests" / "data"
+FAMILIES = {
+    "Names, poses and boxes": ENTITY_RELATIONS,
+    "Shapes": SHAPE_RELATIONS,
+    "Contacts": CONTACT_RELATIONS,
+    "Sides and regions": REGION_RELATIONS,
+    "Joints": JOINT_RELATIONS,
+    "Motion": MOTION_RELATIONS,
+    "Names of the ODE dialect": ODE_RELATIONS,
+    "Sensors": SENSOR_RELATIONS,
+}
+# What the help says of an operator as a function.
+OPERATOR = re.compile(r"Returns (a \S+ b|-a)\.")
+# What the help says of a relation that is another one by another name.
+SAME = re.compile(r"the same as `?(\w+)(?:\(|`)")
+# So many queries of a group are on the page; the tests have more.
+SHOWN_QUERIES = 7
 
 SQL_QUERIES_HEAD = """# Queries of SQL
 
-SelectScript understands most of what users of SQL write, and names the right spelling where it does
-not. [The language](language.md#spellings-of-sql) gives the rules. Below is a page of queries as one
-writes them in SQL, each with its value in Python. The tests run all of them as programs, as in
-`ss.eval("SELECT id, z FROM room")`. For SQL itself, on [tables](tables.md), there is `ss.sql`.
+SelectScript understands most of what users of SQL write, and an error names the right spelling
+where it does not. [The language](language.md#spellings-of-sql) gives the rules. Below are queries
+as one writes them in SQL, as in `ss.eval("SELECT id, z FROM room")`, each with its value in Python.
+For SQL itself, on [tables](tables.md), there is `ss.sql`.
 
 The world is `room`, from this scene file:
 """
@@ -50,23 +70,18 @@ holds. Python treats None as false and cannot compare it.
 
 ## Boxes and shapes
 
-`above`, `below`, `within`, `overlaps`, `volume` and `aabbVolume` use positions and boxes. They
-are formulas over columns, and fast. Relations that say `Calls the narrow phase` use the shapes
-themselves: the boxes of two balls side by side may overlap while the balls are apart. DuckDB then
-calls Python, but only for the candidate pairs that the entry names, wherever the relation stands:
-in `WHERE` and `SELECT`, under `NOT` and in `OR`. A pair is compared at most once in a tick.
-`clearance` compares every pair of which a row needs it; if a bound is enough, `near(a, b, d)` is
-cheaper.
+`above`, `below`, `within`, `overlaps`, `volume` and `aabbVolume` use positions and boxes. They are
+formulas over columns, and fast. Relations that say `Calls the narrow phase` use the shapes
+themselves: the boxes of two balls side by side may overlap while the balls are apart. A pair is
+compared at most once in a tick, and only if it is a candidate, as the entry says. `clearance`
+compares every pair of which a row needs it; if a bound is enough, `near(a, b, d)` is cheaper.
 
-If two sources are the same world, or its links, `collides`, `near`, `touching`, `on`, `supports`,
-`contains` and `enclosed` in the `WHERE` of a SelectScript query find all pairs of the tick at
-once, and so does `restsOn` of entities; `collides` needs milliseconds for a thousand bodies. The
-same is true of raw SQL where `a` and `b` are rows of the current tick: of `entities`, or of a
-subquery or common table expression that selects whole rows of it (`SELECT * FROM entities WHERE
-…`). It is so in `WHERE`, in the `ON` of a join, under `NOT`, in `OR` and among the columns; further
-arguments must be numbers. Where `a` or `b` is selected by name or id, only its own pairs are
-compared. Elsewhere, DuckDB compares the boxes of every row with those of every other row, which
-takes longer than the shapes do from about 3,000 bodies on. Raw SQL also has tables of pairs:
+Of two sources that are the same world, or its links, `collides`, `near`, `touching`, `on`,
+`supports`, `contains` and `enclosed` in `WHERE` find all pairs of the tick at once: milliseconds
+for a thousand bodies. So do `restsOn` of entities, and raw SQL where `a` and `b` are whole rows of
+the current tick (`FROM entities a, entities b`, or a subquery with `SELECT *`). Elsewhere, DuckDB
+compares the boxes of every row with those of every other row, which takes longer than the shapes
+do from about 3,000 bodies on. Raw SQL also has tables of pairs:
 
 ```python
 import ssduck
@@ -84,32 +99,25 @@ ss.sql("SELECT a, b FROM link_pairs_within(0.02)")  # ids of links; also collidi
 An entity consists of the shapes of all its links: a relation of two entities holds for their
 closest shapes. A plane is a solid half-space, so everything below the ground collides with it. A
 closed mesh is solid, an open one is a surface. To PyBullet a concave mesh
-(`GEOM_FORCE_CONCAVE_TRIMESH`, `concave="yes"`) is a surface even if it is closed: in a room that is
-such a mesh, a ball has clearance 0 from the room, collides with it, and is not on its floor. A
-warning names such a mesh once if it is around something that is compared with it; a query of a
-whole history does not warn. `enclosed` and the relations of contacts hold there as in PyBullet.
-Walls of boxes are the same to both. An entity without shapes, such as a sensor,
-touches nothing and is infinitely far from everything. Disabled and invisible entities have their
-shapes as before. The compared rows of `entities` are of one tick: the current one, or a recorded
-one (see [Time](time.md)).
+(`GEOM_FORCE_CONCAVE_TRIMESH`, `concave="yes"`) is a surface even if it is closed: a ball in such a
+room has clearance 0 from it, and a warning names the mesh. An entity without shapes, such as a
+sensor, touches nothing and is infinitely far from everything. Disabled and invisible entities have
+their shapes as before. The compared rows are of one tick: the current one, or a
+[recorded one](time.md).
 
-Rows of `links` are compared like rows of `entities`, with either: a link consists of its own
+Links, and rows of `links`, are compared like entities, with either: a link consists of its own
 shapes. It has the relations to its entity that an entity has to itself. Whether a link carries
 something together with others (`supports`, `restsOn`, `nextTo`) is asked as if it were a body of
-its own beside the rest of its entity. In raw SQL, `id` of a row of `links` is its `name`; the
-column `full_name` has the names of both.
+its own. In raw SQL, `id` of a row of `links` is its `name`; the column `full_name` has both names.
 
 ```python
 import ssduck
 
 ss = ssduck.load("kitchen")
 kitchen = ss.call_variable("kitchen").step(480)  # two seconds, until all is at rest
-ss.eval("""
-    table = SELECT obj FROM kitchen WHERE id(this) == 'table' AS value;
-    SELECT id FROM kitchen WHERE on(table, this) AS list;
-""")  # four cups and three plates, and no chair
-ss.eval("SELECT id FROM kitchen WHERE contains(this, var('table')) AS list;")  # ['kitchen']
-ss.eval("SELECT id, clearance(table, this) FROM kitchen WHERE near(table, this, 0.5);")
+ss.eval("SELECT id FROM kitchen WHERE on(kitchen.table, this) AS list;")  # cups, plates, no chair
+ss.eval("SELECT id FROM kitchen WHERE contains(this, kitchen.table) AS list;")  # ['kitchen']
+ss.eval("SELECT clearance(kitchen.table, this) FROM kitchen WHERE near(kitchen.table, this, 0.5);")
 ss.sql("SELECT a.name, b.name, penetration(a, b) FROM entities a, entities b WHERE collides(a, b)")
 print(ss.statistics()["kitchen"])  # how many pairs that took, and how many calls
 ```
@@ -117,10 +125,8 @@ print(ss.statistics()["kitchen"])  # how many pairs that took, and how many call
 ## Rest and intrusion
 
 In simulators, things at rest do not touch exactly. PyBullet presses boxes, balls, cylinders and
-capsules into what they rest on by 0.01 to 0.02 mm, and keeps hulls and concave meshes away from
-it by a margin of 1 mm each. So a cup of hulls on a plate of hulls has a clearance of 1.99 mm. The
-table `shapes` has each shape's margin at the tick (`margin`); records have the margin with which
-the body was first recorded. Which relation to use:
+capsules into what they rest on by 0.01 to 0.02 mm, and keeps hulls and concave meshes away from it
+by a margin of 1 mm each, which the column `margin` of `shapes` has. Which relation to use:
 
 | question | relation |
 |---|---|
@@ -131,9 +137,8 @@ the body was first recorded. Which relation to use:
 | how near are the surfaces? | `clearance(a, b)`, `near(a, b, d)`: the shapes alone |
 | is one in the other? | `collides(a, b, 1e-3)`: deeper than 1 mm, not only at rest |
 
-`clearance`, `penetration`, `contactForce` and `nearestPoints` of (a, b) and of (b, a) are the
-same to the last bit. They are also the same for the current tick, recorded ticks and opened
-records.
+`clearance`, `penetration`, `contactForce` and `nearestPoints` of (a, b) and of (b, a) are the same
+to the last bit, live, at past ticks and in records.
 
 ## On, in and beside
 
@@ -144,48 +149,33 @@ found.
 - `on(a, b)`: b stands on a by itself, because its centre is over a. `supports(a, b)`: a carries
   b, alone or with others, wherever b's centre is; two blocks both support the plank that bridges
   them. A contact within 30 degrees of up carries alone. Steeper contacts, up to 80 degrees, carry
-  if only together they push up: the sides of a groove, three balls under a fourth, a slope with a
-  wall at its foot. Friction and moments are ignored, so only the floor carries a ladder.
+  if only together they push up: the sides of a groove, a slope with a wall at its foot. Friction
+  and moments are ignored, so only the floor carries a ladder.
 - `restsOn(a, b)`: b is on a, or on something that rests on a, and so on.
 - `contains(a, b)` and `inside(a, b)` use a's convex hull: a ball between the legs of a table is
-  inside it. `enclosed(a, b)` needs walls: rays from the centre of b's box must meet a on both
-  sides along at least two of a's three axes. Cups, drawers, shelves and rooms enclose; tables,
-  trays and corners do not. A ray meets the surface of a mesh from inside, too, but not a convex
-  shape in which it begins: of two blocks that collide, neither is enclosed. An axis along which b
-  extends past a at both ends does not count, so a box is not in the cup that it holds.
+  inside it. `enclosed(a, b)` needs walls on both sides along two axes: cups, drawers, shelves and
+  rooms enclose; tables, trays and corners do not, nor does a cup a box that it holds by an end.
 - `nextTo(a, b)`: a and b are beside each other, neither is on or in the other, and some
   horizontal line through both meets no third body between them. ssduck tries lines in two
-  directions, that of the nearest points and that of the boxes' centres, through the nearest
-  points and through 25 places over the breadth and height that both share. It may miss a gap that
-  is smaller than the space between these lines.
+  directions, through 26 places each, and may miss a gap that is smaller than what lies between.
 
 ```python
 import ssduck
 
 ss = ssduck.load("kitchen")
 kitchen = ss.call_variable("kitchen").step(480)
-ss.eval("""
-    plate = SELECT obj FROM kitchen WHERE id(this) == 'plate_b4e7' AS value;
-    SELECT id FROM kitchen WHERE enclosed(this, plate) AS list;
-""")  # ['microwave'], while its hull and the kitchen's contain it
-ss.eval("SELECT id FROM kitchen WHERE supports(this, plate) OR restsOn(this, plate) AS list;")
-ss.eval("""
-    SELECT id(a.this), id(b.this) FROM a=kitchen, b=kitchen WHERE nextTo(a.this, b.this) AS list;
-""")
+ss.eval("SELECT id FROM kitchen WHERE enclosed(this, kitchen.plate_b4e7) AS list;")  # ['microwave']
+ss.eval("SELECT a.id, b.id FROM kitchen a JOIN kitchen b ON nextTo(a, b) AS list;")
 ```
 
 ## Is it open
 
-`joint(e, name)` is the position of a joint, in radians or metres. `isOpen(e, name)` says whether
-it is open by at least half of its range, `isClosed(e, name)` whether it is open by at most a
-20th; another share may be given. The closed end is the limit nearer to 0, or the lower one.
-Without a name, `isOpen` needs any joint with limits to be open, and `isClosed` all of them to be
-closed; an entity without such joints is neither. If the entity has no joint of the name, the
-error suggests the nearest name; so a query about several entities must first select those that
-have it. Raw SQL evaluates conditions in any order; there the value is NULL for an entity without
-such a joint, and an error if no entity of the world has one. In Python, each joint in
-`entity.joints` has a `position` and an `openness`. For past ticks, the table `joints` must have
-been recorded.
+`isOpen(e, name)` and `isClosed(e, name)` compare a joint's share of its range. The closed end is
+the limit nearer to 0, or the lower one. If the entity has no joint of the name, the error suggests
+the nearest one, so a query about several entities must first select those that have it. Raw SQL
+evaluates conditions in any order: there the value is NULL for an entity without such a joint. In
+Python, each joint in `entity.joints` has a `position` and an `openness`. For past ticks, the table
+`joints` must have been recorded.
 
 ```python
 import ssduck
@@ -205,19 +195,19 @@ of `entities` in raw SQL (`FROM entities a, entities b WHERE above(a, b)`). In r
 
 - `on`, `position` and `time` are keywords. Write them in quotes, `"on"(a, b)`, or use their
   second names `onTop(a, b)`, `positionOf(e)`, `timeOf(e)`, which SelectScript knows, too.
-- An alias must not be the name of a column: `FROM entities x` hides the row `x` behind the
-  column.
+- An alias must not be the name of a column: `FROM entities x` hides the row `x` behind it.
 - A point is a struct: `inSphere(e, {'x': 0, 'y': 0, 'z': 1}, 0.5)`.
-- Every relation may be prefixed with its world: `kitchen.above(a, b)`. Relations that look
-  something up (shapes, contacts, sensings) are for one world; with several worlds, write the
-  prefix. Rows of another run (see the column `run`) are an error: `FROM kitchen.entities a,
-  kitchen.entities b WHERE kitchen.collides(a, b)`.
+- Every relation may be prefixed with its world: `kitchen.above(a, b)`. With several worlds, those
+  that look something up (shapes, contacts, sensings) need the prefix.
 - `contains` of two texts is DuckDB's own; for a list or a map, write `list_contains` or
-  `map_contains`, also in place of `x IN list`, for which DuckDB calls `contains`.
+  `map_contains`, also in place of `x IN list`.
 - DuckDB lists the relations with `SELECT function_name, comment FROM duckdb_functions()`, and the
   columns with `SELECT table_name, column_name, comment FROM duckdb_columns()`.
 
 ## Relations
+
+An `object`, `a` or `b` is an entity, a link or a site, unless the entry says otherwise; arguments
+in brackets are optional.
 '''
 
 TABLES_HEAD = """# Tables
@@ -228,33 +218,43 @@ available without it (`entities`). All rows are of the world's last tick. `links
 them.
 
 Metres, seconds, kilograms, newtons, radians; world frame; quaternions w, x, y, z; positions are
-those of link frames, not of centres of mass.
+those of link frames, not of centres of mass. A row has the `tick` and the `time` of [its
+tick](#ticks) but for `geometries`.
 """
 
 
-def relation_lines(relation: Relation) -> Iterator[str]:
-    """Returns the entry of a relation."""
-    yield f"\n### `{relation.usage}`\n"
-    unit = f" {relation.unit_note}" if relation.unit else ""
-    symmetric = " The order of the two does not matter." if relation.is_symmetric else ""
+def relation_row(relation: Relation) -> str:
+    """Returns the row of a relation."""
+    unit = relation.unit_note if relation.unit else ""
+    symmetric = "The order of the two does not matter." if relation.is_symmetric else ""
     pairs = relation.geometry.pairs if relation.geometry is not None else ""
-    calls = f" Calls the narrow phase {pairs}." if pairs else ""
-    others = f" {relation.alias_note}" if relation.alias_note else ""
-    yield f"{relation.about}{unit}{symmetric}{calls}{others}\n"
-    for parameter in relation.parameters:
-        yield f"- `{parameter.name}`: {parameter.meaning}"
+    calls = f"Calls the narrow phase {pairs}." if pairs else ""
+    told = [p for p in relation.parameters if p.meaning not in ("an entity", "another entity")]
+    values = "; ".join(f"`{p.name}`: {p.meaning}" for p in told)
+    values = f"{values}." if values else ""
+    notes = (relation.about, unit, symmetric, calls, relation.alias_note, values)
+    return f"| `{relation.usage}` | {' '.join(filter(None, notes))} |"
 
 
 def relations_page() -> str:
     """Returns the page of the relations, the plain functions and the result forms."""
     lines = [RELATIONS_HEAD.rstrip()]
-    for relation in RELATIONS.values():
-        if not relation.alias_of:
-            lines += relation_lines(relation)
+    for title, family in FAMILIES.items():
+        lines += [f"\n### {title}\n", "| relation | meaning |", "|---|---|"]
+        others = {r.name: SAME.search(r.about) for r in family if not r.alias_of}
+        lines += [relation_row(r) for r in family if not r.alias_of and not others[r.name]]
+        same = [f"`{name}` for `{match[1]}`" for name, match in others.items() if match]
+        if same:
+            lines.append(f"\nOther names: {', '.join(same)}.")
     lines += ["\n## Functions of plain values\n", "| function | meaning |", "|---|---|"]
-    for function in BUILTINS.values():
-        about, usage = function.help.split("\nUsage: ")
-        lines.append(f"| `{usage}` | {about} |")
+    told = [function.help.split("\nUsage: ") for function in BUILTINS.values()]
+    operators = [entry for entry in told if OPERATOR.fullmatch(entry[0])]
+    lines += [
+        f"| `{usage}` | {about} |" for about, usage in told if [about, usage] not in operators
+    ]
+    names = " ".join(usage.partition("(")[0] for _, usage in operators)
+    meanings = ", ".join(about[len("Returns ") : -1] for about, _ in operators)
+    lines.append(f"| `{names}` | The operators as functions: {meanings}. |")
     lines += ["\n## Result forms\n", "| AS | result |", "|---|---|"]
     for adapter in all_adapters():
         usage = adapter.usage.replace("|", "\\|")
@@ -275,19 +275,26 @@ def tables_page() -> str:
     """Returns the page of the tables."""
     lines = [TABLES_HEAD.rstrip()]
     for table in TABLES.values():
+        known = TABLES["links"].shown_columns if table.name == "sites" else ()
+        others = " It has the columns of `links`, and these:" if known else ""
         lines += [
             f"\n## `{table.name}`\n",
-            f"A row is {table.row}.\n",
+            f"A row is {table.row}.{others}\n",
             "| columns | type | meaning |",
             "|---|---|---|",
         ]
-        columns = merged(table.shown_columns)
+        columns = merged(tuple(c for c in table.shown_columns if c not in known))
+        if table.name != "ticks":
+            columns = (row for row in columns if row[0] not in ("tick", "time"))
         lines += [f"| {names} | {kind} | {comment} |" for names, kind, comment in columns]
     return "\n".join(lines) + "\n"
 
 
-# A generated section of the page of the command line: its marks, and the command between them.
-SECTION = re.compile(r"(<!-- command: (\w+) -->\n).*?(<!-- end -->\n)", re.DOTALL)
+# A generated section of the page of the command line: from its heading to the mark.
+SECTION = re.compile(r"## `ssduck (\w+)[^\n]*\n.*?<!-- generated -->\n", re.DOTALL)
+
+# Arguments that the page explains at its beginning.
+EXPLAINED = ("SCENE", "RECORD", "SCENE|RECORD", "LAKE")
 
 
 def parameter_line(parameter: TyperArgument | TyperOption) -> str:
@@ -308,8 +315,8 @@ def parameter_line(parameter: TyperArgument | TyperOption) -> str:
     return f"| {', '.join(filter(None, (words, last)))} | {help_text}{note} |"
 
 
-def command_section(name: str, command: TyperCommand) -> str:
-    """Returns the heading, the description and the table of a command."""
+def command_section(name: str, command: TyperCommand, said: set[str]) -> str:
+    """Returns the heading, the description and the table of a command; rows in `said` by name."""
     arguments = [
         (str(parameter.metavar), parameter.required)
         for parameter in command.params
@@ -318,13 +325,21 @@ def command_section(name: str, command: TyperCommand) -> str:
     usage = " ".join(text if required else f"[{text}]" for text, required in arguments)
     about = " ".join((command.help or "").partition("\n\n")[0].split())
     lines = [f"## `{f'ssduck {name} {usage}'.strip()}`\n", about]
-    rows = [
-        parameter_line(parameter)
-        for parameter in command.params
-        if isinstance(parameter, TyperArgument | TyperOption)
-    ]
+    rows: list[str] = []
+    known: list[str] = []
+    for parameter in command.params:
+        is_argument = isinstance(parameter, TyperArgument)
+        if is_argument and parameter.metavar in EXPLAINED:
+            continue
+        if isinstance(parameter, TyperArgument | TyperOption):
+            row = parameter_line(parameter)
+            (known if row in said else rows).append(row)
+    said.update(rows)
     if rows:
         lines += ["", "| argument or option | meaning |", "|---|---|", *rows]
+    if known:
+        names = [row.split("|")[1].split(",")[-1].split()[0].strip("`") for row in known]
+        lines += ["", f"As above: {', '.join(f'`{option}`' for option in names)}."]
     return "\n".join(lines) + "\n"
 
 
@@ -336,13 +351,15 @@ def command_line_page() -> str:
     """
     commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
     text = (DOCS / "command-line.md").read_text(encoding="utf-8")
-    names = [name for _, name, _ in SECTION.findall(text)]
+    names = SECTION.findall(text)
     if sorted(names) != sorted(commands):
         raise ValueError(f"sections {names} of the commands {list(commands)}")
 
+    said: set[str] = set()
+
     def section(match: re.Match[str]) -> str:
-        name = match[2]
-        return f"{match[1]}\n{command_section(name, commands[name])}\n{match[3]}"
+        name = match[1]
+        return f"{command_section(name, commands[name], said)}<!-- generated -->\n"
 
     return SECTION.sub(section, text)
 
@@ -352,10 +369,10 @@ def sql_queries_page() -> str:
     queries = tomllib.loads((TEST_DATA / "sql_queries.toml").read_text(encoding="utf-8"))["query"]
     scene = (TEST_DATA / "room.toml").read_text(encoding="utf-8")
     sections = [SQL_QUERIES_HEAD, f"```toml\n{scene}```\n"]
-    for group, entries in groupby(queries, key=lambda query: query["group"]):
-        rows = list(entries)
-        result = "error" if "error" in rows[0] else "result"
-        sections.append(f"## {group}\n\n| query | {result} |\n|---|---|\n{query_rows(rows)}")
+    answered = (query for query in queries if not {"error", "warning"} & set(query))
+    for group, entries in groupby(answered, key=lambda query: query["group"]):
+        rows = query_rows(islice(entries, SHOWN_QUERIES))
+        sections.append(f"## {group}\n\n| query | result |\n|---|---|\n{rows}")
     return "\n".join(sections)
 
 
@@ -363,10 +380,7 @@ def query_rows(queries: Iterable[Mapping[str, str]]) -> str:
     """Returns the lines of a table of queries and what they give."""
     lines = []
     for query in queries:
-        given = f"… {query['error']} …" if "error" in query else f"`{query['value']}`"
-        if "warning" in query:
-            given += f"; {query['warning']}"
-        cells = (f"`{query['text']}`", given)
+        cells = (f"`{query['text']}`", f"`{query['value']}`")
         lines.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |\n")
     return "".join(lines)
 
