@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -117,6 +118,8 @@ def begin_episode(path: Path, world: str, about: Mapping[str, Any]) -> FolderRun
         raise
     except (OSError, ValueError) as error:  # a null character is a ValueError
         reason = error.strerror if isinstance(error, OSError) else error
+        if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:
+            reason = f"{reason}: files are named after the world; bind it to a shorter name"
         raise RecordError(f"{path} cannot be written: {reason}") from error
 
 
