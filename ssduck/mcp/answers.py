@@ -21,7 +21,6 @@ from ssduck.interpreter.archives import episodes
 from ssduck.interpreter.completion import Language
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.program import last_query, value_to_show, with_last
-from ssduck.interpreter.stopping import StopRequest
 from ssduck.language.tree import AdapterClause, Literal
 from ssduck.sandbox.interpreter import SandboxedInterpreter
 from ssduck.schema import HISTORIES, TABLES
@@ -138,12 +137,6 @@ MAX_LETTERS, MAX_PIXELS = 50_000, 2_000
 class Answers(Protocol):
     """The answers to the questions that the server's tools ask, one at a time."""
 
-    def begin(self) -> None:
-        """Is called before each question."""
-
-    def stop(self) -> None:
-        """Ends the question that was begun last, soon; any thread may call it."""
-
     def schema(self) -> str:
         """Returns the guide, the worlds, tables and functions."""
 
@@ -170,15 +163,6 @@ class InterpreterAnswers:
 
     def __init__(self, ss: Interpreter, record: str | Path | None = None) -> None:
         self._ss, self._record = ss, record
-        self._stop_request = StopRequest()
-
-    def begin(self) -> None:
-        """Forgets what was stopped before."""
-        self._stop_request = StopRequest()
-
-    def stop(self) -> None:
-        """Ends the question that was begun last: its program raises a LimitError."""
-        self._stop_request.make()
 
     def schema(self) -> str:
         """Returns the guide, the worlds, tables and functions."""
@@ -196,24 +180,22 @@ class InterpreterAnswers:
 
     def query(self, program: str, language: Language, max_rows: int) -> str:
         """Returns the result of a program as JSON, cut to a number of rows and a largest size."""
-        with self._stop_request.applies_to(self._ss):
-            return _text(value_to_show(self._ss, program, language), max_rows)
+        return _text(value_to_show(self._ss, program, language), max_rows)
 
     def picture(self, program: str, language: Language, width: int, height: int) -> bytes:
         """Returns the PNG picture of a result, or one where what a program selects stands out."""
         size = min(width, MAX_PIXELS), min(height, MAX_PIXELS)
-        with self._stop_request.applies_to(self._ss):
-            if language == "sql":
-                return self._with_marks(self._ss.sql(program), size)
-            compiled = self._ss.compile(program)
-            value, query = self._ss.eval(compiled), last_query(compiled)
-            if picture := png_of(value):
-                return picture
-            if query is None:
-                return self._with_marks(value, size)
-            arguments = tuple(Literal(query.span, number) for number in size)
-            form = AdapterClause(query.span, "image", arguments)
-            return png(self._ss.eval(with_last(compiled, query, form)))
+        if language == "sql":
+            return self._with_marks(self._ss.sql(program), size)
+        compiled = self._ss.compile(program)
+        value, query = self._ss.eval(compiled), last_query(compiled)
+        if picture := png_of(value):
+            return picture
+        if query is None:
+            return self._with_marks(value, size)
+        arguments = tuple(Literal(query.span, number) for number in size)
+        form = AdapterClause(query.span, "image", arguments)
+        return png(self._ss.eval(with_last(compiled, query, form)))
 
     def _with_marks(self, value: Any, size: tuple[int, int]) -> bytes:
         """Returns a picture of the first world where what a value has stands out."""
@@ -232,15 +214,6 @@ class SandboxedAnswers:
 
     def __init__(self, ss: SandboxedInterpreter) -> None:
         self._ss = ss
-        self._stop_request = StopRequest()
-
-    def begin(self) -> None:
-        """Forgets what was stopped before."""
-        self._stop_request = StopRequest()
-
-    def stop(self) -> None:
-        """Ends the question that was begun last; any thread may call it."""
-        self._stop_request.make()
 
     def schema(self) -> str:
         """Returns the guide, the worlds, tables and functions."""
@@ -263,8 +236,7 @@ class SandboxedAnswers:
         return bytes(self._ask("picture", program, language, width, height))
 
     def _ask(self, method: str, *arguments: Any) -> Any:
-        with self._stop_request.applies_to(self._ss):
-            return self._ss.ask(f"agent answers.{method}", *arguments)
+        return self._ss.ask(f"agent answers.{method}", *arguments)
 
 
 def _text(value: Any, max_rows: int) -> str:

@@ -27,46 +27,35 @@ from pydantic import ValidationError
 from ssduck.errors import LimitError, SelectScriptError, printable
 from ssduck.interpreter.completion import Language
 from ssduck.interpreter.interpreter import Interpreter
+from ssduck.interpreter.stopping import StopRequest
 from ssduck.mcp.answers import Answers, InterpreterAnswers, SandboxedAnswers
 from ssduck.sandbox.interpreter import SandboxedInterpreter
 
 
 class _Turns:
-    """The turns of questions, each in a thread of its own; a turn is set when it is cancelled."""
+    """The turns of questions to an interpreter, each in a thread of its own."""
 
-    def __init__(self, answers: Answers) -> None:
-        self._answers = answers
+    def __init__(self, ss: Interpreter | SandboxedInterpreter) -> None:
+        self._ss = ss
         self._one_at_a_time = threading.Lock()
-        # Is held while a turn begins, ends or is cancelled.
-        self._changing = threading.Lock()
-        self._present: threading.Event | None = None
 
     async def answer(self, question: Callable[[], T]) -> T:
         """Returns the answer to a question, which ends early if the request is cancelled."""
-        turn = threading.Event()
+        stop = StopRequest()
         try:
             return await anyio.to_thread.run_sync(
-                self._answered, turn, question, abandon_on_cancel=True
+                self._answered, stop, question, abandon_on_cancel=True
             )
         except anyio.get_cancelled_exc_class():
-            with self._changing:
-                turn.set()
-                if self._present is turn:
-                    self._answers.stop()
+            stop.make()
             raise
 
-    def _answered(self, turn: threading.Event, question: Callable[[], T]) -> T:
+    def _answered(self, stop: StopRequest, question: Callable[[], T]) -> T:
         with self._one_at_a_time:
-            with self._changing:
-                if turn.is_set():
-                    raise LimitError("the request was cancelled")
-                self._present = turn
-                self._answers.begin()
-            try:
+            if stop.is_made:
+                raise LimitError("the request was cancelled")
+            with stop.applies_to(self._ss):
                 return question()
-            finally:
-                with self._changing:
-                    self._present = None
 
 
 class StandardStreamsServer(MCPServer[Any]):
@@ -172,7 +161,7 @@ def create_server(
         if isinstance(ss, SandboxedInterpreter)
         else InterpreterAnswers(ss, record)
     )
-    asking = _Asking(answers)
+    asking = _Asking(answers, _Turns(ss))
     tools: list[Callable[..., Any]] = [asking.schema, asking.help, asking.query, asking.picture]
     if record is not None:
         tools.append(asking.episodes)
@@ -184,9 +173,8 @@ def create_server(
 class _Asking:
     """The questions that agents ask: the docstrings are written for them."""
 
-    def __init__(self, answers: Answers) -> None:
-        self._answers = answers
-        self._turns = _Turns(answers)
+    def __init__(self, answers: Answers, turns: _Turns) -> None:
+        self._answers, self._turns = answers, turns
 
     async def _answer(self, method: Callable[..., T], *arguments: Any) -> T:
         """Returns the answer to a question, unless the agent cancels it."""

@@ -32,8 +32,6 @@ _IS_CALLED = "a function that a program in the sandbox calls cannot ask it: give
 # A worker's address space beside the memory of its programs, bytes.
 _SPARE = 10**9
 _MOST = 2**47  # more than any machine has
-# The arguments of an interpreter among those of `load` and `open`.
-_OWN = ("strict", "zygote")
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,16 +105,32 @@ class SandboxedInterpreter:
             raise
 
     @classmethod
-    def load(cls, scene: str | Path, *, limits: Limits | None = None, **options: Any) -> Self:
+    def load(
+        cls,
+        scene: str | Path,
+        *,
+        limits: Limits | None = None,
+        strict: bool = False,
+        zygote: Zygote | None = None,
+        **options: Any,
+    ) -> Self:
         """Returns an interpreter with the world of a scene; see `Source.of_scene`."""
-        own = {name: options.pop(name) for name in _OWN if name in options}
-        return cls(Source.of_scene(scene, **options), limits=limits, **own)
+        source = Source.of_scene(scene, **options)
+        return cls(source, limits=limits, strict=strict, zygote=zygote)
 
     @classmethod
-    def open(cls, path: str | Path, *, limits: Limits | None = None, **options: Any) -> Self:
+    def open(
+        cls,
+        path: str | Path,
+        *,
+        limits: Limits | None = None,
+        strict: bool = False,
+        zygote: Zygote | None = None,
+        **options: Any,
+    ) -> Self:
         """Returns an interpreter on a record; see `Source.of_record`."""
-        own = {name: options.pop(name) for name in _OWN if name in options}
-        return cls(Source.of_record(path, **options), limits=limits, **own)
+        source = Source.of_record(path, **options)
+        return cls(source, limits=limits, strict=strict, zygote=zygote)
 
     def close(self) -> None:
         """Ends the process."""
