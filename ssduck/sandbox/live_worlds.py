@@ -16,19 +16,12 @@ from ssduck.world.world import World
 
 @dataclass(frozen=True)
 class _Live:
-    """A world of an interpreter of this process.
-
-    Attributes:
-        owner: the interpreter.
-        world: the world.
-        is_past: whether its copy goes to recorded ticks.
-        is_own: whether the interpreter is there for it alone.
-    """
+    """A world of an interpreter of this process."""
 
     owner: Interpreter
     world: World
-    is_past: bool = False
-    is_own: bool = False
+    is_past: bool = False  # whether its copy goes to recorded ticks
+    is_own: bool = False  # whether the interpreter is there for it alone
 
 
 class LiveWorlds:
@@ -100,11 +93,7 @@ class LiveWorlds:
         self._feeds.clear()
 
     def update(self, ask: Callable[..., Any]) -> None:
-        """Sends what is new to the sandbox.
-
-        Args:
-            ask: asks the sandbox.
-        """
+        """Sends what is new to the sandbox, which a function asks."""
         self._sensed.clear()
         for name, live in self._worlds.items():
             feed = self._feeds.pop(name, None)

@@ -246,17 +246,9 @@ class WorkerProcess:
         call: Callable[..., Any],
         is_stopped: Callable[[], bool] | None = None,
     ) -> Any:
-        """Returns the answer to a request.
+        """Returns the answer to a request; after some time, s, the process is ended.
 
-        Args:
-            request: what is asked, and for what.
-            arguments: its arguments.
-            options: its named arguments.
-            seconds: the time after which the process is ended, s; None for none.
-            world: returns the world of a name.
-            name_of: returns the name of a world.
-            call: answers what the process asks before it answers: a name, and arguments.
-            is_stopped: tells whether the program has to end; None if nobody can stop it.
+        Before it answers, the process may ask the host by `call`: for a name, with arguments.
         """
         encoder = Encoder(_unlimited(), name_of)
         document = encoder.text([request, list(arguments), dict(options)])

@@ -260,6 +260,7 @@ class Decoder:
         budget: counts what the values take; the body has been counted.
         entity: returns the entity of a world, a number, a name, a kind, a tick and a full name.
         world: returns the world of a name.
+        table: returns the table of some bytes.
     """
 
     def __init__(
@@ -269,6 +270,7 @@ class Decoder:
         *,
         entity: Callable[..., Any] = EntityReference,
         world: Callable[[str], Any],
+        table: Callable[[memoryview, Budget], pa.Table] = checked_table,
     ) -> None:
         self._body = body
         self._taken = 0
@@ -276,6 +278,7 @@ class Decoder:
         self._classes = _Classes(budget)
         self._entity = entity
         self._world = world
+        self._table = table
 
     def value(self, document: bytes) -> Any:
         """Returns the value of a text of JSON."""
@@ -390,7 +393,7 @@ class Decoder:
 
     def table(self, content: Any) -> pa.Table:
         """Returns a table."""
-        return checked_table(self.part(content), self._budget)
+        return self._table(self.part(content), self._budget)
 
     def entity(self, content: Any) -> Any:
         """Returns an entity, or a reference to one."""

@@ -35,6 +35,7 @@ from ssduck.sandbox.messages import Message, receive, send
 from ssduck.sandbox.probes import holes
 from ssduck.sandbox.reports import Log, called_error, told_error
 from ssduck.sandbox.seal import Walls, seal
+from ssduck.sandbox.tables import own_table
 from ssduck.sandbox.values import Decoder, Encoder
 from ssduck.schema import TABLES
 from ssduck.world.ctrl_c import deferred
@@ -136,7 +137,13 @@ class Worker:
         return self.ss if what == "ss" else self._opened[what]
 
     def _decoded(self, message: Message) -> Any:
-        decoder = Decoder(message.body, Budget(_UNLIMITED), entity=self._entity, world=self._world)
+        decoder = Decoder(
+            message.body,
+            Budget(_UNLIMITED),
+            entity=self._entity,
+            world=self._world,
+            table=own_table,
+        )
         return decoder.value(message.document)
 
     def call(self, name: str, *arguments: Any) -> Any:
