@@ -35,15 +35,15 @@ ASSETS = "assets"
 # -- reading ---------------------------------------------------------------------------------------
 
 
-def parse_tolerantly(content: bytes) -> tuple[ET.Element, bool]:
-    """Returns the root of a model file as PyBullet reads it, and whether that is not plain XML.
+def parse_tolerantly(content: bytes) -> ET.Element:
+    """Returns the root of a model file as PyBullet reads it.
 
     Prefixes stay in names, also those without a namespace. Comments with `--`, declarations
     anywhere, a single `&`, other encodings than UTF-8, and anything behind a null character are
     taken, as by PyBullet.
     """
     try:
-        return _parsed(content), False
+        return _parsed(content)
     except expat.ExpatError:
         pass
     content = content.partition(b"\0")[0]  # texts of C end there
@@ -53,7 +53,7 @@ def parse_tolerantly(content: bytes) -> tuple[ET.Element, bool]:
         text = content.decode("latin-1")
     text = _READ_OVER.sub(lambda found: "\n" * found[0].count("\n"), text)
     try:
-        return _parsed(_BARE.sub("&amp;", text).lstrip().encode()), True
+        return _parsed(_BARE.sub("&amp;", text).lstrip().encode())
     except expat.ExpatError as error:
         raise ET.ParseError(str(error)) from error
 

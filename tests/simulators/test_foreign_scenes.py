@@ -83,9 +83,9 @@ WRONG = [
     ("s.sdf", sdf("<box><size>1 1 1</size></box>", "-1"), "<mass> is negative"),
     ("s.xml", mjcf('type="sphere" size="-1"'), "<geom size> is negative"),
     ("s.xml", mjcf('type="box" size="nan 1 1"'), "<geom size> is not a number"),
-    ("s.urdf", urdf(more=deep("a")), "nesting is too deep|would read another model"),
-    ("s.sdf", sdf(deep("a")), "nesting is too deep|would read another model"),
-    ("s.xml", f"<mujoco><worldbody>{deep('body')}</worldbody></mujoco>", "nesting is too deep|would read another model"),
+    ("s.urdf", urdf(more=deep("a")), "nesting is too deep"),
+    ("s.sdf", sdf(deep("a")), "nesting is too deep"),
+    ("s.xml", f"<mujoco><worldbody>{deep('body')}</worldbody></mujoco>", "nesting is too deep"),
     ("s.urdf", joints("j", "j2", "b", "b"), "2 joints have the child 'b'"),
     ("s.urdf", joints("j", "j", "b", "c"), "2 joints have the name 'j'"),
     ("s.urdf", urdf().replace('"base"', f'"{"b" * 9000}"'), "a name of 9000 bytes; at most 1023"),
@@ -194,7 +194,7 @@ HIDDEN = {
     "s.xml": (
         "<mujoco><asset>",
         '<mesh name="m" file="../secret/m.obj"/>',
-        '</asset><worldbody><body><geom type="box" size="1 1 1"/></body></worldbody></mujoco>',
+        '</asset><worldbody><body><joint type="free"/><geom type="box" size="1 1 1"/></body></worldbody></mujoco>',
     ),
 }
 
@@ -206,8 +206,19 @@ def test_a_comment_hides_nothing_from_the_check(tmp_path: Path, name: str) -> No
     before, hidden, after = HIDDEN[name]
     text = f"{before}{' ' * (8191 - 3 - len(before))}<!-- >{hidden}-->{after}"
     (tmp_path / name).write_text(text)
-    with pytest.raises(SceneError, match="would read another model"):
-        ssduck.load(tmp_path / name, simulator="pybullet")
+    with ssduck.load(tmp_path / name, simulator="pybullet") as ss:
+        assert len(ss.worlds[0]) == 1
+        assert "mesh" not in {row[0] for row in ss.sql("SELECT type FROM geometries").fetchall()}
+    if name != "s.xml":  # in which nothing has the mesh
+        (tmp_path / name).write_text(text.replace(f"<!-- >{hidden}-->", hidden))
+        with pytest.raises(SceneError, match="secret"):
+            ssduck.load(tmp_path / name, simulator="pybullet")
+
+
+def test_a_long_element_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "s.urdf").write_text(urdf(f'<box size="1 1 1" a="{"b" * 8191}"/>'))
+    with pytest.raises(SceneError, match=r"an element has 8,2.. bytes: .*would read another model"):
+        ssduck.load(tmp_path / "s.urdf", simulator="pybullet")
 
 
 def test_a_long_line_that_is_cut_between_its_parts_is_read(tmp_path: Path) -> None:

@@ -279,7 +279,7 @@ class _Urdf:
 def _read_urdf(file: Path, place: str, builder: _Builder) -> _Urdf:
     """Reads a URDF file; its meshes get into the model of the builder."""
     try:
-        root, _ = parse_tolerantly(file.read_bytes())
+        root = parse_tolerantly(file.read_bytes())
         _find_meshes(root, file, builder)
         compiler = _child(_child(root, "mujoco"), "compiler")
         compiler.attrib |= {"fusestatic": "false", "discardvisual": "false", "strippath": "false"}

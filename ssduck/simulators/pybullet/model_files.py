@@ -20,14 +20,10 @@ from ssduck.formatting import joined_names, short_repr
 from ssduck.simulators.model_xml import parse_tolerantly
 from ssduck.simulators.pybullet.bodies import MAX_JOINTS
 from ssduck.simulators.pybullet.model_repairs import (
-    cut_lines,
     free_continuous_joints,
     join_numbers,
     named_owner,
-    names_folders,
-    reads_otherwise,
     replace_meshes,
-    write_for_pybullet,
 )
 from ssduck.simulators.pybullet.sdf_frames import place_frames
 from ssduck.simulators.scene_bodies import BodySpec
@@ -289,8 +285,6 @@ _TEXTS = frozenset(
 _UNREAD = ("plugin", "sensor", "surface", "frame", "gripper")
 # The length of the longest names of models, links and joints, bytes.
 MAX_NAME = 1023
-# The longest piece of a line that PyBullet reads at once, bytes.
-MAX_LINE = 8191
 # The types of MJCF shapes that need a size.
 _SIZED = ("box", "sphere", "capsule", "cylinder")
 
@@ -302,9 +296,6 @@ class ModelFile:
     file: Path  # the path
     format: str  # one of `MODEL_FILES`
     root: ET.Element  # the root element, as PyBullet is to read it
-    # Whether PyBullet would read something else in the file, so that it gets another.
-    is_other: bool
-    is_cut: bool  # whether PyBullet reads another model in the file, since it cuts long lines
     left_out: list[str]  # what is left out, in words
 
     @classmethod
@@ -312,26 +303,17 @@ class ModelFile:
         """Reads the file of a scene entry."""
         assert isinstance(spec.model, Path)
         try:
-            content = spec.model.read_bytes()
-            root, is_other = parse_tolerantly(content)
+            root = parse_tolerantly(spec.model.read_bytes())
         except (ET.ParseError, OSError, ValueError) as error:
             raise SceneError(f"it cannot be read as XML: {error}") from error
-        is_cut = not is_other and _is_cut(content, root)
-        is_other |= reads_otherwise(content) | join_numbers(root)
+        join_numbers(root)
         if spec.source == "sdf":
-            is_other |= _fill_texts(root) | place_frames(root)
+            _fill_texts(root)
+            place_frames(root)
         elif spec.source == "urdf":
-            is_other |= free_continuous_joints(root)
-        elif spec.source == "mjcf":
-            is_other |= names_folders(root)
-        has_changed, left_out = replace_meshes(spec.model, spec.source, root)
-        return cls(spec.model, spec.source, root, is_other or has_changed, is_cut, left_out)
-
-    def for_pybullet(self, folder: Path) -> Path:
-        """Returns a file in which PyBullet reads what the file means: it, or one in a folder."""
-        if not self.is_other:
-            return self.file
-        return write_for_pybullet(self.file, self.format, self.root, folder)
+            free_continuous_joints(root)
+        left_out = replace_meshes(spec.model, spec.source, root)
+        return cls(spec.model, spec.source, root, left_out)
 
     def check(self) -> list[str]:
         """Checks that the file does not crash PyBullet; tells what it leaves out or takes for 0."""
@@ -349,11 +331,6 @@ class ModelFile:
             _check_roots(model)
             _check_count(model, self.format)
         doubts = check_numbers(self.format, self.root)
-        if self.is_cut:
-            raise SceneError(
-                f"PyBullet reads lines in pieces of {MAX_LINE:,} bytes, and would read another "
-                "model: write it on several lines"
-            )
         return [*first_of(self.left_out, "meshes"), *doubts]
 
     def _check_world(self, world: ET.Element) -> None:
@@ -414,22 +391,6 @@ class ModelFile:
         return (self.root if world is None else world).findall("model")
 
 
-def _is_cut(content: bytes, root: ET.Element) -> bool:
-    """Checks whether a model is another one as PyBullet reads it, which cuts long lines."""
-    cut = cut_lines(content, MAX_LINE)
-    if cut == content:
-        return False
-    try:
-        return _told(parse_tolerantly(cut)[0]) != _told(root)
-    except (ET.ParseError, ValueError):
-        return True
-
-
-def _told(root: ET.Element) -> list[tuple[str, dict[str, str], list[str]]]:
-    """Returns what the elements of a model tell."""
-    return [(part.tag, part.attrib, (part.text or "").split()) for part in root.iter()]
-
-
 def _check_formats(root: ET.Element) -> None:
     """Checks that no text is a format: PyBullet prints texts by C's printf."""
     for part in root.iter():
@@ -453,13 +414,12 @@ def _check_names(parts: Iterable[ET.Element]) -> None:
             )
 
 
-def _fill_texts(root: ET.Element) -> bool:
-    """Takes attributes `value`, as in URDF, for texts that are empty; returns whether there are."""
-    empty = [part for part in root.iter() if part.tag in _TEXTS and not len(part)]
-    filled = [part for part in empty if not (part.text or "").strip() and part.get("value")]
-    for part in filled:
-        part.text = part.get("value")
-    return bool(filled)
+def _fill_texts(root: ET.Element) -> None:
+    """Takes attributes `value`, as in URDF, for texts that are empty."""
+    for part in root.iter():
+        is_empty = not len(part) and not (part.text or "").strip()
+        if part.tag in _TEXTS and is_empty and part.get("value"):
+            part.text = part.get("value")
 
 
 def _check_texts(part: ET.Element) -> None:

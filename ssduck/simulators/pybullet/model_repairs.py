@@ -1,4 +1,4 @@
-"""Finds mesh files that would crash PyBullet, and writes model files that it would read otherwise.
+"""Finds mesh files that would crash PyBullet, and writes model files as it is to read them.
 
 Measured with PyBullet 3.2.7. It separates numbers at blanks, not at tabs and new lines. It knows
 OBJ, COLLADA and binary STL files; a file of another kind is an error, an STL file in text, or what
@@ -34,8 +34,8 @@ _NUMBER = rb"[+-]?0*[1-9][0-9]*"
 _WORD = re.compile(
     _NUMBER + rb"(?:/|/" + _NUMBER + rb"|/(?:" + _NUMBER + rb")?/" + _NUMBER + rb")?"
 )
-# PyBullet reads a line of a mesh file in pieces of so many bytes.
-PIECE = 1023
+# PyBullet reads a line of a mesh file in pieces of so many bytes, and one of a model file.
+PIECE, MODEL_PIECE = 1023, 8191
 # A line that PyBullet may take for several.
 _LONG_LINE = re.compile(rb"[^\n]{%d,}" % PIECE)
 # The beginning of a line that is no comment.
@@ -44,11 +44,6 @@ _TOLD = re.compile(rb"[ \t]*[a-z]")
 _POINTER = b"version https://git-lfs"
 # PyBullet reads numbers of 32 bits.
 _MAX_NUMBER = 2**31 - 1
-
-
-def cut_lines(content: bytes, size: int) -> bytes:
-    """Returns a file as PyBullet reads it: each piece of so many bytes of a line is a line."""
-    return re.sub(rb"[^\n]{%d}(?=[^\n])" % size, rb"\g<0>\n", content)
 
 
 def check_meshes(model: Path, root: ET.Element) -> None:
@@ -165,7 +160,8 @@ def _obj_fault(file: Path) -> str:
 def _line_fault(content: bytes) -> str:
     """Returns that PyBullet would take a line for several that tell of other things, if so."""
     for found in _LONG_LINE.finditer(content):
-        line, others = found[0], cut_lines(found[0], PIECE).split(b"\n")[1:]
+        line = found[0]
+        others = (line[start : start + PIECE] for start in range(PIECE, len(line), PIECE))
         if line.lstrip()[:1] != b"#" or any(map(_TOLD.match, others)):
             number = content.count(b"\n", 0, found.start()) + 1
             return (
@@ -342,59 +338,27 @@ _CHECKS = {".obj": _obj_fault, ".dae": collada_fault, ".stl": _stl_fault}
 
 # A text of numbers and white space.
 _NUMBERS = re.compile(r"[\s\d.eE+-]*\d[\s\d.eE+-]*")
-_BREAK = re.compile(r"[\t\n\r]")
-_ATTRIBUTE = re.compile(rb"=\s*(?:\"([^\"<]*)\"|'([^'<]*)')")
-# What readers of XML take for other texts than PyBullet does: entities, and pieces of a text.
-_OTHER_TEXT = re.compile(rb"<!DOCTYPE|<!\[CDATA\[|[^>\s]\s*<!--|-->\s*[^<\s]")
 # The attributes of <compiler> in MJCF files that name a folder, by the element of the files.
 _FOLDERS = {"mesh": "meshdir", "texture": "texturedir"}
+# The elements that name a file which PyBullet reads.
+_WITH_FILES = (*_FOLDERS, "cdf")
 
 
-def reads_otherwise(content: bytes) -> bool:
-    """Checks whether PyBullet takes an attribute or a text of a model file for another one."""
-    if _OTHER_TEXT.search(content):
-        return True
-    texts = (found[1] or found[2] or b"" for found in _ATTRIBUTE.finditer(content))
-    return any(_has_breaks(text.decode(errors="replace")) for text in texts)
+def join_numbers(root: ET.Element) -> None:
+    """Separates the numbers in texts of elements by blanks."""
+    for part in root.iter():
+        if part.text and _NUMBERS.fullmatch(part.text):
+            part.text = " ".join(part.text.split())
 
 
-def join_numbers(root: ET.Element) -> bool:
-    """Separates the numbers in texts of elements by blanks; returns whether one was not so."""
-    found = [part for part in root.iter() if part.text and _has_breaks(part.text)]
-    for part in found:
-        part.text = " ".join((part.text or "").split())
-    return bool(found)
-
-
-def _has_breaks(text: str) -> bool:
-    return bool(_BREAK.search(text)) and _NUMBERS.fullmatch(text) is not None
-
-
-def free_continuous_joints(root: ET.Element) -> bool:
-    """Removes the ranges of the continuous joints of a URDF file; returns whether there are any.
+def free_continuous_joints(root: ET.Element) -> None:
+    """Removes the ranges of the continuous joints of a URDF file.
 
     PyBullet keeps them, and URDF does not: a joint from 0 to 0 turns as far as it likes.
     """
-    ranges = [
-        limit
-        for joint in root.iterfind("joint")
-        if joint.get("type") == "continuous"
-        for limit in joint.iterfind("limit")
-        if limit.get("lower") or limit.get("upper")
-    ]
-    for limit in ranges:
+    for limit in root.iterfind("joint[@type='continuous']/limit"):
         limit.attrib.pop("lower", None)
         limit.attrib.pop("upper", None)
-    return bool(ranges)
-
-
-def names_folders(root: ET.Element) -> bool:
-    """Checks whether an MJCF file names a folder that PyBullet does not find: it adds no slash."""
-    return any(
-        compiler.get(key) and (key == "assetdir" or not compiler.get(key, "").endswith("/"))
-        for compiler in root.iter("compiler")
-        for key in ("meshdir", "assetdir")
-    )
 
 
 def named_owner(part: ET.Element, parents: Mapping[ET.Element, ET.Element]) -> str:
@@ -406,13 +370,13 @@ def named_owner(part: ET.Element, parents: Mapping[ET.Element, ET.Element]) -> s
     return str(part.get("name"))
 
 
-def replace_meshes(model: Path, format: str, root: ET.Element) -> tuple[bool, list[str]]:
+def replace_meshes(model: Path, format: str, root: ET.Element) -> list[str]:
     """Gives PyBullet meshes that it can read: converts others, and leaves out what cannot be read.
 
-    Returns whether the model has changed, and what is left out, in words. A shape that collides
-    stays if its file is not there, so that PyBullet refuses the model.
+    Returns what is left out, in words. A shape that collides stays if its file is not there, so
+    that PyBullet refuses the model.
     """
-    changed, told = False, []
+    told: list[str] = []
     parents = {child: parent for parent in root.iter() for child in parent}
     for part in list(root.iter("mesh")):
         name = mesh_name(part, root)
@@ -427,7 +391,6 @@ def replace_meshes(model: Path, format: str, root: ET.Element) -> tuple[bool, li
                 _set_name(
                     part, str(_converted(file, (status := file.stat()).st_mtime_ns, status.st_size))
                 )
-                changed = True
                 continue
             except (OSError, ValueError) as error:
                 fault = str(error)
@@ -444,16 +407,19 @@ def replace_meshes(model: Path, format: str, root: ET.Element) -> tuple[bool, li
             continue  # which is PyBullet's error
         if shape.tag in ("visual", "collision") and shape in parents:
             parents[shape].remove(shape)
-            changed = True
             does = "is not drawn" if shape.tag == "visual" else "does not collide"
             told.append(f"the mesh {name!r} of {named_owner(shape, parents)} {does}: {fault}")
-    return changed, told
+    return told
 
 
 def write_for_pybullet(model: Path, format: str, root: ET.Element, folder: Path) -> Path:
-    """Writes a model into another folder, with the places of its files; returns the new file."""
+    """Writes a model into another folder, with the places of its files; returns the new file.
+
+    In the new file, the lines are short, and texts have no comments, entities and the like in them:
+    readers of XML take these for other texts than PyBullet does.
+    """
     for part in root.iter():
-        if part.tag in ("mesh", "texture") and (name := mesh_name(part, root)):
+        if part.tag in _WITH_FILES and (name := mesh_name(part, root)):
             file = find_mesh(model, name)
             if file is not None:
                 _set_name(part, str(file))
@@ -462,8 +428,18 @@ def write_for_pybullet(model: Path, format: str, root: ET.Element, folder: Path)
             for key in (*_FOLDERS.values(), "assetdir"):
                 compiler.attrib.pop(key, None)
     path = folder / "model"  # without an ending: it is no file of the scene
-    ET.indent(root)
-    ET.ElementTree(root).write(path, encoding="utf-8")
+    try:
+        ET.indent(root)
+        content = ET.tostring(root, encoding="utf-8")
+    except RecursionError:
+        raise SceneError("its nesting is too deep") from None
+    longest = max(map(len, content.split(b"\n")))
+    if longest > MODEL_PIECE:
+        raise SceneError(
+            f"an element has {longest:,} bytes: PyBullet reads lines in pieces of "
+            f"{MODEL_PIECE:,}, and would read another model"
+        )
+    path.write_bytes(content)
     return path
 
 

@@ -22,7 +22,7 @@ from ssduck.simulators.naming import body_name, name_by_file, unique_name
 from ssduck.simulators.pybullet.bodies import BodyDescription, joint_of, wxyz, xyzw
 from ssduck.simulators.pybullet.clients import captured, pybullet
 from ssduck.simulators.pybullet.model_files import ModelFile
-from ssduck.simulators.pybullet.model_repairs import check_meshes
+from ssduck.simulators.pybullet.model_repairs import check_meshes, write_for_pybullet
 from ssduck.simulators.scene_bodies import MODEL_SUFFIXES, BodySpec, Material, Primitive
 from ssduck.simulators.scenes import ConstraintSpec, Scene, check_body
 from ssduck.simulators.toml_reader import Vector
@@ -72,25 +72,26 @@ def load_model(spec: BodySpec, place: str, client: int) -> LoadedModel:
         skipped = (message for message in messages if _SKIPPED.search(message))
         said = dict.fromkeys(_FILE_AND_LINE.sub("", message) for message in skipped)
         return LoadedModel(handles, (*doubts, *said))
-    reason = "; ".join(m for m in messages if not _CHATTER.search(m)) or str(failure)
+    faults = (_FILE_AND_LINE.sub("", m) for m in messages if not _CHATTER.search(m))
+    reason = "; ".join(faults) or str(failure)
     raise SceneError(f"{where}{spec.model} cannot be loaded: {reason}") from failure
 
 
 def _load_file(spec: BodySpec, client: int, doubts: list[str]) -> Sequence[int]:
     """Loads a model file; adds what PyBullet leaves out or takes for 0 to a list."""
-    model_file = ModelFile.read(spec)
-    doubts += model_file.check()
-    check_meshes(model_file.file, model_file.root)
+    model = ModelFile.read(spec)
+    doubts += model.check()
+    check_meshes(model.file, model.root)
     with tempfile.TemporaryDirectory(prefix="ssduck") as folder:
-        file = str(model_file.for_pybullet(Path(folder)))
+        file = str(write_for_pybullet(model.file, model.format, model.root, Path(folder)))
         if spec.source == "urdf":
             return (_load_urdf(spec, file, client),)
         load = pybullet.loadSDF if spec.source == "sdf" else pybullet.loadMJCF
         handles: Sequence[int] = load(file, physicsClientId=client)
     if not handles:
-        ignored = "".join(f"; PyBullet {part}" for part in model_file.ignored(spec.fixed))
+        ignored = "".join(f"; PyBullet {part}" for part in model.ignored(spec.fixed))
         raise SceneError(f"no body is in it{ignored}")
-    static = model_file.static_models()
+    static = model.static_models()
     for number, handle in enumerate(handles):
         if spec.fixed or number in static:
             pybullet.changeDynamics(handle, -1, mass=0.0, physicsClientId=client)

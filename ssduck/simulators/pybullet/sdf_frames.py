@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import TypeAlias
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -20,7 +21,9 @@ from ssduck.geometry.poses import IDENTITY, compose, invert, multiply, rotation_
 from ssduck.simulators.model_xml import numbers_text, roll_pitch_yaw
 
 # A pose: a position (1, 3), and an orientation (1, 4) as w, x, y, z.
-Pose = tuple[Array, Array]
+Pose: TypeAlias = tuple[Array, Array]
+# An element, the path of its child, and the text that this gets; None if the child goes.
+_Change: TypeAlias = tuple[ET.Element, str, str | None]
 
 # The names of the frame that a model or a world itself is.
 _OWN = ("", "__model__", "world", "__root__")
@@ -35,7 +38,7 @@ class _UnknownFrameError(Exception):
     """A pose is relative to a frame that is not there, or to itself."""
 
 
-def place_frames(root: ET.Element) -> bool:
+def place_frames(root: ET.Element) -> None:
     """Writes all poses and axes of an SDF file as PyBullet reads them.
 
     What is relative to a frame that is not there stays as it is.
@@ -45,34 +48,19 @@ def place_frames(root: ET.Element) -> bool:
     version = _number(root.get("version", ""), 1.7)
     # All are read before the first is written.
     changes = [each for model in scope.findall("model") for each in _changes(scope, model, version)]
-    for change in changes:
-        change.make()
-    return bool(changes)
-
-
-@dataclass(frozen=True)
-class _Change:
-    """A new text of an element, or of a child that it gets if it has none."""
-
-    owner: ET.Element
-    tag: str
-    text: str | None  # None if the child goes
-    drops: str = ""  # an attribute that the owner loses
-
-    def make(self) -> None:
-        self.owner.attrib.pop(self.drops, None)
-        child = self.owner.find(self.tag)
-        if self.text is None:
+    for owner, path, text in changes:
+        child = owner.find(path)
+        if text is None:
             assert child is not None
-            self.owner.remove(child)
-            return
+            owner.remove(child)
+            continue
+        if owner.tag == "model":
+            owner.attrib.pop("placement_frame", None)
         if child is None:
-            child = ET.Element(self.tag)
-            self.owner.insert(0, child)
-        for part in list(child):
-            child.remove(part)
-        child.attrib.clear()
-        child.text = self.text
+            child = ET.Element(path)
+            owner.insert(0, child)
+        child.clear()
+        child.text = text
 
 
 @dataclass(frozen=True)
@@ -134,18 +122,18 @@ def _change_of_model(scope: ET.Element, model: ET.Element, frames: _Frames) -> I
         return
     around = _Frames.of(scope)[_relative_to(model)]
     pose = compose(*compose(*compose(*around, *_pose_of(model)), *invert(*place)), *base)
-    yield _Change(model, "pose", _text_of(pose), drops="placement_frame")
+    yield model, "pose", _text_of(pose)
 
 
 def _changes_of_link(link: ET.Element, frames: _Frames) -> Iterator[_Change]:
     own = frames[link.get("name", "")]
     if not _is_plain(link):
-        yield _Change(link, "pose", _text_of(own))
+        yield link, "pose", _text_of(own)
     for part in link:
         if part.tag in ("collision", "visual", "inertial") and not _is_plain(part):
             name = _relative_to(part)
             within = compose(*invert(*own), *frames[name]) if name else _identity()
-            yield _Change(part, "pose", _text_of(compose(*within, *_pose_of(part))))
+            yield part, "pose", _text_of(compose(*within, *_pose_of(part)))
 
 
 def _changes_of_joint(joint: ET.Element, frames: _Frames, version: float) -> Iterator[_Change]:
@@ -165,11 +153,11 @@ def _changes_of_joint(joint: ET.Element, frames: _Frames, version: float) -> Ite
             turn = multiply(invert(*child)[1], frames[frame][1])
         direction = rotation_matrices(turn)[0] @ numbers
         if axis.attrib or np.abs(direction - numbers).max() > 1e-12:
-            yield _Change(joint, "axis/xyz", numbers_text(direction))
+            yield joint, "axis/xyz", numbers_text(direction)
     if joint.find("pose") is not None:
         beside = np.linalg.norm(np.cross(position[0], direction)) > 1e-9
         if not beside or joint.get("type") not in ("revolute", "continuous"):
-            yield _Change(joint, "pose", None)
+            yield joint, "pose", None
 
 
 def _child_of(joint: ET.Element) -> str:
