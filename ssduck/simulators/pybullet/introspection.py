@@ -14,7 +14,7 @@ from ssduck.errors import UnsupportedError
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.bounds import BoundingBoxes
 from ssduck.geometry.mesh_files import load_mesh
-from ssduck.geometry.poses import IDENTITY, compose, invert
+from ssduck.geometry.poses import IDENTITY, compose, invert, multiply
 from ssduck.geometry.shapes import Geometry
 from ssduck.simulators.backends import collision_visuals, stored_visuals
 from ssduck.simulators.interface import SCALAR_JOINTS, Body, LinkPoses, VisualShape
@@ -78,10 +78,14 @@ def model_of(simulator: PyBulletSimulator, body: Body) -> BodyModel:
     assert description is not None
     infos = [pybullet.getJointInfo(handle, index, client) for index in range(len(body.joints))]
     link_poses = simulator.read_link_poses((body,), with_velocities=True)
-    joints = simulator.read_joints([body] if body.joints else [])
+    zero = zero_poses(body, link_poses, simulator.read_joints([body] if body.joints else []))
+    for number, joint in enumerate(body.joints):
+        if joint.type == "spherical":
+            x, y, z, w = pybullet.getJointStateMultiDof(handle, number, client)[0]
+            zero[1][number] = multiply(zero[1][number], np.array([w, -x, -y, -z]))
     return BodyModel(
         body,
-        zero_poses(body, link_poses, joints),
+        zero,
         description.com,
         np.array([dynamic[2] for dynamic in dynamics]),
         [info[6] for info in infos],

@@ -230,22 +230,13 @@ _ENGINE = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class SceneOrigin:
-    """The scene entry that a body was loaded from, and the body's index in the entry's file."""
-
-    spec: BodySpec
-    number: int
-
-
 @dataclass(eq=False)
 class LoadedBodies:
     """Knowledge about the bodies that ssduck loaded into a client, by PyBullet body number."""
 
     names: dict[int, str] = field(default_factory=dict)  # the names in the scene
     kinds: dict[int, Kind] = field(default_factory=dict)  # the kinds in the scene
-    # The scene entries of bodies that were loaded from a file.
-    origins: dict[int, SceneOrigin] = field(default_factory=dict)
+    origins: dict[int, BodySpec] = field(default_factory=dict)  # the entries in the scene
     # The positions that motors hold, by link.
     motor_positions: dict[int, dict[int, float]] = field(default_factory=dict)
     # The descriptions of bodies, if known already.
@@ -384,15 +375,15 @@ def load_body(spec: BodySpec, place: str, loaded: LoadedBodies, client: int) -> 
         loaded.skipped[spec.model] = messages
     joints = [_joints_of(handle, client) for handle in handles]
     check_joints(spec, [joint for of_body in joints for joint in of_body], place)
-    for number, handle in enumerate(handles):
-        loaded.origins[handle] = SceneOrigin(spec, number)
+    for handle, own_joints in zip(handles, joints, strict=True):
+        loaded.origins[handle] = spec
         if spec.kind:
             loaded.kinds[handle] = spec.kind
         if not spec.enabled:
             loaded.disabled.add(handle)
         if not spec.visible:
             loaded.hidden.add(handle)
-        positions = _set_joints(handle, spec, joints[number], client)
+        positions = _set_joints(handle, spec, own_joints, client)
         if positions:
             loaded.motor_positions[handle] = positions
         if loaded.elastic:

@@ -54,6 +54,27 @@ def scene_of(
     )
 
 
+def loadable_spec(simulator: PyBulletSimulator, body: Body) -> BodySpec | None:
+    """Returns the scene entry of a body, if that is a primitive or a URDF file that is there."""
+    spec = simulator.loaded.origins.get(body.handle)
+    if spec is None or spec.source in ("sdf", "mjcf"):
+        return None
+    return spec if isinstance(spec.model, Primitive) or spec.model.is_file() else None
+
+
+def placed(spec: BodySpec, original: BodyToCopy, tick: TickToCopy) -> BodySpec:
+    """Returns a scene entry with the pose, the velocity and the flags of a body at a tick."""
+    base = original.base_state.tolist()
+    return replace(
+        spec,
+        position=tuple(base[:3]),
+        orientation=tuple(base[3:7]),
+        velocity=(0.0,) * 6 if spec.fixed else tuple(base[7:]),
+        enabled=original.body not in tick.disabled,
+        visible=original.body not in tick.hidden,
+    )
+
+
 def _constraints(client: int, originals: Mapping[int, BodyToCopy]) -> Iterator[ConstraintSpec]:
     for spec, (on, link), (to, to_link) in constraints_of(client):
         other = originals.get(to)
@@ -82,42 +103,30 @@ class _ModelWriter:
     def spec_of(self, original: BodyToCopy, tick: TickToCopy) -> BodySpec:
         """Returns the scene's entry of a body."""
         body, states = original.body, original.joints
-        origin = self.simulator.loaded.origins.get(body.handle)
-        copy = None if origin is None else self._copy_of(origin.spec)
-        if origin is not None and copy is not None:
-            model: Path | Primitive = copy
-            fixed, own_inertia = origin.spec.fixed, origin.spec.own_inertia
-        else:
-            stem = original.name
-            description = model_of(self.simulator, body)
-            model = write_model(description, self._new_folder(stem), _file_name(stem))
-            fixed, own_inertia = False, True
+        spec = loadable_spec(self.simulator, body)
+        copy = None if spec is None else self._copy_of(spec.model)
+        if spec is None or copy is None:
+            folder, stem = self._new_folder(original.name), _file_name(original.name)
+            copy = write_model(model_of(self.simulator, body), folder, stem)
+            spec = BodySpec(None, None, copy, own_inertia=True)
         names = unique_names(joint.name for joint in body.joints)
         settable = [n for n, joint in enumerate(body.joints) if joint.type in SCALAR_JOINTS]
         positions = {names[n]: float(states[n, 0]) for n in settable}
         motors = self.simulator.loaded.motor_positions.get(body.handle, {})
         targets = {names[link - 1]: target for link, target in motors.items()}
-        base = original.base_state.tolist()
-        return BodySpec(
+        return replace(
+            placed(spec, original, tick),
             name=original.name,
             kind=body.kind,  # type: ignore[arg-type]  # no sensor has a body
-            model=model,
-            position=tuple(base[:3]),
-            orientation=tuple(base[3:7]),
-            fixed=fixed,
+            model=copy,
             joints=positions,
-            velocity=(0.0,) * 6 if fixed else tuple(base[7:]),
             joint_velocities={names[n]: float(states[n, 1]) for n in settable if states[n, 1]},
             hold=bool(motors) or not settable,
             held={name: target for name, target in targets.items() if target != positions[name]},
-            enabled=body not in tick.disabled,
-            visible=body not in tick.hidden,
-            own_inertia=own_inertia,
         )
 
-    def _copy_of(self, spec: BodySpec) -> Path | Primitive | None:
+    def _copy_of(self, file: Path | Primitive) -> Path | Primitive | None:
         """Returns a copy of a URDF file and its meshes, or a primitive; None if there is none."""
-        file = spec.model
         if isinstance(file, Primitive):
             return file
         if file not in self.copies:
@@ -125,8 +134,6 @@ class _ModelWriter:
         return self.copies[file]
 
     def _copy(self, file: Path) -> Path | None:
-        if file.suffix.lower() != ".urdf" or not file.is_file():
-            return None
         references = _referenced_files(file)
         if references is None:
             return None
