@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import math
-import warnings
 
 import pybullet
 import pytest
 
 import ssduck
-from ssduck.errors import ArgumentError, ProgramWarning
+from ssduck.errors import ArgumentError
+from tests.support.warned import told
 
 
 @pytest.fixture(scope="module")
-def world():
+def world(stage):
     """A ramp that is tilted by 1.2 rad, 69 degrees."""
-    client = pybullet.connect(pybullet.DIRECT)
-    here = {"physicsClientId": client}
-    shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.5, 0.3, 0.1], **here)
     turned = pybullet.getQuaternionFromEuler([0, 1.2, 0])
-    ramp = pybullet.createMultiBody(0, shape, baseOrientation=turned, **here)
-    yield ssduck.World.attach(client, names={ramp: "ramp"})
-    pybullet.disconnect(client)
+    stage.box("ramp", half=[0.5, 0.3, 0.1], turn=turned)
+    return stage.open()
 
 
 @pytest.fixture(params=[False, True])
@@ -31,15 +27,6 @@ def ss(world, request):
         ss.add_variable("most", 45)
         ss.add_variable("rows", [{"id": "ramp", "tilt": 69.0}])
         yield ss
-
-
-def told(ask, *arguments):
-    """The warnings of a call."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        ask(*arguments)
-    assert all(one.category is ProgramWarning for one in caught)
-    return [str(one.message) for one in caught]
 
 
 DEGREES = [

@@ -9,13 +9,13 @@ import sys
 import warnings
 from collections.abc import Iterator
 
-import pybullet
 import pytest
 
 import ssduck
 from ssduck.adapters.formats import FORMATS, print_value, text_of
 from ssduck.adapters.result import TableView
 from ssduck.errors import ArgumentError, ProgramWarning, UnknownNameError, warn
+from tests.support.stage import Stage
 
 HOSTILE = "cup\x1b[2J\x9b31m\u202e\r"
 ESCAPED = "cup\\u001b[2J\\u009b31m\\u202e\\u000d"
@@ -63,13 +63,10 @@ def test_lines_of_a_program_stay_lines() -> None:
 
 @pytest.fixture
 def hostile() -> Iterator[ssduck.Interpreter]:
-    client = pybullet.connect(pybullet.DIRECT)
-    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, 0.1, physicsClientId=client)
-    body = pybullet.createMultiBody(1, shape, physicsClientId=client)
-    with ssduck.Interpreter() as ss:
-        ss.add_variable("lab", ssduck.World.attach(client, names={body: HOSTILE}))
+    with Stage() as stage, ssduck.Interpreter() as ss:
+        stage.sphere(HOSTILE, radius=0.1, mass=1)
+        ss.add_variable("lab", stage.open())
         yield ss
-    pybullet.disconnect(client)
 
 
 class Terminal(io.StringIO):

@@ -13,48 +13,35 @@ import ssduck
 from ssduck.errors import RemovedEntityError
 from ssduck.interpreter import query_runner as queries
 from tests.support.cases import sampled
+from tests.support.stage import PLANE, Stage
 
 EVALUATORS = {"SQL": {}, "row by row": {"row_by_row": True}}
 
 
 @contextmanager
-def opened(client, evaluator):
-    """A ground plane, whose box is infinite, and two boxes."""
-    plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
-    box = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[0.5] * 3, physicsClientId=client
-    )
-    names = {}
-    for name, shape, position in (
-        ("ground", plane, (0, 0, 0)),
-        ("low", box, (0, 0, 0.5)),
-        ("high", box, (3, 0, 2.5)),
-    ):
-        number = pybullet.createMultiBody(0, shape, basePosition=position, physicsClientId=client)
-        names[number] = name
-    world = ssduck.World.attach(client, names=names)
-    with ssduck.Interpreter(**EVALUATORS[evaluator]) as interpreter:
-        interpreter.add_variable("w", world)
-        yield interpreter
-    world.close()
+def opened(evaluator):
+    """A ground plane, whose box is infinite, and two boxes; short lists become SQL, too."""
+    with Stage() as stage, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(queries, "FEW_ROWS", 0)
+        stage.add("ground", PLANE)
+        stage.box("low", (0, 0, 0.5))
+        stage.box("high", (3, 0, 2.5))
+        with ssduck.Interpreter(**EVALUATORS[evaluator]) as interpreter:
+            interpreter.add_variable("w", stage.open())
+            yield interpreter
 
 
 @pytest.fixture(params=EVALUATORS)
-def ss(request, client, monkeypatch):
-    """Short lists become SQL, too."""
-    monkeypatch.setattr(queries, "FEW_ROWS", 0)
-    with opened(client, request.param) as interpreter:
+def ss(request):
+    with opened(request.param) as interpreter:
         yield interpreter
 
 
 @pytest.fixture(scope="module", params=EVALUATORS)
 def steady(request):
     """The same for programs that change nothing."""
-    client = pybullet.connect(pybullet.DIRECT)
-    with pytest.MonkeyPatch.context() as patch, opened(client, request.param) as interpreter:
-        patch.setattr(queries, "FEW_ROWS", 0)
+    with opened(request.param) as interpreter:
         yield interpreter
-    pybullet.disconnect(client)
 
 
 NAN = math.nan

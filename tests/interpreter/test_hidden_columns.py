@@ -3,28 +3,21 @@
 from __future__ import annotations
 
 import math
-import warnings
 from contextlib import suppress
 
-import pybullet
 import pytest
 
 import ssduck
-from ssduck.errors import ArgumentError, ProgramWarning
+from ssduck.errors import ArgumentError
+from tests.support.warned import told
 
 
 @pytest.fixture(scope="module")
-def world():
+def world(stage):
     """A light and a heavy box."""
-    client = pybullet.connect(pybullet.DIRECT)
-    here = {"physicsClientId": client}
-    shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.1] * 3, **here)
-    names = {
-        pybullet.createMultiBody(mass, shape, basePosition=[mass, 0, 1], **here): name
-        for mass, name in ((0.3, "light"), (2, "heavy"))
-    }
-    yield ssduck.World.attach(client, names=names)
-    pybullet.disconnect(client)
+    for mass, name in ((0.3, "light"), (2, "heavy")):
+        stage.box(name, (mass, 0, 1), half=0.1, mass=mass)
+    return stage.open()
 
 
 @pytest.fixture(params=[False, True])
@@ -32,15 +25,6 @@ def ss(world, request):
     with ssduck.Interpreter(row_by_row=request.param) as ss:
         ss.add_variable("sim", world)
         yield ss
-
-
-def told(ask, *arguments):
-    """The warnings of a call."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        ask(*arguments)
-    assert all(one.category is ProgramWarning for one in caught)
-    return [str(one.message) for one in caught]
 
 
 # (condition, parameters, the words of the messages)

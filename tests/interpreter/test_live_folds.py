@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 import ssduck
 from ssduck.errors import EvaluationError, SelectScriptError
-from ssduck.interpreter.over_time.evaluator import TemporalEvaluator
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS
 from ssduck.interpreter.over_time.live import LiveFolds
 from ssduck.language.builtins import EXTREMES
@@ -40,6 +39,14 @@ TERMS = [
     "lifted(sim.ball, -0.05)",
     "heldFor(z(sim.ball) < 0.2) > 0.05 OR rate(z(sim.ball)) > 1.0",
 ]
+# What is made from the record at each tick: masses are recorded once, what a function of the user's
+# gives may change, and the others depend on a row or on a tick of the past.
+OF_THE_RECORD = [
+    "heldFor(mass(sim.ball) > 0.1)",
+    "heldFor(chosen(sim.ball))",
+    "SELECT heldFor(z(this) < 0.2) FROM sim AS list",
+    "heldFor(z(sim{0.0}.ball) < z(sim.ball))",
+]
 FOLDS = {name for name, form in TEMPORAL_FUNCTIONS.items() if form.fold is not None}
 STEPS = ("tick", "tick", "tick", "ask", "same time", "limit", "reset", "lift", "nan")
 FRESH = count()
@@ -54,6 +61,7 @@ def opened():
         sim = ssduck.World.attach((model, data))
         ss.add_variable("sim", sim)
         ss.add_variable("limit", 0.25)
+        ss.add_function("chosen", lambda ball: ball.z > 0.1)
         sim.tick()
         yield ss, sim, model, data
 
@@ -125,7 +133,7 @@ def test_they_are_those_of_the_record(steps):
         for number, step in enumerate(("ask", *steps)):
             act(made, step)
             # Of some terms a state is a tick old, and of some several.
-            for term in TERMS[number % 5 :: 4 + number % 2]:
+            for term in [*TERMS, *OF_THE_RECORD][number % 5 :: 4 + number % 2]:
                 assert outcome(made[0], f"{term};") == fresh(made[0], term), (step, term)
 
 
@@ -198,60 +206,17 @@ def test_the_error_of_a_tick_stays_until_the_episode_ends(scene):
         assert ss.eval(term) == 0.0
 
 
-@pytest.mark.parametrize("term", TERMS)
-def test_the_next_tick_needs_no_record(monkeypatch, scene, term):
-    ss = scene[0]
-    act(scene, "tick")
-    ss.eval(f"{term};")
-    made = []
-    series = TemporalEvaluator.series
-    monkeypatch.setattr(TemporalEvaluator, "series", lambda *args: made.append(1) or series(*args))
-    for _ in range(5):
-        act(scene, "tick")
-        ss.eval(f"{term};")
-    assert made == []
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    "term",
-    [
-        "heldFor(mass(sim.ball) > 0.1)",  # masses are recorded once
-        "heldFor(chosen(sim.ball))",  # what a user's function gives may change
-        "SELECT heldFor(z(this) < 0.2) FROM sim AS list",  # it depends on a row
-        "heldFor(z(sim{0.0}.ball) < z(sim.ball))",
-    ],
+    "recording",
+    [{"seconds": 0.1}, {"every": 3}, {"entities": ["ball"]}, {"entities": ["box"]}],
 )
-def test_others_are_made_from_the_record_each_time(monkeypatch, scene, term):
-    ss = scene[0]
-    ss.add_function("chosen", lambda ball: ball.z > 0.1)
-    made = []
-    series = TemporalEvaluator.series
-    monkeypatch.setattr(TemporalEvaluator, "series", lambda *args: made.append(1) or series(*args))
-    for number in range(1, 4):
-        act(scene, "tick")
-        assert outcome(ss, f"{term};") == fresh(ss, term)
-        assert len(made) >= 2 * number
-
-
-@pytest.mark.parametrize("recording", [{"seconds": 0.1}, {"every": 3}])
 def test_what_is_dropped_or_not_recorded_is_not_kept(scene, recording):
     ss = scene[0]
     ss.record("sim", ssduck.Recording(**recording))
     for number in range(20):
         act(scene, "tick")
         for term in TERMS[number % 4 :: 4]:
-            assert outcome(ss, f"{term};") == fresh(ss, term)
-    assert len(ss.sql("SELECT DISTINCT tick FROM sim.entities_history").fetchall()) < 20
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("entity", ["ball", "box"])
-def test_an_entity_that_is_not_recorded_has_no_value(scene, entity):
-    ss = scene[0]
-    ss.record("sim", ssduck.Recording(entities=[entity]))
-    for _ in range(3):
-        act(scene, "tick")
-        for term in TERMS:
             assert outcome(ss, f"{term};") == fresh(ss, term)
 
 

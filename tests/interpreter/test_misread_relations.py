@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-import warnings
-
 import pybullet
 import pytest
 
 import ssduck
-from ssduck.errors import ArgumentError, ProgramWarning
+from ssduck.errors import ArgumentError
+from tests.support.stage import PLANE, Stage
+from tests.support.warned import told
 
 
 @pytest.fixture(scope="module")
 def world():
     """A ball in a box."""
-    client = pybullet.connect(pybullet.DIRECT)
-    here = {"physicsClientId": client}
-    box = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.5] * 3, **here)
-    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, **here)
-    names = {pybullet.createMultiBody(0, box, **here): "bin"}
-    names[pybullet.createMultiBody(1, ball, basePosition=[0.5, 0, 0], **here)] = "ball"
-    yield ssduck.World.attach(client, names=names)
-    pybullet.disconnect(client)
+    with Stage() as stage:
+        stage.box("bin")
+        stage.sphere("ball", (0.5, 0, 0), radius=0.1, mass=1)
+        yield stage.open()
 
 
 @pytest.fixture
@@ -29,15 +25,6 @@ def ss(world):
     with ssduck.Interpreter() as ss:
         ss.add_variable("sim", world)
         yield ss
-
-
-def told(ask, *arguments):
-    """The warnings of a call."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        ask(*arguments)
-    assert all(one.category is ProgramWarning for one in caught)
-    return [str(one.message) for one in caught]
 
 
 @pytest.mark.parametrize(
@@ -111,19 +98,16 @@ def test_what_may_not_hold_is_not(ss, program):
 @pytest.fixture
 def marked():
     """A cup inside of a goal that is drawn only."""
-    client = pybullet.connect(pybullet.DIRECT)
-    half = [0.5] * 3
-    drawn = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=half, physicsClientId=client)
-    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
-    bodies = [
-        pybullet.createMultiBody(0, -1, drawn, physicsClientId=client),
-        pybullet.createMultiBody(1, ball, physicsClientId=client),
-    ]
-    with ssduck.Interpreter() as ss:
-        names = dict(zip(bodies, ("goal", "cup"), strict=True))
-        ss.add_variable("sim", ssduck.World.attach(client, names=names))
-        yield ss
-    pybullet.disconnect(client)
+    with Stage() as stage:
+        drawn = pybullet.createVisualShape(
+            pybullet.GEOM_BOX, halfExtents=[0.5] * 3, physicsClientId=stage.client
+        )
+        goal = pybullet.createMultiBody(0, -1, drawn, physicsClientId=stage.client)
+        stage.names[goal] = "goal"
+        stage.sphere("cup", radius=0.1, mass=1)
+        with ssduck.Interpreter() as ss:
+            ss.add_variable("sim", stage.open())
+            yield ss
 
 
 @pytest.mark.parametrize(
@@ -166,16 +150,11 @@ def test_raw_sql_tells_of_volume_too(ss):
 @pytest.fixture(scope="module")
 def slope():
     """A ball 2 m over the origin of three planes: tilted, level and upright."""
-    client = pybullet.connect(pybullet.DIRECT)
-    here = {"physicsClientId": client}
-    names = {}
-    for name, normal in {"slope": [0, 0.6, 0.8], "floor": [0, 0, 1], "wall": [1, 0, 0]}.items():
-        shape = pybullet.createCollisionShape(pybullet.GEOM_PLANE, planeNormal=normal, **here)
-        names[pybullet.createMultiBody(0, shape, **here)] = name
-    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.2, **here)
-    names[pybullet.createMultiBody(1, ball, basePosition=[0, 0, 2], **here)] = "ball"
-    yield ssduck.World.attach(client, names=names), client
-    pybullet.disconnect(client)
+    with Stage() as stage:
+        for name, normal in {"slope": [0, 0.6, 0.8], "floor": [0, 0, 1], "wall": [1, 0, 0]}.items():
+            stage.add(name, PLANE, planeNormal=normal)
+        stage.sphere("ball", (0, 0, 2), radius=0.2, mass=1)
+        yield stage.open(), stage.client
 
 
 @pytest.mark.slow
@@ -213,23 +192,17 @@ def test_a_tilted_plane_in_a_relation_of_boxes_is_told_of(slope, program, planes
 @pytest.fixture(scope="module")
 def planes():
     """Balls over and under a floor, a ceiling, an upright and a tilted plane."""
-    client = pybullet.connect(pybullet.DIRECT)
-    here = {"physicsClientId": client}
-    names = {}
-    for name, normal, z in (
-        ("floor", [0, 0, 1], 0.5),
-        ("ceiling", [0, 0, -1], 3),
-        ("wall", [1, 0, 0], 0),
-        ("slope", [0, 0.6, 0.8], 0),
-    ):
-        shape = pybullet.createCollisionShape(pybullet.GEOM_PLANE, planeNormal=normal, **here)
-        names[pybullet.createMultiBody(0, shape, basePosition=[0, 0, z], **here)] = name
-    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, **here)
-    for n, z in enumerate((-5, 0.2, 2, 4)):
-        body = pybullet.createMultiBody(1, ball, basePosition=[-1, 0, z], **here)
-        names[body] = f"ball_{n}"
-    yield ssduck.World.attach(client, names=names)
-    pybullet.disconnect(client)
+    with Stage() as stage:
+        for name, normal, z in (
+            ("floor", [0, 0, 1], 0.5),
+            ("ceiling", [0, 0, -1], 3),
+            ("wall", [1, 0, 0], 0),
+            ("slope", [0, 0.6, 0.8], 0),
+        ):
+            stage.add(name, PLANE, (0, 0, z), planeNormal=normal)
+        for n, z in enumerate((-5, 0.2, 2, 4)):
+            stage.sphere(f"ball_{n}", (-1, 0, z), radius=0.1, mass=1)
+        yield stage.open()
 
 
 @pytest.mark.filterwarnings("ignore:.*a tilted plane:ssduck.errors.ProgramWarning")
@@ -270,21 +243,15 @@ def test_an_immovable_thing_in_a_movable_one_is_told_of(ss, name):
 @pytest.fixture(scope="module")
 def shelf_world():
     """A shelf on the floor, a cup and a lamp in the air over it; all but the cup immovable."""
-    client = pybullet.connect(pybullet.DIRECT)
-    names = {}
-    for name, half, mass, z in (
-        ("floor", [1, 1, 0.1], 0, -0.1),
-        ("shelf", [0.2, 0.2, 0.25], 0, 0.25),
-        ("cup", [0.05] * 3, 1, 0.55),
-        ("lamp", [0.1] * 3, 0, 2),
-    ):
-        shape = pybullet.createCollisionShape(
-            pybullet.GEOM_BOX, halfExtents=half, physicsClientId=client
-        )
-        body = pybullet.createMultiBody(mass, shape, basePosition=[0, 0, z], physicsClientId=client)
-        names[body] = name
-    yield ssduck.World.attach(client, names=names)
-    pybullet.disconnect(client)
+    with Stage() as stage:
+        for name, half, mass, z in (
+            ("floor", [1, 1, 0.1], 0, -0.1),
+            ("shelf", [0.2, 0.2, 0.25], 0, 0.25),
+            ("cup", 0.05, 1, 0.55),
+            ("lamp", 0.1, 0, 2),
+        ):
+            stage.box(name, (0, 0, z), half, mass=mass)
+        yield stage.open()
 
 
 @pytest.fixture(params=[False, True])

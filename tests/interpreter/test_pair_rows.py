@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import warnings
-from itertools import product
 
 import pybullet
 import pytest
@@ -14,7 +13,6 @@ from hypothesis import strategies as st
 import ssduck
 from ssduck.errors import LimitError, SelectScriptError
 from ssduck.sql import translator
-from tests.support.cases import sampled
 from tests.support.stage import Stage
 
 # Boxes of half a metre at the distances from each other that the conditions name, a stack, a
@@ -118,18 +116,6 @@ def test_ways_agree(ways, program):
     check(ways, program)
 
 
-CASES = [
-    (selection, condition, ENDS[number % len(ENDS)])
-    for number, (selection, condition) in enumerate(product(SELECTIONS, CONDITIONS))
-]
-
-
-@pytest.mark.slow
-@sampled("selection, condition, end", CASES, every=4)
-def test_clauses(ways, selection, condition, end):
-    check(ways, f"SELECT {selection} FROM a=w, b=w WHERE collides(a, b){condition} {end};")
-
-
 def check(ways, program):
     results = outcomes(ways, program)
     assert results["looked up"] == results["SQL"], program
@@ -173,31 +159,6 @@ def test_a_parameter_may_change_its_value_and_its_type(ways):
         results = outcomes(ways, query)
         assert results["looked up"] == results["SQL"] == results["row by row"]
         assert count is None or len(results["looked up"]) == count
-
-
-@pytest.mark.slow
-def test_a_pair_query_runs_no_statement():
-    stage = Stage()
-    fill(stage)
-    world, statements = stage.open(), []
-    with ssduck.Interpreter(tracer=statements.append) as ss:
-        ss.add_variable("w", world)
-        query = "SELECT a, id(b) FROM a=w, b=w WHERE collides(a, b) AND id(a) < id(b) AS list;"
-        statements.clear()
-        first = ss.eval(query)
-        assert [first[0].name, *first[1:]] == ["deep", "table"] + first[2:]
-        assert statements == []
-        calls = ss.statistics()["w"]
-        world.tick()
-        assert ss.eval(query) == first
-        fresh = ss.statistics()["w"]
-        assert ss.eval(query) == first
-        assert ss.statistics()["w"] == fresh  # nothing is compared again in the same tick
-        assert fresh.pairs > calls.pairs
-        assert statements == []
-        ss.eval(query.replace("collides(a, b)", "collides(a, b) AND z(a) > 0"))
-        assert statements
-    stage.close()
 
 
 @pytest.mark.slow

@@ -7,8 +7,8 @@ import os
 import re
 import signal
 import sys
-import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from types import ModuleType
 from typing import Any
 
@@ -22,6 +22,7 @@ from ssduck.interpreter.query_runner import PlannedQuery
 from ssduck.limits import Limits, UsageMeter, _clock
 from ssduck.recording.replay import batch_queries, progress
 from ssduck.recording.replay.batch_queries import EntityShapes
+from tests.support.stage import Stage
 
 TICKS = 30
 ASKED = "holds(on(board, ball));"
@@ -37,17 +38,11 @@ class Terminal(io.StringIO):
 @pytest.fixture
 def world() -> Iterator[ssduck.World]:
     """A ball that falls on a board."""
-    client = pybullet.connect(pybullet.DIRECT)
-    own = {"physicsClientId": client}
-    pybullet.setGravity(0, 0, -9.81, **own)
-    board = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[1, 1, 0.1], **own)
-    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, **own)
-    names = {
-        pybullet.createMultiBody(0, board, **own): "board",
-        pybullet.createMultiBody(1, ball, -1, (0, 0, 0.21), **own): "ball",
-    }
-    yield ssduck.World.attach(client, names=names)
-    pybullet.disconnect(client)
+    with Stage() as stage:
+        pybullet.setGravity(0, 0, -9.81, physicsClientId=stage.client)
+        stage.box("board", half=[1, 1, 0.1])
+        stage.sphere("ball", (0, 0, 0.21), radius=0.1, mass=1)
+        yield stage.open()
 
 
 def _asking(world: ssduck.World, limits: Limits | None = None) -> ssduck.Interpreter:
@@ -91,40 +86,33 @@ def test_a_terminal_shows_how_many_are_done(
 
 
 @pytest.mark.slow
-def test_what_is_no_terminal_shows_nothing(
-    monkeypatch: pytest.MonkeyPatch, world: ssduck.World, slow: None
+@pytest.mark.parametrize(
+    ("stream", "limits", "delay"),
+    [
+        pytest.param(io.StringIO, None, 0.0, id="no terminal"),
+        pytest.param(Terminal, Limits(progress=False), 0.0, id="switched off"),
+        pytest.param(Terminal, None, 1e9, id="a short program"),
+    ],
+)
+def test_others_show_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+    world: ssduck.World,
+    slow: None,
+    stream: type[io.StringIO],
+    limits: Limits | None,
+    delay: float,
 ) -> None:
-    with _asking(world) as ss:
-        assert _shown(monkeypatch, ss, io.StringIO()) == ""
-
-
-@pytest.mark.slow
-def test_it_can_be_switched_off(
-    monkeypatch: pytest.MonkeyPatch, world: ssduck.World, slow: None
-) -> None:
-    with _asking(world, Limits(progress=False)) as ss:
-        assert _shown(monkeypatch, ss, Terminal()) == ""
-
-
-@pytest.mark.slow
-def test_a_short_program_shows_nothing(
-    monkeypatch: pytest.MonkeyPatch, world: ssduck.World, slow: None
-) -> None:
-    monkeypatch.setattr(progress, "DELAY", 1e9)
-    with _asking(world) as ss:
-        assert _shown(monkeypatch, ss, Terminal()) == ""
+    monkeypatch.setattr(progress, "DELAY", delay)
+    with _asking(world, limits) as ss:
+        assert _shown(monkeypatch, ss, stream()) == ""
 
 
 @pytest.mark.slow
 def test_other_threads_show_nothing(
     monkeypatch: pytest.MonkeyPatch, world: ssduck.World, slow: None
 ) -> None:
-    with _asking(world) as ss:
-        found: list[str] = []
-        other = threading.Thread(target=lambda: found.append(_shown(monkeypatch, ss, Terminal())))
-        other.start()
-        other.join()
-        assert found == [""]
+    with _asking(world) as ss, ThreadPoolExecutor(1) as other:
+        assert other.submit(_shown, monkeypatch, ss, Terminal()).result() == ""
 
 
 @pytest.mark.slow

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import re
-
 import pybullet
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 import ssduck
 from ssduck.language.parser import parse
@@ -424,67 +420,3 @@ def test_names_cannot_inject_sql(ss):
 
 
 # -- both evaluators agree ----------------------------------------------------------------------
-
-NUMBERS = st.sampled_from(
-    [
-        "x(this)",
-        "y(this)",
-        "z(this)",
-        "volume(this)",
-        "1",
-        "0.5",
-        "2.25",
-        "low",
-        "position(this)[1]",
-    ]
-)
-TEXTS = st.sampled_from(["id(this)", "type(this)", "'cup_905a'", "'c'", "wanted"])
-
-
-def numbers(children):
-    operators = st.sampled_from(["+", "-", "*"])
-    return st.one_of(
-        st.builds("({} {} {})".format, children, operators, children),
-        st.builds("{} {} {}".format, children, operators, children),
-        st.builds("({}) / 4".format, children),
-        st.builds("-{}".format, children),
-    )
-
-
-NUMERIC = st.recursive(NUMBERS, numbers, max_leaves=5)
-COMPARED = st.one_of(
-    st.builds(
-        "{} {} {}".format, NUMERIC, st.sampled_from(["<", "<=", ">", ">=", "==", "!="]), NUMERIC
-    ),
-    st.builds("{} {} {}".format, TEXTS, st.sampled_from(["==", "!=", "IN", "<", ">="]), TEXTS),
-    st.sampled_from(
-        ["isRobot(this)", "isSensor(this)", "above(table, this)", "this == table", "yes"]
-    ),
-    st.builds("{} IN [0.5, 1.0, {}]".format, NUMERIC, st.sampled_from(["2", "2.5"])),
-)
-
-
-def conditions(children):
-    return st.one_of(
-        st.builds("({} {} {})".format, children, st.sampled_from(["AND", "OR", "XOR"]), children),
-        st.builds("NOT {}".format, children),
-        st.builds("{} {} {}".format, children, st.sampled_from(["AND", "OR"]), children),
-        st.builds("IF({}; {}; {})".format, children, children, children),
-    )
-
-
-@pytest.mark.slow
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(condition=st.recursive(COMPARED, conditions, max_leaves=6))
-def test_sql_and_python_agree(ss, condition):
-    """A condition holds for the same rows in SQL and, with what it reads kept from SQL, in Python."""
-    ss.add_function("python", lambda value: value, "Gives back what it gets.")
-    for name, value in (("low", 0.9), ("wanted", "table"), ("yes", True)):
-        ss.add_variable(name, value)
-    kept = re.sub(
-        r"\b(x|y|z|volume|id|type|position|isRobot|isSensor)\(this\)", r"python(\g<0>)", condition
-    )
-    names = [ss.eval(f"SELECT id FROM kitchen WHERE {text} AS list;") for text in (condition, kept)]
-    assert names[0] == names[1]
-    if kept != condition:
-        assert "left to Python" in ss.explain(f"SELECT id FROM kitchen WHERE {kept};")

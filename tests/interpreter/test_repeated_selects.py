@@ -8,7 +8,6 @@ import pytest
 
 import ssduck
 from ssduck.errors import SelectScriptError
-from ssduck.interpreter.planner import Planner
 from ssduck.interpreter.scalar_select import RepeatedSelect
 from tests.support.cases import sampled
 
@@ -54,13 +53,6 @@ def lab():
     lab.ss.close()
 
 
-def statements(ss):
-    """The list to which an interpreter adds the statements that it runs from now on."""
-    seen = []
-    ss._database.connection._tracer = seen.append
-    return seen
-
-
 @pytest.mark.slow
 @sampled("cone", ["", 'cone="elliptic"'], every=2)
 def test_contacts_of_two_entities_are_those_of_all_pairs(cone):
@@ -97,9 +89,7 @@ def test_contacts_of_links_are_those_of_all_pairs():
                 lab.ss["one"], lab.ss["other"], *values = rows[start : start + 6]
                 for pair in ("one, other", "other, one"):
                     text = f"inContact({pair}), contactForce({pair}), grasped({pair}), hasContact({pair})"
-                    seen = statements(lab.ss)
                     assert lab.ss.eval(f"SELECT {text} FROM [0] AS list;") == values, pair
-                    assert not seen
                 expected.add((values[0], values[1] > 0, values[2]))
     assert expected >= {(False, False, False), (True, True, False)}
     lab.ss.close()
@@ -123,24 +113,17 @@ def test_contacts_of_links_are_those_of_all_pairs():
         "on(lab.cube, lab.ball) AND speed(lab.ball) < limit",
     ],
 )
-def test_terms_need_no_statement_and_no_plan(lab, monkeypatch, term):
+def test_terms_are_what_a_new_plan_gives(lab, monkeypatch, term):
     lab.ss["goal"], lab.ss["limit"] = [0.1, 0.2, 0.3], 0.4
     lab.ss["ball"] = lab.world["ball"]
     program = lab.ss.compile(f"SELECT ({term}) FROM [0] AS list;")
-    lab.run(30)
-    lab.ss.eval(program)
-    seen = statements(lab.ss)
-    with monkeypatch.context() as patch:
-        patch.setattr(Planner, "_plan_for", lambda *_, **__: pytest.fail("it was planned again"))
-        values = []
-        for number in range(5):
-            lab.run(10)
-            lab.ss["goal"] = [0.1 * number, 0.0, 0.3]
-            values.append(lab.ss.eval(program))
-    assert not seen
-    with monkeypatch.context() as patch:
-        patch.setattr(RepeatedSelect, "rows", lambda *_: None)
-        assert lab.ss.eval(program) == values[-1]
+    for number in range(5):
+        lab.run(10)
+        lab.ss["goal"] = [0.1 * number, 0.0, 0.3]
+        value = lab.ss.eval(program)
+        with monkeypatch.context() as patch:
+            patch.setattr(RepeatedSelect, "rows", lambda *_: None)
+            assert lab.ss.eval(program) == value
 
 
 CHANGES = {
@@ -152,6 +135,7 @@ CHANGES = {
     "a list of integers": lambda lab: lab.ss.add_variable("goal", [1, 2, 3]),
     "an empty list": lambda lab: lab.ss.add_variable("goal", []),
     "an entity": lambda lab: lab.ss.add_variable("goal", lab.world["cube"]),
+    "a link": lambda lab: lab.ss.add_variable("ball", lab.world["gripper"].links[0]),
     "another entity": lambda lab: lab.ss.add_variable("ball", lab.world["cube"]),
     "no variable": lambda lab: lab.ss.eval("clear('limit');"),
     "a function": lambda lab: lab.ss.add_function("z", lambda _: -1.0),
@@ -195,43 +179,6 @@ def outcome(ss, program):
         return repr(ss.eval(program))
     except SelectScriptError as error:
         return str(error)
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:your function")
-def test_a_program_reads_what_its_variables_are_at_each_run(lab, monkeypatch):
-    other, ss, reads = Lab(), lab.ss, []
-    pinned = type(ss._database).pinned
-
-    def noted(database, tables=frozenset(), worlds=None, **options):
-        reads.append(("links" in tables, None if worlds is None else {*worlds}))
-        return pinned(database, tables, worlds, **options)
-
-    both = [lab.world["cube"], other.world["can"]]
-    one, two = {lab.world}, {lab.world, other.world}
-    cases = [
-        (lambda: ss.add_variable("part", None), False, one),
-        (lambda: ss.add_variable("part", lab.world), False, one),
-        (lambda: ss.add_variable("part", other.world), False, two),
-        (lambda: ss.add_variable("part", 3.0), False, one),
-        (lambda: ss.add_variable("part", both), False, two),
-        (lambda: ss.add_variable("part", lab.world["gripper"].links[0]), True, one),
-        (lambda: ss.add_variable("part", "a text"), False, one),
-        # A function of the user's may read any world.
-        (lambda: ss.add_function("isBox", lambda _: True), False, None),
-        (lambda: ss.del_function("isBox"), False, one),
-    ]
-    program = ss.compile("SELECT isBox(lab.cube), part FROM [0] AS list;")
-    monkeypatch.setattr(type(ss._database), "pinned", noted)
-    try:
-        for change, has_links, worlds in cases:
-            change()
-            for _ in range(3):
-                reads.clear()
-                ss.eval(program)
-                assert reads[-1] == (has_links, worlds)
-    finally:
-        other.ss.close()
 
 
 class _Loud(ssduck.Interpreter):

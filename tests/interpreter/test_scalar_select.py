@@ -11,7 +11,6 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 import ssduck
-from ssduck.database import functions
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.scalar_select import ScalarSelect
 from ssduck.sql.relations.registry import RELATIONS
@@ -85,21 +84,12 @@ def outcome(ss, program):
         return str(error)
 
 
-def both(monkeypatch, ss, program):
-    """The outcomes with and without Python's arithmetic, and how often that was used."""
-    with monkeypatch.context() as patch:
-        used = []
-        rows = ScalarSelect.rows
-
-        def counted(self, parameters):
-            result = rows(self, parameters)
-            used.append(bool(result) and len(result[0]) > 1)  # a relation alone is one, too
-            return result
-
-        patch.setattr(ScalarSelect, "rows", counted)
-        ours = outcome(ss, program)
+def both(ss, program):
+    """The outcomes with and without Python's arithmetic."""
+    ours = outcome(ss, program)
+    with pytest.MonkeyPatch.context() as patch:
         patch.setattr(ScalarSelect, "rows", lambda *_: None)
-        return ours, outcome(ss, program), sum(used)
+        return ours, outcome(ss, program)
 
 
 def set_variables(ss, a, b, c, n, text):
@@ -121,59 +111,45 @@ def set_variables(ss, a, b, c, n, text):
 def test_values_are_those_of_duckdb(ss, a, b, c, n, text):
     set_variables(ss, a, b, c, n, text)
     columns = ", ".join(f"({expression})" for expression in EXPRESSIONS)
-    with pytest.MonkeyPatch.context() as monkeypatch:
-        for program in (*EXPRESSIONS, columns):
-            query = f"SELECT {program}, {RELATION} FROM [0.5] AS list;"
-            ours, theirs, _ = both(monkeypatch, ss, query)
-            assert ours == theirs, query
+    for program in (*EXPRESSIONS, columns):
+        query = f"SELECT {program}, {RELATION} FROM [0.5] AS list;"
+        ours, theirs = both(ss, query)
+        assert ours == theirs, query
 
 
-@pytest.mark.parametrize("expression", EXPRESSIONS)
-def test_they_need_no_statement(monkeypatch, ss, expression):
+CLAUSES = [
+    "FROM [7] AS list",
+    "FROM [7] AS dict",
+    "FROM [7] ORDER BY this AS list",
+    "FROM [7, 8] AS list",
+    "FROM [] AS list",
+    "FROM [7] WHERE this > 7 AS list",
+    "FROM [7] LIMIT 0 AS list",
+    "FROM [7], b=[8] AS list",
+    "FROM ['7'] AS list",
+]
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        *(f"SELECT {expression}, {RELATION} FROM [0.5] AS list;" for expression in OTHERS),
+        *(f"SELECT this, a + c, {RELATION} {clauses};" for clauses in CLAUSES),
+    ],
+)
+def test_others_are_the_same(ss, query):
     set_variables(ss, 0.1, 0.2, 0.3, 3, "cup")
-    ours, theirs, used = both(
-        monkeypatch, ss, f"SELECT {expression}, {RELATION} FROM [0.5] AS list;"
-    )
-    assert ours == theirs
-    assert used == 1
-
-
-@pytest.mark.parametrize("expression", OTHERS)
-def test_others_are_the_same(monkeypatch, ss, expression):
-    set_variables(ss, 0.1, 0.2, 0.3, 3, "cup")
-    query = f"SELECT {expression}, {RELATION} FROM [0.5] AS list;"
-    ours, theirs, _ = both(monkeypatch, ss, query)
+    ours, theirs = both(ss, query)
     assert ours == theirs
 
 
 @pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan, None, True, "1", 2**60])
-def test_so_are_those_of_values_that_are_no_finite_numbers(monkeypatch, ss, value):
+def test_so_are_those_of_values_that_are_no_finite_numbers(ss, value):
     set_variables(ss, value, 0.2, 0.3, 3, "cup")
     for expression in ("a < b", "a == a", "a + b", "abs(a)", "IF(a > b; 1.5; 2.5)"):
         query = f"SELECT {expression}, {RELATION} FROM [0] AS list;"
-        ours, theirs, _ = both(monkeypatch, ss, query)
+        ours, theirs = both(ss, query)
         assert ours == theirs
-
-
-@pytest.mark.parametrize(
-    ("clauses", "is_one_row"),
-    [
-        ("FROM [7] AS list", True),
-        ("FROM [7] AS dict", True),
-        ("FROM [7] ORDER BY this AS list", True),
-        ("FROM [7, 8] AS list", False),
-        ("FROM [] AS list", False),
-        ("FROM [7] WHERE this > 7 AS list", False),
-        ("FROM [7] LIMIT 0 AS list", False),
-        ("FROM [7], b=[8] AS list", False),
-        ("FROM ['7'] AS list", False),
-    ],
-)
-def test_only_one_row_is_computed(monkeypatch, ss, clauses, is_one_row):
-    set_variables(ss, 0.1, 0.2, 0.3, 3, "cup")
-    ours, theirs, used = both(monkeypatch, ss, f"SELECT this, a + c, {RELATION} {clauses};")
-    assert ours == theirs
-    assert used == is_one_row
 
 
 ARGUMENTS = {"double": "0.3", "place": "[0.5, 0, 1]", "integer": "0", "string": "'x'"}
@@ -186,23 +162,11 @@ PAIRS = [
 
 
 @pytest.mark.parametrize("name", RELATIONS)
-def test_relations_are_the_same(monkeypatch, ss, name):
+def test_relations_are_the_same(ss, name):
     relation = RELATIONS[name]
     required = relation.parameters[: relation.required_count]
     for pair in PAIRS:
         entities = cycle(f"kitchen.{entity}" for entity in pair)
         given = [next(entities) if p.type == "entity" else ARGUMENTS[p.type] for p in required]
-        ours, theirs, _ = both(monkeypatch, ss, f"{name}({', '.join(given)});")
+        ours, theirs = both(ss, f"{name}({', '.join(given)});")
         assert ours == theirs
-
-
-@pytest.mark.slow
-def test_what_occurs_again_is_computed_once(monkeypatch):
-    calls, margins = [], functions._margins
-    monkeypatch.setattr(functions, "_margins", lambda *of: calls.append(1) or margins(*of))
-    with ssduck.load("kitchen") as ss:
-        program = ss.compile("SELECT supports(kitchen.table, kitchen.plate_835a) FROM [0] AS list;")
-        values = [ss.eval(program) for _ in range(2)]  # it is planned, then only computed
-        calls.clear()
-        assert [ss.eval(program)] == values[1:]
-    assert calls == [1]

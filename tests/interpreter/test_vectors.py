@@ -15,13 +15,11 @@ GOAL = (0.25, 0.5, 2.5)
 
 
 @pytest.fixture(scope="module")
-def ss():
-    client = pybullet.connect(pybullet.DIRECT)
-    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
-    ball = pybullet.createMultiBody(1, shape, basePosition=PLACE, physicsClientId=client)
-    place, turn = pybullet.getBasePositionAndOrientation(ball, physicsClientId=client)
+def ss(stage):
+    ball = stage.sphere("ball", PLACE, radius=0.1, mass=1)
+    place, turn = pybullet.getBasePositionAndOrientation(ball, physicsClientId=stage.client)
     with ssduck.Interpreter() as interpreter:
-        interpreter.add_variable("sim", ssduck.World.attach(client, names={ball: "ball"}))
+        interpreter.add_variable("sim", stage.open())
         interpreter.add_variable("place", place)
         interpreter.add_variable("pose", (place, turn))
         interpreter.add_variable("user", UserDict(place=place, many=[1, (place,)]))
@@ -31,7 +29,6 @@ def ss():
         interpreter.add_function("toGoal", lambda _: np.array(GOAL))
         interpreter.add_function("toCells", lambda: {(0, np.int64(1)): place})
         yield interpreter
-    pybullet.disconnect(client)
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pybullet
 import pytest
 
 import ssduck
@@ -10,15 +9,12 @@ from ssduck.errors import SelectScriptError
 
 
 @pytest.fixture(scope="module")
-def ss():
-    client = pybullet.connect(pybullet.DIRECT)
-    here = {"physicsClientId": client}
-    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, **here)
-    names = {pybullet.createMultiBody(1, ball, **here): name for name in ("cup", "can")}
+def ss(stage):
+    for name in ("cup", "can"):
+        stage.sphere(name, radius=0.1, mass=1)
     with ssduck.Interpreter() as ss:
-        ss.add_variable("sim", ssduck.World.attach(client, names=names))
+        ss.add_variable("sim", stage.open())
         yield ss
-    pybullet.disconnect(client)
 
 
 # (call, what the error says to write)

@@ -13,14 +13,10 @@ from ssduck.errors import ArgumentError
 
 
 @pytest.fixture(scope="module")
-def simulation():
+def simulation(stage):
     """A ball at the origin, and its client."""
-    client = pybullet.connect(pybullet.DIRECT)
-    here = {"physicsClientId": client}
-    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, **here)
-    names = {pybullet.createMultiBody(1, ball, **here): "cup"}
-    yield client, ssduck.World.attach(client, names=names)
-    pybullet.disconnect(client)
+    stage.sphere("cup", radius=0.1, mass=1)
+    return stage.client, stage.open()
 
 
 @pytest.fixture

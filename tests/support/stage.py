@@ -53,6 +53,12 @@ class Stage:
                 ss.add_variable(entity.name, entity)
             yield ss
 
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.close()
+
     def close(self):
         for ss in self.interpreters_to_close:
             ss.close()

@@ -9,7 +9,6 @@ import weakref
 import pytest
 
 import ssduck
-from ssduck.database.plans import RUNS_BEFORE_PLAN
 from tests.support.cases import sampled
 from tests.support.timing import HANGS
 from tests.support.triggering import HEIGHT, state, until
@@ -136,76 +135,3 @@ def test_triggers_keep_nothing_alive(queue):
 
 
 # -- what it costs -------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_what_it_costs_is_one_statement_an_evaluation(ss, sim, told):
-    named = "SELECT z FROM sim WHERE 'b' + name == 'bball' AS value;"  # numpy does not evaluate it
-    ss.add_trigger("t", named, 0.1, lambda _: None)
-    sim.step(24 * (RUNS_BEFORE_PLAN + 1))
-    told.clear()
-    sim.step(240)
-    assert len(told) == 10
-    assert len(set(told)) == 1  # planned once
-    assert told[0].startswith("EXECUTE")
-    told.clear()
-    sim.step(20)
-    assert told == []
-
-
-def test_nothing_is_run_if_nothing_has_changed(ss, sim, other, told):
-    """Evaluated at the other world's steps as well, it runs where one of its worlds has a new tick."""
-    still = ss.add_variable("still", sim.what_if())
-    ss.add_variable("least", 5)
-    ss.add_function("heavy", lambda thing: True)
-    queries = {
-        "one": "SELECT id FROM still WHERE z(this) > least AS list;",
-        "impure": "SELECT print(id) FROM still AS list;",
-        "users": "SELECT id FROM still WHERE heavy(this) AS list;",
-        "timed": "SELECT getTime() FROM still AS list;",
-    }
-    for name, query in queries.items():
-        ss.add_trigger(name, query, 0, lambda _: None)
-    told.clear()
-    # The what-if world takes no steps: what is about it alone is looked at by hand.
-    triggers = ss._triggers
-    for name in queries:
-        before = len(told)
-        triggers._evaluate(triggers._by_name[name])
-        assert (len(told) == before) == (name == "one"), name
-    assert state(ss, "one").evaluations == 2
-    ss.add_variable("least", 20)
-    triggers._evaluate(triggers._by_name["one"])
-    assert state(ss, "one").result == []
-    assert still.time == 0
-
-
-@pytest.mark.parametrize(
-    ("program", "is_known"),
-    [
-        ("SELECT id FROM sim WHERE z(this) > least;", True),
-        ("SELECT a.this FROM a=sim, b=sim WHERE collides(a.this, b.this);", True),
-        ("SELECT id FROM sim; 3;", False),
-        ("v = SELECT id FROM sim;", False),
-        ("EXPLAIN SELECT id FROM sim;", False),
-        ("SELECT var('v') FROM sim;", False),
-        ("SELECT a.this FROM a=sim, b=sim WHERE isSensing(a.this, b.this);", False),
-        ("", False),
-    ],
-)
-def test_programs_whose_results_are_known_to_stay(ss, sim, program, is_known):
-    ss.add_variable("least", 5)
-    ss.add_variable("v", 5)
-    ss.add_trigger("t", program, 1, lambda _: None)
-    assert (ss._triggers._by_name["t"].dependencies is not None) == is_known
-
-
-def test_two_worlds_that_step_together(ss, sim, other, told):
-    """Both tell of the same moment; the second time nothing is run."""
-    ss.add_trigger("t", "SELECT a.this, b.this FROM a=sim, b=other AS list;", 0, lambda _: None)
-    ss.run(0.01)
-    before = state(ss, "t").evaluations
-    told.clear()
-    ss.run(0.05)
-    moments = len([sql for sql in told if sql.startswith("EXECUTE")])
-    assert moments < state(ss, "t").evaluations - before

@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ssduck
-from ssduck.geometry import shape_comparisons
-from ssduck.interpreter.triggers import groups, tick_batch
+from ssduck.interpreter.triggers import tick_batch
 from ssduck.world.handles import Handle
 from tests.support.cases import generated
 from tests.support.triggering import state
@@ -63,6 +62,13 @@ PROGRAMS = [
     "limit;",
     "SELECT name FROM sim WHERE z < 1 AS list(1);",
     "seen = 1; SELECT z FROM sim AS list;",
+    "SELECT STDDEV(z) FROM sim;",
+    "SELECT getTime() FROM sim AS list;",
+    "SELECT var('limit') FROM sim AS list;",
+    "SELECT id FROM still WHERE z(this) > limit AS list;",
+    "SELECT a.name, b.name FROM a=sim, b=still WHERE a.z < b.z AS list;",
+    "SELECT a.name, b.name FROM a=sim, b=sim WHERE isSensing(a.this, b.this) AS list;",
+    "",
 ]
 OPTIONS = [{}, {"rows": True}, {"when": "rising"}, {"when": "falling"}, {"debounce": 2 / 240}]
 NUMBERS = st.sampled_from([0, 0.0, 0.5, 1, 1.5, -1.0, 100])
@@ -103,6 +109,7 @@ class Session:
         self.world = self.ss.add_variable("sim", scene(self.client))
         self.ss.add_variable("limit", 1)
         self.ss.add_variable("who", "b1")
+        self.ss.add_variable("still", self.world.what_if())
         self.ss.add_variable("it", self.world["b2"])
         self.ss.add_function("odd", lambda entity: entity.id % 2 == 1)
         self.calls = []
@@ -261,128 +268,36 @@ def boxes(ss, client):
     return world
 
 
-def add_all(ss, program, count=100):
-    for number in range(count):
-        ss.add_trigger(f"t{number}", program.format(number / 40), 0, lambda _: None)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "condition", ["distance(this, it) < {} AND above(it, this)", "name LIKE 'b%' AND z < {}"]
-)
-def test_what_numpy_evaluates_needs_no_statement(ss, boxes, told, condition):
-    add_all(ss, f"SELECT name, z FROM sim WHERE {condition};")
-    boxes.step()  # numpy evaluates what was evaluated once by itself
-    told.clear()
-    boxes.step(20)
-    assert told == []
-    assert state(ss, "t99").evaluations == 22
-
-
-@pytest.mark.long
-def test_each_pair_of_shapes_is_compared_once_a_tick(ss, boxes, told, monkeypatch):
-    """Whatever a hundred triggers ask about it with the four others."""
-    compared, distance = [], shape_comparisons.convex_distance
-
-    def noted(a, b, calls):
-        compared.append(frozenset((a.position, b.position)))
-        return distance(a, b, calls)
-
-    monkeypatch.setattr(shape_comparisons, "convex_distance", noted)
-    for number in range(25):
-        for condition in (
-            f"near(it, this, {number / 20})",
-            f"near(this, it, {number / 20})",
-            f"clearance(it, this) < {number / 20}",
-            f"on(this, it) AND z > {number / 20}",
-        ):
-            program = f"SELECT name FROM sim WHERE {condition} AS list;"
-            ss.add_trigger(condition, program, 0, lambda _: None)
-    boxes.step(2)
-    others, count = len(list(boxes)) - 1, 0
-    for _ in range(20):
-        told.clear()
-        compared.clear()
-        before = ss.statistics()["sim"].pairs
-        boxes.step()
-        count += len(compared)
-        assert told == []
-        assert len(compared) == len(set(compared)) <= others
-        assert ss.statistics()["sim"].pairs - before <= others
-    assert count
-
-
-@pytest.mark.slow
-def test_triggers_that_are_due_at_different_ticks_need_no_statement(ss, boxes, told):
-    """Nor do those that are left when others are removed."""
-    program = "SELECT name FROM sim WHERE name LIKE 'b%' AND distance(it, this) < {} AS list;"
-    for number in range(40):
-        interval = (1 + number % 5) / 240
-        ss.add_trigger(f"t{number}", program.format(number / 40), interval, lambda _: None)
-    boxes.step(20)
-    told.clear()
-    for number in range(20):
-        ss.del_trigger(f"t{number}")
-        boxes.step(3)
-    assert told == []
-
-
 @pytest.mark.slow
 def test_each_result_is_that_of_the_program(ss, boxes):
     """At every tick the last result of each trigger is what its program gives then."""
     ss.add_variable("limit", 1)
     ss.add_variable("who", "b1")
+    ss.add_variable("still", boxes.what_if())
     ss.add_function("odd", lambda entity: entity.id % 2 == 1)
-    programs = [p for p in PROGRAMS if "list(1)" not in p]
+    programs = [p for p in PROGRAMS if "list(1)" not in p and "FROM still" not in p]
     for number, program in enumerate(programs):
         ss.add_trigger(str(number), program, 0, lambda _: None)
-    for _ in range(generated(12)):
-        boxes.step()
+    for number in range(generated(12)):
+        if number % 4 == 3:
+            ss.add_variable("limit", number / 6)
+        boxes.step() if number % 3 else boxes.tick(steps=0)  # at which no row changes
         for trigger in ss.triggers():
             assert plain(trigger.result) == plain(ss.eval(trigger.program))
 
 
-def test_a_number_that_is_not_known(ss, boxes, client, told):
+def test_a_number_that_is_not_known(ss, boxes, client):
     """Where a pose is not a number, SQL has NULL; the triggers are evaluated by themselves."""
     got = []
     ss.add_trigger("t", "SELECT name FROM sim WHERE NOT z(this) < 0.4 AS list;", 0, got.append)
-    boxes.step()
-    told.clear()
-    boxes.step()
-    assert told == []
+    boxes.step(2)
     pybullet.resetBasePositionAndOrientation(
         4, [0, 0, math.nan], [0, 0, 0, 1], physicsClientId=client
     )
     with pytest.warns(UserWarning, match="b3"):
         boxes.tick(steps=0)
-    assert told
     assert got[-1] == ss.eval("SELECT name FROM sim WHERE NOT z(this) < 0.4 AS list;")
     assert "b3" not in got[-1]
-
-
-@pytest.mark.slow
-def test_formulas_of_one_shape_are_evaluated_at_once(ss, boxes, client, monkeypatch):
-    """They are evaluated if a row has changed, and else only counted."""
-    add_all(ss, "SELECT name, z FROM sim WHERE z(this) < {} AND above(it, this);", 20)
-    moved(boxes, client, 1.0)
-    moved(boxes, client, 1.0)
-    evaluated, values = [], groups.ArrayValues
-    monkeypatch.setattr(
-        groups, "ArrayValues", lambda *args: evaluated.append(args) or values(*args)
-    )
-    for _ in range(3):
-        moved(boxes, client, 1.0)
-    assert evaluated == []
-    assert {trigger.evaluations for trigger in ss.triggers()} == {6}
-    moved(boxes, client, math.nextafter(1.0, 2.0))
-    assert len(evaluated) == 1
-    moved(boxes, client, math.nextafter(1.0, 2.0))
-    ss.pause_trigger("t3")
-    moved(boxes, client, 2.0)
-    assert len(evaluated) == 2
-    counts = {trigger.name: trigger.evaluations for trigger in ss.triggers()}
-    assert counts.pop("t3") == 8
-    assert set(counts.values()) == {9}
 
 
 # -- tables that have not changed ----------------------------------------------------------------
@@ -396,31 +311,6 @@ def moved(world, client, height):
         3, [0.6, 0, height], [0, 0, 0, 1], physicsClientId=client
     )
     world.tick(steps=0)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "program",
-    [
-        NEAR,
-        "SELECT z FROM sim WHERE name == 'b2' AS value;",
-        "SELECT MAX(z) FROM sim;",
-        "SELECT STDDEV(z) FROM sim;",
-    ],
-)
-def test_what_has_not_changed_is_not_evaluated_again(ss, boxes, client, told, program):
-    ss.add_trigger("t", program, 0, lambda _: None)
-    moved(boxes, client, 1.0)
-    moved(boxes, client, 1.0)
-    is_of_tables = "STDDEV" not in program  # Python computes it
-    told.clear()
-    moved(boxes, client, 1.0)
-    moved(boxes, client, 1.0)
-    assert (told == []) == is_of_tables
-    assert state(ss, "t").evaluations == 5
-    moved(boxes, client, math.nextafter(1.0, 2.0))
-    assert (told == []) == ("(z)" not in program)  # numpy computes what is of each row
-    assert state(ss, "t").result == ss.eval(program)
 
 
 @pytest.mark.parametrize("batched", [True, False])

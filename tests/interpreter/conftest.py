@@ -1,0 +1,14 @@
+"""Fixtures of the tests in this folder."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.support.stage import Stage
+
+
+@pytest.fixture(scope="module")
+def stage():
+    """A PyBullet client of a module, for the worlds that it asks and never changes."""
+    with Stage() as stage:
+        yield stage
