@@ -70,20 +70,3 @@ def test_the_pairs_are_those_of_all_comparisons(monkeypatch, at_once):
             assert numbers == expected, (seed, holds)
             found += len(numbers)
     assert found > 1000
-
-
-def test_candidates_are_few_beside_large_boxes(monkeypatch):
-    """As many candidates as a box of that size has, and for a large box all positions."""
-    candidates = []
-    runs = box_relations._runs
-    monkeypatch.setattr(box_relations, "_runs", lambda *a: candidates.append(sum(a[1])) or runs(*a))
-    random = np.random.default_rng(1)
-    count = 3000
-    positions = random.uniform(0, 30, (3, count))
-    boxes = np.vstack((positions - 0.5, positions + 0.5))
-    boxes[:, 0], boxes[:, 1] = [-INF, -INF, -1, INF, INF, 0], [0, 0, 0, 30, 30, 1]
-    pairs = BoxQueries(boxes, positions, np.arange(1, count + 1)).all_above()
-    searched, compared = candidates
-    assert searched < 5 * count
-    assert len(pairs.first) > 2 * count
-    assert compared < 30 * count

@@ -8,10 +8,8 @@ import math
 import numpy as np
 import pytest
 
-from ssduck.geometry import distance
 from ssduck.geometry.contact_support import MIN_RISING, MIN_UP
 from ssduck.geometry.on_pairs import are_on
-from ssduck.geometry.proofs import contact_directions
 from ssduck.geometry.proofs.contact_directions import (
     NOT_UPWARD,
     UPWARD,
@@ -92,39 +90,6 @@ def test_entities_of_several_shapes_are_on_each_other_as_one_by_one(seed):
     assert found.tolist() == expected
     assert True in expected
     assert False in expected
-
-
-@pytest.mark.slow
-def test_convex_pairs_need_neither_fcl_nor_a_polytope(monkeypatch):
-    random = np.random.default_rng(3)
-    kinds = ("box", "capsule", "cylinder", "hull")
-    entities = [
-        [(s.geometry, random.uniform(-0.6, 0.6, 3), s.quaternion)]
-        for kind in kinds * 8
-        for s in pairs.pair((kind, kind), int(random.integers(1 << 30)) * 2)[:1]
-    ]
-    scene = narrow(*entities)
-    every = itertools.permutations(range(len(entities)), 2)
-    one_by_one = narrow(*entities)
-    a, b = np.array([(a, b) for a, b in every if one_by_one.touches(a, b)]).T
-    assert len(a) > 400
-    expanded, divided = [], []
-    for module, name, calls in (
-        (distance, "_expand_polytope", expanded),
-        (contact_directions, "_divided", divided),
-    ):
-        original = getattr(module, name)
-
-        def counted(first, *rest, original=original, calls=calls):
-            calls.append(first)
-            return original(first, *rest)
-
-        monkeypatch.setattr(module, name, counted)
-    found = are_on(scene, a, b)
-    assert 10 < found.sum() < len(a) / 2
-    assert scene.calls.calls <= len(a) / 50
-    assert len(expanded) <= len(a) / 50
-    assert sum(len(triangles.owners) for triangles in divided) <= 8 * len(a)
 
 
 # -- the room of verdicts ----------------------------------------------------------------------

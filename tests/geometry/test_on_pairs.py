@@ -21,7 +21,6 @@ from tests.support.pairs import geometry
 from tests.support.solids import box as solid_box
 from tests.support.solids import narrow
 
-QUERY = "SELECT id(a.this), id(b.this) FROM a=w, b=w WHERE on(a.this, b.this) AS list;"
 KINDS = ("box", "sphere", "capsule", "cylinder", "hull")
 
 
@@ -108,20 +107,3 @@ def test_centres_over_footprints_are_what_single_pairs_say(kind):
     assert not expected[verdicts == OUTSIDE].any()
     assert np.count_nonzero(verdicts == UNDECIDED) < len(b) / 10
     assert 0 < expected.sum() < len(b)
-
-
-def test_stacked_boxes_need_no_fcl(client):
-    for level in range(6):
-        box(client, (0, 0, 0.2 * level), (0.5, 0.5, 0.1))
-    box(client, (0.2, 0, 1.15), (0.1, 0.1, 0.1))
-    with ssduck.Interpreter() as ss:
-        world = ss.add_variable("w", ssduck.World.attach(client))
-        ss.eval(QUERY)
-        world.tick()
-        before = ss.statistics()["w"]
-        pairs = ss.eval(QUERY)
-        after = ss.statistics()["w"]
-        assert len(pairs) == 2 * 6
-        assert after.calls - before.calls <= 6  # those that only touch
-        assert ss.eval(QUERY) == pairs
-        assert ss.statistics()["w"] == after

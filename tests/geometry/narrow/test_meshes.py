@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from ssduck.geometry import broad_phase, surfaces
 from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.mesh_distance import triangle_depths
 from ssduck.geometry.narrow_phase import NarrowPhase
@@ -319,26 +318,6 @@ def test_many_corners_that_are_as_deep():
     tick = two(ell(4, 4, 4), of_trimesh(slab), (-0.5, 0, -1.1))
     assert tick.penetration(0, 1) == pytest.approx(1.0, abs=1e-9)
     assert tick.calls.calls < len(slab.vertices)
-
-
-@pytest.mark.slow
-def test_few_corners_and_triangles_of_deep_meshes_are_looked_at(monkeypatch):
-    looked = []
-    turns = surfaces._winding_signs
-    monkeypatch.setattr(
-        surfaces,
-        "_winding_signs",
-        lambda triangles: (looked.append(len(triangles)), turns(triangles))[1],
-    )
-    for count in (16, 64):
-        torus = of_trimesh(trimesh.creation.torus(1.0, 0.3, 2 * count, count))
-        corners = len(torus.vertices)
-        looked.clear()
-        tick = two(torus, torus, (0.5, 0.2, 0.1))
-        assert tick.penetration(0, 1) == pytest.approx(0.29, abs=0.02)
-        assert tick.calls.calls < 300
-        assert sum(looked) < 30 * corners
-        assert max(looked) <= 2 * broad_phase.PAIRS_AT_ONCE
 
 
 def test_an_answer_does_not_depend_on_the_one_before():

@@ -12,7 +12,6 @@ import pytest
 import ssduck
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS
 from ssduck.sql.relations.registry import RELATIONS
-from tests.support.cases import sampled
 from tests.support.shape_cases import (
     CAPSULE,
     CYLINDER,
@@ -199,6 +198,9 @@ COSTS = [
     ("SELECT count(*) FROM entities p, entities q WHERE near(p, q, 0.1)", 0.1),
     ('SELECT count(*) FROM entities p, entities q WHERE "on"(p, q)', 0.001),
     ("SELECT count(*) FROM entities p, entities q WHERE contains(p, q)", 0.0),
+    ("SELECT a.this FROM a=sim, b=sim WHERE collides(a.this, b.this);", 0.0),
+    ("SELECT a.this FROM a=sim, b=sim WHERE near(a.this, b.this, 0.1);", 0.1),
+    ("SELECT a.this FROM a=sim, b=sim WHERE touching(a.this, b.this) AND id(a.this) == 'e0';", 0.001),
 ]  # fmt: skip
 
 
@@ -208,39 +210,16 @@ def test_only_pairs_whose_boxes_meet_are_compared(stage, count):
     world, meeting = crowd(stage, count)
     assert meeting() > count / 10
     ss, _ = stage.interpreters(sim=world)
-    counter = world.snapshot.calls
     for query, apart in COSTS:
+        ask = ss.eval if query.endswith(";") else lambda text: ss.sql(text).fetchall()
         world.tick()
-        before = counter.pairs, counter.calls
-        ss.sql(query).fetchall()
-        assert counter.pairs - before[0] <= meeting(apart), query
-        assert counter.calls - before[1] <= meeting(apart), query
-        after = counter.pairs, counter.calls
-        ss.sql(query).fetchall()
-        assert (counter.pairs, counter.calls) == after, f"{query}: asked again in the same tick"
-
-
-@pytest.mark.slow
-@sampled("count", [50, 300, 1000], every=3)
-def test_selectscript_compares_only_pairs_whose_boxes_meet(stage, count):
-    world, meeting = crowd(stage, count)
-    counter = world.snapshot.calls
-    with ssduck.Interpreter() as ss:
-        ss.add_variable("sim", world)
-        program = "SELECT a.this FROM a=sim, b=sim WHERE {} AS list;"
-        for condition, apart in (
-            ("collides(a.this, b.this)", 0.0),
-            ("near(a.this, b.this, 0.1)", 0.1),
-            ("touching(a.this, b.this) AND id(a.this) == 'e0'", 0.001),
-        ):
-            world.tick()
-            before = counter.pairs, counter.calls
-            ss.eval(program.format(condition))
-            assert counter.pairs - before[0] <= meeting(apart)
-            assert counter.calls - before[1] <= meeting(apart)
-            after = counter.pairs, counter.calls
-            ss.eval(program.format(condition))
-            assert (counter.pairs, counter.calls) == after
+        before = ss.statistics()["sim"]
+        ask(query)
+        after = ss.statistics()["sim"]
+        assert after.pairs - before.pairs <= meeting(apart), query
+        assert after.calls - before.calls <= meeting(apart), query
+        ask(query)
+        assert ss.statistics()["sim"] == after, f"{query}: asked again in the same tick"
 
 
 def test_statistics_and_explain(row):
@@ -261,37 +240,6 @@ def test_statistics_and_explain(row):
         assert "narrow phase" not in interpreter.explain(
             "SELECT id FROM sim WHERE above(b0, this);"
         )
-
-
-# Where many pairs are asked about one by one, those that nobody asked about stay uncompared.
-FAR = [
-    ("SELECT id FROM sim WHERE near(ground, this, 2.5) AS list;", 1),
-    ("SELECT id FROM sim WHERE near(ground, this, 1e9) AS list;", 1),
-    ("SELECT id FROM sim WHERE near(b0, this, 20) AS list;", 1),
-    ("SELECT id(p.this) FROM p=sim, q=sim WHERE nextTo(p.this, q.this) AS list;", 40),
-]
-
-
-@pytest.mark.slow
-@sampled(("program", "each"), FAR, every=4)
-def test_few_pairs_of_a_world_with_a_ground(stage, program, each):
-    random = np.random.default_rng(5)
-    stage.add("ground", PLANE)
-    for number, place in enumerate(random.uniform(0, 6, (300, 3)).tolist()):
-        turn = random.normal(size=4)
-        stage.box(f"b{number}", place, [0.15, 0.1, 0.12], turn=turn / np.linalg.norm(turn))
-    world = stage.open()
-    ss, _ = stage.interpreters(sim=world)
-    before = world.snapshot.calls.pairs
-    ss.eval(program)
-    assert world.snapshot.calls.pairs - before <= 300 * each
-    world.tick()
-    before = world.snapshot.calls.pairs
-    ss.eval(
-        "SELECT id(p.this) FROM p=sim, q=sim WHERE near(p.this, q.this, z(p.this) / 8 + 0.01) AS list;"
-    )
-    assert world.snapshot.calls.pairs - before <= 301 * 150
-    assert not world.snapshot.shapes()._narrow._results
 
 
 # -- the registry, and the kitchen ---------------------------------------------------------------

@@ -230,23 +230,6 @@ def test_moving_the_world_changes_nothing(stage, seed, shift, angle):
                 assert value == pytest.approx(same, abs=1e-6)
 
 
-@pytest.mark.slow
-def test_near_is_monotone(stage):
-    random = np.random.default_rng(3)
-    for n in range(12):
-        kind, size = SHAPES[n % 4]
-        stage.add(f"e{n}", kind, random.uniform(-1, 1, 3).tolist(), **size)
-    ss, _ = stage.interpreters(sim=stage.open())
-    before = set()
-    for d in (0.0, 1e-6, 0.01, 0.1, 0.3, 0.31, 1.0, 5.0):
-        now = set(pairs_of(ss, f"near(p, q, {d})"))
-        assert before <= now
-        clear = set(pairs_of(ss, f"p.id <> q.id AND clearance(p, q) <= {d}"))
-        assert now == clear
-        before = now
-    assert len(before) == 12 * 11
-
-
 # -- where others look from ----------------------------------------------------------------------
 
 
