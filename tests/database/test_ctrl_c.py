@@ -45,16 +45,6 @@ def database():
     database.close()
 
 
-@pytest.fixture
-def deaf(monkeypatch):
-    """The thread takes nothing; tests take in its place."""
-    monkeypatch.setattr(ctrl_c._SignalSocket, "_listen", lambda line: None)
-    line = ctrl_c._SignalSocket()
-    monkeypatch.setattr(ctrl_c, "_line", line)
-    yield line
-    line.close()
-
-
 def press():
     signal.raise_signal(signal.SIGINT)
 
@@ -140,71 +130,7 @@ def test_a_function_that_makes_an_error_of_ctrl_c_does_not_keep_it(ss):
     assert len(calls) == 1
 
 
-def test_what_an_earlier_statement_raised_is_not_raised_again(database):
-    database._raised[:] = [KeyboardInterrupt()]
-    with pytest.raises(SqlError):
-        database.run("SELECT nothing")
-
-
 # -- Ctrl-C is for the statement that ran ---------------------------------------------------
-
-
-class Work:
-    def __init__(self):
-        self.stops = 0
-        self.listening = ctrl_c.InterruptListener(self.stop)
-
-    def stop(self):
-        self.stops += 1
-
-
-def test_the_thread_stops_who_listens():
-    stopped = threading.Event()
-    listening = ctrl_c.InterruptListener(stopped.set)
-    listening.enter()
-    with pytest.raises(KeyboardInterrupt):
-        press()
-    assert stopped.wait(60)
-    listening.leave()
-    assert listening.pressed
-
-
-def test_a_late_thread_does_not_stop_the_next(deaf):
-    first, second = Work(), Work()
-    first.listening.enter()
-    with pytest.raises(KeyboardInterrupt):
-        press()
-    first.listening.leave()
-    second.listening.enter()
-    deaf.take()
-    second.listening.leave()
-    assert (first.listening.pressed, second.listening.pressed) == (True, False)
-    assert (first.stops, second.stops) == (0, 0)
-
-
-def test_a_late_thread_does_not_stop_the_nested(deaf):
-    outer, inner = Work(), Work()
-    outer.listening.enter()
-    with pytest.raises(KeyboardInterrupt):
-        press()
-    inner.listening.enter()
-    deaf.take()
-    inner.listening.leave()
-    outer.listening.leave()
-    assert (outer.listening.pressed, inner.listening.pressed) == (True, False)
-    assert (outer.stops, inner.stops) == (1, 0)
-
-
-def test_the_inner_one_leaves_the_outer_one_listening(deaf):
-    outer, inner = Work(), Work()
-    outer.listening.enter()
-    inner.listening.enter()
-    inner.listening.leave()
-    with pytest.raises(KeyboardInterrupt):
-        press()
-    deaf.take()
-    outer.listening.leave()
-    assert (outer.stops, inner.stops) == (1, 0)
 
 
 # -- others' signals ------------------------------------------------------------------------
@@ -305,25 +231,6 @@ def test_ctrl_c_at_any_point_leaves_all_as_it_was(monkeypatch):
     assert when > 20
     assert database.rows("SELECT 42") == [(42,)]
     database.close()
-
-
-def test_a_line_that_could_not_be_opened_is_opened_the_next_time(monkeypatch, database):
-    """Of a line without its thread, nobody would be told."""
-
-    class Interrupted(threading.Thread):
-        def start(self):
-            raise KeyboardInterrupt
-
-    ends = socket.socketpair()
-    monkeypatch.setattr(ctrl_c, "_line", None)
-    with monkeypatch.context() as patch:
-        patch.setattr(threading, "Thread", Interrupted)
-        patch.setattr(socket, "socketpair", lambda: ends)
-        with pytest.raises(KeyboardInterrupt):
-            database.run("SELECT 1")
-    assert ctrl_c._line is None
-    for end in ends:
-        end.close()
 
 
 # -- children -------------------------------------------------------------------------------

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import datetime as dt
 import decimal
 import subprocess
@@ -19,7 +18,6 @@ import ssduck
 from ssduck.database.connection import Connection
 from ssduck.database.database import Database
 from ssduck.database.macros import TABLE_MACROS
-from ssduck.database.plans import RUNS_BEFORE_PLAN
 from ssduck.schema import MODELS, TABLES
 from ssduck.sql.relations.registry import RELATIONS
 from tests.support.cases import sampled
@@ -219,40 +217,6 @@ def test_selectscript_pairs_are_a_range_join_too(ss):
 
 
 @pytest.mark.slow
-def test_statements_a_run():
-    """A compiled query is one statement; its plan is kept until the tables change."""
-    told = []
-    # Each tick with another number of contacts has new buffers for them.
-    recording = ssduck.Recording(tables=("entities",))
-    interpreter = ssduck.Interpreter(tracer=told.append, recording=recording)
-    with ssduck.load("kitchen", recording=recording) as other:
-        kitchen = other.call_variable("kitchen")
-        interpreter.add_variable("kitchen", kitchen)
-        program = interpreter.compile("SELECT id FROM kitchen WHERE z(this) > 1.5 AS list;")
-        told.clear()
-        for _ in range(RUNS_BEFORE_PLAN):
-            kitchen.step()
-            interpreter.eval(program)
-        assert [sql.split()[0] for sql in told] == ["SELECT"] * RUNS_BEFORE_PLAN
-        told.clear()
-        interpreter.eval(program)
-        assert [sql.split()[0] for sql in told] == ["EXPLAIN", "PREPARE", "EXPLAIN", "EXECUTE"]
-        told.clear()
-        for _ in range(3):
-            kitchen.step()
-            interpreter.eval(program)
-        assert [sql.split()[0] for sql in told] == ["EXECUTE"] * 3
-        told.clear()
-        kitchen.remove("can")
-        interpreter.eval(program)
-        assert [sql.split()[0] for sql in told] == ["DEALLOCATE", "SELECT"]
-        told.clear()
-        interpreter.eval("1 + 1; [1, 2][0];")
-        assert told == []
-    interpreter.close()
-
-
-@pytest.mark.slow
 @sampled(
     "columns",
     [
@@ -335,16 +299,6 @@ def test_stepping_is_seen_by_the_next_query(sim):
     assert len(set(heights)) == 3
 
 
-@pytest.mark.slow
-def test_many_texts_do_not_pile_up(ss, monkeypatch):
-    monkeypatch.setattr("ssduck.interpreter.planner.MAX_PLANS", 10)
-    for number in range(25):
-        assert ss.eval(f"SELECT id FROM kitchen WHERE z(this) > {number + 10} AS list;") == []
-    assert sum(map(len, ss._planner._plans.values())) <= 10
-    (statements,) = ss.sql("SELECT count(*) FROM duckdb_prepared_statements()").fetchone()
-    assert statements <= 10
-
-
 @contextmanager
 def stepping(world):
     """Another thread steps the world all the time."""
@@ -408,22 +362,6 @@ def test_threads_may_step_and_ask(sim):
     assert all(len(set(answer)) == 1 and len(answer) == 3 for answer in answers)
     assert all(len(set(rows)) == 1 for rows in tables)
     assert len({answer[0] for answer in answers}) > 1
-
-
-@pytest.mark.slow
-def test_one_folder_calls_duckdb():
-    """And one imports pybullet."""
-    package = Path(ssduck.__file__).parent
-    importers = {"duckdb": set(), "pybullet": set()}
-    for path in package.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
-            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            for name, found in importers.items():
-                if name in names:
-                    found.add(path.relative_to(package).as_posix())
-    for name, folder in (("duckdb", "database/"), ("pybullet", "simulators/pybullet/")):
-        assert importers[name]
-        assert all(path.startswith(folder) for path in importers[name])
 
 
 @pytest.mark.long

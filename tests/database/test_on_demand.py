@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import closing
 from pathlib import Path
-from typing import Any
 
 import pybullet
 import pytest
@@ -12,12 +11,8 @@ import pytest
 import ssduck
 from ssduck import Recording
 from ssduck.database import connection as connections
-from ssduck.database.connection import Connection
-from ssduck.database.instances import MAX_WAITING, InstancePool
-from ssduck.database.on_demand import OnDemand
-from ssduck.database.schemas import Schemas
+from ssduck.database.instances import InstancePool
 from ssduck.errors import SqlError
-from ssduck.limits import UsageMeter
 from ssduck.recording.recorder import BUFFERED_TICKS
 from ssduck.schema import HISTORIES, MODELS, TABLES
 from tests.support.cases import sampled
@@ -61,57 +56,9 @@ def pool(monkeypatch: pytest.MonkeyPatch) -> InstancePool:
     return own
 
 
-class Count:
-    """Counts the statements that run, and has their texts."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.statements: list[str] = []
-        execute = Connection._execute
-
-        def counted(own: Connection, sql: str, *arguments: object, **options: object) -> object:
-            self.statements.append(sql)
-            return execute(own, sql, *arguments, **options)  # type: ignore[arg-type]
-
-        monkeypatch.setattr(Connection, "_execute", counted)
-
-    def take(self) -> list[str]:
-        """Returns the statements since the last call."""
-        statements, self.statements = self.statements, []
-        return statements
-
-
 def _views(ss: ssduck.Interpreter) -> set[str]:
     sql = "SELECT view_name FROM duckdb_views() WHERE schema_name = 'lab'"
     return {name for (name,) in ss._database.connection.internal_rows(sql)}
-
-
-def _functions(ss: ssduck.Interpreter) -> set[str]:
-    return set(ss._database.connection._functions)
-
-
-@pytest.mark.slow
-def test_a_program_makes_what_it_names(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    count = Count(monkeypatch)
-    with ssduck.open(run) as ss:
-        # The schema, beside the settings.
-        settings = ("SET ", "SELECT current_setting")
-        assert len([sql for sql in count.take() if not sql.startswith(settings)]) == 1
-        assert (_views(ss), _functions(ss)) == (set(), set())
-        count.take()
-        assert len(ss.eval("SELECT id FROM lab{} WHERE z > 2.5 AS list;")) == 3 * TICKS
-        created = [sql for sql in count.take() if sql.startswith("CREATE")]
-        assert len(created) == 1
-        assert _views(ss) == {"entities_history"}
-        count.take()
-        ss.eval("SELECT id FROM lab{} WHERE z > 2.5 AS list;")
-        assert not [sql for sql in count.take() if sql.startswith("CREATE")]
-        ss.add_variable("box_0", ss.call_variable("lab")["box_0"])
-        assert _functions(ss) == set()
-        gaps = ss.eval("SELECT clearance(this, box_0) FROM lab AS list;")
-        assert len([gap for gap in gaps if gap > 0.5]) == BODIES - 1
-        assert "entities" in _views(ss)
-        assert len(_functions(ss)) == 1
-        assert not _views(ss) & {"links", "joints", "shapes", "links_history", "shapes_model"}
 
 
 def _macros(ss: ssduck.Interpreter) -> set[tuple[str, str]]:
@@ -122,23 +69,6 @@ def _macros(ss: ssduck.Interpreter) -> set[tuple[str, str]]:
     return set(ss._database.connection.internal_rows(sql))
 
 
-@pytest.mark.slow
-def test_a_users_query_makes_what_it_names(run: Path) -> None:
-    with ssduck.open(run) as ss:
-        assert ss.sql("SELECT 1").fetchall() == [(1,)]
-        assert (_views(ss), _functions(ss), _macros(ss)) == (set(), set(), set())
-        pairs = "FROM entities a, entities b WHERE a.name = 'box_1' AND b.name = 'box_0'"
-        assert ss.sql(f"SELECT ABOVE(a, b) {pairs}").fetchall() == [(False,)]
-        assert (_views(ss), _functions(ss)) == ({"entities"}, set())
-        named = {"above", "name"}  # a relation is called name
-        assert _macros(ss) == {(schema, name) for schema in ("main", "lab") for name in named}
-        (gaps,) = ss.sql(f'SELECT "Clearance"(a, b), lab.clearance(a, b) {pairs}').fetchall()
-        assert gaps[0] == gaps[1] > 0
-        assert {schema for schema, name in _macros(ss) if name == "clearance"} == {"main", "lab"}
-        assert len(ss.sql("SELECT * FROM pairs_within(5)")) == BODIES * (BODIES - 1)
-        assert {name for _, name in _macros(ss)} == {"name", "above", "clearance", "pairs_within"}
-
-
 @pytest.fixture
 def file(client: int, tmp_path: Path) -> Path:
     """A small record in a DuckDB file."""
@@ -146,16 +76,6 @@ def file(client: int, tmp_path: Path) -> Path:
     with ssduck.Interpreter(tmp_path / "run.duckdb") as ss:
         ss.add_variable("lab", ssduck.World.attach(client, names={0: "box"})).step()
     return tmp_path / "run.duckdb"
-
-
-@pytest.mark.slow
-def test_a_query_of_a_file_makes_what_it_names(file: Path) -> None:
-    with ssduck.open(file) as ss:
-        assert ss.sql("SELECT count(*) FROM entities_history").fetchall() == [(2,)]
-        assert not _macros(ss)
-        pairs = "FROM entities_history a JOIN entities_history b USING (tick)"
-        assert ss.sql(f"SELECT above(a, b) {pairs}").fetchall() == [(False,), (False,)]
-        assert {name for _, name in _macros(ss)} == {"above", "tick"}  # relations, both
 
 
 @pytest.mark.slow
@@ -275,22 +195,6 @@ def test_a_recording_that_begins_anew_has_new_views(client: int) -> None:
 
 
 @pytest.mark.slow
-def test_a_database_is_used_again(run: Path, pool: InstancePool) -> None:
-    instances = []
-    for _ in range(3):
-        with ssduck.open(run) as ss:
-            instances.append(ss._database.connection._instance)
-            assert _views(ss) == _functions(ss) == set()
-            ss.add_function("twice", lambda value: 2 * value)
-            found = ss.eval("SELECT twice(z) FROM lab{} WHERE id(this) == 'box_1' AS list;")
-            assert len(found) == TICKS
-        with pytest.raises(SqlError, match="the interpreter is closed"):
-            ss.sql("SELECT 1")
-    assert all(instance is instances[0] for instance in instances)
-    pool.close()
-
-
-@pytest.mark.slow
 def test_a_database_that_a_user_wrote_to_is_not(run: Path, pool: InstancePool) -> None:
     with ssduck.open(run) as ss:
         ss.sql("CREATE TABLE main.mine AS SELECT 1")
@@ -349,31 +253,6 @@ def test_recorded_ticks_leave_nothing(client: int, pool: InstancePool, changed: 
 
 
 @pytest.mark.slow
-def test_an_opened_record_leaves_nothing(run: Path, pool: InstancePool) -> None:
-    """Schemas that ssduck made are known, those of other connections are asked for."""
-    for _ in range(2):
-        with ssduck.open(run) as ss:
-            assert ss.eval("SELECT id FROM lab{} LIMIT 1 AS list;")
-            assert "lab" in ss._database.connection._schemas
-        (database,) = pool._waiting
-        with closing(database.cursor()) as cursor:
-            for kind in ("tables", "views", "functions", "types"):
-                assert cursor.execute(LEFT.format(kind)).fetchall() == [(0,)], kind
-            schemas = cursor.execute(LEFT.format("schemas") + " AND schema_name <> 'main'")
-            assert schemas.fetchall() == [(0,)]
-    pool.close()
-
-
-@pytest.mark.slow
-def test_few_databases_wait(run: Path, pool: InstancePool) -> None:
-    opened = [ssduck.open(run) for _ in range(MAX_WAITING + 2)]
-    for ss in opened:
-        ss.close()
-    assert len(pool._waiting) == MAX_WAITING
-    pool.close()
-
-
-@pytest.mark.slow
 def test_a_file_is_let_go(tmp_path: Path, pool: InstancePool, client: int) -> None:
     path = tmp_path / "run.duckdb"
     for _ in range(2):
@@ -384,49 +263,3 @@ def test_a_file_is_let_go(tmp_path: Path, pool: InstancePool, client: int) -> No
                 assert len(ss.eval("SELECT tick(this) FROM lab{} AS list;")) == 0
                 assert ss.past("lab").ticks == [1]
     pool.close()
-
-
-def test_what_is_left_out_is_made_for_another_statement() -> None:
-    """Of statements within one another, each has its own names left out."""
-    made: list[str] = []
-    on_demand: OnDemand[None] = OnDemand()
-    on_demand.offer(("lab", "entities_history"), lambda _: made.append("entities_history"))
-    select = "SELECT * FROM lab.entities_history"
-    with on_demand.without([("lab", "entities_history")]):
-        on_demand.provide(select, None)
-        assert (made, on_demand.leaves_out) == ([], True)
-        with on_demand.without(()):
-            on_demand.provide(select, None)
-        assert made == ["entities_history"]
-    on_demand.offer(("lab", "entities_history"), lambda _: made.append("again"))
-    with on_demand.without([("lab", "entities_history")]):
-        on_demand.provide(select, None)
-    on_demand.provide(select, None)  # it is not taken for a statement that has all it needs
-    assert made == ["entities_history", "again"]
-    assert not on_demand.leaves_out
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("is_late", [False, True])
-def test_a_refused_statement_is_told_also_if_its_time_ends_meanwhile(
-    run: Path, monkeypatch: pytest.MonkeyPatch, is_late: bool
-) -> None:
-    """All views and macros are made for DuckDB's suggestions, which may take long."""
-    provide = Schemas.provide
-    described = []
-
-    def slowly(schemas: Schemas, *arguments: Any) -> None:
-        provide(schemas, *arguments)
-        has_all = arguments[-1] is not None
-        described.extend([arguments] * has_all)
-        if is_late and has_all:
-            late = UsageMeter(ssduck.Limits(seconds=1e-9))
-            monkeypatch.setattr(ss._database.connection, "meter", late)
-
-    monkeypatch.setattr(Schemas, "provide", slowly)
-    with ssduck.open(run, limits=ssduck.Limits(seconds=600)) as ss:
-        with pytest.raises(SqlError, match="clearanse") as caught:
-            ss.sql("SELECT clearanse(a, b) FROM entities a, entities b")
-        assert len(described) == 1
-        assert ('"clearance"' in caught.value.message) != is_late
-        assert ss.sql("SELECT 42").fetchall() == [(42,)]
