@@ -153,7 +153,7 @@ class BoundWorld:
 
     def buffers(self) -> list[Buffer]:
         """Returns the rows that DuckDB reads in place; of the current tick if it is in memory."""
-        live = self.live_buffers() if self.world.is_restored else []
+        live = self.live_buffers() if self.world.ticker.is_restored else []
         return live + self.history_buffers()
 
     def live_buffers(self) -> list[Buffer]:
@@ -179,7 +179,7 @@ class BoundWorld:
         """Returns what is equal as long as no buffer is replaced, and no margin changes."""
         history = self.history
         recorded_margins = 0.0 if history is None else history.record.margins
-        snapshot = self.world.snapshot if self.world.is_restored else None
+        snapshot = self.world.snapshot if self.world.ticker.is_restored else None
         return last_version(), snapshot, history, recorded_margins
 
     def live_view(self, table: str) -> str:
@@ -211,7 +211,7 @@ class BoundWorld:
     @property
     def margins(self) -> float:
         """The largest distance, m, of shapes that touch by their collision margins, at any tick."""
-        now = self.world.snapshot.margins if self.world.is_restored else 0.0
+        now = self.world.snapshot.margins if self.world.ticker.is_restored else 0.0
         return now if self.history is None else max(now, self.history.record.margins)
 
     def warn_of_changed_margins(self, tick: int | None) -> None:

@@ -330,7 +330,7 @@ class Database:
     def has_attached_world(self) -> bool:
         """Whether the simulation of one of the worlds is a client of the user's."""
         present = (bound.reference() for bound in self._worlds.bound)
-        return any(world is not None and world.is_attached for world in present)
+        return any(world is not None and world.ticker.is_attached for world in present)
 
     @property
     def records(self) -> dict[str, Record]:

@@ -30,9 +30,9 @@ from ssduck.recording.stores.model_tables import ABOUT, RUN_SCHEMA
 from ssduck.recording.stores.parquet import PART_TICKS
 from ssduck.world import ctrl_c
 from ssduck.world.batches.batch_world import BatchWorld
-from ssduck.world.construction import UNNAMED
 from ssduck.world.observers import EpisodeObserver
 from ssduck.world.snapshot import Snapshot
+from ssduck.world.ticking import UNNAMED
 from ssduck.world.world import World
 
 
@@ -90,7 +90,7 @@ class Recorders:
         )
         self.running.append(recorder)
         try:
-            world.add_recorder(recorder)
+            world.ticker.add_recorder(recorder)
         except BaseException:
             self._forget(bound, recorder)
             raise
@@ -132,7 +132,7 @@ class Recorders:
         recorder.stop_flushing()
         world = bound.reference()
         if world is not None:
-            world.remove_recorder(recorder)
+            world.ticker.remove_recorder(recorder)
         self.running.remove(recorder)
         bound.history = None
 
@@ -295,7 +295,7 @@ class WorldRegistry:
         bound = BoundWorld(weakref.ref(world, self._gone.append), next(self._numbers))
         self.bound.append(bound)
         if self.episode_observer is not None:
-            world.follow_episodes(self.episode_observer)
+            world.observers.follow_episodes(self.episode_observer)
         try:
             if isinstance(world, ReplayedWorld) and world.past is not None:
                 archive, record = world.past
@@ -335,7 +335,7 @@ class WorldRegistry:
         """Yields the worlds whose tables have a tick, each with its snapshot."""
         for bound in self.bound:
             world = bound.reference()
-            if world is not None and world.is_restored:
+            if world is not None and world.ticker.is_restored:
                 yield bound, world.snapshot
 
     def record(
@@ -447,8 +447,10 @@ class PinnedWorlds:
             present.sort(key=lambda item: item[0].serial)
         for world, _ in present:
             is_read = worlds is None or world.serial in worlds
-            world.pin(tables if is_read else (), is_read=is_read, is_settled=self._is_settled)
-            undo.append(world.unpin)
+            world.ticker.pin(
+                tables if is_read else (), is_read=is_read, is_settled=self._is_settled
+            )
+            undo.append(world.ticker.unpin)
         for _, bound in present:
             history = bound.history
             if history is not None and history.recorder is not None:

@@ -21,7 +21,7 @@ from ssduck.recording.opened_record import OpenedRecord
 from ssduck.recording.paths import expand_path
 from ssduck.recording.recorded_visuals import camera_of
 from ssduck.recording.replay.record import Record
-from ssduck.recording.replay.replayed_world import ReplayedWorld
+from ssduck.recording.replay.replayed_world import ReplayedWorld, ReplayTicker
 from ssduck.recording.spec import Recording
 from ssduck.recording.static_tables import geometries_of, members_of, run_of
 from ssduck.recording.stores.base import StoreConnection
@@ -166,7 +166,8 @@ def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
         order=run.description.get("order"),
         entities=archive.recording.entities,
     )
-    return ReplayedWorld(run.world, record, archive, camera_of(run.description))
+    ticker = ReplayTicker(run.world, record)
+    return ReplayedWorld(ticker, (archive, record), camera_of(run.description))
 
 
 # -- DuckDB files -----------------------------------------------------------------------------

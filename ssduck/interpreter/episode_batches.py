@@ -33,7 +33,7 @@ from ssduck.recording.paths import expand_path
 from ssduck.recording.replay.pair_answers import PairQueries
 from ssduck.recording.replay.past import Past
 from ssduck.recording.replay.record import Record
-from ssduck.recording.replay.replayed_world import ReplayedWorld
+from ssduck.recording.replay.replayed_world import ReplayedWorld, ReplayTicker
 from ssduck.recording.spec import Recording
 from ssduck.recording.static_tables import geometries_of, members_of
 from ssduck.recording.stores.base import PairRequest
@@ -148,7 +148,8 @@ class BatchInterpreter:
         self._times = np.concatenate([episode.times for episode in episodes])
         if not hasattr(self, "world"):
             self._record.ticks.replace(episodes[0].numbers, episodes[0].times)
-            self.world = ReplayedWorld(self._name, self._record, self._archive, self._camera)
+            ticker = ReplayTicker(self._name, self._record)
+            self.world = ReplayedWorld(ticker, (self._archive, self._record), self._camera)
             self.interpreter.add_variable(self._name, self.world)
 
     @contextmanager

@@ -72,7 +72,7 @@ from ssduck.recording.spec import Recording
 from ssduck.simulators.scenes import Camera
 from ssduck.world.batches.batch_world import BatchWorld
 from ssduck.world.public_names import INSTEAD_IN_INTERPRETERS, PublicNames
-from ssduck.world.running import run
+from ssduck.world.stepping import run
 from ssduck.world.world import World
 
 

@@ -24,7 +24,12 @@ from ssduck.limits import Limits
 from ssduck.recording.buffers import TickBuffer, buffer_schema
 from ssduck.recording.recorded_visuals import camera_of, camera_text
 from ssduck.recording.replay.record import Record
-from ssduck.recording.replay.replayed_world import CopiedWorld, ReplayedWorld
+from ssduck.recording.replay.replayed_world import (
+    CopiedWorld,
+    CopyTicker,
+    ReplayedWorld,
+    ReplayTicker,
+)
 from ssduck.recording.row_selection import RecordedRows
 from ssduck.recording.spec import Recording, description_of
 from ssduck.recording.static_tables import geometries_of, members_of, model_rows
@@ -303,7 +308,8 @@ class WorldCopy:
         camera = camera_of({"camera": description.camera})
         if description.is_past:
             assert isinstance(past, _PastCopy)
-            return ReplayedWorld(description.name, past.record, past.store, camera)
+            ticker = ReplayTicker(description.name, past.record)
+            return ReplayedWorld(ticker, (past.store, past.record), camera)
         present = Record(
             None,
             TickBuffer.from_arrays([news.tick], [news.time]),
@@ -316,7 +322,7 @@ class WorldCopy:
             source="the copy of its last tick",
         )
         told = None if past is None else (past.store, past.record)
-        return CopiedWorld(description.name, present, camera, told, self._with_sensings)
+        return CopiedWorld(CopyTicker(description.name, present, self._with_sensings), told, camera)
 
     def _rows_of(self, table: str, *_: int) -> pa.Table:
         return self._rows.get(table, buffer_schema(table).empty_table())

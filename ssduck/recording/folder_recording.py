@@ -65,11 +65,11 @@ class ParquetRecording:
         self._recorder = Recorder(recording, self._folder, self._part_ticks, recording.flush_every)
         self._recorders.append(self._recorder)
         try:
-            world.add_recorder(self._recorder)
+            world.ticker.add_recorder(self._recorder)
         except BaseException:
             self._recorder.stop_flushing()
             self._recorder.wait()
-            world.remove_recorder(self._recorder)
+            world.ticker.remove_recorder(self._recorder)
             self._recorders.remove(self._recorder)
             self._folder.discard()
             raise
@@ -130,7 +130,7 @@ class ParquetRecording:
         with self.world.pinned():
             self._recorder.finish()
         self._recorder.stop_flushing()
-        self.world.remove_recorder(self._recorder)
+        self.world.ticker.remove_recorder(self._recorder)
         self._recorders.remove(self._recorder)
 
     def __enter__(self) -> Self:

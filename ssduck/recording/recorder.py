@@ -37,7 +37,7 @@ from ssduck.world.sensor_readings import TickState
 from ssduck.world.snapshot import Snapshot
 
 if TYPE_CHECKING:
-    from ssduck.world.ticking import SteppedSimulation
+    from ssduck.world.stepping import SteppedWorld
 
 
 class MassChanges:
@@ -52,7 +52,7 @@ class MassChanges:
         """Adds a body by the id and the name of its entity."""
         self._names[id] = name
 
-    def warn(self, world: SteppedSimulation) -> None:
+    def warn(self, world: SteppedWorld) -> None:
         """Reads the masses of a recorded world, and warns once of each body whose mass changed."""
         with suppress(SimulatorError):  # the simulator may be gone
             world.request_tables((MASSES,))

@@ -12,8 +12,8 @@ from ssduck.lazy import exports
 if TYPE_CHECKING:
     from ssduck.world.entities import Entity, Sensor
     from ssduck.world.observers import TickObserver
-    from ssduck.world.running import run
     from ssduck.world.snapshot import Snapshot
+    from ssduck.world.stepping import run
     from ssduck.world.world import World
 
 __all__ = [
@@ -30,7 +30,7 @@ __getattr__, __dir__ = exports(
     {
         "entities": ("Entity", "Sensor"),
         "observers": ("TickObserver",),
-        "running": ("run",),
+        "stepping": ("run",),
         "snapshot": ("Snapshot",),
         "world": ("World",),
     },

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Never, Self
 
@@ -14,13 +15,23 @@ from ssduck import validation
 from ssduck.errors import (
     ArgumentError,
     SelectScriptError,
+    StateError,
     UnknownNameError,
     nearest,
 )
 from ssduck.formatting import joined_names, short_repr
 from ssduck.geometry.arrays import Array, Indices
-from ssduck.simulators.interface import DEFAULT_BACKEND, Body, Kind
-from ssduck.simulators.kinematics import JointValues, openness
+from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
+from ssduck.schema import MARGINS
+from ssduck.simulators.interface import DEFAULT_BACKEND, Body, Kind, Simulator
+from ssduck.simulators.kinematics import (
+    JointValues,
+    descendant_links,
+    joint_positions,
+    link_index,
+    motor_targets,
+    openness,
+)
 from ssduck.simulators.scenes import SensorSpec
 from ssduck.simulators.sensor_types import SENSOR_TYPES
 from ssduck.world.handles import (
@@ -242,7 +253,12 @@ class Entity(Handle):
                 validation.finite_array(position, 3, f"{self.name}: position"),
                 orientation_of(orientation, wxyz, xyzw, self.orientation, self.name, known),
             )
-        self.state.place(self, pose, joints)
+        with self.changed("move") as (simulator, body):
+            values = {} if joints is None else joint_positions(joints, body, self.name)
+            if pose is not None:
+                simulator.place(body, *pose)
+            if values:
+                simulator.set_joints(body, values)
 
     def drive(
         self,
@@ -272,7 +288,9 @@ class Entity(Handle):
             RemovedEntityError: the entity is no longer in its world.
             UnsupportedError: the entity is in a what-if world.
         """
-        self.state.drive(self, positions, velocities, efforts)
+        with self._in_simulator("drive") as (simulator, body):
+            motors = motor_targets(positions, velocities, efforts, body, self.name)
+            simulator.drive(body, motors)
 
     def hold(self, other: Entity, link: str | Link | None = None, *, touching: int = 1) -> None:
         """Attaches another body that a link touches rigidly to that link, at their current poses.
@@ -300,7 +318,26 @@ class Entity(Handle):
             if link.entity != self:
                 raise ArgumentError(f"hold: {link!r} is no link of {self.name!r}")
             link = link.name
-        self.state.hold(self, other, link, touching)
+        touching = validation.integer(touching, "hold: touching", minimum=1)
+        state = self.state
+        with self._in_simulator("hold", other) as (simulator, body, held_body):
+            number = 0 if link is None else link_index(body, link, self.name)
+            if simulator.has_constraint(body, held_body):
+                raise StateError(f"{self.name} holds {other.name} already")
+            state.ticker.take()
+            with state.pinned(("shapes", MARGINS)):
+                shapes = state.snapshot.shapes().shapes_touching(
+                    self.id, other.id, TOUCHING_DISTANCE
+                )
+            links = {body.shapes[shape].frame for shape in shapes}
+            count = len(links & descendant_links(body, number))
+            if count < touching:
+                raise StateError(
+                    f"{self.name} cannot hold {other.name}: {count} links of "
+                    f"{body.links[number].name!r} and beyond are within {TOUCHING_DISTANCE:g} m of "
+                    f"it, not {touching}; move them there first"
+                )
+            simulator.add_constraint(body, number, held_body)
 
     def release(self, other: Entity) -> None:
         """Releases a held body: removes the fixed constraints between links and its base.
@@ -315,7 +352,10 @@ class Entity(Handle):
             RemovedEntityError: one of them is no longer in its world.
             UnsupportedError: the entity is in a what-if world.
         """
-        self.state.release(self, other)
+        with self._in_simulator("release", other) as (simulator, body, held_body):
+            if not simulator.has_constraint(body, held_body):
+                raise StateError(f"{self.name} does not hold {other.name}")
+            simulator.remove_constraint(body, held_body)
 
     @property
     def enabled(self) -> bool:
@@ -333,7 +373,9 @@ class Entity(Handle):
 
     @enabled.setter
     def enabled(self, on: bool) -> None:
-        self.state.enable(self, on)
+        on = validation.boolean(on, "enabled")
+        with self.changed("enable") as (simulator, body):
+            simulator.enable(body, on)
 
     @property
     def visible(self) -> bool:
@@ -348,18 +390,43 @@ class Entity(Handle):
 
     @visible.setter
     def visible(self, on: bool) -> None:
-        self.state.show(self, on)
+        on = validation.boolean(on, "visible")
+        with self.changed("show") as (simulator, body):
+            simulator.show(body, on)
+
+    @contextmanager
+    def changed(self, verb: str) -> Iterator[tuple[Simulator, Body]]:
+        """Yields the simulator and the body, to change it; takes a tick after that."""
+        with self._in_simulator(verb) as (simulator, body):
+            yield simulator, body
+            self.state.snapshot.invalidate_static_poses()
+            self.state.ticker.take()
+
+    @contextmanager
+    def _in_simulator(self, verb: str, *others: Entity) -> Iterator[tuple[Any, ...]]:
+        """Yields the simulator, and the bodies of this entity and of others of its world."""
+        state = self.state
+        with state.lock:
+            state.ticker.check_not_pinned()
+            for other in others:
+                if not isinstance(other, Entity) or other.world is not state:
+                    raise ArgumentError(
+                        f"{verb}: {other!r} is no entity of the world {state.name!r}"
+                    )
+                if other == self:
+                    raise ArgumentError(f"{verb}: {self.name} cannot {verb} itself")
+            registry, simulator = state.ticker.registry, state.simulator
+            registry.update(simulator)  # another body may have the number of one by now
+            bodies = []
+            for entity in (self, *others):
+                info = registry.get(entity.id)
+                if info is None:
+                    raise entity.removed()
+                bodies.append(entity.body_of(info, verb))
+            yield simulator, *bodies
 
     def body_of(self, info: EntityInfo, verb: str) -> Body:
-        """Returns the body of the entity.
-
-        Args:
-            info: the description of the entity.
-            verb: the action on the body, for the message of the error.
-
-        Raises:
-            ArgumentError: the entity is a sensor.
-        """
+        """Returns the body of the entity, on which an action is tried; a sensor has none."""
         if info.body is None:
             raise ArgumentError(f"{self.name} is a sensor; {verb} the body that it is mounted on")
         return info.body
@@ -408,7 +475,14 @@ class Sensor(Entity):
 
     def power(self, on: bool) -> None:
         """Switches the sensor on or off; it perceives nothing while it is off."""
-        self.state.switch(self, on=on)
+        state = self.state
+        with state.lock:
+            state.ticker.check_not_pinned()
+            if self not in state:
+                raise self.removed()
+            on = validation.boolean(on, "power: on")
+            if on != state.snapshot.sensing.is_on(self.id):
+                state.snapshot.switch(self.id, on=on)
 
     @property
     def powered(self) -> bool:
@@ -460,7 +534,8 @@ class Sensor(Entity):
         return self._measured("forces")  # type: ignore[no-any-return]
 
     def _measured(self, quantity: str) -> Any:
-        reading = self.state.reading(self, picture=quantity == "image" and self._has_picture())
+        is_picture = quantity == "image" and SENSOR_TYPES[self.spec.type].has_picture
+        reading = self.state.reading(self, picture=is_picture)
         if reading is None:
             raise SelectScriptError(
                 f"{self.name!r} measures nothing: it is switched off, or nowhere; "
@@ -471,9 +546,6 @@ class Sensor(Entity):
             names = ", ".join(k for k, v in vars(reading).items() if isinstance(v, np.ndarray))
             raise ArgumentError(f"{self.name!r} is a {self.spec.type}: no {quantity}, but {names}")
         return value
-
-    def _has_picture(self) -> bool:
-        return SENSOR_TYPES[self.spec.type].has_picture
 
     @property
     def host(self) -> int:

@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import count
 from typing import Any
 
+import numpy as np
+
 from ssduck.errors import (
     ArgumentError,
     SceneError,
@@ -19,12 +21,10 @@ from ssduck.errors import (
 )
 from ssduck.formatting import joined_names, name_path, short_repr
 from ssduck.schema import LINK_FACTOR
-from ssduck.simulators.interface import Simulator
+from ssduck.simulators.interface import Body, Simulator
 from ssduck.simulators.naming import unique_name
 from ssduck.simulators.scenes import SensorSpec, read_sensor
 from ssduck.simulators.sensor_types import SENSOR_TYPES
-from ssduck.world.entities import Entity
-from ssduck.world.handles import Link
 from ssduck.world.layout import EntityInfo
 
 # What to write for what is a table in SQL.
@@ -106,6 +106,8 @@ class EntityRegistry:
         self, type: str, host: EntityInfo, name: str | None, settings: Mapping[str, Any]
     ) -> EntityInfo:
         """Adds a sensor on a body, with settings as in a scene file, by default with a new name."""
+        if host.body is None:
+            raise ArgumentError(f"add_sensor: on: {host.name!r} is a sensor, not a body")
         used_names = {info.name for info in self.entities}
         if name in used_names:
             raise ArgumentError(f"add_sensor: name: {name!r} is there already")
@@ -113,7 +115,7 @@ class EntityRegistry:
             "type": type,
             "on": host.name,
             "name": name if name is not None else unique_name(f"{host.name}_{type}", used_names),
-            **settings,
+            **_plain(settings),
         }
         try:
             spec = read_sensor(values, [host.name])
@@ -132,25 +134,20 @@ class EntityRegistry:
         self.removed |= {info.name: time for info in self.entities if is_gone(info)}
         self.entities = [info for info in self.entities if not is_gone(info)]
 
-    def host(self, on: str | Entity | Link, world: str) -> EntityInfo:
-        """Returns the body of a new sensor, given by its name or its handle."""
-        if isinstance(on, Link):
-            raise ArgumentError(f"{on!r} is given with another link; give its entity with that")
-        if isinstance(on, Entity):
-            host = self.get(on.id)
-            if host is None:
-                raise on.removed()
-        else:
-            host = next((info for info in self.entities if info.name == on), None)
-            if host is None:
-                error = no_entity_error(world, on, self.entities)
-                error.message = f"add_sensor: on: {error.message}"
-                if on in SENSOR_TYPES:
-                    error.message += "; the type comes first: add_sensor(type, on)"
-                raise error
-        if host.body is None:
-            raise ArgumentError(f"add_sensor: on: {host.name!r} is a sensor, not a body")
-        return host
+    def has_body(self, body: Body) -> bool:
+        """Checks whether a body is that of an entity, and was not removed."""
+        return any(info.body is body for info in self.entities)
+
+    def host(self, on: str, world: str) -> EntityInfo:
+        """Returns the body of a new sensor, given by its name."""
+        for info in self.entities:
+            if info.name == on:
+                return info
+        error = no_entity_error(world, on, self.entities)
+        error.message = f"add_sensor: on: {error.message}"
+        if on in SENSOR_TYPES:
+            error.message += "; the type comes first: add_sensor(type, on)"
+        raise error
 
     def _mounted(self, ids: Iterable[int], specs: Sequence[SensorSpec]) -> list[EntityInfo]:
         """Returns sensors of specifications, with their bodies and links."""
@@ -169,6 +166,16 @@ class EntityRegistry:
                 EntityInfo(id, spec.name, "sensor", parent=spec.on, sensor=spec, mount=mount)
             )
         return sensors
+
+
+def _plain(value: Any) -> Any:
+    """Converts numpy values to Python's and sequences to lists; returns other values unchanged."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, dict):
+        return {key: _plain(part) for key, part in value.items()}
+    is_list = isinstance(value, Sequence) and not isinstance(value, str)
+    return [_plain(part) for part in value] if is_list else value
 
 
 def _link_number(host: EntityInfo, spec: SensorSpec, index: int) -> int:

@@ -35,10 +35,6 @@ if TYPE_CHECKING:
     from ssduck.world.layout import EntityInfo
     from ssduck.world.world import World
 
-if TYPE_CHECKING:
-    from ssduck.world.entities import Entity
-    from ssduck.world.world import World
-
 # The error of an unknown name tells so many names.
 _MAX_NAMES = 12
 
@@ -252,7 +248,7 @@ def removal_of(handle: Handle) -> str:
     """Returns when the entity of a handle was removed, for an error; '' if it is there."""
     if entity_of(handle.id) in handle.world.snapshot.rows:
         return ""
-    return handle.world.removal_of(getattr(handle, "owner", handle.name))
+    return handle.world.ticker.removal_of(getattr(handle, "owner", handle.name))
 
 
 class Link(Handle):
@@ -361,29 +357,17 @@ class Site(Link):
 
 
 def links_of(entity: Entity) -> list[Link]:
-    """Returns the links of an entity at the tick of its handle, the base first, without sites.
-
-    Raises:
-        UnsupportedError: the body has too many links.
-    """
+    """Returns the links of an entity at the tick of its handle, the base first, without sites."""
     return [link for link in links_and_sites_of(entity) if not isinstance(link, Site)]
 
 
 def sites_of(entity: Entity) -> list[Site]:
-    """Returns the sites of an entity at the tick of its handle.
-
-    Raises:
-        UnsupportedError: the body has too many links and sites.
-    """
+    """Returns the sites of an entity at the tick of its handle."""
     return [link for link in links_and_sites_of(entity) if isinstance(link, Site)]
 
 
 def links_and_sites_of(entity: Entity) -> list[Link]:
-    """Returns the links of an entity at the tick of its handle, then its sites, by their numbers.
-
-    Raises:
-        UnsupportedError: the body has too many links.
-    """
+    """Returns the links of an entity at the tick of its handle, by number, then its sites."""
     info = entity.info
     links = () if info.body is None else info.body.links
     if len(links) > MAX_LINKS:

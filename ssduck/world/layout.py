@@ -143,6 +143,12 @@ class TableLayout:
             ids[body.handle] = id
         return ids
 
+    def ids_of(self, handles: Indices) -> Indices:
+        """Returns the ids of body handles; 0 for none, and for bodies not in the world yet."""
+        ids = self.ids_of_handles
+        known: Indices = ids[np.where(handles < len(ids) - 1, handles, -1)]
+        return known
+
 
 class BodyGroup:
     """Bodies that are read together, the sensors on them, and their rows in the tables.

@@ -7,7 +7,7 @@ DuckDB, see the next tick without further calls.
 from __future__ import annotations
 
 import copy
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
 from itertools import count
 from typing import Any
 
@@ -71,7 +71,7 @@ class LiveTable:
         buffered = [
             (name, kind)
             for name, kind in kinds.items()
-            if kind in ("double", "integer") and not _has_none(values.get(name, ()))
+            if kind in ("double", "integer") and all(v is not None for v in values.get(name, ()))
         ]
         # One block for all doubles: adjacent columns can be written in one operation.
         doubles = [name for name, kind in buffered if kind == "double"]
@@ -233,7 +233,3 @@ class LiveTable:
 def _has_nan(block: Array) -> bool:
     """Checks whether a number is unknown; the least of numbers with a NaN is NaN."""
     return bool(block.size) and bool(np.isnan(block.min()))
-
-
-def _has_none(values: Iterable[Any]) -> bool:
-    return any(value is None for value in values)

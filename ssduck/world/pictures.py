@@ -1,17 +1,20 @@
-"""Pictures of worlds: the camera of those without one, and those of past and what-if worlds."""
+"""Pictures of worlds: the camera of those without one, past and what-if worlds, drawn bodies."""
 
 from __future__ import annotations
 
 import io
 import math
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
+from ssduck.errors import SimulatorError, warn
+from ssduck.simulators.backends import drawn_shapes, stored_visuals
+from ssduck.simulators.interface import Body, Simulator, VisualShape
 from ssduck.simulators.scenes import Camera
 
 if TYPE_CHECKING:
@@ -125,3 +128,35 @@ def _boxes(snapshot: Snapshot) -> tuple[Array, npt.NDArray[np.bool_]]:
 
 def _union(boxes: Array) -> tuple[Array, Array]:
     return boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
+
+
+# -- what is drawn ----------------------------------------------------------------------------
+
+
+class DrawnBodies:
+    """Asks a simulator what it draws of a body, while it has the body.
+
+    A simulator may give the number of a removed body to a new one. So a body that is gone has what
+    was read last, or its collision shapes if nothing was. If the simulator is gone, all bodies are,
+    and a warning says so.
+    """
+
+    def __init__(self, simulator: Simulator, is_there: Callable[[Body], bool]) -> None:
+        self._simulator, self._is_there = simulator, is_there
+        self._read: dict[int, tuple[Body, Sequence[VisualShape]]] = {}
+        self._has_told = False
+
+    def __call__(self, body: Body) -> Sequence[VisualShape]:
+        """Returns what is drawn of a body."""
+        if self._is_there(body):
+            try:
+                self._read[id(body)] = body, drawn_shapes(self._simulator, body)
+            except SimulatorError as error:
+                if not self._has_told:
+                    self._has_told = True
+                    reason = error.message.partition(";")[0]
+                    warn(f"{reason}: collision shapes stand in for what it draws")
+        known = self._read.get(id(body))
+        if known is not None and known[0] is body:
+            return known[1]
+        return stored_visuals(body)

@@ -63,57 +63,17 @@ class PublicNames(metaclass=_PublicNamesType):
             raise AttributeError(message, name=name, obj=self)
 
 
-WORLD_INTERNALS = frozenset(
-    [
-        "INSTEAD_OF",
-        "INTERNAL_NAMES",
-        "add_recorder",
-        "advance",
-        "drive",
-        "enable",
-        "handle",
-        "hold",
-        "is_attached",
-        "is_final",
-        "is_observed",
-        "is_watched",
-        "lock",
-        "notify_observers",
-        "origin",
-        "owning",
-        "part_hint",
-        "posed",
-        "pinned",
-        "place",
-        "reading",
-        "release",
-        "removal_of",
-        "remove_recorder",
-        "request_tables",
-        "serial",
-        "slack",
-        "steps_to_due",
-        "steps_to_tick",
-        "switch",
-        "warn_of_unrecorded_start",
-    ]
+def _names(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+WORLD_INTERNALS = _names(
+    "INSTEAD_OF INTERNAL_NAMES handle is_final lock notify_observers observers origin owning "
+    "part_hint pinned posed reading request_tables serial steps_to_tick ticker"
 )
-HANDLE_INTERNALS = frozenset(
-    [
-        "INSTEAD_OF",
-        "INTERNAL_NAMES",
-        "TABLE",
-        "body_of",
-        "column",
-        "info",
-        "key_hint",
-        "moment",
-        "part_hint",
-        "posed",
-        "pinned",
-        "removed",
-        "state",
-    ]
+HANDLE_INTERNALS = _names(
+    "INSTEAD_OF INTERNAL_NAMES TABLE body_of changed column info key_hint moment part_hint pinned "
+    "removed state"
 )
 
 

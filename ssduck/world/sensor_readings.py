@@ -108,12 +108,6 @@ class TickContext(NamedTuple):  # made faster than a dataclass is
     # although no time passed.
     is_discontinuous: bool
 
-    def entities(self, handles: Indices) -> Indices:
-        """Returns the ids of body handles; 0 for none, and for bodies not in the world yet."""
-        ids = self.layout.ids_of_handles
-        known: Indices = ids[np.where(handles < len(ids) - 1, handles, -1)]
-        return known
-
 
 class SensorReader:
     """The readings and the switches of a world's sensors, by their ids."""
@@ -233,7 +227,7 @@ class SensorReader:
             [ends @ sensor.matrix.T for ends, sensor in zip(rays, sensors, strict=True)]
         )
         hits = simulator.cast_rays(starts, starts + offsets, np.repeat(hosts, counts))
-        entities = context.entities(hits.bodies)
+        entities = context.layout.ids_of(hits.bodies)
         is_hit = hits.bodies >= 0
         points = starts + hits.fractions[:, None] * offsets
         readings = {}
@@ -329,7 +323,7 @@ def _contact_reading(info: EntityInfo, context: TickContext, contacts: ContactPo
     return Reading(
         context.tick,
         context.time,
-        context.entities(contacts.bodies[rows, 1 - sides]),
+        context.layout.ids_of(contacts.bodies[rows, 1 - sides]),
         contacts.points[rows, sides],
         forces=contacts.forces[rows],
     )

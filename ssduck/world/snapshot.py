@@ -25,7 +25,7 @@ from ssduck.geometry.arrays import Array
 from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.margins import Margins
 from ssduck.geometry.shapes import Geometry
-from ssduck.schema import FORGOTTEN_AFTER, OFTEN_UNKNOWN, ON_DEMAND, STORED_TABLES
+from ssduck.schema import FORGOTTEN_AFTER, OFTEN_UNKNOWN, ON_DEMAND, STORED_TABLES, TABLES
 from ssduck.simulators.contact_pairs import ContactPairs
 from ssduck.simulators.interface import (
     Body,
@@ -54,6 +54,8 @@ from ssduck.world.sensor_readings import (
 )
 from ssduck.world.tick_geometry import TickGeometry
 
+# The columns of doubles that a record has of each entity and tick.
+RECORDED_DOUBLES = TABLES["entities"].tick_columns.doubles
 # The bits of a double's significand: readers may convert the number to a double without loss.
 _BITS = 53
 
@@ -96,6 +98,8 @@ class Snapshot(TickGeometry):
         self.unavailable: Mapping[str, str] = {}
         # Whether every take is of the same tick: with given poses, or of a record.
         self._is_final = self._is_past = False
+        # The exact numbers of a recorded tick, by column and entity: others follow from poses.
+        self._recorded_doubles: Array | None = None
         # The poses of bodies that cannot move are read once; None if they are to be read (again).
         self._static: LinkPoses | None = None
         # The poses of bodies that cannot move in the rows of links, and of shapes.
@@ -204,7 +208,7 @@ class Snapshot(TickGeometry):
         clone.calls, clone._shapes, clone._boxes = CallCounter(), None, None  # noqa: SLF001
         clone._shapes_and_sites = None  # noqa: SLF001
         clone.sensing = self.sensing.clone()
-        clone._is_final = True  # noqa: SLF001  # one class
+        clone._is_final, clone._recorded_doubles = True, None  # noqa: SLF001  # one class
         clone._requested, clone._read, clone._written = {}, frozenset(), {}  # noqa: SLF001
         clone.recorded = frozenset()
         clone._requested_sensors, clone._read_sensors = {}, frozenset()  # noqa: SLF001
@@ -228,9 +232,9 @@ class Snapshot(TickGeometry):
         clone.go_to(number)
         return clone
 
-    def go_to(self, number: int) -> None:
-        """Sets the number of the tick that is taken next."""
-        self.number = number
+    def go_to(self, number: int, doubles: Array | None = None) -> None:
+        """Sets the number of the tick that is taken next, and `RECORDED_DOUBLES` of it."""
+        self.number, self._recorded_doubles = number, doubles
         self.invalidate_static_poses()
 
     # -- the entities --------------------------------------------------------------------
@@ -434,6 +438,8 @@ class Snapshot(TickGeometry):
         static, moving = self.body_groups
         for group, poses in (static, moving) if with_static else (moving,):
             group.write_entities(poses, block)
+        if self._recorded_doubles is not None:
+            table.block[table.block_rows(RECORDED_DOUBLES)] = self._recorded_doubles
         for name in self._read.intersection(("links", "shapes")):
             self._write_parts(name)
         if state.joints is not None:

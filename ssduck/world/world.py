@@ -1,15 +1,16 @@
 """Defines `World`, a simulation in any simulator.
 
 A *world* is one simulation; an *entity* is a robot, a kinbody or a sensor of it. The properties of
-an entity are those at the world's last tick, not those of the simulator at present.
+an entity are those at the world's last tick, which its `ticker` took from the simulator.
 """
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from contextlib import closing
 from pathlib import Path
-from typing import Any, Literal, Never, TypeVar
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -17,85 +18,196 @@ import numpy.typing as npt
 from ssduck import validation
 from ssduck.errors import (
     ArgumentError,
+    SceneError,
     SelectScriptError,
     UnknownNameError,
     UnsupportedError,
 )
-from ssduck.formatting import contents_of, past_path, past_query, short_repr
+from ssduck.formatting import contents_of, short_repr
 from ssduck.geometry.arrays import Indices
-from ssduck.schema import (
-    LINK_FACTOR,
-    MARGINS,
-    MASSES,
-    ON_DEMAND,
-    RECORDED_BY_DEFAULT,
-    entity_of,
-    link_of,
-)
-from ssduck.simulators.interface import Body, Simulator
-from ssduck.simulators.kinematics import (
-    JointValues,
-    joint_positions,
-    parse_pose,
-)
+from ssduck.lazy import service
+from ssduck.schema import LINK_FACTOR, MARGINS, MASSES, entity_of, link_of
+from ssduck.simulators.backends import ShapesByBody
+from ssduck.simulators.interface import Body, Kind, Simulator
+from ssduck.simulators.kinematics import JointValues, joint_positions, parse_pose
 from ssduck.simulators.naming import is_made_up
-from ssduck.simulators.scenes import Camera, SensorSpec, variable_name
-from ssduck.world.construction import UNNAMED, ConstructibleWorld
+from ssduck.simulators.scenes import Camera, Scene, SensorSpec
+from ssduck.world.copies import excerpt, new_folder, posed, saved, what_if_tick
 from ssduck.world.entities import HANDLES, Entity, Sensor
 from ssduck.world.entity_registry import no_entity_error, told_of_part
-from ssduck.world.excerpt import excerpt, new_folder, posed, scene_of, write_scene
 from ssduck.world.handles import Handle, Link, links_and_sites_of
-from ssduck.world.manipulation import ManipulableSimulation
-from ssduck.world.pictures import framing_camera
+from ssduck.world.loading import attached, loaded
+from ssduck.world.pictures import framing_camera, png
 from ssduck.world.public_names import INSTEAD_IN_WORLDS, WORLD_INTERNALS, PublicNames
-from ssduck.world.running import run
 from ssduck.world.sensor_readings import Reading
-from ssduck.world.snapshot import Snapshot
-from ssduck.world.what_if import what_if_tick
-
-T = TypeVar("T")
+from ssduck.world.stepping import SteppedWorld
+from ssduck.world.ticking import UNNAMED, LiveTicker, Ticker
 
 
-class World(ConstructibleWorld, ManipulableSimulation, PublicNames):
+class World(SteppedWorld, PublicNames):
     """A simulation and its current tick.
 
     Use `World.load` or `World.attach` to make one. Every `step` and `tick` replaces the tables
     at once; nothing changes them in between.
 
     Args:
-        simulator: the simulator.
+        simulator: the simulator; or what takes the ticks of a world that is there already.
         name: the name until the world is bound to a variable.
         sensors: the sensors on its bodies, in load order.
         camera: its camera; None for one that frames what is small and moves.
+        origin: the world from which it derives.
     """
 
     INTERNAL_NAMES, INSTEAD_OF = WORLD_INTERNALS, INSTEAD_IN_WORLDS
 
+    # Closes the simulator of a world that owns it.
+    _finalizer: weakref.finalize[..., Self] | None = None
+
     def __init__(
         self,
-        simulator: Simulator,
+        simulator: Simulator | Ticker,
         *,
         name: str = UNNAMED,
         sensors: Sequence[SensorSpec] = (),
         camera: Camera | None = None,
+        origin: World | None = None,
     ) -> None:
-        self._begin(name, camera or Camera())
-        self._set_state(simulator, Snapshot())
-        self._registry.add_all(simulator, sensors)
-        for info in self._registry.entities:
-            if info.sensor is not None and not info.sensor.powered:
-                self.snapshot.switch(info.id, on=False)
-        with self.lock:
-            # So a recording with these tables begins without a second tick of the same time.
-            self.snapshot.recorded = ON_DEMAND.intersection(RECORDED_BY_DEFAULT)
-            self._take_tick()
-            self._read_recorded()
-
-    def _begin(self, name: str, camera: Camera) -> None:
+        if not isinstance(simulator, Ticker):
+            simulator = LiveTicker.begun(name, simulator, sensors)
+        super().__init__(simulator)
         self._camera = None if camera == Camera() else camera
         self._framed: tuple[Any, Camera] | None = None
-        self._init_ticking(name)
-        self._origin: World | None = None
+        self._origin = origin
+
+    @classmethod
+    def load(cls, scene: Scene, *, simulator: str | None = None) -> Self:
+        """Loads a scene into a new simulation, and returns its world.
+
+        Args:
+            scene: the scene.
+            simulator: the name of the simulator, see `BACKENDS`; by default MuJoCo, if it is
+                installed, for an MJCF file by itself, and PyBullet for everything else; the one
+                that is installed, if the other is not.
+
+        Raises:
+            SceneError: the scene cannot be loaded; the message has file, key and reason.
+            ArgumentError: `scene` is no `Scene`.
+            UnsupportedError: the simulator is not installed, or does not load such scenes.
+        """
+        simulation = loaded(scene, simulator)
+        try:
+            return cls.owning(simulation, scene.name, scene.sensors, scene.camera)
+        except SceneError as error:
+            error.message = f"{scene.path}: {error.message}"
+            raise
+
+    @classmethod
+    def owning(
+        cls, simulator: Simulator, name: str, sensors: Sequence[SensorSpec], camera: Camera
+    ) -> Self:
+        """Returns a world that owns its simulator, and closes it when the world is collected."""
+        try:
+            world = cls(simulator, name=name, sensors=sensors, camera=camera)
+        except BaseException:
+            simulator.close()
+            raise
+        # A simulation takes tens of megabytes.
+        world._finalizer = weakref.finalize(world, simulator.close)
+        return world
+
+    @classmethod
+    def attach(
+        cls,
+        client: Any,
+        *data_names_kinds: Any,
+        names: Mapping[Any, str] | None = None,
+        kinds: Mapping[Any, Kind] | None = None,
+        name: str = UNNAMED,
+        shapes: ShapesByBody | None = None,
+        simulator: str | None = None,
+        forward: bool = False,
+        camera: Camera | None = None,
+    ) -> Self:
+        """Returns a world around a simulation that you created and continue to use.
+
+        `World.attach(client)` takes a PyBullet client, `World.attach(model, data)` a MuJoCo model
+        with its data. The next `tick()` sees what you changed: bodies that you added, removed or
+        moved, or a model that you made anew.
+
+        A PyBullet client has no time: it begins at 0, and each `tick()`, which stands for one step
+        of yours, advances it by the client's time step, as does each step of `step` and `run`.
+        ssduck attaches user data to each body, to distinguish a removed body from a later one with
+        the same number. In MuJoCo the time is that of the data. A new episode begins when the time
+        has fallen, or the model is another one.
+
+        Args:
+            client: of PyBullet, the number of the client, or an object with this number as
+                `_client`. Of MuJoCo, the model, an environment that has model and data, or a
+                function that returns (model, data), which is called at each tick.
+            *data_names_kinds: MuJoCo's data, if `client` is a model; then `names` and `kinds`.
+            names: the names of present bodies. Of PyBullet by body number; other bodies are named
+                as in their models, as identifiers, made unique. Of MuJoCo by the number or the name
+                of the root body of an entity; others have MuJoCo's name of that.
+            kinds: `"robot"` or `"kinbody"`, likewise; by default a body with movable joints is a
+                robot.
+            name: the name until the world is bound to a variable.
+            shapes: for PyBullet, collision shapes of present bodies, which replace those that it
+                reports: of a body's base by its number, of a link by (body, link), of one of its
+                shapes by (body, link, number), with PyBullet's link numbers (the base is -1).
+                Each is a mesh in the frame of the link, m, or a list of meshes: a
+                `trimesh.Trimesh`, (vertices (n, 3), faces (m, 3)), or the path of a mesh file;
+                faces of None make the convex hull. See `ssduck.height_field`.
+            simulator: the name of the simulator, see `BACKENDS`; None to recognise it.
+            forward: for MuJoCo, whether a tick has the poses and contacts at its time, which
+                `qpos` tells, also of free joints. Those of the data, as code that reads `xpos`
+                sees them, are of the beginning of the last step.
+            camera: the camera of pictures, of films and of the page, a `Camera` of
+                `ssduck.simulators.scenes`; by default one that frames what is small and moves.
+                `world.camera = …` sets another one.
+
+        Raises:
+            SimulatorError: the client is not connected, or the object has no simulation that is
+                known.
+            SelectScriptError: no body has a number, or a kind is invalid.
+            UnknownNameError: no body has a name; with the nearest names.
+            ArgumentError: no shape has a key of `shapes`, or a value is no mesh; or two bodies have
+                one name.
+            UnsupportedError: MuJoCo is not installed.
+        """
+        given = client, *data_names_kinds
+        simulation = attached(given, names, kinds, shapes, simulator, forward)
+        return cls(simulation, name=name, camera=camera)
+
+    @staticmethod
+    def batch(model: Any, count: int, *, name: str = UNNAMED, history: int = 0) -> Any:
+        """Returns many simulations of one model as one world, a `BatchWorld`, in its initial state.
+
+        Programs are evaluated over all of them, the *environments*, at once: `ss.eval` returns an
+        array with a value for each. `tick` takes their states, as arrays of any library.
+
+        Args:
+            model: a `mujoco.MjModel`; or a world whose bodies each environment has, for states
+                from any other simulator.
+            count: the number of environments, from 1 up.
+            name: the name until the world is bound to a variable.
+            history: the largest number of ticks whose states are kept in memory, for
+                `Interpreter.export_batch`; older ones are dropped.
+
+        Raises:
+            SimulatorError: the object is no model that is known.
+            UnsupportedError: MuJoCo is not installed.
+
+        >>> import mujoco
+        >>> import ssduck
+        >>> ball = "<body name='ball'><freejoint/><geom size='0.1'/></body>"
+        >>> text = f"<mujoco><worldbody>{ball}</worldbody></mujoco>"
+        >>> with ssduck.Interpreter() as ss:
+        ...     sim = ss["sim"] = ssduck.World.batch(mujoco.MjModel.from_xml_string(text), count=2)
+        ...     _ = sim.tick(qpos=[[0, 0, 0.5, 1, 0, 0, 0], [0, 0, 1.5, 1, 0, 0, 0]], time=0.0)
+        ...     ss.eval("z(sim.ball) > 1;").tolist()
+        [False, True]
+        """
+        return service("batch")(model, count, name, history)
 
     @property
     def camera(self) -> Camera:
@@ -116,50 +228,10 @@ class World(ConstructibleWorld, ManipulableSimulation, PublicNames):
         validation.instance(camera, Camera, "camera")
         self._camera = camera
 
-    # -- time -----------------------------------------------------------------------------
-
-    def run(
-        self,
-        seconds: float,
-        *,
-        realtime: bool | float = False,
-        progress: bool | Literal["always"] = False,
-        every: int | None = 1,
-        **others: Never,
-    ) -> World:
-        """Runs for a simulated time, and takes a tick after each step.
-
-        With `every`, there are fewer ticks: after so many steps each, at the end, and when
-        observers request them. A world that is neither recorded nor observed takes the last tick
-        only, except in real time.
-
-        Args:
-            seconds: the simulated time, s, rounded to the nearest number of steps.
-            realtime: whether to run in real time; or the speed relative to it: 2.0 takes half as
-                long if the simulator is fast enough. A late run catches up. Such a run waits at
-                ticks only.
-            progress: whether to show a progress bar on standard error if that is a terminal;
-                `"always"`: in any case.
-            every: the number of steps between ticks; None for requested ticks and the last.
-            **others: none; an error says what to write for other names.
-
-        Returns:
-            The world itself.
-
-        Raises:
-            ArgumentError: the time is negative or not finite, the speed is not above 0, or
-                `every` is less than 1.
-            SimulatorError: the simulator does not answer; the last tick remains.
-            UnsupportedError: it is a what-if world.
-            KeyboardInterrupt: Ctrl-C stopped the run, at a tick.
-        """
-        run([self], seconds, realtime=realtime, progress=progress, every=every, **others)
-        return self
-
     def close(self) -> None:
         """Closes the simulation; a client that you created stays connected."""
         with self.lock:
-            self._simulator.close()
+            self.simulator.close()
             if self._finalizer is not None:
                 self._finalizer.detach()
 
@@ -186,7 +258,7 @@ class World(ConstructibleWorld, ManipulableSimulation, PublicNames):
         width, height = validation.picture_size(width, height, "render")
         shadow = validation.boolean(shadow, "render: shadow")
         with self.lock:
-            return self._simulator.render(camera or self.camera, width, height, shadow=shadow)
+            return self.simulator.render(camera or self.camera, width, height, shadow=shadow)
 
     def segmentation(
         self,
@@ -207,12 +279,8 @@ class World(ConstructibleWorld, ManipulableSimulation, PublicNames):
         width, height = validation.picture_size(width, height, "segmentation")
         links = validation.boolean(links, "segmentation: links")
         with self.lock:
-            handles, numbers = self._simulator.segment(camera or self.camera, width, height)
-            ids = np.zeros(int(handles.max(initial=-1)) + 2, dtype=np.intp)
-            for info in self._registry.entities:
-                if info.body is not None and info.body.handle < len(ids) - 1:
-                    ids[info.body.handle] = info.id
-        entities = ids[handles]  # -1 stands for no body, and takes the last element
+            handles, numbers = self.simulator.segment(camera or self.camera, width, height)
+        entities = self.snapshot.layout.ids_of(handles)
         return np.where(entities, (numbers + 1) * LINK_FACTOR + entities, 0) if links else entities
 
     # -- what if --------------------------------------------------------------------------
@@ -253,40 +321,26 @@ class World(ConstructibleWorld, ManipulableSimulation, PublicNames):
                 body: joint_positions(values, body, name)
                 for name, body, values in self._bodies_of(joints or {})
             }
-            simulator, snapshot = what_if_tick(self.snapshot, body_poses, positions)
-        return World.of_tick(simulator, snapshot, self.camera, self.origin)
+            tick = what_if_tick(self.snapshot, body_poses, positions)
+        return World(LiveTicker.of_tick(*tick), camera=self.camera, origin=self.origin)
 
-    @staticmethod
-    def of_tick(
-        simulator: Simulator, snapshot: Snapshot, camera: Camera, origin: World | None = None
-    ) -> World:
-        """Returns the world of a single tick, which never changes.
-
-        Args:
-            simulator: a simulator in which nothing moves.
-            snapshot: the tick to be taken from it.
-            camera: the camera of the world.
-            origin: the world from which it derives.
-        """
-        world = World.__new__(World)
-        world._begin(UNNAMED, camera)  # noqa: SLF001  # one class
-        world._set_state(simulator, snapshot)  # noqa: SLF001
-        world._origin = origin  # noqa: SLF001
-        return world.tick()
-
-    def _bodies_of(self, by_entity: Mapping[str | Entity, T]) -> Iterator[tuple[str, Body, T]]:
+    def _bodies_of(self, by_entity: Mapping[str | Entity, Any]) -> Iterator[tuple[str, Body, Any]]:
         """Yields the name, the body and the value of each entity."""
         for key, value in by_entity.items():
-            entity = key if isinstance(key, Entity) else self[key]
-            if entity.world is not self:
-                raise ArgumentError(
-                    f"{entity!r} is in world {entity.world.name!r}, not in {self.name!r}; "
-                    "give its name"
-                )
-            row = self.snapshot.rows.get(entity.id)
-            if row is None:
-                raise entity.removed()
-            yield entity.name, entity.body_of(self.snapshot.entities[row], "move"), value
+            entity = self._present(key, (self,), "; give its name")
+            info = self.snapshot.entities[self.snapshot.rows[entity.id]]
+            yield entity.name, entity.body_of(info, "move"), value
+
+    def _present(self, entity: str | Entity, worlds: Iterable[World], advice: str = "") -> Entity:
+        """Returns the handle of an entity, after checking that the world has it at this tick."""
+        if not isinstance(entity, Entity):
+            entity = self[entity]
+        if entity.world not in worlds:
+            other = f"{entity!r} is in world {entity.world.name!r}"
+            raise ArgumentError(f"{other}, not in {self.name!r}{advice}")
+        if entity.id not in self.snapshot.rows:
+            raise entity.removed()
+        return entity
 
     # -- copies ---------------------------------------------------------------------------
 
@@ -294,11 +348,6 @@ class World(ConstructibleWorld, ManipulableSimulation, PublicNames):
     def origin(self) -> World:
         """The world from which a what-if or past world derives; else the world itself."""
         return self if self._origin is None else self._origin
-
-    @property
-    def simulator(self) -> Simulator:
-        """The simulator of the world."""
-        return self._simulator
 
     def excerpt(self, entities: Iterable[str | Entity]) -> World:
         """Returns a new, running world with copies of some entities as they are at this tick.
@@ -320,30 +369,19 @@ class World(ConstructibleWorld, ManipulableSimulation, PublicNames):
         """
         # Nothing may move while it is read, neither in this world nor in its origin.
         # In an attached world, a new tick for the joints could differ from this one.
-        tables = () if self._simulator.is_external else ("joints",)
+        tables = () if self.simulator.is_external else ("joints",)
         with self.pinned(tables), self.origin.lock:
-            ids = {self._id_of(entity) for entity in entities}
+            chosen = [self._present(entity, (self, self.origin)) for entity in entities]
+            ids = {entity.id for entity in chosen}
             simulator, sensors = excerpt(self.snapshot, ids, self.origin.simulator)
         return World.owning(simulator, self.name, sensors, self.camera)
 
     def posed(self) -> World:
         """Returns a copy of all bodies as they are at this tick, to be drawn."""
-        tables = () if self._simulator.is_external else ("joints",)
+        tables = () if self.simulator.is_external else ("joints",)
         with self.pinned(tables), self.origin.lock:
             simulator = posed(self.snapshot, self.origin.simulator)
         return World.owning(simulator, self.name, [], self.camera)
-
-    def _id_of(self, entity: str | Entity) -> int:
-        """Returns the id of an entity of this world or of its origin."""
-        if not isinstance(entity, Entity):
-            return self[entity].id
-        if entity.world not in (self, self.origin):
-            raise ArgumentError(
-                f"{entity!r} is in world {entity.world.name!r}, not in {self.name!r}"
-            )
-        if entity.id not in self.snapshot.rows:
-            raise entity.removed()
-        return entity.id
 
     def save(self, path: str | Path, simulator: str | None = None) -> Path:
         """Saves the world at this tick as a scene, which `ssduck.load` reads.
@@ -366,19 +404,14 @@ class World(ConstructibleWorld, ManipulableSimulation, PublicNames):
             UnsupportedError: the model of a MuJoCo world is not known as MJCF, or is to be saved
                 for PyBullet.
         """
-        folder = Path(path)
-        with new_folder(folder):
-            # The copy is an ordinary world, also of a past, what-if or attached one.
-            copy = self.excerpt(self)
-            try:
-                with copy.pinned(("joints",)):
-                    scene = scene_of(
-                        copy.snapshot, copy.simulator, folder, simulator or copy.simulator.backend
-                    )
-            finally:
-                copy.close()
-            scene = replace(scene, name=variable_name(self.name), camera=self._camera or Camera())
-            return write_scene(scene, folder)
+        # The copy is an ordinary world, also of a past, what-if or attached one.
+        with (
+            new_folder(path) as folder,
+            closing(self.excerpt(self)) as copy,
+            copy.pinned(("joints",)),
+        ):
+            tick = copy.snapshot, copy.simulator
+            return saved(*tick, folder, simulator, self.name, self._camera)
 
     # -- entities -------------------------------------------------------------------------
 
@@ -407,18 +440,7 @@ class World(ConstructibleWorld, ManipulableSimulation, PublicNames):
         for info in self.snapshot.entities:
             if info.name == name:
                 return self.entity(info.id)
-        raise no_entity_error(self.name, name, self.snapshot.entities, self.removal_of(name))
-
-    def removal_of(self, name: str) -> str:
-        """Returns when an entity of a name was removed, for an error; '' if none was."""
-        time = self._registry.removed.get(name)
-        if time is None:
-            return ""
-        return (
-            f"it was removed at {time:g} s; where it is recorded, "
-            f"{past_path(self.name, name)} is that of an earlier time, and functions of time take "
-            f"it from a query, as {past_query(self.name, name, time - self.timestep / 2)}"
-        )
+        raise no_entity_error(self.name, name, self.snapshot.entities, self.ticker.removal_of(name))
 
     def part_hint(self, name: str) -> str:
         """The hint of an error for a name: what of the world has it; "" if nothing has."""
@@ -444,15 +466,13 @@ class World(ConstructibleWorld, ManipulableSimulation, PublicNames):
 
     def __repr__(self) -> str:
         contents = contents_of([(entity.name, entity.kind) for entity in self])
-        names = dict.fromkeys(entity.name for entity in self) if self.is_attached else {}
+        names = dict.fromkeys(entity.name for entity in self) if self.ticker.is_attached else {}
         unclear = next((name for name in names if is_made_up(name, names)), None)
         hint = f"; World.attach(…, names=…) names {unclear}" if unclear else ""
         return f"<World {self.name!r}: {contents}, t={self.time:g} s{hint}>"
 
     def _repr_png_(self) -> bytes | None:
         """Returns a picture for notebooks; None if the world cannot be rendered."""
-        from ssduck.world.pictures import png
-
         try:
             return png(self)
         except SelectScriptError:  # its simulation is closed, say; the text is shown then
@@ -492,22 +512,30 @@ class World(ConstructibleWorld, ManipulableSimulation, PublicNames):
             ArgumentError: a setting is wrong.
             RemovedEntityError: the body is no longer in the world.
         """
+        ticker = self.ticker
         with self.lock:
-            self._check_not_pinned()
-            self._registry.update(self._simulator)
-            if isinstance(on, Link) and link is None:
+            ticker.check_not_pinned()
+            ticker.registry.update(self.simulator)
+            if isinstance(on, Link):
+                if link is not None:
+                    raise ArgumentError(
+                        f"{on!r} is given with another link; give its entity with that"
+                    )
                 on, link = on.entity, on.name
-            if isinstance(on, Handle) and on.world is not self:
-                raise ArgumentError(f"add_sensor: on: {on.name!r} is of another world")
-            host = self._registry.host(on, self.name)
-            values = {
-                **({} if link is None else {"link": link}),
-                **_plain({"position": position, "orientation": orientation, **settings}),
-            }
-            info = self._registry.add_sensor(type, host, name, values)
+            if isinstance(on, Entity):
+                if on.world is not self:
+                    raise ArgumentError(f"add_sensor: on: {on.name!r} is of another world")
+                host = ticker.registry.get(on.id)
+                if host is None:
+                    raise on.removed()
+            else:
+                host = ticker.registry.host(on, self.name)
+            pose = {"position": position, "orientation": orientation}
+            mount = pose if link is None else {**pose, "link": link}
+            info = ticker.registry.add_sensor(type, host, name, {**mount, **settings})
             assert info.sensor is not None
             self.snapshot.switch(info.id, on=info.sensor.powered)
-            self._take_tick()
+            ticker.take()
             sensor = self.entity(info.id)
         assert isinstance(sensor, Sensor)
         return sensor
@@ -524,24 +552,12 @@ class World(ConstructibleWorld, ManipulableSimulation, PublicNames):
             RemovedEntityError: the sensor is no longer in the world.
         """
         with self.lock:
-            self._check_not_pinned()
-            entity = sensor if isinstance(sensor, Entity) else self[sensor]
-            if entity not in self:
-                raise entity.removed()
+            self.ticker.check_not_pinned()
+            entity = self._present(sensor, (self, self.origin))
             if not isinstance(entity, Sensor):
                 raise ArgumentError(f"{entity.name!r} is a {entity.kind}, no sensor")
-            self._registry.remove(entity.id, self.time)
-            self._take_tick()
-
-    def switch(self, sensor: Sensor, *, on: bool) -> None:
-        """Switches a sensor on or off; see `Sensor.power`."""
-        with self.lock:
-            self._check_not_pinned()
-            if sensor not in self:
-                raise sensor.removed()
-            on = validation.boolean(on, "power: on")
-            if on != self.snapshot.sensing.is_on(sensor.id):
-                self.snapshot.switch(sensor.id, on=on)
+            self.ticker.registry.remove(entity.id, self.time)
+            self.ticker.take()
 
     def reading(self, sensor: Sensor, *, picture: bool = False) -> Reading | None:
         """Returns the last reading of a sensor, with a picture if requested; None if it is off."""
@@ -549,7 +565,7 @@ class World(ConstructibleWorld, ManipulableSimulation, PublicNames):
             if sensor not in self:
                 raise sensor.removed()
             if self.snapshot.request_sensor(sensor.id, picture=picture):
-                self._take_requested()
+                self.ticker.take_requested()
                 if sensor not in self:  # its body was removed
                     raise sensor.removed()
             return self.snapshot.sensing.readings.get(sensor.id)
@@ -572,19 +588,10 @@ class World(ConstructibleWorld, ManipulableSimulation, PublicNames):
         if isinstance(handle, Sensor):
             self.remove_sensor(handle)
             return
-        if self._simulator.is_external:
+        if self.simulator.is_external:
             raise UnsupportedError(
                 f"{handle.name!r} is in a client of yours: remove it there, and the next tick sees "
                 "it; or take an excerpt, and remove it from that"
             )
-        self._change(handle, "remove", self._simulator.remove)
-
-
-def _plain(value: Any) -> Any:
-    """Converts numpy values to Python's and sequences to lists; returns other values unchanged."""
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    if isinstance(value, dict):
-        return {key: _plain(part) for key, part in value.items()}
-    is_list = isinstance(value, Sequence) and not isinstance(value, str)
-    return [_plain(part) for part in value] if is_list else value
+        with handle.changed("remove") as (simulator, body):
+            simulator.remove(body)

@@ -95,8 +95,8 @@ def test_expressions(batch, monkeypatch, text):
     assert agree(ss.eval(f"{text};"), expected)
     sim.tick(states)
     asked = []
-    choose = type(sim)._choose
-    monkeypatch.setattr(type(sim), "_choose", lambda *a: asked.append(a[1]) or choose(*a))
+    choose = type(sim.ticker).choose
+    monkeypatch.setattr(type(sim.ticker), "choose", lambda *a: asked.append(a[1]) or choose(*a))
     assert agree(ss.eval(f"{text};"), expected)
     # Arrays have all values but those that are texts of numbers.
     assert asked == ([*range(COUNT)] if text.startswith("str") else [])
@@ -203,8 +203,8 @@ def test_a_number_of_what_is_nan_needs_no_second_look(batch, monkeypatch):
     sim.tick(states)
     ss.eval("exp(-z(sim.cube)) + x(sim.ball);")
     asked = []
-    choose = type(sim)._choose
-    monkeypatch.setattr(type(sim), "_choose", lambda *a: asked.append(a[1]) or choose(*a))
+    choose = type(sim.ticker).choose
+    monkeypatch.setattr(type(sim.ticker), "choose", lambda *a: asked.append(a[1]) or choose(*a))
     sim.tick(states)
     assert np.flatnonzero(np.isnan(ss.eval("exp(-z(sim.cube)) + x(sim.ball);"))).tolist() == [2]
     assert asked == []
@@ -325,7 +325,7 @@ def test_a_limit_in_a_function_is_no_cliff(batch, monkeypatch):
         ss.add_variable("low", low)
         ss.add_variable("high", high)
         assert np.array_equal(ss.eval("clip(z(sim.cube), low, high);"), heights.clip(low, high))
-        monkeypatch.setattr(type(sim), "_choose", lambda _, number: asked.append(number))
+        monkeypatch.setattr(type(sim.ticker), "choose", lambda _, number: asked.append(number))
         sim.tick(states)
     assert asked == []
 

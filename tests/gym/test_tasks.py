@@ -305,7 +305,7 @@ def test_where_the_state_is_nan(folder, nan, expected):
     env.reset(seed=1)
     _, _, is_over, _, info = env.step(np.zeros(1, np.float32))
     assert (info["ssduck"]["parts"]["high"], is_over) == (pytest.approx(0.45, abs=0.01), False)
-    env._world._simulator.data.qpos[:] = np.nan
+    env._world.simulator.data.qpos[:] = np.nan
     observation, _, is_over, _, info = env.step(np.zeros(1, np.float32))
     assert (info["ssduck"]["parts"]["high"], is_over) == expected
     assert observation.tolist() == [expected[0]] * 2

@@ -164,7 +164,7 @@ def test_long_chains_do_not_grow_without_end(ss, sign):
 def test_what_is_gone_is_equal_to_nothing_else(ss, program, value):
     kept, gone = ss.eval("SELECT obj FROM w WHERE id(this) IN ['low', 'high'] AS list;")
     world = ss.call_variable("w")
-    pybullet.removeBody(2, physicsClientId=world._simulator.client)
+    pybullet.removeBody(2, physicsClientId=world.simulator.client)
     world.tick()
     ss.add_variable("gone", gone)
     ss.add_variable("kept", kept)
@@ -180,7 +180,7 @@ def test_what_is_gone_is_equal_to_nothing_else(ss, program, value):
 def test_what_is_gone_has_no_relations(ss, call):
     gone = ss.eval("SELECT obj FROM w WHERE id(this) == 'high' AS value;")
     world = ss.call_variable("w")
-    pybullet.removeBody(2, physicsClientId=world._simulator.client)
+    pybullet.removeBody(2, physicsClientId=world.simulator.client)
     world.tick()
     ss.add_variable("gone", gone)
     program = f"SELECT {call} FROM w AS list;"

@@ -246,15 +246,13 @@ OTHERS = {
     "Past": "a result; `Interpreter.past` makes it",
     "OccupancyGrid": "a result", "Grid": "a result", "SensorGrid": "a result",
     "PlaneGrid": "a result", "VoxelGrid": "a result", "Selection": "handed to adapters",
-    "World.advance": "a part of step", "World.drive": "Entity.drive", "World.hold": "Entity.hold",
-    "World.enable": "Entity.enabled", "World.show": "Entity.visible",
-    "World.place": "Entity.move", "World.reading": "Sensor.reading",
-    "World.attach(forward)": "of MuJoCo, tests/simulators/mujoco", "World.switch": "Sensor.power", "World.reached": "for followers",
-    "World.pin(is_read)": "a part of pinned", "World.handle(id)": "of a row", "World.steps_to_tick": "a part of step",
+    "World.reading": "Sensor.reading",
+    "World.attach(forward)": "of MuJoCo, tests/simulators/mujoco", "World.reached": "for followers",
+    "World.pinned": "a part of queries", "World.handle(id)": "of a row", "World.steps_to_tick": "a part of step",
     "World(simulator)": "made by load and attach", "Interpreter.keep": "a part of programs",
     "Interpreter.addTrigger": "Interpreter.add_trigger",
     "Lake.score": "Lake.ask", "Lake.stream": "Lake.ask", "RecordWriter.begin": "for its subclass",
-    "World.pin(is_settled)": "a part of pinned", "ReplayedWorld.replace_ticks": "for readers of lakes", "ReplayedWorld.seek_tick": "for scoring",
+    "ReplayedWorld.replace_ticks": "for readers of lakes", "ReplayedWorld.seek_tick": "for scoring",
 }  # fmt: skip
 
 

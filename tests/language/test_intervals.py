@@ -61,7 +61,7 @@ def _put(world: ssduck.World, heights: list[float]) -> list[float]:
     """Put the ball at heights, one a step; gives the times of these ticks."""
     times = []
     for height in heights:
-        world._simulator.step(1)
+        world.simulator.step(1)
         world["ball"].move([0, 0, height])
         times.append(world.time)
     return times
@@ -117,7 +117,7 @@ def test_changes_of_columns_are_those_of_objects(some: list[Any], data: st.DataO
 def test_a_long_window_is_what_numpy_finds_by_hand(lab: Any) -> None:
     """Of the ticks of one time the last one counts; at the first ones the entity is not there."""
     _, _, world = lab
-    client = world._simulator.client
+    client = world.simulator.client
     shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
     early = [world.time]
     for _ in range(150):
@@ -126,7 +126,7 @@ def test_a_long_window_is_what_numpy_finds_by_hand(lab: Any) -> None:
     body = pybullet.createMultiBody(1, shape, physicsClientId=client)
     heights, late = np.round(np.random.default_rng(5).uniform(0.5, 1.5, 250), 1), []
     for height in heights.tolist():
-        world._simulator.step(1)
+        world.simulator.step(1)
         pybullet.resetBasePositionAndOrientation(body, [0, 0, height], [0, 0, 0, 1], client)
         world.tick()
         late.append(world.time)
@@ -286,7 +286,7 @@ def test_rows_are_asked_about_one_by_one(lab: Any) -> None:
 @pytest.mark.slow
 def test_an_entity_that_was_not_there_ends_what_holds(lab: Any) -> None:
     ss, _, world = lab
-    client = world._simulator.client
+    client = world.simulator.client
     shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
     world.step(5)
     body = pybullet.createMultiBody(1, shape, basePosition=[0, 0, 3], physicsClientId=client)

@@ -89,7 +89,7 @@ def test_whatever_is_read_first(runs: dict[str, Path], number: int) -> None:
     with ssduck.open(runs["folder"]) as first, ssduck.open(runs["folder"]) as second:
         second.eval("SELECT id FROM lab AS list;")
         worlds = [ss.call_variable("lab") for ss in (first, second)]
-        assert [world.is_restored for world in worlds] == [False, True]
+        assert [world.ticker.is_restored for world in worlds] == [False, True]
         lazily, eagerly = (READS[number](world) for world in worlds)
         assert lazily == eagerly
 

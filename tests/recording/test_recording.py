@@ -53,7 +53,7 @@ def world(client: int) -> ssduck.World:
 def _recorded(world: ssduck.World, store: Any, **given: Any) -> tuple[Recorder, int]:
     recorder = Recorder(Recording(**given), store, max_ticks=10)
     first = world.snapshot.number
-    world.add_recorder(recorder)
+    world.ticker.add_recorder(recorder)
     return recorder, first
 
 

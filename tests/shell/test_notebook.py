@@ -105,7 +105,7 @@ def test_a_notebook_shows_a_world_in_place(ss, tmp_path):
 
 def wait_until_observed(ss, page):
     for _ in range(3000):
-        if ss["kitchen"].is_observed:
+        if ss["kitchen"].observers.are_there:
             return
         page.value("new Promise(done => setTimeout(() => done(0), 20))")
     raise AssertionError("the frame of the page has no connection")

@@ -391,7 +391,7 @@ def test_a_closed_world_does_not_close_the_next_one():
     first = ssduck.World.load(find_scene("kitchen"))
     first.close()
     second = ssduck.World.load(find_scene("kitchen"))
-    assert second._simulator.client == first._simulator.client
+    assert second.simulator.client == first.simulator.client
     first.close()
     for act in (first.tick, first.step, first.render):
         with pytest.raises(SimulatorError, match="the world is closed"):

@@ -297,12 +297,12 @@ def test_the_poses_are_those_of_the_world_and_only_what_moved_is_sent(ss, url):
 def test_nobody_is_told_when_nobody_looks():
     ss = ssduck.load("kitchen")
     page = ss.view()
-    assert not ss["kitchen"].is_observed
+    assert not ss["kitchen"].observers.are_there
     with opened(page.url) as socket:
         binary(socket, POSES)
-        assert ss["kitchen"].is_observed
+        assert ss["kitchen"].observers.are_there
     page.close()
-    assert not ss["kitchen"].is_observed
+    assert not ss["kitchen"].observers.are_there
     ss.close()
 
 

@@ -305,9 +305,9 @@ def test_a_removed_bodys_state_does_not_pass_on(client):
             change()
     (new,) = world.tick()
     assert (new.enabled, new.visible) == (True, True)
-    assert not world._simulator.disabled
-    assert not world._simulator.hidden
-    assert not world._simulator._colours
+    assert not world.simulator.disabled
+    assert not world.simulator.hidden
+    assert not world.simulator._colours
 
 
 def test_sensors_and_closed_worlds_have_no_such_state(kitchen):
@@ -388,8 +388,8 @@ def carrier(write):
 
 def test_a_sensor_is_a_point_that_moves_with_its_link(carrier):
     """Its pose by composition, its velocity by the change of its position."""
-    client = carrier._simulator.client
-    (handle,) = carrier._simulator._descriptions
+    client = carrier.simulator.client
+    (handle,) = carrier.simulator._descriptions
     pybullet.resetBaseVelocity(handle, [1, 2, 3], [3, -2, 1], client)
     pybullet.setJointMotorControl2(
         handle, 0, pybullet.VELOCITY_CONTROL, force=0, physicsClientId=client

@@ -95,7 +95,7 @@ class TemporalEvaluator:
         places, world, values, handles = self._given(call, frame)
         query = self._query(call, places, handles)
         record = record_of(world)
-        record.world.warn_of_unrecorded_start()
+        record.world.ticker.warn_of_unrecorded_start()
         moment = common_moment(world, (), frame.own_elements())
         now = None if moment is None else moment.tick
 

@@ -188,7 +188,7 @@ class LiveFolds:
             last = None
         if last is not None and last.tick == snapshot.number:
             return last
-        is_first = last is None and snapshot.time == world.episode_start
+        is_first = last is None and snapshot.time == world.ticker.episode_start
         is_next = last is not None and snapshot.number == last.tick + 1
         if meaning is None or not (is_first or is_next):
             raise EvaluationError(
@@ -256,7 +256,9 @@ class LiveFolds:
         number, time = snapshot.number, snapshot.time
         origin = None if last is None else last.origin
         is_later = last is not None and time > last.time
-        if last is None or time == world.episode_start:  # of ticks of one time, the last one counts
+        if (
+            last is None or time == world.ticker.episode_start
+        ):  # of ticks of one time, the last one counts
             last, before = None, None
         else:
             before = (last.state,) if is_later else last.before

@@ -58,7 +58,7 @@ class _DueFormulas:
 
     def evaluate(self) -> None:
         """Evaluates the formulas at the tick of their world, as far as they can be together."""
-        self._world.pin(self._tables, is_settled=False)
+        self._world.ticker.pin(self._tables, is_settled=False)
         try:
             snapshot = self._world.snapshot
             # A tick that was taken just now may have other entities.
@@ -74,7 +74,7 @@ class _DueFormulas:
                     if len(group.formulas) > 1:
                         self._split(group, snapshot)
         finally:
-            self._world.unpin()
+            self._world.ticker.unpin()
 
     def _numbers(self, snapshot: Snapshot) -> list[Any]:
         """Returns what differs if a number that is read, or a shape, is another one."""

@@ -299,8 +299,8 @@ class Schedule:
 
     def reschedule(self, world: World) -> None:
         """Sets the due time to the first multiple of the interval in the future."""
-        if self._interval > world.slack:
-            elapsed = world.time + world.slack - self._start
+        if self._interval > world.ticker.slack:
+            elapsed = world.time + world.ticker.slack - self._start
             count = math.floor(elapsed / self._interval) + 1
             self.due = self._start + count * self._interval
 

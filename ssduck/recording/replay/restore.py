@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,12 +18,13 @@ from ssduck.geometry.poses import rotation_matrices
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.recording.buffers import TickBuffer
 from ssduck.schema import FRAMES, ON_DEMAND, POSE, TABLES
-from ssduck.simulators.interface import Body, LinkPoses, Simulator
+from ssduck.simulators.interface import Body, LinkPoses
 from ssduck.simulators.partial import StaticSimulator
 from ssduck.world.entities import Entity
-from ssduck.world.handles import RecordedTick
+from ssduck.world.handles import RecordedTick, WorldArchive
 from ssduck.world.layout import BodyGroup, EntityInfo, TableLayout
-from ssduck.world.snapshot import Snapshot
+from ssduck.world.snapshot import RECORDED_DOUBLES, Snapshot
+from ssduck.world.ticking import LiveTicker
 from ssduck.world.world import World
 
 # The number of ticks of a block, and the number of cached blocks.
@@ -73,7 +74,6 @@ _NAN = float("nan")
 # Tables that only a simulator provides; their rows are copied from the record.
 _COPIED = frozenset(name for name in ON_DEMAND if not TABLES[name].key)
 _STATE = (*POSE, "vx", "vy", "vz", "wx", "wy", "wz")
-_ENTITY_DOUBLES = TABLES["entities"].tick_columns.doubles
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +115,7 @@ class SnapshotRestorer:
         by_id = np.argsort(rows["id"])
         listed = [member.id for member in template.snapshot.entities]
         order = by_id[np.searchsorted(rows["id"][by_id], listed)]
-        doubles = np.array([rows[name] for name in _ENTITY_DOUBLES])[:, order]
+        doubles = np.array([rows[name] for name in RECORDED_DOUBLES])[:, order]
         own_states = np.array([rows[name] for name in _STATE])[:, order].T
         links = self._states_of_links(tick, template.link_owners)
         states = np.concatenate((own_states, links))
@@ -140,12 +140,8 @@ class SnapshotRestorer:
             hidden=absent["visible"],
             description="a recorded tick",
         )
-        snapshot.go_to(tick)
+        snapshot.go_to(tick, doubles)
         snapshot.take(simulator, members)
-        # Poses are computed anew above; the recorded numbers are exact.
-        entities = snapshot.tables["entities"]
-        entities.block[entities.block_rows(_ENTITY_DOUBLES)] = doubles
-        entities.publish_unknown()
         for table in _COPIED & self._tables:
             recorded = self._rows.rows(table, tick)
             snapshot.tables[table].fill(len(recorded["tick"]), recorded)
@@ -263,7 +259,37 @@ def _sources(
 
 
 # Tables that are read from the static simulator; the others are copied from the record.
-_READ = frozenset(name for name in ON_DEMAND if TABLES[name].key)
+READ = frozenset(name for name in ON_DEMAND if TABLES[name].key)
+
+
+class PastTicker(LiveTicker):
+    """Takes a recorded tick, again and again, with the tables that are requested."""
+
+    def __init__(
+        self, record: WorldArchive, simulator: StaticSimulator, snapshot: Snapshot
+    ) -> None:
+        super().__init__(record.world.name, simulator, snapshot)
+        self._record = record
+
+    def removal_of(self, name: str) -> str:
+        """Returns that an entity of a name is recorded at other ticks; "" if none is."""
+        return recorded_elsewhere(self._record, name)
+
+    def request_tables(self, tables: Collection[str]) -> None:
+        """Ensures that the tick includes tables; recorded ones are always there."""
+        self._record.warn_of_missing(tables)
+        super().request_tables(READ.intersection(tables))
+
+
+def recorded_elsewhere(record: WorldArchive, name: str) -> str:
+    """Returns that an entity of a name is recorded at other ticks, for an error; "" if none is."""
+    if all(member.name != name for member in record.members.values()):
+        return ""
+    world = record.world.name
+    return (
+        f"it is there at other ticks of the record: {past_path(world, name)}; functions of "
+        f"time take it from a query at its last time t, as {past_query(world, name, 't')}"
+    )
 
 
 class PastWorld(World):
@@ -272,42 +298,14 @@ class PastWorld(World):
     def __init__(
         self, moment: RecordedTick, simulator: StaticSimulator, snapshot: Snapshot
     ) -> None:
-        record = moment.record
-        self._begin(record.world.name, record.world.camera)
-        self._record = record
-        self._set_state(simulator, snapshot)
-
-    def _set_state(self, simulator: Simulator, snapshot: Snapshot) -> None:
-        super()._set_state(simulator, snapshot)
-        entities = snapshot.tables["entities"]
-        self._recorded = entities.block[entities.block_rows(_ENTITY_DOUBLES)].copy()
+        self._record = moment.record
+        ticker = PastTicker(self._record, simulator, snapshot)
+        super().__init__(ticker, camera=self._record.world.camera)
 
     @property
     def origin(self) -> World:
         """The recorded world."""
         return self._record.world
-
-    def _take(self) -> None:
-        super()._take()
-        # Other tables are computed from poses; this one has exactly the recorded numbers.
-        entities = self.snapshot.tables["entities"]
-        entities.block[entities.block_rows(_ENTITY_DOUBLES)] = self._recorded
-        entities.publish_unknown()
-
-    def removal_of(self, name: str) -> str:
-        """Returns that an entity of a name is recorded at other ticks; '' if none is."""
-        if all(member.name != name for member in self._record.members.values()):
-            return ""
-        return (
-            f"it is there at other ticks of the record: {past_path(self.name, name)}; functions of "
-            f"time take it from a query at its last time t, as {past_query(self.name, name, 't')}"
-        )
-
-    def request_tables(self, tables: Iterable[str]) -> None:
-        """Ensures that the tick includes tables; recorded ones are always there."""
-        requested = frozenset(tables)
-        self._record.warn_of_missing(requested)
-        super().request_tables(_READ & requested)
 
     def shapes(self) -> ShapeQueries:
         """Returns queries of the shapes at this tick."""

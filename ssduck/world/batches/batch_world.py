@@ -31,8 +31,8 @@ from ssduck.simulators.environments import (
     to_numpy,
 )
 from ssduck.simulators.recognition import simulator_of_model
-from ssduck.world.construction import UNNAMED
-from ssduck.world.what_if import copied_tick
+from ssduck.world.copies import copied_tick
+from ssduck.world.ticking import UNNAMED, LiveTicker
 from ssduck.world.world import World
 
 _MAX_HISTORY = 10**9
@@ -53,6 +53,72 @@ class PastEpisode:
     is_whole: bool
 
 
+class BatchTicker(LiveTicker):
+    """Takes the tick of one environment at a time, in which queries read it.
+
+    Attributes:
+        is_open: whether queries may read the tick.
+    """
+
+    simulator: EnvironmentSimulator
+    is_open = False
+
+    @property
+    def is_final(self) -> bool:
+        """True: the ticks of a batch come from `BatchWorld.tick`, and are not recorded."""
+        return True
+
+    @property
+    def time(self) -> float:
+        """The latest simulated time of an environment, s."""
+        return float(self.simulator.environments.times.max())
+
+    def choose(self, environment: int) -> None:
+        """Takes the tick of an environment."""
+        self.simulator.chosen = environment
+        self.snapshot.unavailable = self.unavailable
+        self.take()
+
+    @property
+    def unavailable(self) -> dict[str, str]:
+        """The tables that no state has, with the reason."""
+        return {} if self.simulator.environments.knows_contacts else {"contacts": NO_CONTACTS}
+
+    def pin(
+        self, tables: Collection[str] = (), *, is_read: bool = True, is_settled: bool = True
+    ) -> None:
+        """Keeps the world at its tick; raises an error if none is chosen, or lacks a table."""
+        if is_read:
+            self.check_open()
+        for table, reason in self.unavailable.items():
+            if table in tables:
+                raise ArgumentError(reason)
+        super().pin(tables, is_read=is_read, is_settled=is_settled)
+
+    def check_open(self) -> None:
+        """Checks that one of the environments is read."""
+        if not self.is_open:
+            count = self.simulator.environments.count
+            raise UnsupportedError(
+                f"{self.name!r} is a batch of {count} environments, and this is a question to "
+                f"one world: ask {self.name}.environment(0), or write it as a program for eval"
+            )
+
+    def run(self, *_: Any) -> Never:
+        """Raises `UnsupportedError`: the caller steps the simulations."""
+        raise UnsupportedError(
+            f"{self.name!r} is a batch of {self.simulator.environments.count} environments: step "
+            "your simulations, then give tick their state"
+        )
+
+    def add_recorder(self, *_: Any) -> Never:
+        """Raises `UnsupportedError`: a recording is of one world."""
+        raise UnsupportedError(
+            f"{self.name!r} is a batch: World.batch(…, history=1000) keeps its ticks, and "
+            "export_batch writes them as episodes"
+        )
+
+
 class BatchWorld(World):
     """Many simulations of one model, the *environments*, numbered from 0; see `World.batch`.
 
@@ -66,11 +132,13 @@ class BatchWorld(World):
         began: (n,), the version at which the episode of each environment began.
     """
 
+    ticker: BatchTicker
+
     def __init__(
         self, simulator: EnvironmentSimulator, *, name: str = UNNAMED, history: int = 0
     ) -> None:
+        super().__init__(BatchTicker.begun(name, simulator, ()))
         self._environments: Environments = simulator.environments
-        self._is_open = True  # for the first tick
         self.version = 0
         self._is_told_of_resets = self._has_told_of_fall = False
         self.began: Indices = np.zeros(self._environments.count, np.intp)
@@ -79,9 +147,6 @@ class BatchWorld(World):
         self._history: deque[tuple[Environments, Indices]] = deque(maxlen=history)
         # What reads the present states before the next ones.
         self._before_tick: list[weakref.WeakMethod[Callable[[], None]]] = []
-        super().__init__(simulator, name=name)
-        self._is_open = False
-        self.snapshot.recorded = frozenset()
         self.snapshot.read_margins(simulator)  # those of the model, which stay the same
 
     def __repr__(self) -> str:
@@ -101,19 +166,9 @@ class BatchWorld(World):
         return self._environments
 
     @property
-    def time(self) -> float:
-        """The latest simulated time of an environment, s; see `times`."""
-        return float(self._environments.times.max())
-
-    @property
     def times(self) -> Array:
         """The simulated time of each environment, s, (n,)."""
         return self._environments.times.copy()
-
-    @property
-    def is_final(self) -> bool:
-        """True: its ticks come from `tick`, and are not recorded."""
-        return True
 
     def tick(  # type: ignore[override]
         self, state: States = None, **arrays: Any
@@ -144,7 +199,7 @@ class BatchWorld(World):
             if (read := reference()) is not None:
                 read()  # it locks its interpreter, and then this world
         with self.lock:
-            self._check_not_pinned()
+            self.ticker.check_not_pinned()
             before = self._environments.times
             self._environments.update(state, arrays)
             self.version += 1
@@ -191,7 +246,7 @@ class BatchWorld(World):
             ArgumentError: there is no such environment.
         """
         with self.lock:
-            self._check_not_pinned()
+            self.ticker.check_not_pinned()
             chosen = self.numbers(environments, "reset")
             self._environments.reset(chosen)
             self._restarting[chosen] = True
@@ -256,10 +311,8 @@ class BatchWorld(World):
 
     def replay(self, episode: PastEpisode) -> Iterator[World]:
         """Yields a world of its own at each tick of an episode."""
-        simulator = self._simulator
-        assert isinstance(simulator, EnvironmentSimulator)
         first, *others = episode.states
-        own = simulator.of(episode.environment, first)
+        own = self.ticker.simulator.of(episode.environment, first)
         world = World(own, name=self.name)
         yield world
         for states in others:
@@ -269,12 +322,9 @@ class BatchWorld(World):
     def step(self, count: int = 1, *, every: int | None = 1, **others: Never) -> Never:
         """Raises `UnsupportedError`: the caller steps the simulations."""
         del count, every, others
-        raise UnsupportedError(
-            f"{self.name!r} is a batch of {self.count} environments: step your simulations, then "
-            "give tick their state"
-        )
+        self.ticker.run()
 
-    run = advance = begin_episode = step  # type: ignore[assignment]
+    run = begin_episode = step  # type: ignore[assignment]
 
     def follow(self, *_: Any) -> Never:
         """Raises `UnsupportedError`: a trigger is of one world."""
@@ -283,39 +333,20 @@ class BatchWorld(World):
             "the program after each tick"
         )
 
-    def add_recorder(self, *_: Any) -> Never:
-        """Raises `UnsupportedError`: a recording is of one world."""
-        raise UnsupportedError(
-            f"{self.name!r} is a batch: World.batch(…, history=1000) keeps its ticks, and "
-            "export_batch writes them as episodes"
-        )
-
     # -- one environment ----------------------------------------------------------------------
 
     @contextmanager
     def at(self, environment: int) -> Iterator[None]:
         """Lets queries read one of the environments in a context."""
         with self.lock:
-            self._check_not_pinned()
-            before = self._is_open
-            self._choose(environment)
-            self._is_open = True
+            self.ticker.check_not_pinned()
+            before = self.ticker.is_open
+            self.ticker.choose(environment)
+            self.ticker.is_open = True
             try:
                 yield
             finally:
-                self._is_open = before
-
-    def _choose(self, environment: int) -> None:
-        """Takes the tick of an environment."""
-        simulator = self._simulator
-        assert isinstance(simulator, EnvironmentSimulator)
-        simulator.chosen = environment
-        self.snapshot.unavailable = self._unavailable()
-        self._take()
-
-    def _unavailable(self) -> dict[str, str]:
-        """Returns the tables that no state has, with the reason."""
-        return {} if self._environments.knows_contacts else {"contacts": NO_CONTACTS}
+                self.ticker.is_open = before
 
     def environment(self, number: int) -> World:
         """Returns the world of an environment at the last tick, which never changes.
@@ -329,41 +360,17 @@ class BatchWorld(World):
         if number >= self.count:
             raise ArgumentError(f"environment: there are those from 0 to {self.count - 1}")
         tables = [
-            name for name in ("contacts", "links", "joints") if name not in self._unavailable()
+            name for name in ("contacts", "links", "joints") if name not in self.ticker.unavailable
         ]
         with self.at(number), self.pinned(tables):
             simulator, snapshot = copied_tick(self.snapshot)
-            snapshot.unavailable = self._unavailable()
-        return World.of_tick(simulator, snapshot, self.camera)
-
-    def pin(
-        self, tables: Collection[str] = (), *, is_read: bool = True, is_settled: bool = True
-    ) -> None:
-        """Keeps the world at its tick, with tables included, while a query runs.
-
-        Raises:
-            UnsupportedError: the query reads a tick in tables, and none is chosen.
-            ArgumentError: the states have not what is in a table.
-        """
-        if is_read:
-            self._check_open()
-        for table, reason in self._unavailable().items():
-            if table in tables:
-                raise ArgumentError(reason)
-        super().pin(tables, is_read=is_read, is_settled=is_settled)
-
-    def _check_open(self) -> None:
-        """Checks that one of the environments is read."""
-        if not self._is_open:
-            raise UnsupportedError(
-                f"{self.name!r} is a batch of {self.count} environments, and this is a question to "
-                f"one world: ask {self.name}.environment(0), or write it as a program for eval"
-            )
+            snapshot.unavailable = self.ticker.unavailable
+        return World(LiveTicker.of_tick(simulator, snapshot), camera=self.camera)
 
     @property
     def present(self) -> Self:
         """The world itself, while one of its environments is read."""
-        self._check_open()
+        self.ticker.check_open()
         return self
 
     def render(self, *_: Any, **__: Any) -> Never:

@@ -121,7 +121,7 @@ def test_the_kitchens_sensors_see_what_pybullets_rays_reach(kitchen):
     query = "SELECT obj FROM kitchen WHERE id(this) == 'fridge_webcam' AS sensorgrid(0.5, 0.04);"
     grid = kitchen.eval(query)
     world = kitchen.call_variable("kitchen")
-    sensor, client = world["fridge_webcam"], world._simulator.client
+    sensor, client = world["fridge_webcam"], world.simulator.client
     start, points = np.array(sensor.position), centres(grid, 0.5)
     local = (points - start) @ Rotation.from_quat(np.roll(sensor.orientation, -1)).as_matrix()
     half = np.tan(np.radians(sensor.spec.settings["fov"] / 2))

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 import ssduck
 from ssduck.errors import ArgumentError, SimulatorError, UnknownNameError, UnsupportedError
-from ssduck.world import running
+from ssduck.world import stepping
 from tests.support.cases import sampled
 from tests.support.triggering import HEIGHT, NAN, Times
 
@@ -97,7 +97,7 @@ def test_worlds_end_at_the_step_that_is_nearest(steps, seconds, every):
         for client, step in zip(clients, map(Fraction, steps), strict=True):
             pybullet.setTimeStep(float(step), client)
             worlds.append(ssduck.World.attach(client))
-        running.run(worlds, seconds, every=every)
+        stepping.run(worlds, seconds, every=every)
         for world, step in zip(worlds, map(float, map(Fraction, steps)), strict=True):
             assert abs(world.time - seconds) <= step / 2 * (1 + 1e-9)
     finally:
@@ -138,7 +138,7 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch):
     found = Clock()
-    monkeypatch.setattr(running, "time", found)
+    monkeypatch.setattr(stepping, "time", found)
     return found
 
 
@@ -188,9 +188,9 @@ def test_ctrl_c_ends_a_run_at_a_tick(sim):
         sim.run(1e6)
     timer.join()
     assert 0 < sim.time < 1e6
-    assert sim.time == sim._simulator.time
+    assert sim.time == sim.simulator.time
     assert sim["ball"].position[2] == pytest.approx(
-        pybullet.getBasePositionAndOrientation(0, sim._simulator.client)[0][2]
+        pybullet.getBasePositionAndOrientation(0, sim.simulator.client)[0][2]
     )
 
 

@@ -134,7 +134,7 @@ def test_handles_of_the_past_stay(falling: ssduck.Interpreter) -> None:
 def test_a_handle_that_was_not_there_is_unknown(falling: ssduck.Interpreter) -> None:
     _step(falling, 5)
     world = falling.call_variable("lab")
-    client = world._simulator.client
+    client = world.simulator.client
     ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
     pybullet.createMultiBody(1, ball, basePosition=[0, 1, 1], physicsClientId=client)
     world.step()

@@ -55,7 +55,7 @@ def test_in_a_list_too(fallen: ssduck.Interpreter) -> None:
 @pytest.mark.slow
 def test_of_an_entity_that_was_not_there_it_is_nothing(fallen: ssduck.Interpreter) -> None:
     lab = fallen.call_variable("lab")
-    pybullet.createMultiBody(1, -1, basePosition=[0, 0, 3], physicsClientId=lab._simulator.client)
+    pybullet.createMultiBody(1, -1, basePosition=[0, 0, 3], physicsClientId=lab.simulator.client)
     _step(fallen, 1)
     [twin] = {entity.name for entity in lab} - {"board", "ball_0", "ball_1"}
     ask = f"SELECT {{}}(lab.{twin}) FROM lab{{{{0.1}}}} WHERE id(this) == 'board' AS list;"

@@ -420,7 +420,7 @@ def test_half_a_scene_is_not_left(kitchen, tmp_path, monkeypatch, kind):
         assert any(folder.rglob("*"))
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("ssduck.world.world.write_scene", fails)
+    monkeypatch.setattr("ssduck.world.copies.write_scene", fails)
     with pytest.raises(SceneError, match="scene: No space left on device"):
         kitchen.save(folder)
     assert folder.exists() == (kind != "new")

@@ -65,9 +65,9 @@ def arm(write):
 
 @pytest.mark.slow
 def test_a_sensor_on_a_link_looks_where_the_link_points(arm):
-    client = arm._simulator.client
+    client = arm.simulator.client
     (handle,) = (
-        b.handle for b in (d.body for d in arm._simulator._descriptions.values()) if b.name == "arm"
+        b.handle for b in (d.body for d in arm.simulator._descriptions.values()) if b.name == "arm"
     )
     eye = arm["eye"]
     assert eye.ranges == pytest.approx([3 - 0.1 - 0.25], abs=EXACT)

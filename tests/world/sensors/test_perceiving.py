@@ -396,8 +396,8 @@ def test_colours_are_drawn_when_they_are_asked_for(mast):
     world = mast.open()
     camera = world.add_sensor("depth_camera", "mast", **CAMERA, period=1.0)
     pictures = []
-    real = world._simulator.photograph
-    world._simulator.photograph = lambda view: pictures.append(view) or real(view)
+    real = world.simulator.photograph
+    world.simulator.photograph = lambda view: pictures.append(view) or real(view)
     assert camera.depth.shape == (48, 64)
     world.step()
     assert pictures == []

@@ -1,4 +1,4 @@
-"""Copies entities of a tick: into a new, running simulation, or into the folder of a saved scene.
+"""Copies a tick: as a what-if or past one, into a new simulation, or as the folder of a scene.
 
 A saved scene is a `scene.toml` and its models.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Collection, Container, Iterable, Iterator
+from collections.abc import Collection, Container, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
@@ -16,12 +16,119 @@ from typing import Any
 import numpy as np
 
 from ssduck.errors import SceneError
+from ssduck.geometry.arrays import Array
 from ssduck.simulators.backends import BACKENDS, BodyToCopy, TickToCopy, backend
-from ssduck.simulators.interface import Joint, LinkPoses, Simulator
+from ssduck.simulators.interface import Body, Joint, LinkPoses, Simulator
+from ssduck.simulators.kinematics import Pose, moved_link_poses
 from ssduck.simulators.partial import StaticSimulator
 from ssduck.simulators.scene_bodies import BodySpec, Material, Primitive
-from ssduck.simulators.scenes import Camera, ConstraintSpec, Engine, Scene, SensorSpec
+from ssduck.simulators.scenes import (
+    Camera,
+    ConstraintSpec,
+    Engine,
+    Scene,
+    SensorSpec,
+    variable_name,
+)
+from ssduck.world.layout import BodyGroup
 from ssduck.world.snapshot import Snapshot
+
+UNAVAILABLE = {
+    "contacts": "a what-if world has no contacts: the solver finds contacts in a step, and a "
+    "what-if world is never stepped; compare boxes, or move the bodies themselves",
+    "sensings": "sensors perceive nothing in a what-if world: rays can only be cast in the "
+    "simulation; move the bodies themselves",
+}
+
+
+# Poses of a diverging simulation may be NaN; they stay NaN.
+@np.errstate(invalid="ignore")
+def what_if_tick(
+    snapshot: Snapshot, poses: Mapping[Body, Pose], joints: Mapping[Body, Mapping[int, float]]
+) -> tuple[StaticSimulator, Snapshot]:
+    """Returns a static simulator of the what-if state, and a snapshot to take from it.
+
+    Args:
+        snapshot: the tick; if a body has several links, the tables of links and joints must have
+            been requested.
+        poses: the new poses of the bodies' base link frames in the world frame.
+        joints: the new positions of joints, rad or m, by body and index of the joint.
+    """
+    states = snapshot.joints()
+    offsets = {
+        body: {n: position - states[body][n, 0] for n, position in positions.items()}
+        for body, positions in joints.items()
+    }
+    clone = snapshot.clone(UNAVAILABLE)
+    link_poses = {}
+    for group, current in snapshot.body_groups:
+        moved = [body for body in group.runs if body in poses or body in offsets]
+        link_poses[group.bodies] = _moved(group, current, moved, poses, offsets, states)
+        if moved:
+            clone.invalidate_static_poses()
+    simulator = StaticSimulator(
+        time=snapshot.time,
+        link_poses=link_poses,
+        joints={body: _at_rest(values, joints.get(body, {})) for body, values in states.items()},
+        disabled=snapshot.disabled,
+        hidden=snapshot.hidden,
+    )
+    return simulator, clone
+
+
+def copied_tick(snapshot: Snapshot) -> tuple[StaticSimulator, Snapshot]:
+    """Returns a static simulator of a tick as it is, and a snapshot to take from it.
+
+    The copy has the contacts, what sensors perceive if that was requested, and is of the same run.
+
+    Args:
+        snapshot: the tick; the tables of contacts and, if a body has several links, of links and
+            joints must have been requested.
+    """
+    simulator = StaticSimulator(
+        time=snapshot.time,
+        link_poses={group.bodies: poses for group, poses in snapshot.body_groups},
+        joints=snapshot.joints(),
+        disabled=snapshot.disabled,
+        hidden=snapshot.hidden,
+        contacts=snapshot.contact_points.all(),
+        description="a copy of a tick",
+    )
+    return simulator, snapshot.clone({}, snapshot.run)
+
+
+def _moved(
+    group: BodyGroup,
+    link_poses: LinkPoses,
+    bodies: list[Body],
+    poses: Mapping[Body, Pose],
+    offsets: Mapping[Body, Mapping[int, float]],
+    joint_states: Mapping[Body, Array],
+) -> LinkPoses:
+    """Returns the link poses of a group after some of its bodies or their joints moved."""
+    if not bodies:
+        return link_poses
+    positions, matrices = link_poses.positions.copy(), link_poses.matrices.copy()
+    states = link_poses.states.copy()
+    for body in bodies:
+        run = group.runs[body]
+        current = LinkPoses(positions[run], matrices[run], states[run])
+        new = moved_link_poses(
+            body, current, poses.get(body), offsets.get(body, {}), joint_states.get(body)
+        )
+        positions[run], matrices[run], states[run] = new.positions, new.matrices, new.states
+    return LinkPoses(positions, matrices, states)
+
+
+def _at_rest(states: Array, positions: Mapping[int, float]) -> Array:
+    """Sets joints of states (joints, 3) to rest at positions, in place; all efforts are unknown."""
+    states[:, 2] = np.nan
+    for number, position in positions.items():
+        states[number, :2] = position, 0.0
+    return states
+
+
+# -- running copies --------------------------------------------------------------------------
 
 
 def excerpt(
@@ -95,15 +202,16 @@ _SCENE = ("description", "simulator", "gravity", "timestep", "time", "elastic")
 
 
 @contextmanager
-def new_folder(folder: Path) -> Iterator[None]:
+def new_folder(path: str | Path) -> Iterator[Path]:
     """Creates a folder for a scene, without files after an error; errors are a SceneError of it."""
+    folder = Path(path)
     try:
         is_new = not folder.exists()
         folder.mkdir(parents=True, exist_ok=True)
         if any(folder.iterdir()):
             raise SceneError(f"{folder} is not empty: a scene is saved into a folder of its own")
         try:
-            yield
+            yield folder
         except BaseException:
             _empty(folder)
             if is_new:
@@ -124,7 +232,7 @@ def _empty(folder: Path) -> None:
             place.unlink()
 
 
-def scene_of(snapshot: Snapshot, simulator: Simulator, folder: Path, target: str) -> Scene:
+def _scene_of(snapshot: Snapshot, simulator: Simulator, folder: Path, target: str) -> Scene:
     """Returns the scene of a tick, for the simulator `target`; writes its models into a folder."""
     ids = {info.id for info in snapshot.load_order}
     originals = list(originals_of(snapshot, ids))
@@ -133,6 +241,20 @@ def scene_of(snapshot: Snapshot, simulator: Simulator, folder: Path, target: str
     source = backend(simulator.backend)
     scene = source.scene_of(simulator, originals, tick_of(snapshot), folder, target)
     return replace(scene, sensors=tuple(sensors_of(snapshot, ids)))
+
+
+def saved(
+    snapshot: Snapshot,
+    simulator: Simulator,
+    folder: Path,
+    target: str | None,
+    name: str,
+    camera: Camera | None,
+) -> Path:
+    """Saves a tick as the scene of a world of a name, for the simulator `target`."""
+    scene = _scene_of(snapshot, simulator, folder, target or simulator.backend)
+    scene = replace(scene, name=variable_name(name), camera=camera or Camera())
+    return write_scene(scene, folder)
 
 
 def write_scene(scene: Scene, folder: Path) -> Path:
