@@ -70,7 +70,8 @@ class OpenedRecord:
             named = str(self.path) in text
             return RecordError(f"{self.path} cannot be read: {text}") if named else None
         folder = str(self.path.resolve())
-        for name in (folder, pattern_of(folder)):  # DuckDB may name the file or its pattern
+        # DuckDB may name the file or its pattern, or the file by way of a link.
+        for name in (folder, pattern_of(folder), str(self.path)):
             before, _, after = text.partition(f"{name}{os.sep}")
             if before != text:
                 part = _PART.match(after)

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, Self
 
-from ssduck.errors import SandboxError, SceneError, UnsupportedError
+from ssduck.errors import SandboxError, SceneError
 from ssduck.recording.paths import expand_path
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.object_store import ObjectPath, fetch
@@ -29,7 +29,8 @@ class Source:
         location: the name of a shipped scene, or an absolute path.
         options: arguments of `load`, `open` or `Interpreter`.
         readable: the files and folders that this takes.
-        fetched: the folder with what was fetched from an object store; `close` removes it.
+        fetched: the folder with what was fetched from an object store, or with links to a record;
+            `close` removes it.
     """
 
     kind: Literal["scene", "record", "lake", "task", "nothing"] = "nothing"
@@ -73,7 +74,6 @@ class Source:
 
         Raises:
             RecordError: the objects cannot be read.
-            UnsupportedError: the path has one of `*?[`.
         """
         place, folder = expand_path(path), None
         if isinstance(place, ObjectPath):
@@ -83,13 +83,13 @@ class Source:
                 place = fetch(place, Path(folder.name))
                 stack.pop_all()
         place = place.absolute()
-        if glob.has_magic(str(place)):
-            raise UnsupportedError(
-                f"{path} has *, ? or [ in its path, for which DuckDB lists the folder around it: "
-                "give the folder another name"
-            )
-        options = {"world": world, "episode": episode, "partial": partial}
         real = place.resolve()
+        if glob.has_magic(str(place)):  # DuckDB would list the folder around it
+            folder = folder or tempfile.TemporaryDirectory(prefix="ssduck-record-")
+            place = Path(folder.name, f"link{place.suffix}")
+            for end in ("", ".wal"):
+                Path(f"{place}{end}").symlink_to(f"{real}{end}")
+        options = {"world": world, "episode": episode, "partial": partial}
         own = (str(real), *_without_links([Path(f"{real}.wal")]))
         return cls("record", str(place), options, own, folder)
 

@@ -147,8 +147,13 @@ def rows_of_files(files: Sequence[Path], columns: Sequence[Column]) -> str:
 
 
 def exact_path(place: Path) -> str:
-    """Returns a path with `*`, `?` and `[` escaped, which DuckDB reads as patterns."""
-    return pattern_of(str(place.resolve()))
+    """Returns a path with `*`, `?` and `[` escaped, which DuckDB reads as patterns.
+
+    It lists the folders around a pattern: a link without such letters stays.
+    """
+    real = str(place.resolve())
+    is_pattern = _PATTERN.search(real) and not _PATTERN.search(str(place))
+    return str(place) if is_pattern else pattern_of(real)
 
 
 def pattern_of(path: str) -> str:
