@@ -10,7 +10,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -104,11 +104,6 @@ class Limits:
     def is_sandboxed(self) -> bool:
         """Whether programs run in a sandbox."""
         return bool(self.require)
-
-    @property
-    def in_process(self) -> Limits:
-        """The same limits of programs that run in this process."""
-        return replace(self, require=()) if self.require else self
 
     @classmethod
     def strict(cls, **changes: Any) -> Limits:

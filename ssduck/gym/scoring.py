@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -87,7 +87,7 @@ def score(
         SelectScriptError: a term is wrong.
     """
     terms = Terms.of(success, failure, reward, stop_when, nan=nan)
-    limits = limits and limits.in_process
+    limits = limits and replace(limits, require=())
     folder = expand_path(record).absolute()
     numbers = [number for name, number in recorded_steps(folder) if name == world]
     if not numbers:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, TypeAlias
 
@@ -116,7 +117,7 @@ class VectorQueryWrapper(VectorWrapper[Any, Any, Any, Any, Any]):
         self._ended: Flags = np.zeros(env.num_envs, np.bool_)
         self._is_closed = self._has_told_of_models = False
         self._interpreter = Interpreter(
-            recording=None, limits=limits and limits.in_process, strict=True
+            recording=None, limits=limits and replace(limits, require=()), strict=True
         )
         try:
             self._batch: BatchWorld = World.batch(model, env.num_envs)

@@ -137,7 +137,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         # Whether the environment ended at the last step, and was not reset since.
         self._has_ended = False
         self._interpreter = Interpreter(
-            recording=None, limits=limits and limits.in_process, strict=True
+            recording=None, limits=limits and replace(limits, require=()), strict=True
         )
         try:
             self._client = self._attach()
@@ -425,7 +425,7 @@ class ForwardCheck:
     ) -> None:
         self._left, self._world = _CHECKED, world
         self._interpreter = Interpreter(
-            recording=None, limits=limits and limits.in_process, strict=True
+            recording=None, limits=limits and replace(limits, require=()), strict=True
         )
         with warnings.catch_warnings():  # those of the world were given before
             warnings.simplefilter("ignore")

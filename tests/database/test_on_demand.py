@@ -214,7 +214,7 @@ def test_a_database_whose_memory_was_limited_has_no_limit(run: Path, pool: Insta
         ss.eval("SELECT this FROM [1, 2] AS list;")
     (database,) = pool._waiting
     before = database.execute(select).fetchall()
-    with ssduck.open(run, limits=ssduck.Limits.strict().in_process) as ss:
+    with ssduck.open(run, limits=ssduck.Limits.strict(require=())) as ss:
         ss.eval("SELECT this FROM [1, 2] AS list;")
         assert not pool._waiting
     assert pool._waiting == [database]
@@ -223,7 +223,7 @@ def test_a_database_whose_memory_was_limited_has_no_limit(run: Path, pool: Insta
 
 
 def test_limits_end_with_their_interpreter(run: Path, pool: InstancePool) -> None:
-    strict = ssduck.Interpreter(limits=ssduck.Limits.strict().in_process)
+    strict = ssduck.Interpreter(limits=ssduck.Limits.strict(require=()))
     strict.eval("SELECT this FROM [1, 2] AS list;")
     strict.close()
     with ssduck.open(run) as ss:

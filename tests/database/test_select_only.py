@@ -13,7 +13,7 @@ from tests.support.cases import sampled
 
 @pytest.fixture(scope="module")
 def strict():
-    with ssduck.load("kitchen", limits=ssduck.Limits.strict().in_process) as ss:
+    with ssduck.load("kitchen", limits=ssduck.Limits.strict(require=())) as ss:
         yield ss
 
 
@@ -127,7 +127,7 @@ def test_no_query_of_with_writes_a_file_into_a_record(tmp_path):
         ss.export(tmp_path / "run")
     files = {file: file.read_bytes() for file in (tmp_path / "run").rglob("*") if file.is_file()}
     (part,) = (tmp_path / "run/entities").rglob("*.parquet")
-    with ssduck.open(tmp_path / "run", limits=ssduck.Limits.strict().in_process) as ss:
+    with ssduck.open(tmp_path / "run", limits=ssduck.Limits.strict(require=())) as ss:
         for name in (part, tmp_path / "run/new.csv"):
             with pytest.raises(LimitError, match="one SELECT"):
                 ss.sql(f"WITH x AS (COPY (SELECT 42 AS a) TO '{name}') FROM x")
@@ -140,7 +140,7 @@ def test_no_query_of_with_changes_a_table_of_a_file(tmp_path):
     with ssduck.Interpreter(str(tmp_path / "own.duckdb")) as ss:
         ss.sql("CREATE TABLE mine AS SELECT 1 AS a")
     with ssduck.Interpreter(
-        str(tmp_path / "own.duckdb"), limits=ssduck.Limits.strict().in_process
+        str(tmp_path / "own.duckdb"), limits=ssduck.Limits.strict(require=())
     ) as ss:
         for change in ("DELETE FROM mine", "UPDATE mine SET a = 2", "INSERT INTO mine VALUES (3)"):
             with pytest.raises(LimitError, match="one SELECT"):
@@ -184,7 +184,7 @@ ENDED = [
 @pytest.mark.slow
 @sampled(("text", "words"), ENDED, every=6)
 def test_a_statement_ends_in_time_and_memory(text, words):
-    limits = ssduck.Limits.strict(seconds=0.5, memory=MEMORY).in_process
+    limits = ssduck.Limits.strict(seconds=0.5, memory=MEMORY, require=())
     with ssduck.load("kitchen", limits=limits) as ss:
         started = time.process_time()
         with pytest.raises(LimitError, match=f"{words}|took more than"):
@@ -200,7 +200,7 @@ def test_many_rows_are_the_same_under_limits(columns):
     text = f"SELECT {columns} FROM range(10000)"
     with (
         ssduck.Interpreter() as free,
-        ssduck.Interpreter(limits=ssduck.Limits.strict().in_process) as strict,
+        ssduck.Interpreter(limits=ssduck.Limits.strict(require=())) as strict,
     ):
         assert strict.sql(text).fetchall() == free.sql(text).fetchall()
         assert strict.sql(text).arrow() == free.sql(text).arrow()
@@ -223,7 +223,7 @@ def test_records_open_under_limits(tmp_path):
         ss.export(tmp_path / "run")
     (tmp_path / "secret.csv").write_text("a\n1\n")
     text = "SELECT count(DISTINCT tick) FROM entities_history"
-    for limits in (ssduck.Limits.strict().in_process, ssduck.Limits(files=False), None):
+    for limits in (ssduck.Limits.strict(require=()), ssduck.Limits(files=False), None):
         with ssduck.open(tmp_path / "run", limits=limits) as ss:
             ((count,),) = ss.sql(text).fetchall()
             assert count == 6
@@ -237,13 +237,13 @@ def test_records_open_under_limits(tmp_path):
 
 
 def test_strict_limits_are_select_only():
-    assert ssduck.Limits.strict().in_process.select_only
-    assert not ssduck.Limits.strict(select_only=False).in_process.select_only
+    assert ssduck.Limits.strict(require=()).select_only
+    assert not ssduck.Limits.strict(select_only=False, require=()).select_only
     assert not ssduck.Limits().select_only
 
 
 def test_a_missing_extension_is_named_and_no_folder():
-    with ssduck.Interpreter(limits=ssduck.Limits.strict().in_process) as ss:
+    with ssduck.Interpreter(limits=ssduck.Limits.strict(require=())) as ss:
         with pytest.raises(LimitError, match="needs DuckDB's extension 'inet'") as caught:
             ss.sql("SELECT '1.1.1.1'::INET")
         assert "/" not in caught.value.message

@@ -27,7 +27,7 @@ STATUS, RESET = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 
 
 def _strict(seconds):
-    limits = ssduck.Limits.strict(seconds=seconds, memory=MEMORY, progress=False).in_process
+    limits = ssduck.Limits.strict(seconds=seconds, memory=MEMORY, progress=False, require=())
     with ssduck.load("kitchen", limits=limits) as ss:
         ss.call_variable("kitchen").step(10)
         ss.add_variable("n", list(range(100)))

@@ -30,8 +30,8 @@ def patient():
 
 def _confined(seconds, **changes):
     limits = ssduck.Limits.strict(
-        seconds=seconds, rows=1000, memory=200_000_000, **changes
-    ).in_process
+        seconds=seconds, rows=1000, memory=200_000_000, **changes, require=()
+    )
     gc.disable()  # what other tests have left takes as long as a program may
     try:
         with ssduck.Interpreter(limits=limits) as interpreter:
@@ -105,7 +105,7 @@ LONG_BUT_FLAT = [
 @pytest.mark.slow
 @pytest.mark.parametrize("text", LONG_BUT_FLAT, ids=lambda text: text[:15])
 def test_brackets_in_texts_and_comments_do_not_count(text):
-    with ssduck.Interpreter(limits=ssduck.Limits.strict(seconds=60.0).in_process) as ss:
+    with ssduck.Interpreter(limits=ssduck.Limits.strict(seconds=60.0, require=())) as ss:
         assert len(ss.sql(text)) == 1
 
 

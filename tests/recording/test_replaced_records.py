@@ -119,7 +119,7 @@ def ask_of_parts(ss):
 def test_a_part_that_is_removed(run, is_asked, name, is_strict):
     run = run.rename(run.with_name(name))
     parts = [next((run / table).rglob("*.parquet")) for table in ("entities", "models/entities")]
-    with ssduck.open(run, limits=Limits.strict().in_process if is_strict else None) as ss:
+    with ssduck.open(run, limits=Limits.strict(require=()) if is_strict else None) as ss:
         for sql in OF_PARTS if is_asked else ():
             ss.sql(sql, [0] if "?" in sql else None).fetchall()
         for part in parts:
