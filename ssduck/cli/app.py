@@ -22,6 +22,7 @@ from typer.core import TyperGroup
 from ssduck.adapters.display import DisplayTable, print_line, print_table, written_warnings
 from ssduck.cli.lakes import ask, lake, tag
 from ssduck.cli.options import (
+    IS_OWN_PROCESS,
     EpisodeNumber,
     FormatOption,
     Location,
@@ -29,17 +30,16 @@ from ssduck.cli.options import (
     Program,
     ProgramFile,
     Rows,
+    Strict,
     option,
     program_text,
+    strict_limits,
     writer_of_result,
 )
 from ssduck.cli.records import check, episodes, export, import_, macros, open_or_load, record
 from ssduck.cli.viewing import functions, render, scenes, view
 from ssduck.errors import SelectScriptError, UnknownNameError, nearest
 from ssduck.recording.paths import is_record
-
-# Tells commands that the whole process is theirs; in tests, it is not.
-_OWN_PROCESS = object()
 
 
 class _Commands(TyperGroup):
@@ -69,6 +69,7 @@ def main() -> None:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupted)
     _prepare_streams()
+    IS_OWN_PROCESS.set(True)
     sys.set_int_max_str_digits(0)  # programs may compute longer integers than 4300 digits
     try:
         app(prog_name="ssduck")
@@ -240,14 +241,6 @@ _Seconds = Annotated[
     float | None,
     option("Simulate T seconds first, rounded to whole steps of the scene.", "T", least=0.0),
 ]
-_Strict = Annotated[
-    bool,
-    option(
-        "For programs, scenes and records from elsewhere: run them in a sandbox, limit time, "
-        "memory and rows, and refuse probable mistakes instead of warning.",
-        flags="--strict",
-    ),
-]
 
 
 @app.command()
@@ -262,7 +255,7 @@ def query(
     steps: Annotated[int | None, option("Simulate N steps first.", "N", least=0)] = None,
     seconds: _Seconds = None,
     episode: EpisodeNumber = None,
-    strict: _Strict = False,
+    strict: Strict = False,
 ) -> None:
     """Run a program on a scene or a record, and write its result.
 
@@ -271,16 +264,15 @@ def query(
     """
     if steps is not None and seconds is not None:
         raise typer.BadParameter("--steps and --seconds exclude each other")
-    write = writer_of_result(format, output, rows)
-    text = program_text(program, file)
-
-    from ssduck.interpreter.program import value_to_show
-    from ssduck.limits import Limits
-    from ssduck.validation import steps_in
-
     if (steps is not None or seconds is not None) and is_record(scene):
         raise typer.BadParameter("--steps and --seconds: a record cannot be simulated further")
-    limits = Limits.strict() if strict else None
+    text = program_text(program, file)
+    limits = strict_limits() if strict else None
+    write = writer_of_result(format, output, rows)
+
+    from ssduck.interpreter.program import value_to_show
+    from ssduck.validation import steps_in
+
     # The output of a program is not its result.
     with open_or_load(scene, episode, limits) as ss, contextlib.redirect_stdout(sys.stderr):
         ss.strict = strict
@@ -304,17 +296,18 @@ def mcp(location: Location, seconds: _Seconds = None, episode: EpisodeNumber = N
     Programs run in a sandbox, as with `query --strict`. The extra mcp brings the protocol:
     pip install 'ssduck\[mcp]'
     """
+    if seconds is not None and is_record(location):
+        raise typer.BadParameter("--seconds: a record cannot be simulated further")
+    limits = strict_limits(progress=False)
+
     from ssduck.adapters.optional import library
-    from ssduck.limits import Limits
 
     library("mcp", "mcp")
     from ssduck.mcp.server import create_server
     from ssduck.validation import steps_in
 
-    if seconds is not None and is_record(location):
-        raise typer.BadParameter("--seconds: a record cannot be simulated further")
     record = Path(location) if is_record(location) else None
-    with open_or_load(location, episode, Limits.strict(progress=False)) as ss:
+    with open_or_load(location, episode, limits) as ss:
         ss.strict = True
         if seconds is not None:
             ss.worlds[0].step(steps_in(seconds, ss.worlds[0].timestep, "--seconds"))
@@ -331,23 +324,23 @@ def shell(
         bool,
         typer.Option("--history/--no-history", help="Whether to keep what is typed for later."),
     ] = True,
-    strict: _Strict = False,
+    strict: Strict = False,
 ) -> None:
     r"""Ask a scene or a record at a prompt, in SelectScript or SQL.
 
     Standard input may also be a file or a pipe; the exit code is 1 if a statement fails. The
     prompt needs an extra: pip install 'ssduck\[shell]'
     """
+    if seconds is not None and is_record(location):
+        raise typer.BadParameter("--seconds: a record cannot be simulated further")
+    limits = strict_limits() if strict else None
+
     from ssduck.adapters.optional import library
-    from ssduck.limits import Limits
     from ssduck.shell.session import Session, greet, run_lines
 
     is_terminal = sys.stdin is not None and sys.stdin.isatty()
     if is_terminal:
         library("prompt_toolkit", "shell")
-    if seconds is not None and is_record(location):
-        raise typer.BadParameter("--seconds: a record cannot be simulated further")
-    limits = Limits.strict() if strict else None
     with open_or_load(location, episode, limits) as ss, closing(Session(ss)) as session:
         ss.strict = strict
         if seconds is not None:

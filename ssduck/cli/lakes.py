@@ -16,8 +16,10 @@ from ssduck.cli.options import (
     Program,
     ProgramFile,
     Rows,
+    Strict,
     option,
     program_text,
+    strict_limits,
     write_text,
     writer_of_result,
 )
@@ -67,14 +69,6 @@ SqlOption = Annotated[
         "duckdb|spark",
         flags="--sql",
         default="ask",
-    ),
-]
-Strict = Annotated[
-    bool,
-    option(
-        "For programs from elsewhere: limit time, memory and rows, and refuse probable "
-        "mistakes instead of warning.",
-        flags="--strict",
     ),
 ]
 ForgetMissing = Annotated[
@@ -129,11 +123,11 @@ def ask(
     sql: SqlOption = None,
 ) -> None:
     """Ask all episodes below a path one question, and write their answers."""
+    limits = strict_limits() if strict else None
+
     from ssduck.adapters.result import Result
     from ssduck.lakes.lake import open_lake
-    from ssduck.limits import Limits
 
-    limits = Limits.strict() if strict else None
     if sql is not None:
         text = program_text(program, file)
         write_text(open_lake(path, limits=limits).sql(text, where, sql), output)

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable
+from contextvars import ContextVar
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import typer
 
 from ssduck.adapters.display import print_line, terminal_rows
 from ssduck.errors import SelectScriptError
+from ssduck.lazy import ONE_THREAD
+
+if TYPE_CHECKING:
+    from ssduck.limits import Limits
 
 
 def option(
@@ -34,6 +40,14 @@ RecordPath = Annotated[Path, typer.Argument(metavar="RECORD", help="The record."
 EpisodeNumber = Annotated[
     int | None,
     option("The number of the episode of a record.", "N", default="the last one", least=0),
+]
+Strict = Annotated[
+    bool,
+    option(
+        "For programs, scenes and records from elsewhere: run them in a sandbox, limit time, "
+        "memory and rows, and refuse probable mistakes instead of warning.",
+        flags="--strict",
+    ),
 ]
 Program = Annotated[
     str | None,
@@ -131,3 +145,22 @@ def _decoded(content: bytes, source: str) -> str:
         raise SelectScriptError(
             f"{source} is not UTF-8: byte {error.start} is 0x{content[error.start]:02x}"
         ) from error
+
+
+# Tells commands that the whole process is theirs; in tests, it is not.
+IS_OWN_PROCESS = ContextVar("IS_OWN_PROCESS", default=False)
+
+
+def strict_limits(**changes: Any) -> Limits:
+    """Returns the limits of `--strict`, whose sandbox is a fork of the process of a command.
+
+    It comes before imports of libraries that may start threads, which a fork must not have.
+    """
+    if IS_OWN_PROCESS.get():
+        os.environ.update(ONE_THREAD)
+        from ssduck.sandbox.processes import fork_zygote
+
+        fork_zygote()
+    from ssduck.limits import Limits
+
+    return Limits.strict(**changes)

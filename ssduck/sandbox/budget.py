@@ -8,6 +8,8 @@ from typing import Any
 from ssduck.errors import LimitError
 from ssduck.limits import ANSWER_BYTES
 
+# What the host sends is limited by its own memory only, bytes.
+UNLIMITED = 1 << 60
 # The size of a number or a short text in a list, bytes.
 ELEMENT = 40
 # One wide character makes all of a text so wide, bytes.

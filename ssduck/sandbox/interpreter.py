@@ -8,7 +8,6 @@ import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any, Never, Self
 
 from ssduck import validation
@@ -103,34 +102,6 @@ class SandboxedInterpreter:
         except BaseException:
             self.close()
             raise
-
-    @classmethod
-    def load(
-        cls,
-        scene: str | Path,
-        *,
-        limits: Limits | None = None,
-        strict: bool = False,
-        zygote: Zygote | None = None,
-        **options: Any,
-    ) -> Self:
-        """Returns an interpreter with the world of a scene; see `Source.of_scene`."""
-        source = Source.of_scene(scene, **options)
-        return cls(source, limits=limits, strict=strict, zygote=zygote)
-
-    @classmethod
-    def open(
-        cls,
-        path: str | Path,
-        *,
-        limits: Limits | None = None,
-        strict: bool = False,
-        zygote: Zygote | None = None,
-        **options: Any,
-    ) -> Self:
-        """Returns an interpreter on a record; see `Source.of_record`."""
-        source = Source.of_record(path, **options)
-        return cls(source, limits=limits, strict=strict, zygote=zygote)
 
     def close(self) -> None:
         """Ends the process."""

@@ -42,25 +42,23 @@ def missing() -> str:
     return f"Landlock of version {_CUTTING} is needed (Linux 6.2, and enabled), there is {told}"
 
 
-def confine(
-    readable: Iterable[str | Path] | None,
-    writable: Iterable[str | Path],
-    *,
-    tcp: bool = False,
-    signals: bool = False,
-) -> None:
-    """Takes all files but some from this thread and those that it starts, and more, for good."""
+def confine(readable: Iterable[str | Path], writable: Iterable[str | Path]) -> None:
+    """Takes all files but some from this thread and those that it starts, and more, for good.
+
+    That is as much as the kernel knows: nothing, perhaps.
+    """
     known = version()
-    files = (1 << _RIGHTS.get(known, 16)) - 1 if readable is not None else 0
-    has_tcp, has_signals = known >= _TCP and not tcp, known >= _SIGNALS and not signals
-    if not (files or has_tcp or has_signals):
+    if known < _CUTTING:
         return
-    attributes = struct.pack("=QQQ", files, 3 if has_tcp else 0, 3 if has_signals else 0)
+    files = (1 << _RIGHTS.get(known, 16)) - 1
+    attributes = struct.pack(
+        "=QQQ", files, 3 if known >= _TCP else 0, 3 if known >= _SIGNALS else 0
+    )
     size = 24 if known >= _SIGNALS else 16 if known >= _TCP else 8
     ruleset = _call("landlock_create_ruleset", attributes, size, 0)
     try:
-        for paths, rights in ((readable or (), _READ), (writable, _READ | _WRITE)):
-            for path in paths if files else ():
+        for paths, rights in ((readable, _READ), (writable, _READ | _WRITE)):
+            for path in paths:
                 _allow(ruleset, path, rights)
         forbid_new_privileges()
         _call("landlock_restrict_self", ruleset, 0)

@@ -8,6 +8,8 @@ from typing import Any
 from ssduck.errors import UnsupportedError
 from ssduck.limits import Limits
 from ssduck.sandbox.interpreter import SandboxedInterpreter
+from ssduck.sandbox.processes import Zygote
+from ssduck.sandbox.sources import Source
 
 _MEMORY = ":memory:"
 
@@ -26,20 +28,32 @@ def interpreter(
 
 
 def load(
-    scene: str | Path, database: str | Path, limits: Limits, **options: Any
+    scene: str | Path,
+    database: str | Path = _MEMORY,
+    limits: Limits | None = None,
+    *,
+    zygote: Zygote | None = None,
+    **options: Any,
 ) -> SandboxedInterpreter:
     """Returns an interpreter with the world of a scene; for the arguments see `ssduck.load`."""
     _check_memory(database)
-    return SandboxedInterpreter.load(scene, limits=limits, **options)
+    source = Source.of_scene(scene, **options)
+    return SandboxedInterpreter(source, limits=limits, zygote=zygote)
 
 
 def open_record(
-    path: str | Path, world: str | None, episode: int | None, limits: Limits, *, partial: bool
+    path: str | Path,
+    world: str | None = None,
+    episode: int | None = None,
+    limits: Limits | None = None,
+    *,
+    partial: bool = False,
+    strict: bool = False,
+    zygote: Zygote | None = None,
 ) -> SandboxedInterpreter:
     """Returns an interpreter on a record; for the arguments see `ssduck.open`."""
-    return SandboxedInterpreter.open(
-        path, world=world, episode=episode, partial=partial, limits=limits
-    )
+    source = Source.of_record(path, world, episode, partial=partial)
+    return SandboxedInterpreter(source, limits=limits, strict=strict, zygote=zygote)
 
 
 def _check_memory(database: str | Path) -> None:

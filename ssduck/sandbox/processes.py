@@ -6,11 +6,9 @@ import fcntl
 import itertools
 import json
 import os
-import shutil
 import signal
 import socket
 import stat
-import subprocess
 import sys
 import tempfile
 import threading
@@ -24,23 +22,19 @@ from pathlib import Path
 from typing import Any
 
 from ssduck.errors import LimitError, SandboxError
+from ssduck.lazy import ONE_THREAD
 from ssduck.limits import python_command
-from ssduck.sandbox.budget import Budget, InvalidAnswerError
+from ssduck.sandbox.budget import UNLIMITED, Budget, InvalidAnswerError
 from ssduck.sandbox.kernel import has_ended
 from ssduck.sandbox.messages import LOOK_EVERY, Message, Waiting, receive, send
 from ssduck.sandbox.reports import error_of, tell, told_error
-from ssduck.sandbox.seal import SCRATCH, Walls, remove
+from ssduck.sandbox.seal import SCRATCH, Walls, check_one_thread, remove
 from ssduck.sandbox.values import Decoder, Encoder
-from ssduck.sandbox.zygote import FAILED, FORKED, READY
+from ssduck.sandbox.zygote import FAILED, FORKED, READY, run
 from ssduck.world.ctrl_c import allowed, deferred
 
 # What a worker's processes inherit of the host's environment: nothing that may be a secret.
 _KEPT = ("LANG", "LANGUAGE", "TZ", "LD_LIBRARY_PATH", "PYTHONHOME")
-# Libraries start no threads when they are imported.
-_ENVIRONMENT = {
-    **dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
-    "JE_ARROW_MALLOC_CONF": "background_thread:false",
-}
 # The largest size of all files in a scratch folder, bytes, and numbers of files and of threads.
 _MAX_SCRATCH, _MAX_FILES, _MAX_THREADS = 256 * 2**20, 1000, 64
 _BLOCK = 512  # of `st_blocks`
@@ -71,10 +65,15 @@ class Zygote:
     """The process from which this host's workers are forked.
 
     Args:
-        module: the module whose `main` it runs.
+        module: the module whose `main` it runs; None for one that is a fork of this process, which
+            has one thread, and imports nothing beforehand.
+
+    Attributes:
+        pid: the number of the process.
+        host: that of this process.
     """
 
-    def __init__(self, module: str = "ssduck.sandbox.zygote") -> None:
+    def __init__(self, module: str | None = "ssduck.sandbox.zygote") -> None:
         if not hasattr(os, "pidfd_open"):
             raise SandboxError(
                 f"the sandbox lacks all effects on {sys.platform}: it needs Linux 6.2 or later"
@@ -85,31 +84,21 @@ class Zygote:
         self._is_ready = False
         self._folder = tempfile.mkdtemp(prefix="ssduck-sandbox-")
         self._orders, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        # Its own standard streams take the place of this process's, which may be closed.
-        passed = fcntl.fcntl(there, fcntl.F_DUPFD_CLOEXEC, 3)
-        settings = json.dumps([passed, self.host, self._folder])
-        kept = {name: os.environ[name] for name in os.environ if name in _KEPT or name[:3] == "LC_"}
-        self._process = subprocess.Popen(  # noqa: S603  # this package
-            python_command(module, settings, path=_path()),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            cwd="/",
-            env={**kept, **_ENVIRONMENT},
-            pass_fds=[passed],
-            start_new_session=True,  # Ctrl-C in a terminal is the host's
-        )
-        there.close()
-        os.close(passed)
+        with there:
+            if module is None:
+                self.pid = _forked(there, self.host, self._folder)
+            else:
+                self.pid = _executed(module, there, self.host, self._folder)
+        self._process = os.pidfd_open(self.pid)
         self._finalizer = weakref.finalize(
-            self, _end_zygote, self._process, self._orders, self._folder, self.host
+            self, _end_zygote, self.pid, self._process, self._orders, self._folder, self.host
         )
 
     @property
     def is_alive(self) -> bool:
         """Whether it can be asked for workers by this process."""
         is_own = self.host == os.getpid()
-        return is_own and self._finalizer.alive and self._process.poll() is None
+        return is_own and self._finalizer.alive and not has_ended(self._process)
 
     def close(self) -> None:
         """Ends it, and its workers."""
@@ -161,23 +150,57 @@ class Zygote:
         self._is_ready = True
 
 
-def _path() -> list[str]:
-    """Returns where the zygote looks for modules, without what is relative to this folder."""
+def _environment() -> dict[str, str]:
+    """Returns the environment of a zygote."""
+    kept = {name: os.environ[name] for name in os.environ if name in _KEPT or name[:3] == "LC_"}
+    return {**kept, **ONE_THREAD}
+
+
+def _executed(module: str, orders: socket.socket, host: int, folder: str) -> int:
+    """Starts a zygote that has nothing of this process; it takes the socket."""
     own = str(Path(str(files("ssduck"))).parent)
-    return [*(path for path in map(str, sys.path) if Path(path).is_absolute()), own]
+    # Where it looks for modules: not in what is relative to this folder.
+    path = [*(path for path in map(str, sys.path) if Path(path).is_absolute()), own]
+    passed = 3  # after its own standard streams, since this process's may be closed
+    command = python_command(module, json.dumps([passed, host, folder]), path=path)
+    return os.posix_spawn(
+        command[0],
+        command,
+        _environment(),
+        file_actions=[
+            (os.POSIX_SPAWN_DUP2, orders.fileno(), passed),
+            *((os.POSIX_SPAWN_OPEN, own, os.devnull, os.O_RDWR, 0) for own in range(3)),
+        ],
+        setsid=True,  # Ctrl-C in a terminal is the host's
+    )
 
 
-def _end_zygote(
-    process: subprocess.Popen[bytes], orders: socket.socket, folder: str, host: int
-) -> None:
+def _forked(orders: socket.socket, host: int, folder: str) -> int:
+    """Makes a fork of this process a zygote, which takes the socket."""
+    from ssduck.sandbox.worker import serve
+
+    if (pid := os.fork()) == 0:
+        try:
+            os.setsid()
+            environment = _environment()
+            os.environ.clear()
+            os.environ.update(environment)
+            passed = fcntl.fcntl(orders, fcntl.F_DUPFD_CLOEXEC, 3)
+            run(serve, (passed, host, folder), ())
+        finally:
+            os._exit(1)
+    return pid
+
+
+def _end_zygote(pid: int, process: int, orders: socket.socket, folder: str, host: int) -> None:
     orders.close()
-    if os.getpid() != host:  # a forked child leaves it to its parent
-        return
-    with suppress(subprocess.TimeoutExpired):
-        process.wait(_ENDING)
-    process.kill()
-    process.wait()
-    shutil.rmtree(folder, ignore_errors=True)
+    if os.getpid() == host:  # a forked child leaves it to its parent
+        if not has_ended(process, _ENDING):
+            signal.pidfd_send_signal(process, signal.SIGKILL)
+        with suppress(ChildProcessError):
+            os.waitpid(pid, 0)
+        remove(folder)
+    os.close(process)
 
 
 _shared: list[Zygote] = []
@@ -190,6 +213,17 @@ def shared_zygote() -> Zygote:
         if not (_shared and _shared[0].is_alive):
             _shared[:] = [Zygote()]
         return _shared[0]
+
+
+def fork_zygote() -> None:
+    """Makes a fork of this process, which is a command's own, its zygote: it imports once.
+
+    `ONE_THREAD` was set before. If there are other threads nevertheless, or no sandbox, it is left
+    to `shared_zygote`.
+    """
+    with suppress(SandboxError):
+        check_one_thread()
+        _shared[:] = [Zygote(None)]
 
 
 class WorkerProcess:
@@ -250,7 +284,7 @@ class WorkerProcess:
 
         Before it answers, the process may ask the host by `call`: for a name, with arguments.
         """
-        encoder = Encoder(_unlimited(), name_of)
+        encoder = Encoder(Budget(UNLIMITED), name_of)
         document = encoder.text([request, list(arguments), dict(options)])
         self._number = (self._number + 1) % 2**32
         began = time.monotonic()
@@ -319,7 +353,7 @@ class WorkerProcess:
     ) -> tuple[bytes, Encoder]:
         """Returns the JSON that replies to a call, and the encoder with its body."""
         name, arguments = self._call_of(message, world)
-        encoder = Encoder(_unlimited(), name_of)
+        encoder = Encoder(Budget(UNLIMITED), name_of)
         try:
             if wait.is_pressed:
                 raise LimitError("the program was stopped")
@@ -331,7 +365,7 @@ class WorkerProcess:
         except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  # the program gets it
             if isinstance(error, KeyboardInterrupt):
                 wait.press()
-            encoder = Encoder(_unlimited(), name_of)
+            encoder = Encoder(Budget(UNLIMITED), name_of)
             return encoder.text([None, told_error(error)]), encoder
 
     def _check_size(self, document: int, body: int) -> None:
@@ -450,13 +484,8 @@ def _end_worker(process: int, connection: socket.socket, folder: Path, host: int
         with suppress(ProcessLookupError):
             signal.pidfd_send_signal(process, signal.SIGKILL)
         has_ended(process, _ENDING)
-        remove(folder / SCRATCH)
-        shutil.rmtree(folder, ignore_errors=True)
+        remove(folder)
     os.close(process)
-
-
-def _unlimited() -> Budget:
-    return Budget(1 << 60)
 
 
 def _pid_of(process: int) -> int:

@@ -7,7 +7,7 @@ import os
 import shutil
 import sys
 import sysconfig
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -16,7 +16,6 @@ from pathlib import Path
 from ssduck.errors import SandboxError
 from ssduck.sandbox import landlock, seccomp
 from ssduck.sandbox.kernel import drop_capabilities
-from ssduck.sandbox.system_calls import ALLOWED
 
 # In the private folder of a worker: what it may write, and files by which probes try the wall.
 SCRATCH, READABLE, OUTSIDE = "scratch", "readable", "outside"
@@ -39,18 +38,6 @@ _NULL = Path(os.devnull)
 _DESCRIPTORS = 1024
 # What `remove` calls folders that it has moved.
 _MOVED = "moved-"
-# What a test that takes an effect away lets through.
-_OPENED = {
-    "files": ("chmod", "fchmodat", "link", "linkat"),
-    "network": ("socket", "connect"),
-    "processes": (
-        *("clone", "fork", "wait4", "execve", "ptrace", "process_vm_readv", "unshare"),
-        "io_uring_setup",
-    ),
-    "signals": ("kill", "tkill", "rt_sigqueueinfo", "fcntl", "prlimit64"),
-    "memory": ("shmget",),
-    "time": ("prctl",),
-}
 
 
 @dataclass(frozen=True)
@@ -109,34 +96,27 @@ def _folders_in(folder: str | Path) -> list[Path]:
     return found
 
 
-def seal(walls: Walls, without: Collection[str] = ()) -> list[str]:
-    """Seals this process, which has one thread."""
+def seal(walls: Walls) -> list[str]:
+    """Seals this process, which has one thread; returns what the system lacks for that."""
     import resource
 
     check_one_thread()
     lacking = [told for told in (landlock.missing(), seccomp.missing()) if told]
     drop_capabilities()
-    for limit, size in _limits(walls, without):
+    for limit, size in limits(walls).items():
         hard = resource.getrlimit(limit)[1]
         most = size if hard == resource.RLIM_INFINITY else min(size, hard)
         resource.setrlimit(limit, (most, most))
-    readable: list[str | Path] | None = None
-    if "files" not in without and not landlock.missing():
+    if landlock.version():
         # The kernel makes an entry of /proc anew, for which there is no rule then, unless somebody
         # has it open.
         for entry in _PROCESS:
             os.open(entry, os.O_PATH)
-        own = walls.own_files[0]
-        readable = [*libraries(), *_SYSTEM, *_controls(), *_PROCESS, own, *walls.readable]
-    landlock.confine(
-        readable,
-        (walls.scratch, _NULL),
-        tcp="network" in without,
-        signals="signals" in without,
-    )
+    own = (str(walls.own_files[0]), *walls.readable)
+    readable = (*libraries(), *_SYSTEM, *map(str, _controls()), *_PROCESS, *own)
+    landlock.confine(readable, (walls.scratch, _NULL))
     if not seccomp.missing():
-        opened = [call for effect in without for call in _OPENED.get(effect, ())]
-        seccomp.refuse_calls(ALLOWED.union(opened))
+        seccomp.refuse_calls()
     return lacking
 
 
@@ -151,17 +131,18 @@ def _controls() -> Iterator[Path]:
         yield from folder.glob(name)
 
 
-def _limits(walls: Walls, without: Collection[str]) -> Iterator[tuple[int, int]]:
+def limits(walls: Walls) -> dict[int, int]:
+    """Returns what the process may take at most, by the limit's number."""
     import resource
 
-    yield resource.RLIMIT_CORE, 0
-    yield resource.RLIMIT_FSIZE, walls.file_bytes
-    yield resource.RLIMIT_NOFILE, _DESCRIPTORS
-    if "memory" not in without:
-        pages = int(Path("/proc/self/statm").read_text().split()[0])
-        yield resource.RLIMIT_AS, pages * resource.getpagesize() + walls.memory
-    if "time" not in without:
-        yield resource.RLIMIT_CPU, walls.processor_seconds
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    return {
+        resource.RLIMIT_CORE: 0,
+        resource.RLIMIT_FSIZE: walls.file_bytes,
+        resource.RLIMIT_NOFILE: _DESCRIPTORS,
+        resource.RLIMIT_AS: pages * resource.getpagesize() + walls.memory,
+        resource.RLIMIT_CPU: walls.processor_seconds,
+    }
 
 
 def check_one_thread() -> None:

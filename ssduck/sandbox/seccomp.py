@@ -50,9 +50,9 @@ def missing() -> str:
     return "" if machine in MACHINES else f"seccomp is used on Linux on {' and '.join(MACHINES)}"
 
 
-def refuse_calls(allowed: Collection[str] = ALLOWED) -> None:
+def refuse_calls() -> None:
     """Refuses all but some system calls to this thread, and to those that it starts, for good."""
-    program = filter_program(os.uname().machine, allowed)
+    program = filter_program(os.uname().machine)
     buffer = ctypes.create_string_buffer(program)
     length = len(program) // 8
     header = ctypes.create_string_buffer(struct.pack("HxxxxxxQ", length, ctypes.addressof(buffer)))
@@ -60,7 +60,7 @@ def refuse_calls(allowed: Collection[str] = ALLOWED) -> None:
     prctl(PR_SET_SECCOMP, _FILTER_MODE, ctypes.addressof(header))
 
 
-def filter_program(machine: str, allowed: Collection[str] = ALLOWED) -> bytes:
+def filter_program(machine: str) -> bytes:
     """Returns the filter of a machine, as the kernel takes it."""
     lines = [
         (_LOAD, 0, 0, _ARCHITECTURE),
@@ -69,11 +69,9 @@ def filter_program(machine: str, allowed: Collection[str] = ALLOWED) -> bytes:
         (_LOAD, 0, 0, _NUMBER),
     ]
     for name, (index, values) in _CHECKED.items():
-        if name not in allowed:
-            lines += _checked(number_of(name, machine), index, values)
-    if "clone" not in allowed:
-        lines += _threads_only(number_of("clone", machine))
-    for name in sorted(allowed):
+        lines += _checked(number_of(name, machine), index, values)
+    lines += _threads_only(number_of("clone", machine))
+    for name in sorted(ALLOWED):
         if (number := number_of(name, machine)) is not None:
             lines += [(_EQUAL, 0, 1, number), (_RETURN, 0, 0, _LET)]
     lines += [

@@ -28,10 +28,8 @@ _PLAIN: tuple[Callable[[pa.DataType], bool], ...] = (
     *(_TYPES.is_date, _TYPES.is_time, _TYPES.is_timestamp, _TYPES.is_duration, _TYPES.is_interval),
     *(_TYPES.is_null, _TYPES.is_fixed_size_binary),
 )
-# In the metadata of a message (a table of FlatBuffers): the fields for the type of its header and
-# for the header itself, the number of a batch of rows, and the field of a batch for compression.
-_HEADER_TYPE, _HEADER, _RECORD_BATCH, _COMPRESSION = 1, 2, 3, 3
-_SCHEMA = 1
+# The fields for the header of a message (a table of FlatBuffers), and for a batch's compression.
+_HEADER, _COMPRESSION = 2, 3
 
 
 def table_bytes(table: pa.Table) -> memoryview:
@@ -166,24 +164,19 @@ def _inner(array: Any) -> Iterator[Any]:
 
 def _check_messages(source: pa.Buffer) -> None:
     """Checks that a stream is one schema and batches of rows that are not compressed."""
-    reader, is_first = pa.ipc.MessageReader.open_stream(source), True
-    for message in reader:
-        kind, is_compressed = _kind_of(bytes(message.metadata))
-        if kind != (_SCHEMA if is_first else _RECORD_BATCH) or is_compressed:
+    for i, message in enumerate(pa.ipc.MessageReader.open_stream(source)):
+        metadata = bytes(message.metadata)
+        if message.type != ("record batch" if i else "schema") or (i and _is_compressed(metadata)):
             raise InvalidAnswerError("a table has a part that is compressed, or none of a table")
-        is_first = False
 
 
-def _kind_of(metadata: bytes) -> tuple[int, bool]:
-    """Returns the type of a message's header, and whether it has the field for compression."""
+def _is_compressed(metadata: bytes) -> bool:
+    """Checks whether a batch of rows has the field for compression."""
     (message,) = struct.unpack_from("<I", metadata, 0)
-    place = _field(metadata, message, _HEADER_TYPE)
-    header = _field(metadata, message, _HEADER)
-    kind = metadata[place] if place else 0
-    if not header:
-        return kind, False
+    if not (header := _field(metadata, message, _HEADER)):
+        return False
     (offset,) = struct.unpack_from("<I", metadata, header)
-    return kind, kind == _RECORD_BATCH and _field(metadata, header + offset, _COMPRESSION) != 0
+    return _field(metadata, header + offset, _COMPRESSION) != 0
 
 
 def _field(data: bytes, table: int, number: int) -> int:

@@ -131,7 +131,13 @@ class Encoder:
         return self._each(values, depth) if packed is None else packed
 
     def _packed(self, values: list[Any], kinds: set[type]) -> Any:
-        """Returns a list of floats, or of integers, as numbers in the body; None if it is none."""
+        """Returns a list of floats, of integers or of entities as numbers; None if it is none."""
+        if all(issubclass(kind, Handle) for kind in kinds):
+            keys = [(one.id, one.moment, one.world) for one in values]
+            distinct = dict(zip(keys, values, strict=True))
+            places = {key: place for place, key in enumerate(distinct)}
+            numbers = self._list([places[key] for key in keys], 0)
+            return {"entities": [[self.entity(one, 0) for one in distinct.values()], numbers]}
         if kinds not in ({float}, {int}):
             return None
         try:
@@ -150,10 +156,6 @@ class Encoder:
         if array.dtype.kind in _KINDS:
             return [array.dtype.str, shape, self._part(array.tobytes())]
         return ["objects", shape, self._list(array.ravel().tolist(), depth + 1)]
-
-    def scalar(self, value: np.generic, depth: int) -> Any:
-        """Returns what JSON holds of a number of numpy."""
-        return self.array(np.asarray(value), depth)
 
     def row(self, row: Any, depth: int) -> Any:
         """Returns what JSON holds of a tuple, or of a named one."""
@@ -232,7 +234,7 @@ def _columns(rows: list[dict[Any, Any]]) -> dict[Any, list[Any]] | None:
 
 
 _ENCODERS: tuple[tuple[Any, str, Callable[[Encoder, Any, int], Any]], ...] = (
-    (np.generic, "scalar", Encoder.scalar),
+    (np.generic, "scalar", lambda self, one, depth: self.array(np.asarray(one), depth)),
     (np.ndarray, "array", Encoder.array),
     (tuple, "tuple", Encoder.row),
     (list, "list", lambda self, value, depth: self._each(value, depth)),
@@ -403,6 +405,12 @@ class Decoder:
             raise InvalidAnswerError("this is no entity")
         return self._entity(world, number, name, kind, tick, full_name)
 
+    def entities(self, content: Any) -> list[Any]:
+        """Returns a list of entities, of which each is told once."""
+        parts, numbers = content
+        known = [self.entity(part) for part in parts]
+        return [known[number] for number in self.node(numbers)]
+
     def object(self, content: Any) -> Any:
         """Returns a grid."""
         name, parts = content
@@ -486,6 +494,7 @@ _DECODERS: dict[str, Callable[[Decoder, Any], Any]] = {
     "table": Decoder.table,
     "result": lambda self, content: Result(self.table(content)),
     "entity": Decoder.entity,
+    "entities": Decoder.entities,
     "world": lambda self, content: self._world(str(content)),
     "object": Decoder.object,
     "other": Decoder.other,

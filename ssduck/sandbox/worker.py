@@ -13,7 +13,7 @@ import os
 import signal
 import tempfile
 import threading
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from contextlib import ExitStack
 from functools import lru_cache, partial
 from itertools import count
@@ -30,7 +30,7 @@ from ssduck.interpreter.program import CompiledProgram, rows_to_show
 from ssduck.lazy import service
 from ssduck.limits import Limits
 from ssduck.recording.spec import Recording
-from ssduck.sandbox.budget import Budget
+from ssduck.sandbox.budget import UNLIMITED, Budget
 from ssduck.sandbox.messages import Message, receive, send
 from ssduck.sandbox.probes import holes
 from ssduck.sandbox.reports import Log, called_error, told_error
@@ -43,15 +43,11 @@ from ssduck.world.entities import Entity  # noqa: F401  # a hint of a host's fun
 from ssduck.world.handles import Link  # noqa: F401
 from ssduck.world.world import World
 
-# What the host sends is limited by its own memory only.
-_UNLIMITED = 1 << 60
 # DuckDB gets this share of a worker's memory; the rest is Python's and the simulator's.
 _DUCKDB_SHARE = 2
 
 
-def serve(
-    connection: int, walls: Walls, order: dict[str, Any], without: Collection[str] = ()
-) -> None:
+def serve(connection: int, walls: Walls, order: dict[str, Any]) -> None:
     """Seals this process, and answers questions until the host has no more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     scratch = str(walls.scratch)
@@ -59,7 +55,7 @@ def serve(
     names = ("HOME", "TMPDIR", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "MPLCONFIGDIR")
     os.environ.update(dict.fromkeys(names, scratch))
     tempfile.tempdir = scratch
-    lacking = seal(walls, without)
+    lacking = seal(walls)
     worker = Worker(walls, {"holes": holes(walls), "lacking": lacking}, connection)
     budget = int(order["answer_bytes"])
     while True:
@@ -139,7 +135,7 @@ class Worker:
     def _decoded(self, message: Message) -> Any:
         decoder = Decoder(
             message.body,
-            Budget(_UNLIMITED),
+            Budget(UNLIMITED),
             entity=self._entity,
             world=self._world,
             table=own_table,

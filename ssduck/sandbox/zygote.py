@@ -10,19 +10,17 @@ import gc
 import json
 import os
 import select
-import shutil
 import signal
 import socket
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from importlib import import_module
-from pathlib import Path
 from typing import Any, NoReturn
 
 from ssduck.errors import SandboxError
 from ssduck.sandbox.kernel import PR_SET_PDEATHSIG, has_ended, prctl
-from ssduck.sandbox.seal import SCRATCH, Walls, check_one_thread, remove
+from ssduck.sandbox.seal import Walls, check_one_thread, remove
 
 # The largest order, bytes.
 MAX_ORDER = 1 << 17
@@ -44,34 +42,46 @@ def main() -> None:
     """Imports ssduck, and forks a worker for each order of the host, until that ends."""
     from ssduck.sandbox.worker import serve
 
-    run(serve)
+    run(serve, json.loads(sys.argv[1]))
 
 
-def run(serve: Serve) -> NoReturn:
-    """Is the process's whole work; at its end, the folders of all workers are gone."""
-    descriptor, host, folder = json.loads(sys.argv[1])
+def run(serve: Serve, given: Sequence[Any], imported: Sequence[str] = _IMPORTED) -> NoReturn:
+    """Is the process's whole work; at its end, the folders of all workers are gone.
+
+    Args:
+        serve: what workers do.
+        given: the descriptor of the socket to the host, the number of the host's process, and the
+            folder of all workers.
+        imported: the modules that it imports for them.
+    """
+    descriptor, host, folder = given
+    os.chdir("/")
+    _keep_only(descriptor)
     workers: list[int] = []
     try:
         orders, watched = socket.socket(fileno=descriptor), os.pidfd_open(host)
-        if os.getppid() == host and _prepare(orders):  # else it ended before it could be watched
+        if os.getppid() == host and _prepare(
+            orders, imported
+        ):  # else it ended before it could be watched
             _serve_host(orders, watched, workers, serve)
     except OSError:
         pass  # the host has ended
     finally:
-        _end_all(workers, Path(folder))
+        _end_all(workers, folder)
         os._exit(0)
 
 
-def _prepare(orders: socket.socket) -> bool:
+def _prepare(orders: socket.socket, imported: Sequence[str]) -> bool:
     """Imports what workers need, and tells the host whether that could be done."""
     try:
-        for name in _IMPORTED:
+        for name in imported:
             with suppress(ImportError):  # one of the simulators
                 import_module(name)
-        # What is made of the relations is kept with them, for all workers.
-        from ssduck.database.macros import description_script
+        if imported:
+            # What is made of the relations is kept with them, for all workers.
+            from ssduck.database.macros import description_script
 
-        description_script(("kitchen",), "kitchen", frozenset())
+            description_script(("kitchen",), "kitchen", frozenset())
         check_one_thread()
     except Exception as error:  # noqa: BLE001  # the host tells of it
         orders.send(FAILED + f"{type(error).__name__}: {error}".encode()[:1000])
@@ -99,15 +109,13 @@ def _serve_host(orders: socket.socket, host: int, workers: list[int], serve: Ser
             os.close(descriptors[0])
 
 
-def _end_all(workers: list[int], folder: Path) -> None:
+def _end_all(workers: list[int], folder: str) -> None:
     """Ends all workers, and removes their folders."""
     for worker in workers:
         with suppress(ProcessLookupError):
             signal.pidfd_send_signal(worker, signal.SIGKILL)
             has_ended(worker, _ENDING)
-    for of_worker in folder.glob("worker*"):
-        remove(of_worker / SCRATCH)
-    shutil.rmtree(folder, ignore_errors=True)
+    remove(folder)
 
 
 def _lives(worker: int) -> bool:
@@ -139,8 +147,13 @@ def _begin(zygote: int, connection: int) -> None:
     prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != zygote:
         raise SandboxError("the zygote has ended")
+    _keep_only(connection)
+
+
+def _keep_only(descriptor: int) -> None:
+    """Closes all descriptors but one, which is no standard stream."""
     null = os.open(os.devnull, os.O_RDWR)
     for standard in range(3):
         os.dup2(null, standard)
-    os.closerange(3, connection)
-    os.closerange(connection + 1, os.sysconf("SC_OPEN_MAX"))
+    os.closerange(3, descriptor)
+    os.closerange(descriptor + 1, os.sysconf("SC_OPEN_MAX"))

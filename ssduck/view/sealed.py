@@ -18,6 +18,7 @@ from ssduck.interpreter.stopping import StopRequest
 from ssduck.recording.replay.replayed_world import CopiedWorld, ReplayedWorld
 from ssduck.sandbox.budget import Budget
 from ssduck.sandbox.interpreter import SandboxedInterpreter
+from ssduck.sandbox.opening import open_record
 from ssduck.sandbox.processes import shared_zygote
 from ssduck.view.answers import Answers, error_message
 from ssduck.view.live import Asked, LiveSource, Source, Ticks, page_limits, recorded_time
@@ -66,9 +67,7 @@ class SealedPage:
         source, limits = self._source, page_limits()
         if isinstance(source, LiveSource):
             return SandboxedInterpreter(limits=limits, strict=True)
-        return SandboxedInterpreter.open(
-            source.path, episode=source.episode, limits=limits, strict=True
-        )
+        return open_record(source.path, episode=source.episode, limits=limits, strict=True)
 
     def use_of(self, question: dict[str, Any]) -> Use:
         """Returns the use of a question: a record has no present."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from ssduck.limits import Limits
-from ssduck.sandbox import SandboxedInterpreter
+from ssduck.sandbox import SandboxedInterpreter, opening
 from tests.support.taken_over import HookedZygote
 
 
@@ -20,7 +20,7 @@ def zygote():
 def kitchen(zygote):
     """The kitchen in a sandbox whose programs have half a second."""
     limits = Limits.strict(seconds=0.5)
-    with SandboxedInterpreter.load("kitchen", limits=limits, zygote=zygote) as ss:
+    with opening.load("kitchen", limits=limits, zygote=zygote) as ss:
         yield ss
 
 

@@ -22,14 +22,15 @@ from ssduck.errors import (
     UnknownNameError,
     UnsupportedError,
 )
-from ssduck.sandbox import EntityReference, SandboxedInterpreter
+from ssduck.sandbox import EntityReference, SandboxedInterpreter, opening
 from ssduck.sandbox.budget import Budget
+from ssduck.sandbox.sources import Source
 from ssduck.sandbox.values import Decoder, Encoder
 
 
 @pytest.fixture(scope="module")
 def sandbox(zygote):
-    with SandboxedInterpreter.load("kitchen", zygote=zygote) as ss:
+    with opening.load("kitchen", zygote=zygote) as ss:
         yield ss
 
 
@@ -195,7 +196,7 @@ def test_what_programs_print_is_printed_here(sandbox, capsys):
 
 @pytest.mark.slow
 def test_a_strict_sandbox_makes_mistakes_errors(zygote):
-    with SandboxedInterpreter.load("kitchen", strict=True, zygote=zygote) as ss:
+    with SandboxedInterpreter(Source.of_scene("kitchen"), strict=True, zygote=zygote) as ss:
         with pytest.raises(UnknownNameError, match="fridge"):
             ss.sql("SELECT * FROM entities WHERE name = 'fridg'")
         ss.strict = False
@@ -252,7 +253,7 @@ def test_arrays_cross(array):
 
 @pytest.mark.slow
 def test_variables_are_the_hosts_and_outlive_the_process(zygote):
-    with SandboxedInterpreter.load("kitchen", zygote=zygote) as ss:
+    with opening.load("kitchen", zygote=zygote) as ss:
         ss["high"] = 1.2
         ss.add_variable("points", np.eye(3))
         ss.eval("low = 0.5;")
@@ -279,6 +280,31 @@ def test_entities_are_references_that_go_back(sandbox):
     assert all(isinstance(row, EntityReference) for row in rows)
 
 
+@pytest.mark.parametrize(
+    "program",
+    [
+        "SELECT a, b FROM a=kitchen, b=kitchen WHERE distance(a, b) < 1 AS {};",
+        "SELECT a, b FROM a=links(kitchen), b=kitchen WHERE b == kitchen.fridge AS {};",
+        "SELECT a, b FROM a=kitchen{{0.0}}, b=kitchen{{0.05}} WHERE isRobot(a) AS {};",
+    ],
+)
+def test_entities_of_many_rows_are_those_of_the_rows(zygote, program):
+    with opening.load("kitchen", zygote=zygote) as ss, ssduck.load("kitchen") as here:
+        for one in (ss, here):
+            one.run(0.1)
+        for form in ("list", "dict"):
+            found, own = (one.eval(program.format(form)) for one in (ss, here))
+            flat, expected = (
+                [value for row in rows for value in (row.values() if form == "dict" else [row])]
+                for rows in (found, own)
+            )
+            assert len(flat) > len(set(flat)) > 30
+            assert [(one.id, one.full_name, one.kind, one.tick) for one in flat] == [
+                (one.id, one.full_name, one.kind, one.moment and one.moment.tick)
+                for one in expected
+            ]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("source", ["kitchen", "links(kitchen)", "kitchen{0}"])
 def test_entities_are_shown_by_their_names(sandbox, here, source):
@@ -288,7 +314,7 @@ def test_entities_are_shown_by_their_names(sandbox, here, source):
 
 
 def test_worlds_are_stepped_in_the_sandbox(zygote, here):
-    with SandboxedInterpreter.load("kitchen", zygote=zygote) as ss:
+    with opening.load("kitchen", zygote=zygote) as ss:
         kitchen = ss["kitchen"]
         assert [world.name for world in ss.worlds] == ["kitchen"]
         assert (kitchen.time, len(kitchen)) == (0.0, 37)
@@ -313,7 +339,7 @@ def test_a_record_is_opened_in_the_sandbox(zygote, tmp_path):
         live.run(0.1)
         live.export(tmp_path / "run")
         own = live.sql("SELECT tick, name, z FROM entities_history ORDER BY ALL").fetchall()
-    with SandboxedInterpreter.open(tmp_path / "run", zygote=zygote) as ss:
+    with opening.open_record(tmp_path / "run", zygote=zygote) as ss:
         found = ss.sql("SELECT tick, name, z FROM entities_history ORDER BY ALL").fetchall()
         assert found == own
         assert ss.eval("SELECT count(*) FROM kitchen{0.05} AS value;") == 37
@@ -325,7 +351,7 @@ def test_a_record_is_opened_in_the_sandbox(zygote, tmp_path):
 def test_a_duckdb_file_is_opened_in_the_sandbox(zygote, tmp_path):
     with ssduck.load("kitchen", tmp_path / "run.duckdb") as live:
         live.run(0.1)
-    with SandboxedInterpreter.open(tmp_path / "run.duckdb", zygote=zygote) as ss:
+    with opening.open_record(tmp_path / "run.duckdb", zygote=zygote) as ss:
         assert ss.eval("SELECT count(*) FROM kitchen AS value;") == 37
         assert ss.sql("SELECT max(time) FROM entities_history").fetchone()[0] == pytest.approx(0.1)
 
@@ -335,18 +361,18 @@ def test_what_cannot_be_opened_is_the_same_error(zygote, tmp_path):
     (tmp_path / "broken.urdf").write_text("<robot")
     for scene in ("kitchn", tmp_path / "none.urdf", tmp_path / "broken.urdf"):
         told = []
-        for load in (lambda s: SandboxedInterpreter.load(s, zygote=zygote), ssduck.load):
+        for load in (lambda s: opening.load(s, zygote=zygote), ssduck.load):
             with pytest.raises(ssduck.SelectScriptError) as caught:
                 load(scene)
             told.append((type(caught.value), str(caught.value)))
         assert told[0] == told[1]
     with pytest.raises(ssduck.errors.RecordError):
-        SandboxedInterpreter.open(tmp_path / "none", zygote=zygote)
+        opening.open_record(tmp_path / "none", zygote=zygote)
 
 
 @pytest.mark.slow
 def test_a_variable_that_cannot_be_set_again_is_told(zygote):
-    with SandboxedInterpreter.load("kitchen", zygote=zygote) as ss:
+    with opening.load("kitchen", zygote=zygote) as ss:
         ss.eval("piece = (SELECT obj FROM kitchen WHERE id == 'fridge' AS environment);")
         ss["it"] = ss.eval("SELECT this FROM piece AS list;")[0]
         ss["high"] = 1.5
@@ -382,7 +408,7 @@ def test_graphs_cross(sandbox, here, multi):
 
 @pytest.mark.slow
 def test_an_entity_of_the_past_goes_back(zygote):
-    with SandboxedInterpreter.load("kitchen", zygote=zygote) as ss:
+    with opening.load("kitchen", zygote=zygote) as ss:
         ss["kitchen"].run(0.05)
         (cup,) = ss.eval("SELECT this FROM kitchen{0.0} WHERE id == 'cup_905a' AS list;")
         ss["then"] = cup
@@ -432,7 +458,7 @@ def test_range_joins_are_planned_in_the_sandbox(zygote):
         "SELECT count(*) FROM entities a SEMI JOIN entities b ON a.x < b.x AND a.y > b.y AND "
         "a.z < b.z"
     )
-    with SandboxedInterpreter.load("kitchen", zygote=zygote) as ss, ssduck.load("kitchen") as own:
+    with opening.load("kitchen", zygote=zygote) as ss, ssduck.load("kitchen") as own:
         for _ in range(2):
             assert ss.sql(query).fetchall() == own.sql(query).fetchall()
         with pytest.raises(SqlError, match="locked"):
@@ -466,7 +492,7 @@ def test_scenes_with_meshes_of_both_simulators_are_loaded(zygote, tmp_path):
     for name, simulator in (("part.urdf", None), ("part.xml", "mujoco"), ("part.xml", "pybullet")):
         path = tmp_path / name
         with (
-            SandboxedInterpreter.load(path, simulator=simulator, zygote=zygote) as ss,
+            opening.load(path, simulator=simulator, zygote=zygote) as ss,
             ssduck.load(path, simulator=simulator) as own,
         ):
             for found in (ss, own):
@@ -486,15 +512,27 @@ def test_a_scene_that_is_a_link_out_of_its_folder_is_not_opened(tmp_path, zygote
         with pytest.raises(
             ssduck.SelectScriptError, match="is a link that leads out of its folder"
         ):
-            SandboxedInterpreter.load(path, zygote=zygote)
+            opening.load(path, zygote=zygote)
 
 
-def test_a_record_whose_path_is_a_pattern_has_to_be_renamed(tmp_path, zygote):
-    record = tmp_path / "a [run]"
-    with ssduck.load("kitchen") as ss:
-        ss.export(record)
-    with pytest.raises(UnsupportedError, match="another name"):
-        SandboxedInterpreter.open(record, zygote=zygote)
-    record = record.rename(tmp_path / "run")
-    with SandboxedInterpreter.open(record, zygote=zygote) as ss:
-        assert ss.sql("SELECT count(*) > 0 FROM entities_history").fetchall() == [(True,)]
+@pytest.mark.parametrize("name", ["a [run]", "what?", "a*b", "[x].duckdb", "run"])
+def test_a_record_whose_path_is_a_pattern_is_that_record(tmp_path, zygote, name):
+    folder = tmp_path / "of [many]"
+    folder.mkdir()
+    record, secret = folder / name, tmp_path / "secret"
+    secret.write_text("x")
+    if name.endswith(".duckdb"):
+        with ssduck.load("kitchen", record) as ss:
+            ss.run(0.1)
+    else:
+        with ssduck.load("kitchen") as ss:
+            ss.run(0.1)
+            ss.export(record)
+    ask = "SELECT count(*), max(tick), sum(x) FROM entities_history"
+    with opening.open_record(record, zygote=zygote) as ss, ssduck.open(record) as here:
+        assert ss.sql(ask).fetchall() == here.sql(ask).fetchall()
+        assert ss.eval("z(kitchen{0.05}.fridge);") == here.eval("z(kitchen{0.05}.fridge);")
+        with pytest.raises(SandboxError, match="Permission denied"):
+            ss.ask("worker.python", f"open({str(secret)!r})")
+        with pytest.raises(SandboxError, match="Permission denied"):
+            ss.ask("worker.python", f"__import__('os').listdir({str(folder)!r})")

@@ -58,6 +58,27 @@ def test_each_probe_gets_through_where_its_wall_is_missing(zygote, lacking, effe
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("layer", "effects", "reason"),
+    [
+        ("landlock", {"files"}, r"\); Landlock of version 3 is needed .*there is none; use Linux"),
+        ("seccomp", set(EFFECTS), r"\); no filter; use Linux"),
+        ("limits", {"memory", "time"}, r"\); use Linux"),
+    ],
+)
+def test_without_a_layer_it_is_refused_by_the_names_of_its_effects(
+    zygote, lacking, layer, effects, reason
+):
+    lacking(layer)
+    with pytest.raises(SandboxError, match=reason) as caught:
+        SandboxedInterpreter(zygote=zygote)
+    assert {name for name in EFFECTS if f"{name} (a program can" in caught.value.message} == effects
+    others = [name for name in EFFECTS if name not in effects]
+    with SandboxedInterpreter(zygote=zygote, limits=Limits.strict(require=others or ())) as ss:
+        assert {name for name, holes in ss.effects.items() if holes} == effects
+
+
+@pytest.mark.slow
 def test_without_any_wall_all_get_through(zygote, lacking):
     lacking(*EFFECTS)
     with SandboxedInterpreter(zygote=zygote, limits=Limits.strict(require=())) as ss:

@@ -9,7 +9,7 @@ import pytest
 
 from ssduck.errors import LimitError, ParseError, SelectScriptError, SqlError
 from ssduck.limits import Limits
-from ssduck.sandbox import SandboxedInterpreter
+from ssduck.sandbox import opening
 
 
 def grouped(*counts, word="ROLLUP"):
@@ -139,7 +139,7 @@ def outside(tmp_path_factory):
 def hostile(request, zygote):
     """A sandbox with variables, whose programs have so many seconds."""
     limits = Limits.strict(seconds=request.param)
-    with SandboxedInterpreter.load("kitchen", limits=limits, zygote=zygote) as ss:
+    with opening.load("kitchen", limits=limits, zygote=zygote) as ss:
         for name, value in {
             "n": list(range(100)),
             "m": list(range(100_000)),
@@ -209,7 +209,7 @@ def test_what_harms_nobody_is_answered(hostile, name):
 @pytest.mark.slow
 def test_what_a_program_breaks_is_its_own(zygote):
     """A dropped schema, and a table in place of ssduck's, end with the process."""
-    with SandboxedInterpreter.load("kitchen", zygote=zygote) as ss:
+    with opening.load("kitchen", zygote=zygote) as ss:
         ss.sql("CREATE TABLE mine AS SELECT 1 AS a")
         with pytest.raises(LimitError, match="the process of the program ended"):
             ss.ask("worker.python", "__import__('os')._exit(0)")

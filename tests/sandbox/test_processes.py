@@ -13,12 +13,14 @@ import tempfile
 import threading
 import time
 import warnings
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from ssduck.errors import LimitError, SandboxError
 from ssduck.interpreter.stopping import StopRequest
+from ssduck.lazy import ONE_THREAD
 from ssduck.limits import Limits
 from ssduck.sandbox import SandboxedInterpreter
 from ssduck.sandbox.processes import Zygote, shared_zygote
@@ -47,16 +49,21 @@ def children_of(pid):
     return [int(n) for n in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
 
+# How many processes are killed: for each change, and in the night.
+MANY = pytest.param(500, marks=pytest.mark.long)
+
+
 @pytest.mark.slow
-def test_killed_workers_leave_nothing_and_no_question_hangs(zygote):
-    """A hundred kills at random moments: while a worker starts, computes, answers or waits."""
+@pytest.mark.parametrize("count", [25, MANY])
+def test_killed_workers_leave_nothing_and_no_question_hangs(zygote, count):
+    """They are killed at random moments: while one starts, computes, answers or waits."""
     generator = random.Random(43)  # noqa: S311
     pids, answers = set(), 0
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     folder = Path(zygote._folder)
     with SandboxedInterpreter(limits=Limits.strict(seconds=20), zygote=zygote) as ss:
         ss["mine"] = 7
-        for _ in range(100):
+        for _ in range(count):
             process = ss._worker
             pids.add(process._pid)
             killer = threading.Timer(generator.random() * 0.02, os.kill, (process._pid, 9))
@@ -73,11 +80,63 @@ def test_killed_workers_leave_nothing_and_no_question_hangs(zygote):
                 assert ss.eval("1;") == 1
             assert ss.eval("mine;") == 7
         pids.add(ss._worker._pid)
-    assert len(pids) >= 100
-    assert answers > 20
+    assert len(pids) >= count
+    assert answers > count // 5
     wait_for_end(pids)
     assert not any(folder.glob("worker*/scratch/*"))
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000
+
+
+# Forks a host for each line that it reads, which asks a sandbox until it is killed.
+HOSTS = """
+import os, sys
+from ssduck.sandbox import SandboxedInterpreter, processes, worker
+for line in sys.stdin:
+    if (pid := os.fork()) == 0:
+        if line == "forked\\n":
+            processes.fork_zygote()
+        with SandboxedInterpreter() as ss:
+            while ss.eval("1 + 1;") == 2:
+                pass
+    print(pid, flush=True)
+    os.waitpid(pid, 0)
+"""
+
+
+def running_with(text):
+    """The numbers of the processes whose commands have a text."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        with suppress(OSError):
+            if text.encode() in path.read_bytes() and is_running(int(path.parent.name)):
+                found.append(int(path.parent.name))
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [5, MANY])
+def test_killed_hosts_leave_nothing(count, tmp_path):
+    """They are killed at random moments, one of ten with a zygote that was executed."""
+    generator = random.Random(44)  # noqa: S311
+    command = [sys.executable, "-c", HOSTS, str(tmp_path)]
+    environment = {**os.environ, **ONE_THREAD, "TMPDIR": str(tmp_path)}
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    most = 0
+    with subprocess.Popen(command, env=environment, text=True, **pipes) as hosts:
+        for number in range(count):
+            kind, seconds = ("executed", 6.0) if number % 10 == 4 else ("forked", 0.6)
+            hosts.stdin.write(f"{kind}\n")
+            hosts.stdin.flush()
+            pid = int(hosts.stdout.readline())
+            time.sleep(generator.random() * seconds)
+            most = max(most, len(running_with(str(tmp_path))))
+            os.kill(pid, signal.SIGKILL)
+            deadline = time.monotonic() + PAST_HANGING
+            while running_with(str(tmp_path)) != [hosts.pid] or any(tmp_path.iterdir()):
+                assert time.monotonic() < deadline, (number, list(tmp_path.iterdir()))
+                time.sleep(0.01)
+        hosts.stdin.close()
+    assert most == 4  # where hosts were started from, a host, its zygote, and a worker
 
 
 HOST = """
@@ -86,7 +145,7 @@ from ssduck.limits import Limits
 from ssduck.sandbox import SandboxedInterpreter
 from ssduck.sandbox.processes import shared_zygote
 ss = SandboxedInterpreter(limits=Limits.strict(seconds=100))
-print(shared_zygote()._process.pid, ss._worker._pid, shared_zygote()._folder, flush=True)
+print(shared_zygote().pid, ss._worker._pid, shared_zygote()._folder, flush=True)
 {}
 """
 
@@ -117,10 +176,34 @@ def test_all_processes_end_with_their_host(number, work):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+def test_a_command_forks_its_zygote_which_ends_with_it(number, tmp_path):
+    command = [*(sys.executable, "-m", "ssduck", "query", "kitchen", "--strict", "--sql")]
+    command.append("SELECT sleep_ms(90000)")
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    with subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL) as host:
+        deadline = time.monotonic() + PAST_HANGING
+        while not (zygotes := children_of(host.pid)) or not (workers := children_of(zygotes[0])):
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        (zygote,), (worker,) = zygotes, workers
+        asked = [Path(f"/proc/{pid}/cmdline").read_bytes() for pid in (host.pid, zygote, worker)]
+        assert len(set(asked)) == 1  # no program was executed
+        assert os.getsid(zygote) == zygote
+        host.send_signal(number)
+        assert host.wait(PAST_HANGING) == (-9 if number == signal.SIGKILL else 130)
+    wait_for_end([zygote, worker])
+    deadline = time.monotonic() + PAST_HANGING
+    while any(tmp_path.iterdir()):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+@pytest.mark.slow
 def test_a_host_that_ends_before_its_zygote_is_ready_leaves_nothing():
     code = """
 from ssduck.sandbox.processes import shared_zygote
-print(shared_zygote()._process.pid, shared_zygote()._folder, flush=True)
+print(shared_zygote().pid, shared_zygote()._folder, flush=True)
 import time; time.sleep(100)
 """
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as host:
@@ -160,8 +243,7 @@ def test_workers_end_with_their_zygote_and_the_next_question_has_another():
     zygote = Zygote()
     with SandboxedInterpreter(zygote=zygote) as ss:
         worker = ss._worker._pid
-        zygote._process.kill()
-        zygote._process.wait()
+        os.kill(zygote.pid, signal.SIGKILL)
         wait_for_end([worker])
         while ss._worker.is_alive:
             time.sleep(0.01)
@@ -170,8 +252,7 @@ def test_workers_end_with_their_zygote_and_the_next_question_has_another():
     zygote.close()
     first = shared_zygote()
     with SandboxedInterpreter() as ss:
-        first._process.kill()
-        first._process.wait()
+        os.kill(first.pid, signal.SIGKILL)
         while ss._worker.is_alive:
             time.sleep(0.01)
         with pytest.warns(UserWarning, match="process of the sandbox has ended"):
@@ -276,7 +357,7 @@ def test_one_that_nothing_refers_to_ends(zygote):
 
 
 def test_the_zygote_has_one_thread_and_nothing_of_the_host(zygote):
-    pid = zygote._process.pid
+    pid = zygote.pid
     assert len(list(Path(f"/proc/{pid}/task").iterdir())) == 1
     assert os.getsid(pid) == pid
     assert Path(f"/proc/{pid}/cwd").resolve() == Path("/")
@@ -291,7 +372,7 @@ def test_what_cannot_start_says_why(tmp_path, monkeypatch):
         "def main():\n"
         "    from ssduck.sandbox import zygote\n"
         "    threading.Thread(target=threading.Event().wait, daemon=True).start()\n"
-        "    zygote.run(None)\n"
+        "    zygote.run(None, zygote.json.loads(zygote.sys.argv[1]))\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
     zygote = Zygote("broken_zygote")

@@ -18,7 +18,7 @@ from ssduck.errors import (
     UnsupportedError,
 )
 from ssduck.limits import Limits
-from ssduck.sandbox import SandboxedInterpreter
+from ssduck.sandbox import opening
 from ssduck.simulators.scenes import shipped_scenes
 from tests.support.cases import generated, sampled
 from tests.support.urdf import collision, joint, link, robot
@@ -120,7 +120,7 @@ def test_no_file_outside_is_read(zygote, folder, file, form):
     else:
         write(folder, {file: TEXTS[file].replace("{}", form), "m.obj": "->m.obj", "sub": "->."})
     try:
-        with SandboxedInterpreter.load(folder / file, zygote=zygote) as ss:
+        with opening.load(folder / file, zygote=zygote) as ss:
             assert ss.sql("SELECT max(xmax - xmin) < 2 FROM shapes").fetchall() == [(True,)]
             assert file == "stage.xml"
     except SelectScriptError as error:
@@ -152,7 +152,7 @@ def test_files_inside_are_read(zygote, folder, form):
     pytest.importorskip("mujoco")
     parts = INSIDE[form]
     write(folder, {**parts, "stage.xml": f"<mujoco>{parts['stage.xml']}{BODY}</mujoco>"})
-    with SandboxedInterpreter.load(folder / "stage.xml", zygote=zygote) as ss:
+    with opening.load(folder / "stage.xml", zygote=zygote) as ss:
         assert ss.eval("SELECT id FROM stage AS list;") == ["b"]
 
 
@@ -160,7 +160,7 @@ def test_files_inside_are_read(zygote, folder, form):
 @sampled("name", shipped_scenes(), every=3)
 def test_copies_of_the_shipped_scenes_are_read(zygote, tmp_path, name):
     shutil.copytree(shipped_scenes()[name].parent, tmp_path / name)
-    with SandboxedInterpreter.load(tmp_path / name, zygote=zygote) as ss:
+    with opening.load(tmp_path / name, zygote=zygote) as ss:
         assert ss.eval(f"SELECT count(*) AS n FROM {name} AS value;") > 0
 
 
@@ -169,8 +169,8 @@ def test_a_crash_is_an_error_and_the_host_lives(zygote, folder):
     (folder / "lab.toml").write_text('[[body]]\nname="c"\nurdf="c.urdf"\n')
     for name in ("c.urdf", "lab.toml"):
         with pytest.raises(LimitError, match=rf"{name}: {ENDED}"):
-            SandboxedInterpreter.load(folder / name, simulator="pybullet", zygote=zygote)
-    with SandboxedInterpreter.load(folder / "b.urdf", zygote=zygote) as ss:
+            opening.load(folder / name, simulator="pybullet", zygote=zygote)
+    with opening.load(folder / "b.urdf", zygote=zygote) as ss:
         assert ss.eval("SELECT id FROM b AS list;") == ["b"]
 
 
@@ -194,7 +194,7 @@ def test_a_bomb_is_an_error(zygote, folder, name):
     pytest.importorskip("mujoco")
     (folder / "bomb.xml").write_text(f"<mujoco>{BOMBS[name]}</mujoco>")
     with pytest.raises((LimitError, SceneError), match=r"bomb\.xml"):
-        SandboxedInterpreter.load(folder / "bomb.xml", zygote=zygote)
+        opening.load(folder / "bomb.xml", zygote=zygote)
 
 
 def test_errors_are_those_of_loading(zygote, folder):
@@ -210,7 +210,7 @@ def test_errors_are_those_of_loading(zygote, folder):
     for name, text in scenes.items():
         (folder / f"{name}.toml").write_text(text)
         errors = []
-        for load in (ssduck.load, partial(SandboxedInterpreter.load, zygote=zygote)):
+        for load in (ssduck.load, partial(opening.load, zygote=zygote)):
             with pytest.raises((SceneError, UnsupportedError)) as raised:
                 load(folder / f"{name}.toml")
             errors.append((type(raised.value), raised.value.message, raised.value.suggestions))
@@ -225,9 +225,9 @@ def test_what_the_caller_says_is_readable_is_read(folder, zygote):
     asset = f'<asset><mesh name="m" file="{folder.parent}/outside/m.obj"/></asset>'
     scene.write_text(f"<mujoco>{asset}{BODY}</mujoco>")
     with pytest.raises(SceneError, match="cannot be loaded"):
-        SandboxedInterpreter.load(scene, zygote=zygote)
+        opening.load(scene, zygote=zygote)
     limits = Limits.strict(readable=[folder.parent / "outside" / "m.obj"])
-    with SandboxedInterpreter.load(scene, limits=limits, zygote=zygote) as ss:
+    with opening.load(scene, limits=limits, zygote=zygote) as ss:
         assert ss.eval("SELECT count(*) FROM stage AS value;") == 1
     with pytest.raises(ArgumentError, match="list of paths"):
         Limits.strict(readable="m.obj")

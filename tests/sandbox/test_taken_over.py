@@ -15,7 +15,7 @@ import pytest
 import ssduck
 from ssduck.errors import LimitError, SandboxError, SceneError, SelectScriptError
 from ssduck.limits import Limits
-from ssduck.sandbox import SandboxedInterpreter
+from ssduck.sandbox import SandboxedInterpreter, opening
 from ssduck.sandbox.seccomp import _CHECKED
 from ssduck.sandbox.system_calls import ALLOWED, MACHINES, number_of
 
@@ -306,7 +306,7 @@ def test_the_environment_has_no_secret(monkeypatch):
     code = """
 import json, os, sys
 from tests.support.taken_over import HookedZygote
-from ssduck.sandbox import SandboxedInterpreter
+from ssduck.sandbox import SandboxedInterpreter, opening
 from ssduck.sandbox.seccomp import _CHECKED
 from ssduck.sandbox.system_calls import ALLOWED, MACHINES, number_of
 zygote = HookedZygote()
@@ -331,7 +331,7 @@ def test_a_scene_reads_its_folder_and_no_more(zygote, tmp_path):
         "</geometry></collision></link></robot>"
     )
     limits = Limits.strict()
-    with SandboxedInterpreter.load(folder / "box.urdf", limits=limits, zygote=zygote) as ss:
+    with opening.load(folder / "box.urdf", limits=limits, zygote=zygote) as ss:
         assert ss.eval("SELECT id(this) FROM box AS list;") == ["box"]
         assert ss.ask("worker.python", f"len(open('{folder}/box.urdf').read())") > 10
         for path in (tmp_path / "secret.obj", folder / ".hidden", folder / "link" / "secret.obj"):
@@ -347,7 +347,7 @@ def test_a_link_beside_a_record_leads_nowhere(zygote, tmp_path):
     (tmp_path / "run.duckdb.wal").unlink(missing_ok=True)
     (tmp_path / "run.duckdb.wal").symlink_to(tmp_path / "secret")
     with pytest.raises(SelectScriptError, match="is a symbolic link"):
-        SandboxedInterpreter.open(tmp_path / "run.duckdb", zygote=zygote)
+        opening.open_record(tmp_path / "run.duckdb", zygote=zygote)
 
 
 @pytest.mark.slow
@@ -360,4 +360,4 @@ def test_a_scene_of_a_file_outside_is_an_error(zygote, tmp_path):
         '<mesh filename="../secret.obj"/></geometry></collision></link></robot>'
     )
     with pytest.raises(SceneError, match=r"secret\.obj.*its own folder only"):
-        SandboxedInterpreter.load(folder / "spy.urdf", zygote=zygote)
+        opening.load(folder / "spy.urdf", zygote=zygote)
