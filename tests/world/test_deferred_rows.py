@@ -7,10 +7,7 @@ import numpy as np
 import pytest
 
 import ssduck
-from ssduck.geometry.bounds import BoundingBoxes
 from ssduck.geometry.poses import rotation_matrices, unit_quaternions
-from ssduck.simulators.scenes import find_scene
-from ssduck.world.layout import BodyGroup
 from ssduck.world.tick_geometry import TickPlaces
 from tests.support.gym_environments import PUSH
 
@@ -65,29 +62,6 @@ def test_they_are_of_the_present_tick(lab, read):
         heights.append(data.body("ball").xpos[2] + RADIUS)
         assert read(ss, world) == pytest.approx(heights[-1], abs=1e-12)
     assert len(set(heights)) == 5
-
-
-@pytest.mark.slow
-def test_a_tick_computes_none(lab, monkeypatch):
-    _, _, model, data = lab
-    with ssduck.Interpreter(recording=None) as other:
-        world = other.add_variable("lab", ssduck.World.attach(model, data))
-        program = other.compile("SELECT z(lab.ball) > 0.1, x(lab.pusher) FROM [0] AS list;")
-        for _ in range(3):  # it requests tables, and is planned
-            world.tick()
-            other.eval(program)
-        calls = []
-        boxes = BoundingBoxes.boxes
-        monkeypatch.setattr(
-            BoundingBoxes, "boxes", lambda *arguments: calls.append(1) or boxes(*arguments)
-        )
-        for _ in range(5):
-            mujoco.mj_step(model, data)
-            world.tick()
-            other.eval(program)
-        assert not calls
-        assert other.sql(HIGHEST).fetchall()[0][0] > 0.1
-        assert len(calls) == 1
 
 
 @pytest.mark.parametrize("number", [np.nan, np.inf])
@@ -206,24 +180,3 @@ def test_shapes_are_where_their_poses_in_links_have_them(pose):
             assert places.positions == pytest.approx(data.geom_xpos, abs=1e-12)
             matrices = rotation_matrices(unit_quaternions(places.orientations)).reshape(-1, 9)
             assert matrices == pytest.approx(data.geom_xmat, abs=1e-12)
-
-
-@pytest.mark.slow
-def test_shapes_of_bodies_that_stay_are_placed_once(monkeypatch):
-    groups, boxes = [], BodyGroup._place_shapes
-    monkeypatch.setattr(
-        BodyGroup, "_place_shapes", lambda group, poses: groups.append(group) or boxes(group, poses)
-    )
-    with ssduck.Interpreter(recording=None) as ss:
-        world = ss.add_variable("kitchen", ssduck.World.load(find_scene("kitchen")))
-        for _ in range(4):
-            world.run(0.01)
-            ss.sql("SELECT x FROM kitchen.shapes").fetchall()
-            rows = ss.sql("SELECT x, y, z FROM kitchen.shapes").fetchall()
-            places = TickPlaces(world.snapshot.layout, world.snapshot.body_groups)
-            assert list(map(tuple, places.positions.tolist())) == rows
-    layout = world.snapshot.layout
-    assert len(layout.static_bodies.shape_rows)
-    assert len(layout.moving_bodies.shape_rows)
-    assert groups.count(layout.static_bodies) == 1
-    assert groups.count(layout.moving_bodies) == 4

@@ -11,8 +11,6 @@ import pybullet
 import pytest
 
 import ssduck
-from ssduck.errors import ArgumentError, NumberError
-from tests.support.spy import Spy
 
 STEP = 1 / 240
 
@@ -97,17 +95,6 @@ def test_every(twins: tuple[int, int], steps: int, options: dict, ticks: int, wa
         assert times[-1] == sim.time
 
 
-@pytest.mark.parametrize("every", [0, -1, 1.5, "2", True, float("nan")])
-def test_a_wrong_interval(twins: tuple[int, int], every: object) -> None:
-    sim = ssduck.World.attach(twins[0])
-    for act in (sim.step, sim.run):
-        with pytest.raises(ArgumentError, match=r"(step|run): every: .* is no number of steps"):
-            act(1, every=every)
-    with pytest.raises(NumberError, match="run"):
-        sim.step(0.5)
-    assert sim.time == 0.0
-
-
 def test_ticks_that_nobody_gets_are_not_taken(twins: tuple[int, int]) -> None:
     class Observer:
         ticks = 0
@@ -177,21 +164,3 @@ def test_ctrl_c_leaves_whole_ticks(twins: tuple[int, int], seconds: float) -> No
         assert rows.fetchall() == [(tick, 2) for tick in range(1, steps + 2)]
         assert ss.past("sim").ticks == list(range(1, steps + 2))
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-
-
-def test_a_table_that_is_asked_for_between_steps(client: int) -> None:
-    """A step reads the simulator once, whatever the queries ask for."""
-    pybullet.createMultiBody(
-        1,
-        pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client),
-        physicsClientId=client,
-    )
-    from ssduck.simulators.pybullet.simulator import PyBulletSimulator
-
-    spy = Spy(PyBulletSimulator(client, owned=True))
-    world = ssduck.World(spy)
-    with ssduck.Interpreter() as ss:
-        ss.add_variable("sim", world)
-        spy.read.clear()
-        world.step(5)
-        assert spy.read["contacts"] == 5

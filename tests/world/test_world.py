@@ -551,13 +551,6 @@ def test_contacts_are_of_where_things_are(kitchen):
     assert kitchen["table"].id in touching()
 
 
-@pytest.mark.parametrize("count", [-1, -240])
-def test_time_does_not_run_backwards(kitchen, count):
-    with pytest.raises(ValueError, match=f"cannot run {count} steps"):
-        kitchen.step(count)
-    assert kitchen.step(0).time == 0.0
-
-
 @pytest.mark.slow
 def test_the_name_of_a_part_is_told_as_a_program_writes_it(tmp_path):
     """Names may be words of the language: each advice is a program."""

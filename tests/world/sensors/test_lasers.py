@@ -132,12 +132,3 @@ def test_every_type_is_complete(kind):
     assert f"`{kind.name}`" in page
     for setting in kind.settings:
         assert f"`{setting.name}`" in page
-
-
-@pytest.mark.slow
-def test_only_the_simulators_know_pybullet():
-    package = ROOT / "ssduck"
-    others = [p for p in package.rglob("*.py") if package / "simulators/pybullet" not in p.parents]
-    assert len(others) > 100
-    for path in others:
-        assert "import pybullet" not in path.read_text(encoding="utf-8")

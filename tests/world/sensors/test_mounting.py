@@ -254,144 +254,59 @@ def test_a_sensor_that_is_nowhere_perceives_nothing(mast):
     assert mast.seen(found) == ["wall"]
 
 
+# (type, settings besides a range of 1 m, words)
+OF_SETTINGS = [
+    ("range_finder", {"max_range": math.inf}, "max_range: expected a finite number"),
+    ("range_finder", {"widht": 3}, "widht: there is no such key"),
+    ("range_finder", {"period": -1}, "period: -1 is less than 0"),
+    ("range_finder", {"powered": 1}, "powered: expected true or false"),
+    ("range_finder", {"position": [0, 0]}, "position: expected 3 finite numbers"),
+    ("range_finder", {"position": [0, 0, math.nan]}, "position: expected 3"),
+    ("range_finder", {"orientation": [1, 1, 0, 0]}, "orientation: not a rotation"),
+    ("range_finder", {"name": "eye"}, "name: 'eye' is there already"),
+    ("range_finder", {"name": ""}, "name: expected a text, found ''"),
+    ("depth_camera", CAMERA | {"width": 3.5}, "width: 3.5 is no whole number"),
+    ("depth_camera", CAMERA | {"fov": 180}, "fov: 180 is not below 180"),
+    (
+        "depth_camera",
+        CAMERA | {"width": 10**4, "height": 10**4},
+        "width: that makes more than 1,000",
+    ),
+    ("planar_laser", LASER | {"resolution": 1e-9}, "resolution: that makes more than 1,000,000"),
+    ("planar_laser", LASER | {"resolution": 1e-300}, "resolution: that makes more than"),
+    ("planar_laser", LASER | {"min_angle": -360.1}, "min_angle: -360.1 is less than -360"),
+    ("planar_laser", LASER | {"min_angle": -181}, "max_angle: more than a turn from min_angle"),
+    ("lidar", {"max_elevation": 91}, "max_elevation: 91 is more than 90"),
+    ("lidar", {"min_elevation": 16}, "min_elevation: 16 is more than max_elevation, which is 15"),
+    ("lidar", {"layers": 0}, "layers: 0 is not above 0"),
+    ("contact_sensor", {}, "max_range: there is no such key"),
+]
 # (add_sensor's arguments, kind of error, words)
 MISTAKES = [
-    (("lasr", "mast"), {}, ArgumentError, "add_sensor: type: there is no sensor type 'lasr'"),
-    (("planar_lasr", "mast"), {}, ArgumentError, "did you mean 'planar_laser'?"),
+    *(
+        ({"type": kind, "max_range": 1} | more, ArgumentError, words)
+        for kind, more, words in OF_SETTINGS
+    ),
+    ({"type": "lasr"}, ArgumentError, "add_sensor: type: there is no sensor type 'lasr'"),
+    ({"type": "planar_lasr"}, ArgumentError, "did you mean 'planar_laser'?"),
+    ({}, ArgumentError, "add_sensor: max_range: missing"),
+    ({"max_rang": 1}, ArgumentError, "max_range: missing, but there is 'max_rang'"),
+    ({"on": "eye", "max_range": 1}, ArgumentError, "on: 'eye' is a sensor, not a body"),
     (
-        ("range_finder", "mats"),
-        {"max_range": 1},
+        {"on": "mats", "max_range": 1},
         UnknownNameError,
         "add_sensor: on: world 'world' has no entity 'mats'; did you mean 'mast'?",
-    ),
-    (("range_finder", "eye"), {"max_range": 1}, ArgumentError, "on: 'eye' is a sensor, not a body"),
-    (
-        ("range_finder", "mast", "eye"),
-        {"max_range": 1},
-        ArgumentError,
-        "name: 'eye' is there already",
-    ),
-    (
-        ("range_finder", "mast", ""),
-        {"max_range": 1},
-        ArgumentError,
-        "name: expected a text, found ''",
-    ),
-    (("range_finder", "mast"), {}, ArgumentError, "add_sensor: max_range: missing"),
-    (
-        ("range_finder", "mast"),
-        {"max_range": math.inf},
-        ArgumentError,
-        "max_range: expected a finite number",
-    ),
-    (
-        ("range_finder", "mast"),
-        {"max_rang": 1},
-        ArgumentError,
-        "max_range: missing, but there is 'max_rang'",
-    ),
-    (
-        ("range_finder", "mast"),
-        {"max_range": 1, "widht": 3},
-        ArgumentError,
-        "widht: there is no such key",
-    ),
-    (
-        ("range_finder", "mast"),
-        {"max_range": 1, "period": -1},
-        ArgumentError,
-        "period: -1 is less than 0",
-    ),
-    (
-        ("range_finder", "mast"),
-        {"max_range": 1, "powered": 1},
-        ArgumentError,
-        "powered: expected true or false",
-    ),
-    (
-        ("range_finder", "mast"),
-        {"max_range": 1, "position": [0, 0]},
-        ArgumentError,
-        "position: expected 3 finite numbers",
-    ),
-    (
-        ("range_finder", "mast"),
-        {"max_range": 1, "position": [0, 0, math.nan]},
-        ArgumentError,
-        "position: expected 3",
-    ),
-    (
-        ("range_finder", "mast"),
-        {"max_range": 1, "orientation": [1, 1, 0, 0]},
-        ArgumentError,
-        "orientation: not a rotation",
-    ),
-    (
-        ("depth_camera", "mast"),
-        CAMERA | {"width": 3.5},
-        ArgumentError,
-        "width: 3.5 is no whole number",
-    ),
-    (("depth_camera", "mast"), CAMERA | {"fov": 180}, ArgumentError, "fov: 180 is not below 180"),
-    (
-        ("depth_camera", "mast"),
-        CAMERA | {"width": 10**4, "height": 10**4},
-        ArgumentError,
-        "width: that makes more than 1,000,000 rays",
-    ),
-    (
-        ("planar_laser", "mast"),
-        LASER | {"resolution": 1e-9},
-        ArgumentError,
-        "resolution: that makes more than 1,000,000 rays",
-    ),
-    (
-        ("planar_laser", "mast"),
-        LASER | {"resolution": 1e-300},
-        ArgumentError,
-        "resolution: that makes more than",
-    ),
-    (
-        ("planar_laser", "mast"),
-        LASER | {"min_angle": -360.1},
-        ArgumentError,
-        "min_angle: -360.1 is less than -360",
-    ),
-    (
-        ("planar_laser", "mast"),
-        LASER | {"min_angle": -181, "max_angle": 180},
-        ArgumentError,
-        "max_angle: more than a turn from min_angle",
-    ),
-    (
-        ("lidar", "mast"),
-        {"max_range": 1, "max_elevation": 91},
-        ArgumentError,
-        "max_elevation: 91 is more than 90",
-    ),
-    (
-        ("lidar", "mast"),
-        {"max_range": 1, "min_elevation": 16},
-        ArgumentError,
-        "min_elevation: 16 is more than max_elevation, which is 15",
-    ),
-    (("lidar", "mast"), {"max_range": 1, "layers": 0}, ArgumentError, "layers: 0 is not above 0"),
-    (
-        ("contact_sensor", "mast"),
-        {"max_range": 1},
-        ArgumentError,
-        "max_range: there is no such key",
     ),
 ]
 
 
-@pytest.mark.parametrize(("arguments", "settings", "kind", "words"), MISTAKES)
-def test_mistakes_are_told(mast, arguments, settings, kind, words):
+@pytest.mark.parametrize(("arguments", "kind", "words"), MISTAKES)
+def test_mistakes_are_told(mast, arguments, kind, words):
     world = mast.open()
     world.add_sensor("range_finder", "mast", "eye", max_range=1)
     before = [e.name for e in world]
     with pytest.raises(kind) as caught:
-        world.add_sensor(*arguments, **settings)
+        world.add_sensor(**{"type": "range_finder", "on": "mast", **arguments})
     assert words in str(caught.value)
     assert [e.name for e in world] == before
 

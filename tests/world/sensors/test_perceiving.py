@@ -8,7 +8,6 @@ import pytest
 
 import ssduck
 from ssduck.errors import ArgumentError, SelectScriptError
-from ssduck.schema import FORGOTTEN_AFTER
 from ssduck.simulators.pybullet import readings as pybullet_rays
 from ssduck.world.sensor_readings import Reading
 from tests.support.cases import sampled
@@ -309,37 +308,6 @@ def test_sensors_cost_nothing_until_they_are_asked_for(mast):
 
 
 @pytest.mark.slow
-def test_all_rays_of_a_tick_are_cast_in_one_call(mast, monkeypatch):
-    mast.box("wall", [0.5, 9, 9], [2, 0, 0])
-    world = mast.open()
-    world.add_sensor("depth_camera", "mast", **CAMERA)
-    world.add_sensor("planar_laser", "mast", **LASER)
-    world.add_sensor("range_finder", "mast", max_range=2)
-    off = world.add_sensor("lidar", "mast", max_range=2, powered=False)
-    calls = []
-    real = pybullet.rayTestBatch
-
-    def counted(starts, ends, **more):
-        calls.append((len(starts), more["numThreads"]))
-        return real(starts, ends, **more)
-
-    monkeypatch.setattr(pybullet_rays.pybullet, "rayTestBatch", counted)
-    all_rays = 64 * 48 + 360 + 1
-    for ss in evaluators(world):
-        for _ in range(3):
-            ss.eval(
-                "SELECT id(b.this), sensingAmount(a.this, b.this) FROM a=sim, b=sim WHERE isSensing(a.this, b.this);"
-            )
-            ss.sql("SELECT isSensing(a, b), sensingEnvIDs(a) FROM entities a, entities b")
-    assert calls == [(all_rays, 0)]
-    world.step(5)
-    assert calls == [(all_rays, 0)] * 2
-    off.power(True)
-    assert off.rays == 16 * 360
-    assert calls[2:] == [(16 * 360 + all_rays, 0)]
-
-
-@pytest.mark.slow
 def test_one_sensor_is_read_by_itself(mast):
     """An expensive one is not read for the sake of a cheap one; a query reads all."""
     mast.box("wall", [0.5, 9, 9], [2, 0, 0])
@@ -363,23 +331,6 @@ def test_one_sensor_is_read_by_itself(mast):
     assert finder.reading is None
     finder.power(True)
     assert finder.reading.hits
-
-
-@pytest.mark.parametrize(("rays", "threads"), [(1, 1), (49, 1), (50, 0), (51, 0)])
-def test_few_rays_wake_no_threads(mast, monkeypatch, rays, threads):
-    world = mast.open()
-    found = []
-    real = pybullet.rayTestBatch
-    monkeypatch.setattr(
-        pybullet_rays.pybullet,
-        "rayTestBatch",
-        lambda *a, **more: found.append(more["numThreads"]) or real(*a, **more),
-    )
-    sensor = world.add_sensor(
-        "planar_laser", "mast", min_angle=0, max_angle=rays - 1, resolution=1, max_range=1
-    )
-    assert sensor.rays == rays
-    assert found == [threads]
 
 
 @pytest.mark.slow
@@ -415,14 +366,3 @@ def test_colours_are_drawn_when_they_are_asked_for(mast):
         world.request_tables(["sensings"])
     world.step(240)
     assert len(pictures) == 2
-
-
-def test_sensors_that_nobody_asks_for_any_more_are_read_no_more(mast):
-    world = mast.open()
-    eye = world.add_sensor("range_finder", "mast", max_range=5)
-    assert eye.rays == 1
-    for _ in range(300):
-        world.step()
-    assert len(mast.casts) == FORGOTTEN_AFTER + 1
-    assert eye.rays == 1
-    assert len(mast.casts) == FORGOTTEN_AFTER + 2
