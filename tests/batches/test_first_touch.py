@@ -10,6 +10,7 @@ import pytest
 import ssduck
 from ssduck.errors import ArgumentError, ProgramWarning
 from ssduck.gym import VectorQueryWrapper
+from tests.support.of_model import OfModel
 
 REST = """
 <mujoco><worldbody>
@@ -241,31 +242,19 @@ def test_a_term_that_is_nothing_is_not_told_of_as_nan(ss):
         terms()
 
 
-class Ball(gymnasium.Env):
-    """A ball of a size before a wall."""
-
-    observation_space = action_space = gymnasium.spaces.Box(-1, 1, (1,), np.float64)
-
-    def __init__(self, size):
-        self.model = mujoco.MjModel.from_xml_string(f"""<mujoco><worldbody>
-          <body name="wall" pos="1 0 1"><geom type="box" size=".1 1 1"/></body>
-          <body name="ball" pos="0 0 1"><freejoint/><geom size="{size}"/></body>
-        </worldbody></mujoco>""")
-        self.data = mujoco.MjData(self.model)
-
-    def reset(self, *, seed=None, options=None):
-        mujoco.mj_resetData(self.model, self.data)
-        mujoco.mj_forward(self.model, self.data)
-        return np.zeros(1), {}
-
-    def step(self, action):
-        mujoco.mj_step(self.model, self.data)
-        return np.zeros(1), 0.0, False, False, {}
+BALL = """
+<mujoco><worldbody>
+  <body name="wall" pos="1 0 1"><geom type="box" size=".1 1 1"/></body>
+  <body name="ball" pos="0 0 1"><freejoint/><geom size="{}"/></body>
+</worldbody></mujoco>
+"""
 
 
 @pytest.mark.parametrize("size", [0.1, 0.3])
 def test_a_vector_of_models_that_differ_is_told_of(size, recwarn):
-    envs = gymnasium.vector.SyncVectorEnv([lambda: Ball(0.1), lambda: Ball(size)])
+    envs = gymnasium.vector.SyncVectorEnv(
+        [lambda: OfModel(BALL.format(0.1)), lambda: OfModel(BALL.format(size))]
+    )
     wrapped = VectorQueryWrapper(envs, reward="clearance(sim.ball, sim.wall)")
     wrapped.reset(seed=0)
     told = [str(w.message) for w in recwarn if "models of environments" in str(w.message)]

@@ -462,18 +462,6 @@ def test_other_answers_are_told(tmp_path, monkeypatch):
     assert "SelectScript says ['kitchen']" in told
 
 
-def test_without_an_engine_only_selectscript_answers(tmp_path, monkeypatch):
-    monkeypatch.setattr(prolog.shutil, "which", lambda _: None)
-    monkeypatch.setattr(prolog, "find_spec", lambda _: None)
-    result = ssduck_("demo", "prolog", "--out", str(tmp_path))
-    assert (result.exit_code, result.stderr) == (0, "")
-    assert "swipl" in result.stdout
-    assert "pip install clingo" in result.stdout
-    assert "X = cup_58a2, cup_905a" in result.stdout
-    assert "says the same" not in result.stdout  # nobody else was asked
-    assert (tmp_path / "kitchen.pl").is_file()
-
-
 def test_a_prolog_that_fails_is_told_of(tmp_path, monkeypatch, write):
     broken = write("bin/swipl", "#!/bin/sh\necho no library >&2\nexit 3\n")
     broken.chmod(0o755)

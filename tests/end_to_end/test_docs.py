@@ -224,19 +224,6 @@ def rounded(value):
     return value
 
 
-@pytest.mark.slow
-def test_values_that_the_readme_shows():
-    """`expression  # value` lines are true."""
-    with ssduck.load("kitchen") as ss:
-        rows = ss.eval("SELECT id, z FROM kitchen WHERE on(kitchen.table, this) ORDER BY z DESC;")
-        assert rows[0]["id"] == "plate_835a"
-        assert rows[0]["z"] == pytest.approx(0.922)
-        assert ss.eval("SELECT id FROM kitchen WHERE z(this) > 1.6 AS list;") == [
-            "pin_a091",
-            "pin_c671",
-        ]
-
-
 def test_the_guard_against_an_empty_run():
     assert sum(map(len, blocks("python").values())) >= 8
     assert sum(map(len, blocks("selectscript").values())) >= 4
@@ -245,20 +232,6 @@ def test_the_guard_against_an_empty_run():
 @pytest.mark.parametrize("text", [t for texts in blocks("toml").values() for t in texts])
 def test_toml_examples_parse(text):
     assert tomllib.loads(text)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("tool", ["write_reference.py", "build_kitchen.py"])
-def test_what_is_generated_is_up_to_date(tool):
-    done = subprocess.run(
-        [sys.executable, str(ROOT / "tools" / tool), "--check"],
-        cwd=ROOT,
-        env={"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
 def anchors(page):
@@ -291,25 +264,6 @@ def test_pages_that_the_code_mentions_exist():
     }
     assert mentions
     assert [mention for mention in mentions if not (ROOT / mention[1]).exists()] == []
-
-
-@pytest.mark.parametrize(
-    "page",
-    sorted((ROOT / "docs").rglob("*.md")),
-    ids=lambda page: page.relative_to(ROOT).as_posix(),
-)
-def test_every_page_can_be_reached(page):
-    """From the README, by links of its pages."""
-    reached, waiting = set(), [ROOT / "README.md"]
-    while waiting:
-        path = waiting.pop()
-        if path not in reached and path.suffix == ".md":
-            reached.add(path)
-            links = re.findall(r"\]\(([^)#\s]+)", path.read_text(encoding="utf-8"))
-            waiting += [
-                (path.parent / link).resolve() for link in links if not link.startswith("https://")
-            ]
-    assert page in reached
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())

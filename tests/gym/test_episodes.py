@@ -12,6 +12,7 @@ from ssduck.errors import ProgramWarning, RecordError, SimulatorError
 from ssduck.gym import QueryWrapper, score
 from ssduck.recording.episode_steps import EpisodeSteps
 from tests.support.gym_environments import Drop
+from tests.support.of_model import OfModel
 
 TEXT = """
 <mujoco><option gravity="0 0 0"/><worldbody><body name="a"><freejoint/>
@@ -21,7 +22,7 @@ TERMS = {"success": "x(sim.a) > 5", "reward": "x(sim.a) - initially(x(sim.a))"}
 FALLS = r"MuJoCo's time fell to 0.02 s within an episode"
 
 
-class Flight(gymnasium.Env):
+class Flight(OfModel):
     """A ball that flies; the state becomes unstable at some steps.
 
     Args:
@@ -30,23 +31,12 @@ class Flight(gymnasium.Env):
         change: what else happens at step 3.
     """
 
-    observation_space = gymnasium.spaces.Box(-10, 10, (7,), np.float64)
-    action_space = gymnasium.spaces.Box(-1, 1, (1,), np.float64)
-
     def __init__(self, kicks=(), most=4, change=None):
+        super().__init__(TEXT, 10)
         self.kicks, self.most, self.change, self.steps = kicks, most, change, 0
-        self._build()
 
-    def _build(self):
-        self.model = mujoco.MjModel.from_xml_string(TEXT)
-        self.data = mujoco.MjData(self.model)
-
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        mujoco.mj_resetData(self.model, self.data)
+    def start(self):
         self.data.qpos[0], self.data.qvel[0], self.steps = 0.5, 1.0, 0
-        mujoco.mj_forward(self.model, self.data)
-        return self.data.qpos.copy(), {}
 
     def step(self, action):
         self.steps += 1
@@ -55,8 +45,8 @@ class Flight(gymnasium.Env):
         info = {}
         if self.steps == 3:
             info = (self.change and self.change(self)) or {}
-        mujoco.mj_step(self.model, self.data, 10)
-        return self.data.qpos.copy(), 0.0, False, self.steps >= self.most, info
+        observation, *_ = super().step(action)
+        return observation, 0.0, False, self.steps >= self.most, info
 
 
 class Turn(Flight):
@@ -175,7 +165,7 @@ def test_steps_after_the_end_are_told_of(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda env: env._build(), "made its simulation anew within an episode.*call reset"),
+        (lambda env: env.build(), "made its simulation anew within an episode.*call reset"),
         (lambda _: {"final_observation": 0}, "info has 'final_observation'.*QueryWrapper first"),
     ],
 )

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import warnings
 
-import gymnasium
-import mujoco
 import numpy as np
 import pytest
 
 from ssduck.errors import ProgramWarning
 from ssduck.gym import QueryWrapper
+from tests.support.of_model import OfModel
 
 MODEL = """
 <mujoco><option gravity="0 0 0"/><worldbody>
@@ -20,27 +19,20 @@ MODEL = """
 """
 
 
-class Drift(gymnasium.Env):
+class Drift(OfModel):
     """A ball that drifts by 2 mm a step; its flag goes by `qpos` or by `xpos`."""
 
-    action_space = observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (1,))
-
     def __init__(self, reads="qpos"):
-        self.model = mujoco.MjModel.from_xml_string(MODEL)
-        self.data = mujoco.MjData(self.model)
+        super().__init__(MODEL)
         self.reads, self.goal = reads, 0.0205
 
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        mujoco.mj_resetData(self.model, self.data)
+    def start(self):
         self.data.qvel[0] = 1.0
-        mujoco.mj_forward(self.model, self.data)
-        return np.zeros(1), {}
 
     def step(self, action):
-        mujoco.mj_step(self.model, self.data)
+        result = super().step(action)
         x = self.data.qpos[0] if self.reads == "qpos" else self.data.body("ball").xpos[0]
-        return np.zeros(1), 0.0, False, False, {"done": bool(x > self.goal)}
+        return *result[:-1], {"done": bool(x > self.goal)}
 
 
 TERMS = {"variables": {"goal": lambda env: env.goal}}

@@ -1,6 +1,5 @@
 """A state that is not a number: what the terms are, and what their errors say."""
 
-import gymnasium
 import mujoco
 import numpy as np
 import pybullet
@@ -10,6 +9,7 @@ import ssduck
 from ssduck.errors import ArgumentError, SelectScriptError
 from ssduck.gym import QueryWrapper, score
 from tests.support.gym_environments import Drop
+from tests.support.of_model import OfModel
 
 TEXT = """
 <mujoco><option gravity="0 0 0"><flag autoreset="disable"/></option><worldbody>
@@ -20,15 +20,11 @@ STATE = r"the pose or the velocity of sim\.a is NaN at this step"
 pytestmark = pytest.mark.filterwarnings("ignore:a. the simulator gives a pose")
 
 
-class Broken(gymnasium.Env):
+class Broken(OfModel):
     """The pose of a body is NaN from a step on; the goal from another one."""
 
-    observation_space = gymnasium.spaces.Box(-10, 10, (14,), np.float64)
-    action_space = gymnasium.spaces.Box(-1, 1, (1,), np.float64)
-
     def __init__(self, at=2, goal_at=99, until=99):
-        self.model = mujoco.MjModel.from_xml_string(TEXT)
-        self.data = mujoco.MjData(self.model)
+        super().__init__(TEXT, 2)
         self.at, self.goal_at, self.until = at, goal_at, until
 
     @property
@@ -37,7 +33,6 @@ class Broken(gymnasium.Env):
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
-        mujoco.mj_resetData(self.model, self.data)
         self.steps = -1
         return self.step(None)[0], {}
 
@@ -52,7 +47,7 @@ class Broken(gymnasium.Env):
             mujoco.mj_kinematics(self.model, self.data)
             self.data.time += 0.004
         else:
-            mujoco.mj_step(self.model, self.data, 2)
+            return super().step(action)
         return self.data.qpos.copy(), 0.0, False, False, {}
 
 

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 
-import gymnasium
-import mujoco
-import numpy as np
 import pytest
 
 import ssduck
 from ssduck.errors import ArgumentError
 from ssduck.gym import QueryWrapper, score
 from tests.support.cases import sampled
+from tests.support.of_model import OfModel
 
 FALL = """
 <mujoco><worldbody>
@@ -23,29 +21,25 @@ FALL = """
 EPISODES, STEPS = 3, 8
 
 
-class Fall(gymnasium.Env):
+class Fall(OfModel):
     """A ball that falls from a height that depends on the seed."""
 
-    observation_space = gymnasium.spaces.Box(-10, 10, (7,), np.float64)
-    action_space = gymnasium.spaces.Box(-1, 1, (1,), np.float32)
-
     def __init__(self):
-        self.model = mujoco.MjModel.from_xml_string(FALL)
-        self.data = mujoco.MjData(self.model)
-        self.heights = []
+        super().__init__(FALL, 5)
 
     def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        mujoco.mj_resetData(self.model, self.data)
-        self.data.qpos[2] = 1 + 0.5 * seed
-        mujoco.mj_forward(self.model, self.data)
+        self.height = 1 + 0.5 * seed
+        result = super().reset(seed=seed)
         self.heights = [self.data.xpos[1, 2].item()]
-        return self.data.qpos.copy(), {}
+        return result
+
+    def start(self):
+        self.data.qpos[2] = self.height
 
     def step(self, action):
-        mujoco.mj_step(self.model, self.data, 5)
+        result = super().step(action)
         self.heights.append(self.data.xpos[1, 2].item())
-        return self.data.qpos.copy(), 0.0, False, False, {}
+        return result
 
 
 Z = "z(sim.ball)"

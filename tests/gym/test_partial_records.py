@@ -3,13 +3,13 @@
 import warnings
 
 import gymnasium
-import mujoco
 import numpy as np
 import pytest
 
 import ssduck
 from ssduck.errors import ProgramWarning, SelectScriptError
 from ssduck.gym import QueryWrapper, score
+from tests.support.of_model import OfModel
 
 TEXT = """
 <mujoco><worldbody><geom name="floor" type="plane" size="0 0 .1"/>
@@ -21,24 +21,15 @@ NO_CONTACTS = "the table of contacts of 'sim' is not recorded"
 TOLD = "only box, world were recorded.*as force, torque, restsOn"
 
 
-class Stack(gymnasium.Env):
+class Stack(OfModel):
     """A box on another one, at rest but for their settling."""
 
-    observation_space = action_space = gymnasium.spaces.Box(-1, 1, (1,), np.float32)
-
     def __init__(self):
-        self.model = mujoco.MjModel.from_xml_string(TEXT)
-        self.data = mujoco.MjData(self.model)
-
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        mujoco.mj_resetData(self.model, self.data)
-        mujoco.mj_forward(self.model, self.data)
-        return np.zeros(1), {}
+        super().__init__(TEXT, 5)
 
     def step(self, action):
-        mujoco.mj_step(self.model, self.data, 5)
-        return np.zeros(1), 1.0, False, False, {}
+        observation, *_ = super().step(action)
+        return observation, 1.0, False, False, {}
 
 
 def record(folder, recording=None, steps=6, **terms):

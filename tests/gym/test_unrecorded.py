@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gymnasium
-import mujoco
 import numpy as np
 import pybullet
 import pytest
@@ -11,7 +10,7 @@ import pytest
 import ssduck
 from ssduck.errors import EvaluationError, SelectScriptError
 from ssduck.gym import QueryWrapper
-from ssduck.interpreter.planner import Planner
+from tests.support.of_model import OfModel
 
 MODEL = """
 <mujoco><worldbody>
@@ -21,25 +20,11 @@ MODEL = """
 """
 
 
-class Fall(gymnasium.Env):
+class Fall(OfModel):
     """A ball that falls from 1 m."""
 
-    observation_space = gymnasium.spaces.Box(-10, 10, (7,), np.float64)
-    action_space = gymnasium.spaces.Box(-1, 1, (1,), np.float32)
-
     def __init__(self):
-        self.model = mujoco.MjModel.from_xml_string(MODEL)
-        self.data = mujoco.MjData(self.model)
-
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        mujoco.mj_resetData(self.model, self.data)
-        mujoco.mj_forward(self.model, self.data)
-        return self.data.qpos.copy(), {}
-
-    def step(self, action):
-        mujoco.mj_step(self.model, self.data, 10)
-        return self.data.qpos.copy(), 0.0, False, False, {}
+        super().__init__(MODEL, 10)
 
 
 def heights(env, steps):
@@ -93,19 +78,6 @@ def test_a_world_is_recorded_only_where_a_term_reads_the_record(term, needs_reco
     ss.record("sim", ssduck.Recording())
     heights(env, 3)
     assert len(ss.past("sim").times) == 4
-
-
-def test_a_reset_makes_no_new_plan(monkeypatch):
-    env = QueryWrapper(Fall(), success="heldFor(z(sim.ball) < 0.1) > 0.1", forward=False)
-    heights(env, 5)
-    heights(env, 5)
-    made = []
-    plan_for = Planner._plan_for
-    monkeypatch.setattr(
-        Planner, "_plan_for", lambda *args, **others: made.append(1) or plan_for(*args, **others)
-    )
-    heights(env, 5)
-    assert not made
 
 
 class Hooked(Fall):

@@ -1,9 +1,10 @@
-"""Small environments of gymnasium: one on MuJoCo, one on PyBullet."""
+"""Small environments of gymnasium on MuJoCo and PyBullet."""
 
 import gymnasium
-import mujoco
 import numpy as np
 import pytest
+
+from tests.support.of_model import OfModel
 
 pybullet = pytest.importorskip("pybullet")
 
@@ -24,7 +25,7 @@ PUSH = """
 """
 
 
-class Push(gymnasium.Env):
+class Push(OfModel):
     """A slide pushes a ball along a table, to a goal that only Python knows.
 
     Args:
@@ -33,33 +34,25 @@ class Push(gymnasium.Env):
     """
 
     def __init__(self, *, rebuilds=False, most=1000):
+        super().__init__(PUSH, 5)
         self.rebuilds, self.most, self.steps = rebuilds, most, 0
-        self._build()
-        low, high = -100, 100
-        self.observation_space = gymnasium.spaces.Box(low, high, (self.model.nq,), np.float64)
-        self.action_space = gymnasium.spaces.Box(-1, 1, (1,), np.float32)
         self.goal = np.zeros(3)
 
-    def _build(self):
-        self.model = mujoco.MjModel.from_xml_string(PUSH)
-        self.data = mujoco.MjData(self.model)
-
     def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
         if self.rebuilds:
-            self._build()
-        mujoco.mj_resetData(self.model, self.data)
+            self.build()
+        return super().reset(seed=seed)
+
+    def start(self):
         self.goal = np.array([self.np_random.uniform(0.02, 0.1), 0.0, 0.45])
-        mujoco.mj_forward(self.model, self.data)
         self.steps = 0
-        return self.data.qpos.copy(), {}
 
     def step(self, action):
         self.data.ctrl[:] = action
-        mujoco.mj_step(self.model, self.data, 5)
+        observation, *_ = super().step(action)
         self.steps += 1
         reward = -float(np.linalg.norm(self.data.body("ball").xpos - self.goal))
-        return self.data.qpos.copy(), reward, False, self.steps >= self.most, {}
+        return observation, reward, False, self.steps >= self.most, {}
 
 
 class Drop(gymnasium.Env):

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
-import mujoco
 import numpy as np
 
 import ssduck
 from ssduck.gym import QueryWrapper
+from tests.support.of_model import OfModel
 
 STEPS, STEP_TIME, TIMESTEP = 120, 1 / 60, 1 / 240
 SHAPES = (
@@ -54,29 +54,21 @@ def model() -> str:
 """
 
 
-class Push(gymnasium.Env):
+class Push(OfModel):
     """The gripper is pushed by forces that change with the seed."""
 
-    observation_space = gymnasium.spaces.Box(-10, 10, (2,), np.float64)
     action_space = gymnasium.spaces.Box(-4, 4, (2,), np.float32)
 
     def __init__(self) -> None:
-        self.model = mujoco.MjModel.from_xml_string(model())
-        self.data = mujoco.MjData(self.model)
-        self.goal = 0.0
+        super().__init__(model(), round(STEP_TIME / TIMESTEP))
 
-    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
-        super().reset(seed=seed)
-        mujoco.mj_resetData(self.model, self.data)
+    def start(self) -> None:
         self.data.qpos[:2] = self.np_random.uniform((-0.05, -0.1), (0.05, 0.1))
-        mujoco.mj_forward(self.model, self.data)
         self.goal = float(self.np_random.uniform(-0.3, -0.1))
-        return self.data.qpos[:2].copy(), {}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         self.data.ctrl[:] = action
-        mujoco.mj_step(self.model, self.data, round(STEP_TIME / TIMESTEP))
-        return self.data.qpos[:2].copy(), 0.0, False, False, {}
+        return super().step(action)
 
 
 SUCCESS = "x(sim.cup) > goal AND on(sim.table, sim.cup)"
