@@ -22,6 +22,7 @@ from ssduck.errors import (
     UnsupportedError,
     nearest,
 )
+from tests.support.marked import unmarked
 
 
 def broken(value):
@@ -39,194 +40,100 @@ def ss(shared_kitchen):
         yield interpreter
 
 
-# (program, kind, the offending text, words of the message, suggestions)
+# (program with the offending text marked, kind, words of the message … and of its suggestions)
 MISTAKES = [
-    ("x = 1; y = unknwn + 1;", UnknownNameError, "unknwn", "no variable 'unknwn'", []),
-    ("SELECT id FROM kitchn;", UnknownNameError, "kitchn", "no variable 'kitchn'", ["kitchen"]),
-    ("id == 'can';", UnknownNameError, "id", "write id(this)", []),
+    ("x = 1; y = «unknwn» + 1;", UnknownNameError, "no variable 'unknwn'"),
+    ("SELECT id FROM «kitchn»;", UnknownNameError, "no variable 'kitchn' … 'kitchen'"),
+    ("«id» == 'can';", UnknownNameError, "write id(this)"),
     (
-        "SELECT id(a.this) FROM a=kitchen, b=kitchen WHERE id == 'can';",
+        "SELECT id(a.this) FROM a=kitchen, b=kitchen WHERE «id» == 'can';",
         UnknownNameError,
-        "id",
         "write id(this)",
-        [],
     ),
-    ("tabel;", UnknownNameError, "tabel", "no variable 'tabel'", ["table"]),
+    ("«tabel»;", UnknownNameError, "no variable 'tabel' … 'table'"),
+    ("SELECT id FROM kitchen WHERE «isRobott»(this);", UnknownNameError, "no function … 'isRobot'"),
+    ("SELECT «vollume» FROM kitchen;", UnknownNameError, "no function 'vollume' … 'volume'"),
+    ("SELECT id FROM kitchen ORDER BY «hight»;", UnknownNameError, "no function 'hight'"),
+    ("«ISROBOT»(table);", UnknownNameError, "no function … 'isRobot'"),
+    ("SELECT id FROM kitchen AS «dcit»;", UnknownNameError, "no result form 'dcit' … 'dict'"),
+    ("«help('volum')»;", UnknownNameError, "no function 'volum' … 'volume'"),
+    ("«var('tabel')»;", UnknownNameError, "no variable 'tabel' … 'table'"),
+    ("SELECT id FROM a=kitchen WHERE isRobot(«b.this»);", UnknownNameError, "no source 'b' … 'a'"),
+    ("«this»;", UnknownNameError, "no 'this' here"),
+    ("«above(table)»;", ArgumentError, "above takes 2 arguments, not 1"),
+    ("SELECT id FROM kitchen WHERE «above(table, this, 3)»;", ArgumentError, "takes 2 arguments"),
+    ("SELECT «position(this, 1)» FROM kitchen;", ArgumentError, "takes 1 to 3 arguments"),
+    ("SELECT «isRobot()» FROM kitchen;", ArgumentError, "takes 1 argument, not 0"),
+    ("«broken(1, 2)»;", ArgumentError, "takes 1 argument, not 2"),
+    ("SELECT «to(id(this))» FROM kitchen;", ArgumentError, "to takes 2 arguments"),
     (
-        "SELECT id FROM kitchen WHERE isRobott(this);",
-        UnknownNameError,
-        "isRobott",
-        "no function",
-        ["isRobot"],
-    ),
-    (
-        "SELECT vollume FROM kitchen;",
-        UnknownNameError,
-        "vollume",
-        "no function 'vollume'",
-        ["volume"],
-    ),
-    (
-        "SELECT id FROM kitchen ORDER BY hight;",
-        UnknownNameError,
-        "hight",
-        "no function 'hight'",
-        [],
-    ),
-    ("ISROBOT(table);", UnknownNameError, "ISROBOT", "no function", ["isRobot"]),
-    (
-        "SELECT id FROM kitchen AS dcit;",
-        UnknownNameError,
-        "dcit",
-        "no result form 'dcit'",
-        ["dict"],
-    ),
-    ("help('volum');", UnknownNameError, "help('volum')", "no function 'volum'", ["volume"]),
-    ("var('tabel');", UnknownNameError, "var('tabel')", "no variable 'tabel'", ["table"]),
-    (
-        "SELECT id FROM a=kitchen WHERE isRobot(b.this);",
-        UnknownNameError,
-        "b.this",
-        "no source 'b'",
-        ["a"],
-    ),
-    ("this;", UnknownNameError, "this", "no 'this' here", []),
-    ("above(table);", ArgumentError, "above(table)", "above takes 2 arguments, not 1", []),
-    (
-        "SELECT id FROM kitchen WHERE above(table, this, 3);",
+        "SELECT id(a.this) FROM a=kitchen, b=kitchen WHERE isRobot(«this»);",
         ArgumentError,
-        "above(table, this, 3)",
-        "takes 2 arguments",
-        [],
-    ),
-    (
-        "SELECT position(this, 1) FROM kitchen;",
-        ArgumentError,
-        "position(this, 1)",
-        "takes 1 to 3 arguments",
-        [],
-    ),
-    ("SELECT isRobot() FROM kitchen;", ArgumentError, "isRobot()", "takes 1 argument, not 0", []),
-    ("broken(1, 2);", ArgumentError, "broken(1, 2)", "takes 1 argument, not 2", []),
-    (
-        "SELECT to(id(this)) FROM kitchen;",
-        ArgumentError,
-        "to(id(this))",
-        "to takes 2 arguments",
-        [],
-    ),
-    (
-        "SELECT id(a.this) FROM a=kitchen, b=kitchen WHERE isRobot(this);",
-        ArgumentError,
-        "this",
         "a.this, b.this",
-        [],
     ),
+    ("SELECT id FROM kitchen, «kitchen»;", ArgumentError, "two sources have the name 'kitchen'"),
     (
-        "SELECT id FROM kitchen, kitchen;",
+        "SELECT id(a.this), «id(b.this)» FROM a=kitchen, b=kitchen;",
         ArgumentError,
-        "kitchen",
-        "two sources have the name 'kitchen'",
-        [],
-    ),
-    (
-        "SELECT id(a.this), id(b.this) FROM a=kitchen, b=kitchen;",
-        ArgumentError,
-        "id(b.this)",
         "two columns have the name 'id'",
-        [],
     ),
+    ("SELECT id FROM kitchen AS «list(3)»;", ArgumentError, "too many positional arguments"),
+    ("SELECT id FROM kitchen WHERE above(«3», this);", ArgumentError, "an entity, not a number"),
     (
-        "SELECT id FROM kitchen AS list(3);",
+        "SELECT id FROM kitchen WHERE distance(«[1, 2]», this) < 1;",
         ArgumentError,
-        "list(3)",
-        "too many positional arguments",
-        [],
-    ),
-    (
-        "SELECT id FROM kitchen WHERE above(3, this);",
-        ArgumentError,
-        "3",
-        "an entity, not a number",
-        [],
-    ),
-    (
-        "SELECT id FROM kitchen WHERE distance([1, 2], this) < 1;",
-        ArgumentError,
-        "[1, 2]",
         "not a list of another length",
-        [],
     ),
-    ("'a' < 1;", ArgumentError, "'a' < 1", "< does not take a text and a number", []),
+    ("«'a' < 1»;", ArgumentError, "< does not take a text and a number"),
+    ("SELECT id FROM kitchen WHERE «id(this) < 3»;", ArgumentError, "< does not take"),
+    ("«-'a'»;", ArgumentError, "- does not take a text"),
     (
-        "SELECT id FROM kitchen WHERE id(this) < 3;",
+        "«near(table, table, nothing)»;",
         ArgumentError,
-        "id(this) < 3",
-        "< does not take",
-        [],
-    ),
-    ("-'a';", ArgumentError, "-'a'", "- does not take a text", []),
-    (
-        "near(table, table, nothing);",
-        ArgumentError,
-        "near(table, table, nothing)",
         "near does not take (KinBody, KinBody, nothing): near(a, b, d) -> bool",
-        [],
     ),
-    ("3[0];", ArgumentError, "0", "a number has no element 0", []),
-    ("1 / 0;", EvaluationError, "1 / 0", "division by zero", []),
-    ("1 % 0;", EvaluationError, "1 % 0", "division by zero", []),
+    ("3[«0»];", ArgumentError, "a number has no element 0"),
+    ("«1 / 0»;", EvaluationError, "division by zero"),
+    ("«1 % 0»;", EvaluationError, "division by zero"),
     (
-        "SELECT id FROM kitchen WHERE 1 / (z(this) - z(this)) > 2;",
+        "SELECT id FROM kitchen WHERE «1 / (z(this) - z(this))» > 2;",
         EvaluationError,
-        "1 / (z(this) - z(this))",
         "division by zero",
-        [],
     ),
-    ("10.0 ^ 400;", EvaluationError, "10.0 ^ 400", "too large", []),
-    ("[1, 2][2];", EvaluationError, "2", "no element 2: there are 2 elements", []),
-    ("SELECT id FROM kitchen LIMIT -1;", EvaluationError, "-1", "LIMIT takes a whole number", []),
-    (
-        "SELECT id FROM kitchen LIMIT 'a';",
-        EvaluationError,
-        "'a'",
-        "LIMIT takes a whole number",
-        [],
-    ),
-    ("broken(1);", FunctionError, "broken(1)", "broken: KeyError: 1", []),
-    (
-        "SELECT broken(id(this)) FROM kitchen;",
-        FunctionError,
-        "broken(id(this))",
-        "broken: KeyError: 'fridge_webcam'",
-        [],
-    ),
-    ("sqrt(-1);", ArgumentError, "sqrt(-1)", "sqrt does not take -1", []),
-    ("2 ^ 99999999999;", EvaluationError, "2 ^ 99999999999", "too large", []),
-    ("'a' * 1000000000000;", EvaluationError, "'a' * 1000000000000", "too large", []),
-    ("(-8) ^ 0.5;", EvaluationError, "(-8) ^ 0.5", "no real value", []),
-    ("SELECT to(id, [1]) FROM kitchen;", ArgumentError, None, "cannot be the name of a column", []),
-    ("print();", ArgumentError, "print()", "print takes", []),
-    ("pow(2);", ArgumentError, "pow(2)", "pow takes 2 arguments, not 1", []),
-    ("min(1, 2);", ArgumentError, "min(1, 2)", "it is min([a, b])", []),
-    ("2 ** 3;", ParseError, None, "a power is x ^ y, or pow(x, y)", []),
-    ("help(3);", UnknownNameError, "help(3)", "no function 3", []),
-    ("IF(array; 1; 2);", EvaluationError, "array", "ValueError", []),
-    ("SELECT id FROM kitchen{2.0};", EvaluationError, "kitchen{2.0}", "no tick at 2 s", []),
-    ("eval('1 +');", ParseError, None, "expected an expression", []),
+    ("«10.0 ^ 400»;", EvaluationError, "too large"),
+    ("[1, 2][«2»];", EvaluationError, "no element 2: there are 2 elements"),
+    ("SELECT id FROM kitchen LIMIT «-1»;", EvaluationError, "LIMIT takes a whole number"),
+    ("SELECT id FROM kitchen LIMIT «'a'»;", EvaluationError, "LIMIT takes a whole number"),
+    ("«broken(1)»;", FunctionError, "broken: KeyError: 1"),
+    ("SELECT «broken(id(this))» FROM kitchen;", FunctionError, "broken: KeyError: 'fridge_webcam'"),
+    ("«sqrt(-1)»;", ArgumentError, "sqrt does not take -1"),
+    ("«2 ^ 99999999999»;", EvaluationError, "too large"),
+    ("«'a' * 1000000000000»;", EvaluationError, "too large"),
+    ("«(-8) ^ 0.5»;", EvaluationError, "no real value"),
+    ("SELECT to(id, [1]) FROM kitchen;", ArgumentError, "cannot be the name of a column"),
+    ("«print()»;", ArgumentError, "print takes"),
+    ("«pow(2)»;", ArgumentError, "pow takes 2 arguments, not 1"),
+    ("«min(1, 2)»;", ArgumentError, "it is min([a, b])"),
+    ("2 ** 3;", ParseError, "a power is x ^ y, or pow(x, y)"),
+    ("«help(3)»;", UnknownNameError, "no function 3"),
+    ("IF(«array»; 1; 2);", EvaluationError, "ValueError"),
+    ("SELECT id FROM «kitchen{2.0}»;", EvaluationError, "no tick at 2 s"),
+    ("eval('1 +');", ParseError, "expected an expression"),
 ]
 
 
-@pytest.mark.parametrize(("program", "kind", "offending", "words", "suggestions"), MISTAKES)
-def test_mistakes(ss, program, kind, offending, words, suggestions):
+@pytest.mark.parametrize(("text", "kind", "words"), MISTAKES)
+def test_mistakes(ss, text, kind, words):
+    program, offending = unmarked(text)
+    told, *suggestions = words.split(" … ")
     variables = dict(ss._execution.variables)
     with pytest.raises(kind) as caught:
         ss.eval(program)
     error = caught.value
-    assert words in error.message
+    assert told in error.message
     for name in suggestions:
-        assert name in error.suggestions
-        assert repr(name) in str(error)
+        assert name.strip("'") in error.suggestions
+        assert name in str(error)
     if offending is not None:
         assert error.text == program
         assert program[error.span.start : error.span.end] == offending

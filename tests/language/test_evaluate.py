@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 from decimal import Decimal
 
 import numpy as np
@@ -19,7 +18,6 @@ from ssduck.errors import (
     UnknownNameError,
 )
 from ssduck.interpreter import query_runner as queries
-from ssduck.language import evaluator as evaluate
 from ssduck.language.value_keys import ValueKeys, exact_key
 from tests.support.cases import sampled
 
@@ -538,27 +536,3 @@ def test_zeros_are_one_group(ss, key):
 
 
 # -- long runs ---------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_what_programs_were_made_into_is_forgotten(ss, monkeypatch):
-    monkeypatch.setattr(evaluate, "MAX_COMPILED", 50)
-    evaluate._COMPILED.clear()
-    for number in range(200):
-        ss.eval(f"{number} + 1;")
-    assert len(evaluate._COMPILED) <= 50
-
-
-@pytest.mark.slow
-def test_relations_of_programs_that_are_gone_are_forgotten(ss, monkeypatch):
-    from ssduck.language.parser import _short_program
-
-    monkeypatch.setattr(evaluate, "MAX_COMPILED", 1)
-    for number in range(5):
-        with pytest.raises(SelectScriptError):
-            ss.eval(f"above({number}, 1);")
-    assert ss._execution._relation_queries
-    _short_program.cache_clear()
-    evaluate._COMPILED.clear()
-    gc.collect()
-    assert not ss._execution._relation_queries

@@ -19,7 +19,6 @@ from ssduck.errors import (
     UnknownNameError,
 )
 from ssduck.interpreter import query_runner as queries
-from ssduck.language import value_history as temporal
 from ssduck.language.parser import parse
 from ssduck.language.value_history import SAME_TIME, ValueHistory, past_value, with_assignment
 from tests.support.cases import sampled
@@ -212,20 +211,6 @@ def test_a_plan_is_made_anew_when_the_type_of_what_was_changes(ss):
     assert ss.eval(of_one) == [False, False, True]
     run(ss, "w2 = w;")
     assert ss.eval("SELECT id FROM w2 WHERE v{20} == 2.5 AS list;") == ["box"]
-
-
-def test_a_constant_time_is_sql(client):
-    with ssduck.Interpreter() as ss:
-        ss.add_variable("w", box_world(client))
-        ss.eval("v{} = 0.25; h = 1;")
-        text = "SELECT id FROM w WHERE z(this) > v{h} AND count(v{}) == 1 AS list;"
-        told = ss.explain(text)
-        assert "SELECT" in told
-        assert "left to Python" not in told
-        assert "row by row" not in told
-        assert ss.eval(text) == ["box"]
-        # What sees rows is looked up for each of them.
-        assert "left to Python" in ss.explain("SELECT id FROM w WHERE v{z(this)} > 0 AS list;")
 
 
 # (script, program, error, the offending text, words)
@@ -563,33 +548,6 @@ def test_times_are_the_same_however_they_are_rounded(step, back, every):
 # -- what it costs ---------------------------------------------------------------------------
 
 
-@pytest.fixture
-def copied(monkeypatch):
-    """How many values were copied from one log to another, and how long the longest log was."""
-    counts = {"values": 0}
-    part = temporal.ValueLog.part
-
-    def counted(log, first, end):
-        counts["values"] += end - first
-        return part(log, first, end)
-
-    monkeypatch.setattr(temporal.ValueLog, "part", counted)
-    return counts
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("horizon", [math.inf, 0.0, 1.0, 100.0])
-def test_adding_costs_the_same_however_many_there_are(copied, horizon):
-    held, count, longest = None, 100_000, 0
-    for number in range(count):
-        held = with_assignment(held, number, horizon, number / 100)
-        longest = max(longest, len(held.log.values))
-    assert copied["values"] <= count
-    if horizon < math.inf:  # at most as many again as are kept
-        assert longest <= 2 * (horizon * 100 + 3)
-    assert held.at(count, count / 100) == count - 1
-
-
 def test_what_is_out_of_the_horizon_is_let_go_without_assignments(ss):
     class Large:
         alive = 0
@@ -615,17 +573,6 @@ def test_a_hundred_thousand_assignments(client):
         for _ in range(100_000):
             ss.eval(add)
         assert ss.eval("[count(v{}), v{0}];") == [100_000, 1]
-
-
-def test_a_failed_program_costs_one_copy_of_what_is_kept(copied):
-    held = None
-    for number in range(1000):
-        held = with_assignment(held, number, math.inf, 0.0)
-    with_assignment(held, "failed", math.inf, 0.0)
-    for number in range(1000):
-        held = with_assignment(held, number, math.inf, 0.0)
-    assert copied["values"] == 1000
-    assert held.within(math.inf, 0.0)[1000] == (0.0, 0)
 
 
 def test_what_has_grown_from_one_history_is_not_mixed():
