@@ -135,18 +135,3 @@ def test_show_prints(chaos, capsys, monkeypatch):
     for bad in ({"rows": -1}, {"rows": 0.5}, {"width": 0}, {"width": math.inf}):
         with pytest.raises(NumberError, match=f"show: {next(iter(bad))}"):
             result.show(**bad)
-
-
-@pytest.mark.slow
-def test_only_the_rows_shown_become_values(chaos, monkeypatch):
-    """A result of a million rows is shown at once."""
-    result = chaos.sql("SELECT i, 'a' || i AS name FROM range(1000000) r(i)")
-    parts = []
-    part = type(result).part
-    monkeypatch.setattr(type(result), "part", lambda self, *a: parts.append(a) or part(self, *a))
-    lines = str(result).splitlines()
-    assert lines[-1] == "1000000 rows (20 shown)"
-    assert lines[-2].split() == ["999999", "a999999"]
-    assert sum(count for _, count in parts) == 20
-    assert result.fetchone() == (0, "a0")
-    assert result.fetchmany(2) == [(1, "a1"), (2, "a2")]

@@ -16,9 +16,7 @@ from ssduck.errors import (
     UnknownNameError,
     UnsupportedError,
 )
-from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.interpreter.batches.evaluator import BatchExpressions
-from ssduck.interpreter.batches.queries import BatchQuery
 from ssduck.sql.relations.registry import RELATIONS
 from tests.batches.conftest import COUNT, MODEL, States, each, simulations
 from tests.support.cases import generated, sampled
@@ -171,17 +169,6 @@ def test_generated_programs(texts):
     states.close()
 
 
-def test_shapes_of_all_environments_are_compared_at_once(batch, monkeypatch):
-    ss, made = batch[0], []
-    init = NarrowPhase.__init__
-    monkeypatch.setattr(NarrowPhase, "__init__", lambda *args: made.append(1) or init(*args))
-    ss.eval("on(sim.table, sim.cube);")
-    made.clear()
-    batch[1].tick(batch[3])
-    ss.eval("on(sim.table, sim.cube);")
-    assert len(made) == 1
-
-
 @pytest.mark.filterwarnings("ignore:.*that is no number")
 def test_what_is_nan_is_unknown_there_alone(batch):
     ss, sim, model, states = batch
@@ -194,22 +181,6 @@ def test_what_is_nan_is_unknown_there_alone(batch):
         ss.eval("z(sim.cube) > 0.4;")
     expected = each(model, states, "z(sim.ball) * 2;")
     assert agree(ss.eval("z(sim.ball) * 2;"), expected)
-
-
-@pytest.mark.filterwarnings("ignore:.*that is no number")
-def test_a_number_of_what_is_nan_needs_no_second_look(batch, monkeypatch):
-    ss, sim, _, states = batch
-    states[2].xpos[2] = np.nan
-    sim.tick(states)
-    ss.eval("exp(-z(sim.cube)) + x(sim.ball);")
-    asked = []
-    choose = type(sim.ticker).choose
-    monkeypatch.setattr(type(sim.ticker), "choose", lambda *a: asked.append(a[1]) or choose(*a))
-    sim.tick(states)
-    assert np.flatnonzero(np.isnan(ss.eval("exp(-z(sim.cube)) + x(sim.ball);"))).tolist() == [2]
-    assert asked == []
-    assert ss.eval("z(sim.ball) > 0 OR z(sim.cube) > 0;").all()
-    assert 2 in asked
 
 
 def test_an_error_has_the_number_of_its_environment(batch):
@@ -255,29 +226,6 @@ def test_queries_have_the_rows_of_each_environment(batch, text):
     ss.add_variable("goal", goal)
     parameters = {"env": list(range(COUNT)), "goal": goal.tolist()}
     expected = [row for rows in each(model, states, text, parameters) for row in rows]
-    found = ss.eval(text)
-    assert [plain(row) for row in found] == [plain(row) for row in expected]
-    assert found
-
-
-OF_ENTITIES = [
-    "SELECT env, id(this), x(this) FROM sim WHERE env < 2 AND z(this) > 0.3 AS list;",
-    "SELECT env FROM sim WHERE touching(sim.table, this) AS list;",
-    "SELECT env + 0.5 AS shifted, 'a' AS text, id FROM sim WHERE z(this) > low AS list;",
-    "SELECT env, id, x, y, z FROM sim;",
-    "SELECT id, z(this) - goal[2] AS left FROM sim WHERE z(this) > low;",
-]
-
-
-@pytest.mark.parametrize("text", OF_ENTITIES)
-def test_rows_of_all_environments_are_computed_together(batch, monkeypatch, text):
-    ss, _, model, states = batch
-    goal = np.linspace(0.3, 0.4, COUNT)[:, None] * np.ones(3)
-    ss.add_variable("goal", goal)
-    ss.add_variable("low", 0.32)
-    parameters = {"env": list(range(COUNT)), "goal": goal.tolist(), "low": [0.32] * COUNT}
-    expected = [row for rows in each(model, states, text, parameters) for row in rows]
-    monkeypatch.setattr(BatchQuery, "_one", None)
     found = ss.eval(text)
     assert [plain(row) for row in found] == [plain(row) for row in expected]
     assert found
@@ -498,18 +446,6 @@ def test_contacts_in_arrays(batch):
     assert agree(ss.eval(texts[0]), list(expected[0]))
     with pytest.raises(ArgumentError, match="no force"):
         ss.eval(texts[3])
-
-
-def test_contacts_are_read_only_if_they_are_asked_for(batch, monkeypatch):
-    ss, sim, _, states = batch
-    read, environments = [], type(sim.environments)
-    contacts = environments._contacts_in
-    monkeypatch.setattr(environments, "_contacts_in", lambda *a: read.append(1) or contacts(*a))
-    for text, count in (("z(sim.cube) > 1;", 0), ("inContact(sim.cube, sim.table);", 2)):
-        for _ in range(2):
-            sim.tick(states)
-            ss.eval(text)
-        assert len(read) == count
 
 
 def test_a_program_without_the_batch_is_one_value(batch):

@@ -10,7 +10,6 @@ import pytest
 import ssduck
 from ssduck.errors import RecordError, SelectScriptError, UnknownNameError
 from ssduck.gym import QueryWrapper, score
-from ssduck.gym.judge import Judge
 from tests.support.cases import generated, sampled
 from tests.support.gym_environments import Push
 
@@ -236,28 +235,3 @@ def test_terms_may_end_with_comments(few):
     assert [one.rewards for one in score(few, **told)] == [
         one.rewards for one in score(few, **plain)
     ]
-
-
-AT_TICKS = [
-    "on(sim.table, sim.ball) AND x(sim.ball) > goal[0] / 2",
-    "heldFor(z(sim.ball) > 0.1) > 0.02 OR contactForce(sim.pusher, sim.ball) > 1",
-    "lifted(sim.ball, -0.5) AND rate(x(sim.ball)) > 0",
-    "previous(x(sim.ball)) < x(sim.ball) AND NOT near(sim.pusher, sim.ball, goal[0])",
-]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("success", AT_TICKS)
-def test_an_episode_needs_no_look_at_each_tick(recorded, monkeypatch, success):
-    folder = recorded[0]
-    terms = {"success": success, "reward": "max([-1.0, -distance(sim.pusher, sim.ball)])"}
-    asked = []
-    judgement = Judge.judgement
-    monkeypatch.setattr(Judge, "judgement", lambda judge: asked.append(1) or judgement(judge))
-    together = list(score(folder, **terms))
-    is_one_by_one = "goal[0])" in success  # a variable within a relation
-    assert bool(asked) == is_one_by_one
-    monkeypatch.setattr(Judge, "judgements", lambda *_: None)
-    asked.clear()
-    assert list(score(folder, **terms)) == together
-    assert len(asked) == sum(len(one.rewards) for one in together) > 8

@@ -10,7 +10,6 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import ssduck
-from ssduck.database.plans import RUNS_BEFORE_PLAN
 from ssduck.errors import ArgumentError, SelectScriptError, SimulatorError, UnknownNameError
 from ssduck.gym import QueryWrapper, score
 from tests.support.cases import sampled
@@ -87,39 +86,6 @@ def test_an_episode_ends_when_a_condition_holds(wrap):
     steps = list(episode(env, 0, 200))
     assert [terminated for _, terminated, _ in steps] == [False] * (len(steps) - 1) + [True]
     assert steps[-1][2] == {"success": True, "failure": False}
-
-
-# Python computes what the C library has; DuckDB computes what is none, and all terms with it.
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("near", "count"),
-    [
-        ("-distance(sim.pusher, sim.ball)", 0),
-        ("sin(x(sim.ball))", 0),
-        ("heldFor(z(sim.ball) > 0)", 0),
-        ("floor(10.0 * x(sim.ball))", 1),
-    ],
-)
-def test_one_statement_a_step_at_most(wrap, near, count):
-    statements = []
-    env = wrap(
-        Push(),
-        success="on(sim.table, sim.ball) AND x(sim.ball) > goal[0]",
-        failure="z(sim.ball) < 0.2",
-        reward={"goal": REWARD, "near": near},
-        stop_when="success OR failure",
-        variables=GOAL,
-    )
-    list(episode(env, 0, 5))
-    env.interpreter._database.connection._tracer = statements.append
-    counts = []
-    env.reset(seed=1)
-    for _ in range(RUNS_BEFORE_PLAN + 10):
-        statements.clear()
-        env.step([1.0])
-        counts.append(len(statements))
-    # One of the first steps makes the plan of the statement.
-    assert counts[RUNS_BEFORE_PLAN + 1 :] == [count] * 9
 
 
 @pytest.mark.slow
@@ -491,19 +457,3 @@ def test_a_closed_environment_takes_no_step():
     for act in (lambda: env.step(np.ones(1, np.float32)), env.reset):
         with pytest.raises(gymnasium.error.ClosedEnvironmentError, match="is closed: make it anew"):
             act()
-
-
-def test_a_variable_is_bound_when_its_value_is_another_one(wrap, monkeypatch):
-    env = wrap(Push(), success="x(sim.ball) > goal[0]", variables=GOAL, forward=False)
-    env.reset(seed=0)
-    bound, bind = [], ssduck.Interpreter.add_variable
-    monkeypatch.setattr(
-        ssduck.Interpreter, "add_variable", lambda *of: bound.append(of[1:]) or bind(*of)
-    )
-    goal, ball = env.unwrapped.goal, env.unwrapped.data.body("ball")
-    for change in (0.0, 0.0, 0.3, 0.0, -0.3, 0.0):
-        goal[0] += change
-        bound.clear()
-        info = env.step(np.ones(1, np.float32))[-1]["ssduck"]
-        assert len(bound) == bool(change)
-        assert info["success"] == (ball.xpos[0] > goal[0])

@@ -13,8 +13,7 @@ import pyarrow as pa
 import pytest
 
 import ssduck
-from ssduck.errors import ArgumentError, EvaluationError, ParseError, SelectScriptError
-from ssduck.lakes import engines
+from ssduck.errors import ArgumentError, ParseError, SelectScriptError
 from ssduck.lakes.answers import AnsweredEpisode, answer_table
 from ssduck.lakes.engines import answer_locally
 from ssduck.lakes.manifest import EpisodeEntry
@@ -128,19 +127,6 @@ def test_processes_are_kept_until_one_is_killed(recorded):
     assert not first & second
     forget_readers()
     assert children() == others
-
-
-@pytest.mark.slow
-def test_answers_come_through_files(recorded, tmp_path):
-    """A pipe would be left with half a message by a process that is killed."""
-    entries = ssduck.lake(recorded)._entries
-    question = ProgramQuestion(f'"{"a" * 10_000}";')
-    file = engines._write_answers(question, entries, tmp_path)
-    ((_, answers),) = answer_locally(question, [entries], 1)
-    assert engines._read_answers(file) == answers
-    assert not list(tmp_path.iterdir())
-    with pytest.raises(EvaluationError, match=r"cannot be kept in .*: No such file"):
-        engines._write_answers(question, entries, tmp_path / "gone")
 
 
 @pytest.mark.parametrize(("episodes", "kept", "expected"), [

@@ -6,7 +6,7 @@ import zlib
 import pytest
 
 import ssduck
-from ssduck.lakes import scan, workers
+from ssduck.lakes import workers
 from tests.support.command_line import write_scene
 
 PROGRAM = "count(SELECT id FROM two{} AS list);"
@@ -46,21 +46,6 @@ def test_the_manifest_has_size_and_checksum(file):
 
 
 @pytest.mark.slow
-def test_a_file_that_did_not_change_is_not_opened_again(file, scene, monkeypatch):
-    before = ssduck.lake(file.parent).entries
-    opened = []
-    listed = scan.episodes
-    monkeypatch.setattr(scan, "episodes", lambda path: opened.append(path.name) or listed(path))
-    assert ssduck.lake(file.parent).entries == before
-    assert not opened
-    record(file, scene, 0.05)
-    after = ssduck.lake(file.parent).entries
-    assert opened == ["b.duckdb"]
-    assert after[0] == before[0]
-    assert after[1].ticks > before[1].ticks
-
-
-@pytest.mark.slow
 def test_a_damaged_file_is_one_error(file):
     lake = ssduck.lake(file.parent)
     answers = ask(lake)
@@ -85,14 +70,3 @@ def test_a_file_that_was_written_since_is_read_as_it_is(file, scene):
     (same, _), (after, error) = ask(lake)
     assert (same, error) == (kept, None)
     assert after > before
-
-
-@pytest.mark.slow
-def test_a_file_is_summed_once_for_all_questions(file, monkeypatch):
-    lake, summed = ssduck.lake(file.parent), []
-    sums = workers.checksum_of
-    monkeypatch.setattr(workers, "checksum_of", lambda path: summed.append(path.name) or sums(path))
-    workers._checksum.cache_clear()
-    for _ in range(3):
-        ask(lake)
-    assert summed == ["a.duckdb", "b.duckdb"]

@@ -11,9 +11,8 @@ import pytest
 import ssduck
 from ssduck.lakes import workers
 from ssduck.lakes.questions import ProgramQuestion
-from ssduck.lakes.workers import parts_of_entry
 from ssduck.recording.stores import episode_batch
-from ssduck.recording.stores.episode_batch import BatchedFile, ReadParts
+from ssduck.recording.stores.episode_batch import BatchedFile
 from ssduck.recording.stores.files import write_parquet
 from ssduck.recording.stores.parquet import _options as options
 from tests.support.archive import Archive
@@ -84,43 +83,6 @@ def test_episodes_that_are_known_are_asked_with_others(record, program) -> None:
     assert asked(record, program) == expected
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("together")
-@pytest.mark.parametrize("program", PROGRAMS)
-def test_each_file_of_an_episode_is_read_once_a_question(record, read, program) -> None:
-    asked(record, program)
-    # The first episode stands for the others, so that its models are read before, too.
-    assert {name: n for name, n in read.items() if n > 1 and not name.endswith(" 0")} == {}
-    assert {f"{table} 2" for table in ("entities", "ticks")} <= set(read)
-    assert not any(name.startswith("models/") and not name.endswith(" 0") for name in read)
-    read.clear()
-    asked(record, PROGRAMS[0])
-    tables = {f"{table} {n}" for table in ("entities", "ticks") for n in range(EPISODES)}
-    assert {name: read[name] for name in tables} == dict.fromkeys(tables, 1)
-    assert not any(name.startswith("models/") for name in read)
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("together")
-def test_the_next_question_decodes_what_is_new_only(record, monkeypatch) -> None:
-    opened: list[str] = []
-    check = episode_batch.checked_parquet
-
-    def counted(source, content, table):
-        opened.append(table)
-        return check(source, content, table)
-
-    monkeypatch.setattr(episode_batch, "checked_parquet", counted)
-    first = asked(record, PROGRAMS[0])
-    assert opened.count("entities") >= EPISODES
-    opened.clear()
-    assert asked(record, PROGRAMS[0]) == first
-    assert opened == []
-    asked(record, PROGRAMS[1])  # reads further columns of entities, and none of ticks
-    assert set(opened) == {"entities"}
-    assert len(opened) <= EPISODES
-
-
 def changed(record: Path, name: str, value: object) -> None:
     """Changes a value of the last row of the cup in an episode, with right checksums."""
     file = record / f"entities/world=lab/episode={CHANGED}/part-000000.parquet"
@@ -158,21 +120,3 @@ def test_parts_that_are_too_large_to_be_kept_give_the_same_answers(
     monkeypatch.setattr(episode_batch, "MOST_READ", 0)
     assert asked(record, program) == by_themselves(record, program)
     assert max(read.values()) > 1  # they are read again and again
-
-
-def test_the_columns_that_are_kept_are_bounded(record, monkeypatch) -> None:
-    files = [
-        file
-        for number in range(EPISODES)
-        for file in parts_of_entry(ssduck.lake(record).entries[number], ["entities"])["entities"]
-    ]
-    monkeypatch.setattr(BatchedFile, "content", lambda file: Path(file.path).read_bytes())
-    parts = ReadParts()
-    size = parts.read(files[0]).rows(["x", "y", "z"]).nbytes
-    monkeypatch.setattr(episode_batch, "MOST_KEPT", 2 * size)
-    for file in files:
-        parts.read(file).rows(["x", "y", "z"])
-        parts.clear()
-        assert file not in parts
-    kept = [set(parts.read(file).columns) for file in files]
-    assert kept == [set(), set(), {"x", "y", "z"}, {"x", "y", "z"}]

@@ -1,7 +1,6 @@
 """A lake in an object store: a local S3 server, on the loopback."""
 
 import json
-from collections import Counter
 
 import pytest
 
@@ -12,7 +11,7 @@ from ssduck.recording.stores.object_store import ObjectPath
 from tests.lakes.conftest import EPISODES
 from tests.support.cases import generated
 from tests.support.lake_episodes import REWARD, SUCCESS
-from tests.support.lake_questions import FURTHER, PROGRAMS, answer_of, by_itself, tags_by_two_lakes
+from tests.support.lake_questions import PROGRAMS, answer_of, by_itself, tags_by_two_lakes
 from tests.support.s3_server import s3_server
 
 pytest.importorskip("moto.server", reason="moto, a local S3 server, is missing")
@@ -42,30 +41,6 @@ def test_the_same_answers(address, recorded, monkeypatch):
             assert remote.ask(PROGRAMS[name], processes=1)["answer"].equals(wanted["answer"])
     score = remote.score(SUCCESS, reward=REWARD, processes=1)
     assert score["return"].equals(local.score(SUCCESS, reward=REWARD, processes=1)["return"])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["formula", "least clearance"])
-def test_a_question_asks_the_store_twice_for_each_object(address, monkeypatch, name):
-    """A request tells the size of an object, and one has its bytes: DuckDB asks for nothing."""
-    from werkzeug.serving import WSGIRequestHandler
-
-    lake, program = ssduck.lake(address), {**PROGRAMS, **FURTHER}[name]
-    lake.ask(program, processes=1)  # proves that the episodes belong together
-    requests = []
-    monkeypatch.setattr(
-        WSGIRequestHandler,
-        "log_request",
-        lambda self, *_: requests.append((self.command, self.path.partition("?")[0])),
-    )
-    lake.ask(program, processes=1)
-    counts = Counter((method, path.split("/record/")[-1]) for method, path in requests)
-    objects = [
-        f"{table}/world%3Dsim/episode%3D{episode}/part-000000.parquet"
-        for table in ("entities", "ticks")
-        for episode in range(EPISODES)
-    ]
-    assert counts == {(method, name): 1 for method in ("GET", "HEAD") for name in objects}
 
 
 @pytest.mark.slow

@@ -8,7 +8,6 @@ import pytest
 
 import ssduck
 from ssduck.interpreter.over_time import evaluator
-from ssduck.interpreter.planner import Planner
 
 pytestmark = pytest.mark.slow
 COUNT, STEPS = 12, 20
@@ -82,21 +81,6 @@ def test_the_values_are_those_of_each_entity(fall, monkeypatch, most, column, ex
         assert values == pytest.approx(np.linalg.norm(places - other, axis=1), abs=1e-12)
     else:
         assert values == pytest.approx(expected(fall), abs=1e-9)
-
-
-def test_the_statements_do_not_grow_with_the_rows(fall, monkeypatch):
-    runs, run = [], Planner.run
-
-    def counted(planner, *arguments):
-        runs.append(arguments)
-        return run(planner, *arguments)
-
-    monkeypatch.setattr(Planner, "run", counted)
-    risen = fall.ss.eval("SELECT id FROM sim WHERE lifted(this, 0.1) AS list;")
-    names = ["arm", "leg", *(f"b{n}" for n in range(COUNT))]
-    assert risen == [n for n, by in zip(names, before(fall, STEPS), strict=True) if by >= 0.1]
-    assert 0 < len(risen) < COUNT
-    assert len(runs) == 3  # the query itself, the first entity, all others
 
 
 def test_an_expression_that_fails_for_others_is_read_for_each(fall):

@@ -76,25 +76,6 @@ def test_groups_are_those_of_the_evaluator(both: Evaluators, text: str) -> None:
     assert both.disagreement(text) is None
 
 
-@settings(suppress_health_check=list(HealthCheck))
-@given(text=programs(counted=True))
-def test_groups_run_in_sql(both: Evaluators, text: str) -> None:
-    if both.outcome(both.sql, text).error is None:
-        plan = both.sql.explain(text)
-        assert "left to Python: " not in plan
-        assert plan.count("GROUP BY") == (" GROUP BY " in text or " DISTINCT kind" in text)
-
-
-def test_pairs_of_rows_are_grouped_in_sql(both: Evaluators) -> None:
-    for source in ("w", "w{-0.02}"):
-        text = (
-            f"SELECT a.id, count(*) AS n, min(distance(a.this, b.this)) AS least "
-            f"FROM {source} a, {source} b WHERE a.z > b.z GROUP BY a.this, b.kind ORDER BY n;"
-        )
-        assert "left to Python: " not in both.sql.explain(text)
-        assert both.disagreement(text) is None
-
-
 def test_what_is_left_to_python_says_for_what(both: Evaluators) -> None:
     text = "SELECT kind, stddev(z) AS s FROM w{-0.02} GROUP BY kind;"
     assert "-- left to Python: GROUP BY, for stddev(z)" in both.sql.explain(text)

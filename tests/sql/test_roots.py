@@ -38,15 +38,6 @@ def test_they_are_python_s(both, root, numbers):
     assert both.disagreement(condition) is None
 
 
-@pytest.mark.parametrize("root", OF_ENTITIES)
-def test_they_are_sql(both, root):
-    program = f"SELECT id, {root} AS root FROM w WHERE z(this) > 0;"
-    assert both.disagreement(program) is None
-    assert both.is_all_sql(program)
-    nested = f"SELECT id FROM w WHERE x(this) > 0 AND {root} > 0.2 AS list;"
-    assert both.disagreement(nested) is None
-
-
 def test_a_negative_number_is_an_error_of_the_language(both):
     with pytest.raises(ssduck.SelectScriptError, match="sqrt does not take -"):
         both.sql.eval("SELECT sqrt(x(this)) FROM w AS list;")

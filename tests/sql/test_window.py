@@ -138,14 +138,6 @@ def test_a_handles_row_is_read_where_a_column_of_it_is(
         rows._finalized = True
 
 
-def test_no_plan_is_looked_for_where_none_reads_what_is_new(comings: ssduck.Interpreter) -> None:
-    comings.eval("SELECT z(this) FROM lab{} WHERE this == ball AS list;")
-    comings.flush()
-    comings.call_variable("lab").step()
-    _, told = _told(comings, "SELECT z(this) FROM lab{} WHERE this == ball AS list;", 10)
-    assert not [sql for sql in told if "duckdb_prepared_statements" in sql or "DEALLOCATE" in sql]
-
-
 @pytest.mark.parametrize(
     "relation",
     [
@@ -213,14 +205,6 @@ def test_two_entities_picked_out_of_memory_are_those_of_sql(
             np.asarray(wanted[name].to_numpy(), dtype=float),
             equal_nan=True,
         )
-
-
-def test_two_entities_at_many_ticks_need_no_statement_of_their_own(
-    comings: ssduck.Interpreter, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    wanted = comings.eval("holds(near(board, ball, 0.12));")
-    monkeypatch.setattr("ssduck.recording.stores.memory.near_pair_rows", None)
-    assert comings.eval("holds(near(board, ball, 0.12));") == wanted != []
 
 
 # -- together -----------------------------------------------------------------------------------
