@@ -6,6 +6,9 @@ import copy
 import ctypes
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from ssduck.errors import UnsupportedError
@@ -35,7 +38,26 @@ except ImportError as error:
         "MuJoCo is not installed: pip install 'ssduck[mujoco]' installs it"
     ) from error
 
-__all__ = ["copied_data", "mujoco"]
+__all__ = ["all_digits", "copied_data", "mujoco"]
+# The digits by which a double is the same when it is read again.
+_ALL_DIGITS = 17
+
+
+@contextmanager
+def all_digits() -> Iterator[None]:
+    """Lets MuJoCo write numbers in XML with all digits; by itself it writes six."""
+    names = ("libmujoco.", "mujoco.dll")
+    folder = Path(mujoco.__file__).parent
+    library = ctypes.CDLL(
+        str(next(file for file in folder.iterdir() if file.name.startswith(names)))
+    )
+    get, put = (getattr(library, f"_mjPRIVATE__{verb}_xml_precision") for verb in ("get", "set"))
+    before = get()
+    put(_ALL_DIGITS)
+    try:
+        yield
+    finally:
+        put(before)
 
 
 def copied_data(model: Any, data: Any, target: Any) -> Any:

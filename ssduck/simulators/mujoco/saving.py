@@ -7,9 +7,6 @@ the tick is the present one; else it is set from the poses and joints of the tic
 A compiled model does not tell its source. ssduck has that of the models that it loaded, and MuJoCo
 that of the last model that it read from XML. What was written is compiled again and compared with
 the model, so that a world is never saved as another one.
-
-MuJoCo writes six digits of a number. The poses and sizes of bodies, joints, geoms and sites, by
-which ssduck's relations go, get all digits here.
 """
 
 from __future__ import annotations
@@ -20,29 +17,21 @@ import tempfile
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from itertools import chain, count
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from ssduck.errors import UnsupportedError, warn
 from ssduck.formatting import joined_names
-from ssduck.geometry.arrays import Array
-from ssduck.geometry.poses import (
-    IDENTITY,
-    compose,
-    invert,
-    rotate,
-    rotation_matrices,
-    unit_quaternions,
-)
+from ssduck.geometry.poses import compose, invert
 from ssduck.simulators.backends import BodyToCopy, TickToCopy
 from ssduck.simulators.interface import SCALAR_JOINTS, Simulator
 from ssduck.simulators.model_xml import ASSETS, KIND_PREFIX, STATE_KEY, numbers_text
 from ssduck.simulators.mujoco.bodies import body_names
 from ssduck.simulators.mujoco.flexes import entity_roots
 from ssduck.simulators.mujoco.interventions import HOLD, IDLE, holds, spare_welds, take_out
-from ssduck.simulators.mujoco.library import copied_data, mujoco
+from ssduck.simulators.mujoco.library import all_digits, copied_data, mujoco
 from ssduck.simulators.mujoco.simulator import MuJoCoSimulator
 
 # The attributes of <compiler> that name the folders of the files of elements.
@@ -60,11 +49,6 @@ _NEAR = (
     *("site_pos", "site_size"),
 )
 _TOLERANCE = 1e-5
-_MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
-# A pose: a position (1, 3) and a quaternion w, x, y, z (1, 4).
-_Pose: TypeAlias = tuple[Array, Array]
-# A part of a body, and the pose in the body of the <frame> around it; None without one.
-_Part: TypeAlias = tuple[ET.Element, _Pose | None]
 
 
 def write_model(model: Any, data: Any, spec: Any, kinds: Mapping[str, str], file: Path) -> None:
@@ -83,7 +67,6 @@ def write_model(model: Any, data: Any, spec: Any, kinds: Mapping[str, str], file
     _copy_files(root, Path(spec.modelfiledir) if spec is not None else None, file.parent / ASSETS)
     for part in root.iter("statistic"):
         part.attrib.pop("meaninertia", None)  # MuJoCo 4 writes it, and warns when it reads it
-    _write_digits(root, model)
     _replace(root, "keyframe", "key", STATE_KEY, [_state(model, data)])
     texts = [ET.Element("text", name=KIND_PREFIX + name, data=kind) for name, kind in kinds.items()]
     _replace(root, "equality", "weld", HOLD, welds)
@@ -97,16 +80,17 @@ def _source(model: Any, spec: Any) -> str:
     """Returns the MJCF of a model."""
     if spec is not None:
         try:
-            if hasattr(spec, "copy_back"):  # MuJoCo 4
-                spec.copy_back(model)
-            text: str = spec.to_xml()
+            _copy_back(model, spec)
+            with all_digits():
+                text: str = spec.to_xml()
         except ValueError as error:
             raise UnsupportedError(f"MuJoCo cannot write the model: {error}") from error
         return text
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "last.xml"
         try:
-            mujoco.mj_saveLastXML(str(path), model)
+            with all_digits():
+                mujoco.mj_saveLastXML(str(path), model)
         except (mujoco.FatalError, ValueError) as error:
             raise UnsupportedError(f"{_UNKNOWN} ({error})") from error
         return path.read_text(encoding="utf-8")
@@ -116,6 +100,22 @@ _UNKNOWN = (
     "the source of this MuJoCo model is not known: ssduck.load keeps that of its worlds, and "
     "MuJoCo that of the last model that it read from XML; MjSpec.to_xml writes yours"
 )
+
+
+def _copy_back(model: Any, spec: Any) -> None:
+    """Gives a specification the numbers that its model has by now."""
+    if hasattr(spec, "copy_back"):  # MuJoCo 4
+        spec.copy_back(model)
+        return
+    before = spec.compile()
+    for number, body in enumerate(spec.bodies):  # ssduck changes where fixed ones are
+        position, turn = model.body_pos[number], model.body_quat[number]
+        if not np.array_equal(
+            (*position, *turn), (*before.body_pos[number], *before.body_quat[number])
+        ):
+            body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+            body.pos, body.quat = position, turn
+    spec.compile()  # the text is that of what was compiled last
 
 
 def _welds(model: Any, data: Any) -> Iterator[ET.Element]:
@@ -205,113 +205,6 @@ def _copy_files(root: ET.Element, folder: Path | None, assets: Path) -> None:
 def _free_name(path: Path, taken: Container[str]) -> str:
     numbered = (f"{path.stem}_{number}{path.suffix}" for number in count(2))
     return next(name for name in chain([path.name], numbered) if name not in taken)
-
-
-# -- digits ----------------------------------------------------------------------------------
-
-
-def _write_digits(root: ET.Element, model: Any) -> None:
-    """Writes all digits of the time step, of gravity, and of poses and sizes."""
-    option = root.find("option")
-    option = ET.SubElement(root, "option") if option is None else option
-    option.set("timestep", numbers_text(model.opt.timestep))
-    option.set("gravity", numbers_text(model.opt.gravity))
-    for number, (element, frame) in enumerate(_bodies(root)):
-        if number:
-            _write_pose(element, model.body_pos[number], model.body_quat[number], frame)
-            _write_inertia(element, model, number)
-        for tag, first, write in (
-            ("geom", model.body_geomadr, _write_geom),
-            ("joint", model.body_jntadr, _write_joint),
-        ):
-            for place, (part, around) in enumerate(_parts(element, tag)):
-                write(part, model, int(first[number]) + place, around)
-        sites = np.flatnonzero(model.site_bodyid == number).tolist()
-        for site, (part, around) in zip(sites, _parts(element, "site"), strict=True):
-            part.set("size", numbers_text(model.site_size[site]))
-            part.attrib.pop("fromto", None)
-            _write_pose(part, model.site_pos[site], model.site_quat[site], around)
-
-
-def _bodies(root: ET.Element) -> Iterator[_Part]:
-    """Yields the world body and all others, in the order of their numbers: depth first."""
-    for world in root.findall("worldbody"):
-        yield world, None
-        yield from _bodies_in(world)
-
-
-def _bodies_in(body: ET.Element) -> Iterator[_Part]:
-    for part, frame in _all_parts(body):
-        if part.tag == "body":
-            yield part, frame
-            yield from _bodies_in(part)
-
-
-def _parts(body: ET.Element, tag: str) -> list[_Part]:
-    """Returns the geoms, joints or sites of a body."""
-    tags = ("joint", "freejoint") if tag == "joint" else (tag,)
-    return [(part, frame) for part, frame in _all_parts(body) if part.tag in tags]
-
-
-def _all_parts(body: ET.Element, around: _Pose | None = None) -> Iterator[_Part]:
-    """Yields the parts of a body, also those in its frames, in their order."""
-    for part in body:
-        if part.tag != "frame":
-            yield part, around
-            continue
-        position = np.array([part.get("pos", "0 0 0").split()], dtype=np.float64)
-        turn = np.array([part.get("quat", "1 0 0 0").split()], dtype=np.float64)
-        frame = position, unit_quaternions(turn)
-        yield from _all_parts(part, frame if around is None else compose(*around, *frame))
-
-
-def _write_inertia(element: ET.Element, model: Any, number: int) -> None:
-    inertial = element.find("inertial")
-    if inertial is not None:
-        inertial.attrib.pop("fullinertia", None)
-        inertial.set("pos", numbers_text(model.body_ipos[number]))
-        _set_turn(inertial, model.body_iquat[number])
-        inertial.set("mass", numbers_text(model.body_mass[number]))
-        inertial.set("diaginertia", numbers_text(model.body_inertia[number]))
-
-
-def _write_geom(element: ET.Element, model: Any, number: int, frame: _Pose | None) -> None:
-    if int(model.geom_type[number]) == _MESH or element.get("mesh") or element.get("fitscale"):
-        return  # its pose is that of the mesh as it was, not as MuJoCo has turned it
-    element.set("size", numbers_text(model.geom_size[number]))
-    element.attrib.pop("fromto", None)
-    _write_pose(element, model.geom_pos[number], model.geom_quat[number], frame)
-
-
-def _write_joint(element: ET.Element, model: Any, number: int, frame: _Pose | None) -> None:
-    is_scalar = element.tag == "joint" and element.get("type", "hinge") in ("hinge", "slide")
-    if is_scalar:
-        position, axis = model.jnt_pos[number], model.jnt_axis[number]
-        if frame is not None:
-            back = invert(*frame)
-            position = compose(*back, position[None], IDENTITY[None])[0][0]
-            axis = rotate(rotation_matrices(back[1]), axis[None])[0]
-        element.set("pos", numbers_text(position))
-        element.set("axis", numbers_text(axis))
-        if model.jnt_limited[number]:
-            element.set("range", numbers_text(model.jnt_range[number]))
-
-
-def _write_pose(
-    element: ET.Element, position: Array, quaternion: Array, frame: _Pose | None
-) -> None:
-    """Writes a pose in the frame of a body as one in a frame of it, in which the element stands."""
-    if frame is not None:
-        moved = compose(*invert(*frame), position[None], quaternion[None])
-        position, quaternion = moved[0][0], moved[1][0]
-    element.set("pos", numbers_text(position))
-    _set_turn(element, quaternion)
-
-
-def _set_turn(element: ET.Element, quaternion: Any) -> None:
-    for other in ("axisangle", "xyaxes", "zaxis", "euler"):
-        element.attrib.pop(other, None)
-    element.set("quat", numbers_text(quaternion))
 
 
 # -- check -----------------------------------------------------------------------------------
