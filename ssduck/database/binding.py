@@ -191,14 +191,11 @@ class BoundWorld:
         parts = len(self.history.visible_rows) if self.history is not None else 0
         return [f"{self.key}: {table} that wait, {part}" for part in range(parts)]
 
-    def shapes(
-        self, tick: int | None, ids: Sequence[int] | None, *, with_sites: bool = False
-    ) -> ShapeQueries:
+    def shapes(self, tick: int | None, *, with_sites: bool = False) -> ShapeQueries:
         """Returns the shapes at a tick.
 
         Args:
             tick: the number of the tick; None for the present one.
-            ids: the ids of entities whose shapes are needed; None for all.
             with_sites: whether sites have their regions as shapes.
         """
         snapshot = self.world.snapshot
@@ -206,7 +203,7 @@ class BoundWorld:
             return snapshot.shapes_and_sites() if with_sites else snapshot.shapes()
         if self.history is None:
             raise UnsupportedError(_NO_SHAPES.format(self.world.name, snapshot.number))
-        return self.history.record.shapes(tick, ids, with_sites=with_sites)
+        return self.history.record.shapes(tick, with_sites=with_sites)
 
     @property
     def margins(self) -> float:

@@ -30,7 +30,7 @@ from ssduck.recording.replay.pair_answers import PairQueries
 from ssduck.recording.replay.record import Record
 from ssduck.recording.spec import no_ticks_message
 from ssduck.recording.stores.base import PairRequest
-from ssduck.schema import LINK_FACTOR, entity_of
+from ssduck.schema import LINK_FACTOR
 from ssduck.simulators.contact_pairs import ContactPairs
 from ssduck.simulators.kinematics import JointError
 from ssduck.sql.pair_lookup import PairLookup
@@ -239,9 +239,7 @@ def _geometry_function(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Ca
         ids = arguments[1:id_count:2]
         tick = ticks.pop()
         has_links = max(ids) >= LINK_FACTOR
-        entities = [entity_of(id) for id in ids] if has_links else ids
-        needed = None if udf.needs_whole_tick else entities
-        shapes = bound.shapes(tick, needed, with_sites=has_links)
+        shapes = bound.shapes(tick, with_sites=has_links)
         if has_links:
             shapes = shapes.of(ids)
         if udf.uses_margins:
@@ -276,7 +274,7 @@ def _found(bound: BoundWorld, udf: GeometryUdf, kind: PairKind, values: Sequence
     """Returns what a search finds at a world's current tick."""
     if udf.of_boxes:
         return udf.function(bound.world.snapshot.boxes())
-    shapes = bound.shapes(None, None)
+    shapes = bound.shapes(None)
     if kind == "links":
         shapes = shapes.links
     elif kind == "links and entities":

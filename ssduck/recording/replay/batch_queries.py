@@ -7,7 +7,7 @@ pairs are never compared.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import accumulate
@@ -26,11 +26,10 @@ from ssduck.geometry.poses import (
     rotation_matrices,
 )
 from ssduck.geometry.queries import ShapeQueries
-from ssduck.geometry.shapes import Geometry, PlacedGeometry
+from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import Solid, solid_of
 from ssduck.geometry.tick_shapes import ShapeTable
 from ssduck.geometry.tick_solids import ShapePlaces
-from ssduck.simulators.interface import Link
 from ssduck.world.layout import EntityInfo
 
 Ids = npt.NDArray[np.int64]
@@ -82,74 +81,29 @@ class EntityShapes:
         self._solids: list[Solid] = []
         self._solid_indices: dict[str, int] = {}
         self._shape_models: dict[int, _ShapeModel] = {}
-        self._shape_tables: dict[tuple[int, ...], ShapeTable] = {}
 
-    def moving_links(self, id: int) -> range:
+    def _moving_links(self, id: int) -> range:
         """Returns the numbers of the links of an entity without its base."""
-        return range(1, max(1, len(_links_of(self._members[id]))))
+        body = self._members[id].body
+        return range(1, 1 if body is None else len(body.links))
 
-    def shapes(
-        self, ids: Sequence[int], poses: Sequence[Array], calls: CallCounter
-    ) -> ShapeQueries:
-        """Returns queries of the shapes of some entities at one tick."""
-        models = [self._shape_model(id) for id in ids]
-        key = tuple(ids)
-        if key not in self._shape_tables:
-            self._shape_tables[key] = self._shape_table(models)
-        return self._queries(ids, models, poses, self._shape_tables[key], calls)
-
-    def with_sites(
-        self, queries: ShapeQueries, ids: Sequence[int], poses: Sequence[Sequence[Array]]
-    ) -> ShapeQueries:
-        """Returns queries of `shapes` in which sites have their regions as shapes."""
-        sites = [
-            (id, number, link.region, at[number])
-            for id, at in zip(ids, poses, strict=True)
-            for number, link in enumerate(_links_of(self._members[id]))
-            if link.region is not None
-        ]
-        if not sites:
-            return queries
-        entities, links, regions, placed = zip(*sites, strict=True)
-        rows = np.array(placed)
-        with np.errstate(invalid="ignore"):
-            matrices = rotation_matrices(rows[:, 3:])
-        centred = [
-            PlacedGeometry(place, region, np.zeros(3), _IDENTITY)
-            for place, region in enumerate(regions)
-        ]
-        boxes = BoundingBoxes(centred, range(len(sites)), len(sites)).boxes(rows[:, :3], matrices)
-        poses_and_boxes = rows[:, :3], rows[:, 3:], boxes.T
-        return queries.with_regions(
-            regions, poses_and_boxes, np.array(entities), np.array(links, np.intp)
+    def _queries(self, places: _Places, calls: CallCounter) -> ShapeQueries:
+        """Returns queries of the shapes of entities, by their numbers, at poses of their links."""
+        models = [self._shape_model(id) for id in places.ids]
+        counts = [model.count for model in models]
+        links, solids, margins = (
+            np.concatenate([getattr(model, name) for model in models])
+            for name in ("links", "solid_indices", "margins")
         )
-
-    def _shape_table(self, models: Sequence[_ShapeModel]) -> ShapeTable:
-        owners = np.repeat(np.arange(len(models)), [model.count for model in models])
-        solid_indices, margins = _joined_solids(models)
-        return ShapeTable(self._solids, solid_indices, owners, margins)
-
-    def _queries(
-        self,
-        ids: Sequence[int],
-        models: Sequence[_ShapeModel],
-        poses: Sequence[Array],
-        table: ShapeTable,
-        calls: CallCounter,
-    ) -> ShapeQueries:
-        """Returns queries of the shapes of entities at poses of their links."""
-        placed = [
-            self._shapes_at(model, link_poses)
-            for model, link_poses in zip(models, poses, strict=True)
-        ]
-        places = ShapePlaces(*(np.concatenate([part[i] for part in placed]) for i in range(3)))
-        starts = list(accumulate((model.count for model in models), initial=0))
-        narrow = NarrowPhase(table, places, starts, calls)
-        numbers = {id: number for number, id in enumerate(ids)}
-        enclosing_boxes = np.array([_enclosing_box(part[2]) for part in placed]).reshape(-1, 6).T
-        links = np.concatenate([model.links for model in models])
-        ids_array = np.array(ids, dtype=np.int64)
-        return ShapeQueries(narrow, numbers, enclosing_boxes, ids_array, links)
+        numbers = np.arange(len(models))
+        table = ShapeTable(self._solids, solids, numbers.repeat(counts), margins)
+        placed = list(map(self._shapes_at, models, places.poses))
+        shape_places = ShapePlaces(
+            *(np.concatenate([part[i] for part in placed]) for i in range(3))
+        )
+        narrow = NarrowPhase(table, shape_places, list(accumulate(counts, initial=0)), calls)
+        boxes = np.array([_enclosing_box(part[2]) for part in placed]).reshape(-1, 6).T
+        return ShapeQueries(narrow, {n: n for n in numbers.tolist()}, boxes, numbers, links)
 
     def _shapes_at(self, model: _ShapeModel, poses: Array) -> tuple[Array, Array, Array]:
         """Returns the positions, orientations and boxes of an entity's shapes."""
@@ -210,9 +164,7 @@ class EntityShapes:
         """Returns the answers about some pairs; two poses of two entities are compared once."""
         places = _Places()
         numbers = [self._place(side, rows, places) for side in (first, second)]
-        models = [self._shape_model(id) for id in places.ids]
-        table = self._shape_table(models)
-        queries = self._queries(range(len(models)), models, places.poses, table, calls)
+        queries = self._queries(places, calls)
         answers: dict[tuple[int, int], float] = {}
         pairs = list(zip(*numbers, strict=True))
         for a, b in pairs:
@@ -236,7 +188,7 @@ class EntityShapes:
             members = np.flatnonzero(ids == id)
             links = [
                 self._link_poses(side, rows[members], id, link)
-                for link in (0, *self.moving_links(id))
+                for link in (0, *self._moving_links(id))
             ]
             poses = np.stack([np.hstack((p.positions, p.orientations)) for p in links], axis=1)
             numbers[members] = [places.number(id, at_row) for at_row in poses]
@@ -326,10 +278,6 @@ class EntityShapes:
         return self._solid_indices[geometry.key]
 
 
-def _links_of(member: EntityInfo) -> tuple[Link, ...]:
-    return () if member.body is None else member.body.links
-
-
 @dataclass
 class _Places:
     """Entities at some of their poses, (links, 7), numbered from 0."""
@@ -346,14 +294,6 @@ class _Places:
             self.ids.append(id)
             self.poses.append(poses)
         return self._numbers[key]
-
-
-def _joined_solids(models: Sequence[_ShapeModel]) -> tuple[Indices, Array]:
-    """Returns the solid indices and the margins of the shapes of several entities."""
-    solid_indices, margins = (
-        [getattr(model, name) for model in models] for name in ("solid_indices", "margins")
-    )
-    return np.concatenate(solid_indices), np.concatenate(margins)
 
 
 def _enclosing_box(boxes: Array) -> Array:

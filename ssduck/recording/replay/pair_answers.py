@@ -134,9 +134,8 @@ class PairQueries:
 
     def _single(self, question: PairQuestion, tick: int, a: int, b: int) -> float:
         """Returns the answer about one pair, by the queries of its tick."""
-        needs_whole_tick = question.kind == "supports"
-        shapes = self._record.shapes(tick, None if needs_whole_tick else (a, b))
-        answer = shapes.supports(a, b) if needs_whole_tick else shapes.on(a, b)
+        shapes = self._record.shapes(tick)
+        answer = shapes.supports(a, b) if question.kind == "supports" else shapes.on(a, b)
         return float("nan") if answer is None else float(answer)
 
     def _are_resting(self, ticks: Ticks, a: int, b: int) -> Flags:

@@ -108,9 +108,6 @@ _NOTHING: tuple[Ticks, Array] = np.zeros(0, np.int64), np.zeros(0)
 
 # The number of restored worlds that are cached.
 MAX_WORLDS = 256
-# After so many queries of a tick, all of its shapes are placed.
-MAX_SINGLE_QUERIES = 8
-MAX_COUNTED_TICKS = 100_000
 
 # Times that differ by less are equal, s.
 TIME_TOLERANCE = 1e-9
@@ -157,8 +154,6 @@ class Record:
         self.answer_cache = AnswerCache()
         # The number of members that the value was computed for, and the value.
         self._cached_margins = -1, 0.0
-        # The number of queries of shapes at each tick.
-        self._query_counts: dict[int, int] = {}
         self._worlds: OrderedDict[int, PastWorld] = OrderedDict()
         if geometries is None:
             assert world is not None
@@ -318,37 +313,10 @@ class Record:
         index = np.flatnonzero(matches)
         return np.array([rows[name][index[0]] if len(index) else _NAN for name in POSE])
 
-    def shapes(
-        self, tick: int, ids: Sequence[int] | None, *, with_sites: bool = False
-    ) -> ShapeQueries:
-        """Returns queries of the shapes at a tick.
-
-        Only the requested shapes are placed as long as there are few queries of the tick.
-        """
-        if ids is None:
-            return _shapes_of(self.at(tick), with_sites=with_sites)
-        self._query_counts[tick] = self._query_counts.get(tick, 0) + 1
-        if (
-            tick in self._worlds
-            or self._query_counts[tick] > MAX_SINGLE_QUERIES
-            or len(set(ids)) < len(ids)
-        ):
-            return _shapes_of(self.at(tick), with_sites=with_sites)
-        if len(self._query_counts) > MAX_COUNTED_TICKS:
-            self._query_counts.clear()
-        ordered = sorted(ids)
-        poses = [
-            [self._pose("entities", tick, id, 0)]
-            + [
-                self._pose(self._links_table, tick, id, link)
-                for link in self.entity_shapes.moving_links(id)
-            ]
-            for id in ordered
-        ]
-        queries = self.entity_shapes.shapes(
-            ordered, [np.array(links) for links in poses], self.calls
-        )
-        return self.entity_shapes.with_sites(queries, ordered, poses) if with_sites else queries
+    def shapes(self, tick: int, *, with_sites: bool = False) -> ShapeQueries:
+        """Returns queries of the shapes at a tick; on request, sites have their regions as such."""
+        world = self.at(tick)
+        return world.shapes_and_sites() if with_sites else world.shapes()
 
     @property
     def margins(self) -> float:
@@ -366,10 +334,6 @@ class Record:
         with self.world.lock:
             self.check_open()
             return self._row_cache.rows(table, tick)
-
-
-def _shapes_of(world: PastWorld, *, with_sites: bool) -> ShapeQueries:
-    return world.shapes_and_sites() if with_sites else world.shapes()
 
 
 def index_at(world: str, time: float, times: Array, now: float, advice: str = "") -> int:
