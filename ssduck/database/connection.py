@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import os
+import re
 import threading
 import weakref
 from collections.abc import Callable, Mapping, Sequence
@@ -37,7 +38,6 @@ from ssduck.database.instances import (
 )
 from ssduck.database.on_demand import OnDemand
 from ssduck.database.running import StatementRunner, translated
-from ssduck.database.statement_names import types_and_texts
 from ssduck.database.writer import WriterConnection
 from ssduck.errors import (
     RecordError,
@@ -45,6 +45,7 @@ from ssduck.errors import (
     SelectScriptError,
     SqlError,
 )
+from ssduck.formatting import short_repr
 from ssduck.limits import Limits
 from ssduck.recording.opened_record import OpenedRecord
 from ssduck.recording.recorder import Recorder
@@ -70,6 +71,12 @@ _ATTACHED_NAME = exp.to_identifier(_ATTACHED, quoted=True).sql("duckdb")
 _LEFT_TO_PARENT: list[Sequence[duckdb.DuckDBPyConnection]] = []
 # The settings of DuckDB that ssduck changes before some statements.
 _CHANGED = "['nested_loop_join_threshold', 'merge_join_threshold', 'search_path', 'schema']"
+
+_BETWEEN = r"(?:\s|/\*(?:(?!\*/).)*\*/|--[^\n]*(?:\n|\Z))*"
+# A query of WITH that changes rows or writes a file.
+_CHANGING = re.compile(
+    rf"[()]{_BETWEEN}(?:INSERT|UPDATE|DELETE|MERGE|COPY|EXECUTE)\b", re.IGNORECASE | re.DOTALL
+)
 
 
 class Connection(StatementRunner):
@@ -378,8 +385,18 @@ class Connection(StatementRunner):
         return [(name, type) for name, type, *_ in described]
 
     def statements(self, sql: str) -> list[tuple[str, str]] | None:
-        """Returns the types and texts of the statements in a text; see `types_and_texts`."""
-        return types_and_texts(self._connection, sql)
+        """Returns the type and the text of each statement in a text; None if it is no SQL.
+
+        A type is the name of one of `duckdb.StatementType`. That of a SELECT is WITH if a query of
+        WITH may change rows or write a file.
+        """
+        try:
+            return [_type_and_text(one) for one in self._connection.extract_statements(sql)]
+        except (duckdb.Error, TypeError):  # TypeError: it is no text in UTF-8
+            return None
+        except ValueError as error:  # UPDATE EXTENSIONS
+            shown = short_repr(" ".join(sql.split()))
+            raise SqlError(f"SQL has no such statement here: {shown}") from error
 
     def is_query(self, sql: str) -> bool:
         """Checks whether a text is one statement that only reads."""
@@ -411,6 +428,13 @@ class Connection(StatementRunner):
         """Returns all rows of a statement of ssduck's own, which no time limit ends."""
         work = partial(self._connection.execute, sql, parameters)
         return self._execute(sql, lambda: work().fetchall(), timed=False)
+
+
+def _type_and_text(statement: duckdb.Statement) -> tuple[str, str]:
+    name, text = statement.type.name, statement.query
+    if name == "SELECT" and "with" in text.casefold() and _CHANGING.search(text) is not None:
+        name = "WITH"
+    return name, text
 
 
 def execution_of(name: str) -> str:

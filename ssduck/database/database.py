@@ -26,17 +26,12 @@ from ssduck.database.functions import (
     shape_functions,
 )
 from ssduck.database.plans import PreparedPlans
-from ssduck.database.raw_sql import BatchStatement, BatchTable, RawSql
+from ssduck.database.raw_sql import BatchTable, RawSql
 from ssduck.database.schemas import Schemas, TickRanges
-from ssduck.database.statement_names import (
-    ReadData,
-    ReferencedTables,
-    StatementWords,
-    words_of,
-)
+from ssduck.database.statement_names import ReadData
 from ssduck.database.values import Converter
 from ssduck.database.worlds import PinnedWorlds, Recorders, WorldRegistry, check_is_live
-from ssduck.errors import ArgumentError, EvaluationError, LimitError, SqlError
+from ssduck.errors import ArgumentError, EvaluationError
 from ssduck.language.builtins import Function
 from ssduck.limits import Limits
 from ssduck.recording.episode import Tags
@@ -73,9 +68,10 @@ class Database:
         running: list[Recorder] = []
         self.connection = Connection(path, tracer, limits or Limits(), running)
         self._lock = threading.RLock()
-        self._references = ReferencedTables()
+        # The tables that views and prepared statements of users read.
+        persistent: set[str] = set()
         by_schema: dict[str, BoundWorld] = {}
-        self.plans = PreparedPlans(self.connection, self._references.persistent, by_schema)
+        self.plans = PreparedPlans(self.connection, persistent, by_schema)
         self._schemas = Schemas(self.connection)
         if self.connection.is_file:
             self._schemas.drop_stale_views()
@@ -84,13 +80,8 @@ class Database:
             self.connection, self.plans, self._schemas, self._recorders, by_schema, recording
         )
         self._raw_sql = RawSql(
-            self.connection, self.plans, self._references, self._worlds, self._schemas
+            self.connection, self.plans, persistent, self._worlds, self._schemas, self._lock
         )
-        # The folders of records, which ssduck's own views read.
-        self._record_folders: list[Path] = []
-        self._is_sealed = False
-        # What makes the tables of batches, once there is one.
-        self.batch_table: BatchTable | None = None
         # The names of the frames that users have registered.
         self._registered: set[str] = set()
         offer_geometry_functions(self.connection, self._worlds.by_schema)
@@ -117,109 +108,19 @@ class Database:
     def user_rows(self, sql: str, parameters: Parameters) -> FetchedRows | pa.Table:
         """Returns all rows of a user's statement, for which the tables that it names are read."""
         with self._lock:
-            over_batches = self._raw_sql.over_batches(sql)
-            if over_batches is not None:
-                return self._batch_rows(sql, over_batches, parameters)
-            statement = None if parameters else self._raw_sql.ready(sql)
-            if statement is not None and statement.reads is not None:
-                with PinnedWorlds(self._lock, self._worlds, statement.reads, is_settled=False):
-                    self._worlds.write_rows()
-                    return self._raw_sql.ready_rows(statement)
-            self._confine(sql)
-            words = words_of(sql)
-            tables = self._references.tables(words) - self._raw_sql.unread(sql)
-            reads = ReadData(tables, self._read_worlds(words))
-            with PinnedWorlds(self._lock, self._worlds, reads):
-                if self._names_all(sql, words):
-                    self._describe(words, is_all=False)
-                    try:
-                        return self._raw_sql.rows(sql, parameters, words, reads)
-                    except SqlError as error:
-                        if not error.is_refused:
-                            raise
-                        self._describe_after(error, words)
-                else:
-                    self._describe(words)
-                return self._raw_sql.rows(sql, parameters, words, reads)
+            return self._raw_sql.rows(sql, parameters)
 
-    def _batch_rows(self, sql: str, query: BatchStatement, parameters: Parameters) -> pa.Table:
-        """Returns the rows of a user's query that reads batches, and perhaps other worlds."""
-        self._confine(sql)
-        assert self.batch_table is not None, "a batch is bound"
-        tables = {name: self.batch_table(*table) for name, table in query.tables.items()}
-        reads = ReadData(words_of(sql).tables, self._worlds.single_worlds())
-        try:
-            for name, table in tables.items():
-                self.connection.register(name, table)
-            with PinnedWorlds(self._lock, self._worlds, reads):
-                return self.connection.table(query.text, parameters)
-        finally:
-            for name in tables:
-                self.connection.unregister(name)
-
-    def _read_worlds(self, words: StatementWords) -> list[int] | None:
-        """Returns the serial numbers of the worlds that a statement may read; None for all.
-
-        No query is stored that reads a batch, so that a statement that reads one names it.
-        """
-        bound = self._worlds.bound
-        worlds = self._references.worlds(words, bound)
-        is_certain = worlds is not None or not self._worlds.has_batches
-        if is_certain or self._raw_sql.has_stored_queries:
-            return worlds
-        return [*self._worlds.single_worlds(), *self._references.named_worlds(words, bound)]
-
-    def _confine(self, sql: str) -> None:
-        """Checks a user's statement, and switches files off before the first one.
-
-        Opening a record attaches its file, so files are switched off after that.
-        """
-        limits = self.connection.meter.limits
-        if not (limits.files or self._is_sealed):
-            self.connection.seal(self._record_folders)
-            self._is_sealed = True
-        is_refused = limits.select_only and not self._raw_sql.is_query(sql, words_of(sql))
-        if is_refused and self.connection.statements(sql) is not None:  # DuckDB can parse it
-            raise LimitError(
-                "SQL is one SELECT here, which changes nothing; PIVOT names its values: "
-                "PIVOT t ON x IN ('a', 'b') USING count(*) (Limits: select_only)"
-            )
+    def read_batches(self, batch_table: BatchTable) -> None:
+        """Lets statements of users read batches, whose tables a function makes."""
+        self._raw_sql.batch_table = batch_table
 
     def confine(self, memory: int) -> None:
         """Switches files and settings off now, and limits DuckDB's memory, bytes."""
-        self.connection.seal(self._record_folders, memory)
-        self._is_sealed = True
+        self._raw_sql.seal(memory)
 
     def allow_record(self, folder: Path) -> None:
         """Lets ssduck's views read the folder of a record when files are switched off."""
-        self._record_folders.append(folder.absolute())
-
-    def _names_all(self, sql: str, words: StatementWords) -> bool:
-        """Checks whether a statement names all views and macros that it needs."""
-        return not (
-            self._schemas.has_comments
-            or self._raw_sql.has_stored_queries
-            or words.reads_catalog
-            or not self._raw_sql.is_query(sql, words)
-        )
-
-    def _describe(self, words: StatementWords, *, is_all: bool = True) -> None:
-        """Creates the views, macros and comments that a user's statement may need."""
-        schemas = list(self._worlds.by_schema)
-        only = schemas[0] if len(self.worlds) == 1 else None
-        self._schemas.provide(words.words, schemas, only, self.records if is_all else None)
-        if words.reads_recorded_masses:
-            for bound in self._worlds.bound:
-                if bound.history is not None and bound.reference() is not None:
-                    bound.history.record.warn_of_masses()
-
-    def _describe_after(self, refused: SqlError, words: StatementWords) -> None:
-        """Creates all views and macros, as DuckDB's message suggests the names that there are."""
-        self._describe(words)
-        try:
-            self.connection.meter.check_time()
-        except LimitError:
-            raise refused from refused.__cause__
+        self._raw_sql.record_folders.append(folder.absolute())
 
     def pinned(
         self,
@@ -320,11 +221,7 @@ class Database:
     @property
     def worlds(self) -> dict[str, World]:
         """The worlds, by the schema that ssduck's own statements use, the first one first."""
-        return {
-            bound.schemas[0]: world
-            for bound in self._worlds.bound
-            if bound.schemas and (world := bound.reference()) is not None
-        }
+        return self._worlds.named
 
     @property
     def has_attached_world(self) -> bool:
@@ -335,11 +232,7 @@ class Database:
     @property
     def records(self) -> dict[str, Record]:
         """The records of the recorded worlds, by the same schemas."""
-        return {
-            bound.schemas[0]: bound.history.record
-            for bound in self._worlds.bound
-            if bound.schemas and bound.history is not None and bound.reference() is not None
-        }
+        return self._worlds.records
 
     # -- recording --------------------------------------------------------------------------
 

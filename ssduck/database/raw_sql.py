@@ -1,10 +1,12 @@
-"""Raw SQL over batches: a query reads tables of all environments in place of those of a tick."""
+"""Runs users' statements; over batches, one reads tables of all environments, not of a tick."""
 
 from __future__ import annotations
 
 import re
+import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TypeAlias
 
 import pyarrow as pa
@@ -21,15 +23,15 @@ from ssduck.database.schemas import Schemas, with_view_columns
 from ssduck.database.statement_names import (
     COMMENT,
     ReadData,
-    ReferencedTables,
     StatementWords,
     WorldNames,
+    named_worlds,
     source_tables,
     words_of,
 )
 from ssduck.database.user_statements import UserStatement, UserStatements
-from ssduck.database.worlds import WorldRegistry
-from ssduck.errors import UnsupportedError
+from ssduck.database.worlds import PinnedWorlds, WorldRegistry
+from ssduck.errors import LimitError, SqlError, UnsupportedError
 from ssduck.recording.stores.history_sql import quoted
 from ssduck.recording.stores.model_tables import RUN_SCHEMA
 from ssduck.schema import HISTORIES, MARGINS, MASSES, MODELS, ON_DEMAND, TABLES
@@ -126,21 +128,38 @@ _OWN_NAMES = (
 
 
 class RawSql:
-    """Runs users' statements."""
+    """Runs users' statements.
+
+    A view or a prepared statement reads its tables under another name; so the tables in such a
+    statement are `persistent`: they count for all later ones.
+
+    Attributes:
+        statements: the queries that are known.
+        record_folders: the folders of records, which ssduck's own views read.
+        batch_table: makes the tables of batches, once there is one.
+    """
 
     def __init__(
         self,
         connection: Connection,
         plans: PreparedPlans,
-        references: ReferencedTables,
+        persistent: set[str],
         worlds: WorldRegistry,
         schemas: Schemas,
+        lock: threading.RLock,
     ) -> None:
         self._own_catalog = OwnCatalog(connection, worlds, schemas)
         self._connection = connection
-        self._references = references
+        self._persistent = persistent
         self._worlds = worlds
+        self._schemas = schemas
+        self._lock = lock
         self.statements = UserStatements(connection, plans, worlds.by_schema, worlds.settle)
+        self.record_folders: list[Path] = []
+        self.batch_table: BatchTable | None = None
+        self._is_sealed = False
+        # Whether a statement may have changed the schemas that may be omitted.
+        self._search_path_changes = False
         self._world_names: WorldNames | None = None
         # The version of the worlds that `_world_names` are of.
         self._version = 0
@@ -152,55 +171,141 @@ class RawSql:
         self._has_range_joins = connection.meter.limits.files
         # Whether the file has views and macros of users, and whether those of a record were noted.
         self._has_stored_queries = self._is_record_noted = False
-        self._schemas = schemas
         if connection.is_file:
             self._note_stored_queries(of_attached=False)
 
+    def rows(self, sql: str, parameters: Parameters) -> FetchedRows | pa.Table:
+        """Returns all rows of a user's statement, for which the tables that it names are read."""
+        if self._worlds.has_batches:
+            query = over_batches(sql, self._names(), self._worlds.by_schema)
+            if query is not None:
+                return self._batch_rows(sql, query, parameters)
+        statement = None if parameters else self._ready(sql)
+        if statement is not None and statement.reads is not None:
+            with PinnedWorlds(self._lock, self._worlds, statement.reads, is_settled=False):
+                self._worlds.write_rows()
+                assert self._world_names is not None
+                return self.statements.rows(statement, None, self._world_names)
+        self._confine(sql)
+        words = words_of(sql)
+        if words.stores_a_query:
+            self._persistent |= words.tables
+        known = self.statements.known(sql)
+        tables = words.tables | self._persistent
+        if known is not None:
+            tables -= known.unread
+        reads = ReadData(tables, self._read_worlds(words))
+        with PinnedWorlds(self._lock, self._worlds, reads):
+            if self._names_all(sql, words):
+                self._describe(words, is_all=False)
+                try:
+                    return self._pinned_rows(sql, parameters, words, reads)
+                except SqlError as error:
+                    if not error.is_refused:
+                        raise
+                    self._describe_after(error, words)
+            else:
+                self._describe(words)
+            return self._pinned_rows(sql, parameters, words, reads)
+
+    def _ready(self, sql: str) -> UserStatement | None:
+        """Returns a query that has run before and only has to be executed; None for another."""
+        is_known = self._world_names is not None and self._version == self._worlds.version
+        return self.statements.ready(sql) if is_known and not self._search_path_changes else None
+
+    def _batch_rows(self, sql: str, query: BatchStatement, parameters: Parameters) -> pa.Table:
+        """Returns the rows of a user's query that reads batches, and perhaps other worlds."""
+        self._confine(sql)
+        assert self.batch_table is not None, "a batch is bound"
+        tables = {name: self.batch_table(*table) for name, table in query.tables.items()}
+        reads = ReadData(words_of(sql).tables, self._worlds.single_worlds())
+        try:
+            for name, table in tables.items():
+                self._connection.register(name, table)
+            with PinnedWorlds(self._lock, self._worlds, reads):
+                return self._connection.table(query.text, parameters)
+        finally:
+            for name in tables:
+                self._connection.unregister(name)
+
+    def _read_worlds(self, words: StatementWords) -> list[int] | None:
+        """Returns the serial numbers of the worlds that a statement may read; None for all.
+
+        No query is stored that reads a batch, so that a statement that reads one names it.
+        """
+        self._search_path_changes |= words.changes_search_path
+        named = named_worlds(words, self._worlds.bound)
+        if not (self._persistent or self._search_path_changes or words.stores_a_query):
+            return named
+        if not self._worlds.has_batches or self._has_users_queries:
+            return None
+        return [*self._worlds.single_worlds(), *named]
+
+    def _confine(self, sql: str) -> None:
+        """Checks a user's statement, and switches files off before the first one.
+
+        Opening a record attaches its file, so files are switched off after that.
+        """
+        limits = self._connection.meter.limits
+        if not (limits.files or self._is_sealed):
+            self.seal()
+        is_refused = limits.select_only and not self._is_query(sql, words_of(sql))
+        if is_refused and self._connection.statements(sql) is not None:  # DuckDB can parse it
+            raise LimitError(
+                "SQL is one SELECT here, which changes nothing; PIVOT names its values: "
+                "PIVOT t ON x IN ('a', 'b') USING count(*) (Limits: select_only)"
+            )
+
+    def seal(self, memory: int | None = None) -> None:
+        """Switches files and settings off, and perhaps limits DuckDB's memory, bytes."""
+        self._connection.seal(self.record_folders, memory)
+        self._is_sealed = True
+
+    def _names_all(self, sql: str, words: StatementWords) -> bool:
+        """Checks whether a statement names all views and macros that it needs."""
+        return not (
+            self._schemas.has_comments
+            or self._has_users_queries
+            or words.reads_catalog
+            or not self._is_query(sql, words)
+        )
+
+    def _describe(self, words: StatementWords, *, is_all: bool = True) -> None:
+        """Creates the views, macros and comments that a user's statement may need."""
+        worlds = self._worlds
+        schemas = list(worlds.by_schema)
+        only = schemas[0] if len(worlds.named) == 1 else None
+        self._schemas.provide(words.words, schemas, only, worlds.records if is_all else None)
+        if words.reads_recorded_masses:
+            for bound in worlds.bound:
+                if bound.history is not None and bound.reference() is not None:
+                    bound.history.record.warn_of_masses()
+
+    def _describe_after(self, refused: SqlError, words: StatementWords) -> None:
+        """Creates all views and macros, as DuckDB's message suggests the names that there are."""
+        self._describe(words)
+        try:
+            self._connection.meter.check_time()
+        except LimitError:
+            raise refused from refused.__cause__
+
     @property
-    def has_stored_queries(self) -> bool:
+    def _has_users_queries(self) -> bool:
         """Whether a file has views or macros of users, which may call relations."""
         if self._connection.has_attached and not self._is_record_noted:
             self._is_record_noted = True
             self._note_stored_queries(of_attached=True)
         return self._has_stored_queries
 
-    def ready(self, sql: str) -> UserStatement | None:
-        """Returns a query that has run before and only has to be executed; None for another."""
-        if self._world_names is None or self._version != self._worlds.version:
-            return None
-        if self._references.search_path_changes:
-            return None
-        return self.statements.ready(sql)
-
-    def ready_rows(self, statement: UserStatement) -> FetchedRows | pa.Table:
-        """Returns the rows of a query from `ready`; the caller pins the worlds that it reads."""
-        assert self._world_names is not None
-        return self.statements.rows(statement, None, self._world_names)
-
-    def is_query(self, sql: str, words: StatementWords) -> bool:
+    def _is_query(self, sql: str, words: StatementWords) -> bool:
         """Checks whether a text is a single query."""
         self._names()
         return self.statements.statement(sql, words.tables) is not None
 
-    def over_batches(self, sql: str) -> BatchStatement | None:
-        """Returns a query that reads batches; None for any other statement."""
-        if not self._worlds.has_batches:
-            return None
-        return over_batches(sql, self._names(), self._worlds.by_schema)
-
-    def unread(self, sql: str) -> frozenset[str]:
-        """Returns the data of a simulator that a text refers to and is known not to read."""
-        statement = self.statements.known(sql)
-        return frozenset() if statement is None else statement.unread
-
-    def rows(
-        self,
-        sql: str,
-        parameters: Parameters,
-        words: StatementWords,
-        reads: ReadData,
+    def _pinned_rows(
+        self, sql: str, parameters: Parameters, words: StatementWords, reads: ReadData
     ) -> FetchedRows | pa.Table:
-        """Returns all rows of a user's statement; the caller pins the worlds."""
+        """Returns all rows of a user's statement, whose worlds are pinned."""
         sql = _without_ticks(sql)
         if not (words.has_semi_joins and self._has_range_joins):
             return self._rows(sql, parameters, reads, is_kept=True)
@@ -220,7 +325,7 @@ class RawSql:
     ) -> FetchedRows | pa.Table:
         names = self._names()
         statement = self.statements.statement(sql, reads.tables)
-        if statement is not None and not self._references.search_path_changes:
+        if statement is not None and not self._search_path_changes:
             rows = self.statements.rows(statement, parameters, names)
             if is_kept:
                 statement.reads = replace(
@@ -277,7 +382,7 @@ class RawSql:
             self._has_stored_queries = True
             words = words_of(text)
             self._schemas.note_stored(words.words)
-            self._references.persistent |= words.tables
+            self._persistent |= words.tables
             if words.has_semi_joins and self._has_range_joins:
                 self._connection.run(NO_RANGE_JOINS)
                 self._has_range_joins = False

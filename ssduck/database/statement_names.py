@@ -8,13 +8,10 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
-import duckdb
 from sqlglot import exp
 
 from ssduck.database.binding import BoundWorld
-from ssduck.database.macros import TABLE_MACROS
-from ssduck.errors import SqlError
-from ssduck.formatting import short_repr
+from ssduck.database.schemas import TABLE_MACROS
 from ssduck.schema import HISTORIES, MARGINS, MASSES, TABLES, Table
 from ssduck.sql.relations.registry import RELATIONS
 
@@ -36,11 +33,6 @@ _WORD = re.compile(r"\w+", re.ASCII)
 # Words with no schema before them.
 _UNQUALIFIED = re.compile(r'(?<!\.)(?<!\.")\b\w+', re.ASCII)
 _OF_RECORDS = re.compile(r"_(?:history|model)$")
-_BETWEEN = r"(?:\s|/\*(?:(?!\*/).)*\*/|--[^\n]*(?:\n|\Z))*"
-# A query of WITH that changes rows or writes a file.
-_CHANGING = re.compile(
-    rf"[()]{_BETWEEN}(?:INSERT|UPDATE|DELETE|MERGE|COPY|EXECUTE)\b", re.IGNORECASE | re.DOTALL
-)
 _STORES_A_QUERY = re.compile(r"\b(CREATE|PREPARE)\b", re.IGNORECASE)
 _SEMI_JOINS = re.compile(r"\b(SEMI|ANTI)\b", re.IGNORECASE)
 _MASS_TABLES = [name for name in TABLES if MASSES in _with_read_columns(name)]
@@ -87,30 +79,6 @@ class StatementWords:
     folded: str  # its text in small letters
 
 
-def types_and_texts(
-    connection: duckdb.DuckDBPyConnection, sql: str
-) -> list[tuple[str, str]] | None:
-    """Returns the type and the text of each statement in a text; None if it is no SQL.
-
-    A type is the name of one of `duckdb.StatementType`. That of a SELECT is WITH if a query of WITH
-    may change rows or write a file.
-    """
-    try:
-        return [_type_and_text(statement) for statement in connection.extract_statements(sql)]
-    except (duckdb.Error, TypeError):  # TypeError: it is no text in UTF-8
-        return None
-    except ValueError as error:  # UPDATE EXTENSIONS
-        shown = short_repr(" ".join(sql.split()))
-        raise SqlError(f"SQL has no such statement here: {shown}") from error
-
-
-def _type_and_text(statement: duckdb.Statement) -> tuple[str, str]:
-    name, text = statement.type.name, statement.query
-    if name == "SELECT" and "with" in text.casefold() and _CHANGING.search(text) is not None:
-        name = "WITH"
-    return name, text
-
-
 @lru_cache(maxsize=256)
 def words_of(sql: str) -> StatementWords:
     """Returns what the words in a statement say."""
@@ -138,48 +106,20 @@ class ReadData:
     worlds: Collection[int] | None  # the serial numbers of the worlds; None for all
 
 
-class ReferencedTables:
-    """The tables and worlds that users' statements refer to.
+def named_worlds(words: StatementWords, bound: Sequence[BoundWorld]) -> list[int]:
+    """Returns the serial numbers of the worlds whose tables a statement may name.
 
-    A view or a prepared statement reads its tables under another name; so the tables in such a
-    statement count for all later ones.
-
-    Attributes:
-        persistent: the tables that count for all later statements.
-        search_path_changes: whether a statement may have changed the schemas that may be omitted.
+    The schema of the first world may be omitted: it is read if a table has no schema.
     """
-
-    def __init__(self) -> None:
-        self.persistent: set[str] = set()
-        self.search_path_changes = False
-
-    def tables(self, words: StatementWords) -> AbstractSet[str]:
-        """Returns the tables that a statement may read."""
-        if words.stores_a_query:
-            self.persistent |= words.tables
-        return words.tables | self.persistent if self.persistent else words.tables
-
-    def worlds(self, words: StatementWords, bound: Sequence[BoundWorld]) -> list[int] | None:
-        """Returns the serial numbers of the worlds that a statement may read; None for all."""
-        self.search_path_changes |= words.changes_search_path
-        if self.persistent or self.search_path_changes or words.stores_a_query:
-            return None
-        return self.named_worlds(words, bound)
-
-    def named_worlds(self, words: StatementWords, bound: Sequence[BoundWorld]) -> list[int]:
-        """Returns the serial numbers of the worlds whose tables a statement may name.
-
-        The schema of the first world may be omitted: it is read if a table has no schema.
-        """
-        return [
-            world.serial
-            for number, entry in enumerate(bound)
-            if (world := entry.reference()) is not None
-            and (
-                (number == 0 and words.omits_schema)
-                or any(schema.casefold() in words.folded for schema in entry.schemas)
-            )
-        ]
+    return [
+        world.serial
+        for number, entry in enumerate(bound)
+        if (world := entry.reference()) is not None
+        and (
+            (number == 0 and words.omits_schema)
+            or any(schema.casefold() in words.folded for schema in entry.schemas)
+        )
+    ]
 
 
 _HISTORIES = {table.history_view.lower(): table for table in HISTORIES.values()}

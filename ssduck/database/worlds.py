@@ -309,6 +309,24 @@ class WorldRegistry:
         return bound
 
     @property
+    def named(self) -> dict[str, World]:
+        """The worlds, by the schema that ssduck's own statements use, the first one first."""
+        return {
+            bound.schemas[0]: world
+            for bound in self.bound
+            if bound.schemas and (world := bound.reference()) is not None
+        }
+
+    @property
+    def records(self) -> dict[str, Record]:
+        """The records of the recorded worlds, by the same schemas."""
+        return {
+            bound.schemas[0]: bound.history.record
+            for bound in self.bound
+            if bound.schemas and bound.history is not None and bound.reference() is not None
+        }
+
+    @property
     def has_batches(self) -> bool:
         """Whether any of the worlds is a batch."""
         return any(isinstance(bound.reference(), BatchWorld) for bound in self.bound)

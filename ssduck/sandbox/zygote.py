@@ -31,7 +31,7 @@ READY, FAILED, FORKED = b"r", b"!", b"f"
 _IMPORTED = (
     *("ssduck.interpreter.interpreter", "ssduck.interpreter.opening", "ssduck.interpreter.lint"),
     *("ssduck.adapters.registry", "ssduck.columns.selects", "ssduck.interpreter.scalar_select"),
-    *("ssduck.interpreter.query_runner", "ssduck.database.macros", "ssduck.sandbox.worker"),
+    *("ssduck.interpreter.query_runner", "ssduck.database.schemas", "ssduck.sandbox.worker"),
     *("ssduck.simulators.pybullet.backend", "ssduck.simulators.mujoco.backend", "trimesh", "fcl"),
     *("pyarrow.parquet", "pyarrow.compute", "pyarrow.dataset", "scipy.spatial", "scipy.optimize"),
 )
@@ -79,7 +79,7 @@ def _prepare(orders: socket.socket, imported: Sequence[str]) -> bool:
                 import_module(name)
         if imported:
             # What is made of the relations is kept with them, for all workers.
-            from ssduck.database.macros import description_script
+            from ssduck.database.schemas import description_script
 
             description_script(("kitchen",), "kitchen", frozenset())
         check_one_thread()

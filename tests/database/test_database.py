@@ -17,7 +17,7 @@ import pytest
 import ssduck
 from ssduck.database.connection import Connection
 from ssduck.database.database import Database
-from ssduck.database.macros import TABLE_MACROS
+from ssduck.database.schemas import TABLE_MACROS
 from ssduck.schema import MODELS, TABLES
 from ssduck.sql.relations.registry import RELATIONS
 from tests.support.cases import sampled

@@ -15,7 +15,7 @@ import ssduck
 from ssduck import Recording
 from ssduck.database import schemas
 from ssduck.database.connection import Connection
-from ssduck.database.macros import drop_statements
+from ssduck.database.schemas import drop_statements
 from ssduck.errors import RecordError
 from ssduck.recording.stores.descriptions import read_description
 from ssduck.recording.stores.parquet_layout import FolderRun

@@ -41,7 +41,7 @@ class BatchMethods:
 
         if self._batches is None:
             self._batches = BatchPrograms(self._execution)
-            self._execution.database.batch_table = batch_table
+            self._execution.database.read_batches(batch_table)
         self._batches.forget()
 
     def terms(
