@@ -15,10 +15,12 @@ from functools import partial
 from itertools import count, islice
 from typing import Any, NoReturn, TypeAlias
 
+import numpy as np
 import pyarrow as pa
 
 from ssduck.database.binding import WorldHistory
 from ssduck.errors import UnsupportedError
+from ssduck.geometry.margins import Margins
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.limits import Limits
 from ssduck.recording.buffers import TickBuffer, buffer_schema
@@ -37,6 +39,7 @@ from ssduck.recording.stores.base import TickArchive
 from ssduck.recording.stores.memory import MemoryStore
 from ssduck.recording.stores.stored_columns import conformed
 from ssduck.schema import MARGINS, MASSES, RECORDABLE, recorded_tables
+from ssduck.simulators.partial import StaticSimulator
 from ssduck.world.ctrl_c import deferred
 from ssduck.world.layout import EntityInfo
 from ssduck.world.snapshot import Snapshot
@@ -47,6 +50,7 @@ _numbers = count()
 # The table of what sensors perceive: rays are cast for a program that asks for it only.
 _SENSINGS = "sensings"
 _Tables: TypeAlias = dict[str, pa.Table]
+_Pairs: TypeAlias = tuple[Mapping[int, list[int]], list[list[float]]]
 _PRESENT = tuple(name for name in RECORDABLE if name != _SENSINGS)
 
 
@@ -77,6 +81,7 @@ class WorldNews:
         past_models: the rows of the models of entities that were recorded first, by table.
         past: the rows of recorded ticks that are new, by table; empty if there are none.
         first: the number of the first recorded tick that is kept.
+        pairs: the classes of shapes by body, and the margins of two, (k, k), m; None for the sums.
     """
 
     tick: int
@@ -86,6 +91,7 @@ class WorldNews:
     past_models: Mapping[str, pa.Table]
     past: Mapping[str, pa.Table]
     first: int
+    pairs: _Pairs | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +172,9 @@ class WorldFeed:
             return False
         with self.world.lock:
             self.world.request_tables((MASSES, MARGINS))
-            present = self._present_dynamics
+            present, told = self._present_dynamics, self._told
+            if told is not None and told[1] is not None and self._pairs is None:
+                return False
             return all(present.get(id, own) == own for id, own in self._dynamics.items())
 
     def news(self, *, is_sensed: bool = False) -> WorldNews | None:
@@ -180,18 +188,19 @@ class WorldFeed:
         with world.lock:
             if self._present == self._told and not is_sensed:
                 return None
-            past_models, past, first = self._news_of_past()
+            past = self._news_of_past()
             more = (_SENSINGS,) if is_sensed else ()
             models, rows = ({}, {}) if self.description.is_past else self._news_of_tick(more)
             self._told = self._present
-            return WorldNews(world.tick_number, world.time, models, rows, past_models, past, first)
+            return WorldNews(world.tick_number, world.time, models, rows, *past, self._pairs)
 
     @property
     def _present(self) -> tuple[Any, ...]:
-        """What tells states of the world apart: the tick, and which sensors are switched on."""
+        """What tells states of the world apart: tick, margins of pairs, sensors that are on."""
         snapshot = self.world.snapshot
         sensors = (info.id for info in snapshot.entities if info.sensor is not None)
-        return snapshot.number, [(id, snapshot.sensing.is_on(id)) for id in sensors]
+        are_on = [(id, snapshot.sensing.is_on(id)) for id in sensors]
+        return snapshot.number, snapshot.margins_of_pairs, are_on
 
     def _news_of_tick(self, more: Collection[str]) -> tuple[_Tables, _Tables]:
         """Returns the models of new entities, and the rows of the last tick."""
@@ -223,6 +232,15 @@ class WorldFeed:
             )
             for id, body in snapshot.layout.bodies
         }
+
+    @property
+    def _pairs(self) -> _Pairs | None:
+        pairs, bodies = self.world.snapshot.margins_of_pairs, self.world.snapshot.layout.bodies
+        if pairs is None or pairs.classes is None or pairs.of_classes is None:
+            return None
+        classes = iter(pairs.classes.tolist())
+        of_bodies = {id: list(islice(classes, len(body.shapes))) for id, body in bodies}
+        return of_bodies, pairs.of_classes.tolist()
 
     def _news_of_past(self) -> tuple[_Tables, _Tables, int]:
         """Returns the models and rows that are new in the past, and its first tick."""
@@ -283,7 +301,7 @@ class WorldCopy:
     def apply(self, news: WorldNews) -> None:
         """Takes over what is new, whole: Ctrl-C waits."""
         with deferred():
-            if isinstance(self._past, _PastCopy):
+            if self._past is not None:
                 self._past.apply(news, self._new(news.past_models))
             if not self._description.is_past:
                 self._members |= self._new(news.models)
@@ -293,6 +311,8 @@ class WorldCopy:
                 self._ss.add_variable(self._description.name, self._world)
             elif isinstance(self._world, CopiedWorld):
                 self._world.go_to(news.tick, news.time)
+            if news.pairs is not None and not self._description.is_past:
+                _set_pairs(self._world, news.pairs)
 
     def _new(self, models: Mapping[str, pa.Table]) -> dict[int, EntityInfo]:
         """Returns the entities of models, whose geometries may be those of earlier ones."""
@@ -307,7 +327,7 @@ class WorldCopy:
         description, past = self._description, self._past
         camera = camera_of({"camera": description.camera})
         if description.is_past:
-            assert isinstance(past, _PastCopy)
+            assert past is not None
             ticker = ReplayTicker(description.name, past.record)
             return ReplayedWorld(ticker, (past.store, past.record), camera)
         present = Record(
@@ -335,6 +355,15 @@ class WorldCopy:
             self.apply(news)
 
 
+def _set_pairs(world: ReplayedWorld, pairs: _Pairs) -> None:
+    classes, of_classes = pairs
+    listed = [one for id, _ in world.snapshot.layout.bodies for one in classes[id]]
+    numbers = world.snapshot.tables["shapes"]["margin"].copy()
+    margins = Margins(numbers, np.array(listed), np.array(of_classes))
+    assert isinstance(world.simulator, StaticSimulator)
+    world.snapshot.read_margins(replace(world.simulator, margins=margins))
+
+
 def _no_pairs(_: Any) -> NoReturn:
     raise AssertionError("no function of time asks for the last tick alone")
 
@@ -343,7 +372,7 @@ def _no_pairs(_: Any) -> NoReturn:
 class _PastCopy:
     """A copy of recorded ticks in memory."""
 
-    store: MemoryStore
+    store: Any  # a MemoryStore, or a _NoArchive
     record: Record
     ticks: TickBuffer
     members: dict[int, EntityInfo]
@@ -368,17 +397,9 @@ class _PastCopy:
             self.ticks.drop_before(news.first)
 
 
-@dataclass(frozen=True, eq=False)
-class _PastElsewhere:
-    """Recorded ticks that a copy has not: each access is an error that says why."""
-
-    store: _NoArchive
-    record: Record
-
-
 def _past_copy(
     ss: Interpreter, description: WorldDescription, numbers: dict[str, int]
-) -> _PastCopy | _PastElsewhere | None:
+) -> _PastCopy | None:
     """Returns an empty copy of recorded ticks; None if none are recorded."""
     ticks, members, ids = TickBuffer(), dict[int, EntityInfo](), Snapshot(numbers, description.run)
     archive: _NoArchive | MemoryStore
@@ -403,8 +424,6 @@ def _past_copy(
         source="the copy of its ticks",
         entities=archive.recording.entities,
     )
-    if isinstance(archive, _NoArchive):
-        return _PastElsewhere(archive, record)
     return _PastCopy(archive, record, ticks, members, ids)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from ssduck.errors import UnsupportedError
 from ssduck.geometry.arrays import Array
+from ssduck.geometry.margins import Margins
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import DEFAULT_BACKEND, Body, ContactPoints, LinkPoses
 
@@ -76,6 +77,7 @@ class StaticSimulator(PartialSimulator):
     description: str = "a what-if world"  # the noun for the world in errors
     is_external: bool = False
     backend: str = DEFAULT_BACKEND  # the backend that makes running simulations of its bodies
+    margins: Margins | None = None  # those of pairs of shapes, too; None for those of the bodies
     timestep = 0.0  # there are no steps
 
     @property
@@ -94,8 +96,8 @@ class StaticSimulator(PartialSimulator):
     def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
         return [body.masses for body in bodies]
 
-    def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
-        return [body.margins for body in bodies]
+    def read_margins(self, bodies: Sequence[Body]) -> list[list[float]] | Margins:
+        return [body.margins for body in bodies] if self.margins is None else self.margins
 
     def read_contacts(self) -> ContactPoints:
         return self.contacts

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import time
 
+import mujoco
 import pybullet
 import pytest
 
 import ssduck
 from ssduck.errors import FunctionError, LimitError, UnknownNameError, UnsupportedError
+from ssduck.interpreter.mirrors import Mirror
 from ssduck.limits import Limits
-from ssduck.sandbox import SandboxedInterpreter
+from ssduck.sandbox import SandboxedInterpreter, opening
 from ssduck.simulators.scenes import find_scene
 from tests.interpreter.test_mirrors import PROGRAMS, STATEMENTS, plain
+from tests.simulators.mujoco.test_pair_margins import CASES, MODEL, PAIR, THINGS
+from tests.simulators.mujoco.test_pair_margins import pressed as presses
 
 EXIT = "__import__('os')._exit(0)"
 
@@ -48,6 +52,45 @@ def test_sql_asks_a_world_of_this_process(pair, statement):
     rows = box.sql(statement).fetchall()
     assert rows == ss.sql(statement).fetchall()
     assert rows
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["pair", "pair of less", "override of a pair", "both"])
+def test_relations_hold_in_copies_where_the_simulator_presses(zygote, case):
+    parts = dict.fromkeys(("option", "table", "cup", "ball", "pair"), "") | CASES[case]
+    model = mujoco.MjModel.from_xml_string(MODEL.format(**parts))
+    data = mujoco.MjData(model)
+    with ssduck.Interpreter() as ss, SandboxedInterpreter(zygote=zygote) as box:
+        world = ss.add_variable("s", ssduck.World.attach(model, data))
+        mirror = Mirror(ss, world, "s", Limits())
+        box["s"] = world
+        for gap in (-0.001, 0.015, 0.045, 0.075, 0.105):
+            data.qpos[2] = data.qpos[9] = 0.25 + gap
+            mujoco.mj_forward(model, data)
+            world.tick()
+            mirror.update()
+            for thing in THINGS:
+                expected = presses(model, data, thing)
+                for asked in (box, mirror.interpreter):
+                    assert asked.eval(f"touching(s.table, s.{thing});") is expected, (thing, gap)
+        mirror.close()
+
+
+@pytest.mark.slow
+def test_margins_of_pairs_that_change_reach_the_copy(zygote):
+    pair = PAIR.format('margin=".1"')
+    text = MODEL.format(option="", table="", cup="", ball="", pair=pair)
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    data.qpos[2] = 0.25 + 0.09
+    mujoco.mj_forward(model, data)
+    with SandboxedInterpreter(zygote=zygote) as box:
+        world = box["s"] = ssduck.World.attach(model, data)
+        assert box.eval("[touching(s.table, s.cup), touching(s.table, s.ball)];") == [True, False]
+        for margin in (0.02, 0.2):
+            model.pair_margin[0] = margin
+            world.tick()
+            assert box.eval("touching(s.table, s.cup);") is (margin > 0.09)
 
 
 @pytest.mark.slow
@@ -152,7 +195,7 @@ def plus(a: float, b: float = 2.0) -> float:
 
 @pytest.mark.slow
 def test_functions_of_this_process_are_called(zygote):
-    with SandboxedInterpreter.load("kitchen", zygote=zygote) as box, ssduck.load("kitchen") as ss:
+    with opening.load("kitchen", zygote=zygote) as box, ssduck.load("kitchen") as ss:
         for one in (box, ss):
             one.add_function("plus", plus)
             one.add_function("nameOf", lambda entity: entity.name, "Returns the name.")
@@ -181,7 +224,7 @@ def test_functions_of_this_process_are_called(zygote):
 
 @pytest.mark.slow
 def test_a_function_that_is_called_cannot_ask_back(zygote):
-    with SandboxedInterpreter.load("kitchen", zygote=zygote) as box:
+    with opening.load("kitchen", zygote=zygote) as box:
         box.add_function("place", lambda entity: entity.position)
         with pytest.raises(FunctionError, match="cannot ask it"):
             box.eval("place(kitchen.fridge);")
@@ -191,7 +234,7 @@ def test_a_function_that_is_called_cannot_ask_back(zygote):
 @pytest.mark.slow
 def test_callbacks_of_triggers_are_called_here(zygote):
     fired = []
-    with SandboxedInterpreter.load("kitchen", zygote=zygote) as box:
+    with opening.load("kitchen", zygote=zygote) as box:
         box.add_trigger("clock", "getTime();", 0.25, fired.append)
         box.run(1.0)
         assert fired == [0.0, 0.25, 0.5, 0.75, 1.0]
@@ -231,7 +274,7 @@ def test_ctrl_c_in_a_function_ends_the_program_and_keeps_its_variables(zygote, q
         "eval": "SELECT pressed(z) FROM kitchen AS list;",
         "sql": "SELECT pressed(z) FROM entities",
     }
-    with SandboxedInterpreter.load("kitchen", zygote=zygote) as box:
+    with opening.load("kitchen", zygote=zygote) as box:
         box.add_function("pressed", pressed)
         box.eval("mine = 7;")
         with pytest.raises(KeyboardInterrupt):
@@ -242,7 +285,7 @@ def test_ctrl_c_in_a_function_ends_the_program_and_keeps_its_variables(zygote, q
 @pytest.mark.slow
 def test_a_new_process_has_worlds_functions_and_triggers_again(zygote):
     fired = []
-    with ssduck.load("kitchen") as ss, SandboxedInterpreter.load("kitchen", zygote=zygote) as box:
+    with ssduck.load("kitchen") as ss, opening.load("kitchen", zygote=zygote) as box:
         box["other"] = ss["kitchen"]
         box.add_function("plus", plus)
         box.add_trigger("clock", "plus(getTime());", 1.0, fired.append)
