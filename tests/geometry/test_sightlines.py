@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from ssduck.geometry.ray_casting import are_blocked
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import PlacedSolids, solid_of
+from tests.support.pairs import held
 
 RNG = np.random.default_rng(11)
 CORNERS = RNG.normal(size=(15, 3)) * 0.3
@@ -35,26 +35,6 @@ def placed(geometry, place=(0, 0, 0), turn=None):
     )
 
 
-def is_in(kind, points):
-    """Whether the shape of a kind holds points (…, 3) of its frame."""
-    a, b, c = SHAPES[kind].size
-    x, y, z = np.moveaxis(points, -1, 0)
-    if kind == "box":
-        return (abs(x) <= a / 2) & (abs(y) <= b / 2) & (abs(z) <= c / 2)
-    if kind == "sphere":
-        return x**2 + y**2 + z**2 <= a**2
-    if kind == "cylinder":
-        return (np.hypot(x, y) <= a) & (abs(z) <= b / 2)
-    if kind == "capsule":
-        return x**2 + y**2 + np.maximum(abs(z) - b / 2, 0) ** 2 <= a**2
-    if kind == "ellipsoid":
-        return (x / a) ** 2 + (y / b) ** 2 + (z / c) ** 2 <= 1
-    if kind == "plane":
-        return points @ [a, b, c] <= 0
-    planes = ConvexHull(CORNERS).equations
-    return (points @ planes[:, :3].T + planes[:, 3] <= 0).all(axis=-1)
-
-
 @pytest.mark.parametrize("kind", SHAPES)
 def test_ways_through_convex_shapes(kind):
     turn, place = Rotation.random(rng=5), np.array([0.1, -0.2, 0.3])
@@ -62,7 +42,7 @@ def test_ways_through_convex_shapes(kind):
     ends = place + RNG.uniform(-1.2, 1.2, (600, 3))
     share = np.linspace(0, 1, 400)[:, None, None]
     along = turn.inv().apply((start + share * (ends - start) - place).reshape(-1, 3))
-    expected = is_in(kind, along.reshape(400, 600, 3)).any(axis=0)
+    expected = held(SHAPES[kind], along.reshape(400, 600, 3)).any(axis=0)
     found = are_blocked(placed(SHAPES[kind], place, turn), start, ends)
     assert 30 < expected.sum() < 570
     assert not (expected & ~found).any()
@@ -72,7 +52,7 @@ def test_ways_through_convex_shapes(kind):
 @pytest.mark.parametrize("kind", SHAPES)
 def test_what_holds_the_beginning_is_not_in_the_way(kind):
     start = np.array([0.0, 0.0, -0.1])
-    assert is_in(kind, start)
+    assert held(SHAPES[kind], start)
     ends = RNG.uniform(-2, 2, (100, 3))
     assert not are_blocked(placed(SHAPES[kind]), start, ends).any()
 

@@ -16,6 +16,7 @@ from ssduck.geometry.rasters.rasterize import Rasterizer
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import PlacedSolids, solid_of
 from tests.support.cases import sampled
+from tests.support.pairs import windings
 
 RNG = np.random.default_rng(7)
 POINTS = RNG.normal(size=(20, 3)) * [0.3, 0.2, 0.25]
@@ -244,15 +245,6 @@ def test_a_wall_between_two_cells_is_in_both(off):
     assert cells.any(axis=1).tolist() == [off <= 0, off >= 0]
 
 
-def windings(triangles, points):
-    """How often a surface winds around points: the solid angles of its triangles (van Oosterom)."""
-    a, b, c = (triangles[None, :, k] - points[:, None] for k in range(3))
-    la, lb, lc = (np.linalg.norm(v, axis=2) for v in (a, b, c))
-    over = np.einsum("pti,pti->pt", a, np.cross(b, c))
-    under = la * lb * lc + (a * b).sum(2) * lc + (b * c).sum(2) * la + (c * a).sum(2) * lb
-    return np.arctan2(over, under).sum(axis=1) / (2 * np.pi)
-
-
 @pytest.mark.slow
 @sampled("turn", ["upright", "lying", "tilted"], every=3)
 @pytest.mark.parametrize("height", [0.0, 0.11])
@@ -268,7 +260,7 @@ def test_a_torus(turn, height):
     for k, (dx, dy) in enumerate(itertools.product(near, near)):
         x, y = np.meshgrid(raster.centres(0) + dx, raster.centres(1) + dy, indexing="ij")
         points = np.column_stack((x.ravel(), y.ravel(), np.full(x.size, height)))
-        inside[k] = (windings(triangles, points) > 0.5).reshape(raster.shape)
+        inside[k] = (windings(points, triangles) > 0.5).reshape(raster.shape)
     met, full = inside.any(axis=0), inside.all(axis=0)
     assert full.sum() > 20
     assert (met & ~full).sum() > 20

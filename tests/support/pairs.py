@@ -419,6 +419,41 @@ def _pierced(s, t):
 _SKEW = np.array([0.5377, 0.2219, 0.8134])
 
 
+def windings(points, triangles):
+    """How often a surface winds around points: solid angles, van Oosterom and Strackee 1983."""
+    to = triangles[None] - points[:, None, None]
+    a, b, c = (to[:, :, k] for k in range(3))
+    la, lb, lc = (np.linalg.norm(one, axis=2) for one in (a, b, c))
+    above = (a * np.cross(b, c)).sum(2)
+    ab, bc, ca = ((u * v).sum(2) for u, v in ((a, b), (b, c), (c, a)))
+    below = la * lb * lc + ab * lc + bc * la + ca * lb
+    return 2 * np.arctan2(above, below).sum(1) / (4 * math.pi)
+
+
+def held(geometry, points):
+    """Which points (…, 3) of its frame a convex shape, or the hull of a mesh, holds."""
+    (x, y, z), (a, b, c) = np.moveaxis(points, -1, 0), geometry.size
+    beyond = np.maximum(abs(z) - b / 2, 0)
+    match geometry.type:
+        case "sphere":
+            return x**2 + y**2 + z**2 <= a**2
+        case "box":
+            return (abs(x) <= a / 2) & (abs(y) <= b / 2) & (abs(z) <= c / 2)
+        case "cylinder":
+            return (np.hypot(x, y) <= a) & (beyond == 0)
+        case "capsule":
+            return np.hypot(np.hypot(x, y), beyond) <= a
+        case "ellipsoid":
+            return (x / a) ** 2 + (y / b) ** 2 + (z / c) ** 2 <= 1
+        case "plane":
+            return points @ geometry.size <= 0
+    try:
+        equations = ConvexHull(geometry.vertices).equations
+    except QhullError:
+        return np.zeros(points.shape[:-1], bool)
+    return (points @ equations[:, :3].T <= -equations[:, 3]).all(-1)
+
+
 def enclosed(points, t):
     """Returns which points (n, 3) a closed surface encloses: a ray crosses it an odd number of times."""
     rays = np.stack((points, points + 50 * _SKEW, points + 50 * _SKEW), 1)

@@ -111,28 +111,9 @@ COLOUR_MAP_XXX = """ colors = ['red', 'green', 'blue', 'yellow'];
               AS dict;
               """  # noqa: W293
 
-COLOUR_MAP_XXXX = """ ########################################################################
-colors = ['red', 'green', 'blue', 'yellow'];
-
-neighbours = [[a.this, b.this], [a.this, c.this], [a.this, d.this], [a.this, e.this],
-              [a.this, f.this], [b.this, c.this], [b.this, d.this], [b.this, f.this],
-              [b.this, g.this], [c.this, d.this], [c.this, g.this], [c.this, h.this],
-              [d.this, e.this], [d.this, h.this], [e.this, f.this], [e.this, h.this],
-              [f.this, g.this], [g.this, h.this]];
-
-######################################################################################
-SELECT a.this,   b.this,   c.this,   d.this,   e.this,   f.this,   g.this,   h.this
-FROM   a=colors, b=colors, c=colors, d=colors, e=colors, f=colors, g=colors, h=colors
-WHERE  [] == SELECT this
-             FROM neighbours
-             WHERE this[0] == this[1]
-             AS list
-AS dict;
-"""
-
 
 @pytest.mark.slow
-@pytest.mark.parametrize("program", [COLOUR_MAP, COLOUR_MAP_XXX, COLOUR_MAP_XXXX])
+@pytest.mark.parametrize("program", [COLOUR_MAP, COLOUR_MAP_XXX])
 def test_eight_regions_have_48_colourings(program):
     with ssduck.Interpreter() as ss:
         found = ss.eval(ss.compile(program))

@@ -5,63 +5,8 @@ from __future__ import annotations
 import pytest
 
 import ssduck
-from ssduck.errors import UnknownNameError
 
 # -- what is broken as it was published ----------------------------------------------------------
-
-
-DAMES = """
-SELECT to([mov.this, tower], "move"+str(level))
-FROM row=[0,1,2,3,4,5,6,7], column=[0,1,2,3,4,5,6,7]
-WHERE checkboard == put(row.this, column.this, checkboard )
-              
-START WITH level = 1, checkboard = [[0,0,0,0,0,0,0,0],
-                                    [0,0,0,0,0,0,0,0],
-                                    [0,0,0,0,0,0,0,0],
-                                    [0,0,0,0,0,0,0,0],
-                                    [0,0,0,0,0,0,0,0],
-                                    [0,0,0,0,0,0,0,0],
-                                    [0,0,0,0,0,0,0,0],
-                                    [0,0,0,0,0,0,0,0]]
-CONNECT BY checkboard = place(row.this, column.this, checkboard ), level=level+1
-STOP WITH level == 8 or checkerboard == []
-
-AS list; """  # noqa: W293
-
-SUDOKU = """ pos = [0,1,2,3,4,5,6,7,8];
-              num = [1,2,3,4,5,6,7,8,9];
-              
-              SELECT to([mov.this, tower], "move"+str(level))
-              FROM r=pos, c=pos, n=num 
-              WHERE allcheckboard == put(row.this, column.this, checkboard )
-              
-              START WITH level = 1, sudoku = [[7,0,0,  9,2,1,  0,0,8],
-                                              [0,0,3,  0,0,0,  6,2,9],
-                                              [0,0,2,  3,0,0,  0,0,0],
-                                              
-                                              [0,4,1,  8,3,0,  0,7,0],
-                                              [3,0,6,  0,7,0,  9,0,5],
-                                              [0,7,0,  0,5,0,  0,1,0],
-                                              
-                                              [0,0,0,  2,0,3,  0,0,0],
-                                              [4,9,7,  0,0,0,  3,0,0],
-                                              [2,0,0,  7,0,6,  8,0,1]]
-                                              
-              CONNECT BY sudoku = put( r.this, c.this, n.this, sudoku ), level=level+1
-              STOP WITH level == 8
-              
-              AS list;
-              """  # noqa: W291, W293
-
-
-@pytest.mark.parametrize("program", [DAMES, SUDOKU])
-def test_scripts_with_unknown_names_say_so(ss, program):
-    """Their authors left them unfinished: functions and variables that nobody defines."""
-    ss.addFunction("place", lambda *_: [])
-    ss.addFunction("put", lambda *_: [])
-    with pytest.raises(UnknownNameError) as caught:
-        ss.eval(ss.compile(program))
-    assert caught.value.line is not None
 
 
 # -- demos on OpenRAVE's and ODE's worlds --------------------------------------------------------

@@ -97,19 +97,6 @@ STOP WITH  ([] == move( mov.this, tower )) or level==15
               
 AS list; """  # noqa: W293
 
-EIGHT_DISCS = """
-moves  = [[0,1], [0,2], [1,0], [1,2], [2,0], [2,1]];
-              
-SELECT mov.this, tower
-FROM mov=moves
-WHERE [[],[],[8,7,6,5,4,3,2,1]] == move( mov.this, tower )
-              
-START WITH tower = [[8,7,6,5,4,3,2,1],[],[]]
-CONNECT BY MEMORIZE 255 tower = move( mov.this, tower )
-STOP WITH  [] == move( mov.this, tower )
-              
-AS list; """  # noqa: W293
-
 
 def solution(discs: int, source: int = 0, target: int = 2) -> list[list[int]]:
     """The shortest way, as everybody knows it."""
@@ -145,11 +132,3 @@ def test_as_many_results_as_are_wanted(towers):
 def test_four_discs(towers):
     (path,) = towers.eval(towers.compile(FOUR_DISCS))
     assert path[::2] == solution(4)
-
-
-@pytest.mark.long
-def test_eight_discs():
-    with ssduck.Interpreter() as ss:
-        ss.addFunction("move", move)
-        (path,) = ss.eval(ss.compile(EIGHT_DISCS))
-    assert [mov for mov, _ in path] == solution(8)

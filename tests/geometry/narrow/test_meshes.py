@@ -249,17 +249,6 @@ def test_nearest_points_of_a_sphere_and_a_mesh_are_in_the_world():
     assert math.dist(p, q) == pytest.approx(tick.clearance(0, 1))
 
 
-def windings(points, triangles):
-    """How often a surface winds around points: solid angles, van Oosterom and Strackee 1983."""
-    to = triangles[None] - points[:, None, None]
-    a, b, c = (to[:, :, k] for k in range(3))
-    la, lb, lc = (np.linalg.norm(one, axis=2) for one in (a, b, c))
-    above = (a * np.cross(b, c)).sum(2)
-    ab, bc, ca = ((u * v).sum(2) for u, v in ((a, b), (b, c), (c, a)))
-    below = la * lb * lc + ab * lc + bc * la + ca * lb
-    return 2 * np.arctan2(above, below).sum(1) / (4 * math.pi)
-
-
 def meshes():
     """Closed ones that are not convex; the last has two parts, one inside the other."""
     torus = trimesh.creation.torus(1.0, 0.4, major_sections=12, minor_sections=6)
@@ -283,7 +272,7 @@ def test_what_a_mesh_encloses(grid):
             points = (points * random.dirichlet(np.ones(4), 300)[:, :, None]).sum(1)
             points = np.concatenate((points, points * [1, 1, 0] - [0, 0, 2], points[:, ::-1]))
         off = pairs.points_to_triangles(points, surface.triangles).min(1) > 1e-9
-        around = windings(points[off], surface.triangles)
+        around = pairs.windings(points[off], surface.triangles)
         assert 0 < (around > 0.5).sum() < len(around)
         for turn in (np.eye(3), shape(box(), turn=(1, 0.2, 0.3, 0.4)).matrix):
             turned = Surface(surface.vertices @ turn.T, surface.faces)
@@ -300,7 +289,7 @@ def test_the_depth_of_meshes_is_that_of_all_corners_and_triangles(seed):
     (s, _), (t, _) = pairs.triangles(a), pairs.triangles(b)
     depths = []
     for corners, other in ((s.reshape(-1, 3), t), (t.reshape(-1, 3), s)):
-        inside = corners[windings(corners, other) > 0.5]
+        inside = corners[pairs.windings(corners, other) > 0.5]
         depths += pairs.points_to_triangles(inside, other).min(1).tolist()
     i, j = np.array(sorted(pairs.crossings(s, t))).reshape(-1, 2).T
     depths += triangle_depths(s[i], t[j])[0].tolist()

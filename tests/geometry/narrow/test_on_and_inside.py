@@ -10,7 +10,6 @@ import pytest
 import trimesh
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from scipy.spatial import ConvexHull, QhullError
 
 from ssduck.geometry.containment import fraction_inside, world_hull
 from ssduck.geometry.placed_solid import PlacedSolid
@@ -246,28 +245,9 @@ def share(a, b):
 def held(one, points, *, whole=False):
     """Which points (n, 3) are in a shape, or, if it is to be whole, in its hull."""
     local = (points - one.position) @ one.matrix
-    (x, y, z), (a, b, c) = local.T, one.geometry.size
-    beyond = np.maximum(np.abs(z) - b / 2, 0)
-    match one.geometry.type:
-        case "sphere":
-            return np.linalg.norm(local, axis=1) <= a
-        case "box":
-            return (np.abs(local) <= np.array([a, b, c]) / 2).all(1)
-        case "cylinder":
-            return (np.hypot(x, y) <= a) & (beyond == 0)
-        case "capsule":
-            return np.hypot(np.hypot(x, y), beyond) <= a
-        case "ellipsoid":
-            return np.linalg.norm(local / one.geometry.size, axis=1) <= 1
-        case "plane":
-            return local @ one.geometry.size <= 0
     if one.kind == "mesh" and not whole:
         return pairs.enclosed(local, one.geometry.vertices[one.geometry.faces])
-    try:
-        equations = ConvexHull(one.geometry.vertices).equations
-    except QhullError:
-        return np.zeros(len(points), bool)
-    return (local @ equations[:, :3].T <= -equations[:, 3]).all(1)
+    return pairs.held(one.geometry, local)
 
 
 @sampled("kinds", list(itertools.product(pairs.KINDS, pairs.KINDS)), every=5, ids=" ".join)

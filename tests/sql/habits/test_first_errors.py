@@ -295,6 +295,37 @@ OF_PROGRAMS = [
     ("sim.arm.hand_joint;", "write joint(sim.arm, 'hand_joint')"),  # there is a link 'hand'
     ("sim.cube.links;", "links(sim.cube)"),
     ("z(sim.qwerty);", "has no entity 'qwerty', only world, table, cube, duplo2x4/, arm"),
+    # Names that users of PyBullet bring.
+    ("getBasePositionAndOrientation(sim.cube);", "write position(e) and orientation(e)"),
+    ("getBaseVelocity(sim.cube);", "write velocity(e)"),
+    ("getLinkState(sim.cube, 0);", "position(room.panda.hand)"),
+    ("getJointState(sim.cube, 0);", "joint(entity, 'name')"),
+    ("joint_position(sim.cube, 'j');", "joint(entity, 'name')"),
+    ("getNumJoints(sim.cube);", "joint(entity, 'name')"),
+    ("getContactPoints(sim.cube);", "inContact(a, b)"),
+    ("getClosestPoints(sim.cube, sim.table, 1);", "nearestPoints(a, b)"),
+    ("getAABB(sim.cube);", "did you mean 'aabb'?"),
+    ("is_on(sim.cube, sim.table);", "did you mean 'on'?"),
+    ("get_distance(sim.cube, sim.table);", "did you mean 'distance'?"),
+    ("isUpright(sim.cube);", "did you mean 'upright'?"),
+    ("stacked(sim.cube, sim.table);", "write on(support, thing)"),
+    ("is_stacked_on(sim.cube, sim.table);", "write on(support, thing)"),
+    ("isGrasping(sim.cube, sim.table);", "write grasped(a, b)"),
+    ("isHolding(sim.cube, sim.table);", "write grasped(a, b)"),
+    ("gap(sim.cube, sim.table);", "write clearance(a, b)"),
+    ("closestTo(sim.cube);", "ORDER BY distance(this, room.cup) LIMIT 1"),
+    ("upsideDown(sim.cube);", "write tilt(e) > 2.8"),
+    ("angvel(sim.cube);", "write angularVelocity(e)"),
+    ("canSee(sim.cube, sim.table);", "write isSensing(sensor, entity)"),
+    ("attached(sim.cube, sim.table);", "constraints of the simulator are not kept"),
+    ("between(z(sim.cube), 0, 1);", "write x BETWEEN a AND b"),
+    ("range(5);", "a list is written [0, 1, 2]"),
+    ("touches(sim.cube, sim.table);", "write touching(a, b)"),
+    ("stepSimulation();", "queries change no world"),
+    ("abov(sim.cube, sim.table);", "did you mean 'above'?"),
+    ("SELECT id FROM sim WHERE on;", "write on(sim.world, this), say"),
+    ("SELECT id FROM sim WHERE near;", "write near(a, b, d), say"),
+    ("SELECT id FROM sim WHERE mas > 1;", "did you mean 'mass'?"),
 ]
 
 
@@ -324,6 +355,21 @@ def test_what_follows_names_that_mean_other_things_has_no_hint(ss):
 def test_a_program_says_what_to_write(ss, program, told):
     with pytest.raises(SelectScriptError, match=re.escape(told)):
         ss.eval(program)
+
+
+@pytest.mark.parametrize("word", ["slacker", "gab", "ranged", "canSeam", "stacker"])
+def test_what_is_near_to_no_function_is_given_none(ss, word):
+    with pytest.raises(SelectScriptError) as caught:
+        ss.eval(f"{word}(sim.cube);")
+    assert caught.value.suggestions == ()
+
+
+@pytest.mark.parametrize(
+    "program", ["distance(sim.cube, p);", "SELECT id FROM sim WHERE distance(this, p) < 1;"]
+)
+def test_a_point_with_nan_is_told_of(ss, program):
+    with pytest.raises(SelectScriptError, match="a number of the list is NaN"):
+        ss.eval(program, {"p": [0, 0, float("nan")]})
 
 
 @pytest.mark.slow
