@@ -134,6 +134,23 @@ def test_sizes_from_a_millimetre_to_a_kilometre(seed):
     assert (np.abs(left) > 1e-6).sum() <= 3
 
 
+@pytest.mark.parametrize("is_right", [True, False])
+def test_directions_to_try_first_do_no_harm(is_right):
+    two = [pairs.pair(kinds, seed) for kinds in COMBINATIONS for seed in range(4)]
+    found = [(pair, pairs.gap(*pair)) for pair in two]
+    found = [(pair, gap) for pair, gap in found if gap.distance > 0.01]
+    bodies = pairs.bodies([shape for pair, _ in found for shape in pair])
+    first = np.arange(0, 2 * len(found), 2)
+    directions = np.array([gap.normal for _, gap in found]).T
+    if not is_right:
+        directions = np.random.default_rng(3).normal(size=directions.shape)
+        directions[:, ::7] = 0.0
+    gaps = np.array([gap.distance for _, gap in found])
+    for share, is_above in ((0.99, True), (1.01, False)):
+        decided = gjk.decide_gaps(bodies, first, first + 1, share * gaps, directions=directions)
+        assert ((decided.verdicts == ABOVE) == is_above).all()
+
+
 def test_parts_of_all_pairs_are_as_all(monkeypatch):
     random = np.random.default_rng(3)
     two = [pairs.pair(kinds, int(random.integers(1000))) for kinds in COMBINATIONS * 3]
