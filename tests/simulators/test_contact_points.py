@@ -50,34 +50,6 @@ def test_points_equal_those_of_pybullet(pile):
     assert read.frictions.tolist() == friction
 
 
-def test_all_points_are_read_at_once(pile):
-    """The fast way is taken, and the values are those of the slow one."""
-    points = pybullet.getContactPoints(physicsClientId=pile)
-    at_once = readings._columns(points)
-    assert at_once is not None
-    for values, expected in zip(at_once, readings._columns_by_field(points), strict=True):
-        assert (values.shape, values.dtype) == (expected.shape, expected.dtype)
-        np.testing.assert_array_equal(values, expected)
-
-
-@pytest.mark.parametrize("odd", [2**40, 0.5, None])
-def test_points_of_another_layout_are_not_read_at_once(pile, odd):
-    first, *others = pybullet.getContactPoints(physicsClientId=pile)
-    changed = [(odd, *first[1:]), *others]
-    assert readings._columns(changed) is None
-
-
-@pytest.mark.parametrize("pressed", [((-0.5, 0.0), (0.5, 0.0)), ((0.5, 0.0), (0.5, 2.0))])
-def test_points_with_a_large_number_are_read_one_field_at_a_time(pile, pressed):
-    first, second, *_ = pybullet.getContactPoints(physicsClientId=pile)
-    points = [(*p[:8], *of, *p[10:]) for p, of in zip((first, second), pressed, strict=True)]
-    expected = readings.PyBulletContacts(points).all()
-    read = readings.PyBulletContacts([(2**40, *point[1:]) for point in points]).all()
-    assert len(read) == 1
-    for name, values in vars(expected).items():
-        np.testing.assert_array_equal(vars(read)[name], values)
-
-
 def test_no_points(pile):
     pybullet.resetSimulation(physicsClientId=pile)
     read = _read(pile)

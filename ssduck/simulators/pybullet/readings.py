@@ -2,10 +2,6 @@
 
 PyBullet reports centres of mass; `ssduck.simulators.pybullet.simulator` explains the conversion.
 
-It returns each contact point as a tuple of numbers and triples, 31 Python objects. A loop over
-these objects costs more than the tick itself. `marshal` writes them all in one call; since the
-bytes of each point have the same layout, numpy reads each field of all points at once.
-
 It returns the first hit of a ray, or all its hits one by one, in no order. So a ray that hits the
 body that it passes through is cast again for its other hits, until it has no more. A new ray that
 begins behind the hit would miss bodies that touch that body, because Bullet ignores a convex shape
@@ -14,18 +10,15 @@ that a ray begins in.
 
 from __future__ import annotations
 
-import marshal
-import struct
 from collections.abc import Callable, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
-from itertools import accumulate, chain, count, repeat
+from itertools import chain, count, repeat
 from operator import itemgetter
 from typing import Any, ClassVar, Self, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from ssduck.geometry.arrays import Array, Indices, are_moderate
 from ssduck.geometry.poses import invert, multiply, rotate, rotation_matrices
@@ -38,33 +31,16 @@ from ssduck.simulators.interface import (
 from ssduck.simulators.pybullet.bodies import Pose, is_soft
 from ssduck.simulators.pybullet.clients import pybullet
 
-# marshal's format 2, without references: a type code, then the value or the count of elements.
-_FORMAT = 2
-_SIZES = {"integer": 5, "float": 9, "triple": 5 + 3 * 9}
-_HEADER_SIZE = 5
-# The fields of a point in PyBullet's order: flags, bodies and links; points and normal; distance,
-# normal force and first friction; its direction; the second friction; its direction.
-_FIELDS = (
-    *("integer",) * 5,
-    *("triple",) * 3,
-    *("float",) * 3,
-    *("triple", "float", "triple"),
-)
-# Where the value of each field is, or its first element; the last number is the size of a point.
-_STARTS = list(accumulate(map(_SIZES.__getitem__, _FIELDS), initial=_HEADER_SIZE))
-_SIZE = _STARTS[-1]
-# The fields of bodies and links, and the runs of equal fields with floats.
-_SIDES = range(1, 5)
+# The bodies of a point.
 _BODIES = slice(1, 3)
 _BODY_A, _BODY_B = itemgetter(1), itemgetter(2)
-_RUNS = (range(5, 8), range(8, 11), range(11, 12), range(12, 13), range(13, 14))
-# Rows of floats: the points and the normal, the distance, the normal force, the frictions.
+# The numbers of a point in rows of floats: the places on a and b and the normal, the distance, the
+# normal force, and two frictions, each with its direction.
 _DISTANCE, _FORCE, _FRICTION_1, _FRICTION_2 = 9, 10, 11, 15
 _FLOATS = 19
 
+_flatten = chain.from_iterable
 _Point: TypeAlias = tuple[Any, ...]
-# Bodies and links, (4, points), and the other numbers, (19, points).
-_Columns: TypeAlias = tuple[Indices, Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +79,10 @@ def _found(points: Sequence[_Point]) -> ContactPoints:
     """Returns the points at which shapes press or meet."""
     if not points:
         return ContactPoints.none()
-    sides, floats = _columns(points) or _columns_by_field(points)
+    numbers = _flatten((*p[5], *p[6], *p[7], *p[8:11], *p[11], p[12], *p[13]) for p in points)
+    floats = np.fromiter(numbers, np.float64, _FLOATS * len(points)).reshape(-1, _FLOATS).T.copy()
+    ends = _flatten(point[1:5] for point in points)
+    sides = np.fromiter(ends, np.intp, 4 * len(points)).reshape(-1, 4).T
     is_found = (floats[_DISTANCE] <= 0.0) | (floats[_FORCE] > 0.0)
     if not is_found.all():
         chosen = is_found.nonzero()[0]
@@ -121,57 +100,6 @@ def _found(points: Sequence[_Point]) -> ContactPoints:
     )
 
 
-def _columns(points: Sequence[_Point]) -> _Columns | None:
-    """Returns the numbers of points; None if the bytes of a point have another layout."""
-    written, count = marshal.dumps(tuple(points), _FORMAT), len(points)
-    if len(written) != _HEADER_SIZE + count * _SIZE:
-        return None
-    raw = np.frombuffer(written, np.uint8, offset=_HEADER_SIZE).reshape(count, _SIZE)
-    if not ((raw & _CODES) == _EXPECTED).all():
-        return None
-
-    def values(fields: range, kind: str) -> npt.NDArray[Any]:
-        """Returns the values of equal fields, (fields, points) or (fields, 3, points)."""
-        field = _FIELDS[fields.start]
-        is_triple = field == "triple"
-        # Behind the header of the points and the codes of the field and of its first element.
-        start = _HEADER_SIZE + _STARTS[fields.start] + 1 + is_triple * _HEADER_SIZE
-        shape = (len(fields), 3, count) if is_triple else (len(fields), count)
-        inner = (_SIZES["float"], _SIZE) if is_triple else (_SIZE,)
-        return np.ndarray(shape, kind, written, start, (_SIZES[field], *inner))
-
-    floats, row = np.zeros((_FLOATS, count)), 0
-    for fields in _RUNS:
-        run = values(fields, "<f8")
-        rows = run.size // count
-        floats[row : row + rows].reshape(run.shape)[...] = run
-        row += rows
-    return values(_SIDES, "<i4").astype(np.intp), floats
-
-
-def _columns_by_field(points: Sequence[_Point]) -> _Columns:
-    """Returns the numbers of points, converted one field at a time."""
-    fields = list(zip(*points, strict=True))
-    columns = [fields[place] for place in chain(*_RUNS)]
-    floats = [np.array(column, dtype=np.float64).reshape(len(points), -1).T for column in columns]
-    sides = [fields[place] for place in _SIDES]
-    return np.array(sides, dtype=np.intp), np.concatenate(floats)
-
-
-def _sample(byte: int) -> npt.NDArray[np.uint8]:
-    """Returns a point as marshal writes it, with one byte throughout the values."""
-    values = {"integer": struct.unpack("<i", bytes([byte] * 4))[0]}
-    values["float"] = struct.unpack("<d", bytes([byte] * 8))[0]
-    values["triple"] = (values["float"],) * 3
-    return np.frombuffer(marshal.dumps(tuple(values[kind] for kind in _FIELDS), _FORMAT), np.uint8)
-
-
-# A mask of the bytes that are the same for all points, codes and counts, and these bytes.
-_CODES = np.where(_sample(0) == _sample(1), 255, 0).astype(np.uint8)
-_EXPECTED = _sample(0) & _CODES
-
-
-_flatten = chain.from_iterable
 # Parts of a link's state: the pose of the centre of mass; linear and angular velocity.
 _pose = itemgetter(0, 1)
 _pose_and_twist = itemgetter(0, 1, 6, 7)

@@ -385,12 +385,14 @@ def test_answers_at_any_poses_are_those_of_each_pair(
     answers = shapes.answers(*sides, _question(kind), CallCounter())
     for row in range(count):
         by_id = {a: columns[row, :1], b: columns[row, 1:]}
-        queries = shapes.shapes(sorted((a, b)), [by_id[id] for id in sorted((a, b))], CallCounter())
-        wanted = QUESTIONS[kind](queries, a, b)
+        places = batch_queries._Places()
+        numbers = {id: places.number(id, by_id[id]) for id in sorted((a, b))}
+        queries = shapes._queries(places, CallCounter())
+        wanted = QUESTIONS[kind](queries, numbers[a], numbers[b])
         if answers.is_open[row]:
             assert kind == "on"
             continue
         expected = math.nan if wanted is None else float(wanted)
         assert repr(float(answers.values[row])) == repr(expected), (kind, a, b)
         if kind == "clearance":
-            assert repr(queries.clearance(b, a)) == repr(wanted)
+            assert repr(queries.clearance(numbers[b], numbers[a])) == repr(wanted)
