@@ -6,10 +6,10 @@ They refer to worlds by the names of their schemas: a reference to the database 
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from itertools import accumulate, product
-from typing import Any, TypeVar, get_args
+from itertools import accumulate
+from typing import Any, get_args
 
 import numpy as np
 import pyarrow as pa
@@ -39,6 +39,7 @@ from ssduck.sql.relations.geometry_query import (
     MARGINS_UDF,
     GeometryUdf,
     PairKind,
+    PairSearch,
     name_over_ticks,
 )
 from ssduck.sql.relations.motion import JOINT_UDFS, LINK_SPEED_UDFS
@@ -101,28 +102,8 @@ def offer_user_function(
 def converter_of(sql_type: SqlType, worlds: Mapping[str, BoundWorld]) -> Converter | None:
     """Returns the function from SQL's values to Python's; it keeps no world alive."""
     return converter(
-        sql_type, _WorldParts(worlds, lambda bound: bound.world), _WorldParts(worlds, _record_of)
+        sql_type, lambda name: worlds[name].world, lambda name: _record_of(worlds[name])
     )
-
-
-T = TypeVar("T")
-
-
-class _WorldParts(Mapping[str, T]):
-    """A mapping to a part of each world in a database, up to date."""
-
-    def __init__(self, worlds: Mapping[str, BoundWorld], part: Callable[[BoundWorld], T]) -> None:
-        self._worlds = worlds
-        self._part = part
-
-    def __getitem__(self, name: str) -> T:
-        return self._part(self._worlds[name])
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._worlds)
-
-    def __len__(self) -> int:
-        return len(self._worlds)
 
 
 def _bound(worlds: Mapping[str, BoundWorld], world: str) -> BoundWorld:
@@ -145,55 +126,54 @@ def _exact_value(value: Any, sql_type: SqlType) -> Any:
 
 def offer_geometry_functions(connection: Connection, worlds: Mapping[str, BoundWorld]) -> None:
     """Has the functions of shapes, joints and recorded ticks registered when SQL names them."""
+    key = ("VARCHAR", "BIGINT", "BIGINT")  # a world, a tick and an entity
+
+    def offer(
+        name: str,
+        function: Callable[..., Any],
+        parameters: Sequence[str],
+        result: str = "DOUBLE",
+        *,
+        may_be_null: bool = True,
+        **options: Any,
+    ) -> None:
+        if may_be_null:  # an argument or the result
+            options["null_handling"] = FunctionNullHandling.SPECIAL
+        connection.offer_function(name, function, parameters, result, **options)
+
     for udf in GEOMETRY_UDFS.values():
-        connection.offer_function(
-            udf.name,
-            (_geometry_function if udf.entities else _pair_search)(udf, worlds),
-            udf.parameters,
-            udf.result,
-            null_handling=FunctionNullHandling.SPECIAL,  # its result may be NULL
-            side_effects=udf.entities == 0,  # all pairs of a tick change with the tick
-        )
-    connection.offer_function(MARGINS_UDF, partial(_margins, worlds), ("VARCHAR",), "DOUBLE")
-    connection.offer_function(
-        CHECKED_TICK_UDF,
-        partial(_checked_tick, worlds),
-        ("VARCHAR", *["BIGINT"] * 3, *["DOUBLE"] * 7),
-        "BIGINT",
-        null_handling=FunctionNullHandling.SPECIAL,  # a pose may be unknown
-    )
-    for (name, (function, parameters)), prefix in product(JOINT_UDFS.items(), ("", LENIENT_PREFIX)):
-        call = partial(_joint_value, worlds, function)
-        connection.offer_function(
-            prefix + name,
-            partial(_lenient_joint_value, worlds, call) if prefix else call,
-            ("VARCHAR", "BIGINT", "BIGINT", *parameters),
-            "DOUBLE",
-            null_handling=FunctionNullHandling.SPECIAL,
-        )
+        if isinstance(udf, PairSearch):  # all pairs of a tick change with the tick
+            function, changes = _pair_search(udf, worlds), True
+        else:
+            function, changes = _geometry_function(udf, worlds), False
+        offer(udf.name, function, udf.parameters, udf.result, side_effects=changes)
+    offer(MARGINS_UDF, partial(_margins, worlds), ("VARCHAR",), may_be_null=False)
+    row = ("VARCHAR", *["BIGINT"] * 3, *["DOUBLE"] * 7)
+    offer(CHECKED_TICK_UDF, partial(_checked_tick, worlds), row, "BIGINT")
+    for name, (of_joints, parameters) in JOINT_UDFS.items():
+        call = partial(_joint_value, worlds, of_joints)
+        offer(name, call, (*key, *parameters))
+        lenient = partial(_lenient_joint_value, worlds, call)
+        offer(LENIENT_PREFIX + name, lenient, (*key, *parameters))
     for name, columns in LINK_SPEED_UDFS.items():
-        connection.offer_function(
-            name,
-            partial(_link_speed, worlds, columns),
-            ("VARCHAR", "BIGINT", "BIGINT"),
-            "DOUBLE",
-            null_handling=FunctionNullHandling.SPECIAL,
-        )
+        offer(name, partial(_link_speed, worlds, columns), key)
     for kind in get_args(QuestionKind):
         # As Arrow columns: converting lists would take as long as comparing the pairs.
-        connection.offer_function(
+        offer(
             name_over_ticks(kind),
             partial(_pairs_over_ticks, worlds, weakref.ref(connection), kind),
             ("VARCHAR", *["BIGINT"] * 4, "DOUBLE"),
             "STRUCT(tick BIGINT, a BIGINT, b BIGINT, value DOUBLE)[]",
+            may_be_null=False,
             type=PythonUDFType.ARROW,
             side_effects=True,
         )
-    connection.offer_function(
+    offer(
         RECORDED_NUMBERS_UDF,
         partial(_recorded_numbers, worlds),
-        ("VARCHAR", "VARCHAR", "BIGINT", "BIGINT", "BIGINT"),
+        ("VARCHAR", "VARCHAR", *["BIGINT"] * 3),
         "DOUBLE[]",
+        may_be_null=False,
         side_effects=True,
     )
 
@@ -255,7 +235,7 @@ def _geometry_function(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Ca
     return call
 
 
-def _pair_search(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Callable[..., Any]:
+def _pair_search(search: PairSearch, worlds: Mapping[str, BoundWorld]) -> Callable[..., Any]:
     """Returns a function for SQL that finds all pairs of a world's current tick.
 
     Its arguments are the world's name, the kind of the pairs, and further values.
@@ -264,23 +244,23 @@ def _pair_search(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Callable
     def call(world: str, kind: PairKind, *values: Any) -> list[int] | None:
         if None in values:
             return None
-        found: IdPairs | list[int] = _found(_bound(worlds, world), udf, kind, values)
+        found: IdPairs | list[int] = _found(_bound(worlds, world), search, kind, values)
         return found.numbers if isinstance(found, IdPairs) else found
 
     return call
 
 
-def _found(bound: BoundWorld, udf: GeometryUdf, kind: PairKind, values: Sequence[Any]) -> Any:
+def _found(bound: BoundWorld, search: PairSearch, kind: PairKind, values: Sequence[Any]) -> Any:
     """Returns what a search finds at a world's current tick."""
-    if udf.of_boxes:
-        return udf.function(bound.world.snapshot.boxes())
+    if search.of_boxes:
+        return search.function(bound.world.snapshot.boxes())
     shapes = bound.shapes(None)
     if kind == "links":
         shapes = shapes.links
     elif kind == "links and entities":
         shapes = shapes.links_and_entities
-    bound.warn_of_filled_meshes(udf.function, shapes)
-    return udf.function(shapes, *values)
+    bound.warn_of_filled_meshes(search.function, shapes)
+    return search.function(shapes, *values)
 
 
 def pair_rows(
@@ -289,9 +269,9 @@ def pair_rows(
     """Returns the rows that the SQL of a look-up's query has, without a statement."""
     entities = bound.world.snapshot.tables["entities"]
     distance, distances = lookup.distance, []
-    if lookup.search.takes_distance:
+    if lookup.search.numbers:
         distances = [float(parameters[distance] if isinstance(distance, str) else distance)]
-    found: IdPairs = _found(bound, lookup.search.udf, "entities", distances)
+    found: IdPairs = _found(bound, lookup.search, "entities", distances)
     rows = found.first, found.second
     for comparison in lookup.comparisons:
         ranks = entities["id"] if comparison.column == "id" else _ranks(entities)

@@ -152,19 +152,18 @@ Converter: TypeAlias = Callable[[Any], Any]
 
 
 def converter(
-    sql_type: SqlType, worlds: Mapping[str, World], records: Mapping[str, Record]
+    sql_type: SqlType, world: Callable[[str], World], record: Callable[[str], Record]
 ) -> Converter | None:
-    """Returns the function from SQL's values to Python's; None if they are the same."""
+    """Returns the function from SQL's values to Python's; None if they are the same.
+
+    The worlds and their records are found by their schemas.
+    """
     schema = sql_type.schema
     if sql_type.type == "entity" and schema is not None:
         if sql_type.past:
-            return lambda key: None if key is None else records[schema].handle(*divmod(key, IDS))
-        return lambda value: None if value is None else worlds[schema].handle(value)
+            return lambda key: None if key is None else record(schema).handle(*divmod(key, IDS))
+        return lambda value: None if value is None else world(schema).handle(value)
     if sql_type.type == "list" and sql_type.element is not None:
-        convert_element = converter(sql_type.element, worlds, records)
-        return (
-            None
-            if convert_element is None
-            else lambda values: [convert_element(value) for value in values]
-        )
+        convert = converter(sql_type.element, world, record)
+        return None if convert is None else lambda values: list(map(convert, values))
     return None

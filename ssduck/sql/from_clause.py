@@ -244,7 +244,7 @@ def pair_table(
     """Returns the pairs of entities of a world, of their links, or of both, that a search finds."""
     function = exp.to_identifier(search.name, quoted=True)
     arguments: list[exp.Expr] = [exp.Literal.string(schema), exp.Literal.string(kind)]
-    if search.takes_distance:
+    if search.numbers:
         arguments.append(exp.cast(distance.copy(), "DOUBLE"))
     numbers = exp.func("unnest", exp.Anonymous(this=function, expressions=arguments))
     number, factor = exp.column("n"), exp.Literal.number(ID_FACTOR)

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, Literal, TypeAlias
 
 from ssduck.geometry.box_relations import BoxQueries
@@ -134,55 +133,63 @@ class GeometryQuery:
 
 
 @dataclass(frozen=True)
-class PairSearch:
-    """A function that finds all pairs of a tick at once."""
+class GeometryUdf:
+    """A function of the shapes of a tick, as DuckDB calls it: with the name of a world first."""
 
-    # A method of `ShapeQueries` or of `BoxQueries` that returns `IdPairs`.
-    function: Callable[..., Any]
+    function: Callable[..., Any]  # a method of `ShapeQueries`
+    entities: int = 0  # how many entities it takes; each is given as its tick and its id
+    numbers: int = 0  # how many numbers it takes after them
+    result: str = "BIGINT[]"  # DuckDB's type of the result
+    needs_whole_tick: bool = False  # whether the answer depends on all entities of the tick
+    uses_margins: bool = False  # whether the collision margins of shapes count
+
+    @property
+    def name(self) -> str:
+        """Its name in SQL."""
+        return udf_name(self.function)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """DuckDB's types of the parameters."""
+        return ("VARCHAR", *["BIGINT"] * (2 * self.entities), *["DOUBLE"] * self.numbers)
+
+
+@dataclass(frozen=True)
+class PairSearch(GeometryUdf):
+    """A function that finds all pairs of a tick at once: it takes their kind, and numbers.
+
+    Its function is a method of `ShapeQueries` or of `BoxQueries` that returns `IdPairs`.
+    """
+
+    numbers: int = 1  # 1 if the pairs depend on a distance, or a depth
     # Whether the relation holds of all pairs of the search, and need not be checked.
     is_exact: bool = True
-    takes_distance: bool = True  # whether the pairs depend on a distance, or a depth
-    uses_margins: bool = False  # whether the collision margins of shapes count
     finds_links: bool = True  # whether it also finds pairs of links, and of links and entities
     # Whether it is a method of `BoxQueries`, which needs no shapes. Its pairs are in the order of
     # the table of entities, not of their numbers.
     of_boxes: bool = False
 
     @property
-    def name(self) -> str:
-        """The name of the function in SQL."""
-        return udf_name(self.function)
-
-    @cached_property
-    def udf(self) -> GeometryUdf:
-        """The function as DuckDB calls it."""
-        return GeometryUdf(
-            self.function,
-            entities=0,
-            numbers=int(self.takes_distance),
-            result="BIGINT[]",
-            uses_margins=self.uses_margins,
-            of_boxes=self.of_boxes,
-        )
+    def parameters(self) -> tuple[str, ...]:
+        """DuckDB's types of the parameters."""
+        return ("VARCHAR", "VARCHAR", *["DOUBLE"] * self.numbers)
 
 
 COLLIDING = PairSearch(ShapeQueries.all_colliding)
 WITHIN = PairSearch(ShapeQueries.all_within)
 TOUCHING = PairSearch(ShapeQueries.all_touching, uses_margins=True)
 # What rests on a link depends on which links stand beside the rest of their entities.
-RESTING = PairSearch(
-    ShapeQueries.all_resting, takes_distance=False, uses_margins=True, finds_links=False
-)
-STACKED = PairSearch(ShapeQueries.all_on, takes_distance=False, uses_margins=True)
+RESTING = PairSearch(ShapeQueries.all_resting, numbers=0, uses_margins=True, finds_links=False)
+STACKED = PairSearch(ShapeQueries.all_on, numbers=0, uses_margins=True)
 BOXES_MEETING = PairSearch(ShapeQueries.all_meeting, is_exact=False)
 # The boxes are grown by the collision margins of their shapes.
 BOXES_REACHING = PairSearch(ShapeQueries.all_reaching, is_exact=False, uses_margins=True)
 ABOVE, BELOW, INSIDE = (
-    PairSearch(function, takes_distance=False, finds_links=False, of_boxes=True)
+    PairSearch(function, numbers=0, finds_links=False, of_boxes=True)
     for function in (BoxQueries.all_above, BoxQueries.all_below, BoxQueries.all_inside)
 )
 # The entities whose pairs are unknown.
-UNKNOWN = PairSearch(ShapeQueries.all_unknown, takes_distance=False)
+UNKNOWN = PairSearch(ShapeQueries.all_unknown, numbers=0)
 PAIR_SEARCHES = (
     *(COLLIDING, WITHIN, TOUCHING, RESTING, STACKED, BOXES_MEETING, BOXES_REACHING),
     *(ABOVE, BELOW, INSIDE, UNKNOWN),
@@ -208,36 +215,6 @@ INDIFFERENT_TO_INSIDES = (
     ShapeQueries.all_reaching,
     ShapeQueries.all_unknown,
 )
-
-
-@dataclass(frozen=True)
-class GeometryUdf:
-    """A function of the shapes of a tick, as DuckDB calls it: with the name of a world first.
-
-    A function that finds all pairs then takes the kind of the pairs.
-    """
-
-    function: Callable[..., Any]  # a method of `ShapeQueries`
-    # How many entities it takes; each is given as its tick and its id. 0 for a function that finds
-    # all pairs.
-    entities: int
-    numbers: int  # how many numbers it takes after them
-    result: str  # DuckDB's type of the result
-    needs_whole_tick: bool = False  # whether the answer depends on all entities of the tick
-    uses_margins: bool = False  # whether the collision margins of shapes count
-    of_boxes: bool = False  # whether it is a method of `BoxQueries`
-
-    @property
-    def name(self) -> str:
-        """Its name in SQL."""
-        return udf_name(self.function)
-
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """DuckDB's types of the parameters."""
-        kind = () if self.entities else ("VARCHAR",)
-        ids = ["BIGINT"] * (2 * self.entities)
-        return ("VARCHAR", *kind, *ids, *["DOUBLE"] * self.numbers)
 
 
 def name_over_ticks(kind: QuestionKind) -> str:

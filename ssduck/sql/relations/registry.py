@@ -72,7 +72,7 @@ def _geometry_udf(relation: Relation) -> GeometryUdf:
 
 def geometry_udfs(relations: Iterable[Relation]) -> dict[str, GeometryUdf]:
     """Returns the functions of shapes that relations call or that find all pairs, by name."""
-    result = {search.name: search.udf for search in PAIR_SEARCHES}
+    result: dict[str, GeometryUdf] = {search.name: search for search in PAIR_SEARCHES}
     for relation in relations:
         if relation.geometry is not None:
             udf = _geometry_udf(relation)
