@@ -204,10 +204,10 @@ class UserStatements:
         if statement.query is None:
             statement.query = self._query(statement, parameters, names)
         is_rewritten = statement.query != statement.text or statement.row is not None
+        found = self._looked_up(statement, parameters)
+        if found is not None:
+            return found
         if statement.numbers and not _are_distances(statement.numbers, parameters):
-            found = self._looked_up(statement, parameters)
-            if found is not None:
-                return found
             self._settle(True)
             return self._connection.table(statement.text, parameters)
         if is_rewritten or statement.as_tuples is not None:
@@ -276,9 +276,6 @@ class UserStatements:
     ) -> FetchedRows | pa.Table:
         sql = statement.query
         assert sql is not None
-        found = self._looked_up(statement, parameters)
-        if found is not None:
-            return found
         header = None
         if self._is_ready(statement, sql, parameters, names):
             sql, parameters, header = statement.execute, None, statement.last_header

@@ -62,7 +62,7 @@ def call(sql: ExpressionScope, node: Call) -> SqlValue:
     ):
         raise NotSqlError
     sql.context.note_possible_failure()
-    sql.context.signatures.add(signature)
+    sql.context.plan.signatures.add(signature)
     arguments = [
         exp.cast(value.sql.copy(), sql_type.duckdb_type, dialect="duckdb")
         for value, sql_type in zip(values, signature.parameters, strict=True)

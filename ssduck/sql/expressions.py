@@ -159,7 +159,7 @@ class Expressions(ExpressionScope):
         return value
 
     def _constant(self, node: Node) -> SqlValue:
-        sql_type = self.context.constants.setdefault(node, self.names.sql_type(node))
+        sql_type = self.context.constant_type(node)
         if not sql_type.is_sql or sql_type.type == "record":
             raise NotSqlError
         stem = node.name if isinstance(node, Name | Placeholder) else "value"

@@ -97,7 +97,7 @@ class ExpressionScope(ABC):
         return all(self.is_constant(child) for child in node.children())
 
     def _is_variable(self, node: QualifiedName) -> bool:
-        is_variable = self.context.bare[node.alias] = self.names.has_variable(node.alias)
+        is_variable = self.context.plan.bare[node.alias] = self.names.has_variable(node.alias)
         return is_variable
 
     def _is_outside(self, node: This) -> bool:

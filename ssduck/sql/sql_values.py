@@ -13,9 +13,9 @@ from sqlglot import exp
 
 from ssduck.language.tree import Node
 from ssduck.schema import TABLES, EntityTable
-from ssduck.sql.plan import ParameterBinding, TypeEnvironment
+from ssduck.sql.plan import ParameterBinding, Plan, TypeEnvironment
 from ssduck.sql.relations.relation import ValueType
-from ssduck.sql.types import IDS, Signature, SqlType
+from ssduck.sql.types import IDS, SqlType
 
 _TABLES: tuple[EntityTable, ...] = "sites", "links", "entities"
 _COLUMN_TYPES: dict[str, ValueType] = {
@@ -90,25 +90,14 @@ class StatementContext:
     """The state that the expressions of one statement share."""
 
     names: TypeEnvironment  # the variables, the functions, and the types of constants
-    cautious: bool = False  # whether parts that may fail are left to Python
+    plan: Plan  # the plan, which notes what it depends on
     changing: frozenset[str] = frozenset()  # the variables that differ from row to row
-    # The parameters of the statement.
-    bindings: list[ParameterBinding] = field(default_factory=list)
-    # The parts that do not depend on rows, with their types.
-    constants: dict[Node, SqlType] = field(default_factory=dict)
-    # The schemas of the constants that are worlds.
-    worlds: dict[Node, str | None] = field(default_factory=dict)
-    signatures: set[Signature] = field(default_factory=set)  # the users' functions that it calls
-    # The lists in variables that the query evaluates.
-    deferred: dict[str, Node | None] = field(default_factory=dict)
     aliases: set[str] = field(default_factory=set)  # the aliases in SQL, in lower case
-    # The bare names in nested queries, and whether there was a variable of that name.
-    bare: dict[str, bool] = field(default_factory=dict)
     possible_failures: int = 0  # the number of parts that may fail in SQL
 
     def note_possible_failure(self) -> None:
         """Notes that the expression may fail in SQL; a cautious plan leaves it to Python."""
-        if self.cautious:
+        if self.plan.purpose == "cautious":
             raise NotSqlError
         self.possible_failures += 1
 
@@ -130,21 +119,25 @@ class StatementContext:
 
     def parameter(self, stem: str, binding_key: ParameterBinding) -> exp.Expr:
         """Returns the parameter for a binding; equal bindings share one."""
-        for binding in self.bindings:
+        for binding in self.plan.bindings:
             if replace(binding, name="") == binding_key:
                 return exp.Parameter(this=exp.var(binding.name))
         stem = stem if stem.isidentifier() else "value"
-        names = {binding.name.lower() for binding in self.bindings}
+        names = {binding.name.lower() for binding in self.plan.bindings}
         candidates = (stem if n == 1 else f"{stem}_{n}" for n in range(1, len(names) + 2))
         name = next(name for name in candidates if name.lower() not in names)
-        self.bindings.append(replace(binding_key, name=name))
+        self.plan.bindings.append(replace(binding_key, name=name))
         return exp.Parameter(this=exp.var(name))
 
     def list_in(self, name: str) -> Node | None:
         """Returns the list that a variable holds for this query."""
-        if name not in self.deferred:
-            self.deferred[name] = self.names.deferred(name)
-        return self.deferred[name]
+        if name not in self.plan.deferred:
+            self.plan.deferred[name] = self.names.deferred(name)
+        return self.plan.deferred[name]
+
+    def constant_type(self, node: Node) -> SqlType:
+        """Returns the type of a part that does not depend on rows."""
+        return self.plan.constants.setdefault(node, self.names.sql_type(node))
 
 
 def literal(value: Any) -> exp.Expr:

@@ -424,7 +424,7 @@ def resolve_in(inner: ExpressionScope, query: Query, aliases: Sequence[str]) -> 
     """Resolves the bare names of a nested query whose sources are in SQL already."""
     source_types = [SourceType(alias, sql_type=inner.rows[alias].sql_type) for alias in aliases]
     resolved = resolve(query, source_types, inner.names, inner.locals)
-    inner.context.bare |= resolved.bare
+    inner.context.plan.bare |= resolved.bare
     if is_grouped(resolved.query):
         raise NotSqlError  # its aggregates turned out to be over all rows
     return resolved
@@ -439,8 +439,7 @@ def ordered(inner: ExpressionScope, keys: Sequence[tree.OrderKey]) -> list[exp.O
     result = []
     for key in keys:
         if inner.is_constant(key.value):
-            sql_type = inner.names.sql_type(key.value)
-            if inner.context.constants.setdefault(key.value, sql_type).type == "any":
+            if inner.context.constant_type(key.value).type == "any":
                 raise NotSqlError  # it may be an error
             continue
         value = inner.value(key.value)
@@ -498,10 +497,10 @@ def element(outer: ExpressionScope, alias: str, node: Node) -> FromItem:
         return _derived(outer, name, node)
     if not outer.is_constant(node):
         return unnested(name, outer.value(node))
-    schema = outer.context.worlds.setdefault(node, outer.names.world(node))
+    schema = outer.context.plan.worlds.setdefault(node, outer.names.world(node))
     if schema is not None:
         return world_table(schema, name)
-    sql_type = outer.context.constants.setdefault(node, outer.names.sql_type(node))
+    sql_type = outer.context.constant_type(node)
     inner = sql_type.element if sql_type.type == "list" else sql_type
     if not sql_type.is_sql or inner is None or inner.type == "record":
         raise NotSqlError

@@ -93,19 +93,9 @@ class _Translator:
         purpose: Purpose,
     ) -> None:
         self.names, self._step = names, step
-        self.context = StatementContext(names, purpose == "cautious", changing(query))
+        self.result = Plan(query, source_types, purpose=purpose)
+        self.context = StatementContext(names, self.result, changing(query))
         self.sql = Expressions(self.context)
-        self.result = Plan(
-            query,
-            source_types,
-            bindings=self.context.bindings,
-            constants=self.context.constants,
-            worlds=self.context.worlds,
-            signatures=self.context.signatures,
-            deferred=self.context.deferred,
-            bare=self.context.bare,
-            purpose=purpose,
-        )
         subqueries.check_sources(query)
         self.elements = self._sources(query, source_types)
         self.columns: list[exp.Expr] = []
@@ -116,7 +106,7 @@ class _Translator:
         resolved = resolve(query, self._known_source_types(), names)
         self.query = self.result.query = resolved.query
         self.selected = resolved.columns
-        self.context.bare |= resolved.bare
+        self.result.bare |= resolved.bare
 
     def plan(self) -> Plan:
         plan = self.result
@@ -383,7 +373,7 @@ class _Translator:
         # nested query.
         inline = any(not source_type.has_values for source_type in self.result.source_types)
         nested = any(part.find(exp.Select) for part in (*self.columns, *conditions))
-        may_mix = len(self.elements) > 1 or ordered or self.context.bindings or inline or nested
+        may_mix = len(self.elements) > 1 or ordered or self.result.bindings or inline or nested
         if self.query.is_ordered and may_mix:
             is_ordered = False
             for source_type, element in zip(self.result.source_types, self.elements, strict=True):

@@ -55,7 +55,7 @@ def _sliced(
         "list",
         formula,
         about,
-        formula_with_options=part,
+        options=(part,),
         unit=unit,
         aliases=aliases,
     )
@@ -287,7 +287,7 @@ REGION_RELATIONS: tuple[Relation, ...] = (
         "Checks if the position of the entity is in a box, boundary included: one that is aligned "
         "with the axes of the world, or of the frame of another entity, where its corners are "
         "then, too. Nothing is in a box whose lower corner is above its upper one along an axis.",
-        formula_with_options=_in_box(*in_frame("frame", "object")),
+        options=(_in_box(*in_frame("frame", "object")),),
     ),
     Relation(
         "fitsBox",

@@ -59,12 +59,9 @@ class GeometryQuery:
     # A method of `ShapeQueries`: it takes the ids of the entities, and numbers.
     function: Callable[..., Any]
     arguments: tuple[str, ...] = ()  # these numbers
-    # The same with the relation's optional parameters given.
-    arguments_with_options: tuple[str, ...] | None = None
     # The largest distance of two boxes at which the function is called, metres; None to call it for
     # every pair.
     bound: str | None = "0"
-    bound_with_options: str = "0"  # the same with the optional parameters given
     otherwise: str = "FALSE"  # the value beyond the bound, and of an entity with itself
     only_if: str = ""  # a further condition; without it the relation is False
     pairs: str = MEETING_BOXES  # the pairs that are compared, for the manual and EXPLAIN
@@ -104,17 +101,8 @@ class GeometryQuery:
         >>> GeometryQuery(ShapeQueries.volume).formula(["object"])
         '"narrow volume"($world, object.tick, object.id)'
         """
-        return self._formula(entities, self.arguments, self.bound)
-
-    def formula_with_options(self, entities: Sequence[str]) -> str | None:
-        """Returns the same with the optional parameters given; None if there are none."""
-        if self.arguments_with_options is None:
-            return None
-        return self._formula(entities, self.arguments_with_options, self.bound_with_options)
-
-    def _formula(self, entities: Sequence[str], arguments: Sequence[str], bound: str | None) -> str:
         rows = [f"{entity}.{column}" for entity in entities for column in ("tick", "id")]
-        call = f'"{self.udf_name}"({", ".join(("$world", *rows, *arguments))})'
+        call = f'"{self.udf_name}"({", ".join(("$world", *rows, *self.arguments))})'
         if len(entities) == 1:
             return call
         if tuple(entities[:2]) != ("a", "b"):
@@ -122,11 +110,11 @@ class GeometryQuery:
         if self.only_if:
             call = f"CASE WHEN {self.only_if} THEN {call} ELSE FALSE END"
         differ = "a.id <> b.id"
-        if bound is None and self.otherwise != "FALSE":
+        if self.bound is None and self.otherwise != "FALSE":
             return f"CASE WHEN a.id = b.id THEN {self.otherwise} ELSE {call} END"
-        if bound is None:
+        if self.bound is None:
             return f"{differ} AND CASE WHEN {differ} THEN {call} END"
-        near = f"{differ} AND {boxes_within(bound)}"
+        near = f"{differ} AND {boxes_within(self.bound)}"
         if self.otherwise == "FALSE":
             return f"({near}) AND CASE WHEN {near} THEN {call} END"
         return f"CASE WHEN {near} THEN {call} WHEN NOT ({near}) THEN {self.otherwise} END"

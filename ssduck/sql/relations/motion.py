@@ -77,7 +77,7 @@ MOTION_RELATIONS: tuple[Relation, ...] = (
         f"{_TILT} <= {UPRIGHT}",
         "Checks if the z axis of the entity's link frame is at most an angle from the world's z "
         f"axis, {UPRIGHT} rad (11 degrees) by default. A negative angle is an error.",
-        formula_with_options=if_from_0_up("upright", f"{_TILT} <= angle", angle="an angle, rad"),
+        options=(if_from_0_up("upright", f"{_TILT} <= angle", angle="an angle, rad"),),
     ),
     Relation(
         "settled",
@@ -93,14 +93,14 @@ MOTION_RELATIONS: tuple[Relation, ...] = (
         "those of the base alone. heldFor(settled(object)) >= 0.2 is true if that has held for "
         "0.2 s. A negative speed is an error.",
         python_table="links",
-        formula_with_first_option=if_from_0_up(
-            "settled", _is_slow("linear", str(SLOW_TURN)), linear="a speed, m/s"
-        ),
-        formula_with_options=if_from_0_up(
-            "settled",
-            _is_slow("linear", "angular"),
-            linear="a speed, m/s",
-            angular="an angular speed, rad/s",
+        options=(
+            if_from_0_up("settled", _is_slow("linear", str(SLOW_TURN)), linear="a speed, m/s"),
+            if_from_0_up(
+                "settled",
+                _is_slow("linear", "angular"),
+                linear="a speed, m/s",
+                angular="an angular speed, rad/s",
+            ),
         ),
     ),
 )
@@ -143,8 +143,10 @@ def _share_relation(name: str, default: float, condition: str, about: str) -> Re
         "boolean",
         condition.format(most_open, default),
         f"{about} {_OPENNESS} An entity without such joints is neither open nor closed. {_MISSING}",
-        formula_with_first_option=condition.format(openness, default),
-        formula_with_options=condition.format(openness, _SHARE.format(name)),
+        options=(
+            condition.format(openness, default),
+            condition.format(openness, _SHARE.format(name)),
+        ),
         python_table="joints",
         may_fail=True,
     )

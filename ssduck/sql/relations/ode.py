@@ -68,8 +68,12 @@ ODE_RELATIONS: tuple[Relation, ...] = (
         "[object.vx, object.vy, object.vz]",
         "Returns the velocity [x, y, z] of the origin of the entity's link frame in the world "
         "frame, or its component along an axis.",
-        formula_with_options="CASE axis WHEN 0 THEN object.vx WHEN 1 THEN object.vy "
-        "WHEN 2 THEN object.vz ELSE error('linearVelocity: axis must be 0, 1 or 2') END",
+        options=(
+            (
+                "CASE axis WHEN 0 THEN object.vx WHEN 1 THEN object.vy WHEN 2 THEN object.vz "
+                "ELSE error('linearVelocity: axis must be 0, 1 or 2') END"
+            ),
+        ),
         result_with_options="double",
         unit="m/s",
     ),

@@ -62,9 +62,8 @@ class Relation:
     result: ValueType  # the type of its result
     formula: str  # a DuckDB expression over the columns of its parameters
     about: str  # its meaning and its boundary, in a sentence or two
-    formula_with_options: str | None = None  # the formula with all optional parameters given
-    # The formula with the first of two optional parameters given.
-    formula_with_first_option: str | None = None
+    # The formulas with optional parameters given: with all of them, or with the first and with all.
+    options: tuple[str, ...] = ()
     # The type of its result then, if it is another one.
     result_with_options: ValueType | None = None
     unit: str = ""  # the unit of the result
@@ -128,12 +127,12 @@ class Relation:
     @cached_property
     def expressions(self) -> dict[int, exp.Expr]:
         """The formula as a tree, by the number of arguments."""
-        trees = {self.required_count: _parsed(self.formula)}
-        if self.formula_with_options is not None:
-            trees[len(self.parameters)] = _parsed(self.formula_with_options)
-        if self.formula_with_first_option is not None:
-            trees[self.required_count + 1] = _parsed(self.formula_with_first_option)
-        return trees
+        counts = range(len(self.parameters) + 1 - len(self.options), len(self.parameters) + 1)
+        formulas = dict(zip(counts, self.options, strict=True))
+        return {
+            count: _parsed(formula)
+            for count, formula in {self.required_count: self.formula, **formulas}.items()
+        }
 
     @cached_property
     def link_expressions(self) -> dict[int, exp.Expr]:

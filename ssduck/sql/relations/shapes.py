@@ -36,23 +36,27 @@ def shape_relation(
     about: str,
     *,
     parameters: tuple[Parameter, ...] = A_B,
+    options: GeometryQuery | None = None,
     **further: Any,
 ) -> Relation:
-    """Returns a relation that a function of the shapes of its entities answers."""
+    """Returns a relation that a function of the shapes of its entities answers.
+
+    With its optional parameters, it is another query, `options`.
+    """
     entities = [parameter.name for parameter in parameters if parameter.type == "entity"]
     if len(entities) > 1 and result != "boolean" and geometry.otherwise == "FALSE":
         raise ValueError(
             f"{name}: state `otherwise`, the value beyond the bound and of an entity with itself"
         )
-    if any(p.optional for p in parameters) and geometry.arguments_with_options is None:
-        raise ValueError(f"{name}: state `arguments_with_options`: it has optional parameters")
+    if any(parameter.optional for parameter in parameters) and options is None:
+        raise ValueError(f"{name}: state `options`: it has optional parameters")
     return Relation(
         name,
         parameters,
         result,
         geometry.formula(entities),
         about,
-        formula_with_options=geometry.formula_with_options(entities),
+        options=() if options is None else (options.formula(entities),),
         geometry=geometry,
         **further,
     )
@@ -82,18 +86,13 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
     shape_relation(
         "collides",
         "boolean",
-        GeometryQuery(
-            ShapeQueries.collides,
-            (DEEP,),
-            arguments_with_options=("depth",),
-            bound_with_options=_CHECKED_DEPTH,
-            over_ticks="colliding",
-        ),
+        GeometryQuery(ShapeQueries.collides, (DEEP,), over_ticks="colliding"),
         "Checks if shapes of a and b penetrate each other by more than depth, 1e-6 m by "
         "default. A body at rest penetrates its support by about 1e-5 m, or stays away from it "
         "by the margins of the simulator: use inContact or touching for rest, and collides(a, "
         "b, 1e-3) for intrusion. A negative depth is an error.",
         parameters=(*A_B, Parameter("depth", "double", "a depth, m", optional=True)),
+        options=GeometryQuery(ShapeQueries.collides, ("depth",), bound=_CHECKED_DEPTH),
         is_symmetric=True,
         candidate_pairs=CandidatePairs(COLLIDING, DEEP, "depth"),
     ),
@@ -130,9 +129,7 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
         GeometryQuery(
             ShapeQueries.touching,
             ("0.001",),
-            arguments_with_options=("eps",),
             bound=f"0.001 + {MARGINS}",
-            bound_with_options=f"(eps) + {MARGINS}",
             pairs="on pairs whose boxes are at most eps and the largest margins apart",
             uses_margins=True,
             over_ticks="touching",
@@ -143,6 +140,7 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
         "near(a, b, d) ignores margins. With a negative eps, so much of the margins does not "
         "count.",
         parameters=(*A_B, Parameter("eps", "double", "a distance, m", optional=True)),
+        options=GeometryQuery(ShapeQueries.touching, ("eps",), bound=f"(eps) + {MARGINS}"),
         is_symmetric=True,
         candidate_pairs=CandidatePairs(TOUCHING, "0.001", "eps"),
     ),
