@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 
 import pytest
 
@@ -29,22 +28,20 @@ def server():
 
 
 @pytest.fixture(autouse=True)
-def _no_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
+def _no_pauses(monkeypatch):
     monkeypatch.setattr(object_store, "_PAUSE", 0.0)
 
 
-def episode(place: str) -> FolderRun:
+def episode(place):
     ssduck.write_record(place, ["cup"], POSES, [0, 1, 2], world="lab", tags={"task": "pick"})
     return FolderRun(ObjectPath(place), "lab", 0)
 
 
-def others_write(
-    monkeypatch: pytest.MonkeyPatch, run: FolderRun, names: list[str]
-) -> Callable[[], int]:
+def others_write(monkeypatch, run, names):
     """Lets others tag an episode between our reading and our writing; returns how often we read."""
     original, reads = descriptions.checked_description, [0]
 
-    def read(content: bytes, source: str) -> dict[str, object]:
+    def read(content, source):
         reads[0] += 1
         if names:
             name = names.pop(0)
@@ -59,7 +56,7 @@ def others_write(
 
 
 @pytest.mark.slow
-def test_tags_of_two_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tags_of_two_processes(monkeypatch):
     run = episode("s3://lake/two")
     reads = others_write(monkeypatch, run, ["a", "b"])
     write_tags(run, {"own": 1.5})
@@ -70,8 +67,8 @@ def test_tags_of_two_processes(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 def test_an_object_that_others_change_each_time_is_an_error(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     run = episode("s3://lake/busy")
     monkeypatch.setattr(object_store, "ATTEMPTS", 3)
     others_write(monkeypatch, run, ["a", "b", "c"])
@@ -82,7 +79,7 @@ def test_an_object_that_others_change_each_time_is_an_error(
 
 
 @pytest.mark.long
-def test_two_recordings_begin_at_the_same_time(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_recordings_begin_at_the_same_time(monkeypatch):
     # Both find that number 0 is free.
     monkeypatch.setattr(folder_episodes, "_free_number", lambda *_: 0)
     for number in range(3):
@@ -92,7 +89,7 @@ def test_two_recordings_begin_at_the_same_time(monkeypatch: pytest.MonkeyPatch) 
 
 
 @pytest.mark.slow
-def test_objects_are_created_once_and_changed() -> None:
+def test_objects_are_created_once_and_changed():
     place = ObjectPath("s3://lake/a b/one[1]%20.txt")
     with pytest.raises(FileNotFoundError, match="the store says"):
         change_object(place, bytes.upper)
@@ -104,7 +101,7 @@ def test_objects_are_created_once_and_changed() -> None:
         create_object(ObjectPath("s3://no-such-bucket/one"), b"first")
 
 
-def test_without_boto3(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_boto3(monkeypatch):
     monkeypatch.setitem(sys.modules, "botocore.exceptions", None)
     with pytest.raises(RecordError, match=r"needs boto3: pip install 'ssduck\[s3\]'"):
         ssduck.write_record("s3://lake/none", ["cup"], POSES, [0, 1, 2], world="lab")

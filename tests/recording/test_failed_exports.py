@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -17,20 +16,20 @@ from ssduck.recording.stores import parquet
 from ssduck.recording.stores.parquet import ParquetStore
 
 
-def recorded(place: Path, episodes: int = 1) -> Path:
+def recorded(place, episodes=1):
     for height in range(episodes):
         poses = {"cup": [0, 0, height], "pot": [1, 0, height]}
         ssduck.write_record(place, ["cup", "pot"], poses, [0.0, 0.1], world="lab")
     return place
 
 
-def files_in(place: Path) -> dict[Path, bytes]:
+def files_in(place):
     return {file: file.read_bytes() for file in place.rglob("*") if file.is_file()}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["run.mcap", "run.rrd"])
-def test_the_name_of_a_file_of_another_format_is_an_error(tmp_path: Path, name: str) -> None:
+def test_the_name_of_a_file_of_another_format_is_an_error(tmp_path, name):
     with (
         ssduck.open(recorded(tmp_path / "record")) as ss,
         pytest.raises(ArgumentError, match=f"export RECORD --format {Path(name).suffix[1:]} "),
@@ -41,13 +40,11 @@ def test_the_name_of_a_file_of_another_format_is_an_error(tmp_path: Path, name: 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["add_members", "add", "finish"])
-def test_an_export_that_fails_leaves_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, method: str
-) -> None:
+def test_an_export_that_fails_leaves_nothing(tmp_path, monkeypatch, method):
     other = recorded(tmp_path / "other")
     before = files_in(other)
 
-    def fails(*_: object) -> None:
+    def fails(*_):
         raise RecordError("the disk is full")
 
     with ssduck.open(recorded(tmp_path / "record")) as ss, monkeypatch.context() as patch:
@@ -60,12 +57,10 @@ def test_an_export_that_fails_leaves_nothing(
 
 
 @pytest.mark.slow
-def test_of_several_worlds_all_are_exported_or_none(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_of_several_worlds_all_are_exported_or_none(tmp_path, monkeypatch):
     export, exported = database.export, []
 
-    def second_fails(*arguments: object) -> Path:
+    def second_fails(*arguments):
         if exported:
             raise RecordError("the disk is full")
         exported.append(export(*arguments))
@@ -82,10 +77,8 @@ def test_of_several_worlds_all_are_exported_or_none(
 
 
 @pytest.mark.slow
-def test_pairs_that_cannot_be_written_leave_no_episode(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fails(*_: object) -> None:
+def test_pairs_that_cannot_be_written_leave_no_episode(tmp_path, monkeypatch):
+    def fails(*_):
         raise RecordError("the disk is full")
 
     monkeypatch.setattr(recording, "write_pairs", fails)
@@ -94,16 +87,14 @@ def test_pairs_that_cannot_be_written_leave_no_episode(
     assert not (tmp_path / "new").exists()
 
 
-def no_room(*_: Any, **__: Any) -> None:
+def no_room(*_, **__):
     raise OSError(errno.ENOSPC, "No space left on device")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["create_file", "change_description", "write_parquet"])
 @pytest.mark.parametrize("new", ["out", "new/out"])
-def test_a_full_disk_leaves_no_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, new: str
-) -> None:
+def test_a_full_disk_leaves_no_folder(tmp_path, monkeypatch, name, new):
     record = recorded(tmp_path / "record")
     monkeypatch.setattr(folder_episodes if name == "create_file" else parquet, name, no_room)
     with ssduck.open(record) as ss, pytest.raises(RecordError, match="No space left"):
@@ -113,9 +104,7 @@ def test_a_full_disk_leaves_no_folder(
     assert list(tmp_path.iterdir()) == [record]
 
 
-def test_a_full_disk_leaves_folders_of_others(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_leaves_folders_of_others(tmp_path, monkeypatch):
     (tmp_path / "out").mkdir()
     monkeypatch.setattr(folder_episodes, "create_file", no_room)
     with pytest.raises(RecordError, match="No space left"):
@@ -123,9 +112,7 @@ def test_a_full_disk_leaves_folders_of_others(
     assert (tmp_path / "out").is_dir()
 
 
-def test_a_repair_on_a_full_disk_is_an_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_repair_on_a_full_disk_is_an_error(tmp_path, monkeypatch):
     record = recorded(tmp_path / "record", 2)
     (record / "entities/world=lab/episode=1/part-000000.parquet").write_bytes(b"torn")
     before = files_in(record)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import duckdb
 import pybullet
 import pytest
@@ -15,7 +13,7 @@ TICKS = 6
 
 
 @pytest.fixture
-def world(client: int) -> ssduck.World:
+def world(client):
     """A world of boxes."""
     box = pybullet.createCollisionShape(
         pybullet.GEOM_BOX, halfExtents=[0.1, 0.1, 0.1], physicsClientId=client
@@ -25,14 +23,14 @@ def world(client: int) -> ssduck.World:
     return ssduck.World.attach(client, name="lab")
 
 
-def _record(path: Path, world: ssduck.World) -> None:
+def _record(path, world):
     with ssduck.Interpreter(str(path)) as ss:
         ss.add_variable("lab", world)
         for _ in range(TICKS - 1):
             world.step()
 
 
-def _format(path: Path) -> tuple[str, int]:
+def _format(path):
     """Returns the version of the format of a file, and the size of its blocks, bytes."""
     with duckdb.connect(str(path), read_only=True) as plain:
         ((tags,),) = plain.execute(
@@ -43,9 +41,7 @@ def _format(path: Path) -> tuple[str, int]:
 
 
 @pytest.mark.slow
-def test_a_new_file_has_the_format_of_long_term_support(
-    world: ssduck.World, tmp_path: Path
-) -> None:
+def test_a_new_file_has_the_format_of_long_term_support(world, tmp_path):
     path = tmp_path / "run.duckdb"
     _record(path, world)
     version, block = _format(path)
@@ -58,7 +54,7 @@ def test_a_new_file_has_the_format_of_long_term_support(
 
 
 @pytest.mark.slow
-def test_an_episode_takes_few_bytes(world: ssduck.World, tmp_path: Path) -> None:
+def test_an_episode_takes_few_bytes(world, tmp_path):
     path = tmp_path / "run.duckdb"
     sizes = []
     for _ in range(5):
@@ -69,7 +65,7 @@ def test_an_episode_takes_few_bytes(world: ssduck.World, tmp_path: Path) -> None
 
 
 @pytest.mark.slow
-def test_a_file_of_another_format_is_written_on(world: ssduck.World, tmp_path: Path) -> None:
+def test_a_file_of_another_format_is_written_on(world, tmp_path):
     path = tmp_path / "run.duckdb"
     duckdb.connect(str(path)).execute("CREATE TABLE mine AS SELECT 7 AS seven").close()
     before = _format(path)

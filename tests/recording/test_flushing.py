@@ -6,11 +6,9 @@ import shutil
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
 from itertools import count
 from pathlib import Path
 
-import pyarrow as pa
 import pybullet
 import pytest
 
@@ -19,7 +17,6 @@ from ssduck import Recording
 from ssduck.errors import ArgumentError, RecordError
 from ssduck.recording import background_writer
 from ssduck.recording import recorder as recorders
-from ssduck.recording.recorder import Recorder
 from ssduck.recording.stores import files, parquet, part_log
 from ssduck.recording.stores.parquet_layout import FolderRun
 from tests.support.bodies import create_linked_body
@@ -34,7 +31,7 @@ TABLES = ("entities", "links", "contacts")
 
 
 @pytest.fixture
-def world(client: int) -> ssduck.World:
+def world(client):
     """A world of an arm of two links and falling balls, one of which touches the arm."""
     ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
     for place in range(BALLS - 1):
@@ -54,33 +51,33 @@ def world(client: int) -> ssduck.World:
 class Clock:
     """The time that recorders see, which goes on when a test says so; the timer is off."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, monkeypatch):
         self.now = 1000.0
         monkeypatch.setattr(recorders, "monotonic", lambda: self.now)
         monkeypatch.setattr(background_writer, "start_watching", lambda _: None)
 
 
 @pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+def clock(monkeypatch):
     return Clock(monkeypatch)
 
 
-def _log(run: Path) -> list[str]:
+def _log(run):
     return sorted(file.name for file in run.glob("log/world=lab/episode=0/*"))
 
 
-def _parts(run: Path) -> list[str]:
+def _parts(run):
     return sorted(file.name for file in run.glob("ticks/world=lab/episode=0/*"))
 
 
-def _until(is_so: Callable[[], bool]) -> None:
+def _until(is_so):
     began = time.monotonic()
     while not is_so():
         assert time.monotonic() < began + HANGS
         time.sleep(0.01)
 
 
-def _started(ss: ssduck.Interpreter, world: ssduck.World, run: Path, **options: object) -> Recorder:
+def _started(ss, world, run, **options):
     """Starts to record a world to a folder, and returns the recorder."""
     ss.add_variable("lab", world)
     ss.record_to(run, recording=Recording(tables=TABLES, **options))  # type: ignore[arg-type]
@@ -88,13 +85,13 @@ def _started(ss: ssduck.Interpreter, world: ssduck.World, run: Path, **options: 
     return recorder
 
 
-def _tick(recorder: Recorder, world: ssduck.World, count: int = 1) -> None:
+def _tick(recorder, world, count=1):
     for _ in range(count):
         world.step()
         recorder.wait()
 
 
-def _contents(ss: ssduck.Interpreter) -> dict[str, list[tuple[object, ...]]]:
+def _contents(ss):
     """Returns the rows of all tables."""
     tables = (*TABLES, "ticks")
     return {
@@ -103,9 +100,7 @@ def _contents(ss: ssduck.Interpreter) -> dict[str, list[tuple[object, ...]]]:
 
 
 @pytest.mark.slow
-def test_ticks_of_a_folder_are_in_the_log_in_time(
-    world: ssduck.World, clock: Clock, tmp_path: Path
-) -> None:
+def test_ticks_of_a_folder_are_in_the_log_in_time(world, clock, tmp_path):
     run = tmp_path / "run"
     with ssduck.Interpreter(recording=None) as ss:
         recorder = _started(ss, world, run, flush_every=2.0)
@@ -130,9 +125,7 @@ def test_ticks_of_a_folder_are_in_the_log_in_time(
 
 
 @pytest.mark.slow
-def test_ticks_of_a_file_are_committed_in_time(
-    world: ssduck.World, clock: Clock, tmp_path: Path
-) -> None:
+def test_ticks_of_a_file_are_committed_in_time(world, clock, tmp_path):
     recording = Recording(flush_every=2.0)
     with ssduck.Interpreter(str(tmp_path / "run.duckdb"), recording=recording) as ss:
         ss.add_variable("lab", world)
@@ -148,7 +141,7 @@ def test_ticks_of_a_file_are_committed_in_time(
 
 
 @pytest.mark.slow
-def test_a_log_has_what_parts_have(world: ssduck.World, clock: Clock, tmp_path: Path) -> None:
+def test_a_log_has_what_parts_have(world, clock, tmp_path):
     """The rows of the log, those of parts, and those in memory are the same."""
     run = tmp_path / "run"
     with ssduck.Interpreter(recording=Recording(tables=TABLES)) as ss:
@@ -180,7 +173,7 @@ def test_a_log_has_what_parts_have(world: ssduck.World, clock: Clock, tmp_path: 
 
 
 @pytest.mark.slow
-def test_a_world_that_stands_still_is_stored(world: ssduck.World, tmp_path: Path) -> None:
+def test_a_world_that_stands_still_is_stored(world, tmp_path):
     run = tmp_path / "run"
     with ssduck.Interpreter(recording=None) as ss:
         recorder = _started(ss, world, run, flush_every=0.1)
@@ -190,16 +183,14 @@ def test_a_world_that_stands_still_is_stored(world: ssduck.World, tmp_path: Path
             assert copy.past("lab").ticks == [1, 2]
 
 
-def test_the_timer_leaves_a_recorder_that_is_in_use(
-    world: ssduck.World, clock: Clock, tmp_path: Path
-) -> None:
+def test_the_timer_leaves_a_recorder_that_is_in_use(world, clock, tmp_path):
     with ssduck.Interpreter(recording=None) as ss:
         recorder = _started(ss, world, tmp_path / "run", flush_every=NEVER)
         _tick(recorder, world)
         clock.now += NEVER
         results: list[bool] = []
 
-        def try_in_thread() -> None:
+        def try_in_thread():
             thread = threading.Thread(target=lambda: results.append(recorder.try_to_flush()))
             thread.start()
             thread.join(HANGS)
@@ -217,9 +208,7 @@ def test_the_timer_leaves_a_recorder_that_is_in_use(
 
 
 @pytest.mark.slow
-def test_a_log_becomes_a_part_when_it_is_long_enough(
-    world: ssduck.World, clock: Clock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_log_becomes_a_part_when_it_is_long_enough(world, clock, tmp_path, monkeypatch):
     monkeypatch.setattr(parquet, "PART_TICKS", 10)
     run = tmp_path / "run"
     with ssduck.Interpreter(recording=None) as ss:
@@ -236,20 +225,18 @@ def test_a_log_becomes_a_part_when_it_is_long_enough(
 
 
 @pytest.mark.slow
-def test_flushes_make_no_small_parts(
-    world: ssduck.World, clock: Clock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_flushes_make_no_small_parts(world, clock, tmp_path, monkeypatch):
     """A flush at each tick: the record has full parts, and each row is written twice at most."""
     monkeypatch.setattr(parquet, "PART_TICKS", 10)
     run = tmp_path / "run"
     written: Counter[str] = Counter()
     write_parquet, append = parquet.write_parquet, parquet.PartLog.append
 
-    def counted(rows: pa.Table, place: Path, **options: object) -> int:
+    def counted(rows, place, **options):
         written[place.relative_to(run).parts[0]] += rows.num_rows
         return write_parquet(rows, place, **options)
 
-    def logged(log: parquet.PartLog, part: int, rows: Mapping[str, pa.Table]) -> None:
+    def logged(log, part, rows):
         written["log"] += rows["ticks"].num_rows
         append(log, part, rows)
 
@@ -277,16 +264,14 @@ class Killed(BaseException):
 
 @pytest.mark.slow
 @sampled("step", range(16), every=3)
-def test_a_recorder_that_is_killed_at_any_file(
-    world: ssduck.World, clock: Clock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: int
-) -> None:
+def test_a_recorder_that_is_killed_at_any_file(world, clock, tmp_path, monkeypatch, step):
     """While a log becomes a part: before and after each file is there, or gone."""
     monkeypatch.setattr(parquet, "PART_TICKS", 4)
     run, left = tmp_path / "run", tmp_path / "left"
     steps = count()
 
-    def dying(work: Callable[..., None]) -> Callable[..., None]:
-        def step_of(*arguments: object, **options: object) -> None:
+    def dying(work):
+        def step_of(*arguments, **options):
             if next(steps) == step:
                 raise Killed
             work(*arguments, **options)
@@ -321,15 +306,13 @@ def test_a_recorder_that_is_killed_at_any_file(
 
 
 @pytest.mark.slow
-def test_what_the_disk_does_not_take_waits(
-    world: ssduck.World, clock: Clock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_the_disk_does_not_take_waits(world, clock, tmp_path, monkeypatch):
     run = tmp_path / "run"
     with ssduck.Interpreter(recording=None) as ss:
         recorder = _started(ss, world, run)
         _tick(recorder, world)
 
-        def fail(*_: object) -> None:
+        def fail(*_):
             raise OSError(28, "No space left on device")
 
         with monkeypatch.context() as patch:
@@ -344,16 +327,16 @@ def test_what_the_disk_does_not_take_waits(
             assert copy.past("lab").ticks == list(range(1, 6))
 
 
-def _remove_in_the_middle(log: Path) -> None:
+def _remove_in_the_middle(log):
     (log / "part-000000-0001.arrow").unlink()
 
 
-def _cut_off(log: Path) -> None:
+def _cut_off(log):
     file = log / "part-000000-0001.arrow"
     file.write_bytes(file.read_bytes()[:-100])
 
 
-def _swap(log: Path) -> None:
+def _swap(log):
     one, other = log / "part-000000-0000.arrow", log / "part-000000-0001.arrow"
     one.rename(log / "between")
     other.rename(one)
@@ -371,12 +354,12 @@ def _swap(log: Path) -> None:
     every=1,
 )
 def test_a_damaged_log_is_noticed(
-    world: ssduck.World,
-    clock: Clock,
-    tmp_path: Path,
-    damage: Callable[[Path], None],
-    told: str,
-) -> None:
+    world,
+    clock,
+    tmp_path,
+    damage,
+    told,
+):
     with ssduck.Interpreter(recording=None) as ss:
         recorder = _started(ss, world, tmp_path / "run")
         for _ in range(3):
@@ -390,9 +373,7 @@ def test_a_damaged_log_is_noticed(
 
 
 @pytest.mark.slow
-def test_a_log_whose_part_is_complete_does_not_count(
-    world: ssduck.World, clock: Clock, tmp_path: Path
-) -> None:
+def test_a_log_whose_part_is_complete_does_not_count(world, clock, tmp_path):
     """A recorder that is killed after it wrote a part leaves the files of its rows."""
     run = tmp_path / "run"
     with ssduck.Interpreter(recording=None) as ss:
@@ -409,7 +390,7 @@ def test_a_log_whose_part_is_complete_does_not_count(
 
 
 @pytest.mark.slow
-def test_full_buffers_only(world: ssduck.World, clock: Clock, tmp_path: Path) -> None:
+def test_full_buffers_only(world, clock, tmp_path):
     with ssduck.Interpreter(recording=None) as ss:
         recorder = _started(ss, world, tmp_path / "run", flush_every=None)
         for _ in range(5):
@@ -420,15 +401,13 @@ def test_full_buffers_only(world: ssduck.World, clock: Clock, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("value", [0, -1.0, float("nan"), True, "1"])
-def test_an_invalid_time(value: object) -> None:
+def test_an_invalid_time(value):
     with pytest.raises((ArgumentError, TypeError, ValueError), match="flush_every"):
         Recording(flush_every=value)  # type: ignore[arg-type]
 
 
 @pytest.mark.slow
-def test_a_record_opens_while_bodies_come(
-    world: ssduck.World, client: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_record_opens_while_bodies_come(world, client, tmp_path, monkeypatch):
     """A body that comes while the models are read is in none of them."""
     run, read = tmp_path / "run", FolderRun.read
     with ssduck.Interpreter(recording=None) as ss:
@@ -437,7 +416,7 @@ def test_a_record_opens_while_bodies_come(
         recorder.flush()
         before = {entity.name for entity in world}
 
-        def while_bodies_come(opened: FolderRun, table: str) -> pa.Table:
+        def while_bodies_come(opened, table):
             rows = read(opened, table)
             if table == "models/entities":
                 sphere(client, [0, 0, 5])

@@ -15,7 +15,6 @@ import pytest
 
 import ssduck
 from ssduck.errors import RecordError
-from tests.support.archive import Archive
 from tests.support.cases import sampled
 from tests.support.forged import make_records, use
 
@@ -23,7 +22,7 @@ SCHEMA = "lab_record_0"
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory, archive: Archive) -> Path:
+def made(tmp_path_factory, archive):
     place = tmp_path_factory.mktemp("forged")
     archive.copy(make_records, place)
     (place / "secret.txt").write_text("the secret")
@@ -31,23 +30,23 @@ def made(tmp_path_factory: pytest.TempPathFactory, archive: Archive) -> Path:
 
 
 @pytest.fixture
-def file(made: Path, tmp_path: Path) -> Path:
+def file(made, tmp_path):
     """A valid record in a DuckDB file, beside a file with a secret."""
     shutil.copy(made / "secret.txt", tmp_path)
     return Path(shutil.copy(made / "file.duckdb", tmp_path))
 
 
-def place(table: str) -> str:
+def place(table):
     return f'{SCHEMA}."{table}"'
 
 
-def run(file: Path, *statements: str) -> None:
+def run(file, *statements):
     with duckdb.connect(file) as plain:
         for statement in statements:
             plain.execute(statement)
 
 
-def about(file: Path, **values: object) -> None:
+def about(file, **values):
     """Changes the description of the record."""
     with duckdb.connect(file) as plain:
         ((text,),) = plain.sql(f"FROM {place('ssduck record')}").fetchall()
@@ -55,10 +54,10 @@ def about(file: Path, **values: object) -> None:
         plain.execute(f"UPDATE {place('ssduck record')} SET about = ?", [text])
 
 
-def in_place_of(table: str, select: str) -> Callable[[Path], None]:
+def in_place_of(table, select):
     """Returns a change that puts a view in the place of a table; {old} is the table."""
 
-    def change(file: Path) -> None:
+    def change(file):
         secret = file.with_name("secret.txt")
         text = select.format(old=place("old"), secret=secret)
         run(
@@ -70,7 +69,7 @@ def in_place_of(table: str, select: str) -> Callable[[Path], None]:
     return change
 
 
-def sql(*statements: str) -> Callable[[Path], None]:
+def sql(*statements):
     return lambda file: run(file, *statements)
 
 
@@ -156,7 +155,7 @@ ATTACKS: list[tuple[str, Callable[[Path], None], str]] = [
 
 
 @sampled(("change", "words"), [a[1:] for a in ATTACKS], every=4, ids=[a[0] for a in ATTACKS])
-def test_a_forged_file_is_an_error(file: Path, change: Callable[[Path], None], words: str) -> None:
+def test_a_forged_file_is_an_error(file, change, words):
     change(file)
     with pytest.raises(RecordError, match=words) as error:
         use(file)
@@ -164,12 +163,12 @@ def test_a_forged_file_is_an_error(file: Path, change: Callable[[Path], None], w
 
 
 @pytest.mark.slow
-def test_the_valid_one_is_none(file: Path) -> None:
+def test_the_valid_one_is_none(file):
     use(file)
 
 
 @pytest.mark.slow
-def test_a_view_of_the_file_is_not_read(file: Path) -> None:
+def test_a_view_of_the_file_is_not_read(file):
     """Views, macros and own tables in the schemas of the file are not ours."""
     secret = file.with_name("secret.txt")
     run(
@@ -207,7 +206,7 @@ def test_a_view_of_the_file_is_not_read(file: Path) -> None:
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no pipes")
 @pytest.mark.parametrize("kind", ["a pipe", "a device", "a folder"])
-def test_a_log_that_is_no_file_is_not_waited_for(file: Path, kind: str) -> None:
+def test_a_log_that_is_no_file_is_not_waited_for(file, kind):
     log = file.with_name(f"{file.name}.wal")
     if kind == "a pipe":
         os.mkfifo(log)
@@ -220,7 +219,7 @@ def test_a_log_that_is_no_file_is_not_waited_for(file: Path, kind: str) -> None:
 
 
 @pytest.mark.slow
-def test_macros_and_tables_of_other_schemas_do_not_change_answers(file: Path) -> None:
+def test_macros_and_tables_of_other_schemas_do_not_change_answers(file):
     """Those with names of functions and tables that ssduck's own SQL uses."""
     with ssduck.open(file) as ss:
         text = "SELECT name, z, abs(z) FROM entities ORDER BY name"
@@ -239,7 +238,7 @@ def test_macros_and_tables_of_other_schemas_do_not_change_answers(file: Path) ->
         assert (ss.sql(text).fetchall(), ss.eval("SELECT id, z FROM lab;")) == expected
 
 
-def test_another_type_of_file_loads_no_extension(tmp_path: Path) -> None:
+def test_another_type_of_file_loads_no_extension(tmp_path):
     """DuckDB would download an extension to read it."""
     with closing(sqlite3.connect(tmp_path / "run.duckdb")) as other, other:
         other.execute("CREATE TABLE t (x)")
@@ -248,7 +247,7 @@ def test_another_type_of_file_loads_no_extension(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_users_own_database_keeps_its_views(tmp_path: Path) -> None:
+def test_the_users_own_database_keeps_its_views(tmp_path):
     path = tmp_path / "own.duckdb"
     with ssduck.load("kitchen", str(path)) as ss:
         ss.sql("CREATE VIEW high AS SELECT name FROM entities WHERE z > 1")

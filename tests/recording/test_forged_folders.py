@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,6 @@ import pytest
 
 import ssduck
 from ssduck.errors import RecordError
-from tests.support.archive import Archive
 from tests.support.cases import sampled
 from tests.support.forged import (
     EPISODE,
@@ -32,7 +31,7 @@ ABOUT = "episodes/lab-0.json"
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory, archive: Archive) -> Path:
+def made(tmp_path_factory, archive):
     place = tmp_path_factory.mktemp("forged")
     archive.copy(make_records, place)
     for name in ("folder", "unfinished"):
@@ -41,29 +40,29 @@ def made(tmp_path_factory: pytest.TempPathFactory, archive: Archive) -> Path:
 
 
 @pytest.fixture
-def folder(made: Path, tmp_path: Path) -> Path:
+def folder(made, tmp_path):
     """A valid record in a folder."""
     return Path(shutil.copytree(made / "folder", tmp_path / "folder"))
 
 
-def text(name: str, content: str | bytes) -> Callable[[Path], Any]:
+def text(name, content):
     as_bytes = content if isinstance(content, bytes) else content.encode()
     return lambda record: (record / name).write_bytes(as_bytes)
 
 
-def about(**values: Any) -> Callable[[Path], Any]:
+def about(**values):
     return lambda record: describe(record / ABOUT, **values)
 
 
-def rows(table: str, change: Callable[[pa.Table], pa.Table]) -> Callable[[Path], Any]:
+def rows(table, change):
     return lambda record: rewrite(part(record, table), change)
 
 
-def column(table: str, name: str, values: Any) -> Callable[[Path], Any]:
+def column(table, name, values):
     return rows(table, with_column(name, values))
 
 
-def moved(old: str, new: str) -> Callable[[Path], Any]:
+def moved(old, new):
     return lambda record: shutil.move(record / old, record / new)
 
 
@@ -134,9 +133,7 @@ ATTACKS: list[tuple[str, Callable[[Path], Any], str]] = [
 
 
 @sampled(("change", "words"), [a[1:] for a in ATTACKS], every=4, ids=[a[0] for a in ATTACKS])
-def test_a_forged_folder_is_an_error(
-    folder: Path, change: Callable[[Path], Any], words: str
-) -> None:
+def test_a_forged_folder_is_an_error(folder, change, words):
     change(folder)
     with pytest.raises(RecordError, match=words) as error:
         use(folder)
@@ -144,13 +141,13 @@ def test_a_forged_folder_is_an_error(
 
 
 @pytest.mark.slow
-def test_the_valid_one_is_none(folder: Path, made: Path) -> None:
+def test_the_valid_one_is_none(folder, made):
     use(folder)
     use(made / "unfinished")
 
 
 @pytest.mark.long
-def test_odd_numbers_are_answers(folder: Path) -> None:
+def test_odd_numbers_are_answers(folder):
     """What a diverged simulation leaves: poses that are not finite, and quaternions of length 0."""
     for name, value in (("x", "nan"), ("y", "inf"), ("qw", "0"), ("xmax", "-inf"), ("vx", "1e308")):
         rewrite(part(folder, "entities"), with_column(name, lambda v, x=value: [float(x)] * len(v)))
@@ -159,7 +156,7 @@ def test_odd_numbers_are_answers(folder: Path) -> None:
 
 
 @pytest.mark.slow
-def test_further_columns_do_not_matter(folder: Path) -> None:
+def test_further_columns_do_not_matter(folder):
     for table in ("ticks", "entities", "models/entities", "models/shapes"):
         rewrite(
             part(folder, table), lambda t: t.append_column("extra", pa.nulls(len(t), pa.binary()))
@@ -168,7 +165,7 @@ def test_further_columns_do_not_matter(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("world", ["main", "select", "LAB"])
-def test_a_world_of_a_name_that_no_world_can_have(folder: Path, world: str) -> None:
+def test_a_world_of_a_name_that_no_world_can_have(folder, world):
     """DuckDB or the language has the name, or another world in small letters."""
     for parts in list(folder.rglob("world=lab")):
         shutil.copytree(parts, parts.with_name(f"world={world}"))
@@ -180,7 +177,7 @@ def test_a_world_of_a_name_that_no_world_can_have(folder: Path, world: str) -> N
 
 @pytest.mark.slow
 @sampled("name", ["[a]*?", "a'b", 'a"b', "x" * 200, "a;--", "{0}", "é\U0001f986"], every=3)
-def test_any_name_of_a_folder(folder: Path, name: str) -> None:
+def test_any_name_of_a_folder(folder, name):
     """Beside it is a folder that the name as a pattern finds."""
     shutil.copytree(folder, folder.with_name("axy"))
     use(folder.rename(folder.with_name(name)))
@@ -191,7 +188,7 @@ def test_any_name_of_a_folder(folder: Path, name: str) -> None:
 OTHERS = [None, True, -1, 0, 2**63, 1.5, float("nan"), "", "x", "../x", [], [[]], [1], {}, {"a": 1}]
 
 
-def mutations(value: Any) -> Iterator[Any]:
+def mutations(value):
     """Yields a value with each of its parts replaced by values of other types, or removed."""
     for other in OTHERS:
         if type(other) is not type(value) or other != value:
@@ -212,7 +209,7 @@ def mutations(value: Any) -> Iterator[Any]:
     + [pytest.param(name, 1, marks=pytest.mark.slow) for name in ("ssduck.json", ABOUT)],
     every=2,
 )
-def test_each_value_of_a_description(folder: Path, name: str, every: int) -> None:
+def test_each_value_of_a_description(folder, name, every):
     """A value of another type is an error that names the file, or does not matter."""
     content = json.loads((folder / name).read_text())
     content.pop("crc32", None)  # a wrong checksum would be the only error
@@ -229,7 +226,7 @@ def test_each_value_of_a_description(folder: Path, name: str, every: int) -> Non
     assert outcomes["error"] > 5 * outcomes["answer"] > 0 or name == "ssduck.json"
 
 
-def test_a_check_tells_of_ticks(folder: Path) -> None:
+def test_a_check_tells_of_ticks(folder):
     column("ticks", "tick", lambda v: v[:1] * len(v))(folder)
     (damage,) = ssduck.check(folder)
     assert damage.loss == "all of episode 0 of 'lab'"
@@ -239,7 +236,7 @@ def test_a_check_tells_of_ticks(folder: Path) -> None:
 # -- the index and the log ------------------------------------------------------------------------
 
 
-def _change(table: str, change: Callable[[pa.Table], pa.Table]) -> Callable[[Any], None]:
+def _change(table, change):
     return lambda tables: tables.update({table: change(tables[table])})
 
 
@@ -260,9 +257,7 @@ LOG_ATTACKS: list[tuple[str, Callable[[Any], Any], str]] = [
 @pytest.mark.parametrize(
     ("change", "words"), [a[1:] for a in LOG_ATTACKS], ids=[a[0] for a in LOG_ATTACKS]
 )
-def test_a_forged_log_is_an_error(
-    made: Path, tmp_path: Path, change: Callable[[Any], Any], words: str
-) -> None:
+def test_a_forged_log_is_an_error(made, tmp_path, change, words):
     record = Path(shutil.copytree(made / "unfinished", tmp_path / "unfinished"))
     rewrite_log(record, change)
     with pytest.raises(RecordError, match=words) as error:
@@ -271,7 +266,7 @@ def test_a_forged_log_is_an_error(
 
 
 @pytest.mark.slow
-def test_a_log_of_random_bytes(made: Path, tmp_path: Path) -> None:
+def test_a_log_of_random_bytes(made, tmp_path):
     """Each byte that differs is an error, or one that nobody reads."""
     record = Path(shutil.copytree(made / "unfinished", tmp_path / "unfinished"))
     file = next(record.glob("log/*/*/part-000000-0000.arrow"))

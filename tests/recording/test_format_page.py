@@ -19,7 +19,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "reference" / "record-format.md"
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def written(tmp_path_factory):
     """The record of the page's first example, run where ssduck cannot be imported."""
     (example, *_) = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
     place = tmp_path_factory.mktemp("page")
@@ -29,7 +29,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_the_example_opens_and_is_asked(written: Path) -> None:
+def test_the_example_opens_and_is_asked(written):
     (episode,) = ssduck.episodes(written)
     assert (episode.ticks, episode.complete, episode.tags) == (5, True, {"task": "fall"})
     assert ssduck.check(written) == []
@@ -41,14 +41,14 @@ def test_the_example_opens_and_is_asked(written: Path) -> None:
         assert ss.eval("SELECT this FROM lab{} WHERE collides(this, lab.floor) AS list;") == []
 
 
-def test_the_example_has_all_columns_of_its_tables(written: Path) -> None:
+def test_the_example_has_all_columns_of_its_tables(written):
     for table in ("ticks", "entities", *(f"models/{name}" for name in MODELS)):
         (file,) = (written / table).rglob("*.parquet")
         assert set(pq.read_schema(file).names) == set(part_columns(table)), table
 
 
 @pytest.mark.slow
-def test_the_example_can_be_exported_upgraded_and_read_again(written: Path, tmp_path: Path) -> None:
+def test_the_example_can_be_exported_upgraded_and_read_again(written, tmp_path):
     with ssduck.open(written) as ss:
         ss.export(tmp_path / "copy")
         expected = ss.sql("SELECT * FROM entities_history ORDER BY ALL").fetchall()
@@ -56,7 +56,7 @@ def test_the_example_can_be_exported_upgraded_and_read_again(written: Path, tmp_
         assert ss.sql("SELECT * FROM entities_history ORDER BY ALL").fetchall() == expected
 
 
-def test_a_wrong_label_is_noticed(written: Path) -> None:
+def test_a_wrong_label_is_noticed(written):
     place = written / "entities" / "world=lab" / "episode=0" / "part-000000.parquet"
     kept = place.read_bytes()
     try:
@@ -68,7 +68,7 @@ def test_a_wrong_label_is_noticed(written: Path) -> None:
         place.write_bytes(kept)
 
 
-def test_the_page_names_all_tables_and_keys() -> None:
+def test_the_page_names_all_tables_and_keys():
     text = PAGE.read_text("utf-8")
     for name in (*RECORDED, *(f"models/{name}" for name in MODELS)):
         assert name in text, name

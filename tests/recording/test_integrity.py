@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -15,7 +14,6 @@ from ssduck import Recording
 from ssduck.errors import RecordError
 from ssduck.recording.stores.descriptions import read_description
 from ssduck.recording.stores.parquet import ParquetStore
-from tests.support.archive import Archive
 from tests.support.cases import sampled
 from tests.support.command_line import answer, ssduck_
 from tests.support.recorded import POSIX, python
@@ -26,18 +24,18 @@ COUNT = "SELECT count(*) FROM entities_history"
 
 
 @pytest.fixture(scope="module")
-def records(tmp_path_factory: pytest.TempPathFactory, archive: Archive) -> Path:
+def records(tmp_path_factory, archive):
     """The records of `tools.flip`."""
     return archive.copy(flip.write_records, tmp_path_factory.mktemp("records"))
 
 
 @pytest.fixture
-def run(records: Path, tmp_path: Path) -> Path:
+def run(records, tmp_path):
     """A folder of five parts, which is closed."""
     return flip.copy_of(records / "run", tmp_path)
 
 
-def flip_bit(file: Path, position: float) -> None:
+def flip_bit(file, position):
     """Flips a bit of a file, at a part of its length."""
     content = bytearray(file.read_bytes())
     content[int(position * len(content))] ^= 4
@@ -45,7 +43,7 @@ def flip_bit(file: Path, position: float) -> None:
 
 
 @pytest.fixture(scope="module")
-def flips(tmp_path_factory: pytest.TempPathFactory) -> Iterator[flip.Run]:
+def flips(tmp_path_factory):
     run = flip.Run(tmp_path_factory.mktemp("flips"))
     yield run
     run.close()
@@ -53,7 +51,7 @@ def flips(tmp_path_factory: pytest.TempPathFactory) -> Iterator[flip.Run]:
 
 @pytest.mark.slow
 @sampled("seed", range(24), every=4)
-def test_damaged_records_give_right_answers_or_errors(flips: flip.Run, seed: int) -> None:
+def test_damaged_records_give_right_answers_or_errors(flips, seed):
     """The short form of `python -m tools.flip`."""
     flips.add(seed)
     assert seed not in flips.faults, flips.faults[seed]
@@ -69,7 +67,7 @@ FILES = [
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_a_flipped_bit_of_any_byte_is_noticed(run: Path, name: str) -> None:
+def test_a_flipped_bit_of_any_byte_is_noticed(run, name):
     """In the data, which the footer does not tell, and in the footer."""
     whole = (run / name).read_bytes()
     for position in (0.1, 0.3, 0.5, 0.7, 0.9, 0.999):
@@ -81,7 +79,7 @@ def test_a_flipped_bit_of_any_byte_is_noticed(run: Path, name: str) -> None:
             ss.sql(COUNT)
 
 
-def test_a_part_is_verified_when_it_is_first_read(run: Path) -> None:
+def test_a_part_is_verified_when_it_is_first_read(run):
     flip_bit(run / "contacts" / PLACE / "part-000001.parquet", 0.2)
     with ssduck.open(run) as ss:
         assert ss.sql(COUNT).fetchall() != [(0,)]
@@ -90,7 +88,7 @@ def test_a_part_is_verified_when_it_is_first_read(run: Path) -> None:
                 ss.sql("SELECT count(*) FROM contacts_history")
 
 
-def test_other_tools_can_verify_pages(run: Path) -> None:
+def test_other_tools_can_verify_pages(run):
     file = run / "entities" / PLACE / "part-000000.parquet"
     assert pq.ParquetFile(file, page_checksum_verification=True).read().num_rows
     flip_bit(file, 0.21)
@@ -99,7 +97,7 @@ def test_other_tools_can_verify_pages(run: Path) -> None:
 
 
 @pytest.mark.slow
-def test_an_episode_says_whether_it_is_complete(records: Path) -> None:
+def test_an_episode_says_whether_it_is_complete(records):
     for name in flip.RECORDS:
         (episode,) = ssduck.episodes(records / name)
         assert episode.complete is not name.startswith("unfinished")
@@ -109,12 +107,12 @@ def test_an_episode_says_whether_it_is_complete(records: Path) -> None:
 
 
 @pytest.mark.slow
-def test_whole_records_are_intact(records: Path) -> None:
+def test_whole_records_are_intact(records):
     for name in flip.RECORDS:
         assert ssduck.check(records / name) == []
 
 
-def _rows(run: Path) -> list[int]:
+def _rows(run):
     with ssduck.open(run) as ss:
         ticks = ss.past("lab").ticks
         assert [t for (t,) in ss.sql("SELECT DISTINCT tick FROM links_history ORDER BY 1")] == ticks
@@ -122,7 +120,7 @@ def _rows(run: Path) -> list[int]:
 
 
 @pytest.mark.slow
-def test_a_repair_takes_out_damaged_parts_alone(run: Path) -> None:
+def test_a_repair_takes_out_damaged_parts_alone(run):
     before, files = _rows(run), {file.name for file in run.rglob("*")}
     size = sum(file.stat().st_size for file in run.rglob("*.parquet"))
     flip_bit(run / "links" / PLACE / "part-000001.parquet", 0.4)
@@ -154,7 +152,7 @@ def test_a_repair_takes_out_damaged_parts_alone(run: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_record_can_be_opened_without_its_damaged_parts(run: Path) -> None:
+def test_a_record_can_be_opened_without_its_damaged_parts(run):
     before = _rows(run)
     flip_bit(run / "entities" / PLACE / "part-000000.parquet", 0.4)
     with (
@@ -168,7 +166,7 @@ def test_a_record_can_be_opened_without_its_damaged_parts(run: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["ssduck.json", "episodes/lab-0.json"])
 @pytest.mark.parametrize("damage", [lambda f: flip_bit(f, 0.5), Path.unlink], ids=["bit", "gone"])
-def test_descriptions_are_written_anew(run: Path, name: str, damage: Callable) -> None:
+def test_descriptions_are_written_anew(run, name, damage):
     before = _rows(run)
     damage(run / name)
     (found,) = ssduck.check(run, repair=True)
@@ -177,14 +175,14 @@ def test_descriptions_are_written_anew(run: Path, name: str, damage: Callable) -
     assert ssduck.check(run) == []
 
 
-def test_models_cannot_be_repaired(run: Path) -> None:
+def test_models_cannot_be_repaired(run):
     flip_bit(run / "models" / "links" / PLACE / "part-000000.parquet", 0.3)
     (damage,) = ssduck.check(run, repair=True)
     assert (damage.is_repaired, damage.loss) == (False, "all of episode 0 of 'lab'")
 
 
 @pytest.mark.slow
-def test_a_damaged_log_ends_earlier(records: Path, tmp_path: Path) -> None:
+def test_a_damaged_log_ends_earlier(records, tmp_path):
     run = flip.copy_of(records / "unfinished", tmp_path)
     before = _rows(run)
     file = max((run / "log").rglob("*.arrow"))
@@ -198,7 +196,7 @@ def test_a_damaged_log_ends_earlier(records: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_log_of_a_file_is_set_aside(records: Path, tmp_path: Path) -> None:
+def test_the_log_of_a_file_is_set_aside(records, tmp_path):
     file = flip.copy_of(records / "unfinished.duckdb", tmp_path)
     before = _rows(file)
     log = file.with_name(f"{file.name}.wal")
@@ -217,7 +215,7 @@ def test_the_log_of_a_file_is_set_aside(records: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_a_damaged_block_of_a_file_is_named(records: Path, tmp_path: Path) -> None:
+def test_a_damaged_block_of_a_file_is_named(records, tmp_path):
     """DuckDB has checksums of its own; at some blocks it does not open at all."""
     whole = (records / "run.duckdb").read_bytes()
     seen = set()
@@ -233,7 +231,7 @@ def test_a_damaged_block_of_a_file_is_named(records: Path, tmp_path: Path) -> No
     assert seen & {"entities", "links", "shapes", "joints", "contacts"}
 
 
-def _opens(file: Path) -> bool:
+def _opens(file):
     try:
         ssduck.open(file).close()
     except RecordError as error:
@@ -243,7 +241,7 @@ def _opens(file: Path) -> bool:
 
 
 @pytest.mark.slow
-def test_the_command(run: Path) -> None:
+def test_the_command(run):
     assert answer("check", str(run)) == f"{run} is intact\n"
     flip_bit(run / "ticks" / PLACE / "part-000001.parquet", 0.4)
     result = ssduck_("check", str(run))
@@ -267,7 +265,7 @@ with ssduck.load("kitchen") as ss:
 
 
 @pytest.mark.slow
-def test_a_killed_export_is_no_episode(tmp_path: Path) -> None:
+def test_a_killed_export_is_no_episode(tmp_path):
     path = tmp_path / "run"
     python(KILLED_EXPORT.format(path=str(path)), code_expected=9)
     assert [e.number for e in ssduck.episodes(path)] == [0]
@@ -304,19 +302,19 @@ with ssduck.open(sys.argv[1]) as ss:
 @POSIX
 @pytest.mark.slow
 @sampled("name", ["run", "run.duckdb"], every=2)
-def test_a_forked_process_opens_a_record_anew(records: Path, name: str) -> None:
+def test_a_forked_process_opens_a_record_anew(records, name):
     *told, anew, parent = python(FORKED, records / name).splitlines()
     assert told == ["RecordError True"] * 3
     assert anew == parent
 
 
 @pytest.mark.slow
-def test_recorders_begin_in_one_new_folder_at_once(tmp_path: Path) -> None:
+def test_recorders_begin_in_one_new_folder_at_once(tmp_path):
     """The folder, its description and the numbers of episodes are made by one of them each."""
     for attempt in range(5):
         path, start = tmp_path / str(attempt), threading.Barrier(8)
 
-        def begin(path: Path = path, start: threading.Barrier = start) -> int:
+        def begin(path=path, start=start):
             start.wait()
             return ParquetStore(path, "lab", Recording()).run.number
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import inspect
 import math
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import pytest
 
@@ -29,40 +28,40 @@ SPREAD, LAST = 6, 8
 PLACES = tuple(inspect.getfile(module) for module in MODULES)
 
 
-def write(place: Path, **options: Any) -> None:
+def write(place, **options):
     ssduck.write_record(place, ["cup"], POSES, [0.0, 0.1], **options)
 
 
 @pytest.fixture
-def record(tmp_path: Path) -> Path:
+def record(tmp_path):
     write(tmp_path / "record", world="lab")
     return tmp_path / "record"
 
 
 @pytest.fixture(autouse=True)
-def handler() -> Iterator[None]:
+def handler():
     kept = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, kept)
 
 
-def files_in(place: Path) -> dict[Path, bytes]:
+def files_in(place):
     return {file: file.read_bytes() for file in place.rglob("*") if file.is_file()}
 
 
-def _export(record: Path, folder: Path) -> None:
+def _export(record, folder):
     with ssduck.open(record) as ss:
         ss.export(folder)
 
 
-def _write(_: Path, folder: Path) -> None:
+def _write(_, folder):
     write(folder, world="lab")
 
 
 Call = Callable[[Path, Path], None]
 
 
-def pressed(call: Call, record: Path, folder: Path, line: float) -> int:
+def pressed(call, record, folder, line):
     """Presses Ctrl-C at a line of a call; returns the number of lines until it came."""
     with Presser(line, places=PLACES) as presser:
         try:
@@ -77,9 +76,7 @@ def pressed(call: Call, record: Path, folder: Path, line: float) -> int:
 @pytest.mark.slow
 @pytest.mark.parametrize("call", [_export, _write])
 @sampled("has_others", [False, True], ids=["a new folder", "a record"], every=2)
-def test_nothing_is_left_or_the_whole(
-    record: Path, tmp_path: Path, call: Call, has_others: bool
-) -> None:
+def test_nothing_is_left_or_the_whole(record, tmp_path, call, has_others):
     count = pressed(call, record, tmp_path / "whole", math.inf)
     whole = ssduck.episodes(tmp_path / "whole")
     assert count > 50
@@ -100,10 +97,10 @@ def test_nothing_is_left_or_the_whole(
         assert not list(folder.parent.glob(".*"))
 
 
-def then_pressed(function: Callable[..., Any]) -> Callable[..., Any]:
+def then_pressed(function):
     """Returns the function, after which Ctrl-C comes before its caller has the value."""
 
-    def called(*arguments: Any, **options: Any) -> Any:
+    def called(*arguments, **options):
         value = function(*arguments, **options)
         signal.raise_signal(signal.SIGINT)
         return value
@@ -112,9 +109,7 @@ def then_pressed(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @pytest.mark.parametrize("call", [_export, _write])
-def test_an_episode_that_has_just_begun_is_removed(
-    record: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: Call
-) -> None:
+def test_an_episode_that_has_just_begun_is_removed(record, tmp_path, monkeypatch, call):
     monkeypatch.setattr(parquet, "begin_episode", then_pressed(parquet.begin_episode))
     before = files_in(tmp_path)
     for folder in (tmp_path / "new", tmp_path / "record"):
@@ -125,9 +120,7 @@ def test_an_episode_that_has_just_begun_is_removed(
 
 
 @pytest.mark.slow
-def test_an_episode_is_not_left_without_its_pairs(
-    record: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_episode_is_not_left_without_its_pairs(record, tmp_path, monkeypatch):
     """Nor the first one of several worlds."""
     monkeypatch.setattr(database, "export", then_pressed(database.export))
     before = files_in(record)

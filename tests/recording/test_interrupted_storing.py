@@ -8,7 +8,6 @@ import sys
 import threading
 import time
 from contextlib import suppress
-from pathlib import Path
 
 import pybullet
 import pytest
@@ -31,47 +30,47 @@ PRESSES = generated(2)
 class InDatabase:
     """The ticks of a world in a DuckDB file."""
 
-    def __init__(self, file: Path) -> None:
+    def __init__(self, file):
         self.ss = ssduck.load("kitchen", file, recording=ssduck.Recording(tables=("entities",)))
 
-    def step(self) -> None:
+    def step(self):
         self.ss["kitchen"].step(2, every=1)
 
-    def flush(self) -> None:
+    def flush(self):
         self.ss.flush()
 
-    def close(self) -> None:
+    def close(self):
         self.ss.close()
 
 
 class InRunningFolder:
     """The ticks of a world in a folder, whose recording ends with the interpreter."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder):
         self.ss = ssduck.load("kitchen", recording=None)
         self._recording = self.ss.record_to(
             folder, recording=ssduck.Recording(tables=("entities",))
         )
 
-    def step(self) -> None:
+    def step(self):
         self.ss["kitchen"].step(2, every=1)
 
-    def flush(self) -> None:
+    def flush(self):
         self._recording.flush()
 
-    def close(self) -> None:
+    def close(self):
         self.ss.close()
 
 
 class InFolder(InRunningFolder):
     """The same; the recording is closed first."""
 
-    def close(self) -> None:
+    def close(self):
         self._recording.close()
         super().close()
 
 
-def stored_once(path: Path, line: float, form: type[InDatabase | InFolder], method: str) -> int:
+def stored_once(path, line, form, method):
     """Checks what is stored if Ctrl-C comes at a line of a method; returns the number of lines."""
     recorded = form(path)
     recorded.ss["kitchen"].step(TICKS, every=1)
@@ -112,7 +111,7 @@ def test_all_is_stored_once(form, method, tmp_path):
 def test_a_program_that_sigterm_ends_has_stored_all(form, method, tmp_path):
     """Its handler is one that exits, as many programs have; the record is closed on the way."""
 
-    def ended(line: float) -> int:
+    def ended(line):
         path = tmp_path / f"{line}.duckdb"
         recorded = form(path)
         recorded.ss["kitchen"].step(TICKS, every=1)
@@ -176,7 +175,7 @@ def test_close_waits_for_what_is_being_stored(form, tmp_path, monkeypatch):
 
 @pytest.mark.long
 def test_another_recording_begins_or_the_one_goes_on(tmp_path):
-    def begin(path: Path, line: float) -> int:
+    def begin(path, line):
         with ssduck.load("kitchen", path) as ss:
             ss["kitchen"].step(2, every=1)
             with suppress(KeyboardInterrupt), Presser(line) as presser:
@@ -197,7 +196,7 @@ def test_another_recording_begins_or_the_one_goes_on(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("is_folder", [False, True])
 def test_another_episode_begins_or_the_one_goes_on(is_folder, tmp_path):
-    def begin(path: Path, line: float) -> int:
+    def begin(path, line):
         client = pybullet.connect(pybullet.DIRECT)
         pybullet.createMultiBody(1.0, physicsClientId=client)
         world = ssduck.World.attach(client, name="lab")

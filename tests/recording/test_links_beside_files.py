@@ -15,7 +15,6 @@ import ssduck
 from ssduck.database import writer
 from ssduck.database.instances import log_of
 from ssduck.errors import RecordError, SelectScriptError, SqlError
-from tests.support.archive import Archive
 from tests.support.forged import make_records
 
 LOGS = (".wal", ".wal.checkpoint", ".wal.recovery")
@@ -30,23 +29,23 @@ os._exit(0)
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory, archive: Archive) -> Path:
+def made(tmp_path_factory, archive):
     place = tmp_path_factory.mktemp("beside")
     archive.copy(make_records, place)
     return place / "file.duckdb"
 
 
 @pytest.fixture
-def file(made: Path, tmp_path: Path) -> Path:
+def file(made, tmp_path):
     return Path(shutil.copy(made, tmp_path / "run.duckdb"))
 
 
-def crash(folder: Path) -> None:
+def crash(folder):
     subprocess.run([sys.executable, "-c", CRASH, folder / "other.duckdb"], check=True)
 
 
 @pytest.fixture(params=["a text", "a log", "nothing"])
-def victim(request: pytest.FixtureRequest, tmp_path: Path, archive: Archive) -> Path:
+def victim(request, tmp_path, archive):
     """A file of the user; the log that a crash has left of another file, or nothing."""
     place = tmp_path / "victim"
     if request.param == "a text":
@@ -56,20 +55,20 @@ def victim(request: pytest.FixtureRequest, tmp_path: Path, archive: Archive) -> 
     return place
 
 
-def content(place: Path) -> bytes | None:
+def content(place):
     return place.read_bytes() if place.exists() else None
 
 
-def _record(file: Path) -> None:
+def _record(file):
     with ssduck.load("chaos", file) as ss:
         ss["chaos"].step(5)
 
 
-def _open(file: Path) -> None:
+def _open(file):
     ssduck.open(file).close()
 
 
-def _repair(file: Path) -> None:
+def _repair(file):
     ssduck.check(file, repair=True)
 
 
@@ -83,7 +82,7 @@ DOORS: tuple[Callable[[Path], object], ...] = (
 
 
 @pytest.mark.parametrize("ending", LOGS)
-def test_no_log_is_reached_by_a_link(file: Path, victim: Path, ending: str) -> None:
+def test_no_log_is_reached_by_a_link(file, victim, ending):
     link = Path(f"{file}{ending}")
     link.symlink_to(victim)
     before = content(victim), file.read_bytes()
@@ -97,7 +96,7 @@ def test_no_log_is_reached_by_a_link(file: Path, victim: Path, ending: str) -> N
 
 
 @pytest.mark.parametrize("ending", LOGS)
-def test_nor_by_one_beside_a_new_file(tmp_path: Path, victim: Path, ending: str) -> None:
+def test_nor_by_one_beside_a_new_file(tmp_path, victim, ending):
     file, before = tmp_path / "new.duckdb", content(victim)
     link = Path(f"{file}{ending}")
     link.symlink_to(victim)
@@ -108,16 +107,14 @@ def test_nor_by_one_beside_a_new_file(tmp_path: Path, victim: Path, ending: str)
     assert not file.exists()
 
 
-def _pipe(place: Path) -> None:
+def _pipe(place):
     os.mkfifo(place)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no pipes")
 @pytest.mark.parametrize("make", [_pipe, Path.mkdir], ids=["a pipe", "a folder"])
 @pytest.mark.parametrize("ending", ["", *LOGS])
-def test_what_is_no_file_is_not_waited_for(
-    tmp_path: Path, make: Callable[[Path], None], ending: str
-) -> None:
+def test_what_is_no_file_is_not_waited_for(tmp_path, make, ending):
     file = tmp_path / "new.duckdb"
     make(Path(f"{file}{ending}"))
     with pytest.raises(SqlError, match=r"new\.duckdb.* is no file"):
@@ -127,7 +124,7 @@ def test_what_is_no_file_is_not_waited_for(
 @pytest.mark.parametrize(
     "place", ["run.duckdb.tmp", "run.duckdb.tmp/duckdb_temp_1_0_storage_DEFAULT-0"]
 )
-def test_queries_leave_nothing_where_a_link_leads(file: Path, tmp_path: Path, place: str) -> None:
+def test_queries_leave_nothing_where_a_link_leads(file, tmp_path, place):
     link, target = tmp_path / place, tmp_path / "target"
     target.mkdir()
     link.parent.mkdir(exist_ok=True)
@@ -138,7 +135,7 @@ def test_queries_leave_nothing_where_a_link_leads(file: Path, tmp_path: Path, pl
 
 
 @pytest.mark.long
-def test_what_a_crash_has_left_is_no_harm(tmp_path: Path) -> None:
+def test_what_a_crash_has_left_is_no_harm(tmp_path):
     """A log, and files of queries that had no room in memory."""
     file = tmp_path / "run.duckdb"
     subprocess.run([sys.executable, "-c", CRASH, file], check=True)
@@ -151,7 +148,7 @@ def test_what_a_crash_has_left_is_no_harm(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def linked(file: Path, tmp_path: Path) -> Path:
+def linked(file, tmp_path):
     """A link of the user's to the file on another disk."""
     (tmp_path / "here").mkdir()
     link = tmp_path / "here" / "run.duckdb"
@@ -160,7 +157,7 @@ def linked(file: Path, tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_a_link_to_the_file_itself_is_followed(linked: Path, file: Path) -> None:
+def test_a_link_to_the_file_itself_is_followed(linked, file):
     count = len(ssduck.episodes(file))
     _record(linked)
     assert linked.is_symlink()
@@ -168,7 +165,7 @@ def test_a_link_to_the_file_itself_is_followed(linked: Path, file: Path) -> None
     assert list(linked.parent.iterdir()) == [linked]
 
 
-def test_the_log_is_then_beside_the_file(linked: Path, file: Path, tmp_path: Path) -> None:
+def test_the_log_is_then_beside_the_file(linked, file, tmp_path):
     victim = tmp_path / "victim"
     victim.write_text("my thesis")
     log = Path(f"{file}.wal")
@@ -181,9 +178,7 @@ def test_the_log_is_then_beside_the_file(linked: Path, file: Path, tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_the_log_of_a_linked_file_does_not_grow_without_end(
-    linked: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_log_of_a_linked_file_does_not_grow_without_end(linked, monkeypatch):
     monkeypatch.setattr(writer, "LONG_LOG", 0)
     with ssduck.load("chaos", linked) as ss:
         ss["chaos"].step(5)
@@ -192,7 +187,7 @@ def test_the_log_of_a_linked_file_does_not_grow_without_end(
         assert not log.exists() or not log.stat().st_size
 
 
-def test_a_link_to_nothing_makes_no_file(tmp_path: Path) -> None:
+def test_a_link_to_nothing_makes_no_file(tmp_path):
     link, target = tmp_path / "run.duckdb", tmp_path / "target"
     link.symlink_to(target)
     with pytest.raises(SqlError, match="a symbolic link to what is not there: give the path"):

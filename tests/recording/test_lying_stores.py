@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
 import ssduck
 from ssduck.errors import RecordError
 from tests.support.cases import sampled
-from tests.support.lying_store import LyingStore, lying_store
+from tests.support.lying_store import lying_store
 
 pytest.importorskip("fsspec", reason="the extra s3 is not installed")
 
@@ -21,7 +17,7 @@ TICKS = "ticks/world=lab/episode=0/part-000000.parquet"
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     place = tmp_path_factory.mktemp("bucket")
     poses = np.arange(12.0).reshape(4, 1, 3)
     ssduck.write_record(place / "run", ["cup"], poses, [0, 1, 2, 3], world="lab")
@@ -29,17 +25,17 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def store(folder: Path) -> Iterator[LyingStore]:
+def store(folder):
     with lying_store(folder) as lying:
         yield lying
 
 
-def opened(path: str) -> Any:
+def opened(path):
     with ssduck.open(path) as ss:
         return ss.sql("SELECT tick, x FROM entities_history ORDER BY tick").fetchall()
 
 
-def in_lake(path: str) -> list[str | None]:
+def in_lake(path):
     del path
     lake = ssduck.lake(LAKE)
     errors: list[str | None] = lake.ask("SELECT x FROM lab{} AS list;", processes=1)["error"]
@@ -50,14 +46,14 @@ ASKING = [opened, ssduck.episodes, ssduck.check]
 
 
 @pytest.mark.slow
-def test_what_is_right_is_read(store: LyingStore) -> None:
+def test_what_is_right_is_read(store):
     assert opened(RUN) == [(1, 0.0), (2, 3.0), (3, 6.0), (4, 9.0)]
     assert ssduck.episodes(RUN)[0].ticks == 4
     assert ssduck.check(RUN) == []
     assert in_lake(RUN) == [None]
 
 
-def messages(ask: Callable[[str], Any]) -> str:
+def messages(ask):
     """The error of a question, or the damages that it returns."""
     try:
         found = ask(RUN)
@@ -77,9 +73,7 @@ def messages(ask: Callable[[str], Any]) -> str:
     ],
     every=6,
 )
-def test_a_refusal_names_the_object_and_what_to_do(
-    store: LyingStore, ask: Callable[[str], Any], status: int, name: str
-) -> None:
+def test_a_refusal_names_the_object_and_what_to_do(store, ask, status, name):
     store.statuses = {name: status}
     message = messages(ask)
     assert message.startswith("s3://lake/run/")
@@ -90,7 +84,7 @@ def test_a_refusal_names_the_object_and_what_to_do(
 
 @pytest.mark.slow
 @sampled("ask", [opened, in_lake], every=2)
-def test_half_a_body_is_an_error(store: LyingStore, ask: Callable[[str], Any]) -> None:
+def test_half_a_body_is_an_error(store, ask):
     store.cut = (".parquet",)
     message = messages(ask)
     assert "cannot be read: the store says: " in message
@@ -108,9 +102,7 @@ def test_half_a_body_is_an_error(store: LyingStore, ask: Callable[[str], Any]) -
         "log/world=lab/episode=0/part-000001-0000.arrow",
     ],
 )
-def test_what_is_listed_and_not_there_is_missing(
-    store: LyingStore, ask: Callable[[str], Any], name: str
-) -> None:
+def test_what_is_listed_and_not_there_is_missing(store, ask, name):
     store.listed = {f"run/{name}": 10}
     if "log" in name or ask is not opened:
         assert messages(ask).startswith(f"s3://lake/run/{name} ")
@@ -120,7 +112,7 @@ def test_what_is_listed_and_not_there_is_missing(
 
 
 @pytest.mark.long
-def test_a_part_that_is_gone_is_missing(store: LyingStore) -> None:
+def test_a_part_that_is_gone_is_missing(store):
     store.statuses = {TICKS: 404}
     for ask in (opened, ssduck.check, in_lake):
         message = messages(ask)
@@ -128,7 +120,7 @@ def test_a_part_that_is_gone_is_missing(store: LyingStore) -> None:
 
 
 @pytest.mark.slow
-def test_episodes_without_rows_are_not_asked_for(store: LyingStore) -> None:
+def test_episodes_without_rows_are_not_asked_for(store):
     opened(RUN)
     right = len(store.requests)
     store.listed = {f"run/episodes/lab-{number}.json": 10 for number in range(1, 500)}

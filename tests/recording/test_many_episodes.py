@@ -6,7 +6,6 @@ import json
 import re
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import duckdb
 import pytest
@@ -27,18 +26,18 @@ EPISODES = 100
 class Looks:
     """Counts the files of `episodes` that are looked at, and the runs that are asked for ticks."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, monkeypatch):
         self.files: list[str] = []
         self.runs: list[int] = []
         stat, has_ticks = Path.stat, FolderRun.has_ticks.fget
         assert has_ticks is not None
 
-        def counted(own: Path, **options: bool) -> object:
+        def counted(own, **options):
             if own.parent.name == "episodes":
                 self.files.append(own.name)
             return stat(own, **options)
 
-        def asked(own: FolderRun) -> object:
+        def asked(own):
             self.runs.append(own.number)
             return has_ticks(own)
 
@@ -46,7 +45,7 @@ class Looks:
         monkeypatch.setattr(FolderRun, "has_ticks", property(asked))
 
 
-def _record(run: Path, client: int) -> None:
+def _record(run, client):
     world = ssduck.World.attach(client, name="lab")
     with ssduck.Interpreter(recording=None) as ss:
         ss.add_variable("lab", world)
@@ -54,7 +53,7 @@ def _record(run: Path, client: int) -> None:
 
 
 @pytest.fixture
-def run(tmp_path: Path, client: int) -> Path:
+def run(tmp_path, client):
     """A folder with an episode, and the descriptions of many more."""
     place = tmp_path / "run"
     _record(place, client)
@@ -66,9 +65,7 @@ def run(tmp_path: Path, client: int) -> Path:
 
 
 @pytest.mark.slow
-def test_an_episode_begins_after_a_few_looks(
-    run: Path, client: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_episode_begins_after_a_few_looks(run, client, monkeypatch):
     looks = Looks(monkeypatch)
     _record(run, client)
     assert (run / "episodes" / f"lab-{EPISODES}.json").is_file()
@@ -81,15 +78,13 @@ def test_an_episode_begins_after_a_few_looks(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 4, 7, 8, 9])
-def test_the_next_number(tmp_path: Path, client: int, count: int) -> None:
+def test_the_next_number(tmp_path, client, count):
     for _ in range(count + 1):
         _record(tmp_path / "run", client)
     assert [e.number for e in ssduck.episodes(tmp_path / "run")] == list(range(count + 1))
 
 
-def test_the_last_episode_is_opened_at_once(
-    run: Path, client: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_last_episode_is_opened_at_once(run, client, monkeypatch):
     _record(run, client)
     looks = Looks(monkeypatch)
     ssduck.open(run).close()
@@ -105,9 +100,7 @@ def test_the_last_episode_is_opened_at_once(
 
 
 @pytest.mark.slow
-def test_the_last_episode_of_a_file_is_opened_at_once(
-    tmp_path: Path, client: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_last_episode_of_a_file_is_opened_at_once(tmp_path, client, monkeypatch):
     path = tmp_path / "run.duckdb"
     for _ in range(4):
         with ssduck.Interpreter(str(path)) as ss:
@@ -117,7 +110,7 @@ def test_the_last_episode_of_a_file_is_opened_at_once(
     read: list[str] = []
     description = archives._description
 
-    def counted(path: Path, schema: str, texts: list[object]) -> dict[str, object]:
+    def counted(path, schema, texts):
         read.append(schema)
         return description(path, schema, texts)
 
@@ -128,21 +121,19 @@ def test_the_last_episode_of_a_file_is_opened_at_once(
     assert [e.number for e in ssduck.episodes(path)] == [0, 1, 2, 3]
 
 
-def _begin(path: Path, client: int) -> None:
+def _begin(path, client):
     with ssduck.Interpreter(str(path)) as ss:
         ss.add_variable("lab", ssduck.World.attach(client))
 
 
 @pytest.mark.slow
-def test_an_episode_of_a_file_begins_without_the_texts_of_the_others(
-    tmp_path: Path, client: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_episode_of_a_file_begins_without_the_texts_of_the_others(tmp_path, client, monkeypatch):
     path = tmp_path / "run.duckdb"
     _begin(path, client)
     asked: list[str] = []
     rows = Connection.internal_rows
 
-    def counted(own: Connection, sql: str, parameters: Any = None) -> list[tuple[Any, ...]]:
+    def counted(own, sql, parameters=None):
         asked.append(sql)
         return rows(own, sql, parameters)
 
@@ -156,8 +147,8 @@ def test_an_episode_of_a_file_begins_without_the_texts_of_the_others(
 @pytest.mark.slow
 @pytest.mark.parametrize("dropped", [0, 1, 3])
 def test_views_on_the_worlds_of_a_killed_process_are_dropped(
-    tmp_path: Path, client: int, monkeypatch: pytest.MonkeyPatch, dropped: int
-) -> None:
+    tmp_path, client, monkeypatch, dropped
+):
     path = tmp_path / "run.duckdb"
     with monkeypatch.context() as killed:
         killed.setattr(

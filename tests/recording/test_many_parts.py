@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable
-from pathlib import Path
-from typing import Any
 
 import pyarrow.parquet as pq
 import pybullet
@@ -18,14 +15,13 @@ from ssduck.errors import RecordError
 from ssduck.recording.stores import parquet, parquet_archive, parquet_layout, tick_index
 from ssduck.recording.stores.descriptions import read_description
 from ssduck.recording.stores.files import write_json, write_parquet
-from tests.support.archive import Archive
 
 PARTS = 10
 PLACE = "world=lab/episode={}"
 
 
 @pytest.fixture
-def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, archive: Archive) -> Path:
+def run(tmp_path, monkeypatch, archive):
     """A record of two episodes of ten parts of two ticks."""
     for module in (parquet, worlds):
         monkeypatch.setattr(module, "PART_TICKS", 2)
@@ -34,13 +30,13 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, archive: Archive) -> Pa
     return archive.copy(write_parts, tmp_path / "run")
 
 
-def add_ball(client: int) -> None:
+def add_ball(client):
     shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
     pybullet.createMultiBody(1, shape, physicsClientId=client)
     pybullet.setGravity(0, 0, -9.81, physicsClientId=client)
 
 
-def write_parts(place: Path) -> None:
+def write_parts(place):
     client = pybullet.connect(pybullet.DIRECT)
     add_ball(client)
     recording = Recording(tables=("entities",), flush_every=None)
@@ -57,17 +53,17 @@ def write_parts(place: Path) -> None:
 class Reads:
     """Has the names of the files that are read: of ticks and models, and of rows."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, monkeypatch):
         self.ticks: list[str] = []
         self.rows: list[str] = []
         read, rows_of = parquet_layout.rows_of_part, parquet_archive._rows_of_ticks
 
-        def counted(file: Path, *arguments: object) -> object:
+        def counted(file, *arguments):
             if file.parts[-4] == "ticks":
                 self.ticks.append(file.name)
             return read(file, *arguments)  # type: ignore[arg-type]
 
-        def rows(file: Path, *arguments: object) -> object:
+        def rows(file, *arguments):
             self.rows.append(file.name)
             return rows_of(file, *arguments)  # type: ignore[arg-type]
 
@@ -75,11 +71,11 @@ class Reads:
         monkeypatch.setattr(parquet_archive, "_rows_of_ticks", rows)
 
 
-def _index(run: Path, episode: int = 1) -> Path:
+def _index(run, episode=1):
     return run / "index" / PLACE.format(episode) / "ticks.parquet"
 
 
-def _ticks(run: Path) -> list[int]:
+def _ticks(run):
     with ssduck.open(run) as ss:
         ticks = ss.past("lab").ticks
         assert ss.past("lab").times == pytest.approx([(tick - 1) / 240 for tick in ticks])
@@ -89,14 +85,14 @@ def _ticks(run: Path) -> list[int]:
 ALL = list(range(1, 2 * PARTS + 1))
 
 
-def test_ticks_are_read_from_one_file(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ticks_are_read_from_one_file(run, monkeypatch):
     reads = Reads(monkeypatch)
     assert _ticks(run) == ALL
     assert reads.ticks == []
     assert pq.read_metadata(_index(run)).num_rows == len(ALL)
 
 
-def test_few_ticks_are_read_from_few_parts(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_few_ticks_are_read_from_few_parts(run, monkeypatch):
     with ssduck.open(run) as ss:
         record = ss._database.records["lab"]
         reads = Reads(monkeypatch)
@@ -106,7 +102,7 @@ def test_few_ticks_are_read_from_few_parts(run: Path, monkeypatch: pytest.Monkey
         assert reads.rows[1:] == ["part-000003.parquet", "part-000004.parquet"]
 
 
-def test_parts_that_the_index_does_not_know(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_parts_that_the_index_does_not_know(run, monkeypatch):
     """A recorder that is killed leaves an index of some of its parts."""
     rows = pq.read_table(_index(run))
     write_parquet(rows.slice(0, 16), _index(run))  # with its metadata
@@ -115,7 +111,7 @@ def test_parts_that_the_index_does_not_know(run: Path, monkeypatch: pytest.Monke
     assert reads.ticks == ["part-000008.parquet", "part-000009.parquet"]
 
 
-def test_parts_that_are_removed_do_not_count(run: Path) -> None:
+def test_parts_that_are_removed_do_not_count(run):
     for part in (8, 9):
         (run / "ticks" / PLACE.format(1) / f"part-{part:06d}.parquet").unlink()
     with pytest.raises(RecordError, match="was closed with 10 parts"):
@@ -127,35 +123,33 @@ def test_parts_that_are_removed_do_not_count(run: Path) -> None:
     assert _ticks(run) == ALL[:16]
 
 
-def _remove(run: Path) -> None:
+def _remove(run):
     _index(run).unlink()
 
 
-def _damage(run: Path) -> None:
+def _damage(run):
     content = bytearray(_index(run).read_bytes())
     content[4:200] = bytes(196)
     _index(run).write_bytes(content)
 
 
-def _cut_off(run: Path) -> None:
+def _cut_off(run):
     _index(run).write_bytes(_index(run).read_bytes()[:-50])
 
 
-def _take_another(run: Path) -> None:
+def _take_another(run):
     shutil.copy(_index(run, 0), _index(run))
 
 
 @pytest.mark.parametrize("change", [_remove, _damage, _cut_off, _take_another])
-def test_a_record_needs_no_index(run: Path, change, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_record_needs_no_index(run, change, monkeypatch):
     change(run)
     reads = Reads(monkeypatch)
     assert _ticks(run) == ALL
     assert len(reads.ticks) == PARTS
 
 
-def test_few_parts_have_no_index(
-    tmp_path: Path, client: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_few_parts_have_no_index(tmp_path, client, monkeypatch):
     world = ssduck.World.attach(client, name="lab")
     with ssduck.Interpreter(recording=None) as ss:
         ss.add_variable("lab", world)
@@ -167,13 +161,13 @@ def test_few_parts_have_no_index(
 
 
 @pytest.fixture
-def checks(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def checks(monkeypatch):
     """The files that are checked; a record has many parts if it has two."""
     monkeypatch.setattr(parquet_archive, "MANY_PARTS", 2)
     read: list[str] = []
     check = parquet_layout.FolderRun.check_data
 
-    def counted(run: parquet_layout.FolderRun, table: str, numbers: Iterable[int]) -> None:
+    def counted(run, table, numbers):
         for number in numbers:
             read.append(f"{table} {number}")
             check(run, table, [number])
@@ -182,7 +176,7 @@ def checks(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return read
 
 
-def test_a_part_is_checked_when_it_is_read(run: Path, checks: list[str]) -> None:
+def test_a_part_is_checked_when_it_is_read(run, checks):
     with ssduck.open(run) as ss:
         record = ss._database.records["lab"]
         assert checks == []
@@ -193,14 +187,14 @@ def test_a_part_is_checked_when_it_is_read(run: Path, checks: list[str]) -> None
         assert sorted(checks) == sorted(f"entities {part}" for part in range(PARTS))
 
 
-def _at(ss: ssduck.Interpreter, time: float, selected: str = "tick") -> list[Any]:
+def _at(ss, time, selected="tick"):
     """Returns the rows of a tick, by a program that is the same for all ticks."""
     ss.add_variable("T", time)
     return ss.eval(f"SELECT {selected} FROM lab{{T}} AS list;")
 
 
 @pytest.mark.slow
-def test_a_question_about_a_tick_checks_the_group_of_its_part(run: Path, checks: list[str]) -> None:
+def test_a_question_about_a_tick_checks_the_group_of_its_part(run, checks):
     """Ten parts are groups of three; any other statement has all of them checked."""
     with ssduck.open(run) as ss:
         times = ss.past("lab").times
@@ -222,7 +216,7 @@ def test_a_question_about_a_tick_checks_the_group_of_its_part(run: Path, checks:
 
 
 @pytest.mark.slow
-def test_a_damaged_part_is_in_no_answer(run: Path, checks: list[str]) -> None:
+def test_a_damaged_part_is_in_no_answer(run, checks):
     """An error at the ticks of its group, and of whatever reads all ticks."""
     file = run / "entities" / PLACE.format(1) / "part-000007.parquet"
     content = bytearray(file.read_bytes())
@@ -242,7 +236,7 @@ def test_a_damaged_part_is_in_no_answer(run: Path, checks: list[str]) -> None:
 
 
 @pytest.mark.slow
-def test_answers_about_a_tick_are_those_of_all(run: Path, checks: list[str]) -> None:
+def test_answers_about_a_tick_are_those_of_all(run, checks):
     with ssduck.open(run) as ss:
         found = [_at(ss, time, "z(this)") for time in ss.past("lab").times]
         whole = ss.sql("SELECT z FROM entities_history ORDER BY tick").fetchall()
@@ -250,9 +244,7 @@ def test_answers_about_a_tick_are_those_of_all(run: Path, checks: list[str]) -> 
 
 
 @pytest.mark.slow
-def test_the_log_of_a_record_of_many_parts_is_read(
-    run: Path, checks: list[str], client: int
-) -> None:
+def test_the_log_of_a_record_of_many_parts_is_read(run, checks, client):
     place, copy = run / "running", run / "copy"
     add_ball(client)
     world = ssduck.World.attach(client, name="lab")
@@ -272,7 +264,7 @@ def test_the_log_of_a_record_of_many_parts_is_read(
 
 
 @pytest.mark.slow
-def test_parts_of_other_ticks_are_not_read(run: Path, checks: list[str]) -> None:
+def test_parts_of_other_ticks_are_not_read(run, checks):
     """Of another group DuckDB reads the first file, for its columns; the others may be anything."""
     other = run / "entities" / PLACE.format(1) / "part-000007.parquet"
     with ssduck.open(run) as ss:
@@ -287,14 +279,14 @@ def test_parts_of_other_ticks_are_not_read(run: Path, checks: list[str]) -> None
             ss.eval("SELECT tick FROM lab{} AS list;")
 
 
-def test_missing_parts_are_noticed_at_once(run: Path, checks: list[str]) -> None:
+def test_missing_parts_are_noticed_at_once(run, checks):
     (run / "entities" / PLACE.format(1) / "part-000004.parquet").unlink()
     with pytest.raises(RecordError, match=r"part-000004.parquet is missing"):
         ssduck.open(run)
     assert checks == []
 
 
-def test_swapped_parts_are_noticed_when_they_are_read(run: Path, checks: list[str]) -> None:
+def test_swapped_parts_are_noticed_when_they_are_read(run, checks):
     parts = [run / "entities" / PLACE.format(1) / f"part-00000{n}.parquet" for n in (2, 5)]
     shutil.move(parts[0], run / "other")
     shutil.move(parts[1], parts[0])

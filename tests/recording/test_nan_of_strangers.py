@@ -14,7 +14,6 @@ import ssduck
 from ssduck.interchange.macros import macro_script
 from ssduck.interpreter.archives import folder_run
 from ssduck.recording.stores.files import write_parquet
-from tests.support.archive import Archive
 from tests.support.cases import sampled
 from tests.support.forged import make_records, part, rewrite_log, with_column, without_checksums
 from tests.support.rising_cups import write_rising_cups
@@ -30,13 +29,13 @@ NUMBERS = {
 
 
 @pytest.fixture(scope="module")
-def records(tmp_path_factory: pytest.TempPathFactory, archive: Archive) -> Path:
+def records(tmp_path_factory, archive):
     place = tmp_path_factory.mktemp("records")
     archive.copy(make_records, place)
     return place
 
 
-def some_nan(rows: pa.Table, columns: tuple[str, ...]) -> pa.Table:
+def some_nan(rows, columns):
     """Returns rows with NaN in some columns of every other row."""
     for name in columns:
         values = rows[name].to_numpy().copy()
@@ -45,7 +44,7 @@ def some_nan(rows: pa.Table, columns: tuple[str, ...]) -> pa.Table:
     return rows
 
 
-def store_nan(record: Path, table: str) -> None:
+def store_nan(record, table):
     columns = NUMBERS[table]
     if record.suffix:
         place = f'lab_record_0."{table} 0"'
@@ -62,7 +61,7 @@ def store_nan(record: Path, table: str) -> None:
 
 
 @pytest.fixture
-def record(records: Path, tmp_path: Path, request: pytest.FixtureRequest) -> Path:
+def record(records, tmp_path, request):
     source = records / request.param
     copy = shutil.copytree if source.is_dir() else shutil.copy
     return Path(copy(source, tmp_path / source.name))
@@ -75,7 +74,7 @@ CASES.remove(("unfinished", "contacts"))
 
 @pytest.mark.slow
 @sampled(("record", "table"), CASES, indirect=["record"], every=6)
-def test_sql_reads_null(record: Path, table: str) -> None:
+def test_sql_reads_null(record, table):
     history = f"{table}_history"
     with ssduck.open(record) as ss:
         before = dict(ss.sql(f"SELECT column_name, null FROM (DESCRIBE {history})").fetchall())
@@ -94,7 +93,7 @@ def test_sql_reads_null(record: Path, table: str) -> None:
         )
 
 
-def _counts(table: str) -> str:
+def _counts(table):
     """Returns the numbers of unknown values of columns, in SQL."""
     return ", ".join(f"count(*) FILTER ({name} IS NULL)" for name in NUMBERS[table])
 
@@ -112,7 +111,7 @@ PROGRAMS = (
 
 @pytest.mark.slow
 @sampled("record", KINDS, indirect=True, every=2)
-def test_selectscript_answers_as_for_null(record: Path, tmp_path: Path) -> None:
+def test_selectscript_answers_as_for_null(record, tmp_path):
     """The oracle is the same record with NULL in their place, as ssduck stores them."""
     store_nan(record, "entities")
     other = tmp_path / "null" / record.name
@@ -123,23 +122,23 @@ def test_selectscript_answers_as_for_null(record: Path, tmp_path: Path) -> None:
             assert ss.eval(program) == expected.eval(program), program
 
 
-def _copied(source: Path, target: Path) -> None:
+def _copied(source, target):
     target.parent.mkdir()
     shutil.copy(source, target)
 
 
-def _nan_in_entities(rows: pa.Table) -> pa.Table:
+def _nan_in_entities(rows):
     return some_nan(rows, NUMBERS["entities"])
 
 
-def _null_in_entities(rows: pa.Table) -> pa.Table:
+def _null_in_entities(rows):
     rows = _nan_in_entities(rows)
     for name in NUMBERS["entities"]:
         rows = with_column(name, pa.array(rows[name].to_numpy(), from_pandas=True))(rows)
     return rows
 
 
-def _with_null(record: Path) -> None:
+def _with_null(record):
     """Replaces NaN by NULL in the entities of a record."""
     if record.suffix:
         with duckdb.connect(record) as plain:
@@ -155,7 +154,7 @@ def _with_null(record: Path) -> None:
 
 @pytest.mark.slow
 @sampled("program", PROGRAMS, every=2)
-def test_lakes_answer_as_for_null(tmp_path: Path, program: str) -> None:
+def test_lakes_answer_as_for_null(tmp_path, program):
     records = [write_rising_cups(tmp_path / name / "record", 2, 4) for name in ("nan", "null")]
     for record, change in zip(records, (_nan_in_entities, _null_in_entities), strict=True):
         file = part(record, "entities")
@@ -181,7 +180,7 @@ DOORS = ("z > 1e9", "z IS NULL", "z < 1e9", "NOT z > -1e9", "z = 0")
 
 @pytest.mark.slow
 @pytest.mark.parametrize("statistics", [False, True])
-def test_all_doors_answer_the_same(tmp_path: Path, statistics: bool) -> None:
+def test_all_doors_answer_the_same(tmp_path, statistics):
     """NaN is NULL, whether a footer says of the column what other values it has, or nothing."""
     record = write_rising_cups(tmp_path / "record", 2, 4)
     for file in sorted(record.glob("entities/**/part-*.parquet")):
@@ -212,7 +211,7 @@ def test_all_doors_answer_the_same(tmp_path: Path, statistics: bool) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("record", ["folder", "file.duckdb"], indirect=True)
-def test_limits_that_are_nan_are_null(record: Path) -> None:
+def test_limits_that_are_nan_are_null(record):
     if record.suffix:
         with duckdb.connect(record) as plain:
             plain.execute("UPDATE lab_record_0.\"joints model\" SET upper = 'nan'")
@@ -233,7 +232,7 @@ def test_limits_that_are_nan_are_null(record: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("record", "table"), CASES, indirect=["record"])
-def test_a_record_that_ssduck_writes_has_null(record: Path, table: str, tmp_path: Path) -> None:
+def test_a_record_that_ssduck_writes_has_null(record, table, tmp_path):
     store_nan(record, table)
     with ssduck.open(record) as ss:
         ss.export(tmp_path / "exported")

@@ -33,7 +33,7 @@ def server():
 
 
 @pytest.fixture(scope="module")
-def places(server, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
+def places(server, tmp_path_factory):
     """The same run, recorded to the store and to a folder, in several parts and a log."""
     local, remote = tmp_path_factory.mktemp("store") / "run", "s3://lake/a b/run"
     client = pybullet.connect(pybullet.DIRECT)
@@ -52,11 +52,11 @@ def places(server, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]
     return remote, local
 
 
-def names(place: Path) -> set[str]:
+def names(place):
     return {str(file)[len(str(place)) :] for file in _files(place)}
 
 
-def _files(place: Path) -> list[Path]:
+def _files(place):
     if isinstance(place, ObjectPath):
         from pyarrow.fs import FileSelector
 
@@ -65,14 +65,14 @@ def _files(place: Path) -> list[Path]:
     return [file for file in place.rglob("*") if file.is_file()]
 
 
-def test_the_same_files_are_there(places: tuple[str, Path]) -> None:
+def test_the_same_files_are_there(places):
     remote, local = places
     assert names(expand_path(remote)) == names(local)
     assert "/ticks/world=lab/episode=0/part-000003.parquet" in names(local)
 
 
 @pytest.mark.long
-def test_the_same_rows_and_answers(places: tuple[str, Path]) -> None:
+def test_the_same_rows_and_answers(places):
     remote, local = places
     programs = [
         "SELECT id, z, tick FROM lab{} AS list;",
@@ -95,7 +95,7 @@ def test_the_same_rows_and_answers(places: tuple[str, Path]) -> None:
 
 
 @pytest.mark.long
-def test_a_running_recording_is_read_with_its_log(server) -> None:
+def test_a_running_recording_is_read_with_its_log(server):
     place = "s3://lake/running"
     client = pybullet.connect(pybullet.DIRECT)
     recording = ssduck.Recording(flush_every=0.02)
@@ -117,12 +117,12 @@ def test_a_running_recording_is_read_with_its_log(server) -> None:
     pybullet.disconnect(client)
 
 
-def _logs(place: str) -> list[Path]:
+def _logs(place):
     return [file for file in _files(expand_path(place)) if "/log/" in str(file)]
 
 
 @pytest.mark.slow
-def test_exports_to_the_store_and_from_it(places: tuple[str, Path], tmp_path: Path) -> None:
+def test_exports_to_the_store_and_from_it(places, tmp_path):
     remote, local = places
     with ssduck.open(local) as ss:
         ss.export("s3://lake/exported", entities=["board", "ball"], start=0.05)
@@ -138,12 +138,10 @@ def test_exports_to_the_store_and_from_it(places: tuple[str, Path], tmp_path: Pa
 
 
 @pytest.mark.slow
-def test_an_export_that_fails_leaves_no_episode(
-    places: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_export_that_fails_leaves_no_episode(places, monkeypatch):
     from ssduck.recording.stores import parquet
 
-    def fail(*_: object, **__: object) -> None:
+    def fail(*_, **__):
         raise OSError(28, "no room")
 
     with ssduck.open(places[1]) as ss, monkeypatch.context() as patch:
@@ -155,7 +153,7 @@ def test_an_export_that_fails_leaves_no_episode(
 
 
 @pytest.mark.long
-def test_poses_from_anywhere_tags_and_further_episodes(server) -> None:
+def test_poses_from_anywhere_tags_and_further_episodes(server):
     place = "s3://lake/written"
     for number in range(3):
         poses = np.full((4, 1, 3), number / 8)
@@ -169,7 +167,7 @@ def test_poses_from_anywhere_tags_and_further_episodes(server) -> None:
 
 
 @pytest.mark.long
-def test_the_commands_take_addresses(places: tuple[str, Path], tmp_path: Path) -> None:
+def test_the_commands_take_addresses(places, tmp_path):
     remote, _ = places
     assert "task=drop" in answer("episodes", remote)
     asked = ["query", remote, "SELECT id FROM lab WHERE isSphere(this) AS list;", "-F", "json"]
@@ -182,7 +180,7 @@ def test_the_commands_take_addresses(places: tuple[str, Path], tmp_path: Path) -
 
 
 @pytest.mark.slow
-def test_damaged_and_missing_objects_are_errors(places: tuple[str, Path]) -> None:
+def test_damaged_and_missing_objects_are_errors(places):
     with ssduck.open(places[1]) as ss:
         ss.export("s3://lake/damaged")
     part = expand_path("s3://lake/damaged/entities/world=lab/episode=0/part-000000.parquet")
@@ -206,7 +204,7 @@ def test_damaged_and_missing_objects_are_errors(places: tuple[str, Path]) -> Non
 
 
 @pytest.mark.slow
-def test_strict_limits_read_the_record_and_nothing_else(places: tuple[str, Path]) -> None:
+def test_strict_limits_read_the_record_and_nothing_else(places):
     remote, _ = places
     with ssduck.open(remote, limits=ssduck.Limits.strict(require=())) as ss:
         assert ss.eval("SELECT id FROM lab{0.1} WHERE above(lab{0.1}.board, this) AS list;") != []
@@ -217,9 +215,7 @@ def test_strict_limits_read_the_record_and_nothing_else(places: tuple[str, Path]
 
 
 @pytest.mark.slow
-def test_without_fsspec_the_error_says_what_to_install(
-    places: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_fsspec_the_error_says_what_to_install(places, monkeypatch):
     import sys
 
     monkeypatch.setitem(sys.modules, "fsspec.implementations.arrow", None)
@@ -230,7 +226,7 @@ def test_without_fsspec_the_error_says_what_to_install(
 # -- addresses as paths -------------------------------------------------------------------------
 
 
-def test_an_address_is_a_path() -> None:
+def test_an_address_is_a_path():
     path = expand_path("s3://bucket/a/run")
     assert isinstance(path, ObjectPath)
     assert str(path / "x" / "y.json") == "s3://bucket/a/run/x/y.json"
@@ -246,7 +242,7 @@ def test_an_address_is_a_path() -> None:
 
 
 @pytest.mark.slow
-def test_objects_are_listed_and_read(server) -> None:
+def test_objects_are_listed_and_read(server):
     place = ObjectPath("s3://lake/plain")
     assert (place.exists(), place.is_dir(), place.is_file()) == (False, False, False)
     assert list(place.iterdir()) == []
@@ -268,7 +264,7 @@ def test_objects_are_listed_and_read(server) -> None:
 
 
 @pytest.mark.long
-def test_live_worlds_that_change_are_recorded_to_the_store(server) -> None:
+def test_live_worlds_that_change_are_recorded_to_the_store(server):
     client = pybullet.connect(pybullet.DIRECT)
     with ssduck.Interpreter(recording=ALL) as ss:
         live_lab(ss, client)
@@ -283,7 +279,7 @@ def test_live_worlds_that_change_are_recorded_to_the_store(server) -> None:
 
 
 @pytest.mark.long
-def test_a_repair_renames_what_is_damaged(server) -> None:
+def test_a_repair_renames_what_is_damaged(server):
     place = "s3://lake/torn"
     for height in (1.0, 2.0):
         ssduck.write_record(place, ["cup"], {"cup": [[0, 0, height]]}, [0.0], world="lab")

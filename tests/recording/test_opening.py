@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import pybullet
 import pytest
@@ -17,7 +16,7 @@ HEIGHTS = [1.0, 2.0]
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def runs(tmp_path_factory):
     """A folder and a file with the same record of two spheres, of which one falls."""
     place = tmp_path_factory.mktemp("opening")
     client = pybullet.connect(pybullet.DIRECT)
@@ -35,16 +34,16 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 @pytest.fixture
-def work(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def work(monkeypatch):
     """The ticks that are restored and the rows that are read."""
     done: list[str] = []
     restore, rows = Record.restore, parquet_archive._rows_of_ticks
 
-    def counted_restore(record: Record, tick: int) -> object:
+    def counted_restore(record, tick):
         done.append(f"tick {tick}")
         return restore(record, tick)
 
-    def counted_rows(file: Path, *arguments: object) -> object:
+    def counted_rows(file, *arguments):
         done.append(file.parts[-4])
         return rows(file, *arguments)  # type: ignore[arg-type]
 
@@ -54,7 +53,7 @@ def work(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 @pytest.mark.parametrize("kind", ["folder", "file"])
-def test_the_past_needs_no_current_tick(runs: dict[str, Path], kind: str, work: list[str]) -> None:
+def test_the_past_needs_no_current_tick(runs, kind, work):
     with ssduck.open(runs[kind]) as ss:
         lab, ticks = ss.call_variable("lab"), ss.past("lab").ticks
         assert len(ticks) >= STEPS
@@ -84,7 +83,7 @@ READS: list[Callable[[ssduck.World], object]] = [
 
 
 @pytest.mark.parametrize("number", range(len(READS)))
-def test_whatever_is_read_first(runs: dict[str, Path], number: int) -> None:
+def test_whatever_is_read_first(runs, number):
     """It is the same as after a program about the current tick."""
     with ssduck.open(runs["folder"]) as first, ssduck.open(runs["folder"]) as second:
         second.eval("SELECT id FROM lab AS list;")
@@ -95,7 +94,7 @@ def test_whatever_is_read_first(runs: dict[str, Path], number: int) -> None:
 
 
 @pytest.mark.slow
-def test_raw_sql_reads_the_current_tick(runs: dict[str, Path]) -> None:
+def test_raw_sql_reads_the_current_tick(runs):
     with ssduck.open(runs["file"]) as ss:
         rows = ss.sql("SELECT name, tick FROM lab.entities ORDER BY name").fetchall()
         last = ss.past("lab").ticks[-1]

@@ -22,13 +22,13 @@ PRESENT = (*RECORDABLE, "geometries")
 PLACES = ("live", "parts", "copy", "file")
 
 
-def turned(chance: random.Random) -> list[float]:
+def turned(chance):
     turn = [chance.gauss(0, 1) for _ in range(4)]
     length = math.sqrt(sum(part * part for part in turn))
     return [part / length for part in turn]
 
 
-def crooked(client: int) -> ssduck.World:
+def crooked(client):
     """Bodies of every build, of which nothing is along an axis: some fall, one stands."""
     chance = random.Random(1)  # noqa: S311  # no secret
     own = {"physicsClientId": client}
@@ -77,14 +77,14 @@ def crooked(client: int) -> ssduck.World:
     return world
 
 
-def told(ss, tables: tuple[str, ...]) -> dict[str, list[str]]:
+def told(ss, tables):
     """The present tick: each row as text, which tells the last bit, and a 0.0 from a -0.0."""
     rows = {table: ss.sql(f"SELECT * FROM {table} ORDER BY ALL").fetchall() for table in tables}
     return {table: list(map(repr, found)) for table, found in rows.items()}
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory):
+def recorded(tmp_path_factory):
     """What a live world told at some ticks, and where it was recorded: all of it, or poses."""
     place = tmp_path_factory.mktemp("bits")
     client = pybullet.connect(pybullet.DIRECT)
@@ -114,7 +114,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory):
 
 @pytest.mark.slow
 @sampled("name", PLACES, every=4)
-def test_the_present_of_an_opened_record_is_as_it_was(recorded, name: str) -> None:
+def test_the_present_of_an_opened_record_is_as_it_was(recorded, name):
     place, live = recorded
     with ssduck.open(place / name) as ss:
         world = ss.call_variable("lab")
@@ -124,7 +124,7 @@ def test_the_present_of_an_opened_record_is_as_it_was(recorded, name: str) -> No
 
 
 @pytest.mark.slow
-def test_so_is_what_follows_from_poses_alone(recorded) -> None:
+def test_so_is_what_follows_from_poses_alone(recorded):
     place, live = recorded
     with ssduck.open(place / "poses") as ss:
         world = ss.call_variable("lab")
@@ -152,7 +152,7 @@ PROGRAMS = [
 
 
 @pytest.mark.long
-def test_parts_make_no_difference(recorded) -> None:
+def test_parts_make_no_difference(recorded):
     place, _ = recorded
     found = {}
     for name in PLACES:
@@ -177,7 +177,7 @@ def test_parts_make_no_difference(recorded) -> None:
 
 @pytest.mark.parametrize("count", [1, 2, 3, 5, 8, 15, 16, 17, 33])
 @pytest.mark.parametrize("start", [0, 1, 5])
-def test_a_pose_does_not_depend_on_those_beside_it(count: int, start: int) -> None:
+def test_a_pose_does_not_depend_on_those_beside_it(count, start):
     chance = np.random.default_rng(0)
     turns, others = chance.normal(size=(2, 64, 4))
     turns /= np.linalg.norm(turns, axis=1)[:, None]

@@ -23,7 +23,7 @@ PLACE = "world=lab/episode={}"
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(tmp_path_factory):
     """A record of two episodes of four parts each, of a ball that falls."""
     place = tmp_path_factory.mktemp("parts") / "run"
     client = pybullet.connect(pybullet.DIRECT)
@@ -47,28 +47,28 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def run(made: Path, tmp_path: Path) -> Path:
+def run(made, tmp_path):
     return Path(shutil.copytree(made, tmp_path / "run"))
 
 
-def part(run: Path, table: str, number: int, episode: int = 1) -> Path:
+def part(run, table, number, episode=1):
     return run / table / PLACE.format(episode) / part_name(number)
 
 
-def swap(one: Path, other: Path) -> None:
+def swap(one, other):
     between = one.with_name("between")
     one.rename(between)
     other.rename(one)
     between.rename(other)
 
 
-def without(run: Path, *numbers: int) -> None:
+def without(run, *numbers):
     for table in ("ticks", "entities", "links"):
         for number in numbers:
             part(run, table, number).unlink()
 
 
-def renamed_episode(run: Path) -> None:
+def renamed_episode(run):
     shutil.copy(run / "episodes" / "lab-0.json", run / "episodes" / "lab-1.json")
 
 
@@ -128,7 +128,7 @@ DAMAGES: list[tuple[str, Callable[[Path], object], str]] = [
 
 
 @pytest.mark.parametrize(("damage", "told"), [d[1:] for d in DAMAGES], ids=[d[0] for d in DAMAGES])
-def test_what_is_not_whole_is_noticed(run: Path, damage, told: str) -> None:
+def test_what_is_not_whole_is_noticed(run, damage, told):
     damage(run)
     episode = 1 if told else 0
     with pytest.raises(RecordError, match=told or "models/entities.* is missing"):
@@ -136,7 +136,7 @@ def test_what_is_not_whole_is_noticed(run: Path, damage, told: str) -> None:
 
 
 @pytest.mark.parametrize("left", range(1, PARTS))
-def test_a_record_that_ends_early_says_so(run: Path, left: int) -> None:
+def test_a_record_that_ends_early_says_so(run, left):
     without(run, *range(left, PARTS))
     with pytest.raises(RecordError, match=f"closed with {PARTS} parts"):
         ssduck.open(run)
@@ -148,14 +148,14 @@ def test_a_record_that_ends_early_says_so(run: Path, left: int) -> None:
     assert {warning.filename for warning in caught} == {__file__}
 
 
-def test_a_whole_one_says_nothing(run: Path) -> None:
+def test_a_whole_one_says_nothing(run):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         with ssduck.open(run) as ss:
             assert len(ss.past("lab").ticks) == 1 + 2 * PARTS
 
 
-def test_a_record_that_was_not_closed_ends_where_it_ends(run: Path) -> None:
+def test_a_record_that_was_not_closed_ends_where_it_ends(run):
     about = run / "episodes" / "lab-1.json"
     told = read_description(about)
     assert told.pop("parts")["ticks"] == PARTS

@@ -20,13 +20,13 @@ NAMES = [
 ]
 
 
-def ball(client) -> ssduck.World:
+def ball(client):
     shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
     pybullet.createMultiBody(1, shape, physicsClientId=client)
     return ssduck.World.attach(client)
 
 
-def ticks(path: Path) -> tuple[int, int]:
+def ticks(path):
     """How many ticks an opened record tells of, in SelectScript and in SQL."""
     with ssduck.open(path) as ss:
         (episode,) = ssduck.episodes(path)
@@ -38,7 +38,7 @@ def ticks(path: Path) -> tuple[int, int]:
 
 @pytest.mark.slow
 @POSIX
-def test_a_folder_is_the_one_of_that_name(client, tmp_path: Path) -> None:
+def test_a_folder_is_the_one_of_that_name(client, tmp_path):
     ss = ssduck.Interpreter()
     world = ss.add_variable("lab", ball(client))
     lengths = {}
@@ -54,7 +54,7 @@ def test_a_folder_is_the_one_of_that_name(client, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @POSIX
-def test_a_folder_in_the_working_directory_is_no_address(client, tmp_path, monkeypatch) -> None:
+def test_a_folder_in_the_working_directory_is_no_address(client, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     ss = ssduck.Interpreter()
     ss.add_variable("lab", ball(client)).step()
@@ -67,7 +67,7 @@ def test_a_folder_in_the_working_directory_is_no_address(client, tmp_path, monke
 
 
 @pytest.mark.slow
-def test_a_record_stays_where_it_began(client, tmp_path, monkeypatch) -> None:
+def test_a_record_stays_where_it_began(client, tmp_path, monkeypatch):
     there = tmp_path / "there"
     there.mkdir()
     monkeypatch.chdir(tmp_path)
@@ -89,7 +89,7 @@ def test_a_record_stays_where_it_began(client, tmp_path, monkeypatch) -> None:
 
 @pytest.mark.slow
 @POSIX
-def test_a_tilde_is_the_home_folder_through_every_door(client, tmp_path, monkeypatch) -> None:
+def test_a_tilde_is_the_home_folder_through_every_door(client, tmp_path, monkeypatch):
     home, here = tmp_path / "home", tmp_path / "here"
     home.mkdir()
     here.mkdir()
@@ -112,7 +112,7 @@ def test_a_tilde_is_the_home_folder_through_every_door(client, tmp_path, monkeyp
 
 @pytest.mark.long
 @POSIX
-def test_a_file_is_the_one_of_that_name(client, tmp_path: Path, monkeypatch) -> None:
+def test_a_file_is_the_one_of_that_name(client, tmp_path, monkeypatch):
     world = ball(client)
     monkeypatch.chdir(tmp_path)
     for length, name in enumerate(NAMES, 1):
@@ -129,7 +129,7 @@ def test_a_file_is_the_one_of_that_name(client, tmp_path: Path, monkeypatch) -> 
 @pytest.mark.slow
 @POSIX
 @sampled("name", ["a\\b", "a\\", "a\0b", "a\\*"], every=4)
-def test_a_name_that_duckdb_does_not_take_is_an_error(client, tmp_path: Path, name: str) -> None:
+def test_a_name_that_duckdb_does_not_take_is_an_error(client, tmp_path, name):
     with pytest.raises(SqlError, match="cannot be the path"):
         ssduck.Interpreter(tmp_path / name)
     assert list(tmp_path.iterdir()) == []

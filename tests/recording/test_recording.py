@@ -18,39 +18,39 @@ from ssduck.schema import recorded_tables
 class Store(TickStore):
     """Stores the rows that it is given, when it may."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.recording = Recording()
         self.tables = recorded_tables(self.recording.tables)
         self.failures = 0
         self.rows: list[dict[str, Any]] = []
 
-    def add_members(self, members: Any, geometry_id: Any) -> None:
+    def add_members(self, members, geometry_id):
         pass
 
-    def add(self, rows: Any, commit_lock: Any) -> None:
+    def add(self, rows, commit_lock):
         if self.failures:
             self.failures -= 1
             raise SqlError("the disk is full")
         with commit_lock:
             self.rows += [rows["entities"].select(["tick", "id", "z"]).to_pylist()]
 
-    def drop_before(self, tick: int) -> int:
+    def drop_before(self, tick):
         return tick
 
     @property
-    def stored(self) -> list[tuple[int, int]]:
+    def stored(self):
         return [(row["tick"], row["id"]) for part in self.rows for row in part]
 
 
 @pytest.fixture
-def world(client: int) -> ssduck.World:
+def world(client):
     ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
     for place in range(3):
         pybullet.createMultiBody(1, ball, basePosition=[place, 0, 1], physicsClientId=client)
     return ssduck.World.attach(client)
 
 
-def _recorded(world: ssduck.World, store: Any, **given: Any) -> tuple[Recorder, int]:
+def _recorded(world, store, **given):
     recorder = Recorder(Recording(**given), store, max_ticks=10)
     first = world.snapshot.number
     world.ticker.add_recorder(recorder)
@@ -58,7 +58,7 @@ def _recorded(world: ssduck.World, store: Any, **given: Any) -> tuple[Recorder, 
 
 
 @pytest.mark.slow
-def test_a_tick_waits_while_those_before_it_are_stored(world: ssduck.World) -> None:
+def test_a_tick_waits_while_those_before_it_are_stored(world):
     store = Store()
     recorder, first = _recorded(world, store)
     for ticks in range(1, 1000):
@@ -69,7 +69,7 @@ def test_a_tick_waits_while_those_before_it_are_stored(world: ssduck.World) -> N
     assert store.stored == [(tick, id) for tick in range(first, first + 1000) for id in (1, 2, 3)]
 
 
-def test_what_a_store_does_not_take_is_given_again(world: ssduck.World) -> None:
+def test_what_a_store_does_not_take_is_given_again(world):
     store = Store()
     recorder, first = _recorded(world, store)
     store.failures = 2
@@ -84,9 +84,7 @@ def test_what_a_store_does_not_take_is_given_again(world: ssduck.World) -> None:
     assert store.stored == [(t, id) for t in range(first, first + 101) for id in (1, 2, 3)]
 
 
-def test_entities_that_come_and_go_are_told_apart_in_a_ring(
-    world: ssduck.World, client: int
-) -> None:
+def test_entities_that_come_and_go_are_told_apart_in_a_ring(world, client):
     store = Store()
     recorder, first = _recorded(world, store)
     for _ in range(4):
@@ -102,7 +100,7 @@ def test_entities_that_come_and_go_are_told_apart_in_a_ring(
 
 @pytest.mark.long
 @pytest.mark.parametrize("flushed", [1, 7, 5000])
-def test_what_is_flushed_often_is_put_together(world: ssduck.World, flushed: int) -> None:
+def test_what_is_flushed_often_is_put_together(world, flushed):
     with ssduck.Interpreter(recording=Recording()) as ss:
         ss.add_variable("lab", world)
         first = world.snapshot.number
@@ -116,7 +114,7 @@ def test_what_is_flushed_often_is_put_together(world: ssduck.World, flushed: int
 
 
 @pytest.mark.long
-def test_what_was_fetched_stays_as_it_was(world: ssduck.World) -> None:
+def test_what_was_fetched_stays_as_it_was(world):
     with ssduck.Interpreter(recording=Recording(ticks=1600)) as ss:
         ss.add_variable("lab", world)
         kept = []

@@ -13,21 +13,18 @@ from ssduck.interchange.conversion import write_runs
 from ssduck.recording import folder_check
 from ssduck.recording.folder_episodes import runs_in
 from ssduck.recording.stores.files import write_atomically
-from tests.support.archive import Archive
 from tests.support.forged import make_records, part
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory, archive: Archive) -> Path:
+def made(tmp_path_factory, archive):
     place = tmp_path_factory.mktemp("linked")
     archive.copy(make_records, place)
     return place
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_nothing_is_written_through_links_with_the_names_of_unfinished_files(
-    made: Path, tmp_path: Path
-) -> None:
+def test_nothing_is_written_through_links_with_the_names_of_unfinished_files(made, tmp_path):
     record, outside = Path(shutil.copytree(made / "folder", tmp_path / "record")), tmp_path / "mine"
     part(record, "ticks").write_bytes(b"torn")
     outside.write_text("mine")
@@ -44,13 +41,11 @@ def test_nothing_is_written_through_links_with_the_names_of_unfinished_files(
     assert (record / "a.mcap").is_file()
 
 
-def test_a_repair_that_cannot_write_is_an_error_of_the_record(
-    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_repair_that_cannot_write_is_an_error_of_the_record(made, tmp_path, monkeypatch):
     record = Path(shutil.copytree(made / "folder", tmp_path / "record"))
     part(record, "ticks").write_bytes(b"torn")
 
-    def fails(file: Path) -> None:
+    def fails(file):
         raise OSError(27, "File too large")
 
     monkeypatch.setattr(folder_check, "set_aside", fails)
@@ -58,7 +53,7 @@ def test_a_repair_that_cannot_write_is_an_error_of_the_record(
         ssduck.check(record, repair=True)
 
 
-def test_a_link_to_nothing_is_set_aside(made: Path, tmp_path: Path) -> None:
+def test_a_link_to_nothing_is_set_aside(made, tmp_path):
     record = Path(shutil.copytree(made / "folder", tmp_path / "record"))
     (record / "gym").mkdir()
     (record / "gym/lab-0.json").symlink_to(record / "nothing")
@@ -68,13 +63,13 @@ def test_a_link_to_nothing_is_set_aside(made: Path, tmp_path: Path) -> None:
     assert not ssduck.check(record)
 
 
-def test_what_is_no_record_is_said_as_before(tmp_path: Path) -> None:
+def test_what_is_no_record_is_said_as_before(tmp_path):
     with pytest.raises(RecordError, match=f"^{tmp_path} is no record of ssduck"):
         ssduck.check(tmp_path)
 
 
-def test_ctrl_c_leaves_no_unfinished_file(tmp_path: Path) -> None:
-    def write(place: Path) -> None:
+def test_ctrl_c_leaves_no_unfinished_file(tmp_path):
+    def write(place):
         place.write_text("half")
         raise KeyboardInterrupt
 

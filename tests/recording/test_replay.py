@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
-from typing import Any
 
 import pybullet
 import pytest
@@ -12,12 +10,11 @@ import pytest
 import ssduck
 from ssduck.errors import EvaluationError, UnsupportedError
 from ssduck.schema import RECORDABLE
-from tests.support.archive import Archive
 from tools import replay
 
 
 @pytest.mark.long
-def test_a_record_answers_as_the_live_world_did(tmp_path: Path) -> None:
+def test_a_record_answers_as_the_live_world_did(tmp_path):
     live = replay.recorded(tmp_path / "run", 0.5, 12, seed=3)
     again = replay.replayed(tmp_path / "run", list(live.results))
     assert len(live.results) == 10
@@ -25,13 +22,13 @@ def test_a_record_answers_as_the_live_world_did(tmp_path: Path) -> None:
     assert replay.differences(live, again) == []
 
 
-def test_what_differs_is_found() -> None:
+def test_what_differs_is_found():
     live = replay.RunResults({1.0: ["[1]", "[2]"], 2.0: ["[]"]}, [(1.0, "[]")])
     again = replay.RunResults({1.0: ["[1]", "[3]"]}, [])
     assert len(replay.differences(live, again)) == 3
 
 
-def write_a_second(place: Path) -> None:
+def write_a_second(place):
     with ssduck.load("kitchen") as ss:
         kitchen = ss.call_variable("kitchen")
         with ss.record_to(place):
@@ -40,14 +37,14 @@ def write_a_second(place: Path) -> None:
 
 
 @pytest.fixture
-def opened(tmp_path: Path, archive: Archive) -> Any:
+def opened(tmp_path, archive):
     """A second of the kitchen, a tick each 24 steps, and the record of it, opened."""
     archive.copy(write_a_second, tmp_path / "run")
     with ssduck.open(tmp_path / "run") as record:
         yield record, record.call_variable("kitchen")
 
 
-def test_a_record_is_gone_through(opened: Any) -> None:
+def test_a_record_is_gone_through(opened):
     ss, kitchen = opened
     assert kitchen.time == pytest.approx(1.0)
     assert kitchen.timestep == pytest.approx(0.1)
@@ -67,7 +64,7 @@ def test_a_record_is_gone_through(opened: Any) -> None:
 
 
 @pytest.mark.slow
-def test_a_query_holds_the_record_at_its_tick(opened: Any) -> None:
+def test_a_query_holds_the_record_at_its_tick(opened):
     ss, kitchen = opened
     ss.add_function("goes_on", lambda _: kitchen.seek(0.0) is not None, "")
     with pytest.raises(ssduck.SelectScriptError, match="a query on 'kitchen' is running"):
@@ -106,7 +103,7 @@ OF_TWO_TICKS = (
 )
 
 
-def outcome(ss: ssduck.Interpreter, program: str) -> str:
+def outcome(ss, program):
     """What a program gives, or the kind of its error and what it says, but for numbers of ticks."""
     try:
         return re.sub(r"\w*World ", "World ", repr(ss.eval(program)))
@@ -115,7 +112,7 @@ def outcome(ss: ssduck.Interpreter, program: str) -> str:
 
 
 @pytest.mark.slow
-def test_programs_of_two_ticks_end_alike_live_and_opened(tmp_path: Path, client: int) -> None:
+def test_programs_of_two_ticks_end_alike_live_and_opened(tmp_path, client):
     box = {"halfExtents": [0.5, 0.5, 0.1], "physicsClientId": client}
     shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, **box)
     pybullet.setGravity(0, 0, -9.81, client)

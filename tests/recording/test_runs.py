@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from pathlib import Path
 
 import pybullet
 import pytest
@@ -21,7 +20,7 @@ GAPS = (0.0, 0.3)
 RADIUS = 0.5
 
 
-def balls(client: int, apart: float) -> ssduck.World:
+def balls(client, apart):
     shape = pybullet.createCollisionShape(
         pybullet.GEOM_SPHERE, radius=RADIUS, physicsClientId=client
     )
@@ -31,7 +30,7 @@ def balls(client: int, apart: float) -> ssduck.World:
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """A record of two episodes of one world's name."""
     place = tmp_path_factory.mktemp("runs") / "r"
     for apart in APART:
@@ -44,19 +43,19 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def opened(folder: Path):
+def opened(folder):
     with ssduck.open(folder) as ss:  # episode 1
         yield ss
 
 
-def rows_of(folder: Path, episode: int | None = None) -> str:
+def rows_of(folder, episode=None):
     chosen = "" if episode is None else f" WHERE episode = {episode}"
     return (
         f"(FROM read_parquet('{folder}/entities/**/*.parquet', hive_partitioning = true){chosen})"
     )
 
 
-def asked(ss, what: str, rows: str):
+def asked(ss, what, rows):
     return ss.sql(
         f"WITH e AS {rows} SELECT {what} FROM e AS a JOIN e AS b USING (world, episode, tick) "
         "WHERE a.id < b.id"
@@ -81,7 +80,7 @@ ANSWERS = {
 
 
 @pytest.mark.parametrize("what", ANSWERS)
-def test_rows_of_the_opened_episode_are_answered(opened, folder, what: str) -> None:
+def test_rows_of_the_opened_episode_are_answered(opened, folder, what):
     assert asked(opened, what, rows_of(folder, 1)) == [(pytest.approx(ANSWERS[what]),)] * 2
 
 
@@ -90,7 +89,7 @@ FOREIGN = [what for what in ANSWERS if not what.startswith("touching")]
 
 
 @pytest.mark.parametrize("what", FOREIGN)
-def test_rows_of_another_episode_are_an_error(opened, folder, what: str) -> None:
+def test_rows_of_another_episode_are_an_error(opened, folder, what):
     with pytest.raises(SelectScriptError, match=r"belongs to the run|of another run"):
         asked(opened, what, rows_of(folder, 0))
     with pytest.raises(SelectScriptError, match=r"belongs to the run|of another run"):
@@ -98,7 +97,7 @@ def test_rows_of_another_episode_are_an_error(opened, folder, what: str) -> None
 
 
 @pytest.mark.slow
-def test_each_episode_answers_for_its_own_rows(folder) -> None:
+def test_each_episode_answers_for_its_own_rows(folder):
     for episode, gap in enumerate(GAPS):
         with ssduck.open(folder, episode=episode) as ss:
             told = asked(ss, "clearance(a, b), collides(a, b)", rows_of(folder, episode))
@@ -108,7 +107,7 @@ def test_each_episode_answers_for_its_own_rows(folder) -> None:
 
 
 @pytest.mark.slow
-def test_another_world_answers_for_none_of_them(folder) -> None:
+def test_another_world_answers_for_none_of_them(folder):
     with ssduck.load("kitchen") as ss:
         for what in ("clearance(a, b)", "collides(a, b)"):
             with pytest.raises(EvaluationError, match="belongs to the run"):
@@ -131,7 +130,7 @@ def live():
 
 
 @pytest.mark.slow
-def test_rows_that_were_copied_are_answered_from_their_tick(live) -> None:
+def test_rows_that_were_copied_are_answered_from_their_tick(live):
     live.sql("CREATE OR REPLACE TABLE copied AS SELECT * FROM entities_history")
     told = live.sql(
         "SELECT clearance(a, b) FROM copied a JOIN copied b USING (tick) WHERE a.id < b.id ORDER BY tick"
@@ -152,12 +151,12 @@ CHANGED = [
 
 
 @pytest.mark.parametrize(("columns", "error", "told"), CHANGED, ids=[row[0] for row in CHANGED])
-def test_rows_that_were_changed_are_an_error(live, columns: str, error, told: str) -> None:
+def test_rows_that_were_changed_are_an_error(live, columns, error, told):
     with pytest.raises(error, match=told):
         live.sql(f"SELECT clearance(a, b) FROM (SELECT {columns} FROM entities) a, entities b")
 
 
-def test_what_is_no_row_is_unknown(live) -> None:
+def test_what_is_no_row_is_unknown(live):
     told = live.sql(
         "SELECT clearance(a, b), collides(a, b) FROM entities a LEFT JOIN entities b ON false"
     )
@@ -167,7 +166,7 @@ def test_what_is_no_row_is_unknown(live) -> None:
 
 
 @pytest.mark.slow
-def test_rows_of_two_ticks_are_an_error(live) -> None:
+def test_rows_of_two_ticks_are_an_error(live):
     shapes = ("clearance(a, b)", "near(a, b, 0.01)", "collides(a, b)", "inside(a, b)")
     for what in (*shapes, "inContact(a, b)", "contactForce(a, b)", "isSensing(a, b)"):
         for same in ("a.id = b.id", "a.id < b.id"):
@@ -179,7 +178,7 @@ def test_rows_of_two_ticks_are_an_error(live) -> None:
 
 
 @pytest.mark.slow
-def test_a_what_if_world_is_another_run(live) -> None:
+def test_a_what_if_world_is_another_run(live):
     world = live.call_variable("lab")
     first = next(iter(world)).name
     live.add_variable("moved", world.what_if({first: [1, 0, 0, 0, 0.5, 0, 0]}))
@@ -197,7 +196,7 @@ def test_a_what_if_world_is_another_run(live) -> None:
 
 
 @pytest.mark.slow
-def test_a_run_is_the_same_wherever_it_is_kept(tmp_path: Path, client: int) -> None:
+def test_a_run_is_the_same_wherever_it_is_kept(tmp_path, client):
     file = tmp_path / "r.duckdb"
     with ssduck.Interpreter(file, recording=ALL) as ss:
         world = ss.add_variable("lab", balls(client, 0.8))
@@ -216,7 +215,7 @@ def test_a_run_is_the_same_wherever_it_is_kept(tmp_path: Path, client: int) -> N
 
 
 @pytest.mark.slow
-def test_a_record_that_does_not_tell_runs_is_an_error(folder: Path, tmp_path: Path) -> None:
+def test_a_record_that_does_not_tell_runs_is_an_error(folder, tmp_path):
     other = tmp_path / "other"
     shutil.copytree(folder, other)
     without_checksums(other)

@@ -21,7 +21,7 @@ POSE = "x, y, z, qw, qx, qy, qz"
 
 
 @pytest.fixture(scope="module")
-def records(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def records(tmp_path_factory):
     """A folder with the records, unpacked."""
     place = tmp_path_factory.mktemp("stored")
     with tarfile.open(DATA / "records-1.tar.xz") as packed:
@@ -31,12 +31,12 @@ def records(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_stored_record_has_the_same_answers(records: Path, kind: str) -> None:
+def test_a_stored_record_has_the_same_answers(records, kind):
     assert_answers(records, records / kind)
 
 
 @pytest.mark.parametrize("version", [2, 0, "1"])
-def test_a_record_of_another_version_is_an_error(records: Path, version: object) -> None:
+def test_a_record_of_another_version_is_an_error(records, version):
     about = json.loads((records / "run" / "ssduck.json").read_text())
     about.pop("crc32")
     (records / "other" / "episodes").mkdir(parents=True, exist_ok=True)
@@ -47,14 +47,14 @@ def test_a_record_of_another_version_is_an_error(records: Path, version: object)
             door(records / "other")
 
 
-def assert_answers(records: Path, place: Path) -> None:
+def assert_answers(records, place):
     """Checks what a record of the small world says against what PyBullet said."""
     expected: list[dict[str, Any]] = json.loads((records / "expected.json").read_text("utf-8"))
     ticks = [told["tick"] for told in expected]
     with ssduck.open(place) as ss:
         assert ss.past("lab").ticks[-len(ticks) :] == ticks
 
-        def rows(columns: str, table: str, condition: str = "true") -> list[list[float]]:
+        def rows(columns, table, condition="true"):
             found = ss.sql(
                 f"SELECT {columns} FROM lab.{table}_history WHERE tick >= ? AND {condition} "
                 "ORDER BY tick",

@@ -8,7 +8,6 @@ import subprocess
 import sys
 import threading
 import weakref
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,6 @@ from ssduck import Recording
 from ssduck.database import worlds, writer
 from ssduck.database.writer import WriterConnection
 from ssduck.errors import SqlError
-from ssduck.recording.recorder import Recorder
 from tests.support.cases import sampled
 from tests.support.timing import HANGS
 
@@ -41,20 +39,20 @@ class Gate:
         failures: so many times an insertion fails.
     """
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, monkeypatch):
         self.reached, self.opened = threading.Event(), threading.Event()
         self.failures = 0
         self._held = ""
         run = WriterConnection.run
 
-        def told(own: WriterConnection, sql: str) -> None:
+        def told(own, sql):
             if threading.current_thread().name == "ssduck stores":
                 self._pass(sql)
             run(own, sql)
 
         monkeypatch.setattr(WriterConnection, "run", told)
 
-    def _pass(self, sql: str) -> None:
+    def _pass(self, sql):
         if self._held and sql.startswith(self._held):
             self.reached.set()
             assert self.opened.wait(60)
@@ -62,20 +60,20 @@ class Gate:
             self.failures -= 1
             raise SqlError("the disk is full")
 
-    def hold(self, statement: str) -> None:
+    def hold(self, statement):
         """Hold up statements that begin so."""
         self._held = statement
 
 
 @pytest.fixture
-def gate(monkeypatch: pytest.MonkeyPatch) -> Iterator[Gate]:
+def gate(monkeypatch):
     gate = Gate(monkeypatch)
     yield gate
     gate.opened.set()
 
 
 @pytest.fixture
-def world(client: int, monkeypatch: pytest.MonkeyPatch) -> ssduck.World:
+def world(client, monkeypatch):
     """A world of falling balls; a file takes its ticks ten at a time, and each time a checkpoint."""
     monkeypatch.setattr(worlds, "BUFFERED_TICKS", RING)
     monkeypatch.setattr(writer, "LONG_LOG", 1)
@@ -86,38 +84,38 @@ def world(client: int, monkeypatch: pytest.MonkeyPatch) -> ssduck.World:
 
 
 @pytest.fixture
-def recorded(world: ssduck.World, tmp_path: Path) -> Iterator[ssduck.Interpreter]:
+def recorded(world, tmp_path):
     with ssduck.Interpreter(str(tmp_path / "run.duckdb"), recording=FULL) as ss:
         ss.add_variable("lab", world)
         yield ss
 
 
-def _recorder(ss: ssduck.Interpreter) -> Recorder:
+def _recorder(ss):
     return ss._database._recorders.running[0]
 
 
-def _ticked(world: ssduck.World, until: int) -> None:
+def _ticked(world, until):
     while world.snapshot.number < until:
         world.tick()
 
 
-def _counts(ss: ssduck.Interpreter) -> dict[int, int]:
+def _counts(ss):
     query = "SELECT tick, count(*) FROM entities_history GROUP BY tick ORDER BY tick"
     return dict(ss.sql(query).fetchall())
 
 
-def _whole(last: int, first: int = 1) -> dict[int, int]:
+def _whole(last, first=1):
     return dict.fromkeys(range(first, last + 1), BALLS)
 
 
-def _in_thread(call: Callable[[], Any]) -> tuple[threading.Thread, list[Any]]:
+def _in_thread(call):
     found: list[Any] = []
     thread = threading.Thread(target=lambda: found.append(call()))
     thread.start()
     return thread, found
 
 
-def _storers() -> list[threading.Thread]:
+def _storers():
     return [thread for thread in threading.enumerate() if thread.name == "ssduck stores"]
 
 
@@ -125,9 +123,7 @@ def _storers() -> list[threading.Thread]:
 
 
 @pytest.mark.slow
-def test_what_is_being_stored_is_seen_once(
-    recorded: ssduck.Interpreter, world: ssduck.World, gate: Gate
-) -> None:
+def test_what_is_being_stored_is_seen_once(recorded, world, gate):
     gate.hold("INSERT")
     _ticked(world, RING + 5)
     assert gate.reached.wait(60)
@@ -149,9 +145,7 @@ def test_what_is_being_stored_is_seen_once(
 
 
 @pytest.mark.slow
-def test_a_query_and_a_commit_wait_for_each_other(
-    recorded: ssduck.Interpreter, world: ssduck.World, gate: Gate
-) -> None:
+def test_a_query_and_a_commit_wait_for_each_other(recorded, world, gate):
     gate.hold("COMMIT")
     _ticked(world, RING + 1)
     assert gate.reached.wait(60)
@@ -164,9 +158,7 @@ def test_a_query_and_a_commit_wait_for_each_other(
 
 
 @pytest.mark.slow
-def test_nothing_is_made_good_amid_a_query(
-    recorded: ssduck.Interpreter, world: ssduck.World
-) -> None:
+def test_nothing_is_made_good_amid_a_query(recorded, world):
     _ticked(world, RING)
     recorder = _recorder(recorded)
     with recorded._database.pinned():
@@ -181,12 +173,10 @@ def test_nothing_is_made_good_amid_a_query(
 
 
 @pytest.mark.slow
-def test_queries_see_whole_ticks_while_they_are_stored(
-    recorded: ssduck.Interpreter, world: ssduck.World
-) -> None:
+def test_queries_see_whole_ticks_while_they_are_stored(recorded, world):
     ends = threading.Event()
 
-    def stepping() -> None:
+    def stepping():
         while not ends.is_set():
             world.tick()
 
@@ -206,9 +196,7 @@ def test_queries_see_whole_ticks_while_they_are_stored(
 
 
 @pytest.mark.slow
-def test_entities_that_come_while_others_are_stored(
-    recorded: ssduck.Interpreter, world: ssduck.World, client: int, gate: Gate
-) -> None:
+def test_entities_that_come_while_others_are_stored(recorded, world, client, gate):
     gate.hold("INSERT")
     _ticked(world, RING + 1)
     assert gate.reached.wait(60)
@@ -226,9 +214,7 @@ def test_entities_that_come_while_others_are_stored(
 
 
 @pytest.mark.slow
-def test_a_tick_waits_when_both_are_full(
-    recorded: ssduck.Interpreter, world: ssduck.World, gate: Gate
-) -> None:
+def test_a_tick_waits_when_both_are_full(recorded, world, gate):
     gate.hold("INSERT")
     thread, _ = _in_thread(lambda: _ticked(world, 10 * RING))
     assert gate.reached.wait(60)
@@ -243,13 +229,11 @@ def test_a_tick_waits_when_both_are_full(
 
 
 @pytest.mark.slow
-def test_a_tick_that_waited_until_ctrl_c_is_kept(
-    recorded: ssduck.Interpreter, world: ssduck.World, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_tick_that_waited_until_ctrl_c_is_kept(recorded, world, monkeypatch):
     _ticked(world, RING)
     recorder = _recorder(recorded)
 
-    def interrupted() -> None:
+    def interrupted():
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
@@ -262,9 +246,7 @@ def test_a_tick_that_waited_until_ctrl_c_is_kept(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("call", ["flush", "close"])
-def test_flush_and_close_wait(
-    recorded: ssduck.Interpreter, world: ssduck.World, gate: Gate, tmp_path: Path, call: str
-) -> None:
+def test_flush_and_close_wait(recorded, world, gate, tmp_path, call):
     gate.hold("INSERT")
     _ticked(world, RING + 4)
     assert gate.reached.wait(60)
@@ -280,7 +262,7 @@ def test_flush_and_close_wait(
 
 
 @pytest.mark.slow
-def test_a_world_that_is_recorded_anew_while_it_is_stored(world: ssduck.World, gate: Gate) -> None:
+def test_a_world_that_is_recorded_anew_while_it_is_stored(world, gate):
     with ssduck.Interpreter(recording=Recording(changed=True)) as ss:  # in memory, yet in tables
         ss.add_variable("lab", world)
         gate.hold("INSERT")
@@ -294,7 +276,7 @@ def test_a_world_that_is_recorded_anew_while_it_is_stored(world: ssduck.World, g
 
 
 @pytest.mark.slow
-def test_old_ticks_of_a_file_are_dropped(world: ssduck.World, tmp_path: Path) -> None:
+def test_old_ticks_of_a_file_are_dropped(world, tmp_path):
     kept = Recording(ticks=8 * RING, flush_every=None)
     with ssduck.Interpreter(str(tmp_path / "run.duckdb"), recording=kept) as ss:
         ss.add_variable("lab", world)
@@ -311,9 +293,7 @@ def test_old_ticks_of_a_file_are_dropped(world: ssduck.World, tmp_path: Path) ->
 
 @pytest.mark.slow
 @sampled("told", ["tick", "flush", "close"], every=3)
-def test_what_fails_in_the_thread_is_told_and_waits(
-    recorded: ssduck.Interpreter, world: ssduck.World, gate: Gate, tmp_path: Path, told: str
-) -> None:
+def test_what_fails_in_the_thread_is_told_and_waits(recorded, world, gate, tmp_path, told):
     gate.failures = 1
     gate.hold("INSERT")
     _ticked(world, RING + 1)
@@ -334,9 +314,7 @@ def test_what_fails_in_the_thread_is_told_and_waits(
 
 
 @pytest.mark.slow
-def test_what_fails_again_and_again(
-    recorded: ssduck.Interpreter, world: ssduck.World, gate: Gate, tmp_path: Path
-) -> None:
+def test_what_fails_again_and_again(recorded, world, gate, tmp_path):
     gate.failures = 3
     failures = 0
     for _ in range(6 * RING):
@@ -354,10 +332,8 @@ def test_what_fails_again_and_again(
         assert _counts(then) == _whole(6 * RING + 1)
 
 
-def test_a_log_that_cannot_be_moved_is_told_at_flush(
-    recorded: ssduck.Interpreter, world: ssduck.World, gate: Gate, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fails(_: Any) -> None:
+def test_a_log_that_cannot_be_moved_is_told_at_flush(recorded, world, gate, monkeypatch):
+    def fails(_):
         raise SqlError("no checkpoint")
 
     with monkeypatch.context() as patch:
@@ -375,9 +351,7 @@ def test_a_log_that_cannot_be_moved_is_told_at_flush(
 
 
 @pytest.mark.slow
-def test_an_interpreter_that_is_forgotten_while_it_stores(
-    world: ssduck.World, gate: Gate, tmp_path: Path
-) -> None:
+def test_an_interpreter_that_is_forgotten_while_it_stores(world, gate, tmp_path):
     path = tmp_path / "run.duckdb"
     ss = ssduck.Interpreter(str(path), recording=FULL)
     ss.add_variable("lab", world)
@@ -395,16 +369,14 @@ def test_an_interpreter_that_is_forgotten_while_it_stores(
 
 
 @pytest.mark.slow
-def test_garbage_is_collected_in_the_thread_that_stores(
-    world: ssduck.World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_garbage_is_collected_in_the_thread_that_stores(world, tmp_path, monkeypatch):
     path = tmp_path / "run.duckdb"
     ss: Any = ssduck.Interpreter(str(path), recording=FULL)
     ss.add_variable("lab", world)
     finish = ss._database.connection._finalizer
     run, ended = WriterConnection.run, threading.Event()
 
-    def told(own: WriterConnection, sql: str) -> None:
+    def told(own, sql):
         if threading.current_thread().name == "ssduck stores" and sql == "BEGIN":
             finish()  # as the collector of garbage would
             ended.set()
@@ -452,7 +424,7 @@ ENDS = {
 @pytest.mark.slow
 @POSIX
 @sampled("end", ENDS, every=3)
-def test_a_process_that_ends_while_it_stores(tmp_path: Path, end: str) -> None:
+def test_a_process_that_ends_while_it_stores(tmp_path, end):
     path = tmp_path / "run.duckdb"
     subprocess.run(
         [sys.executable, "-c", SCRIPT + ENDS[end], str(path)], check=True, timeout=HANGS, cwd=ROOT

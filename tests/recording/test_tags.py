@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from concurrent.futures import ThreadPoolExecutor
 from multiprocessing import get_context
-from pathlib import Path
 from uuid import UUID
 
 import pytest
@@ -24,18 +23,18 @@ ENTITIES = Recording(tables=("entities",))
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def scene(tmp_path_factory):
     return write_scene(tmp_path_factory.mktemp("scene")) / "two.toml"
 
 
-def recorded(scene: Path, place: Path, tags: dict | None = None) -> ssduck.Episode:
+def recorded(scene, place, tags=None):
     with ssduck.load(scene) as ss, ss.record_to(place, recording=ENTITIES, tags=tags):
         ss.run(0.02)
     return ssduck.episodes(place)[-1]
 
 
 @pytest.mark.slow
-def test_each_run_has_an_id_of_its_own_that_stays(scene: Path, tmp_path: Path) -> None:
+def test_each_run_has_an_id_of_its_own_that_stays(scene, tmp_path):
     made = [recorded(scene, tmp_path / name) for name in ("a", "b", "b")]
     assert len({UUID(episode.id) for episode in made}) == 3
     assert {UUID(episode.id).version for episode in made} == {4}
@@ -44,7 +43,7 @@ def test_each_run_has_an_id_of_its_own_that_stays(scene: Path, tmp_path: Path) -
 
 
 @pytest.mark.slow
-def test_tags_are_read_back_with_their_types(scene: Path, tmp_path: Path) -> None:
+def test_tags_are_read_back_with_their_types(scene, tmp_path):
     assert recorded(scene, tmp_path / "a", TAGS).tags == TAGS
     assert [type(tag) for tag in recorded(scene, tmp_path / "a", TAGS).tags.values()] == [
         str,
@@ -56,7 +55,7 @@ def test_tags_are_read_back_with_their_types(scene: Path, tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
-def test_a_running_recording_and_a_closed_one_get_further_tags(scene: Path, tmp_path: Path) -> None:
+def test_a_running_recording_and_a_closed_one_get_further_tags(scene, tmp_path):
     with (
         ssduck.load(scene) as ss,
         ss.record_to(tmp_path / "r", recording=ENTITIES, tags={"task": "pick"}) as recording,
@@ -72,13 +71,13 @@ def test_a_running_recording_and_a_closed_one_get_further_tags(scene: Path, tmp_
     assert ssduck.check(tmp_path / "r") == []
 
 
-def tag_many(place: Path, name: str) -> None:
+def tag_many(place, name):
     for number in range(20):
         write_tags(FolderRun(place, "two", 0), {f"{name}_{number}": number})
 
 
 @pytest.mark.slow
-def test_threads_and_processes_tag_an_episode_that_ends(scene: Path, tmp_path: Path) -> None:
+def test_threads_and_processes_tag_an_episode_that_ends(scene, tmp_path):
     place = tmp_path / "r"
     process = get_context("spawn").Process(target=tag_many, args=(place, "process"))
     with ThreadPoolExecutor() as pool:
@@ -96,9 +95,7 @@ def test_threads_and_processes_tag_an_episode_that_ends(scene: Path, tmp_path: P
 
 
 @pytest.mark.slow
-def test_a_database_has_ids_and_tags_and_an_export_keeps_the_tags(
-    scene: Path, tmp_path: Path
-) -> None:
+def test_a_database_has_ids_and_tags_and_an_export_keeps_the_tags(scene, tmp_path):
     file = tmp_path / "r.duckdb"
     with ssduck.load(scene, file, recording=None) as ss:
         ss.record("two", ENTITIES, tags=TAGS)
@@ -113,7 +110,7 @@ def test_a_database_has_ids_and_tags_and_an_export_keeps_the_tags(
 
 
 @pytest.mark.slow
-def test_a_memory_record_is_exported_with_its_tags(scene: Path, tmp_path: Path) -> None:
+def test_a_memory_record_is_exported_with_its_tags(scene, tmp_path):
     with ssduck.load(scene) as ss:
         ss.record("two", ENTITIES, tags=TAGS)
         ss.run(0.02)
@@ -136,16 +133,14 @@ def test_a_memory_record_is_exported_with_its_tags(scene: Path, tmp_path: Path) 
         {f"t{number}": 1 for number in range(1001)},
     ],
 )
-def test_another_tag_is_an_error_and_records_nothing(
-    scene: Path, tmp_path: Path, tags: object
-) -> None:
+def test_another_tag_is_an_error_and_records_nothing(scene, tmp_path, tags):
     with ssduck.load(scene) as ss, pytest.raises(ArgumentError, match="tag"):
         ss.record_to(tmp_path / "r", tags=tags)
     assert not (tmp_path / "r").exists()
 
 
 @pytest.mark.parametrize("wrong", [{"tags": {"a": [1]}}, {"id": "lab"}, {"tags": ["a"]}])
-def test_a_forged_description_is_an_error(scene: Path, tmp_path: Path, wrong: dict) -> None:
+def test_a_forged_description_is_an_error(scene, tmp_path, wrong):
     recorded(scene, tmp_path / "r", TAGS)
     file = tmp_path / "r" / "episodes" / "two-0.json"
     file.write_text(json_text({**json.loads(file.read_text()), **wrong}))
@@ -170,20 +165,20 @@ def test_a_forged_description_is_an_error(scene: Path, tmp_path: Path, wrong: di
         (f"n={1 << 53}", ("n", str(1 << 53))),
     ],
 )
-def test_tags_on_the_command_line(text: str, expected: tuple) -> None:
+def test_tags_on_the_command_line(text, expected):
     name, value = parsed_tag(text)
     assert (name, value, type(value)) == (*expected, type(expected[1]))
 
 
 @pytest.mark.parametrize("text", ["task", "=pick"])
-def test_a_tag_without_a_name_or_value_is_an_error(text: str) -> None:
+def test_a_tag_without_a_name_or_value_is_an_error(text):
     with pytest.raises(ArgumentError, match="tag"):
         parsed_tag(text)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("output", ["r", "r.duckdb"])
-def test_the_commands_take_tags_and_list_them(scene: Path, tmp_path: Path, output: str) -> None:
+def test_the_commands_take_tags_and_list_them(scene, tmp_path, output):
     place = str(tmp_path / output)
     answer(
         "record", str(scene), "--seconds", "0.01", "-o", place, "--tag", "task=pick", "--tag", "n=3"
@@ -198,7 +193,7 @@ TEXTS = ["pick", "a-b", "run/2024-11-01", "Smith (2024)", "file.txt", "select th
 
 
 @pytest.mark.slow
-def test_a_text_that_is_a_program_is_told_of(scene: Path, tmp_path: Path) -> None:
+def test_a_text_that_is_a_program_is_told_of(scene, tmp_path):
     place = tmp_path / "r"
     with ssduck.load(scene) as ss:
         ss.run(0.02)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from pathlib import Path
 
 import numpy as np
 import pybullet
@@ -16,7 +15,7 @@ from tests.support.urdf import collision, link, robot
 from tools.fuzzing.models import COLLISION_MESH, DAE, OBJ, stl
 
 
-def mesh(kind: str, number: str) -> bytes:
+def mesh(kind, number):
     """A mesh in which a coordinate of a vertex is a number."""
     if kind == "obj":
         return OBJ.replace("v 1 0 0", f"v {number} 0 0").encode()
@@ -32,7 +31,7 @@ def mesh(kind: str, number: str) -> bytes:
 @pytest.mark.parametrize("concave", ["no", "yes"])
 @pytest.mark.parametrize("kind", ["obj", "stl", "dae"])
 @pytest.mark.parametrize("number", ["nan", "inf", "-1e39"])
-def test_a_mesh(tmp_path: Path, kind: str, number: str, concave: str) -> None:
+def test_a_mesh(tmp_path, kind, number, concave):
     (tmp_path / f"m.{kind}").write_bytes(mesh(kind, number))
     (tmp_path / "x.urdf").write_text(COLLISION_MESH % (concave, f"m.{kind}"))
     with pytest.raises(SceneError, match=r"x\.urdf: 'x' has a (mesh|hull) with .* not finite"):
@@ -41,7 +40,7 @@ def test_a_mesh(tmp_path: Path, kind: str, number: str, concave: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["obj", "stl", "dae"])
-def test_large_numbers_are_numbers(tmp_path: Path, kind: str) -> None:
+def test_large_numbers_are_numbers(tmp_path, kind):
     (tmp_path / f"m.{kind}").write_bytes(mesh(kind, "1e6"))
     (tmp_path / "x.urdf").write_text(COLLISION_MESH % ("no", f"m.{kind}"))
     with ssduck.load(tmp_path / "x.urdf") as ss:
@@ -49,7 +48,7 @@ def test_large_numbers_are_numbers(tmp_path: Path, kind: str) -> None:
     assert lengths[0][0] == pytest.approx(1e6, rel=1e-3)
 
 
-def test_a_plane_without_a_normal(tmp_path: Path) -> None:
+def test_a_plane_without_a_normal(tmp_path):
     plane = collision('<plane normal="b"/>')
     (tmp_path / "x.urdf").write_text(robot(link("base", shapes=plane)))
     with pytest.raises(SceneError, match="has a plane with numbers that are not finite"):
@@ -57,7 +56,7 @@ def test_a_plane_without_a_normal(tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:.*PyBullet leaves a free")
-def test_a_joint_without_an_axis(tmp_path: Path) -> None:
+def test_a_joint_without_an_axis(tmp_path):
     body = '<body name="a"><geom size="1"/>{}</body>'
     inner = '<body name="b"><joint name="j" type="hinge" axis="hfield"/><geom size="1"/></body>'
     model = f"<mujoco><worldbody>{body.format(inner)}</worldbody></mujoco>"
@@ -66,7 +65,7 @@ def test_a_joint_without_an_axis(tmp_path: Path) -> None:
         ssduck.load(tmp_path / "x.xml", simulator="pybullet")
 
 
-def test_an_attached_client_warns(tmp_path: Path) -> None:
+def test_an_attached_client_warns(tmp_path):
     (tmp_path / "m.obj").write_bytes(mesh("obj", "nan"))
     client = pybullet.connect(pybullet.DIRECT)
     try:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 import ssduck
@@ -17,18 +15,18 @@ CUBE = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1
 INERTIA = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
 
 
-def urdf(geometry: str = '<box size="1 1 1"/>', *, mass: str = "1", more: str = "") -> str:
+def urdf(geometry='<box size="1 1 1"/>', *, mass="1", more=""):
     return (
         f'<robot name="r"><link name="base"><inertial><mass value="{mass}"/>{INERTIA}</inertial>'
         f"<collision><geometry>{geometry}</geometry></collision>{more}</link></robot>"
     )
 
 
-def mesh(name: str, scale: str = "1 1 1") -> str:
+def mesh(name, scale="1 1 1"):
     return urdf(f'<mesh filename="{name}" scale="{scale}"/>')
 
 
-def sdf(geometry: str, mass: str = "1") -> str:
+def sdf(geometry, mass="1"):
     return (
         '<sdf version="1.6"><world name="w"><model name="m"><link name="l">'
         f"<inertial><mass>{mass}</mass><inertia><ixx>1</ixx><ixy>0</ixy><ixz>0</ixz><iyy>1</iyy>"
@@ -37,7 +35,7 @@ def sdf(geometry: str, mass: str = "1") -> str:
     )
 
 
-def mjcf(geom: str, before: str = "") -> str:
+def mjcf(geom, before=""):
     return (
         f'<mujoco>{before}<worldbody><body name="b"><joint type="free"/><geom {geom}/></body>'
         "</worldbody></mujoco>"
@@ -47,11 +45,11 @@ def mjcf(geom: str, before: str = "") -> str:
 # -- numbers, depth and meshes ------------------------------------------------------------------------
 
 
-def deep(tag: str, count: int = 100_000) -> str:
+def deep(tag, count=100_000):
     return f"<{tag}>" * count + f"</{tag}>" * count
 
 
-def joints(first: str, second: str, *children: str) -> str:
+def joints(first, second, *children):
     """Returns a model of three links and two joints; some crash PyBullet 3.2.7."""
     link = f'<link name="{{}}"><inertial><mass value="1"/>{INERTIA}</inertial></link>'
     names = zip((first, second), children, strict=True)
@@ -106,7 +104,7 @@ WRONG = [
 
 @pytest.mark.slow
 @sampled(("name", "text", "words"), WRONG, every=3)
-def test_what_is_wrong_is_an_error(tmp_path: Path, name: str, text: str, words: str) -> None:
+def test_what_is_wrong_is_an_error(tmp_path, name, text, words):
     (tmp_path / "m.obj").write_text(CUBE)
     (tmp_path / name).write_text(text)
     with pytest.raises(SceneError, match=words) as error:
@@ -117,7 +115,7 @@ def test_what_is_wrong_is_an_error(tmp_path: Path, name: str, text: str, words: 
 @pytest.mark.parametrize(
     "corners", ["1 2 3", "-1 -2 -3", "1 2 2000000000", "1 2 99999999999999999999"]
 )
-def test_a_mesh_whose_faces_are_nowhere(tmp_path: Path, corners: str) -> None:
+def test_a_mesh_whose_faces_are_nowhere(tmp_path, corners):
     """PyBullet would read beyond the vertices, and crash."""
     (tmp_path / "m.obj").write_text(("v 0 0 0\n" if "9" in corners else "") + f"f {corners}\n")
     for text in (mesh("m.obj"), urdf(more="<visual><geometry>M</geometry></visual>")):
@@ -147,7 +145,7 @@ OBJECTS = {
 
 
 @pytest.mark.parametrize("name", OBJECTS)
-def test_what_pybullet_would_read_beyond_is_an_error(tmp_path: Path, name: str) -> None:
+def test_what_pybullet_would_read_beyond_is_an_error(tmp_path, name):
     content, words = OBJECTS[name]
     (tmp_path / "m.obj").write_text(content, errors="surrogateescape")
     (tmp_path / "s.urdf").write_text(mesh("m.obj"))
@@ -155,14 +153,14 @@ def test_what_pybullet_would_read_beyond_is_an_error(tmp_path: Path, name: str) 
         ssduck.load(tmp_path / "s.urdf", simulator="pybullet")
 
 
-def test_a_long_comment_is_read_over(tmp_path: Path) -> None:
+def test_a_long_comment_is_read_over(tmp_path):
     (tmp_path / "m.obj").write_text(f"#{'-' * 3000}\n{CUBE}")
     (tmp_path / "s.urdf").write_text(mesh("m.obj"))
     with ssduck.load(tmp_path / "s.urdf", simulator="pybullet") as ss:
         assert len(ss.worlds[0]) == 1
 
 
-def test_faces_of_two_corners_are_left_out(tmp_path: Path) -> None:
+def test_faces_of_two_corners_are_left_out(tmp_path):
     (tmp_path / "m.obj").write_text(f"f \nf 1\nf 1 99\n{CUBE}")
     (tmp_path / "s.urdf").write_text(mesh("m.obj"))
     with ssduck.load(tmp_path / "s.urdf", simulator="pybullet") as ss:
@@ -170,7 +168,7 @@ def test_faces_of_two_corners_are_left_out(tmp_path: Path) -> None:
         assert body.aabb[1] == pytest.approx([1.0, 1.0, 1.0], abs=0.01)
 
 
-def test_faces_may_precede_vertices_of_their_own_object(tmp_path: Path) -> None:
+def test_faces_may_precede_vertices_of_their_own_object(tmp_path):
     line = "o " + "a" * (PIECE - 3)
     (tmp_path / "m.obj").write_text(f"{line}\nf 1 2 9\n{FAR}{CUBE}")
     (tmp_path / "s.urdf").write_text(mesh("m.obj"))
@@ -201,7 +199,7 @@ HIDDEN = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", HIDDEN)
-def test_a_comment_hides_nothing_from_the_check(tmp_path: Path, name: str) -> None:
+def test_a_comment_hides_nothing_from_the_check(tmp_path, name):
     """PyBullet reads pieces of 8,191 bytes of a line; `<!-` and `-` are no comment then."""
     before, hidden, after = HIDDEN[name]
     text = f"{before}{' ' * (8191 - 3 - len(before))}<!-- >{hidden}-->{after}"
@@ -215,13 +213,13 @@ def test_a_comment_hides_nothing_from_the_check(tmp_path: Path, name: str) -> No
             ssduck.load(tmp_path / name, simulator="pybullet")
 
 
-def test_a_long_element_is_an_error(tmp_path: Path) -> None:
+def test_a_long_element_is_an_error(tmp_path):
     (tmp_path / "s.urdf").write_text(urdf(f'<box size="1 1 1" a="{"b" * 8191}"/>'))
     with pytest.raises(SceneError, match=r"an element has 8,2.. bytes: .*would read another model"):
         ssduck.load(tmp_path / "s.urdf", simulator="pybullet")
 
 
-def test_a_long_line_that_is_cut_between_its_parts_is_read(tmp_path: Path) -> None:
+def test_a_long_line_that_is_cut_between_its_parts_is_read(tmp_path):
     start, end = urdf().split("<collision>")
     padded = f"{start}{' ' * (8191 - len(start))}<collision>{end}"
     (tmp_path / "s.urdf").write_text(padded)
@@ -242,21 +240,21 @@ PRINTED = {
 
 
 @pytest.mark.parametrize("name", PRINTED)
-def test_a_text_is_no_format(tmp_path: Path, name: str) -> None:
+def test_a_text_is_no_format(tmp_path, name):
     file, text = PRINTED[name]
     (tmp_path / file).write_text(text)
     with pytest.raises(SceneError, match="has a %, which PyBullet takes for a format"):
         ssduck.load(tmp_path / file, simulator="pybullet")
 
 
-def test_a_percent_that_is_not_printed_may_be_there(tmp_path: Path) -> None:
+def test_a_percent_that_is_not_printed_may_be_there(tmp_path):
     text = urdf().replace("</robot>", "<!-- 100 % --><description>100 % new</description></robot>")
     (tmp_path / "s.urdf").write_text(text)
     with ssduck.load(tmp_path / "s.urdf", simulator="pybullet") as ss:
         assert len(ss.worlds[0]) == 1
 
 
-def test_a_count_of_triangles_that_overflows(tmp_path: Path) -> None:
+def test_a_count_of_triangles_that_overflows(tmp_path):
     count = (2**32 + 900) // 50
     size = (84 + 50 * count) % 2**32
     (tmp_path / "m.stl").write_bytes(bytes(80) + count.to_bytes(4, "little") + bytes(size - 84))
@@ -266,7 +264,7 @@ def test_a_count_of_triangles_that_overflows(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("inner", ["<plane/>", "0 <diffuse>1 1 1</diffuse>"])
-def test_an_element_is_no_text(tmp_path: Path, inner: str) -> None:
+def test_an_element_is_no_text(tmp_path, inner):
     text = sdf("<sphere><radius>1</radius></sphere>").replace(
         "</link>", f"<pose>{inner}</pose></link>"
     )
@@ -275,7 +273,7 @@ def test_an_element_is_no_text(tmp_path: Path, inner: str) -> None:
         ssduck.load(tmp_path / "s.sdf")
 
 
-def test_two_bodies_of_one_name(tmp_path: Path) -> None:
+def test_two_bodies_of_one_name(tmp_path):
     text = '<mujoco><worldbody><body><body name="b"/><body name="b"/></body></worldbody></mujoco>'
     (tmp_path / "s.xml").write_text(text)
     with pytest.raises(SceneError, match="2 bodies have the name 'b'"):
@@ -286,7 +284,7 @@ def test_two_bodies_of_one_name(tmp_path: Path) -> None:
     ("joint", "is_right"),
     [("", False), ('limited="false"', True), ('range="-1 1"', True)],
 )
-def test_a_limit_by_default_needs_a_range(tmp_path: Path, joint: str, is_right: bool) -> None:
+def test_a_limit_by_default_needs_a_range(tmp_path, joint, is_right):
     text = (
         '<mujoco><compiler angle="radian"/><default><joint limited="true" range="-1 1"/></default><worldbody><body name="b">'
         f'<joint name="j" type="hinge" axis="0 0 1" {joint}/><geom type="sphere" size="1"/></body>'
@@ -360,7 +358,7 @@ DAMAGES = [
 
 
 @sampled(("old", "new", "words"), DAMAGES, every=3)
-def test_a_damaged_collada_file(tmp_path: Path, old: str, new: str, words: str) -> None:
+def test_a_damaged_collada_file(tmp_path, old, new, words):
     (tmp_path / "s.urdf").write_text(mesh("m.dae"))
     (tmp_path / "m.dae").write_text(COLLADA)
     with ssduck.load(tmp_path / "s.urdf", simulator="pybullet"):
@@ -377,7 +375,7 @@ EMPTY = (
 )
 
 
-def test_a_collada_file_with_an_empty_geometry(tmp_path: Path) -> None:
+def test_a_collada_file_with_an_empty_geometry(tmp_path):
     """Exporters write these, and PyBullet reads no source of them, as in a hip of the ANYmal."""
     text = COLLADA.replace("</library_geometries>", f"{EMPTY}</library_geometries>")
     text = text.replace(
@@ -391,7 +389,7 @@ def test_a_collada_file_with_an_empty_geometry(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_entities_that_grow(tmp_path: Path) -> None:
+def test_entities_that_grow(tmp_path):
     """Ten entities of ten of the one before; PyBullet takes none of them for another text."""
     grown = "".join(f'<!ENTITY a{n} "{f"&a{n - 1};" * 10}">' for n in range(1, 12))
     text = f'<!DOCTYPE r [<!ENTITY a0 "lol">{grown}]>' + urdf(more="<x>&a11;</x>")
@@ -400,7 +398,7 @@ def test_entities_that_grow(tmp_path: Path) -> None:
         assert ss.eval("SELECT id FROM s AS list;") == ["s"]
 
 
-def test_a_name_that_no_file_can_have() -> None:
+def test_a_name_that_no_file_can_have():
     for name in ("a\0.urdf", "x" * 5000 + ".urdf", "\ud800.urdf"):
         with pytest.raises((UnknownNameError, SceneError)):
             ssduck.load(name)

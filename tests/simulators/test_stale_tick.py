@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import pybullet
@@ -26,7 +26,7 @@ QUERIES: list[tuple[str, Callable[[ssduck.Interpreter], Any]]] = [
 
 
 @pytest.fixture
-def sim(client: int) -> Iterator[tuple[ssduck.Interpreter, ssduck.World]]:
+def sim(client):
     """A ball that falls beside a floor that stands still, in a client that the test steps."""
     pybullet.setGravity(0, 0, -9.81, client)
     shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
@@ -39,7 +39,7 @@ def sim(client: int) -> Iterator[tuple[ssduck.Interpreter, ssduck.World]]:
         yield ss, world
 
 
-def warned(act: Callable[[], Any]) -> list[str]:
+def warned(act):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         act()
@@ -47,9 +47,7 @@ def warned(act: Callable[[], Any]) -> list[str]:
 
 
 @pytest.mark.parametrize(("name", "query"), QUERIES, ids=[name for name, _ in QUERIES])
-def test_every_query_says_so_once(
-    client: int, sim: tuple[ssduck.Interpreter, ssduck.World], name: str, query: Callable
-) -> None:
+def test_every_query_says_so_once(client, sim, name, query):
     ss, _ = sim
     assert warned(lambda: query(ss)) == []  # nothing has moved yet
     pybullet.stepSimulation(client)
@@ -60,10 +58,10 @@ def test_every_query_says_so_once(
         assert warned(lambda: query(ss)) == []
 
 
-def test_each_place_is_told_once(client: int, sim: tuple[ssduck.Interpreter, ssduck.World]) -> None:
+def test_each_place_is_told_once(client, sim):
     ss, world = sim
 
-    def loop() -> None:
+    def loop():
         for _ in range(3):
             pybullet.stepSimulation(client)
             ss.eval("SELECT z FROM sim;")
@@ -77,12 +75,10 @@ def test_each_place_is_told_once(client: int, sim: tuple[ssduck.Interpreter, ssd
 
 
 @pytest.mark.parametrize("is_loaded_again", [False, True])
-def test_a_reset_without_a_tick_is_told_again(
-    client: int, sim: tuple[ssduck.Interpreter, ssduck.World], *, is_loaded_again: bool
-) -> None:
+def test_a_reset_without_a_tick_is_told_again(client, sim, *, is_loaded_again):
     ss, world = sim
 
-    def ask() -> None:
+    def ask():
         ss.eval("z(ball);")
 
     pybullet.stepSimulation(client)
@@ -99,7 +95,7 @@ def test_a_reset_without_a_tick_is_told_again(
 
 
 @pytest.mark.parametrize("change", ["step", "reset", "teleport", "model"])
-def test_what_a_loop_changes_in_mujoco(change: str) -> None:
+def test_what_a_loop_changes_in_mujoco(change):
     mujoco = pytest.importorskip("mujoco")
     text = (
         "<mujoco><worldbody><body name='a' pos='0 0 1'><freejoint/><geom size='.1'/></body>"
@@ -107,7 +103,7 @@ def test_what_a_loop_changes_in_mujoco(change: str) -> None:
     )
 
     class Environment:
-        def __init__(self) -> None:
+        def __init__(self):
             self.model = mujoco.MjModel.from_xml_string(text)
             self.data = mujoco.MjData(self.model)
 
@@ -132,12 +128,10 @@ def test_what_a_loop_changes_in_mujoco(change: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_loop_that_takes_its_ticks_is_not_told(
-    client: int, sim: tuple[ssduck.Interpreter, ssduck.World]
-) -> None:
+def test_a_loop_that_takes_its_ticks_is_not_told(client, sim):
     ss, world = sim
 
-    def loop() -> None:
+    def loop():
         for _ in range(30):
             pybullet.stepSimulation(client)
             world.tick()
@@ -154,7 +148,7 @@ def test_a_loop_that_takes_its_ticks_is_not_told(
     assert len(warned(lambda: ss.eval("SELECT z FROM sim;"))) == 1
 
 
-def test_a_joint_that_moves_counts(client: int, write: Callable[..., Any]) -> None:
+def test_a_joint_that_moves_counts(client, write):
     """The base of an arm stands still."""
     limit = '<limit lower="-1" upper="1" effort="10" velocity="1"/>'
     model = robot(
@@ -171,25 +165,23 @@ def test_a_joint_that_moves_counts(client: int, write: Callable[..., Any]) -> No
 
 
 @pytest.mark.slow
-def test_a_world_that_ssduck_steps_is_never_compared(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_world_that_ssduck_steps_is_never_compared(monkeypatch):
     with ssduck.load("kitchen") as ss:
         kitchen = ss.call_variable("kitchen")
         kitchen.step(2)
 
-        def fail(*_: Any, **__: Any) -> None:
+        def fail(*_, **__):
             raise AssertionError
 
         monkeypatch.setattr(kitchen.simulator, "read_link_poses", fail)
         assert warned(lambda: ss.eval("SELECT id FROM kitchen;")) == []
 
 
-def test_another_thread_may_ask_between_a_step_and_its_tick(
-    client: int, sim: tuple[ssduck.Interpreter, ssduck.World]
-) -> None:
+def test_another_thread_may_ask_between_a_step_and_its_tick(client, sim):
     ss, _ = sim
     pybullet.stepSimulation(client)
 
-    def ask() -> None:
+    def ask():
         thread = threading.Thread(target=lambda: ss.eval("SELECT id FROM sim;"))
         thread.start()
         thread.join()
@@ -198,16 +190,14 @@ def test_another_thread_may_ask_between_a_step_and_its_tick(
     assert len(warned(lambda: ss.eval("SELECT id FROM sim;"))) == 1
 
 
-def test_a_client_that_is_gone_is_not_compared(
-    client: int, sim: tuple[ssduck.Interpreter, ssduck.World]
-) -> None:
+def test_a_client_that_is_gone_is_not_compared(client, sim):
     ss, _ = sim
     pybullet.stepSimulation(client)
     pybullet.disconnect(client)
     assert warned(lambda: ss.eval("SELECT id, z FROM sim;")) == []
 
 
-def test_bodies_that_come_and_go(client: int, sim: tuple[ssduck.Interpreter, ssduck.World]) -> None:
+def test_bodies_that_come_and_go(client, sim):
     ss, world = sim
     pybullet.removeBody(1, client)
     assert len(warned(lambda: ss.eval("SELECT id FROM sim;"))) == 1
@@ -221,7 +211,7 @@ def test_bodies_that_come_and_go(client: int, sim: tuple[ssduck.Interpreter, ssd
 
 
 @pytest.fixture
-def other(sim: tuple[ssduck.Interpreter, ssduck.World]) -> Iterator[int]:
+def other(sim):
     """A second client with a ball, whose world is `other`."""
     client = pybullet.connect(pybullet.DIRECT)
     pybullet.setGravity(0, 0, -9.81, client)
@@ -251,9 +241,7 @@ OF_OTHER: list[Callable[[ssduck.Interpreter], Any]] = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize("is_first", [True, False])
-def test_only_worlds_that_a_query_reads_are_compared(
-    client: int, other: int, sim: tuple[ssduck.Interpreter, ssduck.World], *, is_first: bool
-) -> None:
+def test_only_worlds_that_a_query_reads_are_compared(client, other, sim, *, is_first):
     """Worlds that are stepped by turns are not told between the step of one and its tick."""
     ss, _ = sim
     pybullet.stepSimulation(client if is_first else other)
@@ -265,9 +253,7 @@ def test_only_worlds_that_a_query_reads_are_compared(
     assert all(message.startswith("sim:" if is_first else "other:") for message in messages)
 
 
-def test_a_join_reads_all_of_its_worlds(
-    client: int, other: int, sim: tuple[ssduck.Interpreter, ssduck.World]
-) -> None:
+def test_a_join_reads_all_of_its_worlds(client, other, sim):
     ss, _ = sim
     pybullet.stepSimulation(client)
     pybullet.stepSimulation(other)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 
 import ssduck
@@ -13,7 +11,7 @@ pybullet = pytest.importorskip("pybullet")
 
 
 @pytest.fixture
-def falling() -> Any:
+def falling():
     """An interpreter on such a world; its name is `lab`, the board's `board`."""
     client, bodies = _falling()
     names = {0: "board", **{body: f"ball_{i}" for i, body in enumerate(bodies)}}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from typing import Any
 
 import pybullet
 import pytest
@@ -18,7 +17,7 @@ from tests.support.pasts import _step
 
 @pytest.mark.slow
 @sampled("table", ["links", "joints", "shapes", "contacts", "sensings"], every=3)
-def test_the_call_that_records_a_table_is_named(falling: ssduck.Interpreter, table: str) -> None:
+def test_the_call_that_records_a_table_is_named(falling, table):
     falling.record("lab", Recording(tables=("entities",)))
     with pytest.raises(SqlError, match=f"the table of {table} of 'lab' is not recorded") as raised:
         falling.sql(f"SELECT * FROM {table}_history")
@@ -33,9 +32,7 @@ def test_the_call_that_records_a_table_is_named(falling: ssduck.Interpreter, tab
 
 
 @pytest.mark.slow
-def test_entities_links_and_contacts_are_recorded_by_default(
-    falling: ssduck.Interpreter, tmp_path: Any
-) -> None:
+def test_entities_links_and_contacts_are_recorded_by_default(falling, tmp_path):
     client = falling.call_variable("lab").simulator.client
     rows = []
     for step in range(1, 241):
@@ -61,7 +58,7 @@ def test_entities_links_and_contacts_are_recorded_by_default(
 
 @pytest.mark.slow
 @sampled("changed", [False, True], ids=["memory", "tables"], every=2)
-def test_the_size_of_what_is_kept_is_bounded(falling: ssduck.Interpreter, changed: bool) -> None:
+def test_the_size_of_what_is_kept_is_bounded(falling, changed):
     limit = 400_000
     falling.record("lab", Recording(max_bytes=limit, changed=changed))
     world, history = falling.call_variable("lab"), falling._database._worlds.bound[0].history
@@ -89,14 +86,14 @@ def test_the_size_of_what_is_kept_is_bounded(falling: ssduck.Interpreter, change
         falling.eval("SELECT z FROM lab{0.0} AS list;")
 
 
-def test_one_tick_is_kept_however_small_the_limit_is(falling: ssduck.Interpreter) -> None:
+def test_one_tick_is_kept_however_small_the_limit_is(falling):
     falling.record("lab", Recording(max_bytes=1))
     _step(falling, 20)
     assert 1 <= len(falling.past("lab").ticks) <= 3
     assert falling.past("lab").times[-1] == falling.call_variable("lab").time
 
 
-def test_a_size_limit_is_the_default_in_memory_only() -> None:
+def test_a_size_limit_is_the_default_in_memory_only():
     default = Recording()
     assert with_size_limit(default, in_memory=True).max_bytes == 512 * 2**20
     assert with_size_limit(default, in_memory=False).max_bytes is None

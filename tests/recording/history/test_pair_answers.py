@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pybullet
@@ -39,12 +36,12 @@ QUESTIONS = {
 DISTANCES = {"touching": 0.001, "within": 0.05, "colliding": 0.001}
 
 
-def _question(kind: str) -> PairQuestion:
+def _question(kind):
     return PairQuestion(kind, DISTANCES.get(kind, 0.0))
 
 
 @pytest.fixture(scope="module")
-def heap(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ssduck.Interpreter]:
+def heap(tmp_path_factory):
     """Bodies of every kind of shape that fall on a plane, on a table and on each other."""
     folder = tmp_path_factory.mktemp("heap")
     client = pybullet.connect(pybullet.DIRECT)
@@ -97,7 +94,7 @@ def heap(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ssduck.Interprete
     pybullet.disconnect(client)
 
 
-def _singly(ss: ssduck.Interpreter, kind: str) -> dict[tuple[int, int, int], Any]:
+def _singly(ss, kind):
     """The answer about each two entities at each tick, by the queries of that tick."""
     past = ss.past("sim")
     found = {}
@@ -112,7 +109,7 @@ def _singly(ss: ssduck.Interpreter, kind: str) -> dict[tuple[int, int, int], Any
     return found
 
 
-def _together(ss: ssduck.Interpreter, kind: str) -> dict[tuple[int, int, int], Any]:
+def _together(ss, kind):
     """The same, decided for all ticks at once: all pairs where the question allows it."""
     past = ss.past("sim")
     record = past.record
@@ -133,9 +130,7 @@ def _together(ss: ssduck.Interpreter, kind: str) -> dict[tuple[int, int, int], A
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", QUESTIONS)
-def test_all_ticks_together_have_the_answers_of_each_tick(
-    heap: ssduck.Interpreter, kind: str
-) -> None:
+def test_all_ticks_together_have_the_answers_of_each_tick(heap, kind):
     together, singly = _together(heap, kind), _singly(heap, kind)
     assert together.keys() == singly.keys()
     for place, value in singly.items():
@@ -145,7 +140,7 @@ def test_all_ticks_together_have_the_answers_of_each_tick(
 
 
 @pytest.mark.slow
-def test_each_tick_has_the_answers_that_it_had_live() -> None:
+def test_each_tick_has_the_answers_that_it_had_live():
     client = pybullet.connect(pybullet.DIRECT)
     own = {"physicsClientId": client}
     pybullet.setGravity(0, 0, -9.81, **own)
@@ -188,7 +183,7 @@ def test_each_tick_has_the_answers_that_it_had_live() -> None:
 # -- work, by counts ----------------------------------------------------------------------------
 
 
-def _work(ss: ssduck.Interpreter) -> tuple[int, int]:
+def _work(ss):
     statistics = ss.statistics()["sim"]
     return statistics.calls, statistics.pairs
 
@@ -205,9 +200,7 @@ ASKED = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("asked", ASKED)
-def test_a_second_question_about_the_same_ticks_compares_nothing(
-    heap: ssduck.Interpreter, asked: str
-) -> None:
+def test_a_second_question_about_the_same_ticks_compares_nothing(heap, asked):
     heap.past("sim").record.answer_cache.clear()
     before = _work(heap)
     first = heap.eval(f"changes({asked});")
@@ -220,7 +213,7 @@ def test_a_second_question_about_the_same_ticks_compares_nothing(
     assert _work(heap) == after
 
 
-def test_a_symmetric_question_is_answered_in_the_other_order(heap: ssduck.Interpreter) -> None:
+def test_a_symmetric_question_is_answered_in_the_other_order(heap):
     first = heap.eval("changes(clearance(table, ball));")
     before = _work(heap)
     assert heap.eval("changes(clearance(ball, table));") == first
@@ -228,7 +221,7 @@ def test_a_symmetric_question_is_answered_in_the_other_order(heap: ssduck.Interp
 
 
 @pytest.mark.slow
-def test_of_two_orders_one_is_compared(heap: ssduck.Interpreter) -> None:
+def test_of_two_orders_one_is_compared(heap):
     heap.past("sim").record.answer_cache.clear()
     rows = (
         "SELECT [tick(a.this), id(a.this), id(b.this)] FROM a=sim{}, b=sim{} "
@@ -245,7 +238,7 @@ def test_of_two_orders_one_is_compared(heap: ssduck.Interpreter) -> None:
 
 
 @pytest.fixture
-def stool(tmp_path: Path) -> Iterator[ssduck.Interpreter]:
+def stool(tmp_path):
     """A stool with four legs that slides over a board, and a shelf that stands there."""
     client = pybullet.connect(pybullet.DIRECT)
     own = {"physicsClientId": client}
@@ -274,7 +267,7 @@ def stool(tmp_path: Path) -> Iterator[ssduck.Interpreter]:
 
 
 @pytest.mark.slow
-def test_what_stands_still_is_compared_once(stool: ssduck.Interpreter) -> None:
+def test_what_stands_still_is_compared_once(stool):
     legs, (before, _) = 4, _work(stool)
     assert stool.eval("least(clearance(board, shelf));")[0] == 0.0
     at_once, _ = _work(stool)
@@ -286,13 +279,11 @@ def test_what_stands_still_is_compared_once(stool: ssduck.Interpreter) -> None:
     assert _work(stool)[0] - at_once >= TICKS
 
 
-def test_of_shapes_that_may_carry_one_is_decided_at_most_ticks(
-    stool: ssduck.Interpreter, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_of_shapes_that_may_carry_one_is_decided_at_most_ticks(stool, monkeypatch):
     legs, ticks, normals = 4, len(stool.past("sim").ticks), []
     decide = pair_batch.decide_contacts
 
-    def counted(scene: Any, first: Any, *rest: Any) -> Any:
+    def counted(scene, first, *rest):
         normals.append(len(first))
         return decide(scene, first, *rest)
 
@@ -302,7 +293,7 @@ def test_of_shapes_that_may_carry_one_is_decided_at_most_ticks(
 
 
 @pytest.mark.slow
-def test_only_new_ticks_are_compared() -> None:
+def test_only_new_ticks_are_compared():
     client = pybullet.connect(pybullet.DIRECT)
     ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
     names = {
@@ -336,7 +327,7 @@ def test_only_new_ticks_are_compared() -> None:
 
 
 @pytest.mark.slow
-def test_the_answers_are_bounded(heap: ssduck.Interpreter, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_answers_are_bounded(heap, monkeypatch):
     cache = heap.past("sim").record.answer_cache
     cache.clear()
     ticks = len(heap.past("sim").ticks)
@@ -363,9 +354,7 @@ _POSES = st.tuples(_PLACES, _PLACES, _PLACES, *[st.floats(-1, 1, width=16)] * 4)
 
 @pytest.mark.slow
 @given(poses=st.lists(st.tuples(_POSES, _POSES), min_size=1, max_size=8), data=st.data())
-def test_answers_at_any_poses_are_those_of_each_pair(
-    heap: ssduck.Interpreter, poses: list[Any], data: st.DataObject
-) -> None:
+def test_answers_at_any_poses_are_those_of_each_pair(heap, poses, data):
     record = heap.past("sim").record
     shapes = record.entity_shapes
     single = [id for id, member in record.members.items() if len(member.body.links) == 1]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from typing import Any
 
 import pybullet
@@ -18,12 +17,12 @@ from tests.support.cases import generated, sampled
 from tests.support.pasts import ALL, _falling, _step, _stepped
 
 
-def _both(ss: ssduck.Interpreter, program: str) -> list[Any]:
+def _both(ss, program):
     """What a program gives as SQL, and row by row, on the same ticks."""
     return [_one(ss, program, row_by_row=row_by_row) for row_by_row in (False, True)]
 
 
-def _one(ss: ssduck.Interpreter, program: str, *, row_by_row: bool) -> Any:
+def _one(ss, program, *, row_by_row):
     if not row_by_row:
         return ss.eval(program)
     rows = ssduck.Interpreter(row_by_row=True, recording=None)
@@ -65,7 +64,7 @@ PAST = [
 
 
 @pytest.fixture(scope="module")
-def fallen() -> Iterator[ssduck.Interpreter]:
+def fallen():
     """An interpreter on such a world after 300 steps, with handles of the board and of a ball."""
     client, bodies = _falling()
     names = {0: "board", **{body: f"ball_{i}" for i, body in enumerate(bodies)}}
@@ -79,7 +78,7 @@ def fallen() -> Iterator[ssduck.Interpreter]:
 
 
 @sampled("program", PAST, every=6)
-def test_both_evaluators_see_one_past(fallen: ssduck.Interpreter, program: str) -> None:
+def test_both_evaluators_see_one_past(fallen, program):
     as_sql, row_by_row = _both(fallen, program)
     assert repr(as_sql) == repr(row_by_row)
     assert as_sql not in ([], None)
@@ -90,7 +89,7 @@ def test_both_evaluators_see_one_past(fallen: ssduck.Interpreter, program: str) 
     heights=st.lists(st.floats(0.2, 3.0), min_size=2, max_size=12),
     age=st.floats(-0.1, 0.1),
 )
-def test_the_past_is_what_was(heights: list[float], age: float) -> None:
+def test_the_past_is_what_was(heights, age):
     client, (ball, _) = _falling()
     world = ssduck.World.attach(client, names={ball: "ball"})
     with ssduck.Interpreter() as ss:
@@ -116,7 +115,7 @@ def test_the_past_is_what_was(heights: list[float], age: float) -> None:
     pybullet.disconnect(client)
 
 
-def test_handles_of_the_past_stay(falling: ssduck.Interpreter) -> None:
+def test_handles_of_the_past_stay(falling):
     _step(falling, 20)
     then = falling.eval("SELECT this FROM lab{0.05} WHERE id(this) == 'ball_0' AS value;")
     height = then.position[2]
@@ -131,7 +130,7 @@ def test_handles_of_the_past_stay(falling: ssduck.Interpreter) -> None:
 
 
 @pytest.mark.slow
-def test_a_handle_that_was_not_there_is_unknown(falling: ssduck.Interpreter) -> None:
+def test_a_handle_that_was_not_there_is_unknown(falling):
     _step(falling, 5)
     world = falling.call_variable("lab")
     client = world.simulator.client
@@ -151,9 +150,7 @@ def test_a_handle_that_was_not_there_is_unknown(falling: ssduck.Interpreter) -> 
     "relation",
     ["near({}, 0.01)", "collides({})", "clearance({})", "touching({})", "on({})", "inContact({})"],
 )
-def test_shapes_of_two_ticks_are_not_compared(
-    fallen: ssduck.Interpreter, relation: str, is_same: bool
-) -> None:
+def test_shapes_of_two_ticks_are_not_compared(fallen, relation, is_same):
     other = "ball_1" if is_same else "board"
     query = (
         "SELECT {} FROM a=lab{{0.1}}, b=lab{{{}}} WHERE id(a.this) == 'ball_1' "
@@ -173,7 +170,7 @@ def test_shapes_of_two_ticks_are_not_compared(
 
 
 @pytest.mark.slow
-def test_neither_are_those_of_a_nested_query(fallen: ssduck.Interpreter) -> None:
+def test_neither_are_those_of_a_nested_query(fallen):
     program = "SELECT count(SELECT b.this FROM b=lab{{{}}} WHERE near(a.this, b.this, 5) AS list) "
     program += "FROM a=lab{{0.1}} AS list;"
     with pytest.raises(ArgumentError, match=r"of two ticks|at one tick"):
@@ -189,7 +186,7 @@ def test_neither_are_those_of_a_nested_query(fallen: ssduck.Interpreter) -> None
         ("SELECT z FROM lab{True};", "is a number of seconds, not True"),
     ],
 )
-def test_ticks_that_are_not_kept(falling: ssduck.Interpreter, program: str, told: str) -> None:
+def test_ticks_that_are_not_kept(falling, program, told):
     _step(falling, 12)
     with pytest.raises((EvaluationError, ArgumentError), match=told) as caught:
         falling.eval(program)
@@ -197,7 +194,7 @@ def test_ticks_that_are_not_kept(falling: ssduck.Interpreter, program: str, told
 
 
 @pytest.mark.slow
-def test_no_statement_reads_ticks_that_are_not_asked_for(falling: ssduck.Interpreter) -> None:
+def test_no_statement_reads_ticks_that_are_not_asked_for(falling):
     _step(falling, 480)
     falling.flush()
     told: list[str] = []
@@ -208,7 +205,7 @@ def test_no_statement_reads_ticks_that_are_not_asked_for(falling: ssduck.Interpr
 
 
 @pytest.mark.slow
-def test_raw_sql_compares_shapes_of_the_past(falling: ssduck.Interpreter) -> None:
+def test_raw_sql_compares_shapes_of_the_past(falling):
     _step(falling, 200)
     rows = falling.sql(
         "SELECT a.tick FROM entities_history a JOIN entities_history b ON a.tick = b.tick "
@@ -245,7 +242,7 @@ LOOKED_UP = [
 
 
 @pytest.fixture(scope="module")
-def looked_at() -> Any:
+def looked_at():
     """The kitchen with all its tables recorded, the roomba on its way."""
     with ssduck.load("kitchen") as ss:
         ss.record("kitchen", Recording(tables=ALL))
@@ -258,9 +255,7 @@ def looked_at() -> Any:
 
 @pytest.mark.slow
 @sampled(("sql", "program"), LOOKED_UP, every=10, ids=[sql for sql, _ in LOOKED_UP])
-def test_raw_sql_looks_up_what_was_told_then(
-    looked_at: ssduck.Interpreter, sql: str, program: str
-) -> None:
+def test_raw_sql_looks_up_what_was_told_then(looked_at, sql, program):
     ticks = looked_at.past("kitchen").ticks[3 : -1 : 6 if generated(1) > 1 else 12]
     for tick in ticks:
         where = f"a.tick = {tick} AND b.tick = {tick} AND b.name LIKE 'r%'"
@@ -280,7 +275,7 @@ def test_raw_sql_looks_up_what_was_told_then(
 
 
 @pytest.fixture(scope="module")
-def moments(looked_at: ssduck.Interpreter) -> list[tuple[int, list[Any], Any]]:
+def moments(looked_at):
     """The entities of each recorded tick, and their shapes."""
     past = looked_at.past("kitchen")
     worlds = [(tick, past.record.at(tick)) for tick in past.ticks]
@@ -301,9 +296,7 @@ def moments(looked_at: ssduck.Interpreter) -> list[tuple[int, list[Any], Any]]:
     ],
     every=2,
 )
-def test_all_ticks_at_once_are_each_tick(
-    looked_at: ssduck.Interpreter, moments: list[Any], form: str, where: str
-) -> None:
+def test_all_ticks_at_once_are_each_tick(looked_at, moments, form, where):
     kitchen = looked_at.call_variable("kitchen")
     looked_at.add_variable("robot", kitchen["roomba_625x"])
     program = f"SELECT tick(a.this), id(a.this), id(b.this) FROM a=kitchen{{}}, b=kitchen{{}} WHERE {where.format(form)} AS list;"
@@ -326,7 +319,7 @@ def test_all_ticks_at_once_are_each_tick(
     assert wanted or "no such" in where or "isRobot(b" in where or "% 7" in where
 
 
-def _is_chosen(where: str, a: Any, b: Any, tick: int) -> bool:
+def _is_chosen(where, a, b, tick):
     if "no such" in where:
         return False
     if "isRobot" in where:
@@ -337,7 +330,7 @@ def _is_chosen(where: str, a: Any, b: Any, tick: int) -> bool:
 
 
 @pytest.mark.slow
-def test_a_window_is_compared_once(looked_at: ssduck.Interpreter) -> None:
+def test_a_window_is_compared_once(looked_at):
     looked_at.eval("robot = SELECT obj FROM kitchen WHERE id(this) == 'roomba_625x' AS value;")
     looked_at.eval("room = SELECT obj FROM kitchen WHERE id(this) == 'kitchen' AS value;")
     before = looked_at.statistics()["kitchen"].pairs
@@ -353,7 +346,7 @@ def test_a_window_is_compared_once(looked_at: ssduck.Interpreter) -> None:
     assert found
 
 
-def test_a_long_window_has_its_values_written_in(falling: ssduck.Interpreter) -> None:
+def test_a_long_window_has_its_values_written_in(falling):
     from ssduck.interpreter import query_runner as queries
 
     _step(falling, 60)
@@ -378,7 +371,7 @@ def test_a_long_window_has_its_values_written_in(falling: ssduck.Interpreter) ->
 # -- what is kept no longer, and nested queries --------------------------------------------------
 
 
-def test_a_past_that_is_recorded_anew_is_refused(falling: ssduck.Interpreter) -> None:
+def test_a_past_that_is_recorded_anew_is_refused(falling):
     _step(falling, 10)
     then = falling.past("lab", 0.01)
     falling.add_variable("then", then)
@@ -394,7 +387,7 @@ def test_a_past_that_is_recorded_anew_is_refused(falling: ssduck.Interpreter) ->
 
 
 @pytest.mark.slow
-def test_a_past_that_was_dropped_is_refused(falling: ssduck.Interpreter) -> None:
+def test_a_past_that_was_dropped_is_refused(falling):
     falling.record("lab", Recording(ticks=8))
     _step(falling, 2)
     then = falling.past("lab", falling.call_variable("lab").time)
@@ -414,7 +407,7 @@ def test_a_past_that_was_dropped_is_refused(falling: ssduck.Interpreter) -> None
         _ = handle.position
 
 
-def test_the_past_of_another_interpreter_is_refused(falling: ssduck.Interpreter) -> None:
+def test_the_past_of_another_interpreter_is_refused(falling):
     _step(falling, 3)
     with ssduck.Interpreter() as other:
         other.add_variable("lab", falling.call_variable("lab"))
@@ -438,7 +431,7 @@ NESTED = [
 
 
 @sampled("program", NESTED, every=3)
-def test_nested_queries_of_the_past(falling: ssduck.Interpreter, program: str) -> None:
+def test_nested_queries_of_the_past(falling, program):
     _step(falling, 40)
     falling.eval("ball = SELECT obj FROM lab WHERE id(this) == 'ball_0' AS value;")
     as_sql, row_by_row = _both(falling, program)
@@ -446,14 +439,14 @@ def test_nested_queries_of_the_past(falling: ssduck.Interpreter, program: str) -
     assert as_sql
 
 
-def test_a_handle_in_a_nested_query_goes_with_the_row(falling: ssduck.Interpreter) -> None:
+def test_a_handle_in_a_nested_query_goes_with_the_row(falling):
     _step(falling, 40)
     falling.eval("ball = SELECT obj FROM lab WHERE id(this) == 'ball_0' AS value;")
     assert falling.eval(NESTED[0]) == [1.0, 1.0]
 
 
 @pytest.mark.slow
-def test_a_name_that_two_had() -> None:
+def test_a_name_that_two_had():
     client, bodies = _falling(1)
     world = ssduck.World.attach(client, names={0: "board"})
     ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
@@ -477,7 +470,7 @@ def test_a_name_that_two_had() -> None:
 
 
 @pytest.mark.slow
-def test_the_present_beside_a_past_that_lacks_it(falling: ssduck.Interpreter) -> None:
+def test_the_present_beside_a_past_that_lacks_it(falling):
     falling.record("lab", Recording(every=3, entities=("ball_0",)))
     _step(falling, 2)
     falling.eval("ball = SELECT obj FROM lab WHERE id(this) == 'ball_0' AS value;")
@@ -490,7 +483,7 @@ def test_the_present_beside_a_past_that_lacks_it(falling: ssduck.Interpreter) ->
 
 
 @pytest.mark.slow
-def test_a_bounded_record_is_exported_in_order(falling: ssduck.Interpreter, tmp_path: Any) -> None:
+def test_a_bounded_record_is_exported_in_order(falling, tmp_path):
     falling.record("lab", Recording(ticks=40))
     _step(falling, 170)
     ticks = falling.past("lab").ticks
@@ -502,7 +495,7 @@ def test_a_bounded_record_is_exported_in_order(falling: ssduck.Interpreter, tmp_
 
 
 @pytest.mark.slow
-def test_the_past_is_read_while_another_thread_steps(falling: ssduck.Interpreter) -> None:
+def test_the_past_is_read_while_another_thread_steps(falling):
     _step(falling, 20)
     with _stepped(falling.call_variable("lab")):
         for _ in range(15):
@@ -523,7 +516,7 @@ def test_the_past_is_read_while_another_thread_steps(falling: ssduck.Interpreter
         (lambda ss: ss.eval("least(IF(z(ball) > 0.99; 'a'; 1));"), "expression of numbers"),
     ],
 )
-def test_what_is_no_argument(falling: ssduck.Interpreter, call: Any, told: str) -> None:
+def test_what_is_no_argument(falling, call, told):
     falling.eval("ball = SELECT obj FROM lab WHERE id(this) == 'ball_0' AS value;")
     with pytest.raises(ArgumentError, match=told):
         call(falling)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import pybullet
 import pytest
 
@@ -21,7 +19,7 @@ PROGRAMS = {
 }
 
 
-def _walls() -> str:
+def _walls():
     """The shapes of an open box, 40 cm wide."""
     floor = collision('<box size="0.4 0.4 0.02"/>')
     sides = [
@@ -37,7 +35,7 @@ def _walls() -> str:
 
 
 @pytest.fixture(scope="module")
-def ss(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ssduck.Interpreter]:
+def ss(tmp_path_factory):
     """A bin into which a ball falls, a cart that passes a box, and a tray that comes to a coin."""
     folder = tmp_path_factory.mktemp("bins")
     client = pybullet.connect(pybullet.DIRECT)
@@ -79,7 +77,7 @@ def ss(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ssduck.Interpreter]
     pybullet.disconnect(client)
 
 
-def _singly(ss: ssduck.Interpreter, relation: str, a: str) -> list[object]:
+def _singly(ss, relation, a):
     """The same, by the shapes of each tick."""
     past, found = ss.past("sim"), []
     for tick in past.ticks:
@@ -105,9 +103,7 @@ def _singly(ss: ssduck.Interpreter, relation: str, a: str) -> list[object]:
 @pytest.mark.slow
 @pytest.mark.parametrize("a", ["bin", "cart", "drawer"])
 @pytest.mark.parametrize("relation", PROGRAMS)
-def test_all_ticks_together_have_the_answers_of_each_tick(
-    ss: ssduck.Interpreter, relation: str, a: str
-) -> None:
+def test_all_ticks_together_have_the_answers_of_each_tick(ss, relation, a):
     program = PROGRAMS[relation].format(a=a)
     found = ss.eval(program)
     singly = _singly(ss, relation, a)
@@ -118,14 +114,12 @@ def test_all_ticks_together_have_the_answers_of_each_tick(
 
 
 @pytest.mark.slow
-def test_a_container_that_stands_still_is_placed_once(
-    ss: ssduck.Interpreter, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_container_that_stands_still_is_placed_once(ss, monkeypatch):
     ss.past("sim").record.answer_cache.clear()
     hulls = []
     world_hull = narrow_phase.world_hull
 
-    def counted(*arguments: object) -> object:
+    def counted(*arguments):
         hulls.append(arguments)
         return world_hull(*arguments)  # type: ignore[arg-type]
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pybullet
 import pytest
 
@@ -25,7 +23,7 @@ ANSWERS = {
 
 
 @pytest.mark.slow
-def test_it_is_another_entity(tmp_path: Path) -> None:
+def test_it_is_another_entity(tmp_path):
     client = pybullet.connect(pybullet.DIRECT)
     old = pybullet.createMultiBody(1, basePosition=[0, 0, 5], physicsClientId=client)
     with ssduck.Interpreter(recording=ssduck.Recording(tables=ALL)) as ss:
@@ -48,7 +46,7 @@ def test_it_is_another_entity(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_body_that_came_later_is_told_of(tmp_path: Path) -> None:
+def test_a_body_that_came_later_is_told_of(tmp_path):
     client = pybullet.connect(pybullet.DIRECT)
     pybullet.createMultiBody(1, basePosition=[0, 0, 5], physicsClientId=client)
     with ssduck.Interpreter(recording=ssduck.Recording()) as ss:

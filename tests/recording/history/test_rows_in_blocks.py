@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Iterator
-from typing import Any
 
 import mujoco
 import pybullet
@@ -14,7 +12,6 @@ import ssduck
 from ssduck import Recording
 from ssduck.recording.buffers import RowBuffer
 from ssduck.schema import RECORDED
-from ssduck.world.world import World
 
 TABLES = ("entities", "links", "joints", "shapes", "contacts", "sensings")
 MODEL = """
@@ -33,13 +30,13 @@ MODEL = """
 LASER = {"min_angle": -1.0, "max_angle": 1.0, "resolution": 0.1, "max_range": 5.0}
 
 
-def _in_mujoco() -> tuple[World, Callable[[], object]]:
+def _in_mujoco():
     model = mujoco.MjModel.from_xml_string(MODEL)
     data = mujoco.MjData(model)
     return ssduck.World.attach(model, data), lambda: mujoco.mj_step(model, data, 9)
 
 
-def _in_pybullet(client: int) -> tuple[World, Callable[[], object]]:
+def _in_pybullet(client):
     pybullet.setGravity(0, 0, -10, client)
     here = {"physicsClientId": client}
     plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, **here)
@@ -67,16 +64,14 @@ def _in_pybullet(client: int) -> tuple[World, Callable[[], object]]:
     return ssduck.World.attach(client), lambda: [pybullet.stepSimulation(client) for _ in range(9)]
 
 
-def _rows(world: World, table: str) -> Iterator[tuple[Any, ...]]:
+def _rows(world, table):
     live = world.snapshot.tables[table]
     return zip(*map(live.values, RECORDED[table].tick_columns.names), strict=True)
 
 
 @pytest.mark.parametrize("asked_every", [1, 7, 1000])
 @pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
-def test_rows_of_the_history_are_those_of_the_ticks(
-    client: int, simulator: str, asked_every: int
-) -> None:
+def test_rows_of_the_history_are_those_of_the_ticks(client, simulator, asked_every):
     world, step = _in_mujoco() if simulator == "mujoco" else _in_pybullet(client)
     host = world.snapshot.entities[-1].name
     turned = {"position": [0.1, 0.02, 0.3], "orientation": [0.5, 0.1, 0.7, 0.5]}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import weakref
-from typing import Any
 
 import pybullet
 import pytest
@@ -17,7 +16,7 @@ from tests.support.pasts import ALL, _falling, _step, _stepped
 
 
 @sampled("steps", [1, 239, 240, 241, 500], every=3, ids=str)
-def test_each_tick_is_kept_stored_or_waiting(falling: ssduck.Interpreter, steps: int) -> None:
+def test_each_tick_is_kept_stored_or_waiting(falling, steps):
     _step(falling, steps)
     rows = falling.sql(
         "SELECT tick, count(*), min(time), max(time) FROM entities_history GROUP BY tick ORDER BY 1"
@@ -30,7 +29,7 @@ def test_each_tick_is_kept_stored_or_waiting(falling: ssduck.Interpreter, steps:
 
 @pytest.mark.slow
 @sampled("changed", [False, True], every=2, ids=["all", "changed"])
-def test_the_last_tick_of_the_history_is_the_present(changed: bool) -> None:
+def test_the_last_tick_of_the_history_is_the_present(changed):
     with ssduck.load("kitchen") as ss:
         ss.record("kitchen", Recording(tables=ALL, changed=changed))
         _step(ss, 30, "kitchen")
@@ -46,7 +45,7 @@ def test_the_last_tick_of_the_history_is_the_present(changed: bool) -> None:
 
 
 @pytest.mark.slow
-def test_what_changed_is_all_there_is_to_store(falling: ssduck.Interpreter) -> None:
+def test_what_changed_is_all_there_is_to_store(falling):
     falling.record("lab", Recording(changed=True))
     _step(falling, 50)
     falling.flush()
@@ -62,7 +61,7 @@ def test_what_changed_is_all_there_is_to_store(falling: ssduck.Interpreter) -> N
 
 
 @pytest.mark.slow
-def test_changes_are_found_of_entities_that_come_and_go() -> None:
+def test_changes_are_found_of_entities_that_come_and_go():
     client, bodies = _falling()
     world = ssduck.World.attach(client)
     with ssduck.Interpreter() as plain, ssduck.Interpreter() as sparse:
@@ -87,7 +86,7 @@ def test_changes_are_found_of_entities_that_come_and_go() -> None:
 
 
 @sampled("every", [1, 2, 7], every=3)
-def test_every_nth_tick_is_kept(falling: ssduck.Interpreter, every: int) -> None:
+def test_every_nth_tick_is_kept(falling, every):
     falling.record("lab", Recording(every=every))
     first = falling.call_variable("lab").snapshot.number
     _step(falling, 20)
@@ -96,7 +95,7 @@ def test_every_nth_tick_is_kept(falling: ssduck.Interpreter, every: int) -> None
 
 
 @pytest.mark.slow
-def test_some_entities_are_kept(falling: ssduck.Interpreter) -> None:
+def test_some_entities_are_kept(falling):
     falling.record("lab", Recording(entities=("ball_1",), tables=("contacts", "shapes")))
     _step(falling, 100)
     assert falling.sql("SELECT DISTINCT name FROM entities_history").fetchall() == [("ball_1",)]
@@ -105,7 +104,7 @@ def test_some_entities_are_kept(falling: ssduck.Interpreter) -> None:
 
 
 @pytest.mark.slow
-def test_a_sensor_brings_what_it_sits_on() -> None:
+def test_a_sensor_brings_what_it_sits_on():
     with ssduck.load("kitchen") as ss:
         ss.record("kitchen", Recording(entities=("fridge_webcam",)))
         _step(ss, 3, "kitchen")
@@ -126,9 +125,7 @@ def test_a_sensor_brings_what_it_sits_on() -> None:
     every=2,
     ids=["seconds", "ticks", "both", "one", "many"],
 )
-def test_old_ticks_are_dropped(
-    falling: ssduck.Interpreter, recording: Recording, least: int, most: int
-) -> None:
+def test_old_ticks_are_dropped(falling, recording, least, most):
     falling.record("lab", recording)
     for _ in range(10):
         _step(falling, 130)
@@ -157,17 +154,17 @@ def test_old_ticks_are_dropped(
     ],
     ids=lambda value: str(value)[:30],
 )
-def test_recordings_that_are_none(given: dict[str, Any], told: str) -> None:
+def test_recordings_that_are_none(given, told):
     with pytest.raises(ArgumentError, match=told):
         Recording(**given)
 
 
-def test_entities_that_are_recorded_are_there(falling: ssduck.Interpreter) -> None:
+def test_entities_that_are_recorded_are_there(falling):
     with pytest.raises(ArgumentError, match="no entity 'bal_1'"):
         falling.record("lab", Recording(entities=("bal_1",)))
 
 
-def test_nothing_is_kept_where_nothing_is_asked_for() -> None:
+def test_nothing_is_kept_where_nothing_is_asked_for():
     client, _ = _falling()
     with ssduck.Interpreter(recording=None) as ss:
         ss.add_variable("lab", ssduck.World.attach(client))
@@ -185,7 +182,7 @@ def test_nothing_is_kept_where_nothing_is_asked_for() -> None:
 
 
 @pytest.mark.slow
-def test_a_position_that_is_no_number_is_unknown_in_the_history() -> None:
+def test_a_position_that_is_no_number_is_unknown_in_the_history():
     client, bodies = _falling()
     world = ssduck.World.attach(client, names={bodies[0]: "lost"})
     with ssduck.Interpreter() as ss:
@@ -202,7 +199,7 @@ def test_a_position_that_is_no_number_is_unknown_in_the_history() -> None:
 
 
 @pytest.mark.slow
-def test_a_world_that_is_recorded_lets_its_interpreter_go() -> None:
+def test_a_world_that_is_recorded_lets_its_interpreter_go():
     client, _ = _falling()
     world = ssduck.World.attach(client)
     ss = ssduck.Interpreter()
@@ -217,7 +214,7 @@ def test_a_world_that_is_recorded_lets_its_interpreter_go() -> None:
 
 
 @pytest.mark.slow
-def test_ticks_are_taken_while_another_thread_asks(falling: ssduck.Interpreter) -> None:
+def test_ticks_are_taken_while_another_thread_asks(falling):
     with _stepped(falling.call_variable("lab")):
         for _ in range(30):
             counts = falling.sql(

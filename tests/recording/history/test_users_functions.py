@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pybullet
 import pytest
 
@@ -28,7 +26,7 @@ PROGRAMS = [
 
 
 @pytest.fixture(params=[False, True], ids=["sql", "row by row"])
-def fallen(request: pytest.FixtureRequest, falling: ssduck.Interpreter) -> Any:
+def fallen(request, falling):
     with ssduck.Interpreter(row_by_row=request.param) as ss:
         ss.add_variable("lab", falling.call_variable("lab"))
         ss.add_function("h", lambda entity: entity.position[2])
@@ -38,7 +36,7 @@ def fallen(request: pytest.FixtureRequest, falling: ssduck.Interpreter) -> Any:
 
 
 @pytest.mark.slow
-def test_it_is_of_the_tick_of_the_row(fallen: ssduck.Interpreter) -> None:
+def test_it_is_of_the_tick_of_the_row(fallen):
     for program in PROGRAMS:
         expected = fallen.eval(program)
         assert fallen.eval(program.replace("z(", "h(")) == expected, program
@@ -46,14 +44,14 @@ def test_it_is_of_the_tick_of_the_row(fallen: ssduck.Interpreter) -> None:
     assert then == pytest.approx(1 - 9.81 / 2 * 0.1**2, abs=0.01)
 
 
-def test_in_a_list_too(fallen: ssduck.Interpreter) -> None:
+def test_in_a_list_too(fallen):
     ask = "SELECT {} FROM lab{{0.1}} WHERE id(this) == 'board' AS value;"
     expected = fallen.eval(ask.format("z(lab.ball_0)"))
     assert fallen.eval(ask.format("highest([lab.ball_0, lab.ball_1])")) == expected
 
 
 @pytest.mark.slow
-def test_of_an_entity_that_was_not_there_it_is_nothing(fallen: ssduck.Interpreter) -> None:
+def test_of_an_entity_that_was_not_there_it_is_nothing(fallen):
     lab = fallen.call_variable("lab")
     pybullet.createMultiBody(1, -1, basePosition=[0, 0, 3], physicsClientId=lab.simulator.client)
     _step(fallen, 1)

@@ -49,7 +49,7 @@ def lab():
     pybullet.disconnect(client)
 
 
-def _told(ss: ssduck.Interpreter, question: str) -> tuple[object, list[str]]:
+def _told(ss, question):
     """Returns the answer, and the warnings of entities that were not recorded."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")

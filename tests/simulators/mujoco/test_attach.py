@@ -354,7 +354,7 @@ def test_contacts_of_two_bodies_that_press(cone):
     assert {(0, 1), (1, 3), (0, 4)} <= seen
 
 
-def _of_module(module: str) -> object:
+def _of_module(module):
     """Returns an object whose class says that it is of a module."""
     return type("Model", (), {"__module__": module})()
 
