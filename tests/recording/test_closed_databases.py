@@ -126,8 +126,11 @@ def test_a_file_in_use(door, recorded, tmp_path):
         assert process.stdout.readline() == "on\n"
         log = file.with_name("run.duckdb.wal")
         assert log.exists()
-        with pytest.raises(RecordError, match="in use by another process"):
+        told = rf"in use by another process \(PID {process.pid}\).*write to a folder"
+        with pytest.raises(RecordError, match=told):
             DOORS[door](file)
+        with pytest.raises(SqlError, match="in use by another process"):
+            ssduck.Interpreter(file)
         assert sorted(file.parent.iterdir()) == [file, log]
         process.communicate("\n")
     assert ssduck.check(file) == []

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import threading
-
 import pytest
 
 import ssduck
-from ssduck import Recording
 from ssduck.errors import ArgumentError, RecordError, SqlError
-from ssduck.recording.stores.parquet import ParquetStore
 from tests.support.cases import sampled
 from tests.support.command_line import answer
 from tests.support.recorded import ROOT
@@ -68,29 +64,3 @@ def test_a_file_has_one_writer_in_a_process(tmp_path):
             with pytest.raises(error, match="is open in this process: close it first"):
                 use(path)
     ssduck.Interpreter(path).close()
-
-
-@pytest.mark.slow
-def test_recorders_that_begin_in_one_new_folder_at_once_all_get_an_episode(tmp_path):
-    """50 starts: ten in each of five new folders."""
-    folders, starts = 5, 10
-    failures, numbers = [], {folder: [] for folder in range(folders)}
-    barriers = [threading.Barrier(starts) for _ in range(folders)]
-
-    def begin():
-        for folder, barrier in enumerate(barriers):
-            barrier.wait(timeout=60)
-            try:
-                store = ParquetStore(tmp_path / str(folder), "room", Recording())
-            except RecordError as error:
-                failures.append(error)
-            else:
-                numbers[folder].append(store.run.number)
-
-    threads = [threading.Thread(target=begin) for _ in range(starts)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert failures == []
-    assert all(sorted(begun) == list(range(starts)) for begun in numbers.values())

@@ -14,6 +14,7 @@ import ssduck
 
 ALL = ssduck.Recording(tables=("entities", "links", "contacts"))
 COLUMNS = 'a, link_a, b, link_b, ax, ay, az, bx, "by", bz, force, -depth'
+VECTORS = "nx, ny, nz, fx, fy, fz"
 
 
 def duck_drop(client):
@@ -106,7 +107,19 @@ CLOTH = """
     <edge equality="true"/></flexcomp>
 </worldbody></mujoco>
 """
+# Every number of friction axes, and contacts at a distance that a margin allows.
+SLIDING = '<mujoco><option cone="{cone}" gravity="3 0 -9.81"/><worldbody><geom type="plane" size="0 0 1" condim="1" margin="0.01"/>'
+SLIDING += "".join(
+    f'<body pos="{n} 0 .099"><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 0 1"/>'
+    f'<geom type="{kind}" size=".1 .1 .1" condim="{dim}" margin="{margin}" friction=".7 .1 .2"/></body>'
+    for n, (kind, dim, margin) in enumerate(
+        [("box", 1, 0), ("sphere", 3, 0), ("box", 4, 0), ("sphere", 6, 0.02), ("box", 3, 0.02)]
+    )
+)
+SLIDING += "</worldbody></mujoco>"
 MODELS = {
+    "sliding, elliptic": SLIDING.format(cone="elliptic"),
+    "sliding, pyramidal": SLIDING.format(cone="pyramidal"),
     "elliptic": PUSHED.format(cone="elliptic", margin=0.0),
     "margin": PUSHED.format(cone="pyramidal", margin=0.004),
     "cloth": CLOTH,
@@ -131,7 +144,9 @@ def points_of_mujoco(model, data, handles):
                 root = model.flex_vertbodyid[0]
             sides.append((handles[root], int(body - root), *contact.pos))
         (a, link_a, *at_a), (b, link_b, *at_b) = sorted(sides)
-        yield (a, link_a, b, link_b, *at_a, *at_b, force[0], contact.dist)
+        frame = contact.frame.reshape(3, 3) * (1 if sides[0] < sides[1] else -1)
+        vectors = (*-frame[0], *(-force[:3] @ frame))
+        yield (a, link_a, b, link_b, *at_a, *at_b, force[0], contact.dist, *vectors)
 
 
 @pytest.mark.slow
@@ -148,9 +163,10 @@ def test_contacts_of_mujoco(text, steps):
             data.ctrl[:] = 1.0
             mujoco.mj_step(model, data)
             world.tick()
-            expected = np.array(sorted(points_of_mujoco(model, data, handles))).reshape(-1, 12)
-            found = np.array(sorted(ss.sql(f"SELECT {COLUMNS} FROM sim.contacts").fetchall()))
-            assert found.reshape(-1, 12) == pytest.approx(expected, abs=1e-12, rel=1e-12)
+            expected = np.array(sorted(points_of_mujoco(model, data, handles))).reshape(-1, 18)
+            query = f"SELECT {COLUMNS}, {VECTORS} FROM sim.contacts"
+            found = np.array(sorted(ss.sql(query).fetchall())).reshape(-1, 18)
+            assert found == pytest.approx(expected, abs=1e-9, rel=1e-12)
             count += len(expected)
         assert count > steps / 2
 

@@ -576,58 +576,6 @@ def test_the_case_of_a_suffix_does_not_matter(write):
         assert ss.eval("SELECT id FROM CUP AS list;") == ["cup"]
 
 
-_AXES = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-
-
-def test_a_sdf_of_several_bodies(write):
-    """Their names are the models', made unique."""
-    inertia = "".join(f"<{k}>{v}</{k}>" for k, v in zip(_AXES, (1, 0, 0, 1, 0, 1), strict=True))
-    model = (
-        '<model name="crate"><pose>{} 0 0 0 0 0</pose><link name="l">'
-        f"<inertial><mass>1</mass><inertia>{inertia}</inertia></inertial>"
-        '<collision name="c"><geometry><box><size>1 1 1</size></box></geometry></collision>'
-        "</link></model>"
-    )
-    text = f'<sdf version="1.6"><world name="w">{model.format(0)}{model.format(5)}</world></sdf>'
-    with ssduck.load(write("crates.sdf", text)) as ss:
-        world = ss.call_variable("crates")
-        assert [e.name for e in world] == ["crate", "crate_2"]
-        assert world["crate_2"].aabb[0][0] - world["crate"].aabb[0][0] == pytest.approx(5, abs=1e-6)
-
-
-def test_a_mjcf_of_several_bodies():
-    file = LIBRARY / "mjcf" / "hello_mjcf.xml"
-    with pytest.warns(
-        UserWarning, match=re.escape(f"{file} (body_0, body_1): PyBullet ignores <light>")
-    ):
-        ss = ssduck.load(file, simulator="pybullet")
-    with ss:
-        world = ss.call_variable("hello_mjcf")
-        assert len(world) == 2
-        boxes = [e.aabb for e in world if e.mass > 0]
-        assert [high[0] - low[0] for low, high in boxes] == pytest.approx([0.2], abs=1e-6)
-
-
-@pytest.mark.slow
-def test_a_model_with_shapes_that_pybullet_does_not_tell():
-    words = "<joint damping> of abdomen_z, abdomen_y, abdomen_x and 6 more; .*leaves torso free; "
-    with pytest.warns(UserWarning, match=words):
-        ss = ssduck.load(LIBRARY / "mjcf" / "humanoid.xml", simulator="pybullet")
-    with ss:
-        assert ss.sql("SELECT DISTINCT exact FROM shapes").fetchall() == [(True,)]
-        kinds = ss.eval("SELECT type FROM humanoid AS list;")
-        assert sorted(kinds) == ["kinbody", "robot"]
-        assert len(ss.call_variable("humanoid").step(10)) == 2
-
-
-@pytest.mark.parametrize("name", ["a.sdf", "a.mjcf", "a.xml", "a.urdf"])
-def test_a_model_by_itself_that_cannot_be_loaded(write, capfd, name):
-    path = write(name, "this is no model")
-    error = failure(lambda: ssduck.load(path))
-    assert error.message.startswith(f"{path} cannot be loaded: ")
-    assert capfd.readouterr() == ("", "")
-
-
 # -- the tools of the shipped scenes -------------------------------------------------------------
 
 

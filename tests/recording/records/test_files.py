@@ -13,7 +13,7 @@ import pytest
 
 import ssduck
 from ssduck import Recording
-from ssduck.errors import ArgumentError, RecordError, SqlError
+from ssduck.errors import ArgumentError, RecordError
 from tests.support.recorded import POSIX, ROOT, python, rows
 from tests.support.timing import HANGS
 
@@ -26,8 +26,6 @@ kitchen = ss.call_variable("kitchen")
 for _ in range(10):
     kitchen.step()
 print(ss.flush()["kitchen"], flush=True)
-if sys.argv[2] == "wait":
-    sys.stdin.readline()
 kitchen.step()
 if sys.argv[2] == "kill":
     os.kill(os.getpid(), signal.SIGKILL)
@@ -39,7 +37,6 @@ def recorder(path, end):
     return subprocess.Popen(
         [sys.executable, "-c", RECORDER, str(path), end],
         env=os.environ | {"PYTHONPATH": str(ROOT)},
-        stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
     )
@@ -80,24 +77,6 @@ def test_a_file_holds_what_was_flushed_and_the_next_run_is_an_episode(tmp_path):
     assert [(e.world, e.number) for e in ssduck.episodes(path)] == [
         ("kitchen", 0), ("kitchen", 1), ("kitchen", 2), ("lab", 0),
     ]  # fmt: skip
-
-
-@pytest.mark.long
-def test_a_file_in_use_is_told_of(tmp_path):
-    path = tmp_path / "run.duckdb"
-    with recorder(path, "wait") as process:
-        try:
-            process.stdout.readline()
-            for use in (ssduck.open, ssduck.episodes):
-                with pytest.raises(
-                    RecordError, match=rf"another process \(PID {process.pid}\).*write to a folder"
-                ):
-                    use(path)
-            with pytest.raises(SqlError, match="in use by another process"):
-                ssduck.Interpreter(path)
-        finally:
-            process.communicate("\n", timeout=HANGS)
-    assert ssduck.episodes(path)[0].ticks == 12
 
 
 @pytest.mark.slow

@@ -291,26 +291,6 @@ def test_many_bodies_are_one_warning(client):
     assert len(said) == 1
 
 
-@pytest.mark.parametrize(
-    "model", ["humanoid.xml", "ant.xml", "half_cheetah.xml", "capsule_fromtoX.xml"]
-)
-def test_capsules_between_two_points_do_not_crash(client, model):
-    """PyBullet crashes if it is asked for them."""
-    handles = pybullet.loadMJCF(str(LIBRARY / "mjcf" / model), physicsClientId=client)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        world = asked(ssduck.World.attach(client), "links")
-    bodies = [member for member in world.snapshot.entities if member.body is not None]
-    assert len(bodies) == len(handles)
-    for member in bodies:
-        boxes = rows(world, "links", LOW + HIGH, member.name)
-        for number, box in enumerate(boxes):
-            low, high = pybullet.getAABB(member.body.handle, number - 1, client)
-            if high[0] < 1e20:
-                assert np.all(box[:3] >= np.array(low) - 1e-6)
-                assert np.all(box[3:] <= np.array(high) + 1e-6)
-
-
 def test_drawn_capsules_are_exact_where_they_are_the_shapes(client):
     """Capsules of URDF files, which look the same to PyBullet's client, need no boxes."""
     pybullet.loadURDF(str(LIBRARY / "humanoid/humanoid.urdf"), physicsClientId=client)
@@ -394,29 +374,6 @@ def test_a_resting_box_presses_with_its_weight(client, up):
     assert found[:, 2:5] - found[:, 5:8] == pytest.approx(
         -found[:, 11:12] * found[:, 8:11], abs=1e-9
     )
-
-
-def test_contacts_are_pybullets_points(client):
-    boxes_on_a_floor(client, [0.0, 0.0])
-    world = ssduck.World.attach(client)
-    world.request_tables(["contacts"])
-    world.step(100)
-    ids = {member.body.handle: member.id for member in world.snapshot.entities}
-    expected = set()
-    for entry in pybullet.getContactPoints(physicsClientId=client):
-        assert ids[entry[1]] != ids[entry[2]]
-        if ids[entry[1]] < ids[entry[2]]:
-            a, b, points, normal = entry[1], entry[2], (*entry[5], *entry[6]), entry[7]
-        else:
-            a, b, points = entry[2], entry[1], (*entry[6], *entry[5])
-            normal = tuple(-x for x in entry[7])
-        if entry[8] <= 0.0:
-            expected.add((ids[a], ids[b], *points, *normal, -entry[8], entry[9]))
-    found = rows(world, "contacts", ["a", "b", *CONTACT])
-    assert len(found) == len(expected) >= 8
-    assert set(map(tuple, found.tolist())) == expected
-    assert found.tolist() == sorted(found.tolist(), key=lambda row: row[:2])
-    assert rows(world, "contacts", ["link_a", "link_b"]).tolist() == [[0, 0]] * len(found)
 
 
 @pytest.mark.parametrize(

@@ -119,18 +119,6 @@ def test_all_relations_of_entities_agree(worlds):
     assert differences(ss, f"SELECT id(this) AS name, {selected} FROM SIM;") == []
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("form", ["occupancygrid", "voxelgrid"])
-def test_grids_agree(worlds, form):
-    """Cells are filled in the same places; a shape may end at the edge of one."""
-    ss, _, _ = worlds
-    height = "z_pos=0.5, " if form == "occupancygrid" else ""
-    chosen = f"SELECT obj(this) FROM SIM WHERE id != 'floor' AS {form}({height}grid_size=0.05);"
-    one, other = (np.asarray(ss.eval(chosen.replace("SIM", world))) for world in "pm")
-    assert one.shape == other.shape
-    assert (one != other).mean() < 1e-3 < (one != 0).mean()
-
-
 def test_what_if_agrees(worlds):
     ss, _, _ = worlds
     moved = {"arm": {"joint1": -0.4, "joint2": 0.6}}

@@ -92,68 +92,6 @@ def test_links_are_where_mujoco_has_them_and_as_fast(model, data, seed):
             assert position is None
 
 
-@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
-def test_contacts_have_the_forces_that_mujoco_tells(cone):
-    """Every number of friction axes, and a contact at a distance that a margin allows."""
-    bodies = "".join(
-        f'<body name="b{n}" pos="{n} 0 .099"><freejoint/>'
-        f'<geom type="{kind}" size=".1 .1 .1" condim="{dim}" margin="{margin}" friction=".7 .1 .2"/></body>'
-        for n, (kind, dim, margin) in enumerate(
-            [("box", 1, 0), ("sphere", 3, 0), ("box", 4, 0), ("sphere", 6, 0.02), ("box", 3, 0.02)]
-        )
-    )
-    model = mujoco.MjModel.from_xml_string(
-        f'<mujoco><option cone="{cone}"/><worldbody><geom type="plane" size="0 0 1" condim="1" '
-        f'margin="0.01"/>{bodies}</worldbody></mujoco>'
-    )
-    data = mujoco.MjData(model)
-    data.qvel[0::6] = 0.5  # they slide
-    mujoco.mj_step(model, data, 50)
-    world = ssduck.World.attach(model, data)
-    found = rows(world, "contacts", "b", "ax", "ay", "az", "bx", "by", "bz", "nx", "ny", "nz",
-                 "depth", "force", "fx", "fy", "fz")  # fmt: skip
-    expected = []
-    for number in range(data.ncon):
-        contact, force = data.contact[number], np.zeros(6)
-        mujoco.mj_contactForce(model, data, number, force)
-        if contact.dist > 0 and not force[0]:
-            continue
-        frame = contact.frame.reshape(3, 3)  # from the plane, entity 1, to the body
-        entity = 1 + int(model.geom_bodyid[contact.geom[1]])
-        expected.append(
-            (
-                entity,
-                *contact.pos,
-                *contact.pos,
-                *-frame[0],
-                -contact.dist,
-                force[0],
-                *(-force[:3] @ frame),
-            )
-        )
-    assert len(found) == len(expected) > 10
-    # By entity and point; the points differ by far more than rounding.
-    key = lambda row: [row[0], *np.round(row[1:4], 9)]  # noqa: E731
-    for one, other in zip(sorted(found, key=key), sorted(expected, key=key), strict=True):
-        assert one == pytest.approx(other, abs=1e-9)
-
-
-@pytest.mark.slow
-def test_contact_forces_carry_the_weights(model, data):
-    with ssduck.Interpreter() as ss:
-        lab = ss.add_variable("lab", ssduck.World.attach(model, data))
-        mujoco.mj_step(model, data, 1500)
-        lab.tick()
-        ask = "SELECT id FROM lab WHERE inContact(this, lab.table) AS list;"
-        assert ss.eval(ask) == ["box", "ball", "wedge"]
-        on = "SELECT id FROM lab WHERE on(lab.table, this) AS list;"
-        assert ss.eval(on) == ["box", "ball", "wedge"]
-        forces = ss.eval(
-            "SELECT contactForce(this, lab.table) FROM lab WHERE inContact(this, lab.table) AS list;"
-        )
-        assert forces == pytest.approx([2 * 9.81, 0.5 * 9.81, 9.81], rel=1e-3)
-
-
 def test_the_simulation_of_the_user_is_not_touched(model):
     """Not by a bit: ticks read, whether they compute the poses of their own time or not."""
     bare, plain, forward = (mujoco.MjData(model) for _ in range(3))
