@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 from typing import Any
 
@@ -16,6 +17,10 @@ ELEMENT = 40
 WIDEST = 4
 # The size of what JSON makes of a comma, and of a bracket and a brace with what follows, bytes.
 _OF_COMMA, _OF_LIST, _OF_DICT = 64, 136, 248
+# What a class of named tuples takes, and each of its names, bytes.
+_CLASS, _NAME = 10_000, 1000
+# Python needs a time for an integer that grows with the square of its digits.
+_MAX_DIGITS = 5000
 
 
 class InvalidAnswerError(Exception):
@@ -31,6 +36,7 @@ class Budget:
 
     def __init__(self, size: int = ANSWER_BYTES) -> None:
         self._size = self._left = size
+        self._classes: set[tuple[str, ...]] = {()}
 
     def charge(self, size: int) -> None:
         """Counts something."""
@@ -49,6 +55,17 @@ class Budget:
         size = width * len(text) + _OF_COMMA * text.count(b",")
         self.charge(size + _OF_LIST * text.count(b"[") + _OF_DICT * text.count(b"{"))
 
+    def parsed(self, text: bytes) -> Any:
+        """Counts a text of JSON, and returns its value."""
+        self.charge_json(text)
+        return json.loads(str(text, "ascii"), parse_int=_integer)
+
+    def charge_class(self, names: tuple[str, ...]) -> None:
+        """Counts the class of named tuples with some names, if it is new."""
+        if names not in self._classes:
+            self._classes.add(names)
+            self.charge(_CLASS + _NAME * len(names))
+
     def charge_keys(self, keys: Iterable[Any], count: int = 1) -> None:
         """Counts how often the keys of dicts may be compared.
 
@@ -60,3 +77,9 @@ class Budget:
     def charge_text(self, data: bytes) -> None:
         """Counts a text that is in the body, beside its bytes."""
         self.charge(len(data) * (1 if data.isascii() else WIDEST))
+
+
+def _integer(digits: str) -> int:
+    if len(digits) > _MAX_DIGITS:
+        raise InvalidAnswerError("an integer has too many digits")
+    return int(digits)

@@ -106,28 +106,16 @@ def _execute(walls: Walls) -> None:
         os.execve(walls.scratch / "none", ["none"], {})  # noqa: S606
 
 
-def _raw(name: str, *arguments: int | bytes | None) -> Probe:
+def _raw(name: str, *arguments: int | bytes | Callable[[], int] | None) -> Probe:
     """Returns a probe that makes a system call; an error of its arguments is none of the wall."""
 
     def probe(_: Walls) -> None:
         number = number_of(name, os.uname().machine)
         if number is None:
             raise PermissionError
-        system_call(number, *arguments)
+        system_call(number, *(one() if callable(one) else one for one in arguments))
 
     return probe
-
-
-def _to_parent(name: str, *arguments: int | bytes | None, is_second: bool = False) -> Probe:
-    def probe(walls: Walls) -> None:
-        first = arguments[:1] if is_second else ()
-        _raw(name, *first, os.getppid(), *arguments[len(first) :])(walls)
-
-    return probe
-
-
-def _kill(_: Walls) -> None:
-    os.kill(os.getppid(), 0)
 
 
 def _own_signals(_: Walls) -> None:
@@ -186,15 +174,15 @@ _PROBES: dict[str, dict[str, Probe]] = {
     "processes": {
         "fork": _fork,
         "start a program": _execute,
-        "trace a process": _to_parent("ptrace", _TRACE_PEEK, is_second=True),
-        "read a process's memory": _to_parent("process_vm_readv", None, 0, None, 0, 0),
+        "trace a process": _raw("ptrace", _TRACE_PEEK, os.getppid),
+        "read a process's memory": _raw("process_vm_readv", os.getppid, None, 0, None, 0, 0),
         "make a namespace": _raw("unshare", 0),
         "use the kernel's rings": _raw("io_uring_setup", 1, None),
     },
     "signals": {
-        "send a signal": _kill,
-        "send one to a thread": _to_parent("tkill", 0),
-        "queue one": _to_parent("rt_sigqueueinfo", 0, _QUEUED),
+        "send a signal": _raw("kill", os.getppid, 0),
+        "send one to a thread": _raw("tkill", os.getppid, 0),
+        "queue one": _raw("rt_sigqueueinfo", os.getppid, 0, _QUEUED),
         "have the kernel send one": _own_signals,
         "read another process's limits": _limit_parent,
     },

@@ -37,9 +37,9 @@ _LEAST_PACKED, _LEAST_TEXT = 16, 1000
 _ALIGNMENT = 64
 # What a dict takes beside its values, bytes.
 _DICT = 360
-# What a class of named tuples takes, and each of its names, bytes.
-_CLASS, _NAME = 10_000, 1000
 _MAX_DEPTH, _MAX_NAMES = 100, 1000
+# How long the largest integer of the language is, of a million bits, in hexadecimal digits.
+_MAX_INTEGER = len("-0x") + 10**6 // 4
 # The classes of graphs, and what a node and an edge take beside their attributes, bytes.
 _GRAPHS, _NODE, _EDGE = ("EntityGraph", "EntityMultiGraph"), 1000, 1000
 # The kinds of numpy's types: of numbers, truth values, texts and times.
@@ -69,7 +69,6 @@ class Encoder:
         self._names: dict[int, str] = {}
         self._size = 0
         self._budget = budget
-        self._classes = _Classes(budget)
 
     def text(self, value: Any) -> bytes:
         """Returns the JSON of a value."""
@@ -160,7 +159,7 @@ class Encoder:
     def row(self, row: Any, depth: int) -> Any:
         """Returns what JSON holds of a tuple, or of a named one."""
         names = getattr(row, "_fields", ())
-        self._classes.charge(names)
+        self._budget.charge_class(names)
         return [list(names), self._each(row, depth)]
 
     def table(self, table: pa.Table, _: int) -> Any:
@@ -207,20 +206,6 @@ class Encoder:
             f"a value of the class {type(value).__name__} cannot cross the wall of the sandbox; "
             "numbers, texts, lists, dicts, arrays and tables do: AS dict, list, df, numpy or json"
         )
-
-
-class _Classes:
-    """Counts the classes of named tuples that an answer needs, each once."""
-
-    def __init__(self, budget: Budget) -> None:
-        self._budget = budget
-        self._known: set[tuple[str, ...]] = {()}
-
-    def charge(self, names: tuple[str, ...]) -> None:
-        """Counts the class with some names, if it is new."""
-        if names not in self._known:
-            self._known.add(names)
-            self._budget.charge(_CLASS + _NAME * len(names))
 
 
 def _columns(rows: list[dict[Any, Any]]) -> dict[Any, list[Any]] | None:
@@ -277,16 +262,14 @@ class Decoder:
         self._body = body
         self._taken = 0
         self._budget = budget
-        self._classes = _Classes(budget)
         self._entity = entity
         self._world = world
         self._table = table
 
     def value(self, document: bytes) -> Any:
         """Returns the value of a text of JSON."""
-        self._budget.charge_json(document)
         try:
-            return self.node(json.loads(str(document, "ascii")))
+            return self.node(self._budget.parsed(document))
         except (InvalidAnswerError, SelectScriptError):
             raise
         except Exception as error:
@@ -312,6 +295,12 @@ class Decoder:
         if self._taken > len(self._body):
             raise InvalidAnswerError("a part of its body stands for several values")
         return self._body[start : start + size]
+
+    def integer(self, content: Any) -> int:
+        """Returns a large integer."""
+        if len(content) > _MAX_INTEGER:
+            raise InvalidAnswerError("an integer is too large")
+        return int(content, 16)
 
     def numbers(self, content: Any) -> list[Any]:
         """Returns a list of numbers."""
@@ -359,7 +348,7 @@ class Decoder:
             return tuple(parts)
         if len(names) > _MAX_NAMES:
             raise InvalidAnswerError("a row has too many names")
-        self._classes.charge(tuple(names))
+        self._budget.charge_class(tuple(names))
         row: tuple[Any, ...] = class_of_rows(tuple(names))._make(parts)
         return row
 
@@ -480,7 +469,7 @@ def _frame(table: pa.Table, dtypes: Sequence[str]) -> Any:
 
 
 _DECODERS: dict[str, Callable[[Decoder, Any], Any]] = {
-    "int": lambda _, content: int(content, 16),
+    "int": Decoder.integer,
     "text": Decoder.text,
     "bytes": lambda self, content: bytes(self.part(content)),
     "numbers": Decoder.numbers,

@@ -16,7 +16,7 @@ from ssduck.errors import LimitError, SandboxError, SelectScriptError, warn
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.stopping import StopRequest
 from ssduck.recording.replay.replayed_world import CopiedWorld, ReplayedWorld
-from ssduck.sandbox.budget import Budget
+from ssduck.sandbox.budget import Budget, InvalidAnswerError
 from ssduck.sandbox.interpreter import SandboxedInterpreter
 from ssduck.sandbox.opening import open_record
 from ssduck.sandbox.processes import shared_zygote
@@ -134,10 +134,8 @@ def _asked(
     with stop.applies_to(box):
         text = box.ask(f"page answers.{method}", *arguments, as_before=as_before)
     try:
-        data = text.encode()
-        Budget().charge_json(data)
-        answer = json.loads(data)
-    except (AttributeError, ValueError, RecursionError):
+        answer = Budget().parsed(text.encode())
+    except (AttributeError, ValueError, RecursionError, InvalidAnswerError):
         answer = None
     if not isinstance(answer, dict):
         raise LimitError("the process of the page sent no answer")

@@ -6,6 +6,7 @@ import gc
 import json
 import resource
 import sys
+import time
 
 import numpy as np
 import pyarrow as pa
@@ -233,6 +234,24 @@ WRONG = [
 
 # The hash of a multiple of this number is 0.
 ALIKE = sys.hash_info.modulus
+
+
+@pytest.mark.parametrize("document", [b"1" * 1_000_000, b'{"int":"-0x%b"}' % (b"f" * 250_001)])
+def test_integers_of_many_digits_do_not_hold_the_host_up(document):
+    """The command line, which shows long integers, has no limit of digits."""
+    before, begin = sys.get_int_max_str_digits(), time.process_time()
+    sys.set_int_max_str_digits(0)
+    try:
+        with pytest.raises(InvalidAnswerError, match="an integer"):
+            Decoder(memoryview(b""), Budget(), world=str).value(document)
+    finally:
+        sys.set_int_max_str_digits(before)
+    assert time.process_time() - begin < 1  # 13 s where all digits are read
+
+
+def test_the_largest_integers_of_the_language_cross(empty):
+    assert empty.eval("2^499999 * 2^499999;") == 2**999_998
+    assert empty.eval("-(2^499999 * 2^499999);") == -(2**999_998)
 
 
 @pytest.mark.parametrize("document", WRONG, ids=json.dumps)
