@@ -1,15 +1,12 @@
-"""The methods of an interpreter by which users add functions and tables of their own."""
+"""What users add to an interpreter: functions and tables of their own."""
 
 from __future__ import annotations
 
-import threading
-from abc import ABC
 from collections.abc import Callable
 from typing import Any, Protocol, Self
 
 from ssduck import validation
 from ssduck.adapters.result import arrow_of
-from ssduck.database.database import Database
 from ssduck.errors import ArgumentError
 from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.namespace import check_name
@@ -34,12 +31,12 @@ class ServedPage(Protocol):
     def __exit__(self, *_: object) -> None: ...
 
 
-class AdditionMethods(ABC):
-    """The methods of an interpreter by which users add functions and tables of their own."""
+class Additions:
+    """What users add to an interpreter: functions and tables of their own."""
 
-    _database: Database
-    _execution: Execution
-    _lock: threading.RLock
+    def __init__(self, execution: Execution) -> None:
+        self._execution = execution
+        self._lock, self._database = execution.lock, execution.database
 
     def add_function(
         self, name: str, function: Callable[..., Any], help: str | None = None

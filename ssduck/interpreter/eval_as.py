@@ -146,48 +146,47 @@ def takes_results(call: Callable[..., Any]) -> bool:
     return "RESULTS" in inspect.signature(call).parameters
 
 
-class EvalAsMethods:
-    """The three basic forms as methods, as in the published interpreters.
+# The three basic forms as methods, as in the published interpreters. A subclass passes on the
+# arguments of its `evalAs(self, AS, PARAMS, SELECT, FROM_n, RESULTS)`: the form's arguments, the
+# columns, the names of the sources, and a tuple of elements for each row.
 
-    A subclass passes on the arguments of its `evalAs(self, AS, PARAMS, SELECT, FROM_n, RESULTS)`:
-    the form's arguments, the columns, the names of the sources, and a tuple of elements for each
-    row.
-    """
 
-    def evalAS_list(  # noqa: N802
-        self,
-        _: Sequence[Any],
-        select: SelectedColumns,
-        names: Sequence[str],
-        rows: Iterable[Sequence[Any]],
-    ) -> list[Any]:
-        """`AS list`: returns the values row after row."""
-        return [column.plain_value(row, names) for row in rows for column in select]
+def as_list(
+    _: object,
+    __: Sequence[Any],
+    select: SelectedColumns,
+    names: Sequence[str],
+    rows: Iterable[Sequence[Any]],
+) -> list[Any]:
+    """`AS list`: returns the values row after row."""
+    return [column.plain_value(row, names) for row in rows for column in select]
 
-    def evalAS_dict(  # noqa: N802
-        self,
-        _: Sequence[Any],
-        select: SelectedColumns,
-        names: Sequence[str],
-        rows: Iterable[Sequence[Any]],
-    ) -> list[dict[Any, Any]]:
-        """`AS dict`: returns a dict for each row."""
-        return [
-            {column.column_name(row, names): column.plain_value(row, names) for column in select}
-            for row in rows
-        ]
 
-    def evalAS_value(  # noqa: N802
-        self,
-        _: Sequence[Any],
-        select: SelectedColumns,
-        names: Sequence[str],
-        rows: Iterable[Sequence[Any]],
-    ) -> Any:
-        """`AS value`: returns the first value of the first row; `[]` if there is none."""
-        for row in rows:
-            return select[0].plain_value(row, names)
-        return []
+def as_dict(
+    _: object,
+    __: Sequence[Any],
+    select: SelectedColumns,
+    names: Sequence[str],
+    rows: Iterable[Sequence[Any]],
+) -> list[dict[Any, Any]]:
+    """`AS dict`: returns a dict for each row."""
+    return [
+        {column.column_name(row, names): column.plain_value(row, names) for column in select}
+        for row in rows
+    ]
+
+
+def as_value(
+    _: object,
+    __: Sequence[Any],
+    select: SelectedColumns,
+    names: Sequence[str],
+    rows: Iterable[Sequence[Any]],
+) -> Any:
+    """`AS value`: returns the first value of the first row; `[]` if there is none."""
+    for row in rows:
+        return select[0].plain_value(row, names)
+    return []
 
 
 def _plain_name(node: Node) -> str:

@@ -17,10 +17,9 @@ The steps of one query, `ss.eval("SELECT id(this) FROM kitchen WHERE above(this,
    `RowByRowQuery.run` evaluates all of them in Python.
 6. The result form makes the result from the rows (`AsClause.value`, `ssduck.adapters`).
 
-`Execution` runs the program, and holds its variables and functions (`Namespace`). The base classes
-of `Interpreter` have the rest of its methods: `RecordingMethods` those on records, `TriggerMethods`
-those on triggers, `BatchMethods` those on batches, and `EvalAsMethods` those for subclasses in the
-style of the published interpreters.
+`Execution` runs the program, and holds its variables and functions (`Namespace`). Other parts have
+the rest of the methods that an `Interpreter` offers (`of_part`): its `Records`, its triggers
+(`TriggerRegistry`), its `Batches`, and `Additions` of functions and tables.
 """
 
 from __future__ import annotations
@@ -28,38 +27,39 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, Never, Self, cast
-from weakref import WeakKeyDictionary
 
 from ssduck import validation
-from ssduck.adapters.base import Adapter
 from ssduck.adapters.registry import find
 from ssduck.adapters.result import MAX_ROWS, Result, TableView
 from ssduck.database.database import Database
 from ssduck.errors import SqlError, UnknownNameError
 from ssduck.formatting import count_of, joined_names
 from ssduck.geometry.distance import Statistics
-from ssduck.interpreter.additions import AdditionMethods, ServedPage
-from ssduck.interpreter.batches.methods import BatchMethods
+from ssduck.interpreter.additions import Additions, ServedPage
+from ssduck.interpreter.batches.methods import Batches, BatchTerms
 from ssduck.interpreter.eval_as import (
     Condition,
-    EvalAsMethods,
     QueryPart,
     SelectedColumns,
     SourceElements,
+    as_dict,
+    as_list,
+    as_value,
     takes_results,
 )
 from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.namespace import check_name
-from ssduck.interpreter.output import AsClause, as_clause_of
+from ssduck.interpreter.output import AsClause, ResultForms, as_clause_of
+from ssduck.interpreter.parts import of_part
 from ssduck.interpreter.program import (
     CompiledProgram,
     check_parameters,
     rows_to_show,
     tree_of,
 )
-from ssduck.interpreter.recording import RecordingMethods
+from ssduck.interpreter.recording import Records
 from ssduck.interpreter.sql_hints import add_hint
-from ssduck.interpreter.triggers.registry import TriggerMethods, TriggerRegistry
+from ssduck.interpreter.triggers.registry import TriggerRegistry
 from ssduck.interpreter.triggers.tick_batch import TriggerBatches
 from ssduck.language.analysis import aliases_of, sees_outside
 from ssduck.language.evaluator import Frame
@@ -76,9 +76,7 @@ from ssduck.world.stepping import run
 from ssduck.world.world import World
 
 
-class Interpreter(
-    RecordingMethods, AdditionMethods, TriggerMethods, BatchMethods, EvalAsMethods, PublicNames
-):
+class Interpreter(PublicNames):
     """Runs SelectScript programs and raw SQL on worlds.
 
     Args:
@@ -132,7 +130,6 @@ class Interpreter(
         validation.instance(recording, Recording, "Interpreter: recording")
         limits = limits or Limits()
         self._database = Database(database, tracer, limits, recording)
-        self._database.observe_episodes(self)
         self._limits = limits
         self._execution = Execution(
             self._database, limits, self._value_of_query, row_by_row=row_by_row, strict=strict
@@ -140,10 +137,12 @@ class Interpreter(
         self._lock = self._execution.lock
         self._planner = self._execution.planner
         self._owned_worlds: list[World] = []
-        self._adapter_queries: WeakKeyDictionary[Query, dict[Adapter, Query]] = WeakKeyDictionary()
+        self._forms = ResultForms(self._planner, self._execution.worlds_pinned)
         has_own_forms = type(self).evalAs is not Interpreter.evalAs
-        batches = TriggerBatches(self._execution, None if has_own_forms else self._query_of)
+        batches = TriggerBatches(self._execution, None if has_own_forms else self._forms.query_of)
         self._triggers = TriggerRegistry(self.compile, self.eval, self._execution, batches)
+        self._records = Records(self._execution, self.eval, self.sql, self._triggers)
+        self._additions, self._batches = Additions(self._execution), Batches(self._execution)
 
     def close(self) -> None:
         """Removes the triggers, and closes the database and the world that `load` made.
@@ -259,8 +258,9 @@ class Interpreter(
             with self._execution.with_parameters(parameters):
                 return self.eval(program)
         compiled, execution = tree_of(program), self._execution
-        if self._batches is not None and (batch := self._batches.batch_of(compiled)) is not None:
-            return self._batches.value(compiled, batch)
+        batches = self._batches.programs
+        if batches is not None and (batch := batches.batch_of(compiled)) is not None:
+            return batches.value(compiled, batch)
         with execution.transaction(compiled):
             return execution.run(compiled)
 
@@ -300,24 +300,7 @@ class Interpreter(
         if type(self).evalAs is not Interpreter.evalAs:
             with self._execution.worlds_pinned(node):
                 return self.evalAs(*self._eval_as_arguments(node, frame))
-        return self._result(node, frame, as_clause_of(node, frame))
-
-    def _result(self, node: Query, frame: Frame, form: AsClause) -> Any:
-        """Returns the result that a form makes from the rows of a query."""
-        adapted = self._query_of(node, form.adapter)
-        # The result is made of one tick, too.
-        is_settled = not self._planner.may_repeat(adapted)
-        with self._execution.worlds_pinned(adapted, is_settled=is_settled):
-            return form.value(adapted, frame, self._planner.run)
-
-    def _query_of(self, node: Query, adapter: Adapter) -> Query:
-        """Returns the query to run for a form; the same one each time, as plans are cached."""
-        if adapter.select is None:
-            return node
-        queries = self._adapter_queries.setdefault(node, {})
-        if adapter not in queries:
-            queries[adapter] = adapter.select(node)
-        return queries[adapter]
+        return self._forms.result(node, frame, as_clause_of(node, frame))
 
     def _eval_as_arguments(self, node: Query, frame: Frame) -> tuple[Any, ...]:
         """Returns the arguments of `evalAs`."""
@@ -361,7 +344,7 @@ class Interpreter(
         assert isinstance(columns, SelectedColumns)
         query, frame = columns.query, columns.frame
         clause = as_clause_of(query, frame) if form == columns.form else AsClause(form, find(form))
-        return self._result(query, frame, clause)
+        return self._forms.result(query, frame, clause)
 
     # -- variables and functions ----------------------------------------------------------
 
@@ -389,7 +372,7 @@ class Interpreter(
                 self._execution.expire_histories()  # the time may be an earlier one now
             self._execution.bind(name, _plain(value))
             if isinstance(value, BatchWorld):
-                self._begin_batches()
+                self._batches.begin()
         if isinstance(value, World):
             self._triggers.rebound()
         return value
@@ -428,34 +411,47 @@ class Interpreter(
         """
         return self._execution.variable(name)
 
-    def help(self, name: str | None = None) -> Any:
-        """Returns the names of all functions, or the help of one or of a result form (`AS`: all).
+    help = of_part("_execution", Execution.help)
+    history = of_part("_execution", Execution.history)
+    add_function = of_part("_additions", Additions.add_function)
+    del_function = of_part("_additions", Additions.del_function)
+    register = of_part("_additions", Additions.register)
 
-        Raises:
-            UnknownNameError: nothing has that name; the error suggests the nearest names.
-        """
-        return self._execution.help(name)
+    # -- records, triggers and batches ----------------------------------------------------
 
-    def history(self, name: str) -> list[tuple[float, Any]]:
-        """Returns the values of a variable with a history, and their times.
-
-        Args:
-            name: the name of a variable that was assigned by `name{5.0} = …` or `name{} = …`.
-
-        Returns:
-            The simulated time of each assignment, s, and its value, the oldest first.
-
-        Raises:
-            UnknownNameError: no variable has that name; the error suggests the nearest names.
-            ArgumentError: the variable has no history.
-        """
-        return self._execution.history(name)
+    record = of_part("_records", Records.record)
+    past = of_part("_records", Records.past)
+    record_to = of_part("_records", Records.record_to)
+    export = of_part("_records", Records.export)
+    flush = of_part("_records", Records.flush)
+    add_trigger = of_part("_triggers", TriggerRegistry.add_trigger)
+    del_trigger = of_part("_triggers", TriggerRegistry.del_trigger)
+    pause_trigger = of_part("_triggers", TriggerRegistry.pause_trigger)
+    resume_trigger = of_part("_triggers", TriggerRegistry.resume_trigger)
+    triggers = of_part("_triggers", TriggerRegistry.triggers)
+    export_batch = of_part("_batches", Batches.export_batch)
+    over_batch = of_part("_batches", Batches.over_batch)
 
     # The tutorial's spellings.
-    addVariable = add_variable  # noqa: N815
-    callVariable = call_variable  # noqa: N815
-    addFunction = AdditionMethods.add_function  # noqa: N815
-    delFunction = AdditionMethods.del_function  # noqa: N815
+    addVariable, callVariable = add_variable, call_variable  # noqa: N815
+    addFunction, delFunction = add_function, del_function  # noqa: N815
+    addTrigger, delTrigger = add_trigger, del_trigger  # noqa: N815
+    evalAS_list, evalAS_dict, evalAS_value = as_list, as_dict, as_value  # noqa: N815
+
+    def terms(
+        self,
+        success: str | None = None,
+        failure: str | None = None,
+        reward: str | Mapping[str, str] | None = None,
+        stop_when: str | None = None,
+        **options: Any,
+    ) -> BatchTerms:
+        """Returns the terms of a task over a batch: a call has their values in all environments.
+
+        The arguments, `world` and `nan` among them, are those of `ssduck.gym.BatchTerms`.
+        """
+        made = service("terms")(self, success, failure, reward, stop_when, **options)
+        return cast("BatchTerms", made)
 
     # -- simulated time -------------------------------------------------------------------
 

@@ -71,48 +71,30 @@ def listen_to_triggers(ss: Interpreter, listener: Callable[[str], object]) -> Ca
 
 @dataclass(frozen=True, eq=False)
 class WorldNews:
-    """What a copy of a world lacks: tables, texts and numbers, which any process understands.
+    """What a copy of a world lacks: tables, texts and numbers, which any process understands."""
 
-    Attributes:
-        tick: the number of the last tick.
-        time: its simulated time, s.
-        models: the rows of the models of entities that are new there, by table.
-        rows: the rows of the last tick, by table.
-        past_models: the rows of the models of entities that were recorded first, by table.
-        past: the rows of recorded ticks that are new, by table; empty if there are none.
-        first: the number of the first recorded tick that is kept.
-        pairs: the classes of shapes by body, and the margins of two, (k, k), m; None for the sums.
-    """
-
-    tick: int
-    time: float
-    models: Mapping[str, pa.Table]
-    rows: Mapping[str, pa.Table]
-    past_models: Mapping[str, pa.Table]
-    past: Mapping[str, pa.Table]
-    first: int
+    tick: int  # the number of the last tick
+    time: float  # its simulated time, s
+    models: Mapping[str, pa.Table]  # the models of entities that are new there, by table
+    rows: Mapping[str, pa.Table]  # the rows of the last tick, by table
+    past_models: Mapping[str, pa.Table]  # the models of entities that were recorded first
+    past: Mapping[str, pa.Table]  # the rows of recorded ticks that are new; empty if there are none
+    first: int  # the number of the first recorded tick that is there
+    # The classes of shapes by body, and the margins of two, (k, k), m; None for the sums.
     pairs: _Pairs | None
 
 
 @dataclass(frozen=True, eq=False)
 class WorldDescription:
-    """What a copy is made with.
+    """What a copy is made with."""
 
-    Attributes:
-        name: the name of the copy.
-        run: the number of the run of the world.
-        camera: the camera of the world.
-        recording: what is recorded of it in memory, as arguments of `Recording`; None for nothing.
-        is_elsewhere: whether its past is in a file, which the copy cannot read.
-        is_past: whether the copy goes to recorded ticks.
-    """
-
-    name: str
-    run: int
-    camera: Mapping[str, Any]
+    name: str  # the name of the copy
+    run: int  # the number of the run of the world
+    camera: Mapping[str, Any]  # the camera of the world
+    # What is recorded of it in memory, as arguments of `Recording`; None for nothing.
     recording: Mapping[str, Any] | None
-    is_elsewhere: bool
-    is_past: bool
+    is_elsewhere: bool  # whether its past is in a file, which the copy cannot read
+    is_past: bool  # whether the copy goes to recorded ticks
 
 
 class WorldFeed:

@@ -260,7 +260,18 @@ class Namespace:
         return past_value(name, value, age, self._now)
 
     def history(self, name: str) -> list[tuple[float, Any]]:
-        """Returns the values of a variable and their times; see `Interpreter.history`."""
+        """Returns the values of a variable with a history, and their times.
+
+        Args:
+            name: the name of a variable that was assigned by `name{5.0} = …` or `name{} = …`.
+
+        Returns:
+            The simulated time of each assignment, s, and its value, the oldest first.
+
+        Raises:
+            UnknownNameError: no variable has that name; the error suggests the nearest names.
+            ArgumentError: the variable has no history.
+        """
         with self.lock:
             self.variable(name)
             return history_of(name, self.variables[name]).within(math.inf, self._now())
@@ -379,9 +390,10 @@ class Namespace:
             )
 
     def help(self, name: str | None = None) -> Any:
-        """Returns the names of all functions, or the help of one or of a result form.
+        """Returns the names of all functions, or the help of one or of a result form (`AS`: all).
 
-        `AS` lists the result forms.
+        Raises:
+            UnknownNameError: nothing has that name; the error suggests the nearest names.
         """
         if name is None:
             return sorted(self._known_functions(), key=str.casefold)
@@ -420,29 +432,23 @@ class Namespace:
             print(*values)  # noqa: T201  # the purpose of `print`
             return values[-1]
 
-        return [
-            _command(
-                "help",
-                self.help,
-                "Lists all functions, or describes one or a result form.",
-                "[name]",
-            ),
-            _command("to", lambda value, name: value, "Names a selected column.", "value, name"),  # noqa: ARG005
-            _command("var", self.variable, "Returns the value of the variable of a name.", "name"),
-            _command(
-                "clear", clear, "Removes a variable, or all variables except worlds.", "[name]"
-            ),
-            _command(
+        about_help = "Lists all functions, or describes one or a result form."
+        about_clear = "Removes a variable, or all variables except worlds."
+        commands: list[tuple[str, Callable[..., Any], str, str]] = [
+            ("help", self.help, about_help, "[name]"),
+            ("to", lambda value, name: value, "Names a selected column.", "value, name"),  # noqa: ARG005
+            ("var", self.variable, "Returns the value of the variable of a name.", "name"),
+            ("clear", clear, about_clear, "[name]"),
+            (
                 "getTime",
                 self._now,
                 "Returns the simulated time of the first world, in seconds.",
                 "",
             ),
-            _command("print", show, "Prints its arguments and returns the last one.", "value, ..."),
-            _command(
-                "eval", lambda text: text, "Runs a program in a text and returns its value.", "text"
-            ),
+            ("print", show, "Prints its arguments and returns the last one.", "value, ..."),
+            ("eval", lambda text: text, "Runs a program in a text and returns its value.", "text"),
         ]
+        return [_command(*command) for command in commands]
 
     # -- worlds and tables ------------------------------------------------------------------
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, TypeAlias
+from weakref import WeakKeyDictionary
 
 from ssduck.adapters.base import Adapter, Selection, made_bytes
 from ssduck.adapters.registry import all_adapters, find
@@ -18,6 +20,7 @@ from ssduck.errors import (
     SourceSpan,
 )
 from ssduck.formatting import error_text, first_line
+from ssduck.interpreter.planner import Planner
 from ssduck.language.clauses import (
     Groups,
     Rows,
@@ -108,6 +111,38 @@ class AsClause:
             raise FunctionError(
                 f"AS {self.name}: {type(error).__name__}: {error_text(error)}", span=self.span
             ) from error
+
+
+class ResultForms:
+    """Makes the results of queries in the forms that they name.
+
+    Args:
+        planner: plans and runs the queries.
+        worlds_pinned: pins the worlds that a query reads.
+    """
+
+    def __init__(
+        self, planner: Planner, worlds_pinned: Callable[..., AbstractContextManager[None]]
+    ) -> None:
+        self._planner, self._worlds_pinned = planner, worlds_pinned
+        self._queries: WeakKeyDictionary[Query, dict[Adapter, Query]] = WeakKeyDictionary()
+
+    def result(self, node: Query, frame: Frame, form: AsClause) -> Any:
+        """Returns the result that a form makes from the rows of a query."""
+        adapted = self.query_of(node, form.adapter)
+        # The result is made of one tick, too.
+        is_settled = not self._planner.may_repeat(adapted)
+        with self._worlds_pinned(adapted, is_settled=is_settled):
+            return form.value(adapted, frame, self._planner.run)
+
+    def query_of(self, node: Query, adapter: Adapter) -> Query:
+        """Returns the query to run for a form; the same one each time, as plans are cached."""
+        if adapter.select is None:
+            return node
+        queries = self._queries.setdefault(node, {})
+        if adapter not in queries:
+            queries[adapter] = adapter.select(node)
+        return queries[adapter]
 
 
 def _together(selected: Selected) -> Rows:

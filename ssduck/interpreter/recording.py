@@ -1,10 +1,8 @@
-"""The methods of an interpreter on records: recording worlds, their past, exports to folders."""
+"""The records of an interpreter: recording worlds, their past, exports to folders."""
 
 from __future__ import annotations
 
-import threading
-from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +11,10 @@ import pyarrow as pa
 
 from ssduck import validation
 from ssduck.adapters.result import Result
-from ssduck.database.database import Database
 from ssduck.errors import ArgumentError, EvaluationError, record_errors
 from ssduck.formatting import short_repr
 from ssduck.interchange.macros import checked_distance, pair_query, write_pairs
-from ssduck.interpreter.planner import Planner
+from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.program import CompiledProgram
 from ssduck.interpreter.triggers.registry import TriggerRegistry
 from ssduck.recording.episode import Tags, given_tags
@@ -42,25 +39,27 @@ _OF_EXPORT = {
 }
 
 
-class RecordingMethods(ABC):
-    """The methods of an interpreter on records."""
+class Records:
+    """The records of an interpreter's worlds: its methods on them.
 
-    _database: Database
-    _lock: threading.RLock
-    _planner: Planner
-    _triggers: TriggerRegistry
+    Args:
+        execution: runs its programs.
+        evaluate: returns the value of a program.
+        sql: returns the rows of a statement of SQL.
+        triggers: its triggers.
+    """
 
-    @abstractmethod
-    def call_variable(self, name: str) -> Any:
-        """Returns the value of a variable."""
-
-    @abstractmethod
-    def sql(self, text: str, parameters: Sequence[Any] | Mapping[str, Any] | None = None) -> Result:
-        """Runs a statement of SQL."""
-
-    @abstractmethod
-    def eval(self, program: str | CompiledProgram) -> Any:
-        """Runs a program."""
+    def __init__(
+        self,
+        execution: Execution,
+        evaluate: Callable[[str | CompiledProgram], Any],
+        sql: Callable[[str, Sequence[Any]], Result],
+        triggers: TriggerRegistry,
+    ) -> None:
+        self._execution, self._evaluate, self._sql = execution, evaluate, sql
+        self._triggers = triggers
+        self._lock, self._database = execution.lock, execution.database
+        self._database.observe_episodes(self)
 
     def record(
         self, world: str | World, recording: Recording | None, *, tags: Tags | None = None
@@ -92,7 +91,7 @@ class RecordingMethods(ABC):
             try:
                 self._database.record(self._world(world), recording, given_tags(tags))
             finally:  # Ctrl-C ends it after the recording began, too
-                self._planner.forget()
+                self._execution.planner.forget()
 
     def episode_began(self, world: World) -> None:
         """Records a world that the user has reset as a new episode; see `World.tick`."""
@@ -101,7 +100,7 @@ class RecordingMethods(ABC):
                 self._database.begin_episode(world)
             finally:
                 if self._database.is_recorded(world):  # plans read the record before
-                    self._planner.forget()
+                    self._execution.planner.forget()
         self._triggers.episode_began(world)
 
     def past(self, world: str | World, age: float | None = None) -> Past:
@@ -177,6 +176,7 @@ class RecordingMethods(ABC):
     @record_errors()
     def export(
         self,
+        /,
         path: str | Path,
         world: str | World | None = None,
         *,
@@ -219,7 +219,9 @@ class RecordingMethods(ABC):
         """
         arguments = ("path", "world", "entities", "start", "end", "tags", "pairs")
         validation.no_others(others, "export", arguments, _OF_EXPORT)
-        chosen = self.eval(entities) if isinstance(entities, str | CompiledProgram) else entities
+        chosen = (
+            self._evaluate(entities) if isinstance(entities, str | CompiledProgram) else entities
+        )
         names = None if chosen is None else _names(chosen)
         start, end = (None if time is None else validation.seconds(time) for time in (start, end))
         within = None if pairs is None else checked_distance(pairs)
@@ -255,7 +257,7 @@ class RecordingMethods(ABC):
         """Writes the pairs of an exported episode within a distance, m."""
         ticks, entities = run.ticks()[1].numbers, run.read("models/entities")["id"].to_numpy()
         span = [int(ticks[0]), int(ticks[-1])]
-        rows = self.sql(pair_query(run.world), [within, *span]).arrow()
+        rows = self._sql(pair_query(run.world), [within, *span]).arrow()
         is_exported = np.isin(rows["tick"].to_numpy(), ticks)
         for side in ("a", "b"):
             is_exported &= np.isin(rows[side].to_numpy(), entities)
@@ -274,7 +276,7 @@ class RecordingMethods(ABC):
             return self._database.flush()
 
     def _world(self, world: str | World) -> World:
-        value = self.call_variable(world) if isinstance(world, str) else world
+        value = self._execution.variable(world) if isinstance(world, str) else world
         if not isinstance(value, World) or value not in self._database.worlds.values():
             raise ArgumentError(f"{short_repr(world)} is no world of this interpreter")
         return value

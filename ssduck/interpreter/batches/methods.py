@@ -1,8 +1,7 @@
-"""The methods of an interpreter on batches: `BatchMethods`."""
+"""The batches of an interpreter: programs over them, and their history as a record."""
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, cast
@@ -20,44 +19,29 @@ if TYPE_CHECKING:
 
 
 class BatchTerms(Protocol):
-    """The terms that `BatchMethods.terms` returns; see `ssduck.gym.BatchTerms`."""
+    """The terms that `Interpreter.terms` returns; see `ssduck.gym.BatchTerms`."""
 
     def __call__(self) -> Any:
         """Returns the values of the terms at the last tick."""
 
 
-class BatchMethods:
-    """The methods on batches, for an interpreter that has programs."""
+class Batches:
+    """The batches of an interpreter: its methods on them, and its programs over them."""
 
-    _execution: Execution
-    _lock: threading.RLock
-    # The programs over batches, from the first batch on.
-    _batches: BatchPrograms | None = None
+    def __init__(self, execution: Execution) -> None:
+        self._execution = execution
+        # The programs over batches, from the first batch on.
+        self.programs: BatchPrograms | None = None
 
-    def _begin_batches(self) -> None:
-        """Prepares for programs over batches."""
+    def begin(self) -> None:
+        """Prepares for programs over batches, one of which was bound to a variable."""
         from ssduck.interpreter.batches.columns import batch_table
         from ssduck.interpreter.batches.programs import BatchPrograms
 
-        if self._batches is None:
-            self._batches = BatchPrograms(self._execution)
+        if self.programs is None:
+            self.programs = BatchPrograms(self._execution)
             self._execution.database.read_batches(batch_table)
-        self._batches.forget()
-
-    def terms(
-        self,
-        success: str | None = None,
-        failure: str | None = None,
-        reward: str | Mapping[str, str] | None = None,
-        stop_when: str | None = None,
-        **options: Any,
-    ) -> BatchTerms:
-        """Returns the terms of a task over a batch: a call has their values in all environments.
-
-        The arguments, `world` and `nan` among them, are those of `ssduck.gym.BatchTerms`.
-        """
-        made = service("terms")(self, success, failure, reward, stop_when, **options)
-        return cast("BatchTerms", made)
+        self.programs.forget()
 
     def export_batch(
         self,
@@ -89,7 +73,7 @@ class BatchMethods:
                 is no such environment.
             RecordError: the folder holds other files, or cannot be written.
         """
-        with self._lock:
+        with self._execution.lock:
             written = service("export batch")(self._batch(world), path, environments, tags)
         return cast("list[int]", written)
 
@@ -105,7 +89,7 @@ class BatchMethods:
 
     def over_batch(self, nodes: Sequence[Node], world: BatchWorld) -> BatchExpressions:
         """Returns parsed expressions as a function of all environments; `terms` are made of it."""
-        assert self._batches is not None, "a batch is bound"
-        with self._lock:
+        assert self.programs is not None, "a batch is bound"
+        with self._execution.lock:
             self._execution.begin_program()
-            return self._batches.terms(nodes, world)
+            return self.programs.terms(nodes, world)

@@ -24,7 +24,7 @@ ENVIRONMENT = "environment"
 def export_batch(
     world: BatchWorld, path: str | Path, environments: Any, tags: Mapping[str, Any] | None
 ) -> list[int]:
-    """Writes the history of environments as episodes; see `BatchMethods.export_batch`."""
+    """Writes the history of environments as episodes; see `Interpreter.export_batch`."""
     numbers = world.numbers(environments, "export_batch")
     of_each = _tags_of_each(world, tags, numbers)
     episodes = [episode for number in numbers.tolist() for episode in world.past_episodes(number)]

@@ -30,10 +30,38 @@ from ssduck.world.world import World
 PATIENCE = 5.0
 
 
-class TriggerMethods:
-    """The methods of an interpreter on triggers."""
+@dataclass(frozen=True, eq=False)
+class _Readers:
+    """The triggers that read a world and are not paused."""
 
-    _triggers: TriggerRegistry
+    by_name: Mapping[str, Trigger]  # all triggers
+    stamp: object  # the stamp of the names
+    pauses: int  # the number of times that a trigger was paused or resumed
+    triggers: tuple[Trigger, ...]  # those that read the world
+    are_always_due: bool  # whether all of them are due at each tick
+
+
+class TriggerRegistry:
+    """The triggers of an interpreter; observes the worlds that they read."""
+
+    def __init__(
+        self,
+        compile: Callable[[str], CompiledProgram],
+        evaluate: Callable[[CompiledProgram], Any],
+        names: Execution,
+        batches: TriggerBatches,
+    ) -> None:
+        self._compile, self._eval = compile, evaluate
+        self._names = names
+        self._batches = batches
+        self._by_name: dict[str, Trigger] = {}
+        # Are called with the name of each trigger that fires.
+        self.listeners: list[Callable[[str], object]] = []
+        self._lock = threading.Lock()
+        # The number of times that a trigger was paused or resumed.
+        self._pauses = 0
+        self._readers: WeakKeyDictionary[World, _Readers] = WeakKeyDictionary()
+        self._observed: WeakSet[World] = WeakSet()
 
     def add_trigger(
         self,
@@ -103,81 +131,6 @@ class TriggerMethods:
                 "callback), with the interval in seconds of simulated time"
             )
         config = TriggerConfig(name, interval, when, debounce, rows, queue, threshold)
-        self._triggers.add(config, program, callback)
-
-    def del_trigger(self, name: str) -> None:
-        """Removes a trigger; its callback is not called any more, but a running one goes on.
-
-        Raises:
-            UnknownNameError: no trigger has that name; the error suggests the nearest names.
-        """
-        self._triggers.remove(name)
-
-    def pause_trigger(self, name: str) -> None:
-        """Stops the evaluations of a trigger until `resume_trigger`.
-
-        Raises:
-            UnknownNameError: no trigger has that name; the error suggests the nearest names.
-        """
-        self._triggers.pause(name)
-
-    def resume_trigger(self, name: str) -> None:
-        """Resumes the evaluations of a trigger at the next multiple of its interval.
-
-        Raises:
-            UnknownNameError: no trigger has that name; the error suggests the nearest names.
-        """
-        self._triggers.resume(name)
-
-    def triggers(self) -> list[TriggerState]:
-        """Returns the state of each trigger, in the order in which they were added."""
-        return self._triggers.states()
-
-    # The tutorial's spellings.
-    addTrigger = add_trigger  # noqa: N815
-    delTrigger = del_trigger  # noqa: N815
-
-
-@dataclass(frozen=True, eq=False)
-class _Readers:
-    """The triggers that read a world and are not paused."""
-
-    by_name: Mapping[str, Trigger]  # all triggers
-    stamp: object  # the stamp of the names
-    pauses: int  # the number of times that a trigger was paused or resumed
-    triggers: tuple[Trigger, ...]  # those that read the world
-    are_always_due: bool  # whether all of them are due at each tick
-
-
-class TriggerRegistry:
-    """The triggers of an interpreter; observes the worlds that they read."""
-
-    def __init__(
-        self,
-        compile: Callable[[str], CompiledProgram],
-        evaluate: Callable[[CompiledProgram], Any],
-        names: Execution,
-        batches: TriggerBatches,
-    ) -> None:
-        self._compile, self._eval = compile, evaluate
-        self._names = names
-        self._batches = batches
-        self._by_name: dict[str, Trigger] = {}
-        # Are called with the name of each trigger that fires.
-        self.listeners: list[Callable[[str], object]] = []
-        self._lock = threading.Lock()
-        # The number of times that a trigger was paused or resumed.
-        self._pauses = 0
-        self._readers: WeakKeyDictionary[World, _Readers] = WeakKeyDictionary()
-        self._observed: WeakSet[World] = WeakSet()
-
-    def add(
-        self,
-        config: TriggerConfig,
-        program: str | CompiledProgram,
-        callback: Callable[[Any], object],
-    ) -> None:
-        """Adds a trigger and evaluates it for the first time; see `Interpreter.add_trigger`."""
         if isinstance(program, str):
             program = self._compile(program)
         elif not hasattr(program, "tree"):
@@ -206,21 +159,33 @@ class TriggerRegistry:
                 "or choose another name"
             )
 
-    def remove(self, name: str) -> None:
-        """Removes a trigger."""
+    def del_trigger(self, name: str) -> None:
+        """Removes a trigger; its callback is not called any more, but a running one goes on.
+
+        Raises:
+            UnknownNameError: no trigger has that name; the error suggests the nearest names.
+        """
         with self._lock:
             self._trigger(name).remove()
             self._by_name = {n: t for n, t in self._by_name.items() if n != name}
         if not self._by_name:
             self._release_worlds()
 
-    def pause(self, name: str) -> None:
-        """Stops the evaluations of a trigger."""
+    def pause_trigger(self, name: str) -> None:
+        """Stops the evaluations of a trigger until `resume_trigger`.
+
+        Raises:
+            UnknownNameError: no trigger has that name; the error suggests the nearest names.
+        """
         self._trigger(name).paused = True
         self._pauses += 1
 
-    def resume(self, name: str) -> None:
-        """Resumes the evaluations of a trigger."""
+    def resume_trigger(self, name: str) -> None:
+        """Resumes the evaluations of a trigger at the next multiple of its interval.
+
+        Raises:
+            UnknownNameError: no trigger has that name; the error suggests the nearest names.
+        """
         trigger = self._trigger(name)
         trigger.resume(self._worlds_of(trigger))
         self._pauses += 1
@@ -232,7 +197,7 @@ class TriggerRegistry:
             )
         return self._by_name[name]
 
-    def states(self) -> list[TriggerState]:
+    def triggers(self) -> list[TriggerState]:
         """Returns the state of each trigger, in the order in which they were added."""
         return [trigger.state() for trigger in self._by_name.values()]
 
