@@ -13,6 +13,7 @@ import ssduck
 from ssduck.errors import RecordError, SqlError
 from tests.support.cases import sampled
 from tests.support.command_line import ssduck_
+from tests.support.recorded import nobody
 
 HEADER = 12_288
 
@@ -46,23 +47,11 @@ DOORS = {
 }
 
 
-@pytest.fixture
-def as_nobody():
-    """Another user than root, who may read everything."""
-    if os.name == "nt":
-        pytest.skip("Windows has other permissions")
-    if os.geteuid() != 0:
-        yield
-        return
-    os.seteuid(65534)
-    yield
-    os.seteuid(0)
-
-
 @pytest.mark.slow
+@pytest.mark.skipif(os.name == "nt", reason="Windows has other permissions")
 @sampled("door", DOORS, every=4)
 @pytest.mark.parametrize("ending", ["", ".wal"])
-def test_a_file_without_permission(file, door, ending, request):
+def test_a_file_without_permission(file, door, ending):
     ssduck.check(file)  # imports what another user may not read
     for folder in file.parents:
         if folder.stat().st_uid == os.getuid() and not folder.stat().st_mode & 1:
@@ -71,13 +60,11 @@ def test_a_file_without_permission(file, door, ending, request):
     closed.touch()
     closed.chmod(0)
     before = sorted(file.parent.iterdir())
-    request.getfixturevalue("as_nobody")
-    with pytest.raises(RecordError, match=f'"{closed}": Permission denied') as caught:
+    told = f'"{closed}": Permission denied'
+    with nobody(), pytest.raises(RecordError, match=told) as caught:
         DOORS[door](file)
     assert isinstance(caught.value, PermissionError)
     assert str(caught.value).startswith(f"{file} cannot be opened")
-    if os.geteuid() == 65534:
-        os.seteuid(0)
     assert sorted(file.parent.iterdir()) == before
 
 

@@ -66,9 +66,7 @@ def test_tags_of_two_processes(monkeypatch):
 
 
 @pytest.mark.slow
-def test_an_object_that_others_change_each_time_is_an_error(
-    monkeypatch,
-):
+def test_an_object_that_others_change_each_time_is_an_error(monkeypatch):
     run = episode("s3://lake/busy")
     monkeypatch.setattr(object_store, "ATTEMPTS", 3)
     others_write(monkeypatch, run, ["a", "b", "c"])

@@ -353,13 +353,7 @@ def _swap(log):
     ],
     every=1,
 )
-def test_a_damaged_log_is_noticed(
-    world,
-    clock,
-    tmp_path,
-    damage,
-    told,
-):
+def test_a_damaged_log_is_noticed(world, clock, tmp_path, damage, told):
     with ssduck.Interpreter(recording=None) as ss:
         recorder = _started(ss, world, tmp_path / "run")
         for _ in range(3):

@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from contextlib import suppress
+from functools import partial
 
 import pybullet
 import pytest
@@ -93,15 +94,20 @@ def stored_once(path, line, form, method):
     return presser.count
 
 
+def at_spread_lines(work, folder):
+    """Does work without a signal, and with one at lines of it; it returns the number of lines."""
+    count = work(folder / "whole.duckdb", math.inf)
+    assert count > PRESSES
+    for press in range(PRESSES):
+        line = 1 + press * (count - 1) // (PRESSES - 1)
+        work(folder / f"{line}.duckdb", line)
+
+
 @pytest.mark.slow
 @sampled("method", ["flush", "close"], every=2)
 @sampled("form", [InDatabase, InFolder, InRunningFolder], every=2)
 def test_all_is_stored_once(form, method, tmp_path):
-    count = stored_once(tmp_path / "whole.duckdb", math.inf, form, method)
-    assert count > PRESSES
-    for press in range(PRESSES):
-        line = 1 + press * (count - 1) // (PRESSES - 1)
-        stored_once(tmp_path / f"{line}.duckdb", line, form, method)
+    at_spread_lines(partial(stored_once, form=form, method=method), tmp_path)
 
 
 @pytest.mark.slow
@@ -111,8 +117,7 @@ def test_all_is_stored_once(form, method, tmp_path):
 def test_a_program_that_sigterm_ends_has_stored_all(form, method, tmp_path):
     """Its handler is one that exits, as many programs have; the record is closed on the way."""
 
-    def ended(line):
-        path = tmp_path / f"{line}.duckdb"
+    def ended(path, line):
         recorded = form(path)
         recorded.ss["kitchen"].step(TICKS, every=1)
         with suppress(SystemExit), Presser(line, signal.SIGTERM) as presser:
@@ -132,9 +137,7 @@ def test_a_program_that_sigterm_ends_has_stored_all(form, method, tmp_path):
 
     kept = signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     try:
-        count = ended(math.inf)
-        for press in range(PRESSES):
-            ended(1 + press * (count - 1) // (PRESSES - 1))
+        at_spread_lines(ended, tmp_path)
     finally:
         signal.signal(signal.SIGTERM, kept)
 
@@ -143,7 +146,8 @@ def test_a_program_that_sigterm_ends_has_stored_all(form, method, tmp_path):
 @sampled("form", [InDatabase, InRunningFolder], every=2)
 def test_close_waits_for_what_is_being_stored(form, tmp_path, monkeypatch):
     """Ctrl-C comes while a slow disk is written, and once more while it is waited for."""
-    append = {InDatabase: DuckDBStore, InRunningFolder: ParquetStore}[form].append
+    store = {InDatabase: DuckDBStore, InRunningFolder: ParquetStore}[form]
+    append = store.append
     began = threading.Event()
 
     def slow(*arguments):
@@ -151,9 +155,7 @@ def test_close_waits_for_what_is_being_stored(form, tmp_path, monkeypatch):
         time.sleep(0.3)
         return append(*arguments)
 
-    monkeypatch.setattr(
-        {InDatabase: DuckDBStore, InRunningFolder: ParquetStore}[form], "append", slow
-    )
+    monkeypatch.setattr(store, "append", slow)
     recorded = form(tmp_path / "run.duckdb")
     recorded.ss["kitchen"].step(TICKS, every=1)
     began.clear()
@@ -187,10 +189,7 @@ def test_another_recording_begins_or_the_one_goes_on(tmp_path):
         assert last.ticks == (3 if last.tags else 5)
         return presser.count
 
-    count = begin(tmp_path / "whole.duckdb", math.inf)
-    for press in range(PRESSES):
-        line = 1 + press * (count - 1) // (PRESSES - 1)
-        begin(tmp_path / f"{line}.duckdb", line)
+    at_spread_lines(begin, tmp_path)
 
 
 @pytest.mark.slow
@@ -216,10 +215,7 @@ def test_another_episode_begins_or_the_one_goes_on(is_folder, tmp_path):
         assert [episode.ticks for episode in episodes] in ([5], [6], [3, 2], [3, 3])
         return presser.count
 
-    count = begin(tmp_path / "whole.duckdb", math.inf)
-    for press in range(PRESSES):
-        line = 1 + press * (count - 1) // (PRESSES - 1)
-        begin(tmp_path / f"{line}.duckdb", line)
+    at_spread_lines(begin, tmp_path)
 
 
 @pytest.mark.slow

@@ -15,6 +15,7 @@ from ssduck.limits import Limits
 from ssduck.recording.opened_record import OpenedRecord
 from ssduck.recording.stores.parquet_layout import FolderRun
 from tests.support.cases import sampled
+from tests.support.recorded import nobody
 
 QUESTION = "SELECT count(*) FROM kitchen{} AS value;"
 ROWS = "SELECT count(*) FROM kitchen.entities_history"
@@ -141,16 +142,10 @@ def test_a_part_that_may_no_longer_be_read(run, place, is_asked):
     sql = OF_PARTS[2 if place == "models" else 0]
     with ssduck.open(run) as ss:
         ss.sql(sql).fetchall() if is_asked else None
-        closed.chmod(0o000)
-        try:
-            with (
-                nobody(),
-                pytest.raises(RecordError, match=f"{run}.*: Permission denied$") as caught,
-            ):
-                ss.sql(sql).fetchall()
-            assert isinstance(caught.value, PermissionError)
-        finally:
-            closed.chmod(0o755)
+        told = f"{run}.*: Permission denied$"
+        with denied(closed), pytest.raises(RecordError, match=told) as caught:
+            ss.sql(sql).fetchall()
+        assert isinstance(caught.value, PermissionError)
 
 
 @pytest.mark.slow
@@ -162,16 +157,15 @@ def test_tags_of_an_open_record(run):
 
 
 @contextmanager
-def nobody():
-    """Another user than root, who may read everything."""
-    if os.geteuid() != 0:
-        yield
-        return
-    os.seteuid(65534)
+def denied(place, mode=0o000):
+    """A file or folder has a mode for another user than root, who may read everything."""
+    before = place.stat().st_mode
+    place.chmod(mode)
     try:
-        yield
+        with nobody():
+            yield
     finally:
-        os.seteuid(0)
+        place.chmod(before)
 
 
 DOORS = {
@@ -190,24 +184,17 @@ DOORS = {
 @pytest.mark.parametrize("door", DOORS)
 def test_a_folder_without_permission(door, mode, run):
     ssduck.open(run).close()  # imports what it needs
-    run.chmod(mode)
-    try:
-        with nobody(), pytest.raises(RecordError, match=f"{run.parent}.*Permission denied"):
-            DOORS[door](run)
-    finally:
-        run.chmod(0o755)
+    told = f"{run.parent}.*Permission denied"
+    with denied(run, mode), pytest.raises(RecordError, match=told):
+        DOORS[door](run)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has other permissions")
 @pytest.mark.parametrize("table", ["episodes", "ticks", "entities", "models", "index"])
 def test_a_part_without_permission(table, run):
     ssduck.open(run).close()
-    (run / table).chmod(0o000)
-    try:
-        with nobody(), pytest.raises(RecordError, match="Permission denied"):
-            ssduck.open(run)
-    finally:
-        (run / table).chmod(0o755)
+    with denied(run / table), pytest.raises(RecordError, match="Permission denied"):
+        ssduck.open(run)
 
 
 @pytest.mark.slow
@@ -225,19 +212,15 @@ def test_a_file_without_permission_is_not_damaged(run, place, pattern):
     part = next((run / place).rglob(pattern))
     for path in (run, *run.rglob("*")):
         path.chmod(0o777)
-    part.chmod(0o000)
-    try:
-        with nobody():
-            for door in (
-                lambda: ssduck.open(run).eval(QUESTION),
-                lambda: ssduck.open(run, partial=True).eval(QUESTION),
-                lambda: ssduck.check(run),
-                lambda: ssduck.check(run, repair=True),
-            ):
-                with pytest.raises(RecordError, match=f"{part} cannot be read: Permission denied$"):
-                    door()
-    finally:
-        part.chmod(0o644)
+    with denied(part):
+        for door in (
+            lambda: ssduck.open(run).eval(QUESTION),
+            lambda: ssduck.open(run, partial=True).eval(QUESTION),
+            lambda: ssduck.check(run),
+            lambda: ssduck.check(run, repair=True),
+        ):
+            with pytest.raises(RecordError, match=f"{part} cannot be read: Permission denied$"):
+                door()
     assert ssduck.check(run) == []
 
 
@@ -245,26 +228,19 @@ def test_a_file_without_permission_is_not_damaged(run, place, pattern):
 def test_a_lake_names_the_folders_that_it_leaves_out(run):
     other = shutil.copytree(run, run.parent / "other" / "run").parent
     run.parent.chmod(0o755)
-    other.chmod(0o000)
-    try:
-        with nobody(), pytest.warns(UserWarning, match=f"records in {other} are left out"):
-            lake = ssduck.lake(run.parent)
-        assert len(lake) == 1
-    finally:
-        other.chmod(0o755)
+    with denied(other), pytest.warns(UserWarning, match=f"records in {other} are left out"):
+        assert len(ssduck.lake(run.parent)) == 1
     assert len(ssduck.lake(run.parent)) == 2
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has other permissions")
 def test_a_lake_without_permission(run):
-    run.parent.chmod(0o711)
-    with nobody(), pytest.raises(RecordError, match=f"{run.parent}: Permission denied"):
+    told = f"{run.parent}: Permission denied"
+    with denied(run.parent, 0o711), pytest.raises(RecordError, match=told):
         ssduck.lake(run.parent)
     run.parent.chmod(0o755)
-    run.chmod(0o644)
-    with nobody():
+    with denied(run, 0o644):
         assert "Permission denied" in ssduck.lake(run.parent).episodes["error"][0].as_py()
-    run.chmod(0o755)
 
 
 @pytest.mark.slow
@@ -278,21 +254,17 @@ def test_questions_to_a_lake_without_permission(run, place, is_listed):
     lake and lake.ask(program, processes=1)
     for path in (run.parent, run, *run.rglob("*")):
         path.chmod(0o777)
-    closed.chmod(0o000)
-    denied = f"{closed}.*: Permission denied"
-    try:
-        with nobody():
-            lake = lake or ssduck.lake(run.parent)
-            (error,) = lake.ask(program, processes=1)["error"].to_pylist()
-            assert re.fullmatch(denied, error)
-            if not is_listed:
-                with pytest.raises(ssduck.errors.ArgumentError, match=f"no episode.*{denied}"):
-                    lake.sql(program)
-                with pytest.warns(UserWarning, match=f"episodes without tags: 1 .*{denied}; "):
-                    assert lake.set_tags({"seen": True}) == 0
-            else:
-                with pytest.raises(ssduck.errors.SelectScriptError, match="Permission") as caught:
-                    lake.sql(program)
-                assert str(closed) in str(caught.value)
-    finally:
-        closed.chmod(0o755)
+    told = f"{closed}.*: Permission denied"
+    with denied(closed):
+        lake = lake or ssduck.lake(run.parent)
+        (error,) = lake.ask(program, processes=1)["error"].to_pylist()
+        assert re.fullmatch(told, error)
+        if not is_listed:
+            with pytest.raises(ssduck.errors.ArgumentError, match=f"no episode.*{told}"):
+                lake.sql(program)
+            with pytest.warns(UserWarning, match=f"episodes without tags: 1 .*{told}; "):
+                assert lake.set_tags({"seen": True}) == 0
+        else:
+            with pytest.raises(ssduck.errors.SelectScriptError, match="Permission") as caught:
+                lake.sql(program)
+            assert str(closed) in str(caught.value)

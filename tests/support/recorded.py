@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -34,6 +35,19 @@ MODELS = tuple(
 
 def rows(ss, table, where=""):
     return ss.sql(f'SELECT * FROM "{table}" {where} ORDER BY ALL').fetchall()
+
+
+@contextmanager
+def nobody():
+    """Another user than root, who may read everything."""
+    if os.geteuid() != 0:
+        yield
+        return
+    os.seteuid(65534)
+    try:
+        yield
+    finally:
+        os.seteuid(0)
 
 
 def sphere(client, place, radius=0.1):
