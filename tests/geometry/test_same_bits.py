@@ -7,6 +7,7 @@ import pybullet
 import pytest
 
 import ssduck
+from ssduck.geometry.poses import compose, cross, multiply, rotate, rotation_matrices
 from tests.support.urdf import box_obj, collision, joint, link, robot
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*PyBullet does not give back")
@@ -136,3 +137,22 @@ def one_by_one(ss, pair, now):
     ((gap, depth, force, points),) = rows
     points = [list(point) for point in points]
     return [gap, depth, force, points if (a, b) == pair else points[::-1]]
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 5, 8, 15, 16, 17, 33])
+@pytest.mark.parametrize("start", [0, 1, 5])
+def test_a_pose_does_not_depend_on_those_beside_it(count, start):
+    chance = np.random.default_rng(0)
+    turns, others = chance.normal(size=(2, 64, 4))
+    turns /= np.linalg.norm(turns, axis=1)[:, None]
+    points, vectors = chance.normal(size=(2, 64, 3))
+    some = slice(start, start + count)
+    for work, parts in (
+        (rotation_matrices, (turns,)),
+        (multiply, (turns, others)),
+        (cross, (points, vectors)),
+        (lambda q, v: rotate(rotation_matrices(q), v), (turns, vectors)),
+        (lambda *four: np.hstack(compose(*four)), (points, turns, vectors, others)),
+    ):
+        few = work(*(part[some].copy() for part in parts))
+        assert np.array_equal(few, work(*parts)[some])
