@@ -152,6 +152,24 @@ def client():
         pybullet.disconnect(number)
 
 
+@pytest.fixture
+def stage():
+    """A PyBullet client that the test fills with shapes."""
+    from tests.support.stage import Stage  # it needs PyBullet
+
+    with Stage() as stage:
+        yield stage
+
+
+@pytest.fixture(scope="module")
+def ss():
+    """An interpreter with a kitchen of the module's own."""
+    import ssduck  # where it is used: `--help` needs it not
+
+    with ssduck.load("kitchen") as ss:
+        yield ss
+
+
 @pytest.fixture(scope="session")
 def archive(request):
     """Records that are written once, and copied."""

@@ -224,12 +224,6 @@ def test_pictures_beyond_the_limits_are_refused_before_they_are_rendered(limits,
     assert rendered == [(1000, most // 1000)]
 
 
-@pytest.fixture(scope="module")
-def kitchen():
-    with ssduck.load("kitchen") as ss:
-        yield ss
-
-
 ROBOTS = "SELECT obj FROM {} WHERE isRobot(this) AS image(240, 180);"
 
 
@@ -238,18 +232,18 @@ def outlined(picture):
 
 
 @pytest.mark.parametrize(("name", "seen"), [("fridge", 1200), ("cooker", 400)])
-def test_the_units_of_the_two_cameras_are_seen_as_theirs(kitchen, name, seen):
+def test_the_units_of_the_two_cameras_are_seen_as_theirs(ss, name, seen):
     """Though they collide as parts of the kitchen, and the cameras are 1 cm."""
-    world = kitchen.call_variable("kitchen")
+    world = ss.call_variable("kitchen")
     assert (world.segmentation(240, 180) == world[name].id).sum() > seen
     low, high = map(np.array, world[name].aabb)
     assert high - low == pytest.approx([0.01] * 3)
 
 
 @pytest.mark.slow
-def test_a_picture_shows_what_is_selected(kitchen):
-    world = kitchen.call_variable("kitchen")
-    picture = kitchen.eval(ROBOTS.format("kitchen"))
+def test_a_picture_shows_what_is_selected(ss):
+    world = ss.call_variable("kitchen")
+    picture = ss.eval(ROBOTS.format("kitchen"))
     assert picture.size == (240, 180)
     shown = world.segmentation(240, 180)
     robots = np.isin(shown, [e.id for e in world if e.kind == "robot"])
@@ -278,8 +272,8 @@ def test_what_is_no_longer_there_is_in_no_form_of_space(shapes):
     twin.close()
 
 
-def test_segmentation_is_by_ids(kitchen):
-    world = kitchen.call_variable("kitchen")
+def test_segmentation_is_by_ids(ss):
+    world = ss.call_variable("kitchen")
     shown = world.segmentation(64, 48)
     assert shown.shape == (48, 64)
     names = {world.entity(id).name for id in set(shown.ravel().tolist()) - {0}}
@@ -376,12 +370,12 @@ def test_a_picture_of_no_entity_says_what_to_select(row):
 
 
 @pytest.mark.slow
-def test_a_sensor_is_shown_by_its_body(kitchen):
+def test_a_sensor_is_shown_by_its_body(ss):
     laser = (
         "SELECT obj FROM kitchen WHERE id(this) == 'barrett_4918_laser_scaner' AS image(160, 120);"
     )
     body = "SELECT obj FROM kitchen WHERE id(this) == 'barrett_4918' AS image(160, 120);"
-    assert np.array_equal(np.asarray(kitchen.eval(laser)), np.asarray(kitchen.eval(body)))
+    assert np.array_equal(np.asarray(ss.eval(laser)), np.asarray(ss.eval(body)))
 
 
 @pytest.mark.slow
@@ -398,17 +392,13 @@ def test_a_picture_of_a_recorded_tick():
 
 
 @pytest.mark.slow
-def test_a_picture_of_a_what_if_world(kitchen):
-    world = kitchen.call_variable("kitchen")
-    kitchen.add_variable(
-        "moved", world.what_if({"roomba_625x": [1.0, 0.0, 0.0, 0.0, 1.0, -1.0, 0.17]})
-    )
-    picture = kitchen.eval(ROBOTS.format("moved"))
-    assert not np.array_equal(
-        np.asarray(picture), np.asarray(kitchen.eval(ROBOTS.format("kitchen")))
-    )
+def test_a_picture_of_a_what_if_world(ss):
+    world = ss.call_variable("kitchen")
+    ss.add_variable("moved", world.what_if({"roomba_625x": [1.0, 0.0, 0.0, 0.0, 1.0, -1.0, 0.17]}))
+    picture = ss.eval(ROBOTS.format("moved"))
+    assert not np.array_equal(np.asarray(picture), np.asarray(ss.eval(ROBOTS.format("kitchen"))))
     with pytest.raises(UnknownNameError):
-        kitchen.eval(ROBOTS.format("movd"))
+        ss.eval(ROBOTS.format("movd"))
 
 
 @pytest.mark.slow

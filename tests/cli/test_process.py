@@ -15,20 +15,6 @@ from tests.support.command_line import LINUX, run, start
 from tests.support.timing import HANGS
 
 
-@pytest.mark.long
-def test_the_kitchen_as_json(tmp_path):
-    program = "SELECT id, position FROM kitchen WHERE isRobot(this);"
-    code, out, err = run("query", "kitchen", program, "--format", "json", cwd=tmp_path)
-    assert (code, err) == (0, "")
-    assert [row["id"] for row in json.loads(out)] == [
-        "fridge",
-        "cooker",
-        "barrett_4918",
-        "roomba_625x",
-    ]
-    assert json.loads(out)[2]["position"] == pytest.approx([0.42, 1.3, 0.892])
-
-
 @pytest.mark.slow
 def test_an_error_is_no_traceback(here):
     code, out, err = run("query", "two.toml", "SELECT abov FROM two;")
@@ -108,9 +94,3 @@ finally:
     returned, out, err = run(module=("-c", code), cwd=tmp_path)
     assert (returned, err) == (0, "")
     assert out.splitlines()[-1] == ""
-
-
-@pytest.mark.slow
-def test_the_command_line_completes():
-    env = {"_SSDUCK_COMPLETE": "complete_bash", "COMP_WORDS": "ssduck sce", "COMP_CWORD": "1"}
-    assert run(env=env) == (0, "scenes\n", "")

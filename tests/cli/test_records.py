@@ -12,7 +12,7 @@ import pytest
 
 import ssduck
 from tests.support.cases import sampled
-from tests.support.command_line import LINUX, answer, ssduck_, start, written
+from tests.support.command_line import LINUX, answer, fails, ssduck_, start, written
 from tests.support.timing import HANGS
 
 
@@ -63,6 +63,7 @@ RECORD_ERRORS = [
     (["query", "run", "1;", "--steps", "5"], 2, "a record cannot be simulated further"),
     (["query", "run", "1;", "--episode", "3"], 1, "no episode 3 has ticks"),
     (["query", "two.toml", "1;", "--episode", "3"], 2, "two.toml is no record"),
+    (["view", "two.toml", "--episode", "1", "--no-browser"], 2, "two.toml is no record"),
     (["episodes", "nothing"], 1, "there is no record nothing: neither a folder nor a DuckDB file"),
     (["episodes", "two.toml"], 1, "two.toml cannot be opened"),
     (["export", "run", "-o", "empty/../run/ssduck.json"], 1, "is a file, and a record"),
@@ -91,11 +92,7 @@ RECORD_ERRORS = [
 def test_errors_of_records(here, arguments, code, told):
     (here / "empty").mkdir()
     answer("record", "two.toml", "--seconds", "0.02", "-o", "run")
-    result = ssduck_(*arguments)
-    assert result.exit_code == code
-    assert told in result.stderr
-    assert "Traceback" not in result.stderr
-    assert result.stdout == ""
+    assert fails(arguments, code, told).stdout == ""
     assert not Path("out").exists()
 
 

@@ -22,11 +22,3 @@ def test_the_first_line_is_the_address():
         finally:
             process.send_signal(signal.SIGINT)
     assert process.returncode == 130
-
-
-@pytest.mark.slow
-def test_an_episode_is_for_records():
-    command = [sys.executable, "-m", "ssduck", "view", "kitchen", "--episode", "1", "--no-browser"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 2
-    assert "is no record" in done.stderr

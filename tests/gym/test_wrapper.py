@@ -100,7 +100,6 @@ def test_history_begins_at_a_reset(wrap):
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_the_step_before_and_the_start_in_terms(wrap):
     inner = Push()
     env = wrap(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 import shutil
 from collections.abc import Callable
@@ -599,8 +598,3 @@ def test_other_datasets_are_errors(tmp_path: Path, content: dict, message: str) 
         ssduck.import_poses(tmp_path / "d", tmp_path / "r")
     with pytest.raises(RecordError, match="there is no file or folder"):
         ssduck.import_poses(tmp_path / "none", tmp_path / "r")
-
-
-def test_the_nearest_run_is_found(record: Path) -> None:
-    assert folder_run(record, None, None).number == 1
-    assert math.isclose(motion_of(folder_run(record, "lab", 0)).times[-1], 0.2)

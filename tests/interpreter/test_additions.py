@@ -12,12 +12,6 @@ from ssduck.errors import ArgumentError, SqlError, UnknownNameError
 PRICES = {"name": ["cup", "table", "sink"], "price": [1.5, 80.0, None]}
 
 
-@pytest.fixture(scope="module")
-def kitchen():
-    with ssduck.load("kitchen") as ss:
-        yield ss
-
-
 @pytest.fixture
 def empty():
     with ssduck.Interpreter() as ss:
@@ -28,17 +22,17 @@ def empty():
 
 
 @pytest.mark.parametrize("is_compiled", [False, True])
-def test_parameters_are_variables_of_one_run(kitchen, is_compiled):
+def test_parameters_are_variables_of_one_run(ss, is_compiled):
     text = "SELECT name FROM kitchen WHERE z > high AND kind == what AS list;"
-    program = kitchen.compile(text) if is_compiled else text
+    program = ss.compile(text) if is_compiled else text
     for high in (1.0, np.float64(1.5), 1.0):
-        found = kitchen.eval(program, {"high": high, "what": "robot"})
+        found = ss.eval(program, {"high": high, "what": "robot"})
         expected = "SELECT name FROM entities WHERE z > ? AND kind = 'robot' ORDER BY id"
-        assert found == [name for (name,) in kitchen.sql(expected, [float(high)]).fetchall()] != []
-    assert "high" not in kitchen
+        assert found == [name for (name,) in ss.sql(expected, [float(high)]).fetchall()] != []
+    assert "high" not in ss
     with pytest.raises(UnknownNameError, match="high"):
-        kitchen.eval(text, parameters={"what": "robot"})
-    assert "what" not in kitchen
+        ss.eval(text, parameters={"what": "robot"})
+    assert "what" not in ss
 
 
 def test_variables_are_as_before(empty):
@@ -52,10 +46,10 @@ def test_variables_are_as_before(empty):
 
 
 @pytest.mark.parametrize("name", ["kitchen", "two words", "select"])
-def test_names_that_no_parameter_has(kitchen, name):
+def test_names_that_no_parameter_has(ss, name):
     with pytest.raises(ArgumentError, match=name):
-        kitchen.eval("1;", {name: 2})
-    assert kitchen.eval("count(SELECT this FROM kitchen AS list);") == 37
+        ss.eval("1;", {name: 2})
+    assert ss.eval("count(SELECT this FROM kitchen AS list);") == 37
 
 
 # -- functions in raw SQL -------------------------------------------------------------------------
@@ -126,11 +120,11 @@ def test_without_type_hints_the_error_says_so(empty, function):
 
 
 @pytest.mark.parametrize("make", [dict, pd.DataFrame, pl.DataFrame, pa.table])
-def test_a_frame_is_a_table_and_a_source(kitchen, make):
-    kitchen.register("prices", make(PRICES))
+def test_a_frame_is_a_table_and_a_source(ss, make):
+    ss.register("prices", make(PRICES))
     joined = "SELECT name, price FROM entities JOIN prices USING (name) ORDER BY price"
-    assert kitchen.sql(joined).fetchall() == [("table", 80.0), ("sink", None)]
-    ((heights, prices),) = kitchen.sql(
+    assert ss.sql(joined).fetchall() == [("table", 80.0), ("sink", None)]
+    ((heights, prices),) = ss.sql(
         "SELECT sum(z), sum(price) FROM kitchen.entities e, prices p WHERE e.name = p.name"
     ).fetchall()
     assert prices == 80.0
@@ -138,7 +132,7 @@ def test_a_frame_is_a_table_and_a_source(kitchen, make):
     program = (
         "SELECT e.name, p.price FROM e=kitchen, p=prices WHERE e.name == p.name AND p.price == 80"
     )
-    assert kitchen.eval(f"{program};") == [{"name": "table", "price": 80.0}]
+    assert ss.eval(f"{program};") == [{"name": "table", "price": 80.0}]
 
 
 def test_a_frame_is_copied_and_replaced(empty):
@@ -168,27 +162,27 @@ def test_a_frame_is_copied_and_replaced(empty):
         ("t", {"a": [1], "b": [1, 2]}, "is no table"),
     ],
 )
-def test_what_is_no_frame_or_no_name(kitchen, name, frame, message):
-    kitchen.sql("CREATE TABLE IF NOT EXISTS own(a INT)")
+def test_what_is_no_frame_or_no_name(ss, name, frame, message):
+    ss.sql("CREATE TABLE IF NOT EXISTS own(a INT)")
     with pytest.raises(ArgumentError, match=message):
-        kitchen.register(name, frame)
-    assert name == "kitchen" or name not in kitchen
+        ss.register(name, frame)
+    assert name == "kitchen" or name not in ss
 
 
 @pytest.mark.parametrize("text", [
     "SHOW TABLES", "-- all\nSHOW TABLES;", "SELECT name FROM (SHOW TABLES)", "SHOW", "describe;",
     "SHOW ALL TABLES", "SELECT name FROM (SHOW ALL TABLES)", "SHOW TABLES FROM kitchen",
 ])  # fmt: skip
-def test_what_ssduck_keeps_is_not_shown(kitchen, text):
+def test_what_ssduck_keeps_is_not_shown(ss, text):
     """There are views on a world's buffers, and the tables of its record."""
-    kitchen.register("shown", {"a": [1]})
-    found = kitchen.sql(text)
+    ss.register("shown", {"a": [1]})
+    found = ss.sql(text)
     names = [row[found.columns.index("name")] for row in found]
     assert ("shown" in names) == ("FROM kitchen" not in text)
     assert {"entities", "entities_history", "links_model"} <= set(names)
     assert [name for name in names if " " in name] == []
-    assert all("_record_" not in schema for _, schema, _ in kitchen.sql("SHOW SCHEMAS"))
+    assert all("_record_" not in schema for _, schema, _ in ss.sql("SHOW SCHEMAS"))
 
 
-def test_a_text_is_no_statement(kitchen):
-    assert kitchen.sql("SELECT '(SHOW TABLES)'").fetchone() == ("(SHOW TABLES)",)
+def test_a_text_is_no_statement(ss):
+    assert ss.sql("SELECT '(SHOW TABLES)'").fetchone() == ("(SHOW TABLES)",)

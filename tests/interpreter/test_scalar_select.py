@@ -10,7 +10,6 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-import ssduck
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.scalar_select import ScalarSelect
 from ssduck.sql.relations.registry import RELATIONS
@@ -62,12 +61,6 @@ NUMBERS = st.one_of(
 
 # A column that is a relation: without one, queries of a few rows run row by row.
 RELATION = "z(kitchen.table)"
-
-
-@pytest.fixture(scope="module")
-def ss():
-    with ssduck.load("kitchen") as ss:
-        yield ss
 
 
 def bits(value):

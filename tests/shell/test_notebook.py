@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import ssduck
 from tools import draw_notebook
 from tools.browser import Browser, chromium
 
@@ -32,12 +31,6 @@ def outputs(tmp_path_factory):
     return [
         next((each["data"] for each in cell["outputs"] if "data" in each), {}) for cell in cells
     ]
-
-
-@pytest.fixture(scope="module")
-def ss():
-    with ssduck.load("kitchen") as ss:
-        yield ss
 
 
 def test_a_cell_of_selectscript_has_its_rows(ss, outputs):

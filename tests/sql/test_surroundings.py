@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import ssduck
 from ssduck.recording.spec import Recording
 from tests.support.cases import sampled
-from tests.support.stage import Stage, pairs_of
+from tests.support.stage import pairs_of
 from tests.support.urdf import collision, joint, link, robot
 
 EDGE = 1e-6
@@ -80,13 +80,6 @@ def of_mesh(file):
         "<collision", '<collision concave="yes"'
     )
     return robot(link("base", mass=0, shapes=shape))
-
-
-@pytest.fixture
-def stage():
-    made = Stage()
-    yield made
-    made.close()
 
 
 def walled(client, body, centre, turn):

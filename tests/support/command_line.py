@@ -60,6 +60,16 @@ def answer(*arguments, **others):
     return result.stdout
 
 
+def fails(arguments, code, told):
+    """What a command wrote that failed: no traceback."""
+    result = ssduck_(*arguments)
+    assert result.exit_code == code
+    assert told in result.stderr
+    assert "Traceback" not in result.stderr
+    assert result.stderr.startswith("error: ") == (code == 1)
+    return result
+
+
 def environment():
     """That of the process, without colours; the package is that of this checkout."""
     names = ("FORCE_COLOR", "NO_COLOR", "COLUMNS")
@@ -87,6 +97,7 @@ def run(*arguments, **others):
     return process.returncode, out, err
 
 
+NO_ROWS = "SELECT id, z + 1 AS top FROM two WHERE z > 100;"
 # (program, as a table, as JSON, as CSV)
 ANSWERS = [
     ("1+2*3-4/5.;", "6.2\n", 6.2, "value\n6.2\n"),
@@ -128,7 +139,7 @@ ANSWERS = [
         [{"big": 0}, {"small": 2}],
         "big,small\n0.0,\n,2.0\n",
     ),
-    ("SELECT obj FROM two WHERE z(this) > 100;", "obj\n---\n(no rows)\n", [], "obj\n"),
+    (NO_ROWS, "id  top\n--  ---\n(no rows)\n", [], "id,top\n"),
 ]
 
 # The same for SQL.

@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import ssduck
+from tests.support import stage
 
 pybullet = pytest.importorskip("pybullet")
 backend = pytest.importorskip("ssduck.simulators.pybullet.simulator")
@@ -19,31 +20,22 @@ LASER = {"min_angle": -180, "max_angle": 180, "resolution": 1, "max_range": 20}
 CAMERA = {"width": 64, "height": 48, "fov": 50, "max_range": 10}
 
 
-class Stage:
-    """A PyBullet client of ssduck's own that tests fill with shapes."""
+class Stage(stage.Stage):
+    """A stage whose world's sensors tests ask; it counts the rays that are cast."""
 
     def __init__(self):
-        self.client = pybullet.connect(pybullet.DIRECT)
-        self.names = {}
+        super().__init__()
         self.world = None
         self.casts = []
 
-    def add(self, name, kind, position, mass=0.0, turn=(0, 0, 0, 1), **size):
-        shape = pybullet.createCollisionShape(kind, physicsClientId=self.client, **size)
-        body = pybullet.createMultiBody(
-            mass, shape, basePosition=position, baseOrientation=turn, physicsClientId=self.client
-        )
-        self.names[body] = name
-        return body
-
     def box(self, name, halves, position, **more):
-        return self.add(name, pybullet.GEOM_BOX, position, halfExtents=halves, **more)
+        return super().box(name, position, halves, **more)
 
     def sphere(self, name, radius, position, **more):
-        return self.add(name, pybullet.GEOM_SPHERE, position, radius=radius, **more)
+        return super().sphere(name, position, radius, **more)
 
     def open(self, *, owned=True):
-        """The world of what is there; it counts the rays that are cast."""
+        """The world of what is there."""
         simulator = backend.PyBulletSimulator(self.client, owned=owned, names=self.names)
         cast = simulator.cast_rays
 

@@ -10,8 +10,6 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-import ssduck
-
 pytest.importorskip("websockets", reason="the extra view is not installed")
 from ssduck.view.answers import MAX_ROWS
 from tests.support.cases import sampled
@@ -22,12 +20,6 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(chromium() is None, reason="there is no Chromium"),
 ]
-
-
-@pytest.fixture(scope="module")
-def ss():
-    with ssduck.load("kitchen") as ss:
-        yield ss
 
 
 @pytest.fixture(scope="module")

@@ -19,12 +19,6 @@ LONG = "SELECT count(*) FROM range(60000) a, range(60000) b WHERE a.range + b.ra
 
 
 @pytest.fixture(scope="module")
-def ss():
-    with ssduck.load("kitchen") as ss:
-        yield ss
-
-
-@pytest.fixture(scope="module")
 def url(ss):
     with ss.view() as served:
         yield served.url

@@ -2,7 +2,6 @@
 
 import json
 import struct
-from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -12,8 +11,6 @@ from ssduck.errors import SelectScriptError
 from ssduck.language.intervals import changes_of, column_of
 
 pytest.importorskip("websockets", reason="the extra view is not installed")
-from websockets.sync.client import connect
-
 from ssduck.adapters.grid_values import Grid
 from ssduck.view.answers import drawing_of
 from ssduck.view.facts import facts_of
@@ -22,6 +19,7 @@ from ssduck.view.scans import Scan
 from ssduck.view.server import SentTicks
 from ssduck.view.view import view_record
 from tests.support.cases import sampled
+from tests.support.viewing import POSES, TRACK, asked, binary, opened, told
 
 CUP = "cup_905a"
 
@@ -152,40 +150,17 @@ def test_a_scan_of_a_wrong_program_is_an_error(record):
 
 @pytest.fixture(scope="module")
 def socket(record):
-    with view_record(record) as page:
-        parts = urlsplit(page.url)
-        headers = {"Origin": f"http://{parts.netloc}"}
-        address = f"ws://{parts.netloc}/socket?{parts.query}"
-        with connect(address, additional_headers=headers, max_size=None, proxy=None) as socket:
-            yield socket
-
-
-def asked(socket, **question):
-    socket.send(json.dumps({"id": 7, **question}))
-    while True:
-        message = socket.recv(timeout=60)
-        if isinstance(message, str) and json.loads(message).get("id") == 7:
-            return json.loads(message)
-
-
-def binary(socket, kind):
-    """Returns the next binary message of a kind."""
-    while True:
-        data = socket.recv(timeout=60)
-        if isinstance(data, bytes) and struct.unpack_from("<I", data)[0] == kind:
-            return data
+    with view_record(record) as page, opened(page.url) as socket:
+        yield socket
 
 
 @pytest.mark.slow
 def test_the_ticks_and_a_track_are_sent(socket, ss):
-    message = {}
-    while message.get("type") != "ticks":
-        text = socket.recv(timeout=30)
-        message = json.loads(text) if isinstance(text, str) else {}
+    message = told(socket, type="ticks")
     assert message["times"] == ss.worlds[0].source_record.ticks.times.tolist()
-    binary(socket, kind=2)  # the first poses
+    binary(socket, POSES)
     socket.send(json.dumps({"type": "track", "id": 3, "first": 0, "count": 16}))
-    data = binary(socket, kind=3)
+    data = binary(socket, TRACK)
     length = struct.unpack_from("<II", data)[1]
     head = json.loads(data[8 : 8 + length])
     assert (head["id"], head["first"], head["count"]) == (3, 0, 16)
@@ -204,20 +179,13 @@ def test_a_wrong_track_is_none(socket, first, count):
 def test_a_scan_is_sent_bit_by_bit(socket, ss):
     program = PROGRAMS[0]
     socket.send(json.dumps({"type": "scan", "id": "s", "text": program}))
-    message = {}
-    while not (message.get("id") == "s" and message["done"]):
-        text = socket.recv(timeout=60)
-        message = json.loads(text) if isinstance(text, str) else {}
+    message = told(socket, id="s", done=True)
     changes = [time for time, _ in ss.eval(f"changes(on(kitchen.table, kitchen.{CUP}));")]
     assert [start for start, _, _ in message["runs"]] == changes
 
 
 def test_a_scan_with_an_error_says_so(socket):
-    socket.send(json.dumps({"type": "scan", "id": "e", "text": "kitchen.frigde;"}))
-    message = {}
-    while message.get("id") != "e":
-        text = socket.recv(timeout=60)
-        message = json.loads(text) if isinstance(text, str) else {}
+    message = asked(socket, type="scan", id="e", text="kitchen.frigde;")
     assert message["error"]["suggestions"] == ["fridge"]
 
 

@@ -18,20 +18,13 @@ import ssduck
 from ssduck.errors import UnknownNameError
 from ssduck.simulators.scenes import find_scene
 
-websockets = pytest.importorskip("websockets", reason="the extra view is not installed")
-from websockets.exceptions import InvalidStatus  # noqa: E402
-from websockets.sync.client import connect  # noqa: E402
+pytest.importorskip("websockets", reason="the extra view is not installed")
+from websockets.exceptions import InvalidStatus
 
-from ssduck.view.view import view_scene  # noqa: E402
+from ssduck.view.view import view_scene
+from tests.support.viewing import POSES, SCENE, asked, binary, opened, told
 
 ROOT = Path(__file__).parents[2]
-SCENE, POSES = 1, 2
-
-
-@pytest.fixture(scope="module")
-def ss():
-    with ssduck.load("kitchen") as ss:
-        yield ss
 
 
 @pytest.fixture(scope="module")
@@ -40,31 +33,6 @@ def url(ss):
     yield page.url
     page.close()
     page.close()
-
-
-def opened(url, **headers):
-    """Returns a connection as the page makes it."""
-    parts = urlsplit(url)
-    headers = {"Origin": f"http://{parts.netloc}", **headers}
-    address = f"ws://{parts.netloc}/socket?{parts.query}"
-    return connect(address, additional_headers=headers, max_size=None, proxy=None)
-
-
-def asked(socket, **question):
-    """Sends a question, and returns its answer."""
-    socket.send(json.dumps({"id": 7, **question}))
-    while True:
-        message = socket.recv(timeout=30)
-        if isinstance(message, str) and json.loads(message).get("id") == 7:
-            return json.loads(message)
-
-
-def binary(socket, kind):
-    """Returns the next binary message of a kind."""
-    while True:
-        message = socket.recv(timeout=30)
-        if isinstance(message, bytes) and struct.unpack_from("<I", message)[0] == kind:
-            return message
 
 
 def status(url, path=None, **headers):
@@ -306,15 +274,6 @@ def test_nobody_is_told_when_nobody_looks():
     ss.close()
 
 
-def told(socket, **expected):
-    """Waits until the state of the simulation is as expected."""
-    while True:
-        message = socket.recv(timeout=30)
-        state = json.loads(message) if isinstance(message, str) else {}
-        if state.get("type") == "status" and expected.items() <= state.items():
-            return state
-
-
 @pytest.mark.slow
 def test_a_page_runs_its_scene():
     loaded = []
@@ -333,7 +292,7 @@ def test_a_page_runs_its_scene():
                 return time
 
     with view_scene(load) as page, opened(page.url) as socket:
-        told(socket, playing=False, speed=1.0)
+        told(socket, type="status", playing=False, speed=1.0)
         timestep = loaded[0].timestep
         control("step", 3)
         poses_at(lambda time: time == pytest.approx(3 * timestep))

@@ -10,7 +10,7 @@ from ssduck.errors import SelectScriptError
 
 pytest.importorskip("websockets", reason="the extra view is not installed")
 from ssduck.view import answers, scans, sealed
-from tests.view.test_server import asked, opened
+from tests.support.viewing import asked, opened
 
 # It does not end before the limit of time.
 LONG = "SELECT count(*) FROM range(9000000) a, range(9000000) b WHERE a.range + b.range = 7"

@@ -7,13 +7,6 @@ import pytest
 from tests.support.stage import Stage
 
 
-@pytest.fixture
-def stage():
-    made = Stage()
-    yield made
-    made.close()
-
-
 @pytest.fixture(scope="module")
 def pair():
     """Two unit boxes a and b; b is put where a test wants it."""

@@ -6,15 +6,11 @@ import pytest
 
 from tests.support.sensing import Stage
 
-pybullet = pytest.importorskip("pybullet")
-
 
 @pytest.fixture
 def stage():
-    made = Stage()
-    yield made
-    if pybullet.isConnected(made.client):
-        pybullet.disconnect(made.client)
+    with Stage() as stage:
+        yield stage
 
 
 @pytest.fixture
