@@ -130,9 +130,6 @@ def test_a_function_that_makes_an_error_of_ctrl_c_does_not_keep_it(ss):
     assert len(calls) == 1
 
 
-# -- Ctrl-C is for the statement that ran ---------------------------------------------------
-
-
 # -- others' signals ------------------------------------------------------------------------
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pybullet
 import pytest
@@ -12,7 +13,10 @@ import ssduck
 from ssduck import Recording
 from ssduck.database import connection as connections
 from ssduck.database.instances import InstancePool
+from ssduck.database.on_demand import OnDemand
+from ssduck.database.schemas import Schemas
 from ssduck.errors import SqlError
+from ssduck.limits import UsageMeter
 from ssduck.recording.recorder import BUFFERED_TICKS
 from ssduck.schema import HISTORIES, MODELS, TABLES
 from tests.support.cases import sampled
@@ -263,3 +267,37 @@ def test_a_file_is_let_go(tmp_path: Path, pool: InstancePool, client: int) -> No
                 assert len(ss.eval("SELECT tick(this) FROM lab{} AS list;")) == 0
                 assert ss.past("lab").ticks == [1]
     pool.close()
+
+
+def test_what_is_left_out_is_made_for_another_statement() -> None:
+    """Of statements within one another, each has its own names left out."""
+    made: list[str] = []
+    on_demand: OnDemand[None] = OnDemand()
+    on_demand.offer(("lab", "entities_history"), lambda _: made.append("rows"))
+    select = "SELECT * FROM lab.entities_history"
+    with on_demand.without([("lab", "entities_history")]):
+        on_demand.provide(select, None)
+        assert made == []
+        with on_demand.without(()):
+            on_demand.provide(select, None)
+        assert made == ["rows"]
+
+
+@pytest.mark.slow
+def test_a_refused_statement_is_told_also_if_its_time_ends_meanwhile(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All views and macros are made for DuckDB's suggestions, which may take long."""
+    provide = Schemas.provide
+
+    def slowly(schemas: Schemas, *arguments: Any) -> None:
+        provide(schemas, *arguments)
+        if arguments[-1] is not None:
+            late = UsageMeter(ssduck.Limits(seconds=1e-9))
+            monkeypatch.setattr(ss._database.connection, "meter", late)
+
+    monkeypatch.setattr(Schemas, "provide", slowly)
+    with ssduck.open(run, limits=ssduck.Limits(seconds=600)) as ss:
+        with pytest.raises(SqlError, match="clearanse"):
+            ss.sql("SELECT clearanse(a, b) FROM entities a, entities b")
+        assert ss.sql("SELECT 42").fetchall() == [(42,)]

@@ -417,6 +417,3 @@ def test_names_cannot_inject_sql(ss):
         == []
     )
     assert len(ss.sql("FROM entities")) == len(ss.call_variable("kitchen"))
-
-
-# -- both evaluators agree ----------------------------------------------------------------------

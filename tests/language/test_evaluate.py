@@ -533,6 +533,3 @@ def test_zeros_are_one_group(ss, key):
     printed = "[0.0]" if key == "[this]" else "0.0"
     program = f"SELECT this == 0 FROM [0.0, -0.0] GROUP BY {key} AS list;"
     assert ss.eval(program) == {printed: [True, True]}
-
-
-# -- long runs ---------------------------------------------------------------------------------

@@ -6,9 +6,6 @@ import pytest
 
 import ssduck
 
-# -- what is broken as it was published ----------------------------------------------------------
-
-
 # -- demos on OpenRAVE's and ODE's worlds --------------------------------------------------------
 
 

@@ -132,6 +132,3 @@ def test_triggers_keep_nothing_alive(queue):
     del world
     gc.collect()
     until(lambda: gone[1]() is None)
-
-
-# -- what it costs -------------------------------------------------------------------------------
