@@ -100,7 +100,7 @@ BUDGETS = {
     "simulators": 12_300,
     "sql": 7_350,
     "view": 2_250,
-    "world": 6_300,
+    "world": 6_290,
 }
 
 

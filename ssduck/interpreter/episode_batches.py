@@ -160,7 +160,7 @@ class BatchInterpreter:
         """
         self._present = index
         episode = self._episodes[index]
-        self.world.replace_ticks(episode.numbers, episode.times, is_read=is_present_read)
+        self.world.ticker.replace_ticks(episode.numbers, episode.times, is_read=is_present_read)
         before = dict(self._execution.variables)
         try:
             yield self.interpreter

@@ -130,7 +130,7 @@ class Execution(Namespace):
     def begin_meter(self) -> None:
         """Measures a new program from now on."""
         self._new_doubts = 0
-        self.database.connection.meter = UsageMeter(self._limits, self.is_stopped)
+        self.database.connection.meter = UsageMeter(self.limits, self.is_stopped)
 
     @property
     def is_running(self) -> bool:
@@ -162,11 +162,11 @@ class Execution(Namespace):
 
     def _with_overrides(self, program: Program) -> Program:
         """Returns the program with users' functions in the place of those they override."""
-        if not self._overrides:
+        if not self.overrides:
             return program
         overridden = self._override_cache.get(program)
         if overridden is None:
-            overridden = self._override_cache[program] = with_overrides(program, self._overrides)
+            overridden = self._override_cache[program] = with_overrides(program, self.overrides)
         return overridden
 
     def read(self, program: Program) -> Program:
@@ -284,7 +284,7 @@ class Execution(Namespace):
                 return RELATIONS_OF_INTERVALS[node.name].function(arguments)
             if node.name in RELATIONS:
                 return self._relation(node, arguments, frame)
-            raise unknown_function(node, self._known_functions())
+            raise unknown_function(node, self.known_functions())
         if node.name == "eval":
             return self._run_text(arguments[0], frame)
         values = arguments if function.builtin else self.at_tick_of_rows(arguments, frame)
@@ -332,7 +332,7 @@ class Execution(Namespace):
 
     def _run_text(self, text: Any, frame: Frame) -> Any:
         """Returns the value of a program in a text; it sees the rows around the call of `eval`."""
-        if not self._limits.eval:
+        if not self.limits.eval:
             raise LimitError("eval is switched off here")
         validation.text(text, "eval takes a text")
         self._program_texts.append(text)

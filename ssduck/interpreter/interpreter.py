@@ -130,7 +130,6 @@ class Interpreter(PublicNames):
         validation.instance(recording, Recording, "Interpreter: recording")
         limits = limits or Limits()
         self._database = Database(database, tracer, limits, recording)
-        self._limits = limits
         self._execution = Execution(
             self._database, limits, self._value_of_query, row_by_row=row_by_row, strict=strict
         )

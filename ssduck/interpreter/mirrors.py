@@ -292,7 +292,7 @@ class WorldCopy:
                 self._world = self._first(news)
                 self._ss.add_variable(self._description.name, self._world)
             elif isinstance(self._world, CopiedWorld):
-                self._world.go_to(news.tick, news.time)
+                self._world.ticker.go_on_to(news.tick, news.time)
             if news.pairs is not None and not self._description.is_past:
                 _set_pairs(self._world, news.pairs)
 

@@ -87,14 +87,14 @@ class Namespace:
 
     def __init__(self, database: Database, limits: Limits) -> None:
         self.database = database
-        self._limits = limits
+        self.limits = limits
         # The variables that programs have set.
         self._assigned: set[str] = set()
         self.lock = threading.RLock()
         self._variables = Variables()
         self.functions: dict[str, Function] = dict(BUILTINS)
         # The language's own functions that users' functions override, by name.
-        self._overrides: dict[str, Function | None] = {}
+        self.overrides: dict[str, Function | None] = {}
         self.functions.update((command.name, command) for command in self._commands())
         self.functions.update(LINK_FUNCTIONS)
         self.functions.update((name, form.function) for name, form in TEMPORAL_FUNCTIONS.items())
@@ -193,11 +193,11 @@ class Namespace:
 
     def names(self) -> list[str]:
         """Returns the names of all variables and functions."""
-        return [*self.variables, *self._known_functions()]
+        return [*self.variables, *self.known_functions()]
 
     def assign(self, name: str, value: Any) -> None:
         """Sets a variable."""
-        self._check_kept(name)
+        self._check_may_replace(name)
         self.variables[name] = value
         self._assigned.add(name)
 
@@ -233,7 +233,7 @@ class Namespace:
         before, now = self.variables.get(name), self._now()
         if isinstance(value, World):
             raise ArgumentError("a world cannot be kept in a history; assign it without {…}")
-        self._check_kept(name)
+        self._check_may_replace(name)
         self.variables[name] = with_assignment(before, value, horizon, now)
         self._assigned.add(name)
 
@@ -243,9 +243,9 @@ class Namespace:
             if isinstance(self.variables.get(name), World):
                 self.variables.pop(name)
 
-    def _check_kept(self, name: str) -> None:
+    def _check_may_replace(self, name: str) -> None:
         """Checks that a program of a stranger leaves a world of the user's as it is."""
-        if self._limits.select_only and name not in self._assigned and self.is_world(name):
+        if self.limits.select_only and name not in self._assigned and self.is_world(name):
             raise LimitError(f"{name} is a world, which programs cannot replace here")
 
     def past_value(self, name: str, *age: Any) -> Any:
@@ -295,13 +295,13 @@ class Namespace:
 
     def function(self, name: str) -> Function | None:
         """Returns a function that is no relation; the language's own if the name is not marked."""
-        if name in self._overrides:
-            return self._overrides[name]
+        if name in self.overrides:
+            return self.overrides[name]
         return self.functions.get(written_name(name))
 
     def resolved_name(self, name: str) -> str:
         """Returns the name that calls a function: the user's function, if it overrides another."""
-        return marked_name(name) if name in self._overrides else name
+        return marked_name(name) if name in self.overrides else name
 
     def add_function(self, function: Function) -> None:
         """Adds a user's function; warns if it overrides a part of the language."""
@@ -315,7 +315,7 @@ class Namespace:
             return
         if known is not None and unwrap(known.call) is function.call:
             return  # `addFunction('str', str)` of the published programs
-        self._overrides[name] = known
+        self.overrides[name] = known
         self.functions[name] = function
         sign = BINARY_SIGNS.get(name) or UNARY_SIGNS.get(name)
         part = f"the operator {sign}" if sign else f"the language's own {name}"
@@ -333,7 +333,7 @@ class Namespace:
                 f"there is no function {short_repr(name)} of yours",
                 suggestions=nearest(name, self.users_functions()),
             )
-        before = self._overrides.pop(name, None)
+        before = self.overrides.pop(name, None)
         if before is None:
             del self.functions[name]
         else:
@@ -371,12 +371,12 @@ class Namespace:
             fits, usage = minimum <= count <= maximum, written or f"see help('{name}')"
             usage = _CALLS.get(name, usage) if count != 1 else usage
         else:
-            error = unknown_function(node, self._known_functions())
+            error = unknown_function(node, self.known_functions())
             worlds = [key for key, value in self.variables.items() if isinstance(value, World)]
             is_bare = node.span == node.name_span and ";" not in error.message
             if is_bare and worlds:
                 error.message += f", and no variable; the worlds are {', '.join(worlds)}"
-                error.suggestions = nearest(name, [*self._known_functions(), *self.variables])
+                error.suggestions = nearest(name, [*self.known_functions(), *self.variables])
             raise error
         if not fits:
             texts = (one for one in node.arguments if isinstance(one, Literal))
@@ -396,7 +396,7 @@ class Namespace:
             UnknownNameError: nothing has that name; the error suggests the nearest names.
         """
         if name is None:
-            return sorted(self._known_functions(), key=str.casefold)
+            return sorted(self.known_functions(), key=str.casefold)
         if isinstance(name, str) and name.upper() == "AS":
             return help_of_result_forms()
         described: dict[str, Function | Relation] = {**RELATIONS, **self.functions}
@@ -411,7 +411,8 @@ class Namespace:
             )
         return form
 
-    def _known_functions(self) -> list[str]:
+    def known_functions(self) -> list[str]:
+        """Returns the names of all functions."""
         return list(dict.fromkeys((*RELATIONS, *self.functions)))
 
     def _commands(self) -> list[Function]:
@@ -419,12 +420,12 @@ class Namespace:
 
         def clear(name: str | None = None) -> bool:
             if name is None:
-                kept_variables = {n: v for n, v in self.variables.items() if isinstance(v, World)}
+                remaining = {n: v for n, v in self.variables.items() if isinstance(v, World)}
             else:
                 self.variable(name)
-                self._check_kept(name)
-                kept_variables = {n: v for n, v in self.variables.items() if n != name}
-            self.variables = kept_variables
+                self._check_may_replace(name)
+                remaining = {n: v for n, v in self.variables.items() if n != name}
+            self.variables = remaining
             return True
 
         def show(*values: Any) -> Any:

@@ -369,7 +369,7 @@ def _replay(
     ss = stack.enter_context(contextlib.closing(open_record(path, episode=episode)))
     world = ss.worlds[0]
     assert isinstance(world, ReplayedWorld)
-    ticks = world.source_record.ticks.times
+    ticks = world.ticker.record.ticks.times
     first, last = float(ticks[0]), float(ticks[-1])
     start, end = film.span or ((last, last) if is_picture else (first, last))
     if end < first or start > last:

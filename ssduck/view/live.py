@@ -106,13 +106,13 @@ class RecordSource:
 
     def ticks(self) -> Ticks:
         """Returns the recorded ticks."""
-        ticks = self._frames.source_record.ticks
+        ticks = self._frames.ticker.record.ticks
         return Ticks(ticks.numbers, ticks.times)
 
     def track(self, frame: Frame, first: int, count: int) -> Track | None:
         """Returns the poses at recorded ticks."""
         with self._lock:
-            return track_of(self._frames.source_record, frame, first, count)
+            return track_of(self._frames.ticker.record, frame, first, count)
 
     def mirror(self, time: float | None) -> Asked:
         """Returns the world at a time."""
@@ -136,7 +136,7 @@ def _replayed(world: World) -> ReplayedWorld:
 
 def recorded_time(world: ReplayedWorld, time: float | None) -> float:
     """Returns the recorded time that is nearest to a time, s; the first one for None."""
-    times = world.source_record.ticks.times
+    times = world.ticker.record.ticks.times
     first, last = float(times[0]), float(times[-1])
     return first if time is None else min(max(time, first), last)
 
@@ -294,7 +294,7 @@ class LiveSource:
         world = mirror.world
         assert isinstance(world, ReplayedWorld)
         if time is not None:
-            times = world.source_record.ticks.times
+            times = world.ticker.record.ticks.times
             world.seek(min(max(time, float(times[0])), float(times[-1])))
         return Asked(mirror.interpreter, world)
 

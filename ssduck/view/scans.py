@@ -58,7 +58,7 @@ class Scan:
 
     def __post_init__(self) -> None:
         # The last of several ticks of one time: `seek` goes there.
-        times = self.world.source_record.ticks.times
+        times = self.world.ticker.record.ticks.times
         self._times = np.unique(times)
         count = len(self._times)
         samples = np.linspace(0, count - 1, min(count, SAMPLES)).astype(int)

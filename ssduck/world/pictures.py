@@ -102,10 +102,10 @@ def framing_camera(snapshot: Snapshot) -> Camera:
     if not movable.any():
         movable[:] = True
     sizes = np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1)
-    kept = movable & (sizes <= _LARGE * max(float(np.median(sizes[movable])), _LEAST))
-    low, high = _union(boxes[kept])
+    is_framed = movable & (sizes <= _LARGE * max(float(np.median(sizes[movable])), _LEAST))
+    low, high = _union(boxes[is_framed])
     limit = max(_SURROUNDINGS * float(np.linalg.norm(high - low)), _FURNITURE)
-    low, high = _union(boxes[kept | (~movable & (sizes <= limit))])
+    low, high = _union(boxes[is_framed | (~movable & (sizes <= limit))])
     centre, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, _LEAST)
     eye = centre - _DIRECTION * radius / math.sin(math.radians(_FOV) / 2)
     x, y, z = eye.tolist()

@@ -225,16 +225,9 @@ class Snapshot(TickGeometry):
         self.run = run
         self._live["entities"]["run"].fill(run)
 
-    def past(self, number: int, unavailable: Mapping[str, str]) -> Snapshot:
-        """Returns a clone to be taken of the past tick of a number; see `clone`."""
-        clone = self.clone(unavailable, self.run)
-        clone._is_past = True  # noqa: SLF001  # one class
-        clone.go_to(number)
-        return clone
-
-    def go_to(self, number: int, doubles: Array | None = None) -> None:
-        """Sets the number of the tick that is taken next, and `RECORDED_DOUBLES` of it."""
-        self.number, self._recorded_doubles = number, doubles
+    def go_to(self, number: int, doubles: Array) -> None:
+        """Sets the number of the recorded tick that is taken next, and its `RECORDED_DOUBLES`."""
+        self.number, self._recorded_doubles, self._is_past = number, doubles, True
         self.invalidate_static_poses()
 
     # -- the entities --------------------------------------------------------------------

@@ -297,16 +297,9 @@ class SteppedWorld:
         """Ensures that the last tick includes tables."""
         self.ticker.request_tables(frozenset(tables))
 
-    def pinned(
-        self, tables: Collection[str] = (), *, is_read: bool = True
-    ) -> AbstractContextManager[None]:
-        """Keeps the world at its tick, with tables included, while a query runs.
-
-        Args:
-            tables: the tables to include.
-            is_read: whether the query reads the world, which warns of a stale tick.
-        """
-        return self.ticker.pinned(tables, is_read=is_read)
+    def pinned(self, tables: Collection[str] = ()) -> AbstractContextManager[None]:
+        """Keeps the world at its tick, with tables included, while a query runs."""
+        return self.ticker.pinned(tables)
 
 
 def run(

@@ -287,9 +287,9 @@ class Ticker(ABC):
             raise
 
     @contextmanager
-    def pinned(self, tables: Collection[str] = (), *, is_read: bool = True) -> Iterator[None]:
+    def pinned(self, tables: Collection[str]) -> Iterator[None]:
         """Keeps the world at its tick in a context; see `pin`."""
-        self.pin(tables, is_read=is_read)
+        self.pin(tables)
         try:
             yield
         finally:

@@ -248,11 +248,11 @@ OTHERS = {
     "PlaneGrid": "a result", "VoxelGrid": "a result", "Selection": "handed to adapters",
     "World.reading": "Sensor.reading",
     "World.attach(forward)": "of MuJoCo, tests/simulators/mujoco", "World.reached": "for followers",
-    "World.pinned": "a part of queries", "World.handle(id)": "of a row", "World.steps_to_tick": "a part of step",
+    "World.handle(id)": "of a row", "World.steps_to_tick": "a part of step",
     "World(simulator)": "made by load and attach", "Interpreter.keep": "a part of programs",
     "Interpreter.addTrigger": "Interpreter.add_trigger",
     "Lake.score": "Lake.ask", "Lake.stream": "Lake.ask", "RecordWriter.begin": "for its subclass",
-    "ReplayedWorld.replace_ticks": "for readers of lakes", "ReplayedWorld.seek_tick": "for scoring",
+    "ReplayedWorld.seek_tick": "for scoring",
 }  # fmt: skip
 
 

@@ -52,15 +52,15 @@ def ss(record):
 
 def frames(world, numbers):
     for number in numbers:
-        yield Frame.of(world.source_record.at(number).snapshot)
+        yield Frame.of(world.ticker.record.at(number).snapshot)
 
 
 @pytest.mark.slow
 def test_a_track_has_the_poses_of_each_tick(ss):
     world = ss.worlds[0]
-    numbers = world.source_record.ticks.numbers.tolist()
+    numbers = world.ticker.record.ticks.numbers.tolist()
     frame = Frame.of(world.snapshot)
-    track = track_of(world.source_record, frame, 10, 30)
+    track = track_of(world.ticker.record, frame, 10, 30)
     assert track.first == 10
     assert len(track.poses) == 30
     assert 0 < len(track.moving) < len(track.base)
@@ -73,8 +73,8 @@ def test_a_track_has_the_poses_of_each_tick(ss):
 @pytest.mark.parametrize(("first", "count", "expected"), [(0, 1, 1), (60, 99, None), (10**6, 5, 0)])
 def test_a_track_ends_with_the_record(ss, first, count, expected):
     world = ss.worlds[0]
-    total = len(world.source_record.ticks)
-    track = track_of(world.source_record, Frame.of(world.snapshot), first, count)
+    total = len(world.ticker.record.ticks)
+    track = track_of(world.ticker.record, Frame.of(world.snapshot), first, count)
     if expected == 0:
         assert track is None
     else:
@@ -94,9 +94,9 @@ def test_a_track_of_another_scene_is_none(tmp_path):
     with ssduck.open(tmp_path / "run") as record:
         world = record.worlds[0]
         frame = Frame.of(world.snapshot)  # the last one, without the cup
-        total = len(world.source_record.ticks)
-        assert track_of(world.source_record, frame, 0, total) is None
-        assert track_of(world.source_record, frame, total - 1, 1) is not None
+        total = len(world.ticker.record.ticks)
+        assert track_of(world.ticker.record, frame, 0, total) is None
+        assert track_of(world.ticker.record, frame, total - 1, 1) is not None
 
 
 PROGRAMS = [
@@ -114,7 +114,7 @@ def test_a_scan_finds_each_change(record, program):
     """The oracle asks at each tick, and compares."""
     with ssduck.open(record) as ss:
         world = ss.worlds[0]
-        times = np.unique(world.source_record.ticks.times)
+        times = np.unique(world.ticker.record.ticks.times)
         values = []
         for time in times.tolist():
             world.seek(time)
@@ -157,7 +157,7 @@ def socket(record):
 @pytest.mark.slow
 def test_the_ticks_and_a_track_are_sent(socket, ss):
     message = told(socket, type="ticks")
-    assert message["times"] == ss.worlds[0].source_record.ticks.times.tolist()
+    assert message["times"] == ss.worlds[0].ticker.record.ticks.times.tolist()
     binary(socket, POSES)
     socket.send(json.dumps({"type": "track", "id": 3, "first": 0, "count": 16}))
     data = binary(socket, TRACK)
@@ -191,7 +191,7 @@ def test_a_scan_with_an_error_says_so(socket):
 
 @pytest.mark.slow
 def test_intervals_are_bars_over_the_whole_record(socket, ss):
-    times = ss.worlds[0].source_record.ticks.times
+    times = ss.worlds[0].ticker.record.ticks.times
     program = f"holds(on(kitchen.table, kitchen.{CUP}));"
     answer = asked(socket, type="ask", text=program, at=float(times[3]))
     assert answer["lanes"] == [["holds", ss.eval(program)]]
@@ -223,7 +223,7 @@ def test_a_robot_has_its_links_and_joints(socket, ss):
     assert [row[0] for row in answer["joints"]] == names
     assert names
     points = asked(socket, type="plot", entity=robot.id, column="", joint=names[0])["points"]
-    assert len(points) == len(ss.worlds[0].source_record.ticks)
+    assert len(points) == len(ss.worlds[0].ticker.record.ticks)
 
 
 @pytest.mark.slow

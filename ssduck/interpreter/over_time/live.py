@@ -136,7 +136,7 @@ class LiveFolds:
                 if known is None:
                     return form.make(series, None)
             folded = known
-        self._keep(call, folded)
+        self._cache(call, folded)
         if folded.failure is not None:
             raise copy.copy(folded.failure)
         return copied(fold.value(folded.state, folded.time))
@@ -151,7 +151,7 @@ class LiveFolds:
     def _last(self, call: Call) -> _Folded | None:
         return self._folded.get(self._key(call)[0])
 
-    def _keep(self, call: Call, folded: _Folded) -> None:
+    def _cache(self, call: Call, folded: _Folded) -> None:
         """Keeps a state; of many, those of other ticks can go on no more."""
         self._folded[self._key(call)[0]] = folded
         if len(self._folded) > _MANY:

@@ -176,8 +176,17 @@ class ReplayTicker(Ticker):
         if on_progress is not None:
             on_progress(count)
 
-    def replace_ticks(self, numbers: npt.NDArray[np.int64], times: Array, *, is_read: bool) -> None:
-        """Replaces the ticks of the record; see `ReplayedWorld.replace_ticks`."""
+    def replace_ticks(
+        self, numbers: npt.NDArray[np.int64], times: Array, *, is_read: bool = True
+    ) -> None:
+        """Replaces the ticks of the record by others of its entities; goes to the last of them.
+
+        Args:
+            numbers: the numbers of the ticks, (n,), ascending; none of them was there before.
+            times: their simulated times, s, (n,).
+            is_read: whether the tables of the present tick are read until the ticks are replaced
+                again. Otherwise they may be those of another tick with the same entities.
+        """
         with self.lock:
             self.check_not_pinned()
             self.record.ticks.replace(numbers, times)
@@ -216,24 +225,6 @@ class ReplayedWorld(World):
         if past is not None:
             past[1].world = self
 
-    def replace_ticks(
-        self, numbers: npt.NDArray[np.int64], times: Array, *, is_read: bool = True
-    ) -> None:
-        """Replaces the ticks of the record by others of its entities; goes to the last of them.
-
-        Args:
-            numbers: the numbers of the ticks, (n,), ascending; none of them was there before.
-            times: their simulated times, s, (n,).
-            is_read: whether the tables of the current tick are read until the ticks are replaced
-                again. Otherwise they may be those of another tick with the same entities.
-        """
-        self.ticker.replace_ticks(numbers, times, is_read=is_read)
-
-    @property
-    def source_record(self) -> Record:
-        """The record that is replayed."""
-        return self.ticker.record
-
     def seek(self, time: float) -> ReplayedWorld:
         """Goes to the last tick until a time.
 
@@ -246,7 +237,7 @@ class ReplayedWorld(World):
         """
         time = validation.seconds(time, "a time")
         with self.lock:
-            ticks = self.source_record.ticks
+            ticks = self.ticker.record.ticks
             index = index_at(self.name, time, ticks.times, float(ticks.times[-1]))
             self.ticker.go_to(int(ticks.numbers[index]))
         return self
@@ -254,7 +245,7 @@ class ReplayedWorld(World):
     def seek_tick(self, number: int) -> ReplayedWorld:
         """Goes to the tick of a number."""
         with self.lock:
-            if number not in self.source_record.ticks.numbers:
+            if number not in self.ticker.record.ticks.numbers:
                 raise RecordError(
                     f"{self.name!r} has no tick {number}: ticks of the episode are missing"
                 )
@@ -262,7 +253,7 @@ class ReplayedWorld(World):
         return self
 
     def __repr__(self) -> str:
-        numbers, times = self.source_record.ticks.numbers, self.source_record.ticks.times
+        numbers, times = self.ticker.record.ticks.numbers, self.ticker.record.ticks.times
         return (
             f"<RecordedWorld {self.name!r}: {len(self)} entities, ticks {numbers[0]} to "
             f"{numbers[-1]}, t={times[0]:g} s to {times[-1]:g} s>"
@@ -282,11 +273,11 @@ class CopyTicker(ReplayTicker):
         super().__init__(name, present)
         self._sense, self._is_sensed = sense, False
 
-    def replace_ticks(self, numbers: npt.NDArray[np.int64], times: Array, *, is_read: bool) -> None:
+    def go_on_to(self, number: int, time: float) -> None:
         """Goes to the tick of which the rows are there now."""
         self.record.forget_rows()
         self._is_sensed = False
-        super().replace_ticks(numbers, times, is_read=is_read)
+        self.replace_ticks(np.array([number]), np.array([time]))
 
     def request_tables(self, tables: Collection[str]) -> None:
         """Ensures that the tick includes tables; rays are cast in the live world."""
@@ -299,9 +290,7 @@ class CopyTicker(ReplayTicker):
 class CopiedWorld(ReplayedWorld):
     """A copy of the last tick of a live world, which the simulation does not change."""
 
-    def go_to(self, number: int, time: float) -> None:
-        """Goes to the tick of which the rows are there now."""
-        self.replace_ticks(np.array([number]), np.array([time]))
+    ticker: CopyTicker
 
     def reading(self, sensor: Sensor, *, picture: bool = False) -> NoReturn:  # noqa: ARG002
         """Raises `UnsupportedError`: a copy has no rays and no pictures."""

@@ -105,7 +105,8 @@ class SnapshotRestorer:
 
     def snapshot(self, tick: int, unavailable: Mapping[str, str]) -> Snapshot:
         """Returns a snapshot with the entities of a tick, to restore the tick into."""
-        return self._template_at(tick).snapshot.past(tick, unavailable)
+        template = self._template_at(tick).snapshot
+        return template.clone(unavailable, template.run)
 
     def restore_into(self, snapshot: Snapshot, tick: int, time: float) -> StaticSimulator:
         """Restores a tick into a snapshot, and returns the static simulator of the tick."""
