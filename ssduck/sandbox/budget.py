@@ -8,6 +8,7 @@ from typing import Any
 
 from ssduck.errors import LimitError
 from ssduck.limits import ANSWER_BYTES
+from ssduck.sandbox.references import EntityReference
 
 # What the host sends is limited by its own memory only, bytes.
 UNLIMITED = 1 << 60
@@ -19,6 +20,7 @@ WIDEST = 4
 _OF_COMMA, _OF_LIST, _OF_DICT = 64, 136, 248
 # What a class of named tuples takes, and each of its names, bytes.
 _CLASS, _NAME = 10_000, 1000
+INT64 = 2**63
 # Python needs a time for an integer that grows with the square of its digits.
 _MAX_DIGITS = 5000
 
@@ -69,14 +71,22 @@ class Budget:
     def charge_keys(self, keys: Iterable[Any], count: int = 1) -> None:
         """Counts how often the keys of dicts may be compared.
 
-        A worker can choose numbers that all have the same hash, but no such texts.
+        A worker can choose any number of keys that all have the same hash, but no such texts,
+        entities and integers of 64 bits.
         """
-        numbers = sum(type(key) is not str for key in keys)
-        self.charge(count * numbers * numbers // 2)
+        alike = sum(
+            not isinstance(key, str | EntityReference) and not is_short(key) for key in keys
+        )
+        self.charge(count * alike * alike // 2)
 
     def charge_text(self, data: bytes) -> None:
         """Counts a text that is in the body, beside its bytes."""
         self.charge(len(data) * (1 if data.isascii() else WIDEST))
+
+
+def is_short(value: Any) -> bool:
+    """Checks whether a value is an integer of 64 bits."""
+    return type(value) is int and -INT64 <= value < INT64
 
 
 def _integer(digits: str) -> int:

@@ -7,9 +7,6 @@ from collections.abc import Collection, Mapping, Sequence
 from ssduck.errors import SandboxError
 from ssduck.limits import EFFECTS
 
-# How many of an effect's holes a message names.
-_MAX_HOLES = 3
-
 
 def check_present(
     required: Collection[str], holes: Mapping[str, Sequence[str]], reasons: Sequence[str]
@@ -28,8 +25,7 @@ def check_present(
     if not missing:
         return
     told = "; ".join(
-        f"{name} (a program can {EFFECTS[name]}: {', '.join(holes[name][:_MAX_HOLES])})"
-        for name in missing
+        f"{name} (a program can {EFFECTS[name]}: {', '.join(holes[name])})" for name in missing
     )
     because = f"; {'; '.join(reasons)}" if reasons else ""
     enough = [name for name in EFFECTS if name in required and name not in missing]

@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from decimal import Decimal
+from functools import cache
 from itertools import chain
 from operator import itemgetter
 from typing import Any
@@ -25,7 +26,7 @@ from ssduck.adapters.optional import library
 from ssduck.adapters.result import Result
 from ssduck.adapters.tabular import class_of_rows
 from ssduck.errors import LimitError, SelectScriptError, UnsupportedError
-from ssduck.sandbox.budget import ELEMENT, Budget, InvalidAnswerError
+from ssduck.sandbox.budget import ELEMENT, Budget, InvalidAnswerError, is_short
 from ssduck.sandbox.references import EntityReference, SandboxedWorld
 from ssduck.sandbox.tables import checked_table, plain_table, size_of_values, table_bytes
 from ssduck.world.handles import Handle
@@ -49,7 +50,6 @@ _OBJECTS = {kind.__name__: kind for kind in (OccupancyGrid, PlaneGrid, SensorGri
 _NULLABLE = ("Int64", "boolean")
 _json = json.JSONEncoder(separators=(",", ":")).encode
 _PLAIN = frozenset((type(None), bool, int, float, str))
-_INT64 = 2**63
 
 
 class Encoder:
@@ -65,8 +65,7 @@ class Encoder:
 
     def __init__(self, budget: Budget, name: Callable[[Any], str]) -> None:
         self.parts: list[bytes | memoryview] = []
-        self._name = name
-        self._names: dict[int, str] = {}
+        self._name = cache(name)  # entities are many
         self._size = 0
         self._budget = budget
 
@@ -84,7 +83,7 @@ class Encoder:
                 data = value.encode("utf-8", "surrogatepass")
                 self._budget.charge_text(data)
                 return {"text": self._part(data)}
-            if kind is int and not -_INT64 <= value < _INT64:
+            if kind is int and not is_short(value):
                 return {"int": hex(value)}
             return value
         if depth > _MAX_DEPTH:
@@ -166,18 +165,12 @@ class Encoder:
         """Returns the place of a table."""
         return self._part(table_bytes(table))
 
-    def world(self, world: Any, _: int) -> str:
-        """Returns the name of a world; the same one each time, as its entities are many."""
-        if id(world) not in self._names:
-            self._names[id(world)] = self._name(world)
-        return self._names[id(world)]
-
     def entity(self, entity: Any, depth: int) -> Any:
         """Returns what JSON holds of an entity, or of a reference to one."""
         if isinstance(entity, EntityReference):
             world, tick = entity.world, entity.tick
         else:
-            world, tick = self.world(entity.world, 0), entity.moment and entity.moment.tick
+            world, tick = self._name(entity.world), entity.moment and entity.moment.tick
         names = entity.name, entity.kind, tick, entity.full_name
         return self._each([world, entity.id, *names], depth)
 
@@ -224,7 +217,7 @@ _ENCODERS: tuple[tuple[Any, str, Callable[[Encoder, Any, int], Any]], ...] = (
     (tuple, "tuple", Encoder.row),
     (list, "list", lambda self, value, depth: self._each(value, depth)),
     ((Handle, EntityReference), "entity", Encoder.entity),
-    ((World, SandboxedWorld), "world", Encoder.world),
+    ((World, SandboxedWorld), "world", lambda self, world, _: self._name(world)),
     (Result, "result", lambda self, result, depth: self.table(result.arrow(), depth)),
     (pa.Table, "table", Encoder.table),
     (tuple(_OBJECTS.values()), "object", Encoder.object),
@@ -389,7 +382,7 @@ class Decoder:
     def entity(self, content: Any) -> Any:
         """Returns an entity, or a reference to one."""
         world, number, name, kind, tick, full_name = content
-        is_right = type(number) is int and (tick is None or type(tick) is int)
+        is_right = is_short(number) and (tick is None or is_short(tick))
         if not (is_right and set(map(type, (world, name, kind, full_name))) == {str}):
             raise InvalidAnswerError("this is no entity")
         return self._entity(world, number, name, kind, tick, full_name)
@@ -435,6 +428,7 @@ class Decoder:
 
         nodes, edges = self.node(content)
         self._budget.charge(_NODE * len(nodes) + _EDGE * len(edges))
+        self._budget.charge_keys(part for one in (*nodes, *edges) for part in one[:-1])
         graph = getattr(entity_graphs, name if name in _GRAPHS else _GRAPHS[0])()
         graph.add_nodes_from([(node, attributes) for node, attributes in nodes])
         graph.add_edges_from([tuple(edge) for edge in edges])

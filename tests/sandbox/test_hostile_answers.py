@@ -217,6 +217,7 @@ WRONG = [
     {"entities": [[{"list": []}], [0]]},
     {"entities": [[["kitchen", 1, "x", "robot", None, "x"]], ["x"]]},
     {"entities": ["x", [0]]},
+    {"entity": ["kitchen", 2**63, "x", "robot", None, "x"]},
     {"object": ["os", []]},
     {"object": ["OccupancyGrid", [["cells", 1]]]},
     {"object": ["OccupancyGrid", [["cells", {"array": ["<f8", [1], [0, 8]]}], ["x", 1]]]},
@@ -278,6 +279,25 @@ def test_values_without_bytes_are_counted(document):
     gc.collect()
     with pytest.raises((LimitError, InvalidAnswerError)):
         decoded(document)
+
+
+@pytest.mark.parametrize("kind", ["nodes", "edges"])
+def test_graphs_whose_keys_are_alike_are_counted(kind):
+    """They take seconds of the host, which compares each with the others."""
+    alike = [{"int": hex(i * ALIKE)} for i in range(10_000)]
+    nodes = [{"list": [key, {"dict": []}]} for key in alike] if kind == "nodes" else []
+    edges = [{"list": ["a", "b", key, {"dict": []}]} for key in alike] if kind == "edges" else []
+    document = {"other": ["graph", "EntityMultiGraph", [{"list": nodes}, {"list": edges}]]}
+    with pytest.raises(LimitError, match="answer takes"):
+        decoded(document)
+
+
+def test_dicts_of_many_numbers_cross():
+    value = {number: number for number in range(-20_000, 20_000)}
+    encoder = Encoder(Budget(), str)
+    text = encoder.text(value)
+    body = memoryview(b"".join(encoder.parts))
+    assert Decoder(body, Budget(), world=str).value(text) == value
 
 
 @pytest.mark.parametrize("column", [["x" * 9_000_000 + "\U0001f986"], [{"a": None}] * 100_000])
