@@ -30,7 +30,7 @@ from ssduck.sandbox.messages import LOOK_EVERY, Message, Waiting, receive, send
 from ssduck.sandbox.reports import error_of, tell, told_error
 from ssduck.sandbox.seal import SCRATCH, Walls, check_one_thread, remove
 from ssduck.sandbox.values import Decoder, Encoder
-from ssduck.sandbox.zygote import FAILED, FORKED, READY, run
+from ssduck.sandbox.zygote import FAILED, FORKED, ORDER, READY, run
 from ssduck.world.ctrl_c import allowed, deferred
 
 # What a worker's processes inherit of the host's environment: nothing that may be a secret.
@@ -111,27 +111,19 @@ class Zygote:
             folder = Path(self._folder, f"worker{next(self._numbers)}")
             walls = replace(walls, folder=str(folder))
             walls.prepare()
+            (folder / ORDER).write_text(json.dumps({**order, "walls": asdict(walls)}))
             here, there = socket.socketpair()
-            with there:
-                text = json.dumps({**order, "walls": asdict(walls)}).encode()
-                try:
-                    socket.send_fds(self._orders, [text], [there.fileno()])
-                except OSError as error:
-                    here.close()
-                    raise SandboxError(f"the sandbox cannot start a process: {error}") from error
-        here.settimeout(_BEGINNING)
-        try:
-            answer, descriptors, _, _ = socket.recv_fds(here, 1, 1, socket.MSG_CMSG_CLOEXEC)
-        except OSError as error:
-            here.close()
-            raise SandboxError(f"the sandbox cannot start a process: {error}") from error
-        if answer != FORKED or not descriptors:
-            here.close()
-            raise SandboxError("the sandbox cannot start a process: it has no process left")
-        try:
-            return WorkerProcess(here, descriptors[0], folder, order["answer_bytes"])
-        except OSError as error:  # this process has no descriptor left
-            raise SandboxError(f"the sandbox cannot start a process: {error}") from error
+            here.settimeout(_BEGINNING)
+            try:
+                with there:
+                    socket.send_fds(self._orders, [os.fsencode(folder)], [there.fileno()])
+                answer, descriptors, _, _ = socket.recv_fds(here, 1, 1, socket.MSG_CMSG_CLOEXEC)
+                if answer != FORKED or not descriptors:
+                    raise OSError("it has no process left")
+                return WorkerProcess(here, descriptors[0], folder, order["answer_bytes"])
+            except OSError as error:  # this process, too, may have no descriptor left
+                here.close()
+                raise SandboxError(f"the sandbox cannot start a process: {error}") from error
 
     def _await_ready(self) -> None:
         """Waits until it has imported ssduck."""

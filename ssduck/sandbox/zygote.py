@@ -16,14 +16,15 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from importlib import import_module
+from pathlib import Path
 from typing import Any, NoReturn
 
 from ssduck.errors import SandboxError
 from ssduck.sandbox.kernel import PR_SET_PDEATHSIG, has_ended, prctl
 from ssduck.sandbox.seal import Walls, check_one_thread, remove
 
-# The largest order, bytes.
-MAX_ORDER = 1 << 17
+# In the folder of a worker: what it is to do. The folder is named to the zygote, bytes.
+ORDER, _MAX_NAME = "order", 1 << 13
 # How long a worker that was killed may take to end, s.
 _ENDING = 10.0
 READY, FAILED, FORKED = b"r", b"!", b"f"
@@ -100,12 +101,12 @@ def _serve_host(orders: socket.socket, host: int, workers: list[int], serve: Ser
         poll.register(waiting, select.POLLIN)
     while host not in (ready := {descriptor for descriptor, _ in poll.poll()}):
         if orders.fileno() in ready:
-            order, descriptors, _, _ = socket.recv_fds(orders, MAX_ORDER, 1)
-            if not order:
+            folder, descriptors, _, _ = socket.recv_fds(orders, _MAX_NAME, 1)
+            if not folder:
                 return
             workers[:] = [worker for worker in workers if _lives(worker)]
             with suppress(OSError):  # the system has no process left; the host sees the end
-                workers.append(_fork(json.loads(order), descriptors[0], serve))
+                workers.append(_fork(Path(os.fsdecode(folder)), descriptors[0], serve))
             os.close(descriptors[0])
 
 
@@ -125,13 +126,14 @@ def _lives(worker: int) -> bool:
     return True
 
 
-def _fork(order: dict[str, Any], connection: int, serve: Serve) -> int:
+def _fork(folder: Path, connection: int, serve: Serve) -> int:
     """Forks a worker, gives the host the descriptor of its process, and returns it."""
     zygote = os.getpid()
     check_one_thread()
     if (worker := os.fork()) == 0:
         try:
             _begin(zygote, connection)
+            order = json.loads((folder / ORDER).read_text())
             serve(connection, Walls(**order.pop("walls")), order)
         finally:
             os._exit(1)

@@ -247,3 +247,17 @@ def test_a_mutated_file_is_loaded_or_an_error(format: str, tmp_path: Path) -> No
         fuzz.add(format, seed)
     assert fuzz.faults == []
     assert any(text == "loaded" for _, text in fuzz.outcomes), json.dumps(list(fuzz.outcomes))
+
+
+@pytest.mark.slow
+def test_a_folder_of_long_names_is_readable_and_ends_no_other_sandbox(tmp_path, zygote, empty):
+    folder = tmp_path / ("x" * 200)
+    folder.mkdir()
+    (folder / "box.urdf").write_text(BOX)
+    for number in range(490):
+        (folder / f"{number:03d}{'y' * 240}").write_text("")
+    worker = empty._worker
+    with opening.load(folder / "box.urdf", zygote=zygote) as ss:
+        assert ss.eval("SELECT id FROM box AS list;") == ["box"]
+    assert empty.eval("1 + 1;") == 2
+    assert empty._worker is worker
