@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ssduck.errors import StateError, UnsupportedError
 from ssduck.geometry.arrays import Array, Flags, Indices
@@ -114,6 +115,29 @@ class Switches:
 def _write(model: Any, saved: Mapping[str, tuple[Indices, Array]]) -> None:
     for name, (numbers, values) in saved.items():
         getattr(model, name)[numbers] = values
+
+
+# -- poses -----------------------------------------------------------------------------------
+
+
+def put_base(
+    model: Any, data: Any, root: int, pose: ArrayLike, velocity: ArrayLike = (0.0,) * 6
+) -> None:
+    """Puts a root body at a pose (7,), by its free joint, as a mocap body or in the model.
+
+    The velocity (6,) of a free joint is that of the body in the world, m/s, and the angular one in
+    the frame of the body, rad/s. A base with other joints stays: these place it.
+    """
+    numbers = np.asarray(pose)
+    joint, mocap = int(model.body_jntadr[root]), int(model.body_mocapid[root])
+    if mocap >= 0:
+        data.mocap_pos[mocap], data.mocap_quat[mocap] = numbers[:3], numbers[3:]
+    elif joint < 0:
+        model.body_pos[root], model.body_quat[root] = numbers[:3], numbers[3:]
+    elif int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_FREE):
+        first, speed = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+        data.qpos[first : first + 7] = numbers
+        data.qvel[speed : speed + 6] = velocity
 
 
 # -- removal ---------------------------------------------------------------------------------

@@ -30,7 +30,14 @@ from ssduck.simulators.interface import SCALAR_JOINTS, Simulator
 from ssduck.simulators.model_xml import ASSETS, KIND_PREFIX, STATE_KEY, numbers_text
 from ssduck.simulators.mujoco.bodies import body_names
 from ssduck.simulators.mujoco.flexes import entity_roots
-from ssduck.simulators.mujoco.interventions import HOLD, IDLE, holds, spare_welds, take_out
+from ssduck.simulators.mujoco.interventions import (
+    HOLD,
+    IDLE,
+    holds,
+    put_base,
+    spare_welds,
+    take_out,
+)
 from ssduck.simulators.mujoco.library import all_digits, copied_data, mujoco
 from ssduck.simulators.mujoco.simulator import MuJoCoSimulator
 
@@ -275,27 +282,14 @@ def _restore(model: Any, data: Any, originals: Sequence[BodyToCopy], tick: TickT
     data.time = tick.time
     for original in originals:
         if original.body.handle:  # the world body does not move
-            _restore_base(model, data, original)
+            state = original.base_state
+            # MuJoCo has the angular velocity of a free joint in the frame of the body.
+            spin = original.link_poses.matrices[0].T @ state[10:]
+            put_base(model, data, original.body.handle, state[:7], (*state[7:10], *spin))
             _restore_joints(model, data, original)
     if model.nu:
         warn("the copy of an earlier or assumed tick has the present controls of actuators")
     mujoco.mj_forward(model, data)
-
-
-def _restore_base(model: Any, data: Any, original: BodyToCopy) -> None:
-    root, state = original.body.handle, original.base_state
-    position = state[:3]
-    joint, mocap = int(model.body_jntadr[root]), int(model.body_mocapid[root])
-    if mocap >= 0:
-        data.mocap_pos[mocap], data.mocap_quat[mocap] = position, state[3:7]
-    elif joint < 0:
-        model.body_pos[root], model.body_quat[root] = position, state[3:7]
-    elif model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_FREE):
-        first, velocity = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-        data.qpos[first : first + 7] = state[:7]
-        data.qvel[velocity : velocity + 3] = state[7:10]
-        # MuJoCo has the angular velocity of a free joint in the frame of the body.
-        data.qvel[velocity + 3 : velocity + 6] = original.link_poses.matrices[0].T @ state[10:]
 
 
 def _restore_joints(model: Any, data: Any, original: BodyToCopy) -> None:

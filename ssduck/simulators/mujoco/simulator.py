@@ -50,6 +50,7 @@ from ssduck.simulators.mujoco.interventions import (
     hold,
     hold_positions,
     holds,
+    put_base,
     take_out,
 )
 from ssduck.simulators.mujoco.library import copied_data, mujoco
@@ -334,7 +335,6 @@ class MuJoCoSimulator(PartialSimulator):
     # -- changes --------------------------------------------------------------------------
 
     def place(self, body: Body, position: Array, orientation: Array) -> None:
-        # A base without joints has its pose in the model.
         model, data, root = self.model, self.data, body.handle
         base_joints = [joint for joint in body.joints if joint.link == 0]
         if root == 0:
@@ -342,17 +342,7 @@ class MuJoCoSimulator(PartialSimulator):
         if base_joints and base_joints[0].type != "free":
             names = joined_names([joint.name for joint in base_joints])
             raise UnsupportedError(f"the base of {body.name!r} moves by its joints: set {names}")
-        pose = np.concatenate((position, orientation))
-        mocap = int(model.body_mocapid[root])
-        if base_joints:
-            joint = int(model.body_jntadr[root])
-            first, velocity = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-            data.qpos[first : first + 7] = pose
-            data.qvel[velocity : velocity + 6] = 0.0
-        elif mocap >= 0:
-            data.mocap_pos[mocap], data.mocap_quat[mocap] = position, orientation
-        else:
-            model.body_pos[root], model.body_quat[root] = position, orientation
+        put_base(model, data, root, np.concatenate((position, orientation)))
         mujoco.mj_forward(model, data)
 
     def set_joints(self, body: Body, positions: Mapping[int, float]) -> None:

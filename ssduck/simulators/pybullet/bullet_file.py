@@ -13,7 +13,6 @@ import re
 import struct
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
 from pathlib import Path
@@ -81,26 +80,18 @@ class SavedShapes:
 
         None if they are unknown: they are height fields, or PyBullet cannot save.
         """
-        if self._file is None:
+        if self._saved is None:
             return None
-        address = self._addresses.get((handle, link))
-        return [] if address is None else self._file.shapes(address)
+        file, addresses = self._saved
+        address = addresses.get((handle, link))
+        return [] if address is None else file.shapes(address)
 
     @cached_property
-    def _file(self) -> _BulletFile | None:
-        return self._file_and_tags[0] if self._file_and_tags is not None else None
+    def _saved(self) -> tuple[_BulletFile, Mapping[tuple[int, int], int]] | None:
+        """The saved file, and the addresses of the links' shapes in it, by body and link.
 
-    @cached_property
-    def _addresses(self) -> Mapping[tuple[int, int], int]:
-        """The addresses of the shapes, by body and link, of the links that have shapes."""
-        assert self._file_and_tags is not None
-        file, tags = self._file_and_tags
-        addresses = {tags.get(friction): address for friction, address in file.colliders()}
-        return {link: address for link, address in addresses.items() if link is not None}
-
-    @cached_property
-    def _file_and_tags(self) -> tuple[_BulletFile, Mapping[float, tuple[int, int]]] | None:
-        """The saved file, which has no numbers of bodies, and the links by frictions there."""
+        The file has no numbers of bodies: each link has a friction of its own while it is saved.
+        """
         links = [
             (handle, link)
             for handle in self._handles
@@ -123,7 +114,9 @@ class SavedShapes:
         tags = {
             float(tag): (handle, link + 1) for tag, (handle, link) in enumerate(links, _FIRST_TAG)
         }
-        return _BulletFile(data), tags
+        file = _BulletFile(data)
+        found = ((tags.get(friction), address) for friction, address in file.colliders())
+        return file, {link: address for link, address in found if link is not None}
 
 
 def _save(client: int) -> bytes | None:
@@ -140,12 +133,8 @@ def _save(client: int) -> bytes | None:
     return data if is_supported else None
 
 
-@dataclass(frozen=True, eq=False)
-class _Structure:
-    """A C structure of the file: its name, and the types and names of its fields."""
-
-    name: str
-    fields: Sequence[tuple[str, str]]
+# A C structure of the file: its name, and the types and names of its fields.
+_Structure: TypeAlias = tuple[str, Sequence[tuple[str, str]]]
 
 
 class _BulletFile:
@@ -166,7 +155,7 @@ class _BulletFile:
                 self._colliders.append(address)
             offset += length
         self._structures = _parse_structures(data[offset : offset + length])
-        self._by_name = {structure.name: structure for structure in self._structures}
+        self._fields = dict(self._structures)
         self._types: dict[str, npt.DTypeLike] = {}
 
     def colliders(self) -> Iterator[tuple[float, int]]:
@@ -279,7 +268,7 @@ class _BulletFile:
     def _block(self, address: int) -> npt.NDArray[Any]:
         """Returns the block at an address, as an array of its structures."""
         structure, count, offset = self._blocks[address]
-        dtype = self._dtype(self._structures[structure].name)
+        dtype = self._dtype(self._structures[structure][0])
         return np.frombuffer(self._data, dtype, count, offset)
 
     def _dtype(self, name: str) -> Any:
@@ -288,7 +277,7 @@ class _BulletFile:
             return np.dtype(_NUMBERS[name])
         if name not in self._types:
             fields = []
-            for kind, field in self._by_name[name].fields:
+            for kind, field in self._fields[name]:
                 dtype = _POINTER if field.startswith("*") else self._dtype(kind)
                 counts = tuple(map(int, re.findall(r"\[(\d+)\]", field)))
                 fields.append((field.lstrip("*").partition("[")[0], dtype, counts))
@@ -317,11 +306,11 @@ def _parse_structures(data: bytes) -> list[_Structure]:
     offset = -(-offset // 4) * 4
     (count,) = struct.unpack_from("<i", data, offset + 4)
     offset += 8
-    structures = []
+    structures: list[_Structure] = []
     for _ in range(count):
         kind, fields = struct.unpack_from("<hh", data, offset)
         pairs = struct.iter_unpack("<hh", data[offset + 4 : offset + 4 + 4 * fields])
-        structures.append(_Structure(types[kind], [(types[t], field_names[n]) for t, n in pairs]))
+        structures.append((types[kind], [(types[t], field_names[n]) for t, n in pairs]))
         offset += 4 + 4 * fields
     return structures
 
