@@ -14,7 +14,7 @@ from scipy.spatial import ConvexHull
 
 import ssduck
 from ssduck.geometry.poses import rotation_matrices
-from ssduck.geometry.shapes import Geometry, height_field
+from ssduck.geometry.shapes import height_field
 from ssduck.recording.spec import Recording
 from ssduck.schema import RECORDABLE
 from tests.support.cases import sampled
@@ -539,8 +539,3 @@ def test_nothing_is_said_where_all_is_exact():
             "EXPLAIN SELECT id FROM kitchen WHERE near(this, this, 1);"
         )
         assert ss.sql("SELECT DISTINCT exact FROM shapes").fetchall() == [(True,)]
-
-
-def test_geometry_knows_nothing_of_the_mark():
-    """Equal geometries are one, whether or not they stand in for something."""
-    assert Geometry.hull(TETRA).key == Geometry.hull(TETRA).key

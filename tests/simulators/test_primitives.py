@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pybullet
 import pytest
-from typer.testing import CliRunner
 
 import ssduck
-from ssduck.cli.app import app
 from ssduck.errors import SceneError
 from ssduck.simulators.scene_bodies import Material, Primitive
 from ssduck.simulators.scenes import find_scene, read_scene
@@ -327,55 +324,3 @@ BOUNDARIES = {
 def test_boundaries(write, keys):
     (body,) = read_scene(write("room.toml", BODY + keys)).bodies
     assert body.model == BOUNDARIES[keys]
-
-
-@pytest.mark.slow
-def test_a_scene_of_primitives_is_recorded(load, tmp_path):
-    ss, world = load(STACK)
-    ss.record_to(tmp_path / "run")
-    world.step(24)
-    states = {entity.name: entity.pose for entity in world}
-    ss.close()
-    with ssduck.open(tmp_path / "run") as record:
-        assert set(record.eval("SELECT id FROM room AS list;")) == {"floor", "crate", "ball"}
-        assert record.eval("SELECT mass FROM room WHERE id == 'floor' AS list;") == [0.0]
-        for name, pose in states.items():
-            assert np.allclose(record.call_variable("room")[name].pose, pose, atol=1e-12)
-
-
-@pytest.mark.slow
-def test_primitives_at_a_past_tick_and_in_a_duckdb_file(write, tmp_path):
-    path = write("room.toml", STACK.replace("0, 0, 0.5]", "0, 0, 2]"))
-    above = "SELECT id FROM room{{{}}} WHERE above(room.floor, this) AND clearance(this, room.crate) > {} AS list;"
-    with ssduck.load(path, tmp_path / "run.duckdb") as ss:
-        world = ss.call_variable("room")
-        world.run(1.5)
-        assert ss.eval(above.format(0.1, 1.0)) == ["ball"]
-        assert ss.eval(above.format(1.5, 1.0)) == []
-        assert ss.eval("clearance(room.floor, room.crate);") < 2e-3
-    with ssduck.open(tmp_path / "run.duckdb") as record:
-        assert record.eval(above.format(0.1, 1.0)) == ["ball"]
-        assert record.eval("SELECT type, mass FROM room WHERE id == 'floor' AS list;") == [
-            "kinbody",
-            0.0,
-        ]
-
-
-@pytest.mark.slow
-def test_what_if_a_primitive_were_elsewhere(load):
-    _, world = load(STACK)
-    moved = world.what_if({"crate": [1, 0, 0, 0, 5, 5, 0.1]})
-    assert moved["crate"].aabb[0] == pytest.approx([4.8, 4.8, -0.1])
-    assert world["crate"].aabb[0] == pytest.approx([-0.2, -0.2, 0.0])
-    with ssduck.Interpreter() as ss:
-        ss.add_variable("other", moved)
-        assert ss.eval("penetration(other.floor, other.crate);") == pytest.approx(0.1, abs=1e-9)
-
-
-@pytest.mark.slow
-def test_the_command_line_takes_such_scenes(write):
-    path = write("room.toml", STACK)
-    query = "SELECT id FROM room WHERE isKinbody(this) AS list;"
-    result = CliRunner().invoke(app, ["query", str(path), query], prog_name="ssduck")
-    assert result.exit_code == 0, result.output
-    assert all(name in result.stdout for name in ("floor", "crate", "ball"))
