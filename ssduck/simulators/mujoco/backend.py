@@ -32,6 +32,8 @@ from ssduck.simulators.mujoco.environments import environments_of as environment
 from ssduck.simulators.mujoco.flexes import entity_roots
 from ssduck.simulators.mujoco.interventions import add_spare_welds
 from ssduck.simulators.mujoco.library import mujoco
+from ssduck.simulators.mujoco.saving import excerpt, write_model
+from ssduck.simulators.mujoco.scene_loader import load_bodies
 from ssduck.simulators.mujoco.simulator import MuJoCoSimulator
 from ssduck.simulators.recognition import MUJOCO, source_of
 from ssduck.simulators.scene_bodies import MODEL_FILES, BodySpec
@@ -48,7 +50,7 @@ def load(scene: Scene) -> MuJoCoSimulator:
     """
     file = _mjcf_file(scene)
     if file is None:
-        return _load_bodies(scene)
+        return load_bodies(scene)
     try:
         # The specification is the source of the model, which is kept to save it.
         spec = mujoco.MjSpec.from_file(str(file))
@@ -66,22 +68,6 @@ def load(scene: Scene) -> MuJoCoSimulator:
     mujoco.mj_forward(compiled, data)
     kinds = kinds_in(compiled)
     return MuJoCoSimulator(lambda: (compiled, data), owned=True, kinds=kinds, spec=spec)
-
-
-def _load_bodies(scene: Scene) -> MuJoCoSimulator:
-    """Starts a simulation of the bodies of a scene."""
-    from ssduck.simulators.mujoco.scene_loader import load_bodies  # MJCF files need it not
-
-    loaded = load_bodies(scene)
-    model_and_data = loaded.model, loaded.data
-    return MuJoCoSimulator(
-        lambda: model_and_data,
-        owned=True,
-        kinds=loaded.kinds,
-        spec=loaded.spec,
-        switched_off=loaded.switched_off,
-        part_names=loaded.part_names,
-    )
 
 
 def _mjcf_file(scene: Scene) -> Path | None:
@@ -150,15 +136,6 @@ def _check_root(model: Any, key: Any, argument: str) -> None:
         )
 
 
-def excerpt(
-    source: Simulator | None, originals: Sequence[BodyToCopy], tick: TickToCopy
-) -> MuJoCoSimulator:
-    """Starts a simulation of some bodies as they are at a tick; see `Backend.excerpt`."""
-    from ssduck.simulators.mujoco import saving  # few sessions need it
-
-    return saving.excerpt(source, originals, tick)
-
-
 def scene_of(
     simulator: Simulator,
     originals: Sequence[BodyToCopy],
@@ -167,8 +144,6 @@ def scene_of(
     target: str,
 ) -> Scene:
     """Describes a simulation as a scene of an MJCF file, without its sensors."""
-    from ssduck.simulators.mujoco import saving  # few sessions need it
-
     assert isinstance(simulator, MuJoCoSimulator)
     if target != MUJOCO:
         raise UnsupportedError(
@@ -194,7 +169,7 @@ def scene_of(
         if one.body.kind != kind_by_joints(one.body.joints)
     }
     file = folder / MJCF_FILE
-    saving.write_model(model, data, simulator.spec, told, file)
+    write_model(model, data, simulator.spec, told, file)
     return mjcf_scene(file)
 
 

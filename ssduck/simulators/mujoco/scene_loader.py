@@ -21,12 +21,13 @@ import numpy as np
 from ssduck.errors import SceneError, UnsupportedError, warn
 from ssduck.formatting import joined_names
 from ssduck.geometry.poses import rotation_matrices, turn_to, unit_quaternions
-from ssduck.simulators.interface import SCALAR_JOINTS, Body, Kind
+from ssduck.simulators.interface import SCALAR_JOINTS, Body
 from ssduck.simulators.kinematics import check_joints, position_nearest_zero
 from ssduck.simulators.model_xml import parse_tolerantly
 from ssduck.simulators.mujoco.bodies import ModelReader
 from ssduck.simulators.mujoco.interventions import add_spare_welds, hold_positions
 from ssduck.simulators.mujoco.library import mujoco
+from ssduck.simulators.mujoco.simulator import MuJoCoSimulator
 from ssduck.simulators.naming import name_by_file, unique_name
 from ssduck.simulators.scene_bodies import FLOOR, MODEL_SUFFIXES, BodySpec, Primitive
 from ssduck.simulators.scenes import Engine, Scene
@@ -54,22 +55,8 @@ _SHAPES = {
 _SCALAR = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
 
 
-@dataclass(frozen=True, eq=False)
-class LoadedModel:
-    """A model of a scene, in its initial state."""
-
-    spec: Any  # the `mujoco.MjSpec` that it was compiled from
-    model: Any  # the model
-    data: Any  # its data
-    kinds: dict[int | str, Kind]  # the kinds that the scene states, by the names of entities
-    # The numbers of the bodies without collisions, and of those that are hidden.
-    switched_off: tuple[list[int], list[int]]
-    # The names of links and joints in their files, by those in the model.
-    part_names: dict[str, str]
-
-
-def load_bodies(scene: Scene) -> LoadedModel:
-    """Makes a model of the bodies of a scene."""
+def load_bodies(scene: Scene) -> MuJoCoSimulator:
+    """Starts a simulation of the bodies of a scene."""
     _check_supported(scene)
     builder = _Builder({"world", FLOOR, *(str(body.name) for body in scene.bodies if body.name)})
     spec = builder.spec
@@ -96,10 +83,10 @@ def load_bodies(scene: Scene) -> LoadedModel:
     for added, body in entries:
         _begin(added, body, model, data)
     mujoco.mj_forward(model, data)
-    return LoadedModel(
+    return MuJoCoSimulator(
+        lambda: (model, data),
+        owned=True,
         spec=spec,
-        model=model,
-        data=data,
         kinds={added.name: added.spec.kind for added, _ in entries if added.spec.kind},
         switched_off=(
             [body.handle for added, body in entries if not added.spec.enabled],

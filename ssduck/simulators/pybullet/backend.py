@@ -17,9 +17,13 @@ from ssduck.simulators.backends import (
     mjcf_scene,
 )
 from ssduck.simulators.interface import Body, Kind, Simulator, VisualShape
+from ssduck.simulators.pybullet import introspection
 from ssduck.simulators.pybullet.clients import all_handles_of, new_client, pybullet
+from ssduck.simulators.pybullet.excerpt import excerpt
 from ssduck.simulators.pybullet.given_bodies import user_shapes
+from ssduck.simulators.pybullet.mjcf_writer import write_mjcf
 from ssduck.simulators.pybullet.scene_loader import load_models
+from ssduck.simulators.pybullet.scene_writer import scene_of as describe_scene
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.recognition import MUJOCO
 from ssduck.simulators.scenes import Scene
@@ -76,18 +80,6 @@ def attach(
     return PyBulletSimulator(number, owned=False, names=names, kinds=kinds, shapes=by_body)
 
 
-# Modules for copies and saved scenes are imported on first use: few sessions need them.
-
-
-def excerpt(
-    source: Simulator | None, originals: Sequence[BodyToCopy], tick: TickToCopy
-) -> PyBulletSimulator:
-    """Starts a simulation of some bodies as they are at a tick; see `Backend.excerpt`."""
-    from ssduck.simulators.pybullet import excerpt as copying
-
-    return copying.excerpt(source, originals, tick)
-
-
 def scene_of(
     simulator: Simulator,
     originals: Sequence[BodyToCopy],
@@ -96,19 +88,15 @@ def scene_of(
     target: str,
 ) -> Scene:
     """Describes a simulation as a scene, without its sensors; writes its models into a folder."""
-    from ssduck.simulators.pybullet import mjcf_writer, scene_writer
-
     assert isinstance(simulator, PyBulletSimulator)
     if target == MUJOCO:
         model = folder / MJCF_FILE
-        simulator.call(lambda: mjcf_writer.write_mjcf(simulator, originals, tick, model))
+        simulator.call(lambda: write_mjcf(simulator, originals, tick, model))
         return mjcf_scene(model)
-    return simulator.call(lambda: scene_writer.scene_of(simulator, originals, tick, folder))
+    return simulator.call(lambda: describe_scene(simulator, originals, tick, folder))
 
 
 def visual_shapes(simulator: Simulator, body: Body) -> list[VisualShape]:
     """Returns what PyBullet draws of a body; see `Backend.visual_shapes`."""
-    from ssduck.simulators.pybullet import introspection
-
     assert isinstance(simulator, PyBulletSimulator)
     return simulator.call(lambda: introspection.visual_shapes(simulator, body))
