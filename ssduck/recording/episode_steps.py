@@ -8,7 +8,6 @@ and the action and the reward of each step.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -21,6 +20,7 @@ from ssduck import validation
 from ssduck.errors import ArgumentError, RecordError
 from ssduck.formatting import short_repr
 from ssduck.recording.episode import Tag
+from ssduck.recording.paths import episodes_named
 from ssduck.recording.stores.descriptions import Value, check_description, read_description
 from ssduck.recording.stores.files import write_json
 
@@ -28,7 +28,6 @@ from ssduck.recording.stores.files import write_json
 FOLDER = "gym"
 VERSION = 1
 _MAX_TIME = 1e300
-_FILE = re.compile(r"(.+)-(0|[1-9][0-9]{0,8})\.json")
 
 
 def _is_list(value: Any) -> bool:
@@ -216,10 +215,7 @@ def steps_file(folder: Path, world: str, number: int) -> Path:
 
 def recorded_steps(folder: Path) -> list[tuple[str, int]]:
     """Returns the worlds and numbers of the episodes of which a record keeps the steps."""
-    place = folder / FOLDER
-    names = [entry.name for entry in place.iterdir()] if place.is_dir() else []
-    matches = filter(None, map(_FILE.fullmatch, names))
-    return sorted((match.group(1), int(match.group(2))) for match in matches)
+    return episodes_named(folder / FOLDER)
 
 
 def plain(value: Any, key: str) -> Any:

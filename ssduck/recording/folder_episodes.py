@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -15,7 +14,7 @@ from typing import Any, Protocol
 from ssduck.errors import RecordError
 from ssduck.formatting import short_repr
 from ssduck.recording.episode_steps import FOLDER as STEPS
-from ssduck.recording.paths import FORMAT, episode_numbers, names_in
+from ssduck.recording.paths import FORMAT, episode_numbers, episodes_named, names_in
 from ssduck.recording.stores.descriptions import read_description
 from ssduck.recording.stores.files import create_file, is_temporary, json_text
 from ssduck.recording.stores.object_store import ObjectPath, remove_tree
@@ -163,7 +162,6 @@ UNITS = {
 ABOUT = "ssduck.json"
 # The contents of that file.
 DESCRIPTION = {"format": FORMAT, "version": VERSION, "units": UNITS}
-_EPISODE = re.compile(r"(.+)-(0|[1-9][0-9]{0,8})\.json")
 
 
 def runs_in(path: Path) -> list[FolderRun]:
@@ -184,10 +182,7 @@ def runs_in(path: Path) -> list[FolderRun]:
 
 def runs_named(path: Path) -> list[FolderRun]:
     """Returns the episodes of a folder that have a file, sorted by world and number."""
-    place = path / "episodes"
-    matches = map(_EPISODE.fullmatch, names_in(place))
-    keys = sorted((match.group(1), int(match.group(2))) for match in matches if match)
-    return [FolderRun(path, world, number) for world, number in keys]
+    return [FolderRun(path, world, number) for world, number in episodes_named(path / "episodes")]
 
 
 def lost_runs(path: Path, keys: Iterable[tuple[str, int]]) -> Iterator[FolderRun]:

@@ -47,6 +47,7 @@ FORMAT = "ssduck record"
 # The largest number of digits of a part and of an episode keeps them below 10**9.
 _PART = re.compile(r"part-([0-9]{6}|[1-9][0-9]{6,8})\.parquet")
 _FOLDER = re.compile(r"episode=(0|[1-9][0-9]{0,8})")
+_FILE = re.compile(r"(.+)-(0|[1-9][0-9]{0,8})\.json")
 
 
 def part_numbers(place: Path) -> list[int]:
@@ -93,3 +94,9 @@ def episode_numbers(place: Path) -> set[int]:
 def names_in(place: Path) -> list[str]:
     """Returns the names in a folder, or nothing if there is none."""
     return [entry.name for entry in place.iterdir()] if place.is_dir() else []
+
+
+def episodes_named(place: Path) -> list[tuple[str, int]]:
+    """Returns the worlds and numbers that files in a folder have in their names, as `sim-0.json`."""
+    matches = map(_FILE.fullmatch, names_in(place))
+    return sorted((match.group(1), int(match.group(2))) for match in matches if match)
