@@ -97,6 +97,6 @@ def names_in(place: Path) -> list[str]:
 
 
 def episodes_named(place: Path) -> list[tuple[str, int]]:
-    """Returns the worlds and numbers that files in a folder have in their names, as `sim-0.json`."""
+    """Returns the worlds and numbers in the names of files of a folder, such as `sim-0.json`."""
     matches = map(_FILE.fullmatch, names_in(place))
     return sorted((match.group(1), int(match.group(2))) for match in matches if match)
