@@ -15,6 +15,7 @@ from ssduck.errors import RecordError
 from ssduck.recording.stores import parquet, parquet_archive, parquet_layout, tick_index
 from ssduck.recording.stores.descriptions import read_description
 from ssduck.recording.stores.files import write_json, write_parquet
+from tests.support.bodies import solid
 
 PARTS = 10
 PLACE = "world=lab/episode={}"
@@ -31,8 +32,7 @@ def run(tmp_path, monkeypatch, archive):
 
 
 def add_ball(client):
-    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
-    pybullet.createMultiBody(1, shape, physicsClientId=client)
+    solid(client, pybullet.GEOM_SPHERE, 1, radius=0.1)
     pybullet.setGravity(0, 0, -9.81, physicsClientId=client)
 
 

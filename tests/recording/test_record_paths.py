@@ -10,6 +10,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import RecordError, SqlError
+from tests.support.bodies import solid
 from tests.support.cases import sampled
 
 POSIX = pytest.mark.skipif(os.name != "posix", reason="such names are for POSIX")
@@ -21,8 +22,7 @@ NAMES = [
 
 
 def ball(client):
-    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
-    pybullet.createMultiBody(1, shape, physicsClientId=client)
+    solid(client, pybullet.GEOM_SPHERE, 1, radius=0.1)
     return ssduck.World.attach(client)
 
 

@@ -19,6 +19,7 @@ from ssduck import Recording
 from ssduck.database import worlds, writer
 from ssduck.database.writer import WriterConnection
 from ssduck.errors import SqlError
+from tests.support.bodies import solid
 from tests.support.cases import sampled
 from tests.support.timing import HANGS
 
@@ -200,8 +201,7 @@ def test_entities_that_come_while_others_are_stored(recorded, world, client, gat
     gate.hold("INSERT")
     _ticked(world, RING + 1)
     assert gate.reached.wait(60)
-    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
-    pybullet.createMultiBody(1, ball, basePosition=[0, 5, 1], physicsClientId=client)
+    solid(client, pybullet.GEOM_SPHERE, 1, [0, 5, 1], radius=0.1)
     thread, _ = _in_thread(world.tick)
     thread.join(0.1)
     assert thread.is_alive()  # what it is waits for the same connection

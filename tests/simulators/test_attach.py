@@ -14,6 +14,7 @@ import ssduck
 from ssduck.errors import ArgumentError, RemovedEntityError, SelectScriptError, SimulatorError
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.scenes import SensorSpec, find_scene
+from tests.support.bodies import solid
 from tests.support.cases import sampled
 
 
@@ -338,10 +339,7 @@ def test_equal_bodies_after_a_reset_are_new_ones(client, make):
     (old,) = world
     pybullet.resetSimulation(physicsClientId=client)
     assert len(world.tick()) == 0
-    shape = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
-    )
-    pybullet.createMultiBody(1.0, shape, physicsClientId=client)
+    solid(client, pybullet.GEOM_BOX, 1.0, halfExtents=[0.1] * 3)
     pybullet.addUserData(0, "someone's", "1", physicsClientId=client)
     (new,) = world.tick()
     assert new.id == old.id + 1
@@ -420,8 +418,7 @@ def test_a_lost_client_stays_lost():
 @pytest.mark.slow
 def test_the_record_of_a_lost_client_is_written(tmp_path):
     number = pybullet.connect(pybullet.DIRECT)
-    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=number)
-    body = pybullet.createMultiBody(1, shape, basePosition=[0, 0, 2], physicsClientId=number)
+    body = solid(number, pybullet.GEOM_SPHERE, 1, [0, 0, 2], radius=0.1)
     with ssduck.Interpreter() as ss:
         world = ss.add_variable("sim", ssduck.World.attach(number, names={body: "ball"}))
         world.step(3)

@@ -19,6 +19,7 @@ from ssduck.errors import (
     SelectScriptError,
     SimulatorError,
 )
+from tests.support.bodies import solid
 from tests.support.cases import sampled
 
 STEP = 1 / 240
@@ -33,10 +34,9 @@ def bouncing(client):
     floor = pybullet.createCollisionShape(
         pybullet.GEOM_BOX, halfExtents=[1, 1, 0.1], physicsClientId=client
     )
-    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
     bodies = {
         pybullet.createMultiBody(0, floor, physicsClientId=client): "floor",
-        pybullet.createMultiBody(1, ball, basePosition=[0, 0, 1], physicsClientId=client): "ball",
+        solid(client, pybullet.GEOM_SPHERE, 1, [0, 0, 1], radius=0.1): "ball",
     }
     for body in bodies:
         pybullet.changeDynamics(body, -1, restitution=0.9, physicsClientId=client)
@@ -310,10 +310,7 @@ def built(client, *radii):
     """Resets a client, and builds balls."""
     pybullet.resetSimulation(physicsClientId=client)
     for x, radius in enumerate(radii):
-        ball = pybullet.createCollisionShape(
-            pybullet.GEOM_SPHERE, radius=radius, physicsClientId=client
-        )
-        pybullet.createMultiBody(1, ball, basePosition=[x, 0, 1], physicsClientId=client)
+        solid(client, pybullet.GEOM_SPHERE, 1, [x, 0, 1], radius=radius)
 
 
 def test_bodies_that_are_built_again_keep_their_names_in_the_next_episode(client):

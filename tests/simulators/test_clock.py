@@ -9,6 +9,7 @@ import pytest
 
 import ssduck
 from ssduck.simulators.clock import Clock
+from tests.support.bodies import solid
 
 
 @pytest.mark.parametrize("rate", [50, 60, 100, 120, 200, 240, 333, 500, 1000, 2000])
@@ -29,8 +30,7 @@ def test_time_goes_on_from_a_time_and_by_another_step():
 
 def test_a_query_up_to_a_time_has_its_tick(client):
     pybullet.setTimeStep(1 / 50, client)
-    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
-    ball = pybullet.createMultiBody(1, shape, physicsClientId=client)
+    ball = solid(client, pybullet.GEOM_SPHERE, 1, radius=0.1)
     world = ssduck.World.attach(client, names={ball: "ball"})
     with ssduck.Interpreter() as ss:
         ss.add_variable("sim", world)

@@ -17,6 +17,7 @@ from ssduck.geometry.poses import rotation_matrices
 from ssduck.geometry.shapes import height_field
 from ssduck.recording.spec import Recording
 from ssduck.schema import RECORDABLE
+from tests.support.bodies import solid
 from tests.support.cases import sampled
 from tests.support.models import sdf_link, sdf_model, sdf_of
 
@@ -457,10 +458,7 @@ def test_two_keys_for_one_link(client):
 @pytest.fixture
 def marked(client):
     """An interpreter with a world of a box and a height field, for which a box stands in."""
-    shape = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
-    )
-    pybullet.createMultiBody(1.0, shape, basePosition=[0, 0, 9], physicsClientId=client)
+    solid(client, pybullet.GEOM_BOX, 1.0, [0, 0, 9], halfExtents=[0.1] * 3)
     ramp = field(client)
     with pytest.warns(UserWarning, match="ramp: .*exact = false in the table of shapes"):
         world = ssduck.World.attach(client, names={0: "cube", ramp: "ramp"})

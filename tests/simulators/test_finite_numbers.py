@@ -11,6 +11,7 @@ import pytest
 import ssduck
 from ssduck.errors import SceneError
 from ssduck.world import World
+from tests.support.bodies import solid
 from tests.support.urdf import collision, link, robot
 from tools.fuzzing.models import COLLISION_MESH, DAE, OBJ, stl
 
@@ -71,10 +72,7 @@ def test_an_attached_client_warns(tmp_path):
     try:
         file = str(tmp_path / "m.obj")
         concave = pybullet.GEOM_FORCE_CONCAVE_TRIMESH
-        shape = pybullet.createCollisionShape(
-            pybullet.GEOM_MESH, fileName=file, flags=concave, physicsClientId=client
-        )
-        pybullet.createMultiBody(0.0, shape, physicsClientId=client)
+        solid(client, pybullet.GEOM_MESH, 0.0, fileName=file, flags=concave)
         with pytest.warns(UserWarning, match="with numbers that are not finite: its boxes"):
             World.attach(client).tick()
     finally:

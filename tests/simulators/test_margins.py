@@ -9,6 +9,7 @@ import pytest
 
 import ssduck
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
+from tests.support.bodies import solid
 from tests.support.cases import sampled
 
 CUBE = [[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.1)]
@@ -18,10 +19,7 @@ RELATIONS = ("on", "touching", "supports", "restsOn")
 
 
 def hull(client, mass, height):
-    shape = pybullet.createCollisionShape(pybullet.GEOM_MESH, vertices=CUBE, physicsClientId=client)
-    return pybullet.createMultiBody(
-        mass, shape, basePosition=[0, 0, height], physicsClientId=client
-    )
+    return solid(client, pybullet.GEOM_MESH, mass, [0, 0, height], vertices=CUBE)
 
 
 @pytest.fixture

@@ -5,6 +5,7 @@ import pybullet_data
 import pytest
 
 import ssduck
+from tests.support.bodies import solid
 from tests.support.cases import sampled
 from tests.support.urdf import collision, joint, link, robot
 
@@ -18,10 +19,7 @@ ARM = robot(
 @pytest.fixture
 def sim(client, write):
     """A world of a cube of 1 kg and an arm of several links, attached."""
-    shape = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
-    )
-    pybullet.createMultiBody(1.0, shape, basePosition=[0, 0, 1], physicsClientId=client)
+    solid(client, pybullet.GEOM_BOX, 1.0, [0, 0, 1], halfExtents=[0.1] * 3)
     pybullet.loadURDF(str(write("arm.urdf", ARM)), useFixedBase=True, physicsClientId=client)
     return ssduck.World.attach(client, names={0: "cube", 1: "arm"})
 

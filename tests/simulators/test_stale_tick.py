@@ -12,6 +12,7 @@ import pytest
 
 import ssduck
 from ssduck import ProgramWarning
+from tests.support.bodies import solid
 from tests.support.urdf import joint, link, robot
 
 QUERIES: list[tuple[str, Callable[[ssduck.Interpreter], Any]]] = [
@@ -215,8 +216,7 @@ def other(sim):
     """A second client with a ball, whose world is `other`."""
     client = pybullet.connect(pybullet.DIRECT)
     pybullet.setGravity(0, 0, -9.81, client)
-    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
-    pybullet.createMultiBody(1, shape, basePosition=[0, 0, 1], physicsClientId=client)
+    solid(client, pybullet.GEOM_SPHERE, 1, [0, 0, 1], radius=0.1)
     sim[0].add_variable("other", ssduck.World.attach(client, names={0: "egg"}))
     yield client
     pybullet.disconnect(client)

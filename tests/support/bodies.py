@@ -36,3 +36,9 @@ def create_linked_body(client, mass, shape, *, link_shape=None, **settings):
 def client_of(world):
     """Returns the number of the client that runs a world."""
     return world.simulator.client
+
+
+def solid(client, kind, mass=0.0, place=(0.0, 0.0, 0.0), **size):
+    """Creates a body of one shape, of PyBullet's kind and sizes; returns its number."""
+    shape = pybullet.createCollisionShape(kind, physicsClientId=client, **size)
+    return pybullet.createMultiBody(mass, shape, -1, place, physicsClientId=client)

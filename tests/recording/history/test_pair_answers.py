@@ -20,6 +20,7 @@ from ssduck.recording.replay import batch_queries
 from ssduck.recording.replay import record as records
 from ssduck.recording.replay.pair_answers import PairQueries
 from ssduck.recording.stores.base import PairRequest
+from tests.support.bodies import solid
 from tests.support.urdf import box_obj, collision, joint, link, robot
 
 TICKS = 12
@@ -65,8 +66,7 @@ def heap(tmp_path_factory):
         "arm": (arm, 0.7),
     }
     names = {}
-    plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, **own)
-    names[pybullet.createMultiBody(0, plane, **own)] = "ground"
+    names[solid(client, pybullet.GEOM_PLANE, 0)] = "ground"
     for name, (text, height) in texts.items():
         (folder / f"{name}.urdf").write_text(text)
         names[pybullet.loadURDF(str(folder / f"{name}.urdf"), (0, 0, height), **own)] = name
@@ -249,8 +249,7 @@ def stool(tmp_path):
     )
     text = robot(link("seat", mass=0, shapes=legs))
     (tmp_path / "stool.urdf").write_text(text)
-    board = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[2, 2, 0.1], **own)
-    names = {pybullet.createMultiBody(0, board, -1, (0, 0, -0.1), **own): "board"}
+    names = {solid(client, pybullet.GEOM_BOX, 0, (0, 0, -0.1), halfExtents=[2, 2, 0.1]): "board"}
     for name, x in (("stool", -1), ("shelf", 1)):
         body = pybullet.loadURDF(str(tmp_path / "stool.urdf"), (x, 0, 0), useFixedBase=True, **own)
         names[body] = name
@@ -295,9 +294,8 @@ def test_of_shapes_that_may_carry_one_is_decided_at_most_ticks(stool, monkeypatc
 @pytest.mark.slow
 def test_only_new_ticks_are_compared():
     client = pybullet.connect(pybullet.DIRECT)
-    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
     names = {
-        pybullet.createMultiBody(0, ball, -1, (0.3 * n, 0, 0), physicsClientId=client): name
+        solid(client, pybullet.GEOM_SPHERE, 0, (0.3 * n, 0, 0), radius=0.1): name
         for n, name in enumerate(("p", "q"))
     }
     world = ssduck.World.attach(client, names=names)

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 import ssduck
 from ssduck import Recording
 from ssduck.errors import ArgumentError, EvaluationError, UnsupportedError
+from tests.support.bodies import solid
 from tests.support.cases import generated, sampled
 from tests.support.pasts import ALL, _falling, _step, _stepped
 
@@ -134,8 +135,7 @@ def test_a_handle_that_was_not_there_is_unknown(falling):
     _step(falling, 5)
     world = falling.call_variable("lab")
     client = world.simulator.client
-    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
-    pybullet.createMultiBody(1, ball, basePosition=[0, 1, 1], physicsClientId=client)
+    solid(client, pybullet.GEOM_SPHERE, 1, [0, 1, 1], radius=0.1)
     world.step()
     (new,) = [entity for entity in world if entity.id == 4]
     falling.add_variable("new", new)

@@ -8,6 +8,7 @@ import pytest
 import ssduck
 from ssduck.geometry import narrow_phase
 from ssduck.schema import POSE
+from tests.support.bodies import solid
 from tests.support.urdf import collision, joint, link, robot
 
 STEPS = 30
@@ -50,16 +51,14 @@ def ss(tmp_path_factory):
     )
     (folder / "drawer.urdf").write_text(drawer)
     ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.05, **own)
-    box = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.05] * 3, **own)
     bodies = [
         pybullet.loadURDF(str(folder / "bin.urdf"), (0, 0, 0), useFixedBase=True, **own),
         pybullet.loadURDF(str(folder / "bin.urdf"), (2, 0, 0), useFixedBase=True, **own),
         pybullet.createMultiBody(1, ball, -1, (0, 0, 0.48), **own),
-        pybullet.createMultiBody(0, box, -1, (2.1, 0, 0.2), **own),
+        solid(client, pybullet.GEOM_BOX, 0, (2.1, 0, 0.2), halfExtents=[0.05] * 3),
         pybullet.loadURDF(str(folder / "drawer.urdf"), (4, 0, 0), useFixedBase=True, **own),
     ]
-    coin = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.02] * 3, **own)
-    bodies.append(pybullet.createMultiBody(0, coin, -1, (4.25, 0, 0.12), **own))
+    bodies.append(solid(client, pybullet.GEOM_BOX, 0, (4.25, 0, 0.12), halfExtents=[0.02] * 3))
     pybullet.setJointMotorControl2(
         bodies[4], 0, pybullet.VELOCITY_CONTROL, targetVelocity=2, force=99, **own
     )

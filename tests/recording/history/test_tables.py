@@ -11,6 +11,7 @@ import pytest
 import ssduck
 from ssduck import Recording
 from ssduck.errors import ArgumentError, EvaluationError, SqlError
+from tests.support.bodies import solid
 from tests.support.cases import sampled
 from tests.support.pasts import ALL, _falling, _step, _stepped
 
@@ -72,10 +73,7 @@ def test_changes_are_found_of_entities_that_come_and_go():
             if tick == 10:
                 pybullet.removeBody(bodies[0], client)
             if tick == 20:
-                ball = pybullet.createCollisionShape(
-                    pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client
-                )
-                pybullet.createMultiBody(1, ball, basePosition=[0, 1, 1], physicsClientId=client)
+                solid(client, pybullet.GEOM_SPHERE, 1, [0, 1, 1], radius=0.1)
             if tick == 30:
                 sparse.flush()
             world.step()

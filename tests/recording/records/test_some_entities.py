@@ -9,6 +9,7 @@ import pytest
 
 import ssduck
 from ssduck import Recording
+from tests.support.bodies import solid
 
 SOME = ["table", "cup"]
 BOTH_TICKS = "FROM entities_history p JOIN entities_history q USING (tick)"
@@ -38,10 +39,7 @@ def lab():
         ("plate", [0.1, 0.1, 0.01], 0.61, 0.3),
         ("cup", [0.03, 0.03, 0.03], 0.65, 0.2),
     ):
-        shape = pybullet.createCollisionShape(
-            pybullet.GEOM_BOX, halfExtents=sides, physicsClientId=client
-        )
-        body = pybullet.createMultiBody(mass, shape, -1, [0, 0, z], physicsClientId=client)
+        body = solid(client, pybullet.GEOM_BOX, mass, [0, 0, z], halfExtents=sides)
         names[body] = name
     with ssduck.Interpreter() as ss:
         ss.add_variable("lab", ssduck.World.attach(client, names=names))

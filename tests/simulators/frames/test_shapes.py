@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 import ssduck
 from ssduck.formatting import MAX_NAMED
 from tests.support.arm import ARM, HIGH, LOW, POSE, unsettle
+from tests.support.bodies import solid
 from tests.support.framed import LIBRARY, asked, base_state, link_states, matrix, rows, same_turn
 from tests.support.urdf import box_obj, collision, joint, link, robot
 
@@ -206,10 +207,7 @@ def test_several_shapes_on_one_link(client):
     ],
 )
 def test_planes_are_endless(client, normal, corners):
-    shape = pybullet.createCollisionShape(
-        pybullet.GEOM_PLANE, planeNormal=normal, physicsClientId=client
-    )
-    pybullet.createMultiBody(0, shape, basePosition=[1, 2, 3], physicsClientId=client)
+    solid(client, pybullet.GEOM_PLANE, 0, [1, 2, 3], planeNormal=normal)
     world = ssduck.World.attach(client)
     assert rows(world, "entities", LOW + HIGH).reshape(2, 3).tolist() == corners
 
@@ -219,22 +217,21 @@ def test_planes_are_endless(client, normal, corners):
 
 def concave(client):
     corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
-    shape = pybullet.createCollisionShape(
-        pybullet.GEOM_MESH, vertices=corners, indices=[0, 1, 2, 0, 1, 3], physicsClientId=client
+    return solid(
+        client, pybullet.GEOM_MESH, 0, [1, 0, 0], vertices=corners, indices=[0, 1, 2, 0, 1, 3]
     )
-    return pybullet.createMultiBody(0, shape, basePosition=[1, 0, 0], physicsClientId=client)
 
 
 def heightfield(client):
-    shape = pybullet.createCollisionShape(
+    return solid(
+        client,
         pybullet.GEOM_HEIGHTFIELD,
+        0,
         meshScale=[1, 1, 1],
         heightfieldData=[0.0, 1.0] * 8,
         numHeightfieldRows=4,
         numHeightfieldColumns=4,
-        physicsClientId=client,
     )
-    return pybullet.createMultiBody(0, shape, physicsClientId=client)
 
 
 def rigid_mesh(client):
@@ -331,10 +328,7 @@ CONTACT = ["ax", "ay", "az", "bx", "by", "bz", "nx", "ny", "nz", "depth", "force
 def floor_under(client):
     """A floor whose top is at 0."""
     pybullet.setGravity(0, 0, -10, physicsClientId=client)
-    shape = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[50, 50, 0.5], physicsClientId=client
-    )
-    return pybullet.createMultiBody(0, shape, basePosition=[0, 0, -0.5], physicsClientId=client)
+    return solid(client, pybullet.GEOM_BOX, 0, [0, 0, -0.5], halfExtents=[50, 50, 0.5])
 
 
 def box_at(client, x, height):

@@ -5,6 +5,7 @@ import pytest
 
 import ssduck
 from ssduck.adapters.registry import all_adapters
+from tests.support.bodies import solid
 from tests.support.two_simulators import differences, in_mujoco, in_pybullet, parts_of, same
 
 mujoco, pybullet = pytest.importorskip("mujoco"), pytest.importorskip("pybullet")
@@ -43,10 +44,7 @@ def stage_in_mujoco():
 def stage_in_pybullet(client):
     names = {}
     for name, half, place, mass in STAGE:
-        shape = pybullet.createCollisionShape(
-            pybullet.GEOM_BOX, halfExtents=half, physicsClientId=client
-        )
-        names[pybullet.createMultiBody(mass, shape, -1, place, physicsClientId=client)] = name
+        names[solid(client, pybullet.GEOM_BOX, mass, place, halfExtents=half)] = name
     plates = [
         pybullet.createCollisionShape(
             pybullet.GEOM_BOX, halfExtents=(0.2, 0.2, height), physicsClientId=client

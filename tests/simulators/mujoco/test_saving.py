@@ -10,6 +10,7 @@ from PIL import Image
 import ssduck
 from ssduck.errors import SceneError, UnknownNameError, UnsupportedError
 from ssduck.simulators.scenes import read_scene
+from tests.support.bodies import solid
 from tests.support.cases import sampled
 from tests.support.solids import box as solid_box
 from tests.support.solids import mesh_of
@@ -408,15 +409,15 @@ def test_what_mjcf_has_not_is_named(tmp_path):
     faces = [face for a, b, c, d in sides for face in ((a, b, c), (a, c, d))]
     faces += [(0, 3, 2), (0, 2, 1), (0, 5, 4), (0, 4, 3)]
     faces += [(6, 8, 9), (6, 7, 8), (6, 10, 11), (6, 9, 10)]
-    shape = pybullet.createCollisionShape(
-        pybullet.GEOM_MESH, vertices=corners, indices=np.ravel(faces).tolist(),
-        flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH, physicsClientId=client,
-    )  # fmt: skip
-    corner = pybullet.createMultiBody(0, shape, physicsClientId=client)
-    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
-    one, other = (
-        pybullet.createMultiBody(1, ball, -1, [x, 0, 2], physicsClientId=client) for x in (0, 1)
+    corner = solid(
+        client,
+        pybullet.GEOM_MESH,
+        0,
+        vertices=corners,
+        indices=np.ravel(faces).tolist(),
+        flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
     )
+    one, other = (solid(client, pybullet.GEOM_SPHERE, 1, [x, 0, 2], radius=0.1) for x in (0, 1))
     pybullet.createConstraint(
         one, -1, other, -1, pybullet.JOINT_POINT2POINT, [0, 0, 1], [1, 0, 0], [0, 0, 0],
         physicsClientId=client,
