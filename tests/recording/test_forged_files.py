@@ -16,24 +16,16 @@ import pytest
 import ssduck
 from ssduck.errors import RecordError
 from tests.support.cases import sampled
-from tests.support.forged import make_records, use
+from tests.support.forged import use
 
 SCHEMA = "lab_record_0"
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory, archive):
-    place = tmp_path_factory.mktemp("forged")
-    archive.copy(make_records, place)
-    (place / "secret.txt").write_text("the secret")
-    return place
-
-
 @pytest.fixture
-def file(made, tmp_path):
+def file(small_records, tmp_path):
     """A valid record in a DuckDB file, beside a file with a secret."""
-    shutil.copy(made / "secret.txt", tmp_path)
-    return Path(shutil.copy(made / "file.duckdb", tmp_path))
+    (tmp_path / "secret.txt").write_text("the secret")
+    return Path(shutil.copy(small_records / "file.duckdb", tmp_path))
 
 
 def place(table):

@@ -18,7 +18,6 @@ from tests.support.cases import sampled
 from tests.support.forged import (
     EPISODE,
     describe,
-    make_records,
     part,
     rewrite,
     rewrite_log,
@@ -31,9 +30,8 @@ ABOUT = "episodes/lab-0.json"
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory, archive):
-    place = tmp_path_factory.mktemp("forged")
-    archive.copy(make_records, place)
+def made(tmp_path_factory, small_records):
+    place = shutil.copytree(small_records, tmp_path_factory.mktemp("forged") / "made")
     for name in ("folder", "unfinished"):
         without_checksums(place / name)
     return place

@@ -15,7 +15,6 @@ import ssduck
 from ssduck.database import writer
 from ssduck.database.instances import log_of
 from ssduck.errors import RecordError, SelectScriptError, SqlError
-from tests.support.forged import make_records
 
 LOGS = (".wal", ".wal.checkpoint", ".wal.recovery")
 # A program that records, and ends as by a crash: what it has stored is in the log.
@@ -28,16 +27,9 @@ os._exit(0)
 """
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory, archive):
-    place = tmp_path_factory.mktemp("beside")
-    archive.copy(make_records, place)
-    return place / "file.duckdb"
-
-
 @pytest.fixture
-def file(made, tmp_path):
-    return Path(shutil.copy(made, tmp_path / "run.duckdb"))
+def file(small_records, tmp_path):
+    return Path(shutil.copy(small_records / "file.duckdb", tmp_path / "run.duckdb"))
 
 
 def crash(folder):

@@ -15,7 +15,7 @@ from ssduck.interchange.macros import macro_script
 from ssduck.interpreter.archives import folder_run
 from ssduck.recording.stores.files import write_parquet
 from tests.support.cases import sampled
-from tests.support.forged import make_records, part, rewrite_log, with_column, without_checksums
+from tests.support.forged import part, rewrite_log, with_column, without_checksums
 from tests.support.rising_cups import write_rising_cups
 
 KINDS = ("folder", "unfinished", "file.duckdb")
@@ -26,13 +26,6 @@ NUMBERS = {
     "joints": ("position",),
     "contacts": ("force",),
 }
-
-
-@pytest.fixture(scope="module")
-def records(tmp_path_factory, archive):
-    place = tmp_path_factory.mktemp("records")
-    archive.copy(make_records, place)
-    return place
 
 
 def some_nan(rows, columns):
@@ -61,8 +54,8 @@ def store_nan(record, table):
 
 
 @pytest.fixture
-def record(records, tmp_path, request):
-    source = records / request.param
+def record(small_records, tmp_path, request):
+    source = small_records / request.param
     copy = shutil.copytree if source.is_dir() else shutil.copy
     return Path(copy(source, tmp_path / source.name))
 
@@ -245,8 +238,8 @@ def test_a_record_that_ssduck_writes_has_null(record, table, tmp_path):
 
 
 @pytest.mark.slow
-def test_macros_over_the_files_have_null(records, tmp_path):
-    record = shutil.copytree(records / "folder", tmp_path / "folder")
+def test_macros_over_the_files_have_null(small_records, tmp_path):
+    record = shutil.copytree(small_records / "folder", tmp_path / "folder")
     store_nan(record, "entities")
     with duckdb.connect() as plain, ssduck.open(record) as ss:
         plain.execute(macro_script((), folder_run(record, None, None)).text)

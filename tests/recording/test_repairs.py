@@ -13,19 +13,19 @@ from ssduck.interchange.conversion import write_runs
 from ssduck.recording import folder_check
 from ssduck.recording.folder_episodes import runs_in
 from ssduck.recording.stores.files import write_atomically
-from tests.support.forged import make_records, part
+from tests.support.forged import part
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory, archive):
-    place = tmp_path_factory.mktemp("linked")
-    archive.copy(make_records, place)
-    return place
+@pytest.fixture
+def record(small_records, tmp_path):
+    return Path(shutil.copytree(small_records / "folder", tmp_path / "record"))
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_nothing_is_written_through_links_with_the_names_of_unfinished_files(made, tmp_path):
-    record, outside = Path(shutil.copytree(made / "folder", tmp_path / "record")), tmp_path / "mine"
+def test_nothing_is_written_through_links_with_the_names_of_unfinished_files(
+    record, small_records, tmp_path
+):
+    outside = tmp_path / "mine"
     part(record, "ticks").write_bytes(b"torn")
     outside.write_text("mine")
     names = [record / "a.mcap", *(file for file in record.rglob("*") if file.is_file())]
@@ -34,15 +34,14 @@ def test_nothing_is_written_through_links_with_the_names_of_unfinished_files(mad
     ssduck.check(record, repair=True)
     ssduck.lake(record).set_tags({"mine": 1})
     assert outside.read_text() == "mine"
-    run = runs_in(made / "folder")[0]
+    run = runs_in(small_records / "folder")[0]
     pytest.importorskip("foxglove_schemas_protobuf", reason="the extra mcap is not installed")
     write_runs([run], record / "a.mcap", "mcap")
     assert outside.read_text() == "mine"
     assert (record / "a.mcap").is_file()
 
 
-def test_a_repair_that_cannot_write_is_an_error_of_the_record(made, tmp_path, monkeypatch):
-    record = Path(shutil.copytree(made / "folder", tmp_path / "record"))
+def test_a_repair_that_cannot_write_is_an_error_of_the_record(record, monkeypatch):
     part(record, "ticks").write_bytes(b"torn")
 
     def fails(file):
@@ -53,8 +52,7 @@ def test_a_repair_that_cannot_write_is_an_error_of_the_record(made, tmp_path, mo
         ssduck.check(record, repair=True)
 
 
-def test_a_link_to_nothing_is_set_aside(made, tmp_path):
-    record = Path(shutil.copytree(made / "folder", tmp_path / "record"))
+def test_a_link_to_nothing_is_set_aside(record):
     (record / "gym").mkdir()
     (record / "gym/lab-0.json").symlink_to(record / "nothing")
     (damage,) = ssduck.check(record, repair=True)
