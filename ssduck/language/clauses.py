@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cmp_to_key
+from functools import cmp_to_key, partial
 from itertools import islice, product
 from typing import Any, TypeAlias
 
@@ -109,15 +109,18 @@ class Clauses:
     def __init__(self, clauses: PythonClauses, compiler: ExpressionCompiler) -> None:
         self._clauses, self._only_selects = clauses, clauses == PythonClauses(clauses.columns)
         self._conditions = [compiler.condition(node) for node in clauses.conditions]
-        self.items = SelectedItems(clauses.columns, compiler)
+        self.items = SelectedItems(clauses.columns, compiler.thunk)
         row_keys = [k for k in clauses.order if not clauses.group or not over_rows(k.value)]
         self._order = [(compiler.thunk(key.value), key) for key in row_keys]
         self._group = [(compiler.thunk(node), node) for node in clauses.group]
+        of_group = partial(GroupFunction, compiler=compiler)
         self._group_order: list[tuple[GroupFunction, OrderKey]] = []
         if len(row_keys) < len(clauses.order):
-            self._group_order = [(GroupFunction(key.value, compiler), key) for key in clauses.order]
-        self._having = None if clauses.having is None else GroupFunction(clauses.having, compiler)
-        self._aggregated = _Aggregated(clauses.columns, compiler) if clauses.is_aggregated else None
+            self._group_order = [(of_group(key.value), key) for key in clauses.order]
+        self._having = None if clauses.having is None else of_group(clauses.having)
+        self._aggregated: SelectedItems | None = None
+        if clauses.is_aggregated:
+            self._aggregated = SelectedItems(clauses.columns, of_group)
         self._limit = None if clauses.limit is None else compiler.thunk(clauses.limit)
         self._offset = None if clauses.offset is None else compiler.thunk(clauses.offset)
 
@@ -181,7 +184,7 @@ class Clauses:
             )
         aggregated, keys = self._aggregated, selected_keys[window]
         selected = {
-            key: select(groups[key]) if aggregated is None else aggregated.row(frames[key], outer)
+            key: select(groups[key]) if aggregated is None else aggregated.group(frames[key], outer)
             for key in keys
         }
         return Groups(selected, self.items.rows([]))
@@ -200,7 +203,7 @@ class Clauses:
             fulfils_having = self._fulfils_having(frames, outer)
             if self._aggregated is not None:
                 is_there = fulfils_having and bool([None][window])
-                return self._aggregated.row(frames, outer, is_there=is_there)
+                return self._aggregated.group(frames, outer, is_there=is_there)
             entries = entries if fulfils_having else []
         if not self._clauses.distinct:
             return select(entries[window])
@@ -239,15 +242,23 @@ class Clauses:
 
 
 class SelectedItems:
-    """The selected columns as functions of frames."""
+    """The selected columns as functions of frames, or of the rows of a group and those around it.
 
-    def __init__(self, columns: Sequence[SelectedValue], compiler: ExpressionCompiler) -> None:
-        self._items = [compiler.thunk(column.node) for column in columns]
+    Args:
+        columns: the columns.
+        compile: returns such a function of a part.
+    """
+
+    def __init__(
+        self, columns: Sequence[SelectedValue], compile: Callable[[Node], Callable[..., Any]]
+    ) -> None:
+        self._items = [compile(column.node) for column in columns]
         self._names = [
-            column.name if isinstance(column.name, str) else compiler.thunk(column.name)
+            column.name if isinstance(column.name, str) else compile(column.name)
             for column in columns
         ]
         self._fixed = tuple(name for name in self._names if isinstance(name, str))
+        self._are_fixed = len(self._fixed) == len(columns)
 
     def values(self, frame: Frame) -> tuple[Any, ...]:
         """Returns the selected values of a row."""
@@ -256,42 +267,28 @@ class SelectedItems:
         frame.scope.meter.step()
         return tuple([item(frame) for item in self._items])
 
-    def names(self, frame: Frame) -> tuple[Any, ...]:
+    def names(self, *row: Any) -> tuple[Any, ...]:
         """Returns the column names of a row."""
-        if len(self._fixed) == len(self._names):
+        if self._are_fixed:
             return self._fixed
-        return tuple([name if isinstance(name, str) else name(frame) for name in self._names])
+        return tuple([name if isinstance(name, str) else name(*row) for name in self._names])
 
     def rows(self, frames: list[Frame]) -> Rows:
         """Returns the rows of these frames."""
         values = [self.values(frame) for frame in frames]
-        if len(self._fixed) == len(self._names):
-            return Rows(values, self._fixed)
-        return Rows(values, [self.names(frame) for frame in frames])
+        names = [] if self._are_fixed else list(map(self.names, frames))
+        return self.rows_of_values(names, values)
 
     def rows_of_values(self, names: list[tuple[Any, ...]], values: list[tuple[Any, ...]]) -> Rows:
         """Returns the rows of values that were selected before."""
-        fixed = len(self._fixed) == len(self._names)
-        return Rows(values, self._fixed if fixed else names)
+        return Rows(values, self._fixed if self._are_fixed else names)
 
-
-class _Aggregated:
-    """The selected columns as functions of the rows of a group."""
-
-    def __init__(self, columns: Sequence[SelectedValue], compiler: ExpressionCompiler) -> None:
-        self._items = [GroupFunction(column.node, compiler) for column in columns]
-        self._names = [
-            column.name if isinstance(column.name, str) else GroupFunction(column.name, compiler)
-            for column in columns
-        ]
-
-    def row(self, frames: list[Frame], outer: Frame, *, is_there: bool = True) -> Rows:
-        """Returns the row of a group; None where HAVING excludes it."""
+    def group(self, frames: list[Frame], outer: Frame, *, is_there: bool = True) -> Rows:
+        """Returns the row of a group; no row where HAVING excludes it."""
         if not is_there:
-            return Rows([], tuple(name for name in self._names if isinstance(name, str)))
+            return Rows([], self._fixed)
         values = tuple(item(frames, outer) for item in self._items)
-        names = tuple(n if isinstance(n, str) else n(frames, outer) for n in self._names)
-        return Rows([values], names if all(isinstance(n, str) for n in self._names) else [names])
+        return self.rows_of_values([self.names(frames, outer)], [values])
 
 
 def _sorted(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from operator import attrgetter
 from typing import Any, Protocol, TypeAlias
 
@@ -124,41 +125,23 @@ class EvaluationScope(Protocol):
         """The usage of the running program's limits."""
 
 
+@dataclass(eq=False, slots=True)
 class Frame:
     """The values that an expression is evaluated over."""
 
-    __slots__ = (
-        "cached",
-        "calls",
-        "columns",
-        "elements",
-        "local",
-        "outer_elements",
-        "placeholders",
-        "scope",
-        "state",
-    )
-
-    def __init__(
-        self,
-        scope: EvaluationScope,
-        elements: Mapping[str | None, Any] | None = None,
-        local: dict[str, Any] | None = None,
-        placeholders: Mapping[str, Any] | None = None,
-        columns: Sequence[Any] = (),
-        cached: dict[Node, Any] | None = None,
-        state: dict[Node, Any] | None = None,
-        outer_elements: Mapping[str | None, Any] | None = None,
-    ) -> None:
-        self.scope = scope
-        self.outer_elements = outer_elements if outer_elements is not None else {}
-        self.elements = elements if elements is not None else {}
-        self.local = local if local is not None else {}
-        self.placeholders = placeholders if placeholders is not None else {}
-        self.columns = columns
-        self.cached = cached if cached is not None else {}
-        self.state = state if state is not None else {}
-        self.calls: dict[str, Any] = {}
+    scope: EvaluationScope  # the part of the interpreter that knows names and queries
+    # The current element of each source by alias; that of the only one by None, too.
+    elements: Mapping[str | None, Any] = field(default_factory=dict)
+    local: dict[str, Any] = field(default_factory=dict)  # the state variables
+    placeholders: Mapping[str, Any] = field(default_factory=dict)  # what placeholders stand for
+    columns: Sequence[Any] = ()  # the row from SQL
+    # The values of the parts that are the same for all rows, and for all rows of a state.
+    cached: dict[Node, Any] = field(default_factory=dict)
+    state: dict[Node, Any] = field(default_factory=dict)
+    # The elements of the queries around, on which a query does not depend.
+    outer_elements: Mapping[str | None, Any] = field(default_factory=dict)
+    # The results of users' functions in this row, by the key of the call.
+    calls: dict[str, Any] = field(default_factory=dict, init=False)
 
     def row(
         self,
@@ -179,16 +162,7 @@ class Frame:
 
     def independent(self) -> Frame:
         """Returns the frame for a query that depends on no row around it."""
-        return Frame(
-            self.scope,
-            self.elements,
-            self.local,
-            self.placeholders,
-            self.columns,
-            self.cached,
-            self.state,
-            outer_elements=self.elements,
-        )
+        return replace(self, outer_elements=self.elements)
 
     @property
     def is_outermost(self) -> bool:

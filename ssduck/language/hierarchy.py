@@ -34,48 +34,25 @@ MAX_STATES = 10_000
 _STEP_BYTES = 400
 
 
+@dataclass(eq=False, slots=True)
 class RowSelection:
-    """The selected values of a row.
+    """The selected values of a row."""
 
-    Attributes:
-        values: the values.
-        names: the names of the columns.
-        key: a number that identifies both; None while it is unknown.
-    """
-
-    __slots__ = ("key", "names", "values")
-
-    def __init__(self, values: tuple[Any, ...], names: tuple[Any, ...]) -> None:
-        self.values = values
-        self.names = names
-        self.key: int | None = None
+    values: tuple[Any, ...]  # the values
+    names: tuple[Any, ...]  # the names of the columns
+    key: int | None = None  # a number that identifies both; None while it is unknown
 
 
+@dataclass(eq=False, slots=True)
 class PathStep:
-    """A row in a state that is not a dead end.
+    """A row in a state that is not a dead end."""
 
-    Attributes:
-        frame: the frame of the row.
-        is_result: whether a path up to this row is a result.
-        stops: whether STOP WITH holds; for a result, it is evaluated only under UNIQUE.
-        selection: the selected values; None while they are unknown.
-        successors: the rows of the state after its step; None while they are unknown.
-    """
-
-    __slots__ = ("frame", "is_result", "selection", "stops", "successors")
-
-    def __init__(
-        self,
-        frame: Frame,
-        selection: RowSelection | None,
-        is_result: bool,  # positional, because keywords take time
-        stops: bool,
-    ) -> None:
-        self.frame = frame
-        self.selection = selection
-        self.is_result = is_result
-        self.stops = stops
-        self.successors: Steps | None = None
+    frame: Frame  # the frame of the row
+    selection: RowSelection | None  # the selected values; None while they are unknown
+    is_result: bool  # whether a path up to this row is a result
+    stops: bool  # whether STOP WITH holds; for a result, it is evaluated only under UNIQUE
+    # The rows of the state after its step; None while they are unknown.
+    successors: Steps | None = None
 
 
 # The rows of a state, in order, each made at its first use: an iterator of `tee` that stays at the
