@@ -167,71 +167,48 @@ class _Search:
     def _initial_path(self) -> exp.Select:
         return exp.select(
             *self._as_states(self.start),
-            exp.alias_(_empty(SqlType("integer")), "place"),
-            *(
-                exp.alias_(_empty(item.sql_type), f"item {index}", quoted=True)
-                for index, item in enumerate(self.items)
-            ),
-            exp.alias_(exp.false(), "found"),
+            _named("place", _empty(INTEGER)),
+            *(_named(key, _empty(item.sql_type)) for key, item in self.keyed_items()),
+            _named("found", exp.false()),
         )
 
     def _as_states(self, values: Mapping[str, SqlValue]) -> list[exp.Expr]:
         """Values as the columns of the state variables."""
         return [
-            exp.alias_(_cast(value.sql, self.sql_types[name]), self.names[name], quoted=True)
+            _named(self.names[name], _cast(value.sql, self.sql_types[name]))
             for name, value in values.items()
         ]
+
+    def keyed_items(self) -> Iterable[tuple[str, SqlValue]]:
+        """Returns the selected values, each with the name of its column."""
+        return [(f"item {index}", item) for index, item in enumerate(self.items)]
 
     def _next_paths(self) -> exp.Select:
         """Returns the open paths, each extended by a row."""
         result = _column(_STEPS, "found")
-        states = [
-            exp.alias_(
-                exp.case()
-                .when(result.copy(), _column(_STEPS, column))
-                .else_(_column(_STEPS, f"next {column}")),
-                column,
-                quoted=True,
-            )
-            for column in self.names.values()
-        ]
-        items = [
-            exp.alias_(_column(_STEPS, f"item {index}"), f"item {index}", quoted=True)
-            for index in range(len(self.items))
-        ]
+        states = []
+        for column in self.names.values():
+            stays = exp.case().when(result.copy(), _column(_STEPS, column))
+            states.append(_named(column, stays.else_(_column(_STEPS, f"next {column}"))))
+        items = [_named(key, _column(_STEPS, key)) for key, _ in self.keyed_items()]
         return exp.select(*states, _column(_STEPS, "place"), *items, result).from_(
             self._steps().subquery(_STEPS)
         )
 
     def _steps(self) -> exp.Select:
         ends = exp.paren(self.is_result.copy())
-        states = [
-            exp.alias_(_column(_PATHS, name), name, quoted=True) for name in self.names.values()
-        ]
-        following = [
-            exp.alias_(
-                exp.case()
-                .when(ends.copy(), self._state_column(name))
-                .else_(_cast(value.sql, self.sql_types[name])),
-                f"next {self.names[name]}",
-                quoted=True,
-            )
-            for name, value in self.next.items()
-        ]
-        place = exp.Anonymous(
-            this="list_concat", expressions=[_column(_PATHS, "place"), self._place_of_row()]
-        )
+        states = [_named(name, _column(_PATHS, name)) for name in self.names.values()]
+        following = []
+        for name, value in self.next.items():
+            stays = exp.case().when(ends.copy(), self._state_column(name))
+            state = stays.else_(_cast(value.sql, self.sql_types[name]))
+            following.append(_named(f"next {self.names[name]}", state))
         items = [
-            exp.alias_(
-                exp.func("list_append", _column(_PATHS, f"item {index}"), _cast(i.sql, i.sql_type)),
-                f"item {index}",
-                quoted=True,
-            )
-            for index, i in enumerate(self.items)
+            _named(key, exp.func("list_append", _column(_PATHS, key), _cast(i.sql, i.sql_type)))
+            for key, i in self.keyed_items()
         ]
-        select = exp.select(
-            *states, *following, exp.alias_(place, "place"), *items, exp.alias_(ends, "found")
-        )
+        place, found = _named("place", self._next_place()), _named("found", ends)
+        select = exp.select(*states, *following, place, *items, found)
         select = self._from(select, self._open_paths())
         return select.where(exp.Not(this=self._is_visited())) if self.recursion.no_cycle else select
 
@@ -253,10 +230,12 @@ class _Search:
         length = exp.func("len", _column(_PATHS, "item 0"))
         too_deep = exp.GTE(this=length, expression=exp.Literal.number(self.sql.names.max_depth))
         is_endless = exp.and_(exp.Not(this=_column(_PATHS, "found")), too_deep)
-        checked = exp.case().when(exp.or_(too_many, is_endless), failure(BOOLEAN)).else_(exp.true())
-        counted = exp.select("*", exp.alias_(checked, "counted")).from_(_table(_PATHS))
-        rows = exp.select("*").from_(counted.subquery(_PATHS)).where(_column(_PATHS, "counted"))
-        return rows.subquery(_PATHS)
+        return _failing_if(exp.or_(too_many, is_endless), _table(_PATHS))
+
+    def _next_place(self) -> exp.Expr:
+        """Returns the place of a path with a further row."""
+        places = [_column(_PATHS, "place"), self._place_of_row()]
+        return exp.Anonymous(this="list_concat", expressions=places)
 
     def _place_of_row(self) -> exp.Expr:
         keys = [key for element in self.elements for key in element.position]
@@ -268,20 +247,15 @@ class _Search:
         """Checks whether the selected values occurred before on the path."""
         numbers = exp.func("generate_subscripts", _column(_PATHS, "item 0"), exp.Literal.number(1))
         steps = exp.select(exp.alias_(numbers, "i")).subquery("before")
-        alike = [
-            exp.EQ(
-                this=exp.func(
-                    "list_extract", _column(_PATHS, f"item {index}"), exp.column("i", "before")
-                ),
-                expression=exp.paren(item.sql.copy()),
-            )
-            for index, item in enumerate(self.items)
-        ]
-        if len(alike) == 1:
-            item = self.items[0]
+        if len(self.items) == 1:
+            (item,) = self.items
             return exp.func(
                 "list_contains", _column(_PATHS, "item 0"), _cast(item.sql, item.sql_type)
             )
+        alike = []
+        for key, item in self.keyed_items():
+            before = exp.func("list_extract", _column(_PATHS, key), exp.column("i", "before"))
+            alike.append(exp.EQ(this=before, expression=exp.paren(item.sql.copy())))
         return exp.Exists(this=exp.select(exp.Literal.number(1)).from_(steps).where(*alike))
 
     # -- the graph of MEMORIZE ---------------------------------------------------------------
@@ -291,24 +265,20 @@ class _Search:
 
         The first row of the recursive table is not a vertex; its successors are the roots.
         """
-        keys = [f"item {index}" for index in range(len(self.items))]
-        nothing = [
-            exp.alias_(_cast(exp.Null(), item.sql_type), key, quoted=True)
-            for key, item in zip(keys, self.items, strict=True)
-        ]
+        keys = [key for key, _ in self.keyed_items()]
         first = exp.select(
             *self._as_states(self.start),
-            *nothing,
-            exp.alias_(_empty(INTEGER), "place"),
-            exp.alias_(exp.false(), "found"),
+            *(_named(key, _cast(exp.Null(), item.sql_type)) for key, item in self.keyed_items()),
+            _named("place", _empty(INTEGER)),
+            _named("found", exp.false()),
         )
         # In parentheses, because it has its own order.
-        union = exp.union(first, self._next_level(keys, levels).subquery(), distinct=True)
+        union = exp.union(first, self._next_level(levels).subquery(), distinct=True)
         result = [_column("ends", name) for name in ("place", "found", *keys)]
         select = exp.select(_column(_PATHS, "place"), *result)
         select = self._from(select, self._within(levels))
         select = select.join(exp.table_(_PATHS, alias="ends"), join_type="cross")
-        select = select.where(*self._are_items("ends", keys))
+        select = select.where(*self._are_items("ends"))
         places = exp.func("len", _column(_PATHS, "place"))
         select = select.order_by(places, _column(_PATHS, "place"), self._place_of_row())
         select = select.with_(exp.to_identifier(_PATHS), as_=union, recursive=True)
@@ -316,22 +286,17 @@ class _Search:
         table.set("key_expressions", [exp.to_identifier(key, quoted=True) for key in keys])
         return select
 
-    def _next_level(self, keys: Sequence[str], levels: int) -> exp.Select:
+    def _next_level(self, levels: int) -> exp.Select:
         """Returns the successors of the last level's rows that occurred at no level."""
-        items = [
-            exp.alias_(_cast(item.sql, item.sql_type), key, quoted=True)
-            for key, item in zip(keys, self.items, strict=True)
-        ]
-        place = exp.Anonymous(
-            this="list_concat", expressions=[_column(_PATHS, "place"), self._place_of_row()]
-        )
-        result = exp.alias_(exp.paren(self.is_result.copy()), "found")
+        items = [_named(key, _cast(item.sql, item.sql_type)) for key, item in self.keyed_items()]
+        place = self._next_place()
+        result = _named("found", exp.paren(self.is_result.copy()))
         states = self._as_states(self.next)
-        select = exp.select(*states, *items, exp.alias_(place, "place"), result)
+        select = exp.select(*states, *items, _named("place", place), result)
         visited = exp.select(exp.Literal.number(1)).from_(
             exp.table_(_PATHS, db="recurring", alias="known")
         )
-        visited = visited.where(*self._are_items("known", keys))
+        visited = visited.where(*self._are_items("known"))
         select = self._from(select, self._checked(levels))
         select = select.where(exp.Not(this=exp.Exists(this=visited)))
         # The first one of equal rows counts.
@@ -341,10 +306,7 @@ class _Search:
         """Returns the rows of the last level; the statement fails if there are too many levels."""
         max_depth = exp.Literal.number(self.sql.names.max_depth)
         deep = exp.GTE(this=self._level(), expression=max_depth)
-        checked = exp.case().when(deep, failure(BOOLEAN)).else_(exp.true())
-        counted = exp.select("*", exp.alias_(checked, "counted")).from_(self._within(levels))
-        rows = exp.select("*").from_(counted.subquery(_PATHS)).where(_column(_PATHS, "counted"))
-        return rows.subquery(_PATHS)
+        return _failing_if(deep, self._within(levels))
 
     def _within(self, levels: int) -> exp.Expr:
         """Returns the rows that may have successors."""
@@ -358,10 +320,10 @@ class _Search:
         length = exp.func("len", _column(_PATHS, "place"))
         return exp.IntDiv(this=length, expression=exp.Literal.number(keys))
 
-    def _are_items(self, table: str, keys: Sequence[str]) -> list[exp.Expr]:
+    def _are_items(self, table: str) -> list[exp.Expr]:
         return [
             exp.EQ(this=_column(table, key), expression=_cast(item.sql, item.sql_type))
-            for key, item in zip(keys, self.items, strict=True)
+            for key, item in self.keyed_items()
         ]
 
 
@@ -389,6 +351,18 @@ def _number(node: tree.Node) -> int:
         case tree.Literal(value=number) if type(number) is int and 0 <= number < 2**31:
             return number
     raise NotSqlError
+
+
+def _failing_if(condition: exp.Expr, paths: exp.Expr) -> exp.Expr:
+    """Returns paths, of which a condition makes the statement fail."""
+    checked = exp.case().when(condition, failure(BOOLEAN)).else_(exp.true())
+    counted = exp.select("*", _named("counted", checked)).from_(paths)
+    rows = exp.select("*").from_(counted.subquery(_PATHS)).where(_column(_PATHS, "counted"))
+    return rows.subquery(_PATHS)
+
+
+def _named(name: str, value: exp.Expr) -> exp.Expr:
+    return exp.alias_(value, name, quoted=" " in name)
 
 
 def _table(name: str) -> exp.Expr:
