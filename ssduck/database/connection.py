@@ -7,9 +7,10 @@ import os
 import re
 import threading
 import weakref
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
-from functools import cached_property, partial
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from contextlib import contextmanager, suppress
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar, cast
 
@@ -36,7 +37,6 @@ from ssduck.database.instances import (
     reach_objects,
     set_up,
 )
-from ssduck.database.on_demand import OnDemand
 from ssduck.database.running import StatementRunner, translated
 from ssduck.database.writer import WriterConnection
 from ssduck.errors import (
@@ -78,6 +78,11 @@ _CHANGING = re.compile(
     rf"[()]{_BETWEEN}(?:INSERT|UPDATE|DELETE|MERGE|COPY|EXECUTE)\b", re.IGNORECASE | re.DOTALL
 )
 
+# A schema, or None for names without one; and the name of a view or a function.
+Name: TypeAlias = tuple[str | None, str]
+# The number of statements whose names are known to be there.
+_MAX_STATEMENTS = 4096
+
 
 class Connection(StatementRunner):
     """A connection to DuckDB, which is closed when nothing refers to it.
@@ -105,7 +110,7 @@ class Connection(StatementRunner):
         open_ones = self._connection, self._instance
         self._finalizer = weakref.finalize(self, _finish, open_ones, recorders, os.getpid())
         self._recorders = recorders
-        self.on_demand: OnDemand[Connection] = OnDemand()
+        self.on_demand = OnDemand()
         self.has_records = self.is_file
         # Whether something may be in the database that `_give_back` does not remove.
         self._is_altered = False
@@ -449,9 +454,7 @@ def _finish(
     if os.getpid() != process:
         _LEFT_TO_PARENT.append(connections)
         return
-    if any(
-        recorder.is_writer_thread for recorder in recorders
-    ):  # in its own thread, by garbage collection
+    if any(recorder.is_writer_thread for recorder in recorders):  # by garbage collection there
         threading.Thread(target=_finish, args=(connections, recorders, process)).start()
         return
     failed = None
@@ -472,3 +475,100 @@ def _give_arity(call: Callable[..., Any], count: int) -> None:
     """Sets the number of arguments of a function, for DuckDB."""
     kinds = [inspect.Parameter(f"a{i}", inspect.Parameter.POSITIONAL_ONLY) for i in range(count)]
     call.__signature__ = inspect.Signature(kinds)  # type: ignore[attr-defined]
+
+
+class OnDemand:
+    """Views and functions that are made before the first statement that names them.
+
+    A world has some thirty views, and relations have as many functions: making all of them takes
+    longer than opening a small record and asking it a question. They are made by functions of the
+    connection, which do not keep it alive.
+    """
+
+    def __init__(self) -> None:
+        self._makers: dict[Name, Callable[[Connection], None]] = {}
+        # Statements that name nothing that is still to be made.
+        self._complete: set[str] = set()
+        # What is not made now; see `without`.
+        self._left_out: frozenset[Name] = frozenset()
+
+    def offer(self, name: Name, make: Callable[[Connection], None]) -> None:
+        """Has a view or a function made when a statement names it; replaces an earlier offer."""
+        self._makers[name] = make
+        self._complete.clear()
+
+    def withdraw(self, name: Name) -> None:
+        """Takes an offer back."""
+        self._makers.pop(name, None)
+
+    def withdraw_schema(self, schema: str) -> None:
+        """Takes the offers of the views of a schema back."""
+        for name in [name for name in self._makers if name[0] == schema]:
+            del self._makers[name]
+
+    def clear(self) -> None:
+        """Takes all offers back, as the connection is closed."""
+        self._makers.clear()
+
+    def make(self, name: Name, connection: Connection) -> None:
+        """Makes a view or a function if that has not been done."""
+        maker = self._makers.get(name)
+        if maker is not None:
+            maker(connection)
+            self._makers.pop(name, None)
+
+    def make_all(self, connection: Connection) -> None:
+        """Makes everything, for a statement that may read anything."""
+        while self._makers:
+            self.make(next(iter(self._makers)), connection)
+
+    def make_named(self, words: AbstractSet[str], connection: Connection) -> None:
+        """Makes what words in small letters name; names in a user's query may omit the schema."""
+        for name in [name for name in self._makers if name[1].casefold() in words]:
+            self.make(name, connection)
+
+    def make_schema(self, schema: str, connection: Connection) -> None:
+        """Makes the views of a schema."""
+        for name in [name for name in self._makers if name[0] == schema]:
+            self.make(name, connection)
+
+    def is_offered(self, name: Name) -> bool:
+        """Checks whether a view or a function is still to be made."""
+        return name in self._makers
+
+    @property
+    def leaves_out(self) -> bool:
+        """Whether a statement runs that has names left out; one that runs within it may not."""
+        return bool(self._left_out)
+
+    @contextmanager
+    def without(self, names: Collection[Name]) -> Iterator[None]:
+        """Has `provide` make none of some names in a context: they are there, in part."""
+        before, self._left_out = self._left_out, frozenset(names)
+        try:
+            yield
+        finally:
+            self._left_out = before
+
+    def provide(self, sql: str, connection: Connection) -> None:
+        """Makes what one of ssduck's own statements may name."""
+        if not self._makers or sql in self._complete:
+            return
+        text = sql.casefold()  # SQL ignores case
+        for schema, name in list(self._makers):
+            if (schema, name) in self._left_out:
+                continue
+            # A name may be quoted.
+            is_named = schema is None or schema.casefold().replace('"', '""') in text
+            if is_named and _word(name).search(text):
+                self.make((schema, name), connection)
+        if self._left_out:
+            return
+        if len(self._complete) >= _MAX_STATEMENTS:
+            self._complete.clear()
+        self._complete.add(sql)
+
+
+@lru_cache(maxsize=1024)
+def _word(name: str) -> re.Pattern[str]:
+    return re.compile(rf"(?<!\w){re.escape(name.casefold())}(?!\w)")

@@ -170,7 +170,7 @@ def offer_geometry_functions(connection: Connection, worlds: Mapping[str, BoundW
         )
     offer(
         RECORDED_NUMBERS_UDF,
-        partial(_recorded_numbers, worlds),
+        lambda world, *question: worlds[world].recorded_numbers(*question),
         ("VARCHAR", "VARCHAR", *["BIGINT"] * 3),
         "DOUBLE[]",
         may_be_null=False,
@@ -407,10 +407,3 @@ def _pairs_over_ticks(
     ends = accumulate(map(len, results), initial=0)
     offsets = pa.array(ends, pa.int32())
     return pa.ListArray.from_arrays(offsets, pa.concat_arrays(results))
-
-
-def _recorded_numbers(
-    worlds: Mapping[str, BoundWorld], world: str, kind: str, tick: int, a: int, b: int
-) -> list[float]:
-    """Returns the values of contacts or sensors at a recorded tick."""
-    return worlds[world].recorded_numbers(kind, tick, a, b)

@@ -37,9 +37,8 @@ def absolute_path(path: str, *, is_written: bool = False) -> str:
             f"{short_repr(path)} cannot be the path of a DuckDB file: DuckDB reads a backslash "
             "as a slash, and allows no null character"
         )
-    if is_written and "?" in str(
-        Path(absolute).parent
-    ):  # DuckDB would write its log to another folder
+    # DuckDB would write its log to another folder.
+    if is_written and "?" in str(Path(absolute).parent):
         raise SqlError(
             f"{short_repr(path)} cannot be the path of a DuckDB file: DuckDB ignores the "
             "part of a folder's name from a question mark on; rename the folder"

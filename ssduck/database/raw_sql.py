@@ -378,7 +378,10 @@ class RawSql:
 
     def _note_stored_queries(self, *, of_attached: bool) -> None:
         """Takes note of what views and macros from before read: any statement may use them."""
-        for text in stored_queries(self._connection, of_attached=of_attached):
+        rows = self._connection.internal_rows(_MACROS, [of_attached])
+        if self._connection.internal_rows(_HAS_VIEWS, [of_attached, _OWN_VIEWS]):
+            rows += self._connection.internal_rows(_VIEWS, [of_attached, _OWN_VIEWS])
+        for (text,) in rows:
             self._has_stored_queries = True
             words = words_of(text)
             self._schemas.note_stored(words.words)
@@ -418,11 +421,3 @@ _MACROS = (
     "WHERE NOT internal AND macro_definition IS NOT NULL AND database_name <> 'temp' "
     "AND (database_name <> current_database()) = $1"
 )
-
-
-def stored_queries(connection: Connection, *, of_attached: bool = False) -> list[str]:
-    """Returns the texts of the users' views and macros."""
-    rows = connection.internal_rows(_MACROS, [of_attached])
-    if connection.internal_rows(_HAS_VIEWS, [of_attached, _OWN_VIEWS]):
-        rows += connection.internal_rows(_VIEWS, [of_attached, _OWN_VIEWS])
-    return [text for (text,) in rows]

@@ -28,7 +28,15 @@ import sqlglot
 from sqlglot import exp
 from sqlglot.tokenizer_core import Token, TokenType
 
-from ssduck.database.statement_names import Scope, Source, WorldNames, is_inner, is_one_sided
+from ssduck.database.statement_names import (
+    ExistsCondition,
+    Scope,
+    Source,
+    WorldNames,
+    exists_condition,
+    is_inner,
+    is_one_sided,
+)
 from ssduck.recording.stores.history_sql import quoted
 from ssduck.schema import ID_FACTOR
 from ssduck.sql.from_clause import pair_table
@@ -42,10 +50,7 @@ from ssduck.sql.types import DOUBLE, SqlType
 from ssduck.sql.user_sql import (
     MAX_LENGTH,
     Edit,
-    ExistsCondition,
-    NamedColumns,
     edited,
-    exists_condition,
     statement_trees,
 )
 
@@ -215,10 +220,8 @@ class RelationCall:
         called += ["contains" for _ in scope.select.find_all(exp.Contains)]
         if sum(name in _RELATIONS for name in called) > 1:
             return None
-        sources = {name: source.columns for name, source in scope.sources.items()}
-        is_read = not search.is_exact  # by the formula
-        names = NamedColumns(sources, outer.text.lower(), outer.columns, is_read)
-        return exists_condition(scope.select, self.node, self.start, self.tokens, names)
+        reads = not search.is_exact  # by the formula
+        return exists_condition(scope, self.node, self.start, self.tokens, outer, reads=reads)
 
     def _is_in_pair(self, place: int, name: str) -> str:
         """Returns the condition that an entity is that of a row of a table of pairs."""

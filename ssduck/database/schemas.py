@@ -372,7 +372,7 @@ class PairTableMacro:
     search: PairSearch  # the search for pairs
     distance: str  # the parameter that is the distance or the depth, m
     about: str  # the meaning of a row
-    kind: PairKind = "entities"  # what the two sides of a pair are
+    kind: PairKind  # what the two sides of a pair are
 
     def macro(self, schema: str, *, inside: bool) -> str:
         """Returns the statement that creates it, in the schema of its world or for all."""
@@ -383,40 +383,34 @@ class PairTableMacro:
         return f"CREATE OR REPLACE {place}({', '.join(self.parameters)}) AS TABLE {rows}"
 
 
+_SIDES: tuple[tuple[str, PairKind, str], ...] = (
+    ("", "entities", "two entities"),
+    ("link_", "links", "two links, of one entity or two,"),
+)
 TABLE_MACROS = (
-    PairTableMacro(
-        "colliding_pairs",
-        ("depth := 1e-6",),
-        COLLIDING,
-        "depth",
-        "A row is the ids a, b of two entities that penetrate each other by more than depth, in "
-        "metres, 1e-6 by default; each pair in both orders.",
+    *(
+        PairTableMacro(
+            f"colliding_{prefix}pairs",
+            ("depth := 1e-6",),
+            COLLIDING,
+            "depth",
+            f"A row is the ids a, b of {sides} that penetrate each other by more than depth, in "
+            "metres, 1e-6 by default; each pair in both orders.",
+            kind,
+        )
+        for prefix, kind, sides in _SIDES
     ),
-    PairTableMacro(
-        "pairs_within",
-        ("d",),
-        WITHIN,
-        "d",
-        "A row is the ids a, b of two entities whose clearance is at most d metres; each pair "
-        "in both orders.",
-    ),
-    PairTableMacro(
-        "colliding_link_pairs",
-        ("depth := 1e-6",),
-        COLLIDING,
-        "depth",
-        "A row is the ids a, b of two links, of one entity or two, that penetrate each other by "
-        "more than depth, in metres, 1e-6 by default; each pair in both orders.",
-        "links",
-    ),
-    PairTableMacro(
-        "link_pairs_within",
-        ("d",),
-        WITHIN,
-        "d",
-        "A row is the ids a, b of two links, of one entity or two, whose clearance is at most d "
-        "metres; each pair in both orders.",
-        "links",
+    *(
+        PairTableMacro(
+            f"{prefix}pairs_within",
+            ("d",),
+            WITHIN,
+            "d",
+            f"A row is the ids a, b of {sides} whose clearance is at most d metres; each pair in "
+            "both orders.",
+            kind,
+        )
+        for prefix, kind, sides in _SIDES
     ),
 )
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import pairwise
 
 from sqlglot import exp
+from sqlglot.tokenizer_core import Token, TokenType
 
 from ssduck.database.binding import BoundWorld
 from ssduck.database.schemas import TABLE_MACROS
@@ -396,3 +398,109 @@ def _is_argument(column: exp.Column) -> bool:
     """Checks whether a row is the argument of a relation, whose formula reads its columns."""
     call = column.parent
     return isinstance(call, exp.Anonymous) and call.name.lower() in _RELATIONS
+
+
+# The parts of a subquery that do nothing but choose rows.
+_PARTS = frozenset(("expressions", "from_", "joins", "where"))
+
+
+@dataclass(frozen=True)
+class ExistsCondition:
+    """An EXISTS in a statement."""
+
+    start: int  # the index of its first character
+    list_start: int  # the index at which its subquery begins
+    list_end: int  # the index of the subquery's FROM
+    end: int  # the index after its closing bracket
+    reads_outer: bool  # whether the subquery reads columns of the entity around it
+
+
+def exists_condition(
+    scope: Scope, call: exp.Expr, place: int, tokens: Sequence[Token], outer: Source, *, reads: bool
+) -> ExistsCondition | None:
+    """Returns the EXISTS of a subquery; None if it needs more of what is around it.
+
+    Args:
+        scope: the names that the subquery sees.
+        call: the call of a relation in it.
+        place: where that is written.
+        tokens: the tokens of the statement.
+        outer: the entity around it.
+        reads: whether the relation itself reads columns of that entity.
+    """
+    select = scope.select
+    if not isinstance(select.parent, exp.Exists) or select.parent.find_ancestor(exp.Join):
+        return None
+    parts = {name for name, value in select.args.items() if value}
+    is_plain = parts <= _PARTS and all(map(_is_plain, select.expressions))
+    if not is_plain or sum(1 for _ in select.find_all(exp.Query)) > 1:
+        return None
+    reads_outer = _reads_outer(_columns_of_conditions(select, call), scope, outer, reads=reads)
+    written = _written(tokens, place)
+    return (
+        None if reads_outer is None or written is None else ExistsCondition(*written, reads_outer)
+    )
+
+
+def _is_plain(selected: exp.Expr) -> bool:
+    """Checks whether a selected value neither adds nor removes rows, as an aggregate does."""
+    return isinstance(selected, exp.Literal | exp.Column | exp.Star)
+
+
+def _columns_of_conditions(select: exp.Select, call: exp.Expr) -> Iterator[exp.Column]:
+    """Yields the columns in a subquery, but for those that are selected or arguments of a call."""
+    for column in select.find_all(exp.Column):
+        around: exp.Expr | None = column
+        while around is not None and around is not call and around.parent is not select:
+            around = around.parent
+        if around is not call and not any(around is selected for selected in select.expressions):
+            yield column
+
+
+def _reads_outer(
+    columns: Iterable[exp.Column], scope: Scope, outer: Source, *, reads: bool
+) -> bool | None:
+    """Checks whether columns are of the entity around a subquery; None if one may be of others.
+
+    If some are, that entity becomes a source of the subquery, so that columns without a table would
+    be ambiguous.
+    """
+    sources, reads_outer, has_bare = scope.sources, reads, False
+    for column in columns:
+        table, name = column.table.lower(), column.name.lower()
+        if column.args.get("db"):
+            return None
+        is_outer = table == outer.text.lower() and table not in sources
+        if is_outer and name in (outer.columns or ()):
+            reads_outer = True
+        elif not table and any(name in (source.columns or ()) for source in sources.values()):
+            has_bare = True
+        elif (table or name) not in sources:
+            return None
+    return None if reads_outer and has_bare else reads_outer
+
+
+def _written(tokens: Sequence[Token], place: int) -> tuple[int, int, int, int] | None:
+    """Returns where the innermost EXISTS around a place is written; None if that is not known.
+
+    These are its start, that of its subquery, the subquery's FROM, and its end.
+    """
+    found = None
+    opened: list[tuple[bool, int]] = []
+    for number, (before, token) in enumerate(pairwise(tokens)):
+        if token.token_type == TokenType.L_PAREN:
+            opened.append((before.token_type == TokenType.EXISTS, number))
+        elif token.token_type == TokenType.R_PAREN and opened:
+            is_exists, first = opened.pop()
+            if is_exists and tokens[first].start < place < token.start:
+                found = first, number + 1
+                break
+    if found is None:
+        return None
+    first, last = found
+    inside = tokens[first + 2 : last]
+    clauses = [t for t in inside if t.token_type in (TokenType.SELECT, TokenType.FROM)]
+    kinds = [clause.token_type for clause in clauses]
+    if kinds not in ([TokenType.FROM], [TokenType.SELECT, TokenType.FROM]):
+        return None
+    return tokens[first].start, inside[0].start, clauses[-1].start, tokens[last].end + 1

@@ -438,7 +438,9 @@ def _by_name(parameters: Parameters) -> dict[str, Any]:
 def _are_distances(names: AbstractSet[str], parameters: Parameters) -> bool:
     """Checks whether parameters are numbers that are finite and not negative."""
     values = _by_name(parameters)
-    return all(_is_distance(values.get(name)) for name in names)
+    given: list[Any] = [values.get(name) for name in names]
+    are_numbers = all(isinstance(one, int | float) and not isinstance(one, bool) for one in given)
+    return are_numbers and all(0 <= one < math.inf for one in given)
 
 
 def _numbers_of(parameters: Parameters) -> dict[str, int | float] | None:
@@ -453,12 +455,6 @@ def _numbers_of(parameters: Parameters) -> dict[str, int | float] | None:
     )
     has_names = len({name.lower() for name in values}) == len(values)
     return values if is_numeric and has_names else None
-
-
-def _is_distance(value: object) -> bool:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    return 0 <= value < math.inf
 
 
 def _lookup_values(lookup: PairLookup, parameters: Parameters) -> Mapping[str, float] | None:
