@@ -59,7 +59,7 @@ def plain(ss):
             )
         for table, sql in tables.items():
             with ss._database.pinned({"shapes"}):
-                ss._database._describe(words_of(sql))
+                ss._database._raw_sql._describe(words_of(sql))
                 copied = connection.table(sql, None)
             own.register("copied", copied)
             own.execute(f"CREATE TABLE sim.{table} AS FROM copied")

@@ -12,8 +12,8 @@ import pytest
 import ssduck
 from ssduck import Recording
 from ssduck.database import connection as connections
+from ssduck.database.connection import OnDemand
 from ssduck.database.instances import InstancePool
-from ssduck.database.on_demand import OnDemand
 from ssduck.database.schemas import Schemas
 from ssduck.errors import SqlError
 from ssduck.limits import UsageMeter
