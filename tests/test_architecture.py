@@ -10,6 +10,10 @@ import grimp
 import pytest
 
 import ssduck
+from ssduck.recording.replay.replayed_world import CopiedWorld, ReplayedWorld
+from ssduck.world.batches.batch_world import BatchWorld
+from ssduck.world.stepping import SteppedWorld
+from ssduck.world.ticking import Ticker
 
 PACKAGE = Path(ssduck.__file__).parent
 FRONTS = {"openrave", "snapshot", "translate", "udfs"}
@@ -75,6 +79,35 @@ def test_nothing_imports_in_circles_when_it_runs():
     graph = grimp.build_graph("ssduck", cache_dir=None, exclude_type_checking_imports=True)
     assert len(graph.modules) > 100
     assert cycles(graph) == []
+
+
+def private_overrides(base):
+    """What subclasses of a class define anew that is private in a class above them."""
+    found = set()
+    for kind in base.__subclasses__():
+        private = {name for name in vars(kind) if name.startswith("_") and name[1] != "_"}
+        above = {name for parent in kind.__mro__[1:-1] for name in vars(parent)}
+        found |= {f"{kind.__name__}.{name}" for name in private & above if name != "_abc_impl"}
+        found |= private_overrides(kind)
+    return found
+
+
+def test_kinds_of_worlds_override_nothing_private():
+    class Base:
+        def _take(self): ...
+
+    class Derived(Base):
+        def _take(self): ...
+
+        def _other(self): ...
+
+    assert private_overrides(Base) == {"Derived._take"}
+    assert {CopiedWorld, BatchWorld} <= {
+        *ReplayedWorld.__subclasses__(),
+        *ssduck.World.__subclasses__(),
+    }
+    for base in (SteppedWorld, Ticker):
+        assert private_overrides(base) == set()
 
 
 # The largest number of lines of each package, and of the modules at the top. What a change adds, it
