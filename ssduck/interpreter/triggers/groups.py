@@ -198,17 +198,23 @@ class FormulaGroup:
     def _own(self, place: int) -> list[Array]:
         return [column[slice(*self._ends[place : place + 2])] for column in self._columns]
 
-    def evaluate(self, snapshot: Snapshot, *, has_moved: bool) -> None:
-        """Evaluates the formulas at a tick, unless nothing that they read has changed."""
+    def evaluate(self, snapshot: Snapshot, *, has_moved: bool) -> bool:
+        """Evaluates the formulas at a tick; returns whether their rows may have changed.
+
+        They are as they were if nothing that the formulas read has moved.
+        """
+        bits = self._bits
         if has_moved or self._reads_time or not self.number:
             self.number = 0
             formulas, *columns = self._evaluated(snapshot.table("entities"))
             bits = [*map(_bits, (formulas, *columns))]
-            if bits != self._bits:
-                ends = np.searchsorted(formulas, np.arange(len(self.formulas) + 1))
-                self._columns, self._ends, self._keys = columns, ends.tolist(), {}
-                self._bits = bits
+        has_changed = bits != self._bits
+        if has_changed:
+            ends = np.searchsorted(formulas, np.arange(len(self.formulas) + 1))
+            self._columns, self._ends, self._keys = columns, ends.tolist(), {}
+            self._bits = bits
         self.number = snapshot.number
+        return has_changed
 
     def _evaluated(self, table: LiveTable) -> list[Array]:
         """Returns the place of the formula of each row, ascending, and the columns of the rows."""

@@ -188,6 +188,7 @@ class TriggerRegistry:
         """
         trigger = self._trigger(name)
         trigger.resume(self._worlds_of(trigger))
+        self._batches.regroup()
         self._pauses += 1
 
     def _trigger(self, name: str) -> Trigger:
@@ -243,18 +244,17 @@ class TriggerRegistry:
         batch = self._batches.begin(world, due, stamp)
         due_now = frozenset(due)
         for trigger in triggers:
+            if trigger in batch.standing:
+                trigger.count_evaluation()
+                if trigger.config.interval:
+                    trigger.reschedule(self._worlds_of(trigger))
+                continue
             # An earlier callback or program may have changed what is due.
             if batch.is_doubtful:
                 is_due = self._is_due(trigger, world, self._names.stamp)
             else:
                 is_due = trigger in due_now and not trigger.paused
-            if not is_due or trigger.removed:
-                continue
-            if batch.stands(trigger):
-                trigger.count_evaluation()
-                if trigger.config.interval:
-                    trigger.reschedule(self._worlds_of(trigger))
-            else:
+            if is_due and not trigger.removed:
                 self._evaluate(trigger, batch)
 
     def episode_began(self, world: World) -> None:
@@ -320,7 +320,7 @@ class TriggerRegistry:
                 return
             if delivery is not None:
                 if batch is not None:
-                    batch.is_doubtful = True
+                    batch.doubt()
                 self._fire(trigger, delivery)
         finally:
             trigger.end()
@@ -352,7 +352,7 @@ class TriggerRegistry:
         trigger.dependencies = dependencies
         self._batches.note(trigger, worlds, key, tick)
         if batch is not None:
-            batch.is_doubtful = True
+            batch.doubt()
         return trigger.deliverable(result, self._observe(trigger))
 
     def _dependencies_of(self, trigger: Trigger) -> Any:

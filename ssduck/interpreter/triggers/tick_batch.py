@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -52,12 +52,15 @@ class _DueFormulas:
         for formula in formulas:
             by_shape.setdefault(formula.shape, []).append(formula)
         self._last: list[Any] = []
+        # The triggers whose last results still hold; None if that is to be found out.
+        self.standing: frozenset[Trigger] | None = None
         self._groups = [
             FormulaGroup(formulas, world.snapshot, self._shapes) for formulas in by_shape.values()
         ]
 
     def evaluate(self) -> None:
         """Evaluates the formulas at the tick of their world, as far as they can be together."""
+        standing, self.standing = self.standing, None
         self._world.ticker.pin(self._tables, is_settled=False)
         try:
             snapshot = self._world.snapshot
@@ -69,10 +72,13 @@ class _DueFormulas:
             has_moved = before != self._last
             for group in list(self._groups):
                 try:
-                    group.evaluate(snapshot, has_moved=has_moved)
+                    if group.evaluate(snapshot, has_moved=has_moved):
+                        standing = None
                 except LeftToDuckDBError:
+                    standing = None
                     if len(group.formulas) > 1:
                         self._split(group, snapshot)
+            self.standing = standing
         finally:
             self._world.ticker.unpin()
 
@@ -128,7 +134,7 @@ class TriggerBatches:
         with self._execution.lock, suppress(SelectScriptError), np.errstate(all="ignore"):
             if last.by_trigger and not self._execution.is_running:
                 last.evaluate()
-        return TickBatch(self, world, last.by_trigger)
+        return TickBatch(self, world, last)
 
     def note(
         self,
@@ -160,6 +166,10 @@ class TriggerBatches:
     def forget(self, trigger: Trigger) -> None:
         """Forgets what a program means."""
         trigger.meaning = None
+        self.regroup()
+
+    def regroup(self) -> None:
+        """Groups the formulas anew at the next tick."""
         self._generation += 1
 
     def release_worlds(self) -> None:
@@ -222,23 +232,29 @@ class TriggerBatches:
 class TickBatch:
     """The triggers that are due in a world at a tick, whose formulas were evaluated together."""
 
-    def __init__(
-        self, batches: TriggerBatches, world: World, formulas: Mapping[Trigger, Formula]
-    ) -> None:
+    def __init__(self, batches: TriggerBatches, world: World, due: _DueFormulas) -> None:
         # Whether variables, functions and worlds may have changed meanwhile.
         self.is_doubtful = False
-        self._batches, self._world, self._formulas = batches, world, formulas
-        self._tick = world.snapshot.number
+        self._batches, self._world, self._due = batches, world, due
+        if due.standing is None:
+            number = world.snapshot.number
+            due.standing = frozenset(
+                trigger
+                for trigger, formula in due.by_trigger.items()
+                if formula.is_evaluated_at(number) and trigger.stands(formula.key)
+            )
+        # The triggers of which another evaluation would change nothing.
+        self.standing = due.standing
 
-    def stands(self, trigger: Trigger) -> bool:
-        """Checks whether another evaluation of a trigger would change nothing."""
-        formula = self._formulas.get(trigger)
-        is_known = formula is not None and formula.is_evaluated_at(self._tick)
-        return is_known and not self.is_doubtful and trigger.stands(formula.key)  # type: ignore[union-attr]
+    def doubt(self) -> None:
+        """Notes that a program or a callback ran, which may have changed anything."""
+        self.is_doubtful, self.standing = True, frozenset()
+        self._due.standing = None
 
     def result(self, trigger: Trigger) -> tuple[Any] | None:
         """Returns the result of a trigger, in a tuple; None if it has to be evaluated by itself."""
-        formula, meaning = self._formulas.get(trigger), trigger.meaning
+        self._due.standing = None
+        formula, meaning = self._due.by_trigger.get(trigger), trigger.meaning
         number = self._world.snapshot.number
         if formula is None or meaning is None or not formula.is_evaluated_at(number):
             return None
