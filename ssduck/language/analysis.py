@@ -52,12 +52,15 @@ def cached_by_node(function: Callable[[Node], T]) -> Callable[[Node], T]:
 
     @wraps(function)
     def cached(node: Node) -> T:
-        if node not in result:
-            parts = [node]
-            for part in parts:  # the loop appends to the list
-                parts.extend(child for child in part.children() if child not in result)
-            for part in reversed(parts):
-                result[part] = function(part)
+        try:
+            return result[node]
+        except KeyError:
+            pass
+        parts = [node]
+        for part in parts:  # the loop appends to the list
+            parts.extend(child for child in part.children() if child not in result)
+        for part in reversed(parts):
+            result[part] = function(part)
         return result[node]
 
     return cached
