@@ -11,7 +11,7 @@ from ssduck.formatting import joined_names, short_repr
 from ssduck.gym.terms import CONDITIONS, Judgement, Term, Terms, compiled, is_nan
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.over_time.each_tick import ExpressionsAtTicks, JudgedFolds
-from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, parts_of
+from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, expressions_of, parts_of
 from ssduck.interpreter.program import CompiledProgram
 from ssduck.language.tree import (
     Call,
@@ -171,7 +171,7 @@ class Judge:
                     self._over_time.setdefault(name, (term, f"a query of {self._world}{{…}}"))
             if not (isinstance(call, Call) and call.name in TEMPORAL_FUNCTIONS and call.arguments):
                 continue
-            nodes = list(parts_of(call)[0].walk())
+            nodes = [part for one in expressions_of(call) for part in one.walk()]
             names = {node.name for node in nodes if isinstance(node, Name)}
             variables = names & (self._whole | self._element_names)
             if (
@@ -343,7 +343,8 @@ class Judge:
         return ""
 
     def _tree(self, text: str) -> Node:
-        return compiled(self._interpreter, "term", text).tree.statements[0]
+        tree = compiled(self._interpreter, "term", text).tree.statements[0]
+        return self._interpreter._execution.expanded(tree)  # noqa: SLF001  # one package
 
     def _expanded(self, term: Term) -> str:
         """Returns the text of a term with the conditions that it names, and elements of lists."""

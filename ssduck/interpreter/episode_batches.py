@@ -60,7 +60,7 @@ def _reads_present(node: Node) -> bool:
         form = TEMPORAL_FUNCTIONS.get(node.name)
         if form is not None:
             _, other = parts_of(node)
-            return form.expansion is not None or (other is not None and _reads_present(other))
+            return other is not None and _reads_present(other)
         is_of_values = node.name in BUILTINS or node.name in RELATIONS_OF_INTERVALS
         if not is_of_values:
             return True

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -27,9 +28,11 @@ from ssduck.errors import (
 from ssduck.interpreter.lint.linter import Linter
 from ssduck.interpreter.namespace import Namespace
 from ssduck.interpreter.over_time.evaluator import TemporalEvaluator
-from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, parts_of
+from ssduck.interpreter.over_time.expansions import expanded
+from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, is_fold, parts_of
 from ssduck.interpreter.over_time.live import LiveFolds
-from ssduck.interpreter.over_time.series import TickSeries
+from ssduck.interpreter.over_time.nested import NestedExpressions, is_nested
+from ssduck.interpreter.over_time.series import TickColumns, TickSeries
 from ssduck.interpreter.planner import Planner
 from ssduck.interpreter.sources import check_tick
 from ssduck.language.analysis import with_overrides
@@ -42,7 +45,7 @@ from ssduck.language.sql_readings import SqlReader
 from ssduck.language.tree import Call, Node, Placeholder, Program, Query
 from ssduck.language.value_history import LazyList
 from ssduck.limits import Limits, UsageMeter
-from ssduck.recording.replay.past import pin_to_common_tick
+from ssduck.recording.replay.past import Past, common_moment, pin_to_common_tick
 from ssduck.sql.explain import explained, in_dialect
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.world.handles import Handle, Link
@@ -88,6 +91,7 @@ class Execution(Namespace):
         )
         self.planner = Planner(database, self, limits, row_by_row=row_by_row)
         self.temporal = TemporalEvaluator()
+        self.nested = NestedExpressions(self._series, self.temporal.names_entities)
         self.folds = LiveFolds(
             self, self.planner, self.tables_read, database.is_recorded, database.record_of
         )
@@ -161,13 +165,21 @@ class Execution(Namespace):
         self._override_cache.clear()
 
     def _with_overrides(self, program: Program) -> Program:
-        """Returns the program with users' functions in the place of those they override."""
-        if not self.overrides:
-            return program
+        """Returns the program with users' functions in the place of those they override.
+
+        It has expressions in place of the functions that stand for these.
+        """
         overridden = self._override_cache.get(program)
         if overridden is None:
-            overridden = self._override_cache[program] = with_overrides(program, self.overrides)
+            overridden = with_overrides(program, self.overrides) if self.overrides else program
+            nodes = tuple(map(self.expanded, overridden.statements))
+            overridden = replace(overridden, statements=nodes)
+            self._override_cache[program] = overridden
         return overridden
+
+    def expanded(self, node: Node) -> Node:
+        """Returns a part with expressions in place of the functions that stand for these."""
+        return expanded(node, self.check_call)
 
     def read(self, program: Program) -> Program:
         """Returns a program as the present variables and functions give it its meaning."""
@@ -304,23 +316,44 @@ class Execution(Namespace):
 
     def over_time(self, node: Call, frame: Frame) -> Any:
         """Returns the value of a call whose argument is evaluated at each recorded tick."""
-        expansion = self.temporal.expansion(node)
-        if expansion is not None:
-            return frame.value(expansion)
-        _, other = parts_of(node)
-        age = None if other is None else frame.value(other)
-        series = partial(self.series, node, frame)
         form = TEMPORAL_FUNCTIONS[node.name]
-        is_fold = form.fold is not None and other is None and self.temporal.reader is None
-        is_fold = is_fold and self.folds.takes(node, frame)
-        needs_tables = not (is_fold and self.folds.need_no_tables(node))
-        with self.worlds_pinned(node, is_settled=needs_tables):
-            if is_fold:
-                return self.folds.value(node, form, series)
-            return form.make(series(), None if age is None else validation.seconds(age))
+        other = None if form.operator else parts_of(node)[1]
+        age = None if other is None else frame.value(other)
+        age = None if age is None else validation.seconds(age)
+
+        def of_record(series: TickSeries) -> Any:
+            if form.make is None:
+                return self.nested.verdict(node, series.record, frame)
+            return form.make(series, age)
+
+        series = partial(self.series, node, frame)
+        folds = is_fold(node) and self.temporal.reader is None and self.folds.takes(node, frame)
+        with self.worlds_pinned(node, is_settled=not (folds and self.folds.need_no_tables(node))):
+            if not folds:
+                return of_record(series())
+            fold = form.fold or self.nested.fold(node, frame, lambda: series().record)
+            return self.folds.value(node, fold, series, of_record)
 
     def series(self, node: Call, frame: Frame) -> TickSeries:
-        """Returns the values of the expression in such a call; the caller pins the worlds."""
+        """Returns the values of the expression in such a call; the caller pins the worlds.
+
+        Of an operator, it is that of its first one.
+        """
+        expression, _ = parts_of(node)
+        if TEMPORAL_FUNCTIONS[node.name].operator is None and not is_nested(expression):
+            return self._series(node, frame)
+        record = self.database.record_of(self.temporal.world_of(node, frame))
+        moment = common_moment(record.world, (), frame.own_elements())
+
+        def columns(past: Past) -> TickColumns:
+            of_all = self.nested.columns(expression, record, frame)
+            return of_all.between(past.first, past.last)
+
+        now = None if moment is None else moment.tick
+        return TickSeries(record, columns, expression, None, now)
+
+    def _series(self, node: Call, frame: Frame) -> TickSeries:
+        """Returns the values of an expression that a query reads, tick by tick."""
 
         def rows(query: Query, placeholders: dict[str, Any]) -> Sequence[Sequence[Any]]:
             frame = Frame(self, placeholders=placeholders)

@@ -18,6 +18,7 @@ from ssduck.errors import ArgumentError, LimitError, UnknownNameError, nearest, 
 from ssduck.formatting import name_path, short_repr
 from ssduck.interpreter.link_functions import LINK_FUNCTIONS, mentions_links
 from ssduck.interpreter.output import help_of_result_form, help_of_result_forms
+from ssduck.interpreter.over_time.expansions import EXPANSIONS
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS
 from ssduck.interpreter.sources import worlds_in
 from ssduck.language.analysis import (
@@ -98,6 +99,7 @@ class Namespace:
         self.functions.update((command.name, command) for command in self._commands())
         self.functions.update(LINK_FUNCTIONS)
         self.functions.update((name, form.function) for name, form in TEMPORAL_FUNCTIONS.items())
+        self.functions.update((name, form.function) for name, form in EXPANSIONS.items())
         for name, allen in RELATIONS_OF_INTERVALS.items():
             if name not in RELATIONS:
                 self.functions[name] = allen.function

@@ -153,7 +153,7 @@ def _of_expression(execution: Execution, node: Node, frame: Frame) -> TickPlan:
     call = Call(node.span, "the last value", (node,), node.span)
     if isinstance(node, Call) and node.name in TEMPORAL_FUNCTIONS:
         form = TEMPORAL_FUNCTIONS[node.name]
-        if form.expansion is not None or not form.is_in_lakes:
+        if not form.is_in_lakes:
             raise _unsupported(node.name, node)
         function, call, age = node.name, node, None
         if len(node.arguments) > 1:

@@ -34,11 +34,24 @@ T = TypeVar("T")
 
 # Calls with side effects or hidden inputs; they are evaluated row by row, in order.
 IMPURE = frozenset(("print", "eval", "clear"))
+# The operators of temporal logic, by the number of their conditions.
+TEMPORAL_OPERATORS = {
+    "always": 1,
+    "eventually": 1,
+    "until": 2,
+    "historically": 1,
+    "once": 1,
+    "heldSince": 2,
+}
+# In front of the name of such an operator whose conditions are given by their margins.
+OF_MARGINS = "robustness of "
 # Calls whose argument is evaluated at each recorded tick (ssduck.interpreter.over_time.functions).
 OVER_TIME = frozenset(
     (
-        *("since", "heldFor", "holds", "changes", "initially", "lifted", "least", "greatest"),
+        *("since", "heldFor", "holds", "changes", "initially", "least", "greatest"),
         *("previous", "rate", "at"),
+        *TEMPORAL_OPERATORS,
+        *(OF_MARGINS + name for name in TEMPORAL_OPERATORS),
     )
 )
 

@@ -356,7 +356,11 @@ class _Parser(SqlForms):
 
     def expression(self) -> Node:
         self.descend()
+        start = self.here()
         node = self.operation(0)
+        if self.take_words("IMPLIES"):  # looser than OR, and right-associative
+            denied = Unary(node.span, "NOT", node)
+            node = Binary(self.since(start), "OR", denied, self.expression())
         self.depth -= 1
         return node
 

@@ -38,6 +38,10 @@ TERMS = [
     "heldFor(inContact(sim.ball, sim.world))",
     "lifted(sim.ball, -0.05)",
     "heldFor(z(sim.ball) < 0.2) > 0.05 OR rate(z(sim.ball)) > 1.0",
+    "once(z(sim.ball) < limit, 0.01, 0.05)",
+    "historically(near(sim.ball, sim.box, 0.35), 0, 0.04)",
+    "heldSince(z(sim.ball) < limit, once(z(sim.ball) > 0.4, 0, 0.02))",
+    "heldFor(heldFor(z(sim.ball) < 0.4) > 0.03)",
 ]
 # What is made from the record at each tick: masses are recorded once, what a function of the user's
 # gives may change, and the others depend on a row or on a tick of the past.
@@ -47,7 +51,12 @@ OF_THE_RECORD = [
     "SELECT heldFor(z(this) < 0.2) FROM sim AS list",
     "heldFor(z(sim{0.0}.ball) < z(sim.ball))",
 ]
-FOLDS = {name for name, form in TEMPORAL_FUNCTIONS.items() if form.fold is not None}
+FOLDS = {
+    name
+    for name, form in TEMPORAL_FUNCTIONS.items()
+    if not form.of_margins
+    and (form.fold is not None or (form.operator is not None and not form.looks_ahead))
+}
 STEPS = ("tick", "tick", "tick", "ask", "same time", "limit", "reset", "lift", "nan")
 FRESH = count()
 
@@ -117,7 +126,8 @@ def act(scene, step):
 
 def test_each_function_without_an_age_is_a_fold():
     with_age = {name for name, form in TEMPORAL_FUNCTIONS.items() if form.arguments[1] > 1}
-    assert with_age - FOLDS == {"holds", "changes", "lifted", "at"}
+    operators = {name for name, form in TEMPORAL_FUNCTIONS.items() if form.operator is not None}
+    assert with_age - FOLDS - operators == {"holds", "changes", "at"}
     assert {term.partition("(")[0] for term in TERMS} >= FOLDS
 
 

@@ -45,6 +45,7 @@ class BatchExpressions:
         # The variables that have a value for each environment.
         self._arrays: set[str] = set()
         # The expressions, with placeholders for what arrays provide.
+        nodes = [execution.expanded(node) for node in nodes]
         self.substituted = [node.replaced(self._replacement) for node in nodes]
         parts = (part for node in self.substituted for part in node.walk())
         self._read = {part.name for part in parts if isinstance(part, Placeholder)}
@@ -82,9 +83,6 @@ class BatchExpressions:
 
     def _fold(self, call: Call) -> Node:
         """Returns the placeholder of a function of time."""
-        expansion = self._execution.temporal.expansion(call)
-        if expansion is not None:
-            return expansion.replaced(self._replacement)
         expression, other = parts_of(call)
         if other is not None:
             raise UnsupportedError(

@@ -19,10 +19,10 @@ from sqlglot import exp
 from ssduck.columns.arrays import Array, ArrayOperations, ArrayValues
 from ssduck.columns.compiler import Compiler, Compute, Expression, Kind, LeftToDuckDBError
 from ssduck.columns.selects import PLAIN
+from ssduck.columns.trees import TreeCompiler, kind_of
 from ssduck.geometry.arrays import Flags
 from ssduck.interpreter.batches.columns import CHANGING, EnvironmentColumns
 from ssduck.interpreter.batches.kernels import EnvironmentShapes, kernels_of
-from ssduck.interpreter.batches.trees import TreeCompiler, kind_of
 from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.over_time.live import select_of
 from ssduck.interpreter.query_runner import PlannedQuery

@@ -13,7 +13,13 @@ from typing import Any
 
 from ssduck.errors import SelectScriptError, UnsupportedError
 from ssduck.interpreter.interpreter import Interpreter
-from ssduck.interpreter.over_time.functions import OF_VALUES, TEMPORAL_FUNCTIONS, parts_of
+from ssduck.interpreter.over_time.functions import (
+    OF_VALUES,
+    TEMPORAL_FUNCTIONS,
+    expressions_of,
+    is_fold,
+    parts_of,
+)
 from ssduck.language.analysis import IMPURE
 from ssduck.language.builtins import BUILTINS
 from ssduck.language.evaluator import Frame
@@ -44,7 +50,8 @@ class ExpressionsAtTicks:
         self._execution = interpreter._execution  # noqa: SLF001  # one package
         self._world, self._variables = world, variables
         self._series: dict[str, Call] = {}
-        self._trees = [self._of_values(expression) for expression in expressions]
+        expand = self._execution.expanded
+        self._trees = [self._of_values(expand(expression)) for expression in expressions]
 
     def _of_values(self, node: Node) -> Node:
         """Returns an expression with placeholders for what differs from tick to tick."""
@@ -62,9 +69,6 @@ class ExpressionsAtTicks:
 
     def _fold(self, call: Call) -> Node:
         """Returns what stands for a call of a function of time."""
-        expansion = self._execution.temporal.expansion(call)
-        if expansion is not None:
-            return self._of_values(expansion)
         expression, other = parts_of(call)
         is_fold = TEMPORAL_FUNCTIONS[call.name].fold is not None and other is None
         if not (is_fold and self._is_of_entities(expression)):
@@ -143,7 +147,8 @@ class JudgedFolds:
     ) -> None:
         self._execution = interpreter._execution  # noqa: SLF001  # one package
         self._variables = frozenset(variables)
-        found = [part for expression in expressions for part in self._temporal(expression)]
+        trees = map(self._execution.expanded, expressions)
+        found = [part for tree in trees for part in self._temporal(tree)]
         self._calls = [part for part in found if isinstance(part, Call) and self._is_fold(part)]
         # Whether an expression needs the record of past ticks.
         self.need_record = len(self._calls) < len(found)
@@ -155,8 +160,9 @@ class JudgedFolds:
         if isinstance(node, TimeIndex):
             yield node
         if isinstance(node, Call) and node.name in TEMPORAL_FUNCTIONS:
-            expansion = self._execution.temporal.expansion(node)
-            yield from [node] if expansion is None else self._temporal(expansion)
+            yield node
+            for part in expressions_of(node):
+                yield from self._temporal(part)
         elif isinstance(node, Query):  # of rows
             yield from (part for part in node.walk() if _reads_past(part))
         else:
@@ -165,13 +171,13 @@ class JudgedFolds:
 
     def _is_fold(self, call: Call) -> bool:
         """Checks whether the value at a tick follows from that at the tick before."""
-        if TEMPORAL_FUNCTIONS[call.name].fold is None:
+        if not is_fold(call):
             return False
-        expression, other = parts_of(call)
-        names = {part.name for part in expression.walk() if isinstance(part, Name)}
-        whole = expression.base if isinstance(expression, Index) else expression
-        if other is not None or isinstance(whole, Name | QualifiedName):
-            return False  # an entity at the tick before has to be read there
+        names = {part.name for part in call.walk() if isinstance(part, Name)}
+        for expression in expressions_of(call):
+            whole = expression.base if isinstance(expression, Index) else expression
+            if isinstance(whole, Name | QualifiedName):
+                return False  # an entity at the tick before has to be read there
         is_simple = self._execution.folds.takes(call, Frame(self._execution))
         return is_simple and names.isdisjoint(self._variables)
 

@@ -16,7 +16,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from ssduck.errors import ArgumentError, LimitError, SelectScriptError, UnsupportedError
-from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, parts_of
+from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, expressions_of, parts_of
 from ssduck.interpreter.over_time.series import ColumnsOf, TickColumns, TickSeries
 from ssduck.language.analysis import free_aliases
 from ssduck.language.builtins import BUILTINS, EXTREMES
@@ -73,14 +73,6 @@ class TemporalEvaluator:
         # Reads the values of expressions; None to read those of the requested ticks only.
         self.reader: SeriesReader | None = None
         self._queries: WeakKeyDictionary[Node, dict[Any, Query]] = WeakKeyDictionary()
-        self._expansions: WeakKeyDictionary[Node, Node] = WeakKeyDictionary()
-
-    def expansion(self, call: Call) -> Node | None:
-        """Returns the expression for which a call stands; None for a series of its own."""
-        expand = TEMPORAL_FUNCTIONS[call.name].expansion
-        if expand is not None and call not in self._expansions:
-            self._expansions[call] = expand(call)
-        return self._expansions.get(call)
 
     def series(
         self,
@@ -143,12 +135,21 @@ class TemporalEvaluator:
         past = past_of(record_of(world), None)
         return self._query(call, places, handles), _placeholders(values, handles, past)
 
+    def world_of(self, call: Call, frame: Frame) -> World:
+        """Returns the world of the entities in the expressions of a call."""
+        return self._given(call, frame)[1]
+
+    def names_entities(self, node: Node, frame: Frame) -> bool:
+        """Checks whether a part of an expression names an entity."""
+        call = Call(node.span, "changes", (node,), node.span)
+        return any(isinstance(frame.value(place), Handle) for place in _places(node, call))
+
     def _given(
         self, call: Call, frame: Frame
     ) -> tuple[list[Node], World, list[Any], tuple[bool, ...]]:
         """Returns the places of entities, their world, the values, and which follow the ticks."""
         expression, _ = parts_of(call)
-        places = list(_places(expression, call))
+        places = [place for part in expressions_of(call) for place in _places(part, call)]
         values = [frame.value(place) for place in places]
         # An entity of a row of the past follows the ticks; that of `sim{0.0}.cup` stays at its own.
         handles = tuple(

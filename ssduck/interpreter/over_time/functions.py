@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from operator import gt, lt
 from typing import Any, TypeAlias
@@ -14,6 +14,7 @@ import numpy.typing as npt
 from ssduck.errors import ArgumentError
 from ssduck.formatting import short_repr
 from ssduck.interpreter.over_time.series import TickSeries
+from ssduck.language.analysis import OF_MARGINS, TEMPORAL_OPERATORS
 from ssduck.language.builtins import Function
 from ssduck.language.intervals import changes_of, intervals_of
 from ssduck.language.operators import apply
@@ -28,6 +29,9 @@ from ssduck.language.tree import (
     OperatorChain,
     Unary,
 )
+from ssduck.logic import traces
+from ssduck.logic.stepwise import HeldSince
+from ssduck.logic.traces import Trace, Window
 
 # Parts of a program that are computed from values alone, if their own parts are.
 OF_VALUES = (Literal, ListLiteral, Unary, Binary, OperatorChain, Branch, If)
@@ -55,28 +59,55 @@ class TemporalFunction:
     """A function whose first argument is evaluated at each tick."""
 
     name: str
-    # The function that computes its value from a series of ticks and an age.
-    make: Callable[[TickSeries, Any], Any]
+    # The function that computes its value from a series of ticks and an age; None of an operator.
+    make: Callable[[TickSeries, Any], Any] | None
     about: str  # its description for help
     usage: str  # its signature for help
-    # The function that returns the expression for which a call stands, of a function that is no
-    # series of its own.
-    expansion: Callable[[Call], Node] | None = None
     arguments: tuple[int, int] = (1, 2)  # the least and the largest number of arguments
     expression: int = 0  # the place of the expression among the arguments
     fold: Fold | None = None  # the fold over all ticks that it is without an age, if it is one
     is_in_lakes: bool = True  # whether it is evaluated over the episodes of a lake by one statement
+    # The operator of temporal logic that it is: it takes the traces of its conditions, and a
+    # window. None for another function.
+    operator: Callable[..., Trace] | None = None
+    looks_ahead: bool = False  # whether the operator depends on later ticks
+    of_margins: bool = False  # whether it takes and returns the margins of its conditions
+    conditions: int = 1  # the number of its expressions
 
     @property
     def function(self) -> Function:
         """The entry for help; it is never called."""
-        help_text = f"{self.about}\nUsage: {self.usage}"
-        return Function(self.name, lambda *_: None, help_text, *self.arguments, builtin=True)
+        return never_called(self.name, self.about, self.usage, *self.arguments)
+
+
+def never_called(name: str, about: str, usage: str, least: int, most: int) -> Function:
+    """Returns the entry for help of a function that is not called with values."""
+    help_text = f"{about}\nUsage: {usage}"
+    return Function(name, lambda *_: None, help_text, least, most, builtin=True)
+
+
+def expressions_of(call: Call) -> tuple[Node, ...]:
+    """Returns the expressions of a call that are evaluated at ticks."""
+    form = TEMPORAL_FUNCTIONS[call.name]
+    return call.arguments[form.expression : form.expression + form.conditions]
+
+
+def is_fold(call: Call) -> bool:
+    """Checks whether the value of a call at a tick follows from that at the tick before.
+
+    That is so of a function of all ticks without an age, and of an operator that looks back.
+    """
+    form = TEMPORAL_FUNCTIONS[call.name]
+    if form.operator is not None:
+        return not form.looks_ahead
+    return form.fold is not None and len(call.arguments) == 1
 
 
 def parts_of(call: Call) -> tuple[Node, Node | None]:
     """Returns the expression of a call that is evaluated at ticks, and the other argument."""
     form = TEMPORAL_FUNCTIONS.get(call.name)
+    if form is not None and form.operator is not None:
+        return call.arguments[0], None
     place = 0 if form is None else form.expression
     others = [part for number, part in enumerate(call.arguments) if number != place]
     return call.arguments[place], others[0] if others else None
@@ -184,15 +215,6 @@ def _at(series: TickSeries, time: Any) -> Any:
     return series.at(series.past(time))[1].tolist()[-1]
 
 
-def _lifted(call: Call) -> Node:
-    """Returns z(entity) - initially(z(entity)) >= height for lifted(entity, height)."""
-    span = call.span
-    entity, height = call.arguments
-    z = Call(entity.span, "z", (entity,), entity.span)
-    rise = Binary(span, "-", z, Call(span, "initially", (z,), span))
-    return Binary(span, ">=", rise, height)
-
-
 def _least(series: TickSeries, age: Any) -> list[Any] | None:
     if series.least_clearance is not None:
         past = series.whole(age)
@@ -251,6 +273,88 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not math.isnan(value)
 
 
+def looking_back(name: str, window: Window, traces_of: Callable[[], Sequence[Trace]]) -> Fold:
+    """Returns the fold that an operator of conditions at earlier ticks is.
+
+    A state has two bounds of the margin, which differ if something is unknown. The margin of a
+    truth value is 1 or -1.
+
+    Args:
+        name: the name of the operator.
+        window: its window.
+        traces_of: returns the traces of its conditions at all recorded ticks.
+    """
+    form = TEMPORAL_FUNCTIONS[name]
+    sign = -1.0 if name.endswith("historically") else 1.0
+
+    def bounds(value: Any) -> list[tuple[float, float]]:
+        values = value if form.conditions == 2 and value is not None else (value,) * form.conditions
+        margins = [_bounds_of(one, sign, of_margins=form.of_margins) for one in values]
+        return list(zip(*(margins if form.conditions == 2 else [_HOLDS, *margins]), strict=True))
+
+    def begin(_: TickSeries) -> list[HeldSince]:
+        traces = traces_of()
+        return [
+            HeldSince.of(window, traces[0].times, held, start)
+            for held, start in zip(*_arrays_of(traces, sign), strict=True)
+        ]
+
+    def first(time: float, value: Any) -> list[HeldSince]:
+        return [HeldSince(window).step(time, *bound) for bound in bounds(value)]
+
+    def step(state: list[HeldSince], time: float, value: Any) -> list[HeldSince]:
+        return [one.step(time, *bound) for one, bound in zip(state, bounds(value), strict=True)]
+
+    def value(state: list[HeldSince], _: float) -> Any:
+        low, high = (sign * one.margin for one in state)
+        return None if low != high else low if form.of_margins else low > 0.0
+
+    return Fold(first, begin, step, value)
+
+
+_HOLDS = (math.inf, math.inf)
+
+
+def _bounds_of(value: Any, sign: float, *, of_margins: bool) -> tuple[float, float]:
+    """Returns the bounds of the margin of a value."""
+    if value is None:
+        return -math.inf, math.inf
+    margin = sign * (value if of_margins else 1.0 if value else -1.0)
+    return margin, margin
+
+
+def _arrays_of(traces: Sequence[Trace], sign: float) -> list[list[npt.NDArray[Any]]]:
+    """Returns the bounds of the margins of a condition that is to hold, and of its start."""
+    margins = [trace.margins if sign > 0.0 else (~trace).margins for trace in traces]
+    both = [[one.low, one.high] for one in margins]
+    endless = np.full(len(traces[0].times), np.inf)
+    return both if len(both) == 2 else [[endless, endless], *both]
+
+
+def _operator(
+    name: str,
+    operator: Callable[..., Trace],
+    about: str,
+    *,
+    looks_ahead: bool = False,
+    other: str = "",
+) -> TemporalFunction:
+    """Returns an operator of temporal logic, of one condition or of two."""
+    conditions = TEMPORAL_OPERATORS[name]
+    arguments = f"condition, {other}" if other else "condition"
+    return TemporalFunction(
+        name,
+        None,
+        about,
+        f"{name}({arguments}[, from, to]) -> bool",
+        arguments=(conditions, conditions + 2),
+        is_in_lakes=False,
+        operator=operator,
+        looks_ahead=looks_ahead,
+        conditions=conditions,
+    )
+
+
 _SINCE = Fold(_since_first, lambda series: _since(series, None), _since_step, is_of_condition=True)
 _LAST_TWO = Fold(_first_two, _last_two, _next_two, _rate_of, reach=2)
 TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
@@ -305,15 +409,6 @@ TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
             ),
         ),
         TemporalFunction(
-            "lifted",
-            _initially,
-            "Checks if an entity is higher by so many metres than at the first recorded tick: "
-            "z(entity) - initially(z(entity)) >= height.",
-            "lifted(entity, height) -> bool",
-            _lifted,
-            arguments=(2, 2),
-        ),
-        TemporalFunction(
             "previous",
             _previous,
             "Returns the value of an expression at the last recorded tick before the current time: "
@@ -362,5 +457,55 @@ TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
             "greatest(expression[, age]) -> list",
             fold=_extreme_fold("greatest", _greatest, gt),
         ),
+        _operator(
+            "always",
+            traces.always,
+            "Checks if a condition holds at all recorded ticks from `from` to `to` seconds after "
+            "the tick; without them, at all ticks from there on. At an expression's outermost "
+            "level the tick is the first one of the episode; nothing while that is not decided.",
+            looks_ahead=True,
+        ),
+        _operator(
+            "eventually",
+            traces.eventually,
+            "Checks if a condition holds at some recorded tick from `from` to `to` seconds after "
+            "the tick; without them, at some tick from there on. At an expression's outermost "
+            "level the tick is the first one of the episode; nothing while that is not decided.",
+            looks_ahead=True,
+        ),
+        _operator(
+            "until",
+            traces.until,
+            "Checks if a goal holds at some recorded tick from `from` to `to` seconds after the "
+            "tick, and a condition at all ticks before that. At an expression's outermost level "
+            "the tick is the first one of the episode; nothing while that is not decided.",
+            looks_ahead=True,
+            other="goal",
+        ),
+        _operator(
+            "historically",
+            traces.historically,
+            "Checks if a condition held at all recorded ticks of the time from `to` to `from` "
+            "seconds ago; without them, at all ticks until now.",
+        ),
+        _operator(
+            "once",
+            traces.once,
+            "Checks if a condition held at some recorded tick of the time from `to` to `from` "
+            "seconds ago, as in once(touching(cup, hand), 0, 5); without them, at some tick until "
+            "now.",
+        ),
+        _operator(
+            "heldSince",
+            traces.held_since,
+            "Checks if a condition has held at all recorded ticks after one at which another held, "
+            "from `to` to `from` seconds ago; without them, at any tick until now.",
+            other="start",
+        ),
     )
+}
+TEMPORAL_FUNCTIONS |= {
+    OF_MARGINS + name: replace(form, name=OF_MARGINS + name, of_margins=True)
+    for name, form in TEMPORAL_FUNCTIONS.items()
+    if form.operator is not None
 }

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 from weakref import ReferenceType, WeakKeyDictionary, ref
@@ -25,7 +26,12 @@ from ssduck.errors import (
     SelectScriptError,
     UnknownNameError,
 )
-from ssduck.interpreter.over_time.functions import Fold, TemporalFunction, parts_of
+from ssduck.interpreter.over_time.functions import (
+    TEMPORAL_FUNCTIONS,
+    Fold,
+    expressions_of,
+    is_fold,
+)
 from ssduck.interpreter.over_time.series import TickSeries, is_true
 from ssduck.interpreter.planner import Planner
 from ssduck.language.analysis import free_aliases
@@ -95,6 +101,7 @@ class LiveFolds:
         self._keys: WeakKeyDictionary[Call, tuple[str, tuple[str, ...]]] = WeakKeyDictionary()
         # Whether the expression of a call is the same at the present tick and in the record.
         self._are_simple: WeakKeyDictionary[Call, bool] = WeakKeyDictionary()
+        self._inner_calls: WeakKeyDictionary[Call, list[Call]] = WeakKeyDictionary()
         self._queries: dict[str, Query] = {}
         self._folded: dict[str, _Folded] = {}
 
@@ -104,7 +111,9 @@ class LiveFolds:
         if frame.local or frame.placeholders or has_rows:
             return False
         if call not in self._are_simple:
-            self._are_simple[call] = not free_aliases(call) and self._is_simple(parts_of(call)[0])
+            expressions = expressions_of(call)
+            is_simple = not free_aliases(call) and all(map(self._is_simple, expressions))
+            self._are_simple[call] = is_simple
         return self._are_simple[call]
 
     def misses(self, call: Call) -> bool:
@@ -121,10 +130,21 @@ class LiveFolds:
         is_planned = query is not None and self._planner.may_repeat(query)
         return is_planned and self._unrecorded_world(call) is not None
 
-    def value(self, call: Call, form: TemporalFunction, series_of: Callable[[], TickSeries]) -> Any:
-        """Returns the value of a call at the present tick; the caller pins the worlds."""
-        fold = form.fold
-        assert fold is not None
+    def value(
+        self,
+        call: Call,
+        fold: Fold,
+        series_of: Callable[[], TickSeries],
+        of_record: Callable[[TickSeries], Any],
+    ) -> Any:
+        """Returns the value of a call at the present tick; the caller pins the worlds.
+
+        Args:
+            call: the call.
+            fold: what it is of all ticks.
+            series_of: returns the recorded ticks.
+            of_record: returns the value from the record alone.
+        """
         world = self._unrecorded_world(call)
         if world is not None:
             folded = self._unrecorded(call, world, fold)
@@ -134,7 +154,7 @@ class LiveFolds:
                 series = series_of()
                 known = self._made(call, series, fold)
                 if known is None:
-                    return form.make(series, None)
+                    return of_record(series)
             folded = known
         self._cache(call, folded)
         if folded.failure is not None:
@@ -145,7 +165,7 @@ class LiveFolds:
 
     def _key(self, call: Call) -> tuple[str, tuple[str, ...]]:
         if call not in self._keys:
-            self._keys[call] = node_key(call), _names_in(parts_of(call)[0])
+            self._keys[call] = node_key(call), _names_in(call)
         return self._keys[call]
 
     def _last(self, call: Call) -> _Folded | None:
@@ -275,7 +295,9 @@ class LiveFolds:
                 failure = None
         try:
             value = self._present(call, world)
-            state = stepped(is_true(value, parts_of(call)[0]) if fold.is_of_condition else value)
+            if fold.is_of_condition:
+                value = is_true(value, expressions_of(call)[0])
+            state = stepped(value)
         except LimitError:
             raise
         except SelectScriptError as error:
@@ -288,21 +310,35 @@ class LiveFolds:
         )
 
     def _present(self, call: Call, world: World) -> Any:
-        """Returns the value of a call's expression at the present tick; None where it is NaN."""
+        """Returns the value of a call's expression at the present tick; None where it is NaN.
+
+        Of two expressions, it is a tuple.
+        """
         key, _ = self._key(call)
         query = self._queries.get(key)
         if query is None:
-            query = self._queries[key] = select_of(parts_of(call)[0])
+            query = self._queries[key] = select_of(*expressions_of(call))
+        for inner in self._inner(call):  # the value of the expression may not need it at this tick
+            with suppress(SelectScriptError):
+                Frame(self._scope).value(inner)
         try:
             selected = self._planner.run(query, Frame(self._scope), lambda _: None)
         except ArgumentError:
             if not world.snapshot.entities_with_nan():
                 raise
             return None
-        ((value,),) = formed(selected, lambda rows: rows.values)
-        if isinstance(value, Handle):  # its columns would be those of the present tick
+        ((*values,),) = formed(selected, lambda rows: rows.values)
+        if isinstance(values[0], Handle):  # its columns would be those of the present tick
             raise EvaluationError(no_ticks_message(world.name), span=call.span)
-        return value
+        return values[0] if len(values) == 1 else tuple(values)
+
+    def _inner(self, call: Call) -> list[Call]:
+        """Returns the functions of time in the expressions of a call, the innermost ones first."""
+        if call not in self._inner_calls:
+            parts = [part for node in expressions_of(call) for part in node.walk()]
+            found = [p for p in parts if isinstance(p, Call) and p.name in TEMPORAL_FUNCTIONS]
+            self._inner_calls[call] = found[::-1]
+        return self._inner_calls[call]
 
     def _meaning(self, call: Call) -> tuple[Any, ...] | None:
         """Returns what the variables of a call mean; None if that may change by itself.
@@ -331,15 +367,19 @@ class LiveFolds:
         for node in expression.walk():
             if isinstance(node, TimeIndex | Query):
                 return False
-            if isinstance(node, Call) and node.name not in RELATIONS and node.name not in BUILTINS:
+            if isinstance(node, Call) and node.name in TEMPORAL_FUNCTIONS:
+                if not is_fold(node):
+                    return False
+            elif isinstance(node, Call) and not (node.name in RELATIONS or node.name in BUILTINS):
                 return False
         return MASSES not in self._tables_read(expression)
 
 
-def select_of(expression: Node) -> Query:
-    """Returns a SELECT of one row that has the value of an expression."""
-    zero = ListLiteral(expression.span, (Literal(expression.span, 0),))
-    return Query(expression.span, (expression,), (Source(expression.span, None, zero),))
+def select_of(*expressions: Node) -> Query:
+    """Returns a SELECT of one row that has the values of expressions."""
+    span = expressions[0].span
+    zero = ListLiteral(span, (Literal(span, 0),))
+    return Query(span, expressions, (Source(span, None, zero),))
 
 
 def copied(value: Any) -> Any:

@@ -14,6 +14,9 @@ _IN_BOX = (
     "b.x > a.xmin AND b.x < a.xmax AND b.y > a.ymin AND b.y < a.ymax "
     "AND b.z > a.zmin AND b.z < a.zmax AND a.id <> b.id"
 )
+# The margins of a position in the sides of a box.
+_BESIDE_X = "x(b) - aabb(a)[0], aabb(a)[1] - x(b)"
+_BESIDE_Y = "y(b) - aabb(a)[2], aabb(a)[3] - y(b)"
 _FOOTPRINT = "b.x BETWEEN a.xmin AND a.xmax AND b.y BETWEEN a.ymin AND a.ymax"
 
 
@@ -187,6 +190,7 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         "wherever its origin is, write on(a, b). The box of a tilted plane is infinite: nothing is "
         "above it.",
         candidate_pairs=CandidatePairs(ABOVE),
+        margin=f"min([{_BESIDE_X}, {_BESIDE_Y}, z(b) - aabb(a)[5]])",
     ),
     Relation(
         "below",
@@ -210,6 +214,7 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         "site, as it is turned; edges excluded. In raw SQL, a site is an error: write inBox with "
         "the site as the frame.",
         candidate_pairs=CandidatePairs(INSIDE),
+        margin=f"min([{_BESIDE_X}, {_BESIDE_Y}, z(b) - aabb(a)[4], aabb(a)[5] - z(b)])",
         link_formula=f"CASE WHEN a.kind = 'site' THEN error('{_SITE_IN_SQL}')::BOOLEAN "
         f"ELSE {_IN_BOX} END",
         site_formula=_in_region(),
@@ -288,6 +293,8 @@ REGION_RELATIONS: tuple[Relation, ...] = (
         "with the axes of the world, or of the frame of another entity, where its corners are "
         "then, too. Nothing is in a box whose lower corner is above its upper one along an axis.",
         options=(_in_box(*in_frame("frame", "object")),),
+        margin="min([x(object) - min[0], max[0] - x(object), y(object) - min[1], "
+        "max[1] - y(object), z(object) - min[2], max[2] - z(object)])",
     ),
     Relation(
         "fitsBox",
@@ -298,6 +305,8 @@ REGION_RELATIONS: tuple[Relation, ...] = (
         "AND object.xmin <= object.xmax",
         "Checks if all shapes of the entity are in an axis-aligned box, boundary included. "
         "Nothing is in a box whose lower corner is above its upper one along an axis.",
+        margin="min([aabb(object)[0] - min[0], max[0] - aabb(object)[1], aabb(object)[2] - min[1], "
+        "max[1] - aabb(object)[3], aabb(object)[4] - min[2], max[2] - aabb(object)[5]])",
     ),
     Relation(
         "inSphere",
@@ -315,5 +324,6 @@ REGION_RELATIONS: tuple[Relation, ...] = (
         ),
         "Checks if the position of the entity is in a sphere, boundary included. A negative radius "
         "is an error.",
+        margin="r - distance(object, centre)",
     ),
 )

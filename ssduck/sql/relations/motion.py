@@ -78,6 +78,8 @@ MOTION_RELATIONS: tuple[Relation, ...] = (
         "Checks if the z axis of the entity's link frame is at most an angle from the world's z "
         f"axis, {UPRIGHT} rad (11 degrees) by default. A negative angle is an error.",
         options=(if_from_0_up("upright", f"{_TILT} <= angle", angle="an angle, rad"),),
+        margin=f"{UPRIGHT} - tilt(object)",
+        margin_with_options="angle - tilt(object)",
     ),
     Relation(
         "settled",

@@ -84,6 +84,10 @@ class Relation:
     python_table: str = ""  # the table that its Python function reads, if that is not of shapes
     # What to fetch before it is evaluated that its formula does not show.
     further_inputs: frozenset[str] = frozenset()
+    # Of a condition, its margin in SelectScript: more than 0 where it holds, less where it does
+    # not; and that with all optional parameters given.
+    margin: str = ""
+    margin_with_options: str = ""
     may_fail: bool = False  # whether there are entities for which it is an error
     # The function of contacts that returns the same for two entities of a tick.
     of_contacts: Callable[[ContactPairs, int, int], bool | float] | None = None
@@ -96,13 +100,18 @@ class Relation:
     @property
     def help(self) -> str:
         """The text of `help('name')` after the name."""
-        sentences = (self.about, self.unit_note, self.alias_note)
+        sentences = (self.about, self.unit_note, self.margin_note, self.alias_note)
         return " ".join(filter(None, sentences)) + f"\nUsage: {self.usage}"
 
     @property
     def unit_note(self) -> str:
         """A sentence about the unit of the result; empty if it has none."""
         return f"Unit: {self.unit}." if self.unit else ""
+
+    @property
+    def margin_note(self) -> str:
+        """A sentence about what `robustness` of it is; empty if it has no margin."""
+        return f"Margin: {self.margin}." if self.margin else ""
 
     @property
     def alias_note(self) -> str:
@@ -117,6 +126,12 @@ class Relation:
     def required_count(self) -> int:
         """The least number of arguments."""
         return sum(not parameter.optional for parameter in self.parameters)
+
+    def margin_of(self, count: int) -> str | None:
+        """Returns its margin in SelectScript, of a number of arguments; None if it has none."""
+        is_short = count == self.required_count
+        whole = count == len(self.parameters)
+        return (self.margin if is_short else self.margin_with_options if whole else "") or None
 
     def result_type(self, count: int) -> ValueType:
         """Returns the type of its result, by the number of arguments."""

@@ -82,6 +82,8 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
         "[start, end], it checks if a begins before b and ends inside b.",
         list_formula=RELATIONS_OF_INTERVALS["overlaps"].formula,
         is_symmetric=True,
+        margin="min([aabb(b)[1] - aabb(a)[0], aabb(a)[1] - aabb(b)[0], aabb(b)[3] - aabb(a)[2], "
+        "aabb(a)[3] - aabb(b)[2], aabb(b)[5] - aabb(a)[4], aabb(a)[5] - aabb(b)[4]])",
     ),
     shape_relation(
         "collides",
@@ -95,6 +97,8 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
         options=GeometryQuery(ShapeQueries.collides, ("depth",), bound=_CHECKED_DEPTH),
         is_symmetric=True,
         candidate_pairs=CandidatePairs(COLLIDING, DEEP, "depth"),
+        margin=f"penetration(a, b) - clearance(a, b) - {DEEP}",
+        margin_with_options="penetration(a, b) - clearance(a, b) - depth",
     ),
     shape_relation(
         "penetration",
@@ -159,6 +163,7 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
         parameters=(*A_B, Parameter("d", "double", "a distance, m")),
         is_symmetric=True,
         candidate_pairs=CandidatePairs(WITHIN, "d"),
+        margin="d - clearance(a, b)",
     ),
     shape_relation(
         "nearestPoints",
@@ -239,6 +244,7 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
         GeometryQuery(ShapeQueries.contains, over_ticks="contains"),
         "Checks if at least 95 percent of the volume of b is inside the convex hull of a. The "
         "hull of a table includes the space between its legs; enclosed requires walls.",
+        margin="inside(a, b) - 0.95",
         candidate_pairs=CandidatePairs(BOXES_MEETING),
     ),
     shape_relation(

@@ -1,0 +1,91 @@
+"""Functions that stand for an expression of others; a program has that in their place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from ssduck.interpreter.over_time.functions import never_called
+from ssduck.language.builtins import Function
+from ssduck.language.tree import Binary, Call, Node
+from ssduck.logic.margins import margin_of
+
+
+@dataclass(frozen=True)
+class Expansion:
+    """A function that stands for an expression."""
+
+    name: str
+    expand: Callable[[Call], Node]  # returns the expression of a call
+    about: str  # its description for help
+    usage: str  # its signature for help
+    arguments: int  # the number of its arguments
+
+    @property
+    def function(self) -> Function:
+        """The entry for help; it is never called."""
+        return never_called(self.name, self.about, self.usage, self.arguments, self.arguments)
+
+
+def _lifted(call: Call) -> Node:
+    """Returns z(entity) - initially(z(entity)) >= height for lifted(entity, height)."""
+    span = call.span
+    entity, height = call.arguments
+    z = Call(entity.span, "z", (entity,), entity.span)
+    rise = Binary(span, "-", z, Call(span, "initially", (z,), span))
+    return Binary(span, ">=", rise, height)
+
+
+def _robustness(call: Call) -> Node:
+    return margin_of(call.arguments[0])
+
+
+EXPANSIONS: dict[str, Expansion] = {
+    form.name: form
+    for form in (
+        Expansion(
+            "lifted",
+            _lifted,
+            "Checks if an entity is higher by so many metres than at the first recorded tick: "
+            "z(entity) - initially(z(entity)) >= height.",
+            "lifted(entity, height) -> bool",
+            2,
+        ),
+        Expansion(
+            "robustness",
+            _robustness,
+            "Returns the margin of a condition: more than 0 where it holds, less where it does "
+            "not, in the unit of its comparisons; so much would have to change for it to flip. "
+            "That of a < b is b - a, of AND the least one, of OR the largest; help has those of "
+            "relations, and one without a margin, such as isRobot, is plus or minus infinity.",
+            "robustness(condition) -> float",
+            1,
+        ),
+        Expansion(
+            "scale",
+            lambda call: call.arguments[0],
+            "Is the condition, whose margin is divided by a number: so margins in metres and in "
+            "degrees are compared. robustness(scale(z(cup) > 0.9, 0.1) AND scale(tilt(cup) < 0.5, "
+            "0.2)).",
+            "scale(condition, unit) -> bool",
+            2,
+        ),
+    )
+}
+
+
+def expanded(node: Node, check: Callable[[Call], None]) -> Node:
+    """Returns a part of a program with expressions in place of the functions that stand for them.
+
+    Args:
+        node: the part.
+        check: checks the number of arguments of a call.
+    """
+
+    def change(part: Node) -> Node | None:
+        if not isinstance(part, Call) or part.name not in EXPANSIONS:
+            return None
+        check(part)
+        return EXPANSIONS[part.name].expand(part).replaced(change)
+
+    return node.replaced(change)

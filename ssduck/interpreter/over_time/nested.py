@@ -1,0 +1,359 @@
+"""Functions of time of functions of time: an expression at each recorded tick of a world.
+
+`always(z(cup) > 0.9 IMPLIES eventually(touching(cup, tray), 0, 5))` asks each tick for what holds
+after it. The parts without functions of time are *series*: one query has the values of each at all
+ticks. What functions of time and operators make of these are arrays, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import numpy.typing as npt
+
+from ssduck import validation
+from ssduck.columns.arrays import ArrayOperations, ArrayValues
+from ssduck.columns.compiler import Expression, LeftToDuckDBError
+from ssduck.columns.trees import TreeCompiler, kind_of
+from ssduck.errors import ArgumentError
+from ssduck.formatting import short_repr
+from ssduck.geometry.arrays import Array, Flags
+from ssduck.interpreter.over_time.functions import (
+    OF_VALUES,
+    TEMPORAL_FUNCTIONS,
+    Fold,
+    expressions_of,
+    looking_back,
+)
+from ssduck.interpreter.over_time.series import TickColumns, TickSeries, is_true
+from ssduck.language.analysis import IMPURE, OVER_TIME, calls_of, free_aliases
+from ssduck.language.builtins import BUILTINS
+from ssduck.language.evaluator import Frame
+from ssduck.language.tree import Binary, Call, Name, Node, OperatorChain, Placeholder, Unary
+from ssduck.logic.traces import Trace, Window
+from ssduck.recording.replay.past import common_moment, past_of
+from ssduck.recording.replay.record import Record
+from ssduck.world.handles import Handle
+
+# Returns the series of the expression in a call.
+SeriesOf = Callable[[Call, Frame], TickSeries]
+
+
+def is_nested(node: Node) -> bool:
+    """Checks whether a part has a function of time in it."""
+    return not calls_of(node).isdisjoint(OVER_TIME)
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """The values of an expression at n ticks."""
+
+    values: npt.NDArray[Any]  # truth values, numbers or objects, (n,); any where unknown
+    unknown: Flags  # (n,)
+
+    @classmethod
+    def of_objects(cls, values: list[Any]) -> Column:
+        """Returns Python's values as a column; None is unknown."""
+        unknown = np.array([value is None for value in values], np.bool_)
+        types = {type(value) for value in values if value is not None}
+        if types in ({bool}, {int}, {float}) and not unknown.any():
+            return cls(np.array(values), unknown)
+        return cls(np.fromiter(values, np.object_, len(values)), unknown)
+
+    @property
+    def objects(self) -> npt.NDArray[Any]:
+        """Python's values, None where unknown, (n,)."""
+        result = self.values.astype(np.object_)
+        result[self.unknown] = None
+        return result
+
+    def tolist(self) -> list[Any]:
+        """Returns Python's values; None where unknown."""
+        values = self.objects if self.unknown.any() else self.values
+        return list(values.tolist())
+
+
+class NestedExpressions:
+    """Evaluates expressions at all recorded ticks, and caches what depends on their texts only."""
+
+    def __init__(
+        self,
+        series_of: SeriesOf,
+        names_entities: Callable[[Node, Frame], bool],
+    ) -> None:
+        self.series_of, self.names_entities = series_of, names_entities
+        self._leaves: WeakKeyDictionary[Node, Call] = WeakKeyDictionary()
+
+    def leaf(self, node: Node) -> Call:
+        """Returns the call whose series is that of a part; the same one each time."""
+        if node not in self._leaves:
+            self._leaves[node] = Call(node.span, "changes", (node,), node.span)
+        return self._leaves[node]
+
+    def verdict(self, call: Call, record: Record, frame: Frame) -> bool | float | None:
+        """Returns the value of an operator: at the tick of the row, or else at its own tick.
+
+        That is the last tick, or the first one of an operator that looks ahead. None while it is
+        not decided, and where it is unknown.
+        """
+        ticks = self._ticks(call, record, frame)
+        trace = ticks.trace(call)
+        moment = common_moment(record.world, (), frame.own_elements())
+        place = 0 if TEMPORAL_FUNCTIONS[call.name].looks_ahead else len(trace.times) - 1
+        if moment is not None:
+            place = int(np.searchsorted(ticks.numbers, moment.tick))
+        low, high = trace.low[place].item(), trace.high[place].item()
+        return low if low == high else None
+
+    def fold(self, call: Call, frame: Frame, record_of: Callable[[], Record]) -> Fold:
+        """Returns the fold that an operator is which looks back."""
+
+        def traces() -> list[Trace]:
+            ticks = Ticks(self, record_of(), frame)
+            return ticks.conditions(call)
+
+        return looking_back(call.name, window_of(call, frame), traces)
+
+    def columns(self, node: Node, record: Record, frame: Frame) -> TickColumns:
+        """Returns the values of an expression at all ticks until now."""
+        ticks = self._ticks(node, record, frame)
+        column = ticks.column(node)
+        if column.values.dtype == np.object_:
+            return TickColumns(ticks.numbers, column.objects)
+        return TickColumns(ticks.numbers, np.ma.array(column.values, mask=column.unknown))
+
+    def _ticks(self, node: Node, record: Record, frame: Frame) -> Ticks:
+        """Returns the ticks until now; rows of the same entities share them."""
+        elements = [frame.elements.get(alias) for alias in sorted(free_aliases(node), key=str)]
+        cache: dict[Any, Any] = frame.cached
+        handles = [element for element in elements if isinstance(element, Handle)]
+        if len(handles) < len(elements):
+            return Ticks(self, record, frame)
+        key = Ticks, record, *((handle.TABLE, handle.id) for handle in handles)
+        if key not in cache:
+            cache[key] = Ticks(self, record, frame)
+        ticks: Ticks = cache[key]
+        return ticks
+
+
+class Ticks:
+    """The recorded ticks of a world until now, and expressions at each of them."""
+
+    def __init__(self, expressions: NestedExpressions, record: Record, frame: Frame) -> None:
+        self._expressions, self._record, self._frame = expressions, record, frame
+        numbers, times = record.ticks_until_now()
+        # Of ticks of one time, the last one counts.
+        are_last = np.append(times[1:] != times[:-1], True)
+        self.numbers, self.times = numbers[are_last], times[are_last]
+        is_last = len(numbers) == len(record.ticks.numbers)
+        # Whether more ticks may come: not where a finished record ends.
+        self.is_open = record.recording is not None or not is_last
+        self._columns: dict[Node, Column] = {}
+
+    def conditions(self, call: Call) -> list[Trace]:
+        """Returns the conditions of an operator, or their margins, at each tick."""
+        if not TEMPORAL_FUNCTIONS[call.name].of_margins:
+            return [self.trace(part) for part in expressions_of(call)]
+        columns = [self.column(part) for part in expressions_of(call)]
+        return [
+            Trace.of(
+                self.times,
+                np.where(column.unknown, 0.0, column.values).astype(np.float64),
+                column.unknown,
+                is_open=self.is_open,
+            )
+            for column in columns
+        ]
+
+    # -- truth ------------------------------------------------------------------------------
+
+    def trace(self, node: Node) -> Trace:
+        """Returns whether a condition holds at each tick."""
+        match node:
+            case Call() if (operator := _operator_of(node)) is not None:
+                return operator(*self.conditions(node), window_of(node, self._frame))
+            case Unary(operator="NOT", operand=operand) if is_nested(node):
+                return ~self.trace(operand)
+            case Binary(operator="AND" | "OR" as sign, left=left, right=right) if is_nested(node):
+                return self._joined(sign, self.trace(left), right)
+            case OperatorChain(operators=("AND" | "OR" as sign, *_)) if is_nested(node):
+                result = self.trace(node.operands[0])
+                for operand in node.operands[1:]:
+                    result = self._joined(sign, result, operand)
+                return result
+        column = self.column(node)
+        truth = column.values
+        if truth.dtype != np.bool_:
+            truth = np.array([is_true(value, node) for value in column.tolist()], np.bool_)
+        return Trace.of(self.times, truth, column.unknown, is_open=self.is_open)
+
+    def _joined(self, sign: str, trace: Trace, other: Node) -> Trace:
+        return trace & self.trace(other) if sign == "AND" else trace | self.trace(other)
+
+    # -- values -----------------------------------------------------------------------------
+
+    def column(self, node: Node) -> Column:
+        """Returns the values of an expression at each tick."""
+        if node not in self._columns:
+            self._columns[node] = self._column(node)
+        return self._columns[node]
+
+    def _column(self, node: Node) -> Column:
+        is_logic = isinstance(node, Unary | Binary | OperatorChain) and _sign_of(node) in _LOGIC
+        if is_nested(node) and (is_logic or _operator_of(node) is not None):
+            trace = self.trace(node)
+            return Column(trace.low, ~trace.is_known)
+        match node:
+            case Call(name=name) if name in OVER_TIME:
+                return self._of_function(node)
+            case Call(name="getTime", arguments=()):
+                return Column(self.times, np.zeros(len(self.times), np.bool_))
+        if _is_of_values(node) and is_nested(node):
+            return self._computed(node)
+        if self._expressions.names_entities(node, self._frame):
+            return self._series(node)
+        return Column.of_objects([self._frame.value(node)] * len(self.times))
+
+    def _series(self, node: Node) -> Column:
+        """Returns the values of a part that one query has at all ticks."""
+        series = self._expressions.series_of(self._expressions.leaf(node), self._frame)
+        _, values = series.at(past_of(self._record, None))
+        if values.dtype == np.object_ and not isinstance(values, np.ma.MaskedArray):
+            return Column.of_objects(values.tolist())
+        return Column(np.ma.getdata(values), np.ma.getmaskarray(values))
+
+    def _of_function(self, call: Call) -> Column:
+        """Returns the values of a function of time, each from the ticks until its own."""
+        fold = TEMPORAL_FUNCTIONS[call.name].fold
+        if fold is None or len(call.arguments) > 1:
+            return self._series(call)
+        (expression,) = expressions_of(call)
+        column = self.column(expression)
+        values = column.tolist()
+        if fold.is_of_condition:
+            values = [is_true(value, expression) for value in values]
+        return Column.of_objects(list(_folded(fold, self.times.tolist(), values)))
+
+    def _computed(self, node: Node) -> Column:
+        """Returns what operators and functions of values make of parts."""
+        parts: dict[str, Column] = {}
+
+        def part_of(part: Node) -> Node | None:
+            is_part = not (_is_of_values(part) and is_nested(part)) and (
+                is_nested(part) or self._expressions.names_entities(part, self._frame)
+            )
+            if part is not node and is_part:
+                name = f"part {len(parts)}"
+                parts[name] = self.column(part)
+                return Placeholder(part.span, name)
+            return None
+
+        tree = node.replaced(part_of)
+        unknown = np.zeros(len(self.times), np.bool_)
+        for column in parts.values():
+            unknown |= column.unknown
+        values, left = self._by_arrays(tree, parts)
+        rows = np.flatnonzero(left & ~unknown)
+        if not len(rows):
+            return Column(values, unknown)
+        result = Column(values, unknown).tolist()
+        for row in rows.tolist():
+            at_tick = {name: column.tolist()[row] for name, column in parts.items()}
+            result[row] = Frame(self._frame.scope, placeholders=at_tick).value(tree)
+        return Column.of_objects(result)
+
+    def _by_arrays(self, tree: Node, parts: dict[str, Column]) -> tuple[npt.NDArray[Any], Flags]:
+        """Returns the values of a tree, and where each has to be computed by itself."""
+        count = len(self.times)
+        try:
+            compute = self._compiled(tree, parts).compute
+        except LeftToDuckDBError:
+            return np.zeros(count, np.bool_), np.ones(count, np.bool_)
+        left = np.zeros(count, np.bool_)
+
+        def read(name: str) -> Array:
+            values = parts[name].values
+            if values.dtype.kind == "f":
+                np.logical_or(left, np.isnan(values), out=left)
+            return values[None]
+
+        with np.errstate(all="ignore"):
+            result = compute(ArrayValues(read, count, _NO_CALLS, left))
+        return np.broadcast_to(np.atleast_2d(result)[0], (count,)), left
+
+    def _compiled(self, tree: Node, parts: dict[str, Column]) -> Expression:
+        """Returns a tree as a function of arrays."""
+
+        def given(node: Placeholder) -> Expression:
+            values = parts[node.name].values
+            kind = kind_of(values[0]) if len(values) else "object"
+            if kind == "object":
+                raise LeftToDuckDBError
+            return Expression(kind, lambda arrays: arrays[node.name])
+
+        def variable(node: Name) -> Expression:
+            value = self._frame.value(node)
+            return Expression(kind_of(value), _OPERATIONS.constant(value))
+
+        return TreeCompiler(_OPERATIONS, None, {}, given, variable).of(tree)
+
+
+def window_of(call: Call, frame: Frame) -> Window:
+    """Returns the window of an operator."""
+    places = call.arguments[len(expressions_of(call)) :]
+    bounds = [_bound(call, *named, frame) for named in zip(("from", "to"), places, strict=False)]
+    window = Window(*bounds)
+    if window.start > window.end:
+        raise ArgumentError(
+            f"{call.name}: from is {window.start:g} s and to is {window.end:g} s, and to is not to "
+            "be less",
+            span=call.span,
+        )
+    return window
+
+
+def _bound(call: Call, name: str, node: Node, frame: Frame) -> float:
+    if free_aliases(node):
+        raise ArgumentError(f"{call.name}: {name} is to be the same for all rows", span=node.span)
+    value = frame.value(node)
+    if not validation.is_number(value) or not value >= 0.0:
+        way = "after" if TEMPORAL_FUNCTIONS[call.name].looks_ahead else "before"
+        raise ArgumentError(
+            f"{call.name}: {name} is a time {way} the tick, 0 s or more, not {short_repr(value)}",
+            span=node.span,
+        )
+    return float(value)
+
+
+_OPERATIONS = ArrayOperations("", is_exact=True)
+_NO_CALLS: Any = None  # such a tree has no relations
+_LOGIC = ("NOT", "AND", "OR")
+
+
+def _operator_of(node: Node) -> Callable[..., Trace] | None:
+    """Returns the operator of temporal logic that a part is; None for another part."""
+    form = TEMPORAL_FUNCTIONS.get(node.name) if isinstance(node, Call) else None
+    return None if form is None else form.operator
+
+
+def _sign_of(node: Unary | Binary | OperatorChain) -> str:
+    return node.operators[0] if isinstance(node, OperatorChain) else node.operator
+
+
+def _is_of_values(node: Node) -> bool:
+    """Checks whether a part is computed from the values of its own parts."""
+    is_builtin = isinstance(node, Call) and node.name in BUILTINS and node.name not in IMPURE
+    return is_builtin or isinstance(node, OF_VALUES)
+
+
+def _folded(fold: Fold, times: list[float], values: list[Any]) -> Iterator[Any]:
+    """Yields the value of a fold at each tick."""
+    state = fold.first(times[0], values[0])
+    yield fold.value(state, times[0])
+    for time, value in zip(times[1:], values[1:], strict=True):
+        state = fold.step(state, time, value)
+        yield fold.value(state, time)

@@ -1,0 +1,88 @@
+"""The margin of a condition, as an expression of the language.
+
+More than 0 where the condition holds, less where it does not, in the unit of its comparisons: how
+much these would have to change for the condition to flip. The margin of `a < b` is b - a, that of
+AND the least of its parts, of OR the largest, and of NOT the negative one. Relations state theirs;
+what has none is plus or minus infinity.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+from ssduck.language.analysis import OF_MARGINS, TEMPORAL_OPERATORS
+from ssduck.language.parser import parse
+from ssduck.language.tree import (
+    Binary,
+    Call,
+    If,
+    ListLiteral,
+    Literal,
+    Name,
+    Node,
+    OperatorChain,
+    Unary,
+)
+from ssduck.sql.relations.registry import RELATIONS
+
+
+def margin_of(condition: Node) -> Node:
+    """Returns the margin of a condition."""
+    span = condition.span
+    match condition:
+        case Unary(operator="NOT", operand=operand):
+            return Unary(span, "-", margin_of(operand))
+        case Binary(operator="AND" | "OR" as sign, left=left, right=right):
+            return _extreme(condition, sign, (left, right))
+        case OperatorChain(operators=("AND" | "OR" as sign, *_), operands=operands):
+            return _extreme(condition, sign, operands)
+        case Binary(operator="<" | "<=", left=left, right=right):
+            return Binary(span, "-", right, left)
+        case Binary(operator=">" | ">=", left=left, right=right):
+            return Binary(span, "-", left, right)
+        case Call(name="scale", arguments=(inner, unit)):
+            return Binary(span, "/", margin_of(inner), unit)
+        case Call(name=name, arguments=arguments) if name in TEMPORAL_OPERATORS:
+            count = TEMPORAL_OPERATORS[name]
+            margins = (*map(margin_of, arguments[:count]), *arguments[count:])
+            return Call(span, OF_MARGINS + name, margins, condition.name_span)
+        case Call(name=name) if (margin := _margin_of_relation(condition)) is not None:
+            return margin
+    infinity = Literal(span, math.inf)
+    return If(span, condition, (infinity,), (Unary(span, "-", infinity),))
+
+
+def has_margin(condition: Node) -> bool:
+    """Checks whether the margin of a condition is never infinite for lack of one."""
+    return not any(
+        isinstance(part, Literal) and part.value == math.inf for part in margin_of(condition).walk()
+    )
+
+
+def _extreme(condition: Node, sign: str, operands: tuple[Node, ...]) -> Node:
+    """Returns the least margin of the operands of AND, or the largest of those of OR."""
+    margins = ListLiteral(condition.span, tuple(map(margin_of, operands)))
+    name = "min" if sign == "AND" else "max"
+    return Call(condition.span, name, (margins,), condition.span)
+
+
+def _margin_of_relation(call: Call) -> Node | None:
+    """Returns the margin of a relation; None if it has none."""
+    relation = RELATIONS.get(call.name)
+    text = None if relation is None else relation.margin_of(len(call.arguments))
+    if relation is None or text is None:
+        return None
+    names = (parameter.name for parameter in relation.parameters)
+    values = dict(zip(names, call.arguments, strict=False))
+
+    def argument(part: Node) -> Node | None:
+        return values.get(part.name) if isinstance(part, Name) else None
+
+    return _parsed(text).replaced(argument)
+
+
+@lru_cache(maxsize=256)
+def _parsed(text: str) -> Node:
+    """Returns an expression of the language."""
+    return parse(f"{text};").statements[0]

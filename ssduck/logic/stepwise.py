@@ -1,0 +1,81 @@
+"""The operators of temporal logic that look back, tick by tick.
+
+All of them are one: `once(c)` is `heldSince(True, c)`, and `historically(c)` is `NOT once(NOT c)`.
+With x(i) = max(start(i), min(value(i), x(i - 1))), the margin of `heldSince` without a window, that
+of a window which ends with tick j is the least of the largest start in the window, the values after
+j, and x(j); see `ssduck.logic.traces`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from ssduck.geometry.arrays import Array
+from ssduck.logic.traces import SLACK, Window, scanned
+
+# A tick that the window has not reached: its time, s, the value, the start and x.
+_Tick: TypeAlias = tuple[float, float, float, float]
+_NEVER = -np.inf
+
+
+@dataclass(frozen=True)
+class HeldSince:
+    """The state of `heldSince` at a tick, of one bound of its margin."""
+
+    window: Window
+    x: float = _NEVER  # x at the last tick
+    # The ticks later than the end of the window, the first one first.
+    later: tuple[_Tick, ...] = ()
+    x_at_end: float = _NEVER  # x at the end of the window
+    # The starts in the window that no later one reaches, the largest first, each with the time of
+    # the tick after it: a window that begins then is without it. Of an endless window, the largest.
+    starts: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def margin(self) -> float:
+        """The margin of the operator."""
+        if not self.starts:
+            return _NEVER
+        return min((self.starts[0][0], self.x_at_end, *(tick[1] for tick in self.later)))
+
+    @classmethod
+    def of(cls, window: Window, times: Array, values: Array, starts: Array) -> HeldSince:
+        """Returns the state after n ticks, from the arrays of their times, values and starts."""
+        x = scanned(values, starts)
+        is_endless = np.isinf(window.end)
+        first = times[-1] - (window.start if is_endless else window.end) + SLACK
+        place = max(int(np.searchsorted(times, first, side="right")) - 1, 0)
+        state = cls(window)
+        if is_endless and place:
+            largest = float(starts[:place].max())
+            state = cls(window, x_at_end=float(x[place - 1]), starts=((largest, np.inf),))
+        columns = (column[place:].tolist() for column in (times, values, starts, x))
+        for tick in zip(*columns, strict=True):
+            state = state._with(*tick)
+        return state
+
+    def step(self, time: float, value: float, start: float) -> HeldSince:
+        """Returns the state with one more tick."""
+        return self._with(time, value, start, max(start, min(value, self.x)))
+
+    def _with(self, time: float, value: float, start: float, x: float) -> HeldSince:
+        later = (*self.later, (time, value, start, x))
+        end, begin = time - self.window.start + SLACK, time - self.window.end + SLACK
+        starts, x_at_end, count = list(self.starts), self.x_at_end, 0
+        while count < len(later) and later[count][0] <= end:
+            came, _, reached, x_at_end = later[count]
+            while starts and starts[-1][0] <= reached:
+                starts.pop()
+            if starts:
+                starts[-1] = starts[-1][0], min(starts[-1][1], came)
+            starts.append((reached, np.inf))
+            count += 1
+        if begin == -np.inf:
+            return HeldSince(self.window, x, later[count:], x_at_end, tuple(starts[:1]))
+        gone = 0
+        while gone < len(starts) - 1 and starts[gone][1] <= begin:
+            gone += 1
+        return HeldSince(self.window, x, later[count:], x_at_end, tuple(starts[gone:]))

@@ -1,0 +1,215 @@
+"""Functions of time of functions of time are what the definitions make of the simulator's values."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import mujoco
+import pytest
+
+import ssduck
+from ssduck.errors import ArgumentError, SelectScriptError
+from tests.support.cases import generated
+from tests.support.temporal_logic import Formula, value
+
+MODEL = """
+<mujoco><option timestep="0.01"/><worldbody>
+  <geom type="plane" size="1 1 0.1"/>
+  <body name="ball" pos="0 0 0.3"><freejoint/><geom type="sphere" size="0.05"/></body>
+  <body name="box" pos="0.3 0 0.05"><freejoint/><geom type="box" size="0.05 0.05 0.05"/></body>
+</worldbody></mujoco>
+"""
+# Comparisons, with what they are of the simulator's positions.
+SIGNALS = {
+    "z(sim.ball) > 0.5": lambda ball, box: ball[2] > 0.5,
+    "x(sim.box) <= 0.4": lambda ball, box: box[0] <= 0.4,
+    "z(sim.ball) > z(sim.box)": lambda ball, box: ball[2] > box[2],
+    "distance(sim.ball, sim.box) < 0.5": lambda ball, box: math.dist(ball, box) < 0.5,
+}
+WINDOWS = [(), (0,), (0, 0.05), (0.03, 0.1), (0.02,), (0.0, 0.015)]
+AHEAD, BACK = ("always", "eventually"), ("once", "historically")
+TICKS = 25
+
+
+def formula(draw, depth, *, ahead=True):
+    """Returns a generated formula."""
+    if depth == 0:
+        return Formula(draw.choice(list(SIGNALS)))
+    name = draw.choice(
+        ["NOT", "AND", "OR", "IMPLIES", *BACK, "heldSince"] + ahead * [*AHEAD, "until"]
+    )
+    count = 2 if name in ("AND", "OR", "IMPLIES", "until", "heldSince") else 1
+    parts = tuple(formula(draw, depth - 1, ahead=ahead) for _ in range(count))
+    is_logic = name in ("NOT", "AND", "OR", "IMPLIES")
+    return Formula(name, parts, () if is_logic else draw.choice(WINDOWS))
+
+
+class Scene:
+    """Two bodies that are put somewhere at each tick."""
+
+    def __init__(self, seed):
+        self.model = mujoco.MjModel.from_xml_string(MODEL)
+        self.data = mujoco.MjData(self.model)
+        mujoco.mj_forward(self.model, self.data)
+        self.draw = random.Random(seed)  # noqa: S311  # for a test
+        self.times, self.signals = [], {text: [] for text in SIGNALS}
+
+    def note(self):
+        """Notes what the comparisons are of the simulator's positions."""
+        self.times.append(self.data.time)
+        ball, box = self.data.body("ball").xpos, self.data.body("box").xpos
+        for text, holds in SIGNALS.items():
+            self.signals[text].append(bool(holds(ball, box)))
+
+    def move(self):
+        """Takes some steps, and puts the bodies elsewhere."""
+        self.data.time += 0.01 * self.draw.choice([1, 1, 2, 3])
+        for body, axis in (("ball", 2), ("box", 0)):
+            self.data.joint(self.model.body(body).jntadr[0]).qpos[axis] = self.draw.random()
+        mujoco.mj_kinematics(self.model, self.data)
+
+    def expected(self, wanted, tick, *, is_open=True):
+        """Returns a formula by the definitions, of the ticks so far."""
+        return value(wanted, tick, self.times, self.signals, is_open=is_open)
+
+
+@pytest.mark.parametrize("seed", range(generated(2)))
+def test_nested_conditions_are_those_of_the_definitions(seed):
+    scene = Scene(seed)
+    draw = scene.draw
+    wanted = [formula(draw, draw.randint(1, 3)) for _ in range(6)]
+    with ssduck.Interpreter() as ss:
+        sim = ss.add_variable("sim", ssduck.World.attach((scene.model, scene.data)))
+        scene.note()
+        for _ in range(TICKS):
+            scene.move()
+            sim.tick()
+            scene.note()
+        for part in wanted:
+            one = Formula("once", (part,), (0, 0))  # the same, as a function of time
+            text = f"SELECT {one.text} AS holds FROM sim{{}} WHERE name = 'ball' AS list;"
+            expected = [scene.expected(one, tick) for tick in range(TICKS + 1)]
+            assert ss.eval(text) == expected, one.text
+
+
+@pytest.mark.parametrize("seed", range(generated(2)))
+def test_a_simulation_that_goes_on_tells_at_each_tick_what_its_record_tells(seed):
+    scene = Scene(seed)
+    draw = scene.draw
+    wanted = [
+        Formula(draw.choice(BACK), (formula(draw, draw.randint(0, 2), ahead=False),), window)
+        for window in WINDOWS
+    ]
+    looking_ahead = [Formula(draw.choice(AHEAD), (formula(draw, 2),), w) for w in WINDOWS[:3]]
+    with ssduck.Interpreter() as ss, ssduck.Interpreter(recording=None) as unrecorded:
+        sim = ss.add_variable("sim", ssduck.World.attach((scene.model, scene.data)))
+        other = unrecorded.add_variable("sim", ssduck.World.attach((scene.model, scene.data)))
+        other.begin_episode()
+        scene.note()
+        for number in range(TICKS):
+            for one in wanted:
+                expected = scene.expected(one, number)
+                assert ss.eval(f"{one.text};") == expected, one.text
+                assert unrecorded.eval(f"{one.text};") == expected, one.text
+                margin = ss.eval(f"robustness({one.text});")
+                assert unrecorded.eval(f"robustness({one.text});") == margin
+                assert margin > 0 if expected else margin < 0, one.text
+            for one in looking_ahead:
+                assert ss.eval(f"{one.text};") == scene.expected(one, 0), one.text
+            scene.move()
+            sim.tick()
+            other.tick()
+            scene.note()
+
+
+@pytest.fixture
+def moved():
+    scene = Scene(0)
+    with ssduck.Interpreter() as ss:
+        sim = ss.add_variable("sim", ssduck.World.attach((scene.model, scene.data)))
+        scene.note()
+        for _ in range(TICKS):
+            scene.move()
+            sim.tick()
+            scene.note()
+        yield ss, scene
+
+
+def test_values_of_functions_of_time_are_compared_at_each_tick(moved):
+    ss, scene = moved
+    high = scene.signals["z(sim.ball) > 0.5"]
+    held = []
+    for tick in range(TICKS + 1):
+        since = max((i for i in range(tick + 1) if not high[i]), default=-1) + 1
+        held.append(scene.times[tick] - scene.times[since] if high[tick] else 0.0)
+    text = "heldFor(z(sim.ball) > 0.5)"
+    assert ss.eval(f"SELECT {text} AS t FROM sim{{}} WHERE name = 'ball' AS list;") == held
+    changes = ss.eval(f"changes({text});")
+    assert [value for _, value in changes] == [
+        v for v, before in zip(held, [None, *held], strict=False) if v != before
+    ]
+    assert ss.eval(f"greatest({text});")[1] == max(held)
+    long = [value > 0.02 for value in held]
+    assert ss.eval(f"once({text} > 0.02);") is any(long)
+    assert ss.eval(f"historically(2 * {text} + 0.01 > 0.05);") is all(
+        2 * t + 0.01 > 0.05 for t in held
+    )
+    assert ss.eval(f"holds({text} > 0.02);") == ss.eval(f"holds(NOT {text} <= 0.02);")
+
+
+def test_each_row_is_of_its_entity_and_of_its_tick(moved):
+    ss, scene = moved
+    names = ss.eval("SELECT name FROM sim WHERE once(z(this) > 0.5) AND isKinbody(this) AS list;")
+    assert names == (["ball"] if any(scene.signals["z(sim.ball) > 0.5"]) else [])
+    rows = ss.eval(
+        "SELECT time, name, once(z(this) > 0.5, 0, 0.03) AS v FROM sim{} WHERE isKinbody(this);"
+    )
+    one = Formula("once", (Formula("z(sim.ball) > 0.5"),), (0, 0.03))
+    found = [row["v"] for row in rows if row["name"] == "ball"]
+    assert found == [scene.expected(one, tick) for tick in range(TICKS + 1)]
+
+
+def test_a_finished_record_is_decided_and_a_replay_sees_no_later_tick(moved, tmp_path):
+    ss, scene = moved
+    ss.export(tmp_path / "run")
+    wanted = [
+        Formula("always", (Formula("z(sim.ball) > z(sim.box)"),)),
+        Formula("eventually", (Formula("x(sim.box) <= 0.4"),), (0.03, 0.1)),
+    ]
+    with ssduck.open(tmp_path / "run") as other:
+        for one in wanted:
+            assert other.eval(f"{one.text};") == scene.expected(one, 0, is_open=False)
+            other["sim"].seek(scene.times[2])
+            early = Scene(0)
+            early.times = scene.times[:3]
+            early.signals = {text: values[:3] for text, values in scene.signals.items()}
+            assert other.eval(f"{one.text};") == early.expected(one, 0)
+            other["sim"].seek(scene.times[-1])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("once(z(sim.ball) > 1, -1)", "from is a time before the tick, 0 s or more, not -1"),
+        ("always(z(sim.ball) > 1, 2, 1)", "from is 2 s and to is 1 s"),
+        ("always(True)", "always takes an expression of entities"),
+        ("until(z(sim.ball) > 1)", "until takes 2 to 4 arguments"),
+        ("once(z(sim.ball) > 1, 'a')", "not 'a'"),
+    ],
+)
+def test_mistakes_are_told_of(moved, text, message):
+    with pytest.raises(ArgumentError, match=message):
+        moved[0].eval(f"{text};")
+
+
+def test_implies_is_looser_than_or_and_right_associative():
+    with ssduck.Interpreter() as ss:
+        for a in (True, False):
+            for b in (True, False):
+                for c in (True, False):
+                    ss.add_variable("a", a), ss.add_variable("b", b), ss.add_variable("c", c)
+                    assert ss.eval("a IMPLIES b IMPLIES c;") is ((not a) or (not b) or c)
+                    assert ss.eval("a OR b IMPLIES c AND a;") is ((not (a or b)) or (c and a))
+        with pytest.raises(SelectScriptError):
+            ss.eval("a IMPLIES;")

@@ -1,0 +1,110 @@
+"""The margin of a condition is more than 0 where it holds, and less where it does not."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+import ssduck
+from ssduck.errors import ArgumentError
+from ssduck.sql.relations.registry import RELATIONS
+
+OF_PAIRS = sorted(
+    relation.name
+    for relation in RELATIONS.values()
+    if relation.margin and [p.type for p in relation.parameters[:2]] == ["entity", "entity"]
+)
+OTHERS = [
+    "inBox(this, [0, 0, 0], [2, 3, 1.5])",
+    "fitsBox(this, [0, 0, 0], [3, 3, 2])",
+    "inSphere(this, [1, 1, 1], 1.2)",
+    "upright(this, 1e-5)",
+]
+
+
+@pytest.fixture(scope="module")
+def kitchen():
+    with ssduck.load("kitchen") as ss:
+        ss.run(0.5)
+        yield ss
+
+
+def check(holds, margin):
+    """Checks the sign of a margin; at a boundary, rounding decides."""
+    assert margin > -1e-12 if holds else margin < 1e-12
+
+
+@pytest.mark.parametrize("name", OF_PAIRS)
+def test_the_margin_of_a_relation_of_pairs_has_the_sign_of_the_relation(kitchen, name):
+    relation = RELATIONS[name]
+    call = f"{name}(a.this, b.this{', 0.1' if relation.required_count > 2 else ''})"
+    rows = kitchen.eval(
+        f"SELECT {call} AS holds, robustness({call}) AS margin, a.name AS a, b.name AS b "
+        "FROM a=kitchen, b=kitchen WHERE a.id != b.id AND NOT isSensor(a.this) "
+        "AND NOT isSensor(b.this);"
+    )
+    assert len(rows) > 500
+    assert {row["holds"] for row in rows} >= {False}
+    for row in rows:
+        check(row["holds"], row["margin"])
+
+
+@pytest.mark.parametrize("condition", OTHERS)
+def test_the_margin_of_a_relation_of_one_entity_has_its_sign(kitchen, condition):
+    rows = kitchen.eval(
+        f"SELECT {condition} AS holds, robustness({condition}) AS margin FROM kitchen "
+        "WHERE isKinbody(this);"
+    )
+    assert {row["holds"] for row in rows} == {True, False}
+    for row in rows:
+        check(row["holds"], row["margin"])
+
+
+def test_which_relations_have_a_margin():
+    assert {*OF_PAIRS, "inBox", "fitsBox", "inSphere", "upright"} == {
+        relation.name for relation in RELATIONS.values() if relation.margin
+    }
+    assert OF_PAIRS == ["above", "collides", "contains", "near", "overlaps", "within"]
+
+
+@pytest.mark.parametrize(
+    ("condition", "margin"),
+    [
+        ("2 < 5", 3),
+        ("2 >= 5", -3),
+        ("2 < 5 AND 7 > 6", 1),
+        ("2 < 5 OR 7 > 6", 3),
+        ("NOT 2 < 5", -3),
+        ("2 < 5 IMPLIES 1 > 3", -2),
+        ("2 BETWEEN 1 AND 6", 1),
+        ("scale(2 < 5, 10) AND 7 > 6", 0.3),
+        ("1 < 2 AND 2 < 5 AND 9 > 4", 1),
+        ("True", math.inf),
+        ("2 == 5", -math.inf),
+        ("2 < 5 AND True", 3),
+    ],
+)
+def test_the_margin_of_operators(condition, margin):
+    with ssduck.Interpreter() as ss:
+        assert ss.eval(f"robustness({condition});") == pytest.approx(margin)
+
+
+def test_the_margin_of_an_operator_of_time_is_the_least_or_the_largest():
+    with ssduck.load("kitchen", recording=ssduck.Recording()) as ss:
+        ss.run(0.2)
+        rows = ss.eval("SELECT time, speed(this) AS v FROM kitchen{} WHERE name = 'plate_835a';")
+        speeds = [row["v"] for row in rows]
+        text = "speed(kitchen.plate_835a) < 0.01"
+        assert ss.eval(f"robustness(historically({text}));") == 0.01 - max(speeds)
+        assert ss.eval(f"robustness(once({text}));") == 0.01 - min(speeds)
+        assert ss.eval(f"robustness(eventually({text}, 0, 0.1));") == 0.01 - min(
+            row["v"] for row in rows if row["time"] <= 0.1 + 1e-9
+        )
+        assert ss.eval(f"robustness(always({text}));") is None  # it may still be less
+        assert ss.eval(f"greatest(robustness({text}));")[1] == 0.01 - min(speeds)
+
+
+def test_mistakes_are_told_of():
+    with ssduck.Interpreter() as ss, pytest.raises(ArgumentError, match="robustness takes 1"):
+        ss.eval("robustness();")
