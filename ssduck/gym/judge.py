@@ -246,8 +246,7 @@ class Judge:
         try:
             if self._at_ticks is None:
                 trees = list(map(self._tree, self._texts))
-                names = self._whole | self._element_names
-                self._at_ticks = ExpressionsAtTicks(self._interpreter, trees, self._world, names)
+                self._at_ticks = ExpressionsAtTicks(self._interpreter, trees, self._world)
             named = list(map(self._named_values, variables))
             if any(_has_nan(value) for values in named for value in values.values()):
                 return None

@@ -7,7 +7,7 @@ ticks. What functions of time and operators make of these are arrays, too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -19,7 +19,7 @@ from ssduck import validation
 from ssduck.columns.arrays import ArrayOperations, ArrayValues
 from ssduck.columns.compiler import Expression, LeftToDuckDBError
 from ssduck.columns.trees import TreeCompiler, kind_of
-from ssduck.errors import ArgumentError
+from ssduck.errors import ArgumentError, UnsupportedError
 from ssduck.formatting import short_repr
 from ssduck.geometry.arrays import Array, Flags
 from ssduck.interpreter.over_time.functions import (
@@ -30,7 +30,7 @@ from ssduck.interpreter.over_time.functions import (
     looking_back,
 )
 from ssduck.interpreter.over_time.series import TickColumns, TickSeries, is_true
-from ssduck.language.analysis import IMPURE, OVER_TIME, calls_of, free_aliases
+from ssduck.language.analysis import IMPURE, OVER_TIME, calls_of, free_aliases, mentions
 from ssduck.language.builtins import BUILTINS
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import Binary, Call, Name, Node, OperatorChain, Placeholder, Unary
@@ -141,10 +141,21 @@ class NestedExpressions:
 
 
 class Ticks:
-    """The recorded ticks of a world until now, and expressions at each of them."""
+    """The recorded ticks of a world until now, and expressions at each of them.
 
-    def __init__(self, expressions: NestedExpressions, record: Record, frame: Frame) -> None:
+    Args:
+        given: the values of variables at each tick, by name.
+    """
+
+    def __init__(
+        self,
+        expressions: NestedExpressions,
+        record: Record,
+        frame: Frame,
+        given: Mapping[str, Column] | None = None,
+    ) -> None:
         self._expressions, self._record, self._frame = expressions, record, frame
+        self._given = given or {}
         numbers, times = record.ticks_until_now()
         # Of ticks of one time, the last one counts.
         are_last = np.append(times[1:] != times[:-1], True)
@@ -176,11 +187,13 @@ class Ticks:
         match node:
             case Call() if (operator := _operator_of(node)) is not None:
                 return operator(*self.conditions(node), window_of(node, self._frame))
-            case Unary(operator="NOT", operand=operand) if is_nested(node):
+            case Unary(operator="NOT", operand=operand) if self._is_made(node):
                 return ~self.trace(operand)
-            case Binary(operator="AND" | "OR" as sign, left=left, right=right) if is_nested(node):
+            case Binary(operator="AND" | "OR" as sign, left=left, right=right) if self._is_made(
+                node
+            ):
                 return self._joined(sign, self.trace(left), right)
-            case OperatorChain(operators=("AND" | "OR" as sign, *_)) if is_nested(node):
+            case OperatorChain(operators=("AND" | "OR" as sign, *_)) if self._is_made(node):
                 result = self.trace(node.operands[0])
                 for operand in node.operands[1:]:
                     result = self._joined(sign, result, operand)
@@ -190,6 +203,10 @@ class Ticks:
         if truth.dtype != np.bool_:
             truth = np.array([is_true(value, node) for value in column.tolist()], np.bool_)
         return Trace.of(self.times, truth, column.unknown, is_open=self.is_open)
+
+    def _is_made(self, node: Node) -> bool:
+        """Checks whether a part is made of others, and no query has its values."""
+        return is_nested(node) or mentions(node, self._given)
 
     def _joined(self, sign: str, trace: Trace, other: Node) -> Trace:
         return trace & self.trace(other) if sign == "AND" else trace | self.trace(other)
@@ -204,16 +221,20 @@ class Ticks:
 
     def _column(self, node: Node) -> Column:
         is_logic = isinstance(node, Unary | Binary | OperatorChain) and _sign_of(node) in _LOGIC
-        if is_nested(node) and (is_logic or _operator_of(node) is not None):
+        if self._is_made(node) and (is_logic or _operator_of(node) is not None):
             trace = self.trace(node)
             return Column(trace.low, ~trace.is_known)
         match node:
             case Call(name=name) if name in OVER_TIME:
                 return self._of_function(node)
+            case Name(name=name) if name in self._given:
+                return self._given[name]
             case Call(name="getTime", arguments=()):
                 return Column(self.times, np.zeros(len(self.times), np.bool_))
-        if _is_of_values(node) and is_nested(node):
+        if _is_of_values(node) and self._is_made(node):
             return self._computed(node)
+        if mentions(node, self._given):
+            raise UnsupportedError("it is computed at each tick by itself", span=node.span)
         if self._expressions.names_entities(node, self._frame):
             return self._series(node)
         return Column.of_objects([self._frame.value(node)] * len(self.times))
@@ -243,8 +264,9 @@ class Ticks:
         parts: dict[str, Column] = {}
 
         def part_of(part: Node) -> Node | None:
-            is_part = not (_is_of_values(part) and is_nested(part)) and (
-                is_nested(part) or self._expressions.names_entities(part, self._frame)
+            is_made = self._is_made(part)
+            is_part = not (_is_of_values(part) and is_made) and (
+                is_made or self._expressions.names_entities(part, self._frame)
             )
             if part is not node and is_part:
                 name = f"part {len(parts)}"
