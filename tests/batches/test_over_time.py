@@ -29,12 +29,22 @@ TERMS = [
     "heldFor(z(sim.ball) < 0.37) > 0.02 OR rate(z(sim.ball)) > 1.0",
     "IF(z(sim.ball) > 0.36; heldFor(near(sim.ball, sim.cube, 0.2)); getTime())",
     "greatest(rate(z(sim.ball)))[1]",
+    "once(z(sim.ball) < 0.37, 0.004, 0.012)",
+    "historically(near(sim.ball, sim.cube, 0.2), 0, 0.008)",
+    "heldSince(z(sim.ball) < 0.38, once(inContact(sim.ball, sim.table)), 0.002)",
+    "heldFor(heldFor(z(sim.ball) < 0.37) > 0.004)",
+    "robustness(once(z(sim.ball) > 0.36, 0.002, 0.01))",
+    "robustness(historically(z(sim.ball) > 0.36 AND z(sim.cube) < 1))",
 ]
 COUNT = 4
 
 
 def test_each_fold_is_compared():
-    folds = {name for name, form in TEMPORAL_FUNCTIONS.items() if form.fold is not None}
+    folds = {
+        name
+        for name, form in TEMPORAL_FUNCTIONS.items()
+        if form.fold is not None or (form.operator and not form.looks_ahead and not form.of_margins)
+    }
     assert {term.partition("(")[0] for term in TERMS} >= folds
 
 

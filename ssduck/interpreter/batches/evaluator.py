@@ -21,7 +21,7 @@ from ssduck.interpreter.batches.columns import ENV
 from ssduck.interpreter.batches.expressions import Answers, CompiledExpressions, Engine
 from ssduck.interpreter.batches.folds import ArrayFold, fold_of
 from ssduck.interpreter.execution import Execution
-from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, parts_of
+from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, expressions_of, parts_of
 from ssduck.language.analysis import calls_of, variables_of
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import Call, Name, Node, Placeholder, TimeIndex
@@ -83,20 +83,14 @@ class BatchExpressions:
 
     def _fold(self, call: Call) -> Node:
         """Returns the placeholder of a function of time."""
-        expression, other = parts_of(call)
-        if other is not None:
+        if parts_of(call)[1] is not None:
             raise UnsupportedError(
                 f"{call.name}(…) of another time needs a record, and a batch keeps none",
                 span=call.span,
             )
-        try:
-            fold = fold_of(call.name)
-        except UnsupportedError as error:
-            error.span = call.span
-            raise
-        key = node_key(call)
+        fold, key = fold_of(call, Frame(self._execution)), node_key(call)
         if key not in self._folds:
-            inner = BatchExpressions(self._execution, self._engine, [expression])
+            inner = BatchExpressions(self._execution, self._engine, expressions_of(call))
             kept = self._folds[key] = _KeptFold(call.name, fold, inner, self._world)
             self._world.before_tick(kept.settle)
         return Placeholder(call.span, key)
@@ -294,7 +288,7 @@ class _KeptFold:
                 f"{self._name} needs the simulated time: give tick time=…, one number or one for "
                 "each environment, s"
             )
-        (answers,) = self._expression.answers()
+        answers = self._expression.answers()
         is_new = self._version is None
         are_first = np.full(world.count, is_new) | (world.began > (self._version or 0))
         times = world.times

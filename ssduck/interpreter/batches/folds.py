@@ -6,7 +6,7 @@ episode at which they were asked.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,24 +15,33 @@ from ssduck.columns.arrays import Array
 from ssduck.errors import UnsupportedError
 from ssduck.geometry.arrays import Flags
 from ssduck.interpreter.batches.expressions import Answers
+from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, TemporalFunction
+from ssduck.interpreter.over_time.nested import window_of
+from ssduck.language.evaluator import Frame
+from ssduck.language.tree import Call
+from ssduck.logic.traces import SLACK, Window
 
 
 @dataclass(eq=False)
 class ArrayFold:
     """A function of an expression at all ticks until now, in each of n environments."""
 
-    # Adds a tick: from the times (n,), s, the values of the expression and whether the tick is the
+    # Adds a tick: from the times (n,), s, the values of the expressions and whether the tick is the
     # first one of an episode, (n,).
-    step: Callable[[Array, Answers, Flags], None]
+    step: Callable[[Array, Sequence[Answers], Flags], None]
     answers: Callable[[], Answers]  # returns the values of the function
 
 
-def fold_of(name: str) -> ArrayFold:
+def fold_of(call: Call, frame: Frame) -> ArrayFold:
     """Returns a function of time without a state."""
+    name, form = call.name, TEMPORAL_FUNCTIONS[call.name]
+    if form.operator is not None and not form.looks_ahead:
+        held = LookingBack(window_of(call, frame), form)
+        return ArrayFold(held.step, held.answers)
     match name:
         case "since" | "heldFor":
-            held = _Since()
-            return ArrayFold(held.step, held.since if name == "since" else held.duration)
+            since = _Since()
+            return ArrayFold(since.step, since.since if name == "since" else since.duration)
         case "initially":
             first = _First()
             return ArrayFold(first.step, lambda: first.value)
@@ -42,9 +51,11 @@ def fold_of(name: str) -> ArrayFold:
         case "least" | "greatest":
             extreme = _Extreme(np.less if name == "least" else np.greater)
             return ArrayFold(extreme.step, extreme.answers)
+    needs = "later ticks" if form.looks_ahead else "all past ticks"
     raise UnsupportedError(
-        f"{name} needs all past ticks, and a batch keeps none of them: heldFor, since, initially, "
-        "lifted, previous, rate, least and greatest keep what they need"
+        f"{name} needs {needs}, and a batch keeps none of them: heldFor, since, initially, lifted, "
+        "previous, rate, least, greatest, once, historically and heldSince keep what they need",
+        span=call.span,
     )
 
 
@@ -55,7 +66,8 @@ class _Since:
     start: Array = field(default_factory=lambda: np.zeros(0))
     time: Array = field(default_factory=lambda: np.zeros(0))
 
-    def step(self, times: Array, answers: Answers, are_first: Flags) -> None:
+    def step(self, times: Array, values: Sequence[Answers], are_first: Flags) -> None:
+        (answers,) = values
         holds = answers.values.astype(np.bool_) & ~answers.unknown
         before = self.start if len(self.start) else np.full(len(times), np.nan)
         begins = are_first | np.isnan(before)
@@ -76,7 +88,8 @@ class _First:
 
     value: Answers = field(default_factory=lambda: Answers(np.zeros(0), np.zeros(0, np.bool_)))
 
-    def step(self, times: Array, answers: Answers, are_first: Flags) -> None:
+    def step(self, times: Array, values: Sequence[Answers], are_first: Flags) -> None:
+        (answers,) = values
         del times
         self.value = _chosen(are_first, answers, self.value)
 
@@ -90,7 +103,8 @@ class _LastTwo:
     seconds: Array = field(default_factory=lambda: np.zeros(0))
     time: Array = field(default_factory=lambda: np.zeros(0))
 
-    def step(self, times: Array, answers: Answers, are_first: Flags) -> None:
+    def step(self, times: Array, values: Sequence[Answers], are_first: Flags) -> None:
+        (answers,) = values
         if not len(self.time):
             self.time, self.seconds = times, np.zeros(len(times))
         is_later = ~are_first & (times > self.time)
@@ -116,7 +130,8 @@ class _Extreme:
     is_further: Callable[[Array, Array], Flags]
     found: Array = field(default_factory=lambda: np.zeros((0, 2)))
 
-    def step(self, times: Array, answers: Answers, are_first: Flags) -> None:
+    def step(self, times: Array, values: Sequence[Answers], are_first: Flags) -> None:
+        (answers,) = values
         if not len(self.found):
             self.found = np.full((len(times), 2), np.nan)
         self.found = np.where(are_first[:, None], np.nan, self.found)
@@ -141,3 +156,98 @@ def _chosen(are_chosen: Flags, new: Answers, old: Answers) -> Answers:
     return Answers(
         np.where(condition, new.values, old.values), np.where(are_chosen, new.unknown, old.unknown)
     )
+
+
+@dataclass(eq=False)
+class _Tick:
+    """A tick that an operator may still look at."""
+
+    times: Array  # (n,), s
+    held: Array  # the bounds of the margin of the condition that is to hold, (2, n)
+    starts: Array  # the bounds of that of its start, (2, n)
+    x: Array  # the margin without a window, (2, n)
+    x_before: Array  # that of the tick before, (2, n)
+    is_there: (
+        Flags  # where it is a tick of the present episode, and no later one has its time, (n,)
+    )
+
+
+class LookingBack:
+    """An operator of temporal logic at earlier ticks, in each of n environments.
+
+    It is computed as in `ssduck.logic.stepwise`.
+    """
+
+    def __init__(self, window: Window, form: TemporalFunction) -> None:
+        self._window, self._form = window, form
+        self._sign = -1.0 if form.name.endswith("historically") else 1.0
+        self._ticks: list[_Tick] = []
+        self._largest: Array | None = None  # of starts that have left `_ticks`, (2, n)
+
+    def step(self, times: Array, values: Sequence[Answers], are_first: Flags) -> None:
+        """Adds a tick; see `ArrayFold`."""
+        bounds = [self._bounds(answers) for answers in values]
+        starts = bounds[-1]
+        held = bounds[0] if len(bounds) == 2 else np.full_like(starts, np.inf)
+        never = np.full_like(starts, -np.inf)
+        before = never
+        if self._ticks:
+            last = self._ticks[-1]
+            is_again = last.is_there & (times == last.times)
+            before = np.where(are_first, never, np.where(is_again, last.x_before, last.x))
+            last.is_there = last.is_there & ~is_again
+        for tick in self._ticks:
+            tick.is_there = tick.is_there & ~are_first
+        x = np.maximum(starts, np.minimum(held, before))
+        here = np.ones(len(times), np.bool_)
+        self._ticks.append(_Tick(times, held, starts, x, before, here))
+        self._largest = (
+            never if self._largest is None else np.where(are_first, never, self._largest)
+        )
+        self._drop(times)
+
+    def _bounds(self, answers: Answers) -> Array:
+        values = answers.values
+        margins = values if self._form.of_margins else np.where(values.astype(np.bool_), 1.0, -1.0)
+        margins = self._sign * margins.astype(np.float64)
+        low, high = (np.where(answers.unknown, end, margins) for end in (-np.inf, np.inf))
+        return np.stack((low, high))
+
+    def _drop(self, times: Array) -> None:
+        """Drops the ticks at which no window looks any more, but for the largest start."""
+        end = times - self._window.start + SLACK
+        begin = times - self._window.end + SLACK
+        while len(self._ticks) > 1:
+            first, second = self._ticks[:2]
+            is_behind = second.times <= (end if np.isinf(self._window.end) else begin)
+            if not (is_behind | ~first.is_there).all():
+                break
+            assert self._largest is not None
+            starts = np.where(first.is_there, first.starts, -np.inf)
+            if np.isinf(self._window.end):
+                self._largest = np.maximum(self._largest, starts)
+            del self._ticks[0]
+
+    def answers(self) -> Answers:
+        """Returns the values of the operator."""
+        assert self._largest is not None
+        now = self._ticks[-1].times
+        end, begin = now - self._window.start + SLACK, now - self._window.end + SLACK
+        result, x = self._largest, np.full_like(self._largest, -np.inf)
+        held = np.full_like(self._largest, np.inf)
+        following, has_end = np.full(len(now), np.inf), np.zeros(len(now), np.bool_)
+        for tick in reversed(self._ticks):
+            is_later = tick.is_there & (tick.times > end)
+            held = np.where(is_later, np.minimum(held, tick.held), held)
+            is_in = tick.is_there & ~is_later
+            x = np.where(is_in & ~has_end, tick.x, x)
+            has_end |= is_in
+            looks = is_in & (following > begin)
+            result = np.where(looks, np.maximum(result, tick.starts), result)
+            following = np.where(tick.is_there, tick.times, following)
+        return self._answers(np.minimum(np.minimum(result, held), x))
+
+    def _answers(self, margins: Array) -> Answers:
+        low, high = self._sign * margins
+        values = low if self._form.of_margins else low > 0.0
+        return Answers(values, low != high)
