@@ -285,14 +285,14 @@ def test_cheap_conditions_come_before_python(ss):
 
 def test_what_depends_on_no_row_is_evaluated_once(ss):
     called = []
-    ss.add_function("once", lambda value: called.append(value) or value, "Spies.")
+    ss.add_function("spied", lambda value: called.append(value) or value, "Spies.")
     program = (
-        "SELECT id FROM kitchen WHERE z(this) > once(1.6) AND tall(this) == once(False) AS list;"
+        "SELECT id FROM kitchen WHERE z(this) > spied(1.6) AND tall(this) == spied(False) AS list;"
     )
     assert ss.eval(program) == ["pin_a091", "pin_c671"]
     assert called == [1.6, False]
     called.clear()
-    robots = "(SELECT once(id(this)) FROM kitchen WHERE isRobot(this) LIMIT 1 AS list)"
+    robots = "(SELECT spied(id(this)) FROM kitchen WHERE isRobot(this) LIMIT 1 AS list)"
     assert ss.eval(f"SELECT id FROM kitchen WHERE id(this) IN {robots} AS list;") == ["fridge"]
     assert called == ["fridge"]
 
