@@ -296,18 +296,18 @@ def mcp(location: Location, seconds: _Seconds = None, episode: EpisodeNumber = N
     Programs run in a sandbox, as with `query --strict`. The extra mcp brings the protocol:
     pip install 'ssduck\[mcp]'
     """
-    if seconds is not None and is_record(location):
-        raise typer.BadParameter("--seconds: a record cannot be simulated further")
-    limits = strict_limits(progress=False)
-
     from ssduck.adapters.optional import library
+    from ssduck.limits import Limits
 
     library("mcp", "mcp")
     from ssduck.mcp.server import create_server
     from ssduck.validation import steps_in
 
+    if seconds is not None and is_record(location):
+        raise typer.BadParameter("--seconds: a record cannot be simulated further")
     record = Path(location) if is_record(location) else None
-    with open_or_load(location, episode, limits) as ss:
+    # An agent's sandbox is no fork of this process, whose environment may have secrets.
+    with open_or_load(location, episode, Limits.strict(progress=False)) as ss:
         ss.strict = True
         if seconds is not None:
             ss.worlds[0].step(steps_in(seconds, ss.worlds[0].timestep, "--seconds"))

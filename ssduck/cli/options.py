@@ -151,7 +151,7 @@ def _decoded(content: bytes, source: str) -> str:
 IS_OWN_PROCESS = ContextVar("IS_OWN_PROCESS", default=False)
 
 
-def strict_limits(**changes: Any) -> Limits:
+def strict_limits() -> Limits:
     """Returns the limits of `--strict`, whose sandbox is a fork of the process of a command.
 
     It comes before imports of libraries that may start threads, which a fork must not have.
@@ -163,4 +163,4 @@ def strict_limits(**changes: Any) -> Limits:
         fork_zygote()
     from ssduck.limits import Limits
 
-    return Limits.strict(**changes)
+    return Limits.strict()
