@@ -39,7 +39,7 @@ TERMS = [
     "lifted(sim.ball, -0.05)",
     "heldFor(z(sim.ball) < 0.2) > 0.05 OR rate(z(sim.ball)) > 1.0",
     "once(z(sim.ball) < limit, 0.01, 0.05)",
-    "historically(near(sim.ball, sim.box, 0.35), 0, 0.04)",
+    "historically(distance(sim.ball, sim.box) < 0.35, 0, 0.04)",
     "heldSince(z(sim.ball) < limit, once(z(sim.ball) > 0.4, 0, 0.02))",
     "heldFor(heldFor(z(sim.ball) < 0.4) > 0.03)",
 ]

@@ -316,8 +316,8 @@ _HOLDS = (math.inf, math.inf)
 
 
 def _bounds_of(value: Any, sign: float, *, of_margins: bool) -> tuple[float, float]:
-    """Returns the bounds of the margin of a value."""
-    if value is None:
+    """Returns the bounds of the margin of a value; a condition of NaN does not hold."""
+    if value is None and of_margins:
         return -math.inf, math.inf
     margin = sign * (value if of_margins else 1.0 if value else -1.0)
     return margin, margin
