@@ -236,7 +236,7 @@ def test_only_the_selected_episodes(lake):
         ("SELECT this FROM sim AS list;", "AS is not written as SQL"),
         ("SELECT z FROM sim WHERE z > max(SELECT z FROM sim AS list);", "a query inside"),
         ("heldFor(z(sim.cup) > 0.4) > 0.1;", "heldFor inside of another expression"),
-        ("lifted(sim.cup, 0.1);", "lifted is not written as SQL"),
+        ("lifted(sim.cup, 0.1);", "initially inside of another expression is not written as SQL"),
         ("holds(z(sim.cup));", "holds of the type double"),
         (
             "SELECT kind, count(id) FROM sim GROUP BY kind;",

@@ -248,6 +248,6 @@ class LookingBack:
         return self._answers(np.minimum(np.minimum(result, held), x))
 
     def _answers(self, margins: Array) -> Answers:
-        low, high = self._sign * margins
-        values = low if self._form.of_margins else low > 0.0
-        return Answers(values, low != high)
+        bounds = self._sign * margins
+        low, high = bounds if self._form.of_margins else bounds > 0.0
+        return Answers(low, low != high)

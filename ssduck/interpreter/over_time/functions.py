@@ -88,7 +88,9 @@ def never_called(name: str, about: str, usage: str, least: int, most: int) -> Fu
 
 def expressions_of(call: Call) -> tuple[Node, ...]:
     """Returns the expressions of a call that are evaluated at ticks."""
-    form = TEMPORAL_FUNCTIONS[call.name]
+    form = TEMPORAL_FUNCTIONS.get(call.name)
+    if form is None:
+        return call.arguments[:1]
     return call.arguments[form.expression : form.expression + form.conditions]
 
 
@@ -306,8 +308,9 @@ def looking_back(name: str, window: Window, traces_of: Callable[[], Sequence[Tra
         return [one.step(time, *bound) for one, bound in zip(state, bounds(value), strict=True)]
 
     def value(state: list[HeldSince], _: float) -> Any:
-        low, high = (sign * one.margin for one in state)
-        return None if low != high else low if form.of_margins else low > 0.0
+        bounds = [sign * one.margin for one in state]
+        low, high = bounds if form.of_margins else [margin > 0.0 for margin in bounds]
+        return low if low == high else None
 
     return Fold(first, begin, step, value)
 
@@ -316,8 +319,8 @@ _HOLDS = (math.inf, math.inf)
 
 
 def _bounds_of(value: Any, sign: float, *, of_margins: bool) -> tuple[float, float]:
-    """Returns the bounds of the margin of a value; a condition of NaN does not hold."""
-    if value is None and of_margins:
+    """Returns the bounds of the margin of a value."""
+    if value is None:
         return -math.inf, math.inf
     margin = sign * (value if of_margins else 1.0 if value else -1.0)
     return margin, margin

@@ -102,7 +102,7 @@ class LiveFolds:
         # Whether the expression of a call is the same at the present tick and in the record.
         self._are_simple: WeakKeyDictionary[Call, bool] = WeakKeyDictionary()
         self._inner_calls: WeakKeyDictionary[Call, list[Call]] = WeakKeyDictionary()
-        self._queries: dict[str, Query] = {}
+        self._queries: dict[str, list[Query]] = {}
         self._folded: dict[str, _Folded] = {}
 
     def takes(self, call: Call, frame: Frame) -> bool:
@@ -126,8 +126,8 @@ class LiveFolds:
 
     def need_no_tables(self, call: Call) -> bool:
         """Checks whether the value of a call needs no table that DuckDB reads."""
-        query = self._queries.get(self._key(call)[0])
-        is_planned = query is not None and self._planner.may_repeat(query)
+        queries = self._queries.get(self._key(call)[0], ())
+        is_planned = bool(queries) and all(map(self._planner.may_repeat, queries))
         return is_planned and self._unrecorded_world(call) is not None
 
     def value(
@@ -315,22 +315,26 @@ class LiveFolds:
         Of two expressions, it is a tuple.
         """
         key, _ = self._key(call)
-        query = self._queries.get(key)
-        if query is None:
-            query = self._queries[key] = select_of(*expressions_of(call))
+        if key not in self._queries:
+            self._queries[key] = [select_of(expression) for expression in expressions_of(call)]
         for inner in self._inner(call):  # the value of the expression may not need it at this tick
             with suppress(SelectScriptError):
                 Frame(self._scope).value(inner)
+        values = tuple(self._selected(query, call, world) for query in self._queries[key])
+        return values if len(values) > 1 else values[0]
+
+    def _selected(self, query: Query, call: Call, world: World) -> Any:
+        """Returns the value that a SELECT of one row has; None where it is NaN."""
         try:
             selected = self._planner.run(query, Frame(self._scope), lambda _: None)
         except ArgumentError:
             if not world.snapshot.entities_with_nan():
                 raise
             return None
-        ((*values,),) = formed(selected, lambda rows: rows.values)
-        if isinstance(values[0], Handle):  # its columns would be those of the present tick
+        ((value,),) = formed(selected, lambda rows: rows.values)
+        if isinstance(value, Handle):  # its columns would be those of the present tick
             raise EvaluationError(no_ticks_message(world.name), span=call.span)
-        return values[0] if len(values) == 1 else tuple(values)
+        return value
 
     def _inner(self, call: Call) -> list[Call]:
         """Returns the functions of time in the expressions of a call, the innermost ones first."""
@@ -375,11 +379,10 @@ class LiveFolds:
         return MASSES not in self._tables_read(expression)
 
 
-def select_of(*expressions: Node) -> Query:
-    """Returns a SELECT of one row that has the values of expressions."""
-    span = expressions[0].span
-    zero = ListLiteral(span, (Literal(span, 0),))
-    return Query(span, expressions, (Source(span, None, zero),))
+def select_of(expression: Node) -> Query:
+    """Returns a SELECT of one row that has the value of an expression."""
+    zero = ListLiteral(expression.span, (Literal(expression.span, 0),))
+    return Query(expression.span, (expression,), (Source(expression.span, None, zero),))
 
 
 def copied(value: Any) -> Any:
