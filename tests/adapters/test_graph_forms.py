@@ -39,22 +39,6 @@ def test_a_relation_that_is_false_is_no_edge(kitchen):
     assert len(graph) == 29
 
 
-@pytest.mark.slow
-def test_a_trigger_is_told_of_another_graph_only():
-    """Of what stays where it is: nodes tell their positions."""
-    with ssduck.load("kitchen") as ss:
-        seen = {form: [] for form in ("graph", "graph(multi=True)", "dot")}
-        for form, results in seen.items():
-            program = f"SELECT obj, isEnabled FROM kitchen WHERE id(this) == 'kitchen' AS {form};"
-            ss.add_trigger(form, program, 0.1, results.append)
-        world = ss.call_variable("kitchen")
-        world.step(96)
-        assert {form: len(results) for form, results in seen.items()} == dict.fromkeys(seen, 1)
-        world["kitchen"].enabled = False
-        world.step(48)
-        assert {form: len(results) for form, results in seen.items()} == dict.fromkeys(seen, 2)
-
-
 @pytest.mark.parametrize("columns", ["above(table, this), z", "table, obj, z"])
 def test_row_by_row_is_the_same(kitchen, columns):
     with ssduck.Interpreter(row_by_row=True) as ss:

@@ -323,17 +323,21 @@ def test_a_value_a_group(kitchen, form):
     }
 
 
+OTHERS = ("numpy", "json", "records", "graph", "graph(multi=True)", "dot")
+
+
 @pytest.mark.slow
-def test_a_trigger_is_told_of_other_rows_only():
+def test_a_trigger_is_told_of_other_rows_and_graphs_only():
+    """Of what stays where it is: nodes of graphs tell their positions."""
     with ssduck.load("kitchen") as ss:
-        seen = {form: [] for form in (*TABLES, "numpy", "json", "records")}
+        seen = {form: [] for form in (*TABLES, *OTHERS)}
         for form, results in seen.items():
-            program = f"SELECT obj, isEnabled FROM kitchen WHERE isRobot(this) AS {form};"
+            program = f"SELECT obj, isEnabled FROM kitchen WHERE id(this) == 'kitchen' AS {form};"
             ss.add_trigger(form, program, 0.1, results.append)
         world = ss.call_variable("kitchen")
         world.step(96)
         assert {form: len(results) for form, results in seen.items()} == dict.fromkeys(seen, 1)
-        world["fridge"].enabled = False
+        world["kitchen"].enabled = False
         world.step(48)
         assert {form: len(results) for form, results in seen.items()} == dict.fromkeys(seen, 2)
 

@@ -21,6 +21,7 @@ from ssduck.database.schemas import TABLE_MACROS
 from ssduck.schema import MODELS, TABLES
 from ssduck.sql.relations.registry import RELATIONS
 from tests.support.cases import sampled
+from tests.support.stage import Stage
 from tests.support.timing import HANGS
 
 NINE_PAIRS = (
@@ -38,16 +39,11 @@ def ss():
 @pytest.fixture
 def sim():
     """A PyBullet client of the user's with three boxes, bound as `sim`."""
-    client = pybullet.connect(pybullet.DIRECT)
-    shape = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
-    )
-    for place in range(3):
-        pybullet.createMultiBody(1, shape, basePosition=[place, 0, 1], physicsClientId=client)
-    with ssduck.Interpreter() as interpreter:
-        interpreter.add_variable("sim", ssduck.World.attach(client))
-        yield interpreter, client, shape
-    pybullet.disconnect(client)
+    with Stage() as stage, ssduck.Interpreter() as interpreter:
+        for place in range(3):
+            stage.box(None, (place, 0, 1), half=0.1, mass=1)
+        interpreter.add_variable("sim", ssduck.World.attach(stage.client))
+        yield interpreter, stage.client
 
 
 # -- tables -------------------------------------------------------------------------------------
@@ -98,7 +94,7 @@ def test_links_joints_and_shapes_join_entities(ss):
 
 @pytest.mark.slow
 def test_two_worlds_are_two_schemas(ss, sim):
-    interpreter, _, _ = sim
+    interpreter, _ = sim
     world = ssduck.load("kitchen").call_variable("kitchen")
     interpreter.add_variable("second", world)
     assert len(interpreter.sql("FROM entities")) == len(interpreter.sql("FROM sim.entities")) == 3
@@ -111,11 +107,11 @@ def test_two_worlds_are_two_schemas(ss, sim):
 
 
 def test_a_world_bound_twice_has_two_schemas(sim):
-    interpreter, client, shape = sim
+    interpreter, client = sim
     interpreter.eval("other = sim;")
     assert interpreter.eval("SELECT count([1]) FROM other AS list;") == [1, 1, 1]
     interpreter.add_variable("third", interpreter.call_variable("sim"))
-    pybullet.createMultiBody(1, shape, physicsClientId=client)
+    Stage(client).box(None, half=0.1, mass=1)
     interpreter.call_variable("sim").tick()
     assert (
         len(interpreter.sql("FROM third.entities"))
@@ -126,7 +122,7 @@ def test_a_world_bound_twice_has_two_schemas(sim):
 
 @pytest.mark.slow
 def test_a_name_is_rebound_in_both_languages(sim):
-    interpreter, _, _ = sim
+    interpreter, _ = sim
     with ssduck.load("kitchen") as ss:
         kitchen = ss.call_variable("kitchen")
         interpreter.add_variable("second", kitchen)
@@ -137,7 +133,7 @@ def test_a_name_is_rebound_in_both_languages(sim):
 
 @pytest.mark.slow
 def test_worlds_whose_names_differ_in_case_only_are_refused(sim):
-    interpreter, _, _ = sim
+    interpreter, _ = sim
     with ssduck.load("kitchen") as ss:
         kitchen = ss.call_variable("kitchen")
         with pytest.raises(ssduck.SelectScriptError, match="SQL ignores case"):
@@ -147,7 +143,7 @@ def test_worlds_whose_names_differ_in_case_only_are_refused(sim):
 
 @pytest.mark.slow
 def test_a_world_in_two_interpreters(sim):
-    first, _, _ = sim
+    first, _ = sim
     world = first.call_variable("sim")
     with ssduck.Interpreter() as second:
         second.add_variable("other", world)
@@ -160,7 +156,7 @@ def test_a_world_in_two_interpreters(sim):
 
 @pytest.mark.slow
 def test_interpreters_with_the_same_worlds_do_not_wait_for_each_other(sim):
-    one, _, _ = sim
+    one, _ = sim
     with ssduck.load("kitchen") as two:
         kitchen, boxes = two.call_variable("kitchen"), one.call_variable("sim")
         one.add_variable("kitchen", kitchen)
@@ -182,7 +178,7 @@ def test_interpreters_with_the_same_worlds_do_not_wait_for_each_other(sim):
 
 @pytest.mark.slow
 def test_a_world_that_takes_anothers_name(sim):
-    interpreter, _, _ = sim
+    interpreter, _ = sim
     old = interpreter.call_variable("sim")
     client = pybullet.connect(pybullet.DIRECT)
     interpreter.add_variable("old", old)
@@ -246,12 +242,12 @@ def test_what_fails_behind_many_rows_is_told():
 
 def test_plans_follow_bodies_that_come_and_go(sim):
     """A prepared statement would go on reading the buffers that it was made for."""
-    interpreter, client, shape = sim
+    interpreter, client = sim
     program = interpreter.compile("SELECT x FROM sim WHERE x(this) > low AS list;")
     interpreter.add_variable("low", 0.5)
     world = interpreter.call_variable("sim")
     assert interpreter.eval(program) == [1.0, 2.0]
-    pybullet.createMultiBody(1, shape, basePosition=[7, 0, 0], physicsClientId=client)
+    Stage(client).box(None, (7, 0, 0), half=0.1, mass=1)
     assert interpreter.eval(program) == [1.0, 2.0]  # until the next tick
     world.tick()
     assert interpreter.eval(program) == [1.0, 2.0, 7.0]
@@ -264,10 +260,10 @@ def test_plans_follow_bodies_that_come_and_go(sim):
 
 @pytest.mark.slow
 def test_a_users_prepared_statement_never_reads_old_buffers(sim):
-    interpreter, client, shape = sim
+    interpreter, client = sim
     interpreter.sql("PREPARE mine AS SELECT count(*) FROM entities")
     assert interpreter.sql("EXECUTE mine").fetchone() == (3,)
-    pybullet.createMultiBody(1, shape, physicsClientId=client)
+    Stage(client).box(None, half=0.1, mass=1)
     interpreter.call_variable("sim").tick()
     with pytest.raises(ssduck.SelectScriptError, match="mine"):
         interpreter.sql("EXECUTE mine")
@@ -277,7 +273,7 @@ def test_a_users_prepared_statement_never_reads_old_buffers(sim):
 
 @pytest.mark.slow
 def test_views_of_on_demand_tables_stay_up_to_date(sim):
-    interpreter, client, _ = sim
+    interpreter, client = sim
     world = interpreter.call_variable("sim")
     interpreter.sql("CREATE VIEW fastest AS SELECT max(abs(vz)) AS v FROM links")
     pybullet.setGravity(0, 0, -10, physicsClientId=client)
@@ -288,7 +284,7 @@ def test_views_of_on_demand_tables_stay_up_to_date(sim):
 
 
 def test_stepping_is_seen_by_the_next_query(sim):
-    interpreter, client, _ = sim
+    interpreter, client = sim
     world = interpreter.call_variable("sim")
     pybullet.setGravity(0, 0, -10, physicsClientId=client)
     heights = []
@@ -319,7 +315,7 @@ def stepping(world):
 
 
 def test_a_query_and_what_is_nested_in_it_are_of_one_tick(sim):
-    interpreter, client, _ = sim
+    interpreter, client = sim
     world = interpreter.call_variable("sim")
     pybullet.setGravity(0, 0, -10, physicsClientId=client)
     own = "(SELECT z FROM sim LIMIT 1 AS value)"
@@ -332,7 +328,7 @@ def test_a_query_and_what_is_nested_in_it_are_of_one_tick(sim):
 @pytest.mark.slow
 def test_a_forgotten_plan_is_made_anew(sim):
     """Here while it runs: the function that it calls makes another world known."""
-    interpreter, _, _ = sim
+    interpreter, _ = sim
     with ssduck.load("kitchen") as ss:
         kitchen = ss.call_variable("kitchen")
         interpreter.add_function("low", lambda: interpreter.add_variable("more", kitchen) and 0.5)
@@ -353,7 +349,7 @@ def test_a_function_may_look_at_links_and_joints():
 @pytest.mark.slow
 def test_threads_may_step_and_ask(sim):
     """Every answer is of one tick: all bodies fall alike, so all heights in it are equal."""
-    interpreter, client, _ = sim
+    interpreter, client = sim
     world = interpreter.call_variable("sim")
     pybullet.setGravity(0, 0, -10, physicsClientId=client)
     with stepping(world):
@@ -421,7 +417,7 @@ def test_results_as_frames(ss):
 
 
 def test_results_stay_as_they_were(sim):
-    interpreter, client, _ = sim
+    interpreter, client = sim
     world = interpreter.call_variable("sim")
     pybullet.setGravity(0, 0, -10, physicsClientId=client)
     result = interpreter.sql("SELECT z FROM entities")

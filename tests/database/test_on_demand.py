@@ -20,6 +20,7 @@ from ssduck.limits import UsageMeter
 from ssduck.recording.recorder import BUFFERED_TICKS
 from ssduck.schema import HISTORIES, MODELS, TABLES
 from tests.support.cases import sampled
+from tests.support.stage import Stage
 
 BODIES = 5
 TICKS = 20
@@ -29,22 +30,13 @@ TICKS = 20
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small record in a folder."""
     place = tmp_path_factory.mktemp("small") / "run"
-    client = pybullet.connect(pybullet.DIRECT)
-    box = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[0.1, 0.1, 0.1], physicsClientId=client
-    )
-    names = {
-        pybullet.createMultiBody(
-            1, box, basePosition=[0.3 * n, 0, 1 + n], physicsClientId=client
-        ): f"box_{n}"
-        for n in range(BODIES)
-    }
-    with ssduck.Interpreter(recording=None) as ss:
-        world = ss.add_variable("lab", ssduck.World.attach(client, names=names))
+    with Stage() as stage, ssduck.Interpreter(recording=None) as ss:
+        for n in range(BODIES):
+            stage.box(f"box_{n}", (0.3 * n, 0, 1 + n), half=0.1, mass=1)
+        world = ss.add_variable("lab", stage.open())
         with ss.record_to(place, recording=Recording(tables=("entities", "contacts"))):
             for _ in range(TICKS - 1):
                 world.step()
-    pybullet.disconnect(client)
     return place
 
 

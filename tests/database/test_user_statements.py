@@ -11,6 +11,7 @@ from ssduck.database.plans import RUNS_BEFORE_PLAN
 from ssduck.database.statement_names import words_of
 from ssduck.errors import EvaluationError, LimitError, SqlError
 from tests.support.cases import generated, sampled
+from tests.support.stage import Stage
 
 # As many that the plan of a statement is kept at the last ones.
 RUNS = RUNS_BEFORE_PLAN + 3
@@ -85,24 +86,15 @@ SPELLINGS = (
 
 def scene(client):
     """Boxes in a row, each penetrating or touching the next ones, on a floor, and a ball."""
-    halves = [0.1, 0.1, 0.1]
-    box = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=halves, physicsClientId=client
-    )
-    floor = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[2, 2, 0.1], physicsClientId=client
-    )
-    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.04, physicsClientId=client)
-    bodies = {"floor": (floor, [0, 0, -0.1]), "ball": (ball, [0, 0, 0.1])}
+    stage = Stage(client)
+    stage.box("floor", (0, 0, -0.1), half=[2, 2, 0.1], mass=1)
+    stage.sphere("ball", (0, 0, 0.1), radius=0.04, mass=1)
     x = 0.0
     for number, gap in enumerate((0.0, -0.05, 0.01, 0.04, 0.3, -0.001)):
         x += 0.2 + gap
-        bodies[f"b{number}"] = (box, [x, 0, 0.1])
-    bodies["upper"] = (box, [x, 0, 0.3])
-    return {
-        pybullet.createMultiBody(1, shape, basePosition=place, physicsClientId=client): name
-        for name, (shape, place) in bodies.items()
-    }
+        stage.box(f"b{number}", (x, 0, 0.1), half=0.1, mass=1)
+    stage.box("upper", (x, 0, 0.3), half=0.1, mass=1)
+    return stage.names
 
 
 @pytest.fixture(scope="module")
@@ -110,10 +102,7 @@ def ss():
     """An interpreter with a world of boxes, one of whose poses is unknown."""
     client = pybullet.connect(pybullet.DIRECT)
     names = scene(client)
-    sphere = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
-    lost = pybullet.createMultiBody(
-        1, sphere, basePosition=[math.nan, 0, 0], physicsClientId=client
-    )
+    lost = Stage(client).sphere("lost", (math.nan, 0, 0), radius=0.1, mass=1)
     with ssduck.Interpreter() as interpreter:
         with pytest.warns(UserWarning, match="lost"):
             world = ssduck.World.attach(client, names=names | {lost: "lost"})
@@ -368,8 +357,7 @@ def test_a_new_body_or_function_is_in_the_results(traced):
     ss, client = traced
     for _ in range(RUNS):
         ss.sql(PAIRS)
-    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
-    pybullet.createMultiBody(1, shape, basePosition=[0.2, 0, 0.1], physicsClientId=client)
+    Stage(client).sphere("new", (0.2, 0, 0.1), radius=0.1, mass=1)
     ss.call_variable("sim").tick()
     expected = rows(row_by_row(ss, PAIRS))
     assert [rows(ss.sql(PAIRS)) for _ in range(RUNS)] == [expected] * RUNS

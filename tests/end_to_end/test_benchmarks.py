@@ -29,17 +29,6 @@ def test_all_ways_find_the_same_pairs(form, kind):
     assert set(found.times) <= set(pairs.WAYS)
 
 
-def test_the_tables(capsys):
-    status = pairs.main(
-        ["--sizes", "20", "30", "--forms", "cube", "--kinds", "boxes", "--rounds", "1"]
-    )
-    printed = capsys.readouterr().out
-    assert status == 0
-    assert printed.count("| cube, boxes |") == 4
-    assert "at 30 bodies at most 1.5 of FCL's tree" in printed
-    assert "DISAGREEMENT" not in printed
-
-
 def test_a_wrong_answer_is_a_failure(monkeypatch, capsys):
     right = pairs.SsduckScene.pairs
     monkeypatch.setattr(pairs.SsduckScene, "pairs", lambda self, names: right(self, names)[1:])

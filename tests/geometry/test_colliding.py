@@ -9,6 +9,7 @@ import pytest
 import ssduck
 from tests.support.bodies import create_linked_body
 from tests.support.cases import sampled
+from tests.support.stage import Stage
 
 BOTH = "SELECT id(a.this), id(b.this) FROM a=w, b=w WHERE collides(a.this, b.this) AS list;"
 # A condition on one of the two alone: then pairs are asked about one by one.
@@ -80,14 +81,9 @@ def test_at_once_is_one_by_one(client, ask, kinds, seed):
 @pytest.mark.parametrize("angle", [0.0, 1e-8, 0.3, np.pi / 2])
 @sampled(("depth", "collides"), [(-1e-6, 0), (0, 0), (0.9e-6, 0), (1.1e-6, 1)], every=2)
 def test_the_boundary_of_boxes(client, ask, angle, depth, collides):
-    box = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[0.5] * 3, physicsClientId=client
-    )
     turn = [0, 0, np.sin(angle / 2), np.cos(angle / 2)]
     for z, orientation in ((0.0, [0, 0, 0, 1]), (1.0 - depth, turn)):
-        pybullet.createMultiBody(
-            1, box, basePosition=[0, 0, z], baseOrientation=orientation, physicsClientId=client
-        )
+        Stage(client).box(None, [0, 0, z], turn=orientation, mass=1)
     assert len(ask(BOTH)) == len(ask(ONE_BY_ONE)) == 2 * collides
 
 
@@ -128,11 +124,8 @@ IN_ORDER = {
 def test_pairs_are_in_the_order_of_the_sources(client, sources, condition):
     """Whichever of them a pair is of, and in whatever order a relation has them."""
     fill(client, ["box"] * 4, 4, side=0.3)
-    box = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[0.5] * 3, physicsClientId=client
-    )
     for z in (11, 12, 10):
-        pybullet.createMultiBody(1, box, basePosition=[0, 0, z], physicsClientId=client)
+        Stage(client).box(None, [0, 0, z], mass=1)
     named = ", ".join(f"id({name}.this)" for name in "abc" if f"{name}=w" in sources)
     program = f"SELECT {named} FROM {sources} WHERE {condition} AS list;"
     world, found = ssduck.World.attach(client), []

@@ -15,6 +15,7 @@ import ssduck
 from ssduck import Recording
 from ssduck.errors import ArgumentError, RecordError, SelectScriptError
 from ssduck.schema import BOX, POSE
+from tests.support.stage import Stage
 
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 COLUMNS = ", ".join((*POSE, *TWIST, *BOX))
@@ -25,24 +26,16 @@ TURN = [0.5, -0.5, 0.5, 0.5]
 def live(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A live record of PyBullet: a box and a ball that fall, tumbling, on a box that stands."""
     place = tmp_path_factory.mktemp("live") / "r"
-    client = pybullet.connect(pybullet.DIRECT)
-    pybullet.setGravity(0, 0, -9.81, client)
-    own = {"physicsClientId": client}
-    board = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[1, 1, 0.05], **own)
-    brick = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.1, 0.05, 0.2], **own)
-    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, **own)
-    bodies = {
-        pybullet.createMultiBody(0, board, **own): "board",
-        pybullet.createMultiBody(1, brick, basePosition=[0, 0, 0.5], **own): "brick",
-        pybullet.createMultiBody(1, ball, basePosition=[0.25, 0, 0.3], **own): "ball",
-    }
-    pybullet.resetBaseVelocity(1, [0, 0, 0], [3, 2, 1], **own)
-    with ssduck.Interpreter(recording=None) as ss:
-        world = ss.add_variable("lab", ssduck.World.attach(client, bodies))
+    with Stage() as stage, ssduck.Interpreter(recording=None) as ss:
+        pybullet.setGravity(0, 0, -9.81, stage.client)
+        stage.box("board", half=[1, 1, 0.05])
+        brick = stage.box("brick", (0, 0, 0.5), half=[0.1, 0.05, 0.2], mass=1)
+        stage.sphere("ball", (0.25, 0, 0.3), radius=0.1, mass=1)
+        pybullet.resetBaseVelocity(brick, [0, 0, 0], [3, 2, 1], stage.client)
+        world = ss.add_variable("lab", stage.open())
         with ss.record_to(place, recording=Recording(tables=("entities",))):
             for _ in range(150):
                 world.step()
-    pybullet.disconnect(client)
     return place
 
 

@@ -13,7 +13,8 @@ import pyarrow as pa
 import pytest
 
 import ssduck
-from ssduck.errors import ArgumentError, ParseError, SelectScriptError
+from ssduck.errors import ArgumentError, EvaluationError, ParseError, SelectScriptError
+from ssduck.lakes import engines
 from ssduck.lakes.answers import AnsweredEpisode, answer_table
 from ssduck.lakes.engines import answer_locally
 from ssduck.lakes.manifest import EpisodeEntry
@@ -127,6 +128,12 @@ def test_processes_are_kept_until_one_is_killed(recorded):
     assert not first & second
     forget_readers()
     assert children() == others
+
+
+def test_answers_that_cannot_be_kept_are_told_of(recorded, tmp_path):
+    entries = ssduck.lake(recorded)._entries
+    with pytest.raises(EvaluationError, match=r"cannot be kept in .*: No such file"):
+        engines._write_answers(ProgramQuestion("1;"), entries, tmp_path / "gone")
 
 
 @pytest.mark.parametrize(("episodes", "kept", "expected"), [

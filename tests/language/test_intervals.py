@@ -20,6 +20,7 @@ from ssduck.interpreter.over_time import series
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS, changes_of, column_of, intervals_of
 from tests.support.bodies import client_of
 from tests.support.cases import sampled
+from tests.support.stage import Stage
 
 STEP = 1 / 240
 
@@ -27,21 +28,12 @@ STEP = 1 / 240
 @contextmanager
 def _opened() -> Iterator[Any]:
     """An interpreter and one row by row on a world whose ball is put at a height, tick by tick."""
-    client = pybullet.connect(pybullet.DIRECT)
-    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
-    board = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[1, 1, 0.1], physicsClientId=client
-    )
-    pybullet.createMultiBody(0, board, physicsClientId=client)
-    pybullet.createMultiBody(1, ball, basePosition=[0, 0, 1], physicsClientId=client)
-    world = ssduck.World.attach(client, names={0: "board", 1: "ball"})
-    with ssduck.Interpreter() as ss, ssduck.Interpreter(row_by_row=True) as rows:
-        for each in (ss, rows):
-            each.add_variable("lab", world)
-            for name in ("board", "ball"):
-                each.add_variable(name, world[name])
+    with Stage() as stage:
+        stage.box("board", half=[1, 1, 0.1])
+        stage.sphere("ball", (0, 0, 1), radius=0.1, mass=1)
+        world = stage.open()
+        ss, rows = stage.interpreters(lab=world)
         yield ss, rows, world
-    pybullet.disconnect(client)
 
 
 @pytest.fixture
@@ -118,12 +110,11 @@ def test_a_long_window_is_what_numpy_finds_by_hand(lab: Any) -> None:
     """Of the ticks of one time the last one counts; at the first ones the entity is not there."""
     _, _, world = lab
     client = world.simulator.client
-    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
     early = [world.time]
     for _ in range(150):
         world.step()
         early.append(world.time)
-    body = pybullet.createMultiBody(1, shape, physicsClientId=client)
+    body = Stage(client).sphere("new", radius=0.1, mass=1)
     heights, late = np.round(np.random.default_rng(5).uniform(0.5, 1.5, 250), 1), []
     for height in heights.tolist():
         world.simulator.step(1)
@@ -287,9 +278,8 @@ def test_rows_are_asked_about_one_by_one(lab: Any) -> None:
 def test_an_entity_that_was_not_there_ends_what_holds(lab: Any) -> None:
     ss, _, world = lab
     client = world.simulator.client
-    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
     world.step(5)
-    body = pybullet.createMultiBody(1, shape, basePosition=[0, 0, 3], physicsClientId=client)
+    body = Stage(client).sphere("new", (0, 0, 3), radius=0.1, mass=1)
     world.step()
     came = world.time
     (new,) = [entity for entity in world if entity.id == 3]
@@ -324,16 +314,13 @@ def test_what_is_no_expression_over_time(
             each.eval(program)
 
 
-def test_entities_of_two_worlds(lab: Any) -> None:
-    client = pybullet.connect(pybullet.DIRECT)
-    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
-    pybullet.createMultiBody(1, ball, physicsClientId=client)
-    other = ssduck.World.attach(client, names={0: "other"})
+def test_entities_of_two_worlds(lab: Any, stage: Stage) -> None:
+    stage.sphere("other")
+    other = stage.open()
     lab[0].add_variable("attic", other)
     lab[0].add_variable("other", other["other"])
     with pytest.raises(UnsupportedError, match="holds takes entities of one world"):
         lab[0].eval("holds(distance(ball, other) > 1);")
-    pybullet.disconnect(client)
 
 
 # -- as SQL -----------------------------------------------------------------------------------
@@ -373,15 +360,9 @@ def test_initially_is_the_value_at_the_first_recorded_tick(lab: Any) -> None:
 
 def test_of_what_came_later_nothing_is_known_initially(lab: Any) -> None:
     ss, rows, world = lab
-    shape = pybullet.createCollisionShape(
-        pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client_of(world)
-    )
-    body = pybullet.createMultiBody(
-        1, shape, basePosition=[3, 0, 1], physicsClientId=client_of(world)
-    )
+    Stage(client_of(world)).sphere("late", (3, 0, 1), radius=0.1, mass=1)
     world.tick()
     late = next(entity for entity in world if entity.position[0] > 2)
-    assert body is not None
     for each in (ss, rows):
         each.add_variable("late", late)
     assert _evaluated(lab, "initially(z(late));") is None

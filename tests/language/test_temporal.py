@@ -213,6 +213,14 @@ def test_a_plan_is_made_anew_when_the_type_of_what_was_changes(ss):
     assert ss.eval("SELECT id FROM w2 WHERE v{20} == 2.5 AS list;") == ["box"]
 
 
+def test_what_was_given_at_a_constant_time_is_in_conditions_of_rows(client):
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("w", box_world(client))
+        ss.eval("v{} = 0.25; h = 1;")
+        text = "SELECT id FROM w WHERE z(this) > v{h} AND count(v{}) == 1 AS list;"
+        assert ss.eval(text) == ["box"]
+
+
 # (script, program, error, the offending text, words)
 MISTAKES = [
     ([], "u{5};", UnknownNameError, "u{5}", "there is no variable 'u'"),

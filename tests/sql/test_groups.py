@@ -76,6 +76,15 @@ def test_groups_are_those_of_the_evaluator(both: Evaluators, text: str) -> None:
     assert both.disagreement(text) is None
 
 
+@pytest.mark.parametrize("source", SOURCES)
+def test_pairs_of_rows_are_grouped(both: Evaluators, source: str) -> None:
+    text = (
+        f"SELECT a.id, count(*) AS n, min(distance(a.this, b.this)) AS least "
+        f"FROM {source} a, {source} b WHERE a.z > b.z GROUP BY a.this, b.kind ORDER BY n;"
+    )
+    assert both.disagreement(text) is None
+
+
 def test_what_is_left_to_python_says_for_what(both: Evaluators) -> None:
     text = "SELECT kind, stddev(z) AS s FROM w{-0.02} GROUP BY kind;"
     assert "-- left to Python: GROUP BY, for stddev(z)" in both.sql.explain(text)

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 import ssduck
 from ssduck.errors import SqlError
 from tests.support.bodies import create_linked_body
+from tests.support.stage import Stage
 
 EDGE = 1e-9
 
@@ -19,12 +20,10 @@ EDGE = 1e-9
 @pytest.fixture(scope="module")
 def lab():
     """A cube without gravity that a test places and moves, and its interpreter."""
-    client = pybullet.connect(pybullet.DIRECT)
-    here = {"physicsClientId": client}
-    shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.1] * 3, **here)
-    body = pybullet.createMultiBody(1, shape, **here)
-    with ssduck.Interpreter() as ss:
-        world = ss.add_variable("lab", ssduck.World.attach(client, names={body: "cube"}))
+    with Stage() as stage, ssduck.Interpreter() as ss:
+        here = {"physicsClientId": stage.client}
+        body = stage.box("cube", half=0.1, mass=1)
+        world = ss.add_variable("lab", stage.open())
 
         def put(turn=(0, 0, 0, 1), linear=(0, 0, 0), angular=(0, 0, 0)):
             pybullet.resetBasePositionAndOrientation(body, [0, 0, 1], turn, **here)
@@ -32,7 +31,6 @@ def lab():
             world.tick()
 
         yield ss, put
-    pybullet.disconnect(client)
 
 
 def both(ss, expression):

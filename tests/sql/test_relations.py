@@ -20,21 +20,17 @@ from ssduck.sql.relations.registry import RELATIONS, geometry_udfs
 from ssduck.sql.relations.relation import Parameter
 from ssduck.sql.relations.shapes import shape_relation
 from tests.support.cases import sampled
+from tests.support.stage import Stage
 
 EDGE = 1e-9
 
 
 def boxes(*places):
     """A world of boxes: (name, half extents, position); the first is at hand as variable `a`."""
-    client = pybullet.connect(pybullet.DIRECT)
-    names = {}
+    stage = Stage()
     for name, halves, position in places:
-        shape = pybullet.createCollisionShape(
-            pybullet.GEOM_BOX, halfExtents=halves, physicsClientId=client
-        )
-        body = pybullet.createMultiBody(0, shape, basePosition=position, physicsClientId=client)
-        names[body] = name
-    return client, ssduck.World.attach(client, names=names)
+        stage.box(name, position, halves)
+    return stage.client, stage.open()
 
 
 @pytest.fixture(scope="module")
@@ -181,22 +177,15 @@ def test_random_scenes_agree_with_a_loop(relation):
 
 
 @pytest.mark.slow
-def test_planes_are_solid_below_and_endless():
+def test_planes_are_solid_below_and_endless(stage):
     """What is not above a ground plane is below its surface, and within its box."""
-    client = pybullet.connect(pybullet.DIRECT)
-    shape = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
-    ground = pybullet.createMultiBody(0, shape, physicsClientId=client)
-    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
-    for height in (-1.0, 0.0, 2.0):
-        pybullet.createMultiBody(1, ball, basePosition=[500, 0, height], physicsClientId=client)
-    world = ssduck.World.attach(client, names={ground: "ground", 1: "under", 2: "at", 3: "over"})
-    with ssduck.Interpreter() as ss:
-        ss.add_variable("sim", world)
-        ss.eval("ground = SELECT obj FROM sim WHERE id(this) == 'ground' AS value;")
-        assert ss.eval("SELECT id FROM sim WHERE above(ground, this) AS list;") == ["at", "over"]
-        assert ss.eval("SELECT id FROM sim WHERE below(ground, this) AS list;") == ["under"]
-        assert ss.eval("SELECT id FROM sim WHERE within(ground, this) AS list;") == ["under"]
-    pybullet.disconnect(client)
+    stage.add("ground", pybullet.GEOM_PLANE)
+    for name, height in (("under", -1.0), ("at", 0.0), ("over", 2.0)):
+        stage.sphere(name, (500, 0, height), radius=0.1, mass=1)
+    ss, _ = stage.interpreters(sim=stage.open())
+    assert ss.eval("SELECT id FROM sim WHERE above(ground, this) AS list;") == ["at", "over"]
+    assert ss.eval("SELECT id FROM sim WHERE below(ground, this) AS list;") == ["under"]
+    assert ss.eval("SELECT id FROM sim WHERE within(ground, this) AS list;") == ["under"]
 
 
 # -- the registry -------------------------------------------------------------------------------

@@ -115,15 +115,6 @@ class Evaluators:
             return None
         return f"{text}\n    row by row: {rows}\n    SQL: {sql}"
 
-    def is_all_sql(self, text: str) -> bool:
-        """Checks whether nothing of a program's queries is left to Python."""
-        self.refresh(self.sql)
-        try:
-            plan = self.sql.explain(text)
-        except ssduck.SelectScriptError:
-            return False
-        return "SELECT" in plan and "-- left to Python" not in plan and "-- row by row" not in plan
-
     def close(self) -> None:
         """Close both."""
         self.sql.close()

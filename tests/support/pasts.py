@@ -9,6 +9,7 @@ from contextlib import contextmanager
 import pytest
 
 import ssduck
+from tests.support.stage import Stage
 
 pybullet = pytest.importorskip("pybullet")
 
@@ -17,18 +18,11 @@ ALL = ("entities", "links", "joints", "shapes", "contacts", "sensings")
 
 def _falling(balls: int = 2) -> tuple[int, list[int]]:
     """A client of PyBullet with a table that stands still and balls that fall on it."""
-    client = pybullet.connect(pybullet.DIRECT)
-    pybullet.setGravity(0, 0, -9.81, client)
-    board = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[2, 2, 0.05], physicsClientId=client
-    )
-    pybullet.createMultiBody(0, board, basePosition=[0, 0, 0.45], physicsClientId=client)
-    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
-    bodies = [
-        pybullet.createMultiBody(1, ball, basePosition=[i - 0.5, 0, 1], physicsClientId=client)
-        for i in range(balls)
-    ]
-    return client, bodies
+    stage = Stage()
+    pybullet.setGravity(0, 0, -9.81, stage.client)
+    stage.box("board", (0, 0, 0.45), half=[2, 2, 0.05])
+    bodies = [stage.sphere(None, (i - 0.5, 0, 1), radius=0.1, mass=1) for i in range(balls)]
+    return stage.client, bodies
 
 
 def _step(ss: ssduck.Interpreter, count: int, world: str = "lab") -> None:

@@ -14,8 +14,8 @@ BOX, SPHERE, PLANE = pybullet.GEOM_BOX, pybullet.GEOM_SPHERE, pybullet.GEOM_PLAN
 class Stage:
     """A PyBullet client that tests fill with shapes; its world, and interpreters of both kinds."""
 
-    def __init__(self):
-        self.client = pybullet.connect(pybullet.DIRECT)
+    def __init__(self, client=None):
+        self.client = pybullet.connect(pybullet.DIRECT) if client is None else client
         self.names = {}
         self.interpreters_to_close = []
 

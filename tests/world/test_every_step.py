@@ -11,22 +11,19 @@ import pybullet
 import pytest
 
 import ssduck
+from tests.support.stage import Stage
 
 STEP = 1 / 240
 
 
 def falling_ball() -> int:
     """Returns a client with a ball above a floor."""
-    client = pybullet.connect(pybullet.DIRECT)
-    pybullet.setGravity(0, 0, -9.81, client)
-    floor = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[1, 1, 0.1], physicsClientId=client
-    )
-    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
-    pybullet.createMultiBody(0, floor, physicsClientId=client)
-    body = pybullet.createMultiBody(1, ball, basePosition=[0, 0, 0.5], physicsClientId=client)
-    pybullet.changeDynamics(body, -1, restitution=0.8, physicsClientId=client)
-    return client
+    stage = Stage()
+    pybullet.setGravity(0, 0, -9.81, stage.client)
+    stage.box("floor", half=[1, 1, 0.1])
+    body = stage.sphere("ball", (0, 0, 0.5), radius=0.1, mass=1)
+    pybullet.changeDynamics(body, -1, restitution=0.8, physicsClientId=stage.client)
+    return stage.client
 
 
 @pytest.fixture

@@ -9,9 +9,9 @@ import pybullet
 import pytest
 from scipy.spatial.transform import Rotation
 
-import ssduck
 from ssduck.errors import ArgumentError, ProgramWarning, StateError
 from ssduck.world.orientations import orientation_of
+from tests.support.stage import Stage
 
 HALF = math.sqrt(0.5)
 TURNED = Rotation.from_euler("xyz", [0.1, -0.4, 2.0])
@@ -20,18 +20,14 @@ TURNED = Rotation.from_euler("xyz", [0.1, -0.4, 2.0])
 @pytest.fixture(scope="module")
 def cube():
     """A cube of the user's own client, and a function that gives its orientation there."""
-    client = pybullet.connect(pybullet.DIRECT)
-    shape = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
-    )
-    body = pybullet.createMultiBody(1, shape, physicsClientId=client)
-    entity = ssduck.World.attach(client, names={body: "cube"})["cube"]
+    with Stage() as stage:
+        body = stage.box("cube", half=0.1, mass=1)
+        entity = stage.open()["cube"]
 
-    def there():
-        return pybullet.getBasePositionAndOrientation(body, physicsClientId=client)[1]
+        def there():
+            return pybullet.getBasePositionAndOrientation(body, physicsClientId=stage.client)[1]
 
-    yield entity, there
-    pybullet.disconnect(client)
+        yield entity, there
 
 
 def is_turned(found, expected):
@@ -89,15 +85,14 @@ def test_what_may_be_the_other_order_is_told_of(cube, now, given, is_told):
     assert is_turned(there(), Rotation.from_quat([x, y, z, w]))
 
 
-def test_what_a_handle_tells_needs_no_warning(client):
-    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
-    one, other = (pybullet.createMultiBody(1, shape, physicsClientId=client) for _ in range(2))
-    world = ssduck.World.attach(client, names={one: "one", other: "other"})
+def test_what_a_handle_tells_needs_no_warning(stage):
+    one, _ = (stage.sphere(name, radius=0.1, mass=1) for name in ("one", "other"))
+    world = stage.open()
     world["other"].move(wxyz=TURNED.as_quat(scalar_first=True))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         world["one"].move([0, 0, 1], world["other"].orientation)
-    assert is_turned(pybullet.getBasePositionAndOrientation(one, client)[1], TURNED)
+    assert is_turned(pybullet.getBasePositionAndOrientation(one, stage.client)[1], TURNED)
     with pytest.warns(ProgramWarning, match="^one: the orientation"):
         world["one"].move([0, 0, 1], pybullet.getQuaternionFromEuler([0.3, -0.4, 2.0]))
 

@@ -15,17 +15,15 @@ from ssduck.schema import STORED_TABLES, TABLES
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.world.live_tables import LiveTable
 from tests.support.spy import Spy
+from tests.support.stage import Stage
 from tests.support.urdf import joint, link, robot
 
 
 def scene(client):
     """Two boxes that fall and a floor."""
     pybullet.setGravity(0, 0, -10, physicsClientId=client)
-    shape = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
-    )
     for mass, height in ((1, 1), (1, 2), (0, 0)):
-        pybullet.createMultiBody(mass, shape, basePosition=[0, 0, height], physicsClientId=client)
+        Stage(client).box(None, [0, 0, height], half=0.1, mass=mass)
 
 
 @pytest.fixture

@@ -27,6 +27,7 @@ from ssduck.simulators.scenes import find_scene
 from tests.support.arm import ARM, HIGH, LOW, POSE, TWIST, unsettle
 from tests.support.cases import sampled
 from tests.support.spy import Spy
+from tests.support.stage import Stage
 from tests.support.urdf import collision, joint, link, robot
 
 EQUAL = 1e-6
@@ -295,10 +296,7 @@ class Untouchable(Spy):
 def spied(client, write):
     """A world of a robot and a box, and the spy on its simulator."""
     pybullet.loadURDF(str(write("arm.urdf", ARM)), physicsClientId=client)
-    box = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
-    )
-    pybullet.createMultiBody(1, box, basePosition=[3, 0, 0], physicsClientId=client)
+    Stage(client).box("box", (3, 0, 0), half=0.1, mass=1)
     spy = Untouchable(PyBulletSimulator(client, owned=True, names={0: "arm", 1: "box"}))
     return ssduck.World(spy), spy
 
@@ -329,18 +327,17 @@ def test_a_world_without_links_is_not_read_at_all(client):
     spy.open = True
 
 
-def test_it_is_of_its_tick_whatever_the_world_does_later(client):
-    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
-    for x in (0, 1, 2):
-        pybullet.createMultiBody(1, shape, basePosition=[x, 0, 0], physicsClientId=client)
-    pybullet.setGravity(0, 0, -10, client)
-    world = ssduck.World.attach(client, names={0: "a", 1: "b", 2: "c"})
+def test_it_is_of_its_tick_whatever_the_world_does_later(stage):
+    for x, name in enumerate("abc"):
+        stage.sphere(name, (x, 0, 0), radius=0.1, mass=1)
+    pybullet.setGravity(0, 0, -10, stage.client)
+    world = stage.open()
     world.step(24)
     time, number, height = world.time, world.snapshot.number, world["c"].position[2]
     maybe = world.what_if({"a": [1, 0, 0, 0, 0, 0, 5]})
     before = told(maybe)
     world.step(24)
-    pybullet.removeBody(1, client)
+    pybullet.removeBody(1, stage.client)
     world.tick()
     maybe.tick()
     assert_same(told(maybe), before)

@@ -14,6 +14,7 @@ import ssduck
 from ssduck.interpreter.triggers import tick_batch
 from ssduck.world.handles import Handle
 from tests.support.cases import generated
+from tests.support.stage import Stage
 from tests.support.triggering import state
 
 # Formulas for numpy, and programs that are evaluated by themselves.
@@ -77,25 +78,16 @@ NUMBERS = st.sampled_from([0, 0.0, 0.5, 1, 1.5, -1.0, 100])
 def scene(client):
     """Boxes and balls that fall onto a plate and against each other."""
     pybullet.setGravity(0, 0, -10, physicsClientId=client)
-    box = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[0.2, 0.15, 0.1], physicsClientId=client
-    )
-    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
-    plate = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[2, 2, 0.05], physicsClientId=client
-    )
-    pybullet.createMultiBody(0, plate, physicsClientId=client)
-    names = {0: "plate"}
+    stage = Stage(client)
+    stage.box("plate", half=[2, 2, 0.05])
     for number in range(4):
-        body = pybullet.createMultiBody(
-            number / 2,
-            box if number % 2 else ball,
-            basePosition=[number * 0.3, 0, 0.3 + number / 4],
-            physicsClientId=client,
-        )
+        name, place = f"b{number}", [number * 0.3, 0, 0.3 + number / 4]
+        if number % 2:
+            body = stage.box(name, place, half=[0.2, 0.15, 0.1], mass=number / 2)
+        else:
+            body = stage.sphere(name, place, radius=0.1, mass=number / 2)
         pybullet.resetBaseVelocity(body, [1 - number, 0, 0], physicsClientId=client)
-        names[body] = f"b{number}"
-    return ssduck.World.attach(client, names=names)
+    return stage.open()
 
 
 class Session:
@@ -152,7 +144,7 @@ class Session:
         pybullet.removeBody(number, physicsClientId=self.client)
 
     def add_body(self, x):
-        pybullet.createMultiBody(1, 0, basePosition=[x, 0, 2], physicsClientId=self.client)
+        Stage(self.client).box(None, (x, 0, 2), half=[0.2, 0.15, 0.1], mass=1)
 
     def move(self, name, height):
         self.world[name].move([0, 0, height])
