@@ -243,7 +243,7 @@ class Ticks:
         """Returns the values of a part that one query has at all ticks."""
         series = self._expressions.series_of(self._expressions.leaf(node), self._frame)
         _, values = series.at(past_of(self._record, None))
-        if values.dtype == np.object_ and not isinstance(values, np.ma.MaskedArray):
+        if values.dtype == np.object_:
             return Column.of_objects(values.tolist())
         return Column(np.ma.getdata(values), np.ma.getmaskarray(values))
 
