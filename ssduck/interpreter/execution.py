@@ -33,6 +33,7 @@ from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, is_fold, 
 from ssduck.interpreter.over_time.live import LiveFolds
 from ssduck.interpreter.over_time.nested import NestedExpressions, is_nested
 from ssduck.interpreter.over_time.series import TickColumns, TickSeries
+from ssduck.interpreter.over_time.why import Explainer
 from ssduck.interpreter.planner import Planner
 from ssduck.interpreter.sources import check_tick
 from ssduck.language.analysis import with_overrides
@@ -45,7 +46,9 @@ from ssduck.language.sql_readings import SqlReader
 from ssduck.language.tree import Call, Node, Placeholder, Program, Query
 from ssduck.language.value_history import LazyList
 from ssduck.limits import Limits, UsageMeter
+from ssduck.logic.why import Why
 from ssduck.recording.replay.past import Past, common_moment, pin_to_common_tick
+from ssduck.recording.replay.record import Record
 from ssduck.sql.explain import explained, in_dialect
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.world.handles import Handle, Link
@@ -248,7 +251,12 @@ class Execution(Namespace):
     # -- explanations ------------------------------------------------------------------------
 
     def explanation(self, program: Program) -> str:
-        """Returns the SQL of the last statement's queries, and what Python evaluates."""
+        """Returns the SQL of the last statement's queries, and what Python evaluates.
+
+        Of a program that begins with WHY, the reasons for its value.
+        """
+        if program.explain == "WHY":
+            return str(self.why(program))
         program = self._reader.read(program)
         with self.rehearsal(program) as frame:
             program = self._with_overrides(program)
@@ -261,6 +269,18 @@ class Execution(Namespace):
                 explained(program.text, statement, plan_of, stand_ins)
                 for statement in program.statements[-1:]
             )
+
+    def why(self, program: Program) -> Why:
+        """Returns why the condition that ends a program has its value."""
+
+        def record_of(call: Call) -> Record:
+            return self.database.record_of(self.temporal.world_of(call, Frame(self)))
+
+        with self.rehearsal(program) as frame:
+            nodes = self.read(program).statements
+            if not nodes or isinstance(nodes[-1], Query):
+                raise ArgumentError("WHY takes a condition, such as WHY on(table, cup);")
+            return Explainer(program.text, frame, self.nested, record_of).why(nodes[-1])
 
     def sql_of(self, program: Program, dialect: str) -> str:
         """Returns the SQL of the query that ends a program, in a dialect."""

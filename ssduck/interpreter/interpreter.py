@@ -68,6 +68,7 @@ from ssduck.language.tree import Query
 from ssduck.language.value_keys import python_value
 from ssduck.lazy import service
 from ssduck.limits import Limits
+from ssduck.logic.why import Why
 from ssduck.recording.spec import Recording
 from ssduck.simulators.scenes import Camera
 from ssduck.world.batches.batch_world import BatchWorld
@@ -289,6 +290,20 @@ class Interpreter(PublicNames):
         compiled = tree_of(program)
         with self._execution.transaction(compiled):
             return self._execution.explanation(compiled)
+
+    def why(self, program: str | CompiledProgram) -> Why:
+        """Returns why the condition that ends a program holds, or does not.
+
+        Its parts are a tree, which `print` shows: each has its value, its margin (`robustness`),
+        and in an operator of time the tick that decides it. `WHY` in front of a program returns
+        that text. The statements before it run, and the variables are restored.
+
+        Raises:
+            SelectScriptError: as `eval` does; or the program does not end with a condition.
+        """
+        compiled = tree_of(program)
+        with self._execution.transaction(compiled):
+            return self._execution.why(compiled)
 
     # -- queries of programs ------------------------------------------------------------------
 

@@ -24,6 +24,7 @@ from ssduck.interpreter.sources import worlds_in
 from ssduck.language.analysis import (
     BINARY_SIGNS,
     NOT_OVERRIDABLE,
+    OF_MARGINS,
     OPERATOR_NAMES,
     UNARY_SIGNS,
     calls_of,
@@ -98,7 +99,9 @@ class Namespace:
         self.overrides: dict[str, Function | None] = {}
         self.functions.update((command.name, command) for command in self._commands())
         self.functions.update(LINK_FUNCTIONS)
-        self.functions.update((name, form.function) for name, form in TEMPORAL_FUNCTIONS.items())
+        for form in TEMPORAL_FUNCTIONS.values():
+            if not form.of_margins:  # which robustness makes, and nobody writes
+                self.functions[form.name] = form.function
         self.functions.update((name, form.function) for name, form in EXPANSIONS.items())
         for name, allen in RELATIONS_OF_INTERVALS.items():
             if name not in RELATIONS:
@@ -356,7 +359,8 @@ class Namespace:
 
     def check_call(self, node: Call) -> None:
         """Checks that a function is known, and the number of its arguments."""
-        count, name = len(node.arguments), written_name(node.name)
+        count = len(node.arguments)
+        name = written_name(node.name).removeprefix(OF_MARGINS)
         if node.name in RELATIONS:
             relation = RELATIONS[node.name]
             minimum, maximum = min(relation.expressions), max(relation.expressions)

@@ -101,6 +101,10 @@ _SHORT, _LONG = 2_000, 50_000
 _OPERANDS = frozenset((TokenType.VAR, TokenType.NUMBER, TokenType.STRING))
 
 
+# What a program may begin with that asks about its last statement.
+PREFIXES = ("EXPLAIN", "WHY")
+
+
 class _Parser(SqlForms):
     # The place of the first word of the current statement.
     _first = 0
@@ -108,7 +112,9 @@ class _Parser(SqlForms):
     # -- statements -----------------------------------------------------------------------
 
     def program(self) -> Program:
-        explain = is_kind(self.ahead(), TokenType.VAR) and self.take_words("EXPLAIN")
+        explain = ""
+        if is_kind(self.ahead(), TokenType.VAR):
+            explain = next((word for word in PREFIXES if self.take_words(word)), "")
         statements = []
         while self.token is not None:
             if self.take(TokenType.SEMICOLON):
@@ -359,8 +365,8 @@ class _Parser(SqlForms):
         start = self.here()
         node = self.operation(0)
         if self.take_words("IMPLIES"):  # looser than OR, and right-associative
-            denied = Unary(node.span, "NOT", node)
-            node = Binary(self.since(start), "OR", denied, self.expression())
+            denied, then = Unary(node.span, "NOT", node), self.expression()
+            node = Binary(self.since(start), "OR", denied, then)
         self.depth -= 1
         return node
 

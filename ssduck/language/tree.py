@@ -340,7 +340,7 @@ class Program:
 
     text: str
     statements: tuple[Node, ...]
-    explain: bool = False
+    explain: str = ""  # `EXPLAIN` or `WHY`, if it begins with that
     suspicions: tuple[Suspicion, ...] = ()
 
 

@@ -100,7 +100,7 @@ class NestedExpressions:
         That is the last tick, or the first one of an operator that looks ahead. None while it is
         not decided, and where it is unknown.
         """
-        ticks = self._ticks(call, record, frame)
+        ticks = self.ticks(call, record, frame)
         trace = ticks.trace(call)
         moment = common_moment(record.world, (), frame.own_elements())
         place = 0 if TEMPORAL_FUNCTIONS[call.name].looks_ahead else len(trace.times) - 1
@@ -120,13 +120,13 @@ class NestedExpressions:
 
     def columns(self, node: Node, record: Record, frame: Frame) -> TickColumns:
         """Returns the values of an expression at all ticks until now."""
-        ticks = self._ticks(node, record, frame)
+        ticks = self.ticks(node, record, frame)
         column = ticks.column(node)
         if column.values.dtype == np.object_:
             return TickColumns(ticks.numbers, column.objects)
         return TickColumns(ticks.numbers, np.ma.array(column.values, mask=column.unknown))
 
-    def _ticks(self, node: Node, record: Record, frame: Frame) -> Ticks:
+    def ticks(self, node: Node, record: Record, frame: Frame) -> Ticks:
         """Returns the ticks until now; rows of the same entities share them."""
         elements = [frame.elements.get(alias) for alias in sorted(free_aliases(node), key=str)]
         cache: dict[Any, Any] = frame.cached
