@@ -206,6 +206,11 @@ class Judge:
         finally:
             self.settle()
 
+    def why_success(self) -> str:
+        """Returns the parts of success at the present tick, as `WHY` tells them."""
+        keys = [term.key for term in self.terms]
+        return str(self._interpreter.why(f"{self._texts[keys.index('success')]};"))
+
     def settle(self) -> None:
         """Adds the present tick to functions of time that no term has needed at it."""
         self._folds.are_asked = False

@@ -83,6 +83,8 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             0; or a number for the reward's part, where a condition is False and the episode goes
             on.
         limits: the limits of terms, which run in this process.
+        why: whether `info["ssduck"]` has `why` at the end of an episode, the text of `WHY` success
+            holds or not; a past that a term reads is then recorded.
 
     Raises:
         SimulatorError: the environment has no simulation that is known.
@@ -107,6 +109,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         step_time: float | None = None,
         nan: WhereNaN = "error",
         limits: Limits | None = None,
+        why: bool = False,
     ) -> None:
         gymnasium.utils.RecordConstructorArgs.__init__(
             self,
@@ -122,6 +125,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             step_time=step_time,
             nan=nan,
             limits=limits,
+            why=why,
         )
         gymnasium.Wrapper.__init__(self, env)
         check_name(world, "a world")
@@ -130,6 +134,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         self._step_time = None if step_time is None else validation.seconds(step_time, "step_time")
         self._folder = None if record_to is None else expand_path(record_to).absolute()
         self._recording, self._forward, self._world = recording, bool(forward), world
+        self._tells_why = why and success is not None
         self._forward_check: ForwardCheck | None = None
         self._steps: EpisodeSteps | None = None
         self._record: ParquetRecording | None = None
@@ -213,9 +218,12 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         self._steps.add_action(taken)
         self._steps.success = judgement.success
         self._is_saved = False
-        if terminated or truncated:
+        told = described(judgement)
+        if self._has_ended:
             self._save()
-        return observation, reward, terminated, truncated, info | {INFO: described(judgement)}
+            if self._tells_why:
+                told["why"] = self._judge.why_success()
+        return observation, reward, terminated, truncated, info | {INFO: told}
 
     def _take_tick(self, simulation: World, steps: EpisodeSteps) -> None:
         """Takes the tick of a step."""
@@ -307,7 +315,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
 
     def _record_past(self) -> None:
         """Records the ticks of the world in memory if a term reads them."""
-        if self._judge.needs_record:
+        if self._judge.needs_record or (self._tells_why and self._judge.past_tables):
             self._interpreter.record(self._world, Recording(tables=tuple(self._judge.past_tables)))
 
     def _set_variables(self, *, is_first: bool) -> dict[str, Any]:
