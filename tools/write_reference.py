@@ -232,7 +232,8 @@ def relation_row(relation: Relation) -> str:
     told = [p for p in relation.parameters if p.meaning not in ("an entity", "another entity")]
     values = "; ".join(f"`{p.name}`: {p.meaning}" for p in told)
     values = f"{values}." if values else ""
-    notes = (relation.about, unit, symmetric, calls, relation.alias_note, values)
+    margin = f"Margin: `{relation.margin}`." if relation.margin else ""
+    notes = (relation.about, unit, symmetric, calls, margin, relation.alias_note, values)
     return f"| `{relation.usage}` | {' '.join(filter(None, notes))} |"
 
 
@@ -353,7 +354,12 @@ def command_line_page() -> str:
     text = (DOCS / "command-line.md").read_text(encoding="utf-8")
     names = SECTION.findall(text)
     if sorted(names) != sorted(commands):
-        raise ValueError(f"sections {names} of the commands {list(commands)}")
+        raise ValueError(
+            f"{DOCS / 'command-line.md'}: write a section for each of "
+            f"{sorted(commands.keys() - set(names))}, its heading, ## `ssduck NAME`, and the line "
+            f"<!-- generated -->; remove those of {sorted(set(names) - commands.keys())}, and "
+            "second ones"
+        )
 
     said: set[str] = set()
 

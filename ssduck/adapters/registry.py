@@ -9,7 +9,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Collection, Iterable
 from importlib.metadata import entry_points
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 from ssduck import validation
 from ssduck.adapters.base import Adapter, Need
@@ -18,7 +18,7 @@ from ssduck.adapters.logic import LOGIC
 from ssduck.adapters.network import NETWORK
 from ssduck.adapters.spatial import SPATIAL, WORLDS
 from ssduck.adapters.tabular import TABULAR, VALUES
-from ssduck.errors import ArgumentError, UnknownNameError, nearest
+from ssduck.errors import ArgumentError, UnknownNameError, check_known, nearest
 from ssduck.formatting import error_text, short_repr
 
 Maker = TypeVar("Maker", bound=Callable[..., Any])
@@ -33,6 +33,8 @@ _ADAPTERS: dict[str, Adapter] = {
 _BUILT_IN = frozenset(_ADAPTERS)
 # The grammar has these words, in upper or lower case.
 _WORDS = frozenset(name for form in VALUES for name in form.names)
+# The tables that a form may read beside that of entities.
+_TABLES = ("links", "joints", "shapes", "contacts", "sensings")
 # The words of other tools for a form, in lower case.
 _OTHER_WORDS = {
     "list": ("array", "tuple", "set", "values", "names", "ids"),
@@ -67,6 +69,7 @@ def adapter(
 
     Raises:
         ArgumentError: a name is not an identifier, or belongs to a built-in form.
+        UnknownNameError: there is no such input or table; with the nearest names.
 
     >>> import ssduck
     >>> @ssduck.adapter("rowcount")
@@ -79,6 +82,10 @@ def adapter(
     """
     for name in names:
         _check_name(name)
+    for kind, given, known in (("input", [needs], get_args(Need)), ("table", tables, _TABLES)):
+        for word in given:
+            message = f"adapter: there is no {kind} {short_repr(word)}: {', '.join(known)}"
+            check_known(word, known, message)
 
     def register(make: Maker) -> Maker:
         registered = names or (make.__name__,)

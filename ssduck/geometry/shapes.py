@@ -42,9 +42,20 @@ class Geometry:
     def primitive(cls, type: GeometryType, size: Sequence[float]) -> Geometry:
         """Returns a box, sphere, cylinder, capsule, ellipsoid or plane of a size.
 
+        Args:
+            type: the kind.
+            size: three numbers for each kind, see `Geometry`.
+
         >>> Geometry.primitive("box", (0.1, 0.2, 0.3)).size
         (0.1, 0.2, 0.3)
+        >>> Geometry.primitive("sphere", (0.1, 0, 0)).size
+        (0.1, 0.0, 0.0)
         """
+        if len(size) != 3:
+            raise ArgumentError(
+                f"the size of a {type} has three numbers, not {len(size)}: of a sphere radius, 0, "
+                "0; of a cylinder or a capsule radius, length, 0"
+            )
         x, y, z = (float(value) for value in size)
         return cls(type, (x, y, z), np.zeros((0, 3)), np.zeros((0, 3), np.int32))
 

@@ -15,7 +15,7 @@ from typing import Any, Protocol, TypeAlias, cast
 
 import numpy as np
 
-from ssduck.errors import UnknownNameError, nearest
+from ssduck.errors import UnknownNameError, UnsupportedError, nearest
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.shapes import Geometry
 from ssduck.simulators.environments import EnvironmentSimulator
@@ -180,10 +180,18 @@ def mjcf_scene(file: Path) -> Scene:
 
 
 def drawn_shapes(simulator: Simulator, body: Body) -> list[VisualShape]:
-    """Returns what a simulator draws of a body; its collision shapes where that is not known."""
+    """Returns what a simulator draws of a body; its collision shapes where that is not known.
+
+    It is not known of a simulator without a backend, or whose backend does not support it.
+    """
     # A static simulator has the bodies of a what-if world, or of an older record.
     if body.visuals is not None or isinstance(simulator, StaticSimulator):
         return with_grounds(stored_visuals(body))
     if isinstance(simulator, EnvironmentSimulator):
         simulator = simulator.template
-    return with_grounds(backend(simulator.backend).visual_shapes(simulator, body))
+    if simulator.backend not in BACKENDS:
+        return with_grounds(collision_visuals(body))
+    try:
+        return with_grounds(backend(simulator.backend).visual_shapes(simulator, body))
+    except UnsupportedError:
+        return with_grounds(collision_visuals(body))

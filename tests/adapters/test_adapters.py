@@ -72,6 +72,19 @@ def test_a_form_by_the_functions_own_name(kitchen, registry):
     assert kitchen.eval("SELECT id FROM [] AS columns;") == ("id",)
 
 
+@pytest.mark.parametrize(
+    ("settings", "message", "nearest"),
+    [
+        ({"needs": "entites"}, "there is no input 'entites'", "entities"),
+        ({"tables": ["link"]}, "there is no table 'link'", "links"),
+    ],
+)
+def test_a_form_of_an_unknown_input_is_an_error(registry, settings, message, nearest):
+    with pytest.raises(UnknownNameError, match=message) as caught:
+        ssduck.adapter("tally", **settings)
+    assert nearest in caught.value.suggestions
+
+
 def test_what_a_form_is_given(kitchen, registry):
     seen = []
     ssduck.adapter("keep")(seen.append)

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from ssduck.errors import ArgumentError
 from ssduck.geometry import mesh_files
 from ssduck.geometry.bounds import BoundingBoxes
 from ssduck.geometry.mesh_files import load_hulls, load_mesh
@@ -122,6 +123,13 @@ MESH = replace(
     type="mesh",
     faces=np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3]], dtype=np.int32),
 )
+
+
+def test_a_size_of_other_than_three_numbers_is_an_error():
+    with pytest.raises(ArgumentError, match="size of a sphere has three numbers, not 1: of a s"):
+        Geometry.primitive("sphere", [0.1])
+
+
 SOLID = {
     "box": BOX,
     "sphere": SPHERE,

@@ -7,11 +7,12 @@ import types
 import numpy as np
 import pytest
 
+import ssduck
 from ssduck import Interpreter, World
 from ssduck.errors import ArgumentError, SceneError, UnknownNameError, UnsupportedError
 from ssduck.geometry.poses import IDENTITY
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
-from ssduck.simulators.backends import BACKENDS, Backend
+from ssduck.simulators.backends import BACKENDS, Backend, drawn_shapes
 from ssduck.simulators.backends import backend as backend_of
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import Body, ContactPoints, Link, LinkPoses
@@ -132,6 +133,27 @@ def test_worlds_are_copied_and_saved_by_the_backend_of_their_own_simulator(tmp_p
     assert isinstance(copy.simulator, TwoBoxes)
     with pytest.raises(UnsupportedError, match="no scene"):
         world.save(tmp_path / "saved")
+
+
+def test_a_world_of_a_simulator_without_a_backend_is_recorded(tmp_path):
+    world = World(TwoBoxes(2.5))
+    with Interpreter() as ss:
+        ss.add_variable("boxes", world)
+        world.run(0.1)
+        ss.export(tmp_path / "run")
+    with ssduck.open(tmp_path / "run") as record:
+        assert record.eval("SELECT z FROM boxes{0.0} WHERE id = 'box' AS value;") == 2.5
+
+
+def test_collision_shapes_are_drawn_where_a_backend_tells_no_others(backend):
+    def visual_shapes(simulator, body):
+        raise UnsupportedError("two boxes have no looks")
+
+    backend_of("two_boxes").visual_shapes = visual_shapes
+    world = World(TwoBoxes(2.5))
+    body = world.simulator.bodies[1]
+    (drawn,) = drawn_shapes(world.simulator, body)
+    assert drawn.geometry is body.shapes[0].geometry
 
 
 CHANGES = {

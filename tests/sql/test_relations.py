@@ -193,7 +193,8 @@ def test_planes_are_solid_below_and_endless(stage):
 
 def argument_of(place, parameter):
     """What a parameter may be in raw SQL: a row, a number, or a text."""
-    return {"double": "0.5", "string": "'lid'"}.get(parameter.type, "aba"[place])
+    values = {"double": "0.5", "string": "'lid'"}
+    return values[parameter.type] if parameter.type in values else "aba"[place]
 
 
 @pytest.mark.parametrize("relation", RELATIONS.values(), ids=lambda r: r.name)

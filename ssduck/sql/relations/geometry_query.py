@@ -178,10 +178,6 @@ ABOVE, BELOW, INSIDE = (
 )
 # The entities whose pairs are unknown.
 UNKNOWN = PairSearch(ShapeQueries.all_unknown, numbers=0)
-PAIR_SEARCHES = (
-    *(COLLIDING, WITHIN, TOUCHING, RESTING, STACKED, BOXES_MEETING, BOXES_REACHING),
-    *(ABOVE, BELOW, INSIDE, UNKNOWN),
-)
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ import sqlglot
 from ssduck.sql.relations.contacts import CONTACT_RELATIONS, SENSOR_RELATIONS
 from ssduck.sql.relations.entities import ENTITY_RELATIONS, REGION_RELATIONS
 from ssduck.sql.relations.geometry_query import (
-    PAIR_SEARCHES,
+    UNKNOWN,
     GeometryUdf,
     boxes_within,
 )
@@ -72,8 +72,11 @@ def _geometry_udf(relation: Relation) -> GeometryUdf:
 
 def geometry_udfs(relations: Iterable[Relation]) -> dict[str, GeometryUdf]:
     """Returns the functions of shapes that relations call or that find all pairs, by name."""
-    result: dict[str, GeometryUdf] = {search.name: search for search in PAIR_SEARCHES}
+    result: dict[str, GeometryUdf] = {UNKNOWN.name: UNKNOWN}
     for relation in relations:
+        if relation.candidate_pairs is not None:
+            search = relation.candidate_pairs.search
+            result[search.name] = search
         if relation.geometry is not None:
             udf = _geometry_udf(relation)
             if result.setdefault(udf.name, udf) != udf:
