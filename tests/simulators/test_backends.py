@@ -1,8 +1,10 @@
 """A simulator of two boxes, connected as the manual says: no part of it knows PyBullet."""
 
 import inspect
+import re
 import sys
 import types
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -183,6 +185,14 @@ def test_backends_have_the_functions_of_the_protocol(name):
         assert list(inspect.signature(getattr(backend_of(name), function.__name__)).parameters) == (
             expected
         )
+
+
+@pytest.mark.parametrize("protocol", [Backend, PartialSimulator])
+def test_the_guide_names_each_function(protocol):
+    guide = (Path(__file__).parents[2] / "docs/how-to/add-a-simulator.md").read_text("utf-8")
+    names = [name for name, value in vars(protocol).items() if callable(value) and name[0] != "_"]
+    assert len(names) >= 6
+    assert [name for name in names if not re.search(rf"`{name}\b", guide)] == []
 
 
 def test_a_world_is_loaded_of_a_scene_that_its_simulator_has(backend):
