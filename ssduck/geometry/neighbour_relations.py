@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
 from typing import TypeAlias
@@ -31,6 +30,9 @@ from ssduck.geometry.tick_shapes import pair_number
 
 # The numbers w, x, y, z of a unit quaternion.
 Orientation: TypeAlias = tuple[float, float, float, float]
+
+# The part of a line that is in a shape: the distances from its start, m.
+_Interval: TypeAlias = tuple[float, float]
 
 # The greatest distance of the boxes, grown by margins, of entities that rest on each other, m.
 RESTING_DISTANCE = 0.01
@@ -69,32 +71,34 @@ class NeighbourRelations:
         self._resting: dict[int, frozenset[int]] = {}
 
     def encloses(self, a: int, b: int, orientation: Orientation) -> bool | None:
-        """Checks whether b is within walls of a; see `encloses`, for the centre of b's box."""
+        """Checks whether b is within walls of a, seen from the centre of b's box.
+
+        The walls stand across the axes of a's link frame, which has the orientation.
+        """
         if not self._are_known(a, b):
             return None
-        if not self._have_shapes(a, b):
+        if not self._are_two_with_shapes(a, b):
             return False
         narrow = self._narrow
         centre = np.array(narrow.box_centre(b))
         axes = rotation_matrices(np.array([orientation]))[0].T
         if not np.isfinite(centre).all():
             return False
-        return encloses(narrow.shapes_of(a), axes, narrow.shapes_of(b), centre)
+        return _is_walled_in(narrow.shapes_of(a), axes, narrow.shapes_of(b), centre)
 
     def are_beside(
         self, a: int, b: int, orientation_a: Orientation, orientation_b: Orientation
     ) -> bool | None:
-        """Checks whether neither is on or in the other, and one sees the other; see `is_in_sight`.
+        """Checks whether neither is on or in the other, and nothing stands between them.
 
         The caller has tested that their heights overlap and that they are near enough.
         """
         if not self._are_known(a, b):
             return None
-        if not self._have_shapes(a, b):
+        if not self._are_two_with_shapes(a, b):
             return False
         for first, second, orientation in ((a, b, orientation_a), (b, a, orientation_b)):
-            narrow = self._narrow
-            if self.supports(first, second) or narrow.contains(first, second):
+            if self.supports(first, second) or self._narrow.contains(first, second):
                 return False
             if self.encloses(first, second, orientation) or second in self._resting_on(first):
                 return False
@@ -105,10 +109,11 @@ class NeighbourRelations:
         boxes, nearest = np.array((narrow.box(a), narrow.box(b))), narrow.signed_distance(a, b)
         if nearest is None:
             return False
+        # What may stand between them is in the box around both, cut to their common heights.
         low, high = boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)
         low[2], high[2] = boxes[:, 2].max(), boxes[:, 5].min()
         others = narrow.shapes_in(low, high, (a, b))
-        return is_in_sight(narrow.shapes_of(a), narrow.shapes_of(b), others, nearest)
+        return _is_in_sight(narrow.shapes_of(a), narrow.shapes_of(b), others, nearest)
 
     # -- what carries what, and rests on what -------------------------------------------------
 
@@ -116,7 +121,7 @@ class NeighbourRelations:
         """Checks whether a carries b, alone or together with others; see `is_carried_by`."""
         if not self._are_known(a, b):
             return None
-        normals = self._contact_normals(a, b) if self._have_shapes(a, b) else []
+        normals = self._contact_normals(a, b) if self._are_two_with_shapes(a, b) else []
         if not normals:
             return False
         others = (other for other in self._neighbours.get(b, ()) if other != a)
@@ -175,7 +180,7 @@ class NeighbourRelations:
     def _are_known(self, a: int, b: int) -> bool:
         return self._narrow.is_known(a) and self._narrow.is_known(b)
 
-    def _have_shapes(self, a: int, b: int) -> bool:
+    def _are_two_with_shapes(self, a: int, b: int) -> bool:
         narrow = self._narrow
         return a != b and not (narrow.is_without_shapes(a) or narrow.is_without_shapes(b))
 
@@ -183,13 +188,25 @@ class NeighbourRelations:
 # -- enclosed -----------------------------------------------------------------------------------
 
 
-def encloses(
+# A cup, a, from the side. Rays from the centre of b hit it at both ends of two axes: the one shown
+# from left to right, and the one into the picture. A tray hits b's rays only below.
+#
+#     |    ^    |
+#     |<-- b -->|
+#     |____v____|
+def _is_walled_in(
     a: Sequence[PlacedSolid], axes: Array, b: Sequence[PlacedSolid], centre: Array
 ) -> bool:
     """Checks whether rays from a point hit some shapes on both sides along at least two axes.
 
     A convex shape that contains the point is not hit. An axis along which b extends beyond a at
-    both ends does not count.
+    both ends does not count: a ring is no wall of the long stick in it.
+
+    Args:
+        a: the shapes that may be walls.
+        axes: three orthogonal unit vectors, a row each.
+        b: the shapes that may be walled in.
+        centre: the point, that of b.
     """
     directions = np.concatenate((axes, -axes))
     is_hit = np.zeros(len(directions), dtype=bool)
@@ -211,6 +228,8 @@ def encloses(
 
 def _may_be_hit(shape: PlacedSolid, axes: Array, centre: Array) -> bool:
     """Checks whether a line along an axis through a point hits the bounding sphere of a shape."""
+    # With d from the point to the centre, a line along the unit vector u passes it at the distance
+    # sqrt(|d|² - (u·d)²); |d|² is the sum of the three (u·d)².
     offsets = axes @ (np.array(shape.to_world(*shape.solid.centre)) - centre)
     squared_distances = offsets @ offsets - offsets * offsets
     return bool((squared_distances <= (shape.solid.bounding_radius + HIT_TOLERANCE) ** 2).any())
@@ -231,19 +250,7 @@ def _support_heights(shapes: Sequence[PlacedSolid], directions: Array) -> Array:
 # -- beside -------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class _Lines:
-    """Parallel horizontal lines: their starts (n, 3) and their unit direction (3,)."""
-
-    starts: Array
-    direction: Array
-
-    @property
-    def directions(self) -> Array:
-        return np.repeat(self.direction[None], len(self.starts), axis=0)
-
-
-def is_in_sight(
+def _is_in_sight(
     a: Sequence[PlacedSolid],
     b: Sequence[PlacedSolid],
     others: Sequence[PlacedSolid],
@@ -256,9 +263,8 @@ def is_in_sight(
     and b.
     """
     return any(
-        _is_clear(lines, a, b, others)
+        _is_clear(_line_starts(a, b, direction, nearest), direction, a, b, others)
         for direction in _horizontal_directions(a, b, nearest)
-        for lines in (_lines_between(a, b, direction, nearest),)
     )
 
 
@@ -270,7 +276,7 @@ def _horizontal_directions(
     heights_a, heights_b = _support_heights(a, axes), _support_heights(b, axes)
     between_centres = (heights_b[:3] - heights_b[3:] - heights_a[:3] + heights_a[3:]) / 2
     between_points = np.subtract(nearest.point_b, nearest.point_a)
-    if nearest.normal is not None and nearest.distance <= HIT_TOLERANCE:
+    if nearest.normal is not None and nearest.distance <= HIT_TOLERANCE:  # they touch or overlap
         between_points = -np.array(nearest.normal)
     directions = []
     for direction in (between_points, between_centres):
@@ -280,70 +286,80 @@ def _horizontal_directions(
     return directions
 
 
-def _lines_between(
+def _line_starts(
     a: Sequence[PlacedSolid], b: Sequence[PlacedSolid], direction: Array, nearest: SignedDistance
-) -> _Lines:
-    """Returns lines in a direction, over the common breadth and height of a and b."""
+) -> Array:
+    """Returns the starts of lines in a direction, over the common breadth and height, (n, 3)."""
     across = np.array([-direction[1], direction[0], 0.0])
     axes = np.stack((direction, across, [0.0, 0.0, 1.0]))
     heights = np.stack(
         [_support_heights(shapes, np.concatenate((axes, -axes))) for shapes in (a, b)]
     )
     high, low = heights[:, :3].min(axis=0), (-heights[:, 3:]).max(axis=0)
-    begin = float((-heights[:, 3]).min()) - 1.0
+    begin = float((-heights[:, 3]).min()) - 1.0  # 1 m before both
     places = [
         (low[1] + s * (high[1] - low[1]), low[2] + t * (high[2] - low[2]))
         for s in LINE_FRACTIONS
         for t in LINE_FRACTIONS
-        if high[1] >= low[1]
+        if high[1] >= low[1]  # else they have no common breadth
     ]
     midpoint = (np.array(nearest.point_a) + nearest.point_b) / 2
     for point in (nearest.point_a, nearest.point_b, midpoint):
         height = min(max(point[2], low[2]), high[2])
         places.append((float(across @ point), height))
     starts = [begin * direction + y * across + np.array([0.0, 0.0, z]) for y, z in places]
-    return _Lines(np.array(starts), direction)
+    return np.array(starts)
 
 
 def _is_clear(
-    lines: _Lines, a: Sequence[PlacedSolid], b: Sequence[PlacedSolid], others: Sequence[PlacedSolid]
+    starts: Array,
+    direction: Array,
+    a: Sequence[PlacedSolid],
+    b: Sequence[PlacedSolid],
+    others: Sequence[PlacedSolid],
 ) -> bool:
     """Checks whether nothing is between a and b on one of the lines."""
-    intervals_a, intervals_b = _line_intervals(lines, a), _line_intervals(lines, b)
+    lines = starts, np.repeat(direction[None], len(starts), axis=0)
+    intervals_a, intervals_b = _line_intervals(*lines, a), _line_intervals(*lines, b)
     if not any(p and q for p, q in zip(intervals_a, intervals_b, strict=True)):
         return False
-    between = _line_intervals(lines, others)
+    between = _line_intervals(*lines, others)
     return any(
-        _is_free(max(p, q)[0], min(p, q)[1], blocks)
+        _is_free(p, q, blocks)
         for p_all, q_all, blocks in zip(intervals_a, intervals_b, between, strict=True)
         for p in p_all
         for q in q_all
     )
 
 
-def _is_free(far: float, near: float, blocks: Sequence[tuple[float, float]]) -> bool:
-    """Checks whether nothing is between the end of one stretch and the start of the next one."""
-    return not any(
-        leave > near + HIT_TOLERANCE and enter < far - HIT_TOLERANCE and far > near + HIT_TOLERANCE
-        for enter, leave in blocks
+# The intervals of a line in a, in b, and in something that blocks it:
+#
+#     |==a==|         |==b==|
+#          near       far
+#              |===|
+#          enter   leave
+def _is_free(p: _Interval, q: _Interval, blocks: Sequence[_Interval]) -> bool:
+    """Checks whether none of some intervals of a line is between two others."""
+    (_, near), (far, _) = sorted((p, q))
+    return far <= near + HIT_TOLERANCE or not any(
+        leave > near + HIT_TOLERANCE and enter < far - HIT_TOLERANCE for enter, leave in blocks
     )
 
 
 def _line_intervals(
-    lines: _Lines, shapes: Sequence[PlacedSolid]
-) -> list[list[tuple[float, float]]]:
+    starts: Array, directions: Array, shapes: Sequence[PlacedSolid]
+) -> list[list[_Interval]]:
     """Returns the intervals of each line in shapes, m; a crossing of a triangle is a point."""
-    intervals: list[list[tuple[float, float]]] = [[] for _ in lines.starts]
-    directions = lines.directions
+    intervals: list[list[_Interval]] = [[] for _ in starts]
     for shape in shapes:
-        starts = (lines.starts - shape.position) @ shape.matrix
+        local_starts = (starts - shape.position) @ shape.matrix
         local_directions = directions @ shape.matrix
         if is_triangle_surface(shape.solid):
-            fractions = crossings(shape.solid, starts, local_directions)
+            fractions = crossings(shape.solid, local_starts, local_directions)
             for line, triangle in np.argwhere(np.isfinite(fractions)).tolist():
                 intervals[line].append((float(fractions[line, triangle]),) * 2)
             continue
-        chords = ray_chords(shape.solid, starts, local_directions)
+        chords = ray_chords(shape.solid, local_starts, local_directions)
         for line in np.flatnonzero(chords.enter <= chords.leave).tolist():
             intervals[line].append((float(chords.enter[line]), float(chords.leave[line])))
     return intervals
