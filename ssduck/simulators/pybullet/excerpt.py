@@ -49,7 +49,7 @@ from ssduck.simulators.pybullet.scene_loader import (
     solver_settings,
 )
 from ssduck.simulators.pybullet.scene_writer import loadable_spec, placed, write_model
-from ssduck.simulators.pybullet.simulator import PyBulletSimulator, visual_colours
+from ssduck.simulators.pybullet.simulator import PyBulletSimulator, VisualColours, visual_colours
 from ssduck.simulators.scene_bodies import BodySpec
 from ssduck.simulators.scenes import Scene
 
@@ -130,7 +130,7 @@ class _Copier:
         self.handles[body] = handle
         if live is not None:
             copy_dynamics(live.client, body.handle, self.client, handle)
-            copy_colours(live.visual_colours(body), self.client, handle)
+            copy_colours(live.colours_when_shown(body), self.client, handle)
         self._copy_joints(original, handle)
         copy = replace(body, handle=handle, name=original.name)
         com = com_poses_of(self.client, handle)
@@ -309,10 +309,8 @@ def copy_dynamics(source: int, original: int, client: int, handle: int) -> None:
             pybullet.changeDynamics(handle, link, physicsClientId=client, **changes)
 
 
-def copy_colours(
-    new_colours: Sequence[tuple[int, int, Sequence[float]]], client: int, handle: int
-) -> None:
-    """Colours a body; each colour comes with the link and the index of the shape."""
+def copy_colours(new_colours: VisualColours, client: int, handle: int) -> None:
+    """Colours a body."""
     colours = {(link, shape): colour for link, shape, colour in visual_colours(client, handle)}
     for link, shape, colour in new_colours:
         present = colours.get((link, shape))

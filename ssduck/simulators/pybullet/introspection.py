@@ -154,7 +154,7 @@ def _centre_of_shapes(body: Body, link: int) -> Array:
 
 def _visuals(simulator: PyBulletSimulator, body: Body) -> Iterator[Visual]:
     entries = pybullet.getVisualShapeData(body.handle, physicsClientId=simulator.client)
-    colours = simulator.visual_colours(body)
+    colours = simulator.colours_when_shown(body)
     for entry, (link, _, colour) in zip(entries, colours, strict=True):
         geometry = primitive_of(entry[2], entry[3])
         yield Visual(

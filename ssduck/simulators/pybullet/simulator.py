@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import repeat
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -54,21 +54,25 @@ from ssduck.simulators.pybullet.scene_loader import (
 from ssduck.simulators.scenes import Camera
 
 T = TypeVar("T")
+# The colours of a body's visual shapes: link, index among those of the link, red green blue alpha.
+VisualColours: TypeAlias = list[tuple[int, int, Sequence[float]]]
 
 # The depth range of sensors' images, metres: about that of PyBullet's own camera.
 NEAR_PLANE = 0.01
 FAR_PLANE = 100.0
 
 # Bullet's collision groups and masks: fixed bodies collide with all bodies but fixed ones.
-_FREE_FILTER, _FIXED_FILTER = (1, -1), (2, -3)
+_FREE_FILTER, _FIXED_FILTER = (1, ~0), (2, ~2)
 # The number of lists of bodies whose reading stays prepared.
-_READERS = 2
+_MAX_READERS = 2
+# The arguments of user data, link and visual shape, that mean the body itself.
+_WHOLE_BODY = (-1, -1)
 # The largest number of a shape: PyBullet computes with single floats.
 MAX_NUMBER = float(np.finfo(np.float32).max)
 
 
 class PyBulletSimulator:
-    """A PyBullet client as a `Simulator`.
+    """A PyBullet client as a `Simulator`, which describes what the methods do.
 
     Args:
         client: the number of a connected client.
@@ -98,19 +102,16 @@ class PyBulletSimulator:
         self._given = GivenBodies(names, kinds, shapes)
         self.disabled: frozenset[Body] = frozenset()
         self.hidden: frozenset[Body] = frozenset()
-        # The colours of hidden bodies: link, index among its visual shapes, colour.
-        self._colours: dict[Body, list[tuple[int, int, Sequence[float]]]] = {}
+        self._colours: dict[Body, VisualColours] = {}  # those of hidden bodies when shown
         self._descriptions: dict[int, BodyDescription] = {}
         self._margins: list[list[float]] = []  # the last that were read
         # The tags of two worlds on one client must differ.
         self._tag = f"ssduck.{id(self)}"
-        # Of the last description: the bodies' numbers and their tags.
-        self._handles_and_tags: tuple[list[int], list[int]] = ([], [])
-        self._tags: dict[int, int] = {}
-        self._described = False
+        self._tags: dict[int, int] = {}  # of the described bodies, by their numbers
+        self._is_described = False
         # Whether the client's list is known to lack bodies; see `all_handles_of`.
         self._lacks_bodies = False
-        # Bodies that were removed since `describe` was called.
+        # The bodies that `remove` removed since the last `describe`.
         self._removed: list[Body] = []
         # The reason why the client must not be used any more: PyBullet reuses the number of a
         # disconnected client.
@@ -124,31 +125,30 @@ class PyBulletSimulator:
     def describe(self) -> tuple[list[Body], list[Body]] | None:
         # PyBullet reuses the number of a removed body at once. So every described body carries a
         # tag: user data, which PyBullet removes with the body.
-        if self._described and not self.is_external:
+        if self._is_described and not self.is_external:
             gone, self._removed = self._removed, []
             return ([], gone) if gone else None
-        handles = self.handles()
-        tags = self.call(lambda: self._tags_of(handles))
-        if self._handles_and_tags == (handles, tags) and not self._lacks_bodies:
+        tags = self._read_tags(handles_of)
+        if self._tags == tags and not self._lacks_bodies:
             self._given.end()
             return None
-        if self.is_external and (-1 in tags or self._lacks_bodies):
+        if self.is_external and (-1 in tags.values() or self._lacks_bodies):
             # What made the new bodies may have made others that the client's list lacks.
             self._lacks_bodies = False
-            handles = self.call(lambda: all_handles_of(self.client))
-            tags = self.call(lambda: self._tags_of(handles))
-        present = {h for h, tag in zip(handles, tags, strict=True) if self._tags.get(h) == tag}
+            tags = self._read_tags(all_handles_of)
+        handles = list(tags)
+        present = {handle for handle, tag in tags.items() if self._tags.get(handle) == tag}
         added = [handle for handle in handles if handle not in present]
         # Copies have the order of their originals. PyBullet's order changes with a removal.
         order = {handle: number for number, handle in enumerate(self.loaded.described)}
         added.sort(key=lambda handle: order.get(handle, len(order)))
         saved = SavedShapes(self.client, added)
         with captured():  # PyBullet prints warnings about shapes that it does not return
-            name = partial(names_of, self.client, handles)
-            names = self.call(lambda: name(added, self._given.names))
+            name_bodies = partial(names_of, self.client, handles)
+            names = self.call(lambda: name_bodies(added, self._given.names))
             new = self.call(lambda: {h: self._describe_body(h, names[h], saved) for h in added})
             changed = self._given.changed(description.body for description in new.values())
-            names = self.call(lambda: name(changed, self._given.names))
+            names = self.call(lambda: name_bodies(changed, self._given.names))
             new |= self.call(lambda: {h: self._describe_body(h, names[h], saved) for h in changed})
         self._check_shapes(description.body for description in new.values())
         _warn_of_stand_ins(
@@ -157,10 +157,9 @@ class PyBulletSimulator:
         gone = [d.body for handle, d in self._descriptions.items() if handle not in present]
         self._forget(gone)
         self._descriptions = {handle: self._descriptions[handle] for handle in present} | new
-        self._handles_and_tags = handles, self.call(lambda: self._tags_of(handles))
-        self._tags = dict(zip(*self._handles_and_tags, strict=True))
+        self._tags = self._read_tags(lambda _: handles)
         self._given.end()
-        self._described = True
+        self._is_described = True
         self._apply_initial_flags()
         return [description.body for description in new.values()], gone
 
@@ -194,12 +193,8 @@ class PyBulletSimulator:
                 return None
         return description
 
-    def handles(self) -> list[int]:
-        """Returns the numbers of the bodies that the client has now, in PyBullet's order."""
-        return self.call(lambda: handles_of(self.client))
-
-    def visual_colours(self, body: Body) -> list[tuple[int, int, Sequence[float]]]:
-        """Returns the colours of a body, shown or hidden: link, index of the shape, colour."""
+    def colours_when_shown(self, body: Body) -> VisualColours:
+        """Returns the colours of a body; of one that is hidden, those that it will have again."""
         return self._colours.get(body) or self.call(
             lambda: visual_colours(self.client, body.handle)
         )
@@ -209,19 +204,26 @@ class PyBulletSimulator:
             self.disabled -= frozenset(gone)
         if not self.hidden.isdisjoint(gone):
             self.hidden -= frozenset(gone)
-            self._colours = {body: self._colours[body] for body in self.hidden}
+            for body in gone:
+                self._colours.pop(body, None)
+
+    def _read_tags(self, list_bodies: Callable[[int], list[int]]) -> dict[int, int]:
+        """Returns the tags of the bodies that a function lists of a client, by number."""
+        handles = self.call(lambda: list_bodies(self.client))
+        return dict(zip(handles, self.call(lambda: self._tags_of(handles)), strict=True))
 
     def _tags_of(self, handles: Sequence[int]) -> list[int]:
-        get = pybullet.getUserDataId
-        none = repeat(-1)
-        return list(map(get, handles, repeat(self._tag), none, none, repeat(self.client)))
+        """Returns the tag of each body; -1 for none."""
+        link, shape = map(repeat, _WHOLE_BODY)
+        key, client = repeat(self._tag), repeat(self.client)
+        return list(map(pybullet.getUserDataId, handles, key, link, shape, client))
 
     def _describe_body(self, handle: int, name: str, saved: SavedShapes) -> BodyDescription:
         given = self._given
         description = self.loaded.described.pop(handle, None) or describe(
             self.client, handle, name, given.kinds.get(handle), saved, given.shapes.get(handle)
         )
-        pybullet.addUserData(handle, self._tag, "1", -1, -1, self.client)
+        pybullet.addUserData(handle, self._tag, "1", *_WHOLE_BODY, self.client)
         return description
 
     def _check_shapes(self, bodies: Iterable[Body]) -> None:
@@ -257,7 +259,7 @@ class PyBulletSimulator:
         reader = next((reader for known, reader in self._readers if known is bodies), None)
         if reader is None:
             reader = LinkPosesReader(bodies, [self._descriptions[b.handle].com for b in bodies])
-            self._readers = [(bodies, reader), *self._readers[: _READERS - 1]]
+            self._readers = [(bodies, reader), *self._readers[: _MAX_READERS - 1]]
         return self.call(partial(reader.read, self.client, with_velocities))
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:
@@ -407,7 +409,7 @@ class PyBulletSimulator:
     def show(self, body: Body, on: bool) -> None:
         if on == (body not in self.hidden):
             return
-        colours = self.visual_colours(body)
+        colours = self.colours_when_shown(body)
 
         def put() -> None:
             for link, shape, (*rgb, alpha) in colours:
@@ -418,7 +420,10 @@ class PyBulletSimulator:
 
         self.call(put)
         self.hidden = self.hidden - {body} if on else self.hidden | {body}
-        self._colours = {hidden: self._colours.get(hidden, colours) for hidden in self.hidden}
+        if on:
+            self._colours.pop(body, None)
+        else:
+            self._colours[body] = colours
 
     def render(
         self, camera: Camera, width: int, height: int, *, shadow: bool
@@ -438,7 +443,7 @@ class PyBulletSimulator:
                 physicsClientId=self.client,
             )
         )[4]
-        # The number of the body in the lower 24 bits, and above them that of the link, the base 0.
+        # A pixel is link << 24 | body, the base being link 0; -1 shows no body.
         numbers = np.asarray(pixels, dtype=np.intp).reshape(height, width)
         return np.where(numbers < 0, -1, numbers & 0xFFFFFF), numbers >> 24
 
@@ -527,8 +532,8 @@ def _is_finite(shape: PlacedGeometry) -> bool:
     return all((np.abs(each) <= MAX_NUMBER).all() for each in numbers)
 
 
-def visual_colours(client: int, handle: int) -> list[tuple[int, int, Sequence[float]]]:
-    """Returns the colours of a body: link, index among its visual shapes, colour."""
+def visual_colours(client: int, handle: int) -> VisualColours:
+    """Returns the colours of a body as they are now."""
     shapes: Counter[int] = Counter()
     colours = []
     for entry in pybullet.getVisualShapeData(handle, physicsClientId=client):
