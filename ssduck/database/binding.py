@@ -32,14 +32,10 @@ from ssduck.world.world import World
 
 # The poses of entities by id: x, y, z, qw, qx, qy, qz; None for what is not known.
 Poses: TypeAlias = dict[int, tuple[float | None, ...]]
-# Rows that DuckDB reads in place, with their table and their name.
+# Rows that DuckDB reads in place: their table, the name of their view, and the rows themselves.
 Buffer: TypeAlias = tuple[str, str, LiveTable | VisibleRows]
 # The approximate number of poses that are cached.
 MAX_POSES = 100_000
-_NO_SHAPES = (
-    "only the shapes of tick {1} of {0!r} are known: its ticks are not recorded, so that rows of "
-    "another tick cannot be compared"
-)
 
 
 @dataclass(frozen=True)
@@ -62,13 +58,14 @@ class BoundWorld:
     number: int  # tells the worlds of a database apart, and ascends in the order they were added
     # Its names; ssduck's own statements use the first.
     schemas: list[str] = field(default_factory=list)
-    # The versions of the tables that DuckDB has registered.
+    # The versions of the rows that DuckDB reads, by the name of their view.
     versions: dict[str, int] = field(default_factory=dict)
-    registered: tuple[object, ...] | None = None  # the `state` of the rows that DuckDB has
+    registered: tuple[object, ...] | None = None  # the `state` at which all these were up to date
     history: WorldHistory | None = None  # its recorded ticks; None if they are not recorded
     named_world: World | None = None  # the world, if the user named it; it keeps the world alive
     planned_margins: float = 0.0  # the margins, m, that DuckDB's plans assume
     _poses: OrderedDict[tuple[int, EntityTable], Poses] = field(default_factory=OrderedDict)
+    # What each warning was given for, or need not be: a name or ids of entities or links.
     _changed_margins: set[str] = field(default_factory=set)
     _checked_overlaps: set[int] = field(default_factory=set)
     _filled_meshes: set[int] = field(default_factory=set)
@@ -124,6 +121,7 @@ class BoundWorld:
         key = tick, table
         if key not in self._poses:
             poses = self._read_poses(tick, table)
+            # All ticks have about as many poses; the oldest of the cache goes first.
             while self._poses and (len(self._poses) + 1) * len(poses) > MAX_POSES:
                 self._poses.popitem(last=False)
             self._poses[key] = poses
@@ -137,10 +135,8 @@ class BoundWorld:
             live = snapshot.tables[table]
             rows: Mapping[str, Any] = {name: live[name] for name in TABLES[table].key}
             columns = live.doubles("x", "qz")
-        elif self.history is None:
-            raise UnsupportedError(_NO_SHAPES.format(self.world.name, snapshot.number))
         else:
-            rows = self.history.record.rows(table, tick)
+            rows = self._record_of_shapes().rows(table, tick)
             columns = np.array([rows[name] for name in POSE])
             if table == "links":  # a body of one link has its pose, and no row of its own
                 entities = self._poses_at(tick, "entities")
@@ -176,7 +172,7 @@ class BoundWorld:
             recorder.settle()
 
     def state(self) -> tuple[object, ...]:
-        """Returns what is equal as long as no buffer is replaced, and no margin changes."""
+        """Returns a key: as long as it is equal, `buffers` and `margins` are what they were."""
         history = self.history
         recorded_margins = 0.0 if history is None else history.record.margins
         snapshot = self.world.snapshot if self.world.ticker.is_restored else None
@@ -191,19 +187,21 @@ class BoundWorld:
         parts = len(self.history.visible_rows) if self.history is not None else 0
         return [f"{self.key}: {table} that wait, {part}" for part in range(parts)]
 
-    def shapes(self, tick: int | None, *, with_sites: bool = False) -> ShapeQueries:
-        """Returns the shapes at a tick.
-
-        Args:
-            tick: the number of the tick; None for the present one.
-            with_sites: whether sites have their regions as shapes.
-        """
+    def shapes(self, tick: int, *, with_sites: bool) -> ShapeQueries:
+        """Returns the shapes at a tick; with_sites, sites have their regions as shapes."""
         snapshot = self.world.snapshot
-        if tick is None or tick == snapshot.number:
+        if tick == snapshot.number:
             return snapshot.shapes_and_sites() if with_sites else snapshot.shapes()
+        return self._record_of_shapes().shapes(tick, with_sites=with_sites)
+
+    def _record_of_shapes(self) -> Record:
+        """Returns the record, for the shapes and poses of another tick than the present one."""
         if self.history is None:
-            raise UnsupportedError(_NO_SHAPES.format(self.world.name, snapshot.number))
-        return self.history.record.shapes(tick, with_sites=with_sites)
+            raise UnsupportedError(
+                f"only the shapes of tick {self.world.snapshot.number} of {self.world.name!r} are "
+                "known: its ticks are not recorded, so that rows of another tick cannot be compared"
+            )
+        return self.history.record
 
     @property
     def margins(self) -> float:
@@ -211,14 +209,10 @@ class BoundWorld:
         now = self.world.snapshot.margins if self.world.ticker.is_restored else 0.0
         return now if self.history is None else max(now, self.history.record.margins)
 
-    def warn_of_changed_margins(self, tick: int | None) -> None:
-        """Warns, once for each entity, if recorded ticks have other margins than the current one.
-
-        Args:
-            tick: the number of the tick; None for the present one.
-        """
+    def warn_of_changed_margins(self, tick: int) -> None:
+        """Warns, once for each entity, if a tick is recorded with other margins than now."""
         snapshot = self.world.snapshot
-        if tick is None or tick == snapshot.number:
+        if tick == snapshot.number:
             return
         if snapshot.margins_of_pairs is not None and not self._has_told_of_pairs:
             self._has_told_of_pairs = True
@@ -305,10 +299,12 @@ class BoundWorld:
         )
 
     def fastest_link(self, tick: int, id: int, columns: Sequence[str]) -> float | None:
-        """Returns the greatest magnitude of a velocity of an entity's links but its base.
+        """Returns the greatest speed among an entity's links but its base; None if one is unknown.
 
-        Returns:
-            None if a velocity is unknown.
+        Args:
+            tick: the number of the tick.
+            id: the id of the entity; a link has no other links: 0.
+            columns: the components of the velocity: vx, vy, vz (m/s) or wx, wy, wz (rad/s).
         """
         if id >= LINK_FACTOR:
             return 0.0
@@ -352,7 +348,7 @@ class BoundWorld:
         return record.rows(table, tick)
 
     def recorded_numbers(self, kind: str, tick: int, a: int, b: int) -> list[float]:
-        """Returns the values of contacts or sensors at a recorded tick."""
+        """Returns what the lookup of a name (`LOOKUPS`) finds for two ids at a recorded tick."""
         if kind == "wrench" and self.history is not None:
             self.history.record.warn_of_missing_entities()
         return LOOKUPS[kind](partial(self._recorded, tick=tick), a, b)

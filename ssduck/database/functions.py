@@ -254,7 +254,7 @@ def _found(bound: BoundWorld, search: PairSearch, kind: PairKind, values: Sequen
     """Returns what a search finds at a world's current tick."""
     if search.of_boxes:
         return search.function(bound.world.snapshot.boxes())
-    shapes = bound.shapes(None)
+    shapes = bound.world.snapshot.shapes()
     if kind == "links":
         shapes = shapes.links
     elif kind == "links and entities":
