@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, fields
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.program import CompiledProgram
 from ssduck.lakes.manifest import EpisodeEntry
 from ssduck.language.parser import parse
-from ssduck.language.tree import Call, Name, Node, Program, QualifiedName
+from ssduck.language.tree import Name, Node, Program, QualifiedName
 from ssduck.limits import Limits
 from ssduck.recording.episode_steps import EpisodeSteps
 from ssduck.recording.paths import expand_path
@@ -27,10 +27,11 @@ from ssduck.validation import text
 from ssduck.world.handles import Handle
 from ssduck.world.world import World
 
-# Answers an entry with the interpreter that has its world at the last tick.
+# Answers about an episode, given the interpreter that has its world at the last tick.
 Answering: TypeAlias = Callable[[Interpreter, EpisodeEntry], Any]
-# Names of what is not the same in a batch of episodes: ticks are moved there, runs are one.
-_OF_EPISODE = frozenset(("tick", "run", "eval", "var"))
+# What a batch, one record of many episodes, tells otherwise than each of them: it numbers their
+# ticks one after another, and is one run. A text of eval and a name of var may be of these.
+_NOT_IN_BATCHES = frozenset(("tick", "run", "eval", "var"))
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ class ProgramQuestion:
     def is_batchable(self) -> bool:
         """Whether episodes may be one record while they answer it."""
         tree = self._tree
-        return not tree.explain and not any(map(_is_of_episode, tree.statements))
+        return not tree.explain and not any(map(_tells_episodes_apart, tree.statements))
 
     @property
     def reads_present(self) -> bool:
@@ -66,7 +67,7 @@ class ProgramQuestion:
         return reads_present(self._tree)
 
     def answering(self, interpreter: Interpreter) -> Answering:
-        """Returns a function that answers episodes, with one interpreter for all of them."""
+        """Returns a function that answers about episodes; the program is compiled once."""
         program: CompiledProgram = interpreter.compile(self.text)
 
         def answer(present: Interpreter, entry: EpisodeEntry) -> Any:
@@ -109,20 +110,19 @@ def _variables_of(entry: EpisodeEntry) -> Collection[str]:
     return steps.variables
 
 
-def _is_of_episode(node: Node) -> bool:
+def _tells_episodes_apart(node: Node) -> bool:
     """Checks whether a part names what is not the same in a batch of episodes."""
     name = node.key if isinstance(node, QualifiedName) else getattr(node, "name", None)
-    is_named = isinstance(node, Call | Name | QualifiedName) or name is not None
-    return (is_named and name in _OF_EPISODE) or any(map(_is_of_episode, node.children()))
+    return name in _NOT_IN_BATCHES or any(map(_tells_episodes_apart, node.children()))
 
 
 @dataclass(frozen=True)
 class ScoreQuestion:
     """The terms of a task, evaluated after each step of an episode of `ssduck.gym`."""
 
-    terms: Terms  # the terms
+    terms: Terms
     limits: Limits | None = None  # the limits of the terms
-    is_strict = True
+    is_strict: ClassVar[bool] = True  # see `ProgramQuestion`; terms are always strict
 
     @property
     def key(self) -> str:
@@ -133,7 +133,7 @@ class ScoreQuestion:
     def is_batchable(self) -> bool:
         """Whether episodes may be one record while they answer it."""
         trees = [parse(f"{term.text};") for term in self.terms]
-        return not any(_is_of_episode(node) for tree in trees for node in tree.statements)
+        return not any(_tells_episodes_apart(node) for tree in trees for node in tree.statements)
 
     @property
     def reads_present(self) -> bool:
@@ -141,7 +141,7 @@ class ScoreQuestion:
         return False  # it goes to the ticks that it reads
 
     def answering(self, interpreter: Interpreter) -> Answering:  # noqa: ARG002
-        """Returns a function that answers episodes, with one interpreter for all of them."""
+        """Returns a function that answers about episodes, whose judges it keeps."""
         judges: dict[Any, Judge] = {}
 
         def answer(present: Interpreter, entry: EpisodeEntry) -> dict[str, Any]:
@@ -156,14 +156,14 @@ class ScoreQuestion:
         return {
             "return": score.total,
             "success": score.succeeded,
-            "failure": None if score.failure is None else bool(score.failure[-1:] == (True,)),
+            "failure": None if score.failure is None else any(score.failure[-1:]),  # the last
             "steps": len(score.rewards),
             "seed": score.seed,
         }
 
 
 class StepsQuestion(ScoreQuestion):
-    """The terms of a task, of which the answer has the values after each step."""
+    """The terms of a task; the answer has the whole score, with the values after each step."""
 
     @property
     def key(self) -> str:
