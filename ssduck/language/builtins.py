@@ -18,10 +18,10 @@ from ssduck.language.analysis import BINARY_NAMES
 from ssduck.language.operators import apply, apply_unary, check_size
 from ssduck.language.value_keys import ATOMS, NUMPYS, equality_key, python_key, tuple_or_vector
 
-# Sums of squares below this may have lost digits.
+# Sums of squares below this may have lost digits: doubles below 2.2e-308 have fewer of them.
 LEAST_SQUARE = 1e-290
-# The largest number of digits of a double before or after the decimal point.
-MAX_DIGITS = 400
+# More digits than a double has before or after the decimal point, from 5e-324 to 1.8e308.
+_MAX_DIGITS = 400
 
 
 @dataclass(frozen=True)
@@ -58,19 +58,20 @@ class Function:
         except (LimitError, RecursionError):
             raise
         except SelectScriptError as error:
-            if self.builtin and isinstance(error, ArgumentError) and error.span is None:
+            if not self.builtin:
+                raise self._function_error(error, first_line(error.message)) from error
+            if isinstance(error, ArgumentError) and error.span is None:
                 raise ArgumentError(f"{self.name}: {error.message}") from error
-            if self.builtin:
-                raise
-            raise self._function_error(error, first_line(error.message)) from error
+            raise
         except Exception as error:
-            if self.builtin:
-                raise ArgumentError(self._refusal_message(arguments)) from error
-            raise self._function_error(error, error_text(error)) from error
+            if not self.builtin:
+                raise self._function_error(error, error_text(error)) from error
+            raise ArgumentError(self._refusal_message(arguments)) from error
 
     def _refusal_message(self, arguments: Sequence[Any]) -> str:
         """Returns the message for arguments that a built-in function does not take."""
         values_text = ", ".join(map(argument_in_words, arguments)) or "no arguments"
+        # "Returns ….\nUsage: pow(base, exponent) -> number" has "pow(base, exponent)".
         usage = self.help.rpartition("Usage: ")[2].partition(" -> ")[0]
         instead = ""
         has_lists = any(type(one) is list and list in map(type, one) for one in arguments)
@@ -104,6 +105,7 @@ def _plain_result(value: Any) -> Any:
 
 
 def _arity(call: Callable[..., Any]) -> tuple[int, int | None]:
+    """Returns the least and the largest number of arguments by position; None for any number."""
     if isinstance(call, FunctionType) and not vars(call):  # no decorator gave it a signature
         code, defaults = call.__code__, call.__defaults__ or ()
         is_variadic = bool(code.co_flags & inspect.CO_VARARGS)
@@ -132,7 +134,7 @@ def _avg(values: list[Any]) -> Any:
     return sum(values) / len(values)
 
 
-def _stddev(values: list[float]) -> float | None:
+def _stddev(values: list[float]) -> float | None:  # sqrt(Σ (value - mean)² / (count - 1))
     count = len(values)
     if count <= 1:
         return None
@@ -144,11 +146,11 @@ def _median(values: list[float]) -> float:
     if any(map(math.isnan, values)):
         return math.nan  # NaN has no place in an order
     ordered, middle = sorted(values), len(values) // 2
-    return (ordered[middle] + ordered[~middle]) / 2
+    return (ordered[middle] + ordered[~middle]) / 2  # ~middle: as far from the end
 
 
 def _norm(vector: list[float]) -> float:
-    # In the order of SQL, with its last bit; newer Pythons' sum rounds in another way.
+    # ((x² + y²) + z²) + …, as SQL adds: the same to the last bit. sum() of Python 3.12 rounds less.
     total = reduce(operator.add, (x * x for x in vector), 0.0)
     is_exact = LEAST_SQUARE <= total < math.inf or not any(vector)
     return math.sqrt(total) if is_exact else math.hypot(*vector)
@@ -157,7 +159,7 @@ def _norm(vector: list[float]) -> float:
 def _list_function(call: Callable[[Any], Any]) -> Callable[[Any], Any]:
     """Returns a function of the elements of a list; the letters of a text are not elements."""
 
-    @wraps(call)
+    @wraps(call)  # so that addFunction('sum', sum) of an old program is known to change nothing
     def call_on_list(values: Any) -> Any:
         if isinstance(values, str | bytes):
             raise TypeError("a text is not a list")
@@ -166,9 +168,9 @@ def _list_function(call: Callable[[Any], Any]) -> Callable[[Any], Any]:
     return call_on_list
 
 
-def _builtin(
-    name: str, call: Callable[..., Any], about: str, usage: str, max_arguments: int = 1
-) -> Function:
+def _builtin(name: str, call: Callable[..., Any], about: str, usage: str) -> Function:
+    """Returns a built-in function with as many arguments as its usage, as `f(a, b[, c])`."""
+    max_arguments = 1 + usage.count(",")
     min_arguments = max_arguments - usage.count("[,")
     return Function(
         name, call, f"{about}\nUsage: {usage}", min_arguments, max_arguments, builtin=True
@@ -182,7 +184,7 @@ def _text(value: Any) -> str:
 
 
 def _round(number: float, digits: int | None = None) -> float:
-    if digits is not None and abs(digits) > MAX_DIGITS:
+    if digits is not None and abs(digits) > _MAX_DIGITS:
         raise ValueError(f"a number has fewer than {digits} digits")
     return round(number, digits)
 
@@ -253,28 +255,24 @@ _OTHER_FUNCTIONS = (
         _round,
         "Returns a number rounded to a number of decimal digits, 0 by default.",
         "round(number[, digits]) -> number",
-        2,
     ),
     _builtin(
         "pow",
         partial(apply, "^"),
         "Returns the base to the power of the exponent.",
         "pow(base, exponent) -> number",
-        2,
     ),
     _builtin(
         "atan2",
         math.atan2,
         "Returns the angle of the vector (x, y) from the x axis, in radians, from -pi to pi.",
         "atan2(y, x) -> float",
-        2,
     ),
     _builtin(
         "clip",
         _clip,
         "Returns a number, or the nearer of two limits if it is not between them.",
         "clip(number, low, high) -> number",
-        3,
     ),
     _builtin(
         "norm",
@@ -296,7 +294,7 @@ _OTHER_FUNCTIONS = (
 _OPERATOR_FUNCTIONS = (
     _builtin("neg", partial(apply_unary, "-"), "Returns -a.", "neg(a) -> number"),
     *(
-        _builtin(name, partial(apply, sign), f"Returns a {sign} b.", f"{name}(a, b) -> value", 2)
+        _builtin(name, partial(apply, sign), f"Returns a {sign} b.", f"{name}(a, b) -> value")
         for sign, name in BINARY_NAMES.items()
         if not sign.isalpha() and sign != "^"
     ),
@@ -309,7 +307,7 @@ NUMBER_FUNCTIONS = frozenset(
 
 AGGREGATES: dict[str, Function] = {function.name: function for function in _LIST_FUNCTIONS}
 
-# Two functions over time, which SQL has for several values, and what is for several values here.
+# least(a, b) of SQL is min([a, b]) here, where least itself is over time.
 EXTREMES = {"least": "min", "greatest": "max"}
 
 BUILTINS: dict[str, Function] = {
