@@ -28,10 +28,10 @@ from ssduck.schema import RECORDABLE
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
-# The endings of files that only the command writes.
-_FILES = (".mcap", ".rrd")
-# What to write for arguments that other functions have.
-_OF_EXPORT = {
+# The endings of files that `ssduck export` writes, and not the method.
+_FILES_OF_COMMAND = (".mcap", ".rrd")
+# What to write for arguments that other functions have, and `export` has not.
+_INSTEAD_IN_EXPORT = {
     "format": "it writes Parquet; the command has others: ssduck export RECORD -o PATH --format "
     "mcap, of a record that it wrote",
     **dict.fromkeys(("folder", "output", "file"), "the folder is path"),
@@ -40,7 +40,7 @@ _OF_EXPORT = {
 
 
 class Records:
-    """The records of an interpreter's worlds: its methods on them.
+    """The records of an interpreter's worlds; its public methods are those of the interpreter.
 
     Args:
         execution: runs its programs.
@@ -90,7 +90,7 @@ class Records:
         with self._lock:
             try:
                 self._database.record(self._world(world), recording, given_tags(tags))
-            finally:  # Ctrl-C ends it after the recording began, too
+            finally:  # also if Ctrl-C came after the recording began: plans read the former one
                 self._execution.planner.forget()
 
     def episode_began(self, world: World) -> None:
@@ -99,7 +99,7 @@ class Records:
             try:
                 self._database.begin_episode(world)
             finally:
-                if self._database.is_recorded(world):  # plans read the record before
+                if self._database.is_recorded(world):  # plans read the former one
                     self._execution.planner.forget()
         self._triggers.episode_began(world)
 
@@ -218,11 +218,10 @@ class Records:
         ('episode=0', [0.5, 0.75, 1.0])
         """
         arguments = ("path", "world", "entities", "start", "end", "tags", "pairs")
-        validation.no_others(others, "export", arguments, _OF_EXPORT)
-        chosen = (
-            self._evaluate(entities) if isinstance(entities, str | CompiledProgram) else entities
-        )
-        names = None if chosen is None else _names(chosen)
+        validation.no_others(others, "export", arguments, _INSTEAD_IN_EXPORT)
+        if isinstance(entities, str | CompiledProgram):
+            entities = self._evaluate(entities)
+        names = None if entities is None else _names(entities)
         start, end = (None if time is None else validation.seconds(time) for time in (start, end))
         within = None if pairs is None else checked_distance(pairs)
         with self._lock:
@@ -234,8 +233,8 @@ class Records:
             if not worlds:
                 known = list(self._database.worlds)
                 raise EvaluationError(no_ticks_message(known[0]) if known else "there is no world")
-            database, folder, added = self._database, expand_path(path), given_tags(tags)
-            if folder.suffix in _FILES:
+            folder, added_tags = expand_path(path), given_tags(tags)
+            if folder.suffix in _FILES_OF_COMMAND:
                 raise ArgumentError(
                     f"this writes a folder of Parquet files, and {folder.name} is the name of a "
                     f"file: ssduck export RECORD --format {folder.suffix[1:]} writes such files"
@@ -243,21 +242,21 @@ class Records:
             folders: dict[str, Path] = {}
             with whole_record(folder) as begun:
                 for chosen in worlds:
-                    name = database.schema_of(chosen)
-                    folders[name] = database.export(
-                        chosen, folder, names, (start, end), begun, added
+                    folders[self._database.schema_of(chosen)] = self._database.export(
+                        chosen, folder, names, (start, end), begun, added_tags
                     )
                 if within is not None:
-                    for name, ticks in folders.items():
-                        run = FolderRun(folder, name, episode_number(ticks))
+                    for name, ticks_folder in folders.items():
+                        run = FolderRun(folder, name, episode_number(ticks_folder))
                         self._write_pairs(run, within)
             return folders
 
     def _write_pairs(self, run: FolderRun, within: float) -> None:
         """Writes the pairs of an exported episode within a distance, m."""
-        ticks, entities = run.ticks()[1].numbers, run.read("models/entities")["id"].to_numpy()
-        span = [int(ticks[0]), int(ticks[-1])]
-        rows = self._sql(pair_query(run.world), [within, *span]).arrow()
+        _, ticks_and_times = run.ticks()
+        ticks, entities = ticks_and_times.numbers, run.read("models/entities")["id"].to_numpy()
+        rows = self._sql(pair_query(run.world), [within, int(ticks[0]), int(ticks[-1])]).arrow()
+        # The record may have more ticks and entities than were exported.
         is_exported = np.isin(rows["tick"].to_numpy(), ticks)
         for side in ("a", "b"):
             is_exported &= np.isin(rows[side].to_numpy(), entities)
