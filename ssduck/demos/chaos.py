@@ -26,7 +26,7 @@ from ssduck.recording.spec import Recording
 from ssduck.simulators.scenes import Scene, find_scene
 from ssduck.world.world import World
 
-Overlap: TypeAlias = tuple[int, int, int]
+Overlap: TypeAlias = tuple[int, int, int]  # a tick, and the ids of two bodies, ascending
 
 # The largest initial velocity along and about each axis, m/s and rad/s.
 MAX_SPEED = 2.0
@@ -35,8 +35,10 @@ MAX_ENERGY_CHANGE = 0.15
 # Smaller penetrations, m, need not agree: PyBullet rounds the edges of its cylinders.
 MIN_DEPTH = 1e-3
 
+# What the camera sees.
 VISIBLE = "SELECT id FROM chaos WHERE isSensing(watcher, this) AND mass(this) > 0 AS list;"
 
+# A collision begins if the two were apart at the tick before; -9 is before all ticks.
 COUNTED = """\
 WITH met AS (
     SELECT DISTINCT c.tick, c.time, c.a, c.b, greatest(a.fixed, b.fixed) AS side
@@ -49,6 +51,7 @@ SELECT floor(time)::INT AS second, count(*) FILTER (new AND NOT side) AS bodies,
     count(*) FILTER (new AND side) AS sides
 FROM begun GROUP BY second ORDER BY second"""
 
+# What overlaps at the ticks of the last second, by its shapes, and by the solver, a tick later.
 COLLIDING = """\
 SELECT to(tick(a.this), 'tick'), to(environmentID(a.this), 'a'), to(environmentID(b.this), 'b'),
     to(penetration(a.this, b.this), 'depth'), to(time(a.this), 'time')
@@ -59,12 +62,14 @@ CONTACTS = """
 SELECT tick - 1, a, b, max(depth) FROM contacts_history
 WHERE time > $since GROUP BY tick, a, b"""
 
+# How each body moves at the first tick of each second.
 MOTION = """
 SELECT floor(time)::INT, name, mass, [vx, vy, vz], [wx, wy, wz], [qw, qx, qy, qz]
 FROM entities_history
 WHERE mass > 0 QUALIFY row_number() OVER (PARTITION BY name, floor(time) ORDER BY tick) = 1
 ORDER BY floor(time)"""
 
+# The inner sides are at ±2 m; a contact may be a little deep.
 ESCAPED = """\
 SELECT id FROM chaos{}
 WHERE mass(this) > 0 AND NOT fitsBox(this, [-2.05, -2.05, -2.05], [2.05, 2.05, 2.05]) AS list;"""
@@ -80,7 +85,7 @@ def run(folder: Path, say: Say, *, seed: int, seconds: int = 10) -> bool:
         ss.add_variable("watcher", chaos["watcher"])
         ss.add_trigger("seen", VISIBLE, 0.1, lambda names: visible_counts.append(len(names)))
         chaos.run(seconds)
-        energies = energy(ss, scene)
+        energies = energy_by_second(ss, scene)
         say(COUNTED)
         rows = [
             (second, bodies, sides, round(energies[second], 1))
@@ -99,9 +104,9 @@ def run(folder: Path, say: Say, *, seed: int, seconds: int = 10) -> bool:
         drift = max(abs(value / energies[0] - 1) for value in energies.values())
         say(f"The energy is never farther than {drift:.1%} from what it was")
         picture, bars = Image.fromarray(chaos.render(720, 540)), _bars(rows)
-        end = ImageOps.expand(picture, (0, 0, 0, bars.height), WHITE)
-        end.paste(bars, (0, 540))
-    say(f"The end, and collisions by second: {keep_picture(end, folder / 'chaos.png')}")
+        both = ImageOps.expand(picture, (0, 0, 0, bars.height), WHITE)
+        both.paste(bars, (0, picture.height))
+    say(f"The end, and collisions by second: {keep_picture(both, folder / 'chaos.png')}")
     return agree and not escaped and drift < MAX_ENERGY_CHANGE
 
 
@@ -139,14 +144,17 @@ def shapes_agree(ss: Interpreter, say: Say) -> bool:
 def _are_among(some: Mapping[Overlap, float], others: Mapping[Overlap, float]) -> bool:
     """Checks whether all overlaps that are deep enough are among others, at most a tick apart."""
     return all(
-        any((tick + later, a, b) in others for later in (-1, 0, 1))
+        any((near_tick, a, b) in others for near_tick in (tick - 1, tick, tick + 1))
         for (tick, a, b), depth in some.items()
         if depth > MIN_DEPTH
     )
 
 
-def energy(ss: Interpreter, scene: Scene) -> dict[int, float]:
-    """Returns the kinetic energy of all bodies at the beginning of each second, J."""
+def energy_by_second(ss: Interpreter, scene: Scene) -> dict[int, float]:
+    """Returns the kinetic energy of all bodies at the beginning of each second, J.
+
+    That of a body is (m v·v + I₁ω₁² + I₂ω₂² + I₃ω₃²) / 2, with ω in the body's frame.
+    """
     import xml.etree.ElementTree as ET  # reads only files of ssduck
 
     moments: dict[str, Array] = {}
@@ -158,7 +166,7 @@ def energy(ss: Interpreter, scene: Scene) -> dict[int, float]:
         )
     energies: dict[int, float] = {}
     for second, name, mass, velocity, spin, orientation in ss.sql(MOTION).fetchall():
-        local_spin = spin @ rotation_matrices(np.array([orientation]))[0]  # in the body's frame
+        local_spin = spin @ rotation_matrices(np.array([orientation]))[0]
         value = (mass * np.dot(velocity, velocity) + moments[name] @ local_spin**2) / 2
         energies[second] = energies.get(second, 0.0) + float(value)
     return energies
