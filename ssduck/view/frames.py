@@ -1,11 +1,14 @@
 """The poses of all links of a world as they are shown: at a tick, at many, and as messages.
 
-The messages to the page are binary; numbers are little-endian. The first number, of 32 bits, is the
-kind of the message. A scene has the length of its head, the head as JSON, and then the vertices
-(float32) and triangles (uint32) of its meshes. Poses have a count, the time (float64), the tick
-(float64), the rows of the links (uint32), and for each row x y z w x y z (float32). A track has the
-length of its head, the head as JSON, the poses of all links at its first tick, and those of the
-moving ones at all ticks (float32).
+The messages to the page are binary, with little-endian numbers of so many bits (u unsigned, f
+float). The first one is the kind of the message, and n a length or a count:
+
+    scene:  1 u32 | n u32 | head: n bytes of JSON | vertices f32 | triangles u32
+    poses:  2 u32 | n u32 | time f64 | tick f64 | rows of links u32 (n) | poses f32 (n, 7)
+    track:  3 u32 | n u32 | head: n bytes of JSON | poses at the first tick f32 (links, 7) |
+            poses of the moving links f32 (ticks, moving, 7)
+
+Vertices and triangles are those of all meshes. A pose is x y z, w x y z.
 """
 
 from __future__ import annotations
@@ -33,8 +36,8 @@ from ssduck.world.snapshot import Snapshot
 
 Poses = npt.NDArray[np.float32]
 
-# The link poses of a frame: x y z, w x y z.
-_POSE = 7
+# The numbers of a pose: x y z, w x y z.
+_POSE_SIZE = 7
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +49,8 @@ class Frame:
         hidden: the bodies that are not drawn; the same object until they change.
         bodies: the bodies, in the order of their links among the poses.
         link_poses: the poses of the links, which are never written to.
+        number: the number of the tick.
+        time: its simulated time, s.
     """
 
     layout: TableLayout
@@ -68,7 +73,7 @@ class Frame:
     def poses(self) -> Poses:
         """The poses of the links, (links, 7): x y z, w x y z."""
         parts = [np.hstack((each.positions, each.states[:, 3:7])) for each in self.link_poses]
-        return np.concatenate([np.zeros((0, _POSE)), *parts]).astype(np.float32)
+        return np.concatenate([np.zeros((0, _POSE_SIZE)), *parts]).astype(np.float32)
 
     @cached_property
     def ids(self) -> tuple[int, ...]:
@@ -117,7 +122,7 @@ class Track:
 def track_of(record: Record, frame: Frame, first: int, count: int) -> Track | None:
     """Returns the poses at some recorded ticks; None if the scene is another one at any of them."""
     links = sum(len(body.links) for body in frame.bodies)
-    count = min(count, max(1, MAX_BYTES // (28 * max(links, 1))))
+    count = min(count, max(1, MAX_BYTES // (4 * _POSE_SIZE * max(links, 1))))
     with record.world.lock:
         record.check_open()
         ticks = record.ticks.numbers[first : first + count].copy()
@@ -128,18 +133,22 @@ def track_of(record: Record, frame: Frame, first: int, count: int) -> Track | No
         parts = record.fetch(links_of(record.tables), *ends)
     if not _has_scene(entities, frame, len(ticks)):
         return None
-    poses = np.full((len(ticks), links, 7), np.nan, dtype=np.float32)
+    poses = np.full((len(ticks), links, _POSE_SIZE), np.nan, dtype=np.float32)
     single, several = _places(frame)
     fill(poses, [rows_of(entities, ("id",), POSE)], ticks, single)
     fill(poses, [rows_of(parts, ("entity", "link"), POSE)], ticks, several)
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore"):  # a NaN differs from itself; a link of NaN alone is at rest
         is_moving = (poses != poses[:1]).any(axis=(0, 2)) & ~np.isnan(poses).all(axis=(0, 2))
     moving = np.flatnonzero(is_moving)
     return Track(first, poses[0], moving.astype(np.uint32), np.ascontiguousarray(poses[:, moving]))
 
 
 def _places(frame: Frame) -> tuple[dict[tuple[int, int], int], ...]:
-    """Returns the rows of links among poses, by entity and link; of single ones, and of others."""
+    """Returns the rows of links among poses, by entity and link.
+
+    First those of bodies with a single link, which the table of entities has, then of the others,
+    which the table of links has.
+    """
     single, several = dict[tuple[int, int], int](), dict[tuple[int, int], int]()
     row = 0
     for id, body in zip(frame.ids, frame.bodies, strict=True):
@@ -199,10 +208,16 @@ def track_message(id: Any, track: Track) -> bytes:
 
 
 def scene_message(
-    frame: Frame, visuals: Callable[[Body], list[VisualShape]], about: dict[str, Any]
+    frame: Frame, visuals: Callable[[Body], list[VisualShape]], camera: dict[str, Any]
 ) -> bytes:
-    """Returns the message of a scene."""
-    meshes = _Meshes()
+    """Returns the message of a scene.
+
+    Args:
+        frame: a frame of the scene.
+        visuals: returns the shapes of a body that are drawn.
+        camera: the part of the head that has the camera.
+    """
+    geometries = _Geometries()
     owners = {info.body: info for info in frame.layout.entities if info.body is not None}
     links: list[list[Any]] = []
     shapes: list[list[Any]] = []
@@ -210,16 +225,16 @@ def scene_message(
         first, info = len(links), owners[body]
         links += [[info.id, number, link.name] for number, link in enumerate(body.links)]
         if body not in frame.hidden:
-            shapes += [_shape(first, each, meshes) for each in visuals(body)]
+            shapes += [_shape(first, each, geometries) for each in visuals(body)]
     head = {
-        **about,
+        **camera,
         "entities": [_entity(info) for info in frame.layout.entities],
         "links": links,
         "shapes": shapes,
-        "geometries": meshes.descriptions,
+        "geometries": geometries.descriptions,
     }
     text = _padded(head)
-    return struct.pack("<II", SCENE, len(text)) + text + b"".join(meshes.arrays())
+    return struct.pack("<II", SCENE, len(text)) + text + b"".join(geometries.arrays())
 
 
 def _padded(head: dict[str, Any]) -> bytes:
@@ -232,22 +247,22 @@ def _entity(info: EntityInfo) -> dict[str, Any]:
     return {"id": info.id, "name": info.name, "kind": info.kind, "host": info.mount[0]}
 
 
-def _shape(first: int, shape: VisualShape, meshes: _Meshes) -> list[Any]:
+def _shape(first: int, shape: VisualShape, geometries: _Geometries) -> list[Any]:
     """Returns a shape: the row of its link, its geometry, its pose there, and its colour."""
     pose = [*map(float, shape.position), *map(float, shape.orientation)]
     colour = None if shape.colour is None else list(map(float, shape.colour))
-    return [first + shape.link, meshes.number_of(shape.geometry), pose, colour]
+    return [first + shape.link, geometries.number_of(shape.geometry), pose, colour]
 
 
-class _Meshes:
-    """The geometries of a scene, each of them once."""
+class _Geometries:
+    """The geometries of a scene, each of them once; those of no simple type have a mesh."""
 
     def __init__(self) -> None:
         self.descriptions: list[dict[str, Any]] = []
         self._numbers: dict[str, int] = {}
         self._vertices: list[npt.NDArray[Any]] = []
         self._faces: list[npt.NDArray[Any]] = []
-        self._counts = [0, 0]
+        self._counts = [0, 0]  # of vertices and faces, of all meshes
 
     def number_of(self, geometry: Geometry) -> int:
         """Returns the number of a geometry, which is added if it is new."""
@@ -255,10 +270,11 @@ class _Meshes:
             self._numbers[geometry.key] = len(self.descriptions)
             self.descriptions.append({"type": geometry.type, "size": list(geometry.size)})
             if geometry.type not in _PRIMITIVES:
-                self.descriptions[-1] |= {"type": "mesh", **self._add(geometry)}
+                self.descriptions[-1] |= {"type": "mesh", **self._add_mesh(geometry)}
         return self._numbers[geometry.key]
 
-    def _add(self, geometry: Geometry) -> dict[str, Any]:
+    def _add_mesh(self, geometry: Geometry) -> dict[str, Any]:
+        """Adds the surface of a geometry; returns its first vertex and face, and how many."""
         surface = solid_of(geometry).surface
         places = {
             "vertices": [self._counts[0], len(surface.vertices)],

@@ -1,7 +1,11 @@
 """Answers the questions of pages in sandboxes: for the present, for the past, and for scans.
 
 The host has the world, and shows it. A program of a page runs where it can do no harm, and a long
-one does not delay the simulation.
+one does not delay the simulation:
+
+    of this process                          of a sandbox, one for each use
+    viewer -> SealedAnswers -- question -->  AnswersInside -> Answers -> a copy of the world,
+                            <---- JSON ----                              or its record
 """
 
 from __future__ import annotations
@@ -27,7 +31,7 @@ from ssduck.view.scans import Scan
 Use: TypeAlias = Literal["present", "past", "scan"]
 
 
-class SealedPage:
+class PageSandboxes:
     """The sandboxes that answer about a source, for all its viewers; each starts when it is asked.
 
     Two threads ask: one for scans, one for all other questions.
@@ -35,12 +39,12 @@ class SealedPage:
 
     def __init__(self, source: Source) -> None:
         self._source = source
-        self._boxes: dict[Use, SandboxedInterpreter] = {}
-        self._viewers = count()
+        self._sandboxes: dict[Use, SandboxedInterpreter] = {}
+        self._viewer_numbers = count()
 
     @classmethod
-    def of(cls, source: Source) -> SealedPage | None:
-        """Returns that of a source; None, with a warning, if there is no sandbox on this system."""
+    def of(cls, source: Source) -> PageSandboxes | None:
+        """Returns those of a source; None, with a warning, if the system has no sandbox."""
         try:
             shared_zygote()
         except SandboxError as error:
@@ -50,20 +54,20 @@ class SealedPage:
 
     def answers(self) -> SealedAnswers:
         """Returns the answers for another viewer."""
-        return SealedAnswers(self, next(self._viewers))
+        return SealedAnswers(self, next(self._viewer_numbers))
 
-    def box(self, use: Use) -> SandboxedInterpreter:
+    def sandbox(self, use: Use) -> SandboxedInterpreter:
         """Returns the sandbox for a use, with the world as it is now."""
         source = self._source
-        if use not in self._boxes:
-            self._boxes[use] = self._new_box()
-        box = self._boxes[use]
+        if use not in self._sandboxes:
+            self._sandboxes[use] = self._new_sandbox()
+        sandbox = self._sandboxes[use]
         if isinstance(source, LiveSource):
             source.check_is_there()
-            box.follow(source.name, source.world, source.interpreter, is_past=use != "present")
-        return box
+            sandbox.follow(source.name, source.world, source.interpreter, is_past=use != "present")
+        return sandbox
 
-    def _new_box(self) -> SandboxedInterpreter:
+    def _new_sandbox(self) -> SandboxedInterpreter:
         source, limits = self._source, page_limits()
         if isinstance(source, LiveSource):
             return SandboxedInterpreter(limits=limits, strict=True)
@@ -76,63 +80,67 @@ class SealedPage:
 
     def close(self) -> None:
         """Ends the sandboxes."""
-        for box in self._boxes.values():
-            box.close()
+        for sandbox in self._sandboxes.values():
+            sandbox.close()
 
 
 class SealedAnswers:
     """Answers the questions of a viewer, as `Answers` does."""
 
-    def __init__(self, page: SealedPage, viewer: int) -> None:
-        self._page, self._viewer = page, viewer
-        # The sandbox that has the last result.
-        self._last: Use | None = None
+    def __init__(self, sandboxes: PageSandboxes, viewer: int) -> None:
+        self._sandboxes, self._viewer = sandboxes, viewer
+        # The use of the sandbox that has the last result, to be downloaded.
+        self._last_use: Use | None = None
 
     def answer(self, question: dict[str, Any], stop: StopRequest) -> dict[str, Any]:
         """Returns the answer to a question; an error has its place and suggestions."""
-        use = self._page.use_of(question)
+        use = self._sandboxes.use_of(question)
         if question.get("type") == "ask":
-            self._last = use
-        elif question.get("type") == "download" and self._last is not None:
-            use = self._last
+            self._last_use = use
+        elif question.get("type") == "download" and self._last_use is not None:
+            use = self._last_use
         try:
-            return _asked(self._page.box(use), stop, "answer", self._viewer, question)
+            return _asked(self._sandboxes.sandbox(use), stop, "answer", self._viewer, question)
         except SelectScriptError as error:
             return {"error": error_message(error)}
 
     def scan(self, question: dict[str, Any], stop: StopRequest) -> SealedScan:
         """Returns a search for the changes of an answer."""
-        box = self._page.box("scan")
-        _asked(box, stop, "begin_scan", self._viewer, question)
-        return SealedScan(box, self._viewer, stop)
+        sandbox = self._sandboxes.sandbox("scan")
+        _asked(sandbox, stop, "begin_scan", self._viewer, question)
+        return SealedScan(sandbox, self._viewer, stop)
 
 
 class SealedScan:
     """A search for the changes of an answer that goes on in a sandbox, as `Scan` does."""
 
-    def __init__(self, box: SandboxedInterpreter, viewer: int, stop: StopRequest) -> None:
-        self._box, self._viewer, self._stop = box, viewer, stop
+    def __init__(self, sandbox: SandboxedInterpreter, viewer: int, stop: StopRequest) -> None:
+        self._sandbox, self._viewer, self._stop = sandbox, viewer, stop
         self.progress: dict[str, Any] = {}
 
     def advance(self, seconds: float) -> bool:
         """Asks at further ticks for some time; returns whether there are more."""
         arguments = self._viewer, seconds
-        told = _asked(self._box, self._stop, "advance_scan", *arguments, as_before=True)
+        # The sandbox keeps its copy of the world: the search ends at the tick at which it began.
+        told = _asked(self._sandbox, self._stop, "advance_scan", *arguments, as_before=True)
         more = told.pop("more", False)
         self.progress = told
         return more is True
 
 
 def _asked(
-    box: SandboxedInterpreter,
+    sandbox: SandboxedInterpreter,
     stop: StopRequest,
     method: str,
     *arguments: Any,
     as_before: bool = False,
 ) -> dict[str, Any]:
-    """Returns what the answers in a sandbox say; another thread may stop the question."""
-    with stop.applies_to(box):
-        text = box.ask(f"page answers.{method}", *arguments, as_before=as_before)
+    """Returns what a method of `AnswersInside` says; another thread may stop the question.
+
+    The process may be taken over by a program, so that it may say anything.
+    """
+    with stop.applies_to(sandbox):
+        text = sandbox.ask(f"page answers.{method}", *arguments, as_before=as_before)
     try:
         answer = Budget().parsed(text.encode())
     except (AttributeError, ValueError, RecursionError, InvalidAnswerError):
@@ -145,13 +153,13 @@ def _asked(
 # -- in the sandbox ---------------------------------------------------------------------------
 
 
-# So many viewers, the last ones, have a result to download and a search to go on with.
-_VIEWERS = 16
+# So many viewers, the last that asked, have a result to download and a search to go on with.
+_MAX_VIEWERS = 16
 
 
 @dataclass
 class _Viewer:
-    """What there is for a viewer."""
+    """What a viewer has asked for."""
 
     answers: Answers
     scan: Scan | None = None
@@ -167,7 +175,7 @@ class AnswersInside:
 
     def __init__(self, ss: Interpreter, record: str | None) -> None:
         self._ss, self._record = ss, record
-        self._viewer = lru_cache(_VIEWERS)(lambda _: _Viewer(Answers(self)))
+        self._viewer = lru_cache(_MAX_VIEWERS)(lambda _number: _Viewer(Answers(self)))
 
     def answer(self, viewer: int, question: dict[str, Any]) -> str:
         """Returns the answer to a question, as JSON."""

@@ -15,7 +15,7 @@ from ssduck.interpreter.interpreter import Interpreter
 from ssduck.simulators.scenes import Camera
 from ssduck.view.answers import Answers
 from ssduck.view.live import LiveSource, RecordSource, Simulation, Source
-from ssduck.view.sealed import SealedPage
+from ssduck.view.sealed import PageSandboxes
 from ssduck.world.world import World
 
 _HEIGHT = 640
@@ -51,10 +51,10 @@ class View:
         with contextlib.ExitStack() as stack:
             stack.callback(source.close)
             answers: Callable[[], AnyAnswers] = partial(Answers, source)
-            sealed = SealedPage.of(source)
-            if sealed is not None:
-                stack.callback(sealed.close)
-                answers = sealed.answers
+            sandboxes = PageSandboxes.of(source)
+            if sandboxes is not None:
+                stack.callback(sandboxes.close)
+                answers = sandboxes.answers
             self._server = PageServer(source, answers, host, port)
             stack.callback(self._server.close)
             if reload is not None:

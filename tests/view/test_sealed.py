@@ -10,7 +10,7 @@ pytest.importorskip("websockets", reason="the extra view is not installed")
 from ssduck.interpreter.stopping import StopRequest
 from ssduck.sandbox import processes
 from ssduck.view.live import LiveSource
-from ssduck.view.sealed import SealedPage
+from ssduck.view.sealed import PageSandboxes
 from tests.support.taken_over import HookedZygote
 
 pytestmark = pytest.mark.slow
@@ -51,7 +51,7 @@ def ss(zygote, monkeypatch):
 
 @pytest.fixture
 def page(ss):
-    page = SealedPage(LiveSource(ss, ss["kitchen"], "kitchen"))
+    page = PageSandboxes(LiveSource(ss, ss["kitchen"], "kitchen"))
     yield page
     page.close()
 
@@ -61,7 +61,7 @@ def test_forged_answers_are_errors(page):
     scan = answers.scan(QUESTION, stop)
     for forged in FORGED.values():
         for use in ("present", "scan"):
-            page.box(use).ask("worker.python", FORGE.format(forged))
+            page.sandbox(use).ask("worker.python", FORGE.format(forged))
         assert answers.answer(QUESTION, stop)["error"]["type"] == "LimitError"
         with pytest.raises(LimitError):
             scan.advance(0.1)

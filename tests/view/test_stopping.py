@@ -53,7 +53,7 @@ def place(request):
     """Whether pages are answered in a sandbox, or in this process, as on other systems."""
     with pytest.MonkeyPatch.context() as patch:
         if request.param == "here":
-            patch.setattr(sealed.SealedPage, "of", classmethod(lambda *_: None))
+            patch.setattr(sealed.PageSandboxes, "of", classmethod(lambda *_: None))
         yield request.param
 
 
