@@ -30,11 +30,15 @@ from ssduck.sql.sql_values import NotSqlError, SqlValue, StatementContext
 
 
 class ExpressionScope(ABC):
-    """The scope of the expressions of one query, and their translation.
+    """The scope of the expressions of one query; `Expressions` translates them.
+
+    Args:
+        context: what all queries of the statement have in common.
+        outer: the scope of the query around this one.
 
     Attributes:
         rows: the current element of each source, by alias.
-        only: the alias of the only source; None if there are several.
+        only_alias: the alias of the only source; None if there are several.
         locals: the state variables of a hierarchical query.
         ticks: the ticks of its entities.
     """
@@ -44,7 +48,7 @@ class ExpressionScope(ABC):
         self.names = context.names
         self.outer = outer
         self.rows: dict[str, SqlValue] = {}
-        self.only: str | None = None
+        self.only_alias: str | None = None
         self.locals: Mapping[str, SqlValue] = outer.locals if outer else {}
         self._are_constant: dict[Node, bool] = {}
         self.ticks: QueryTicks = QueryTicks(context, self.rows, outer.ticks if outer else None)
@@ -57,7 +61,7 @@ class ExpressionScope(ABC):
 
     def element(self, alias: str | None) -> SqlValue | None:
         """Returns the current element of a source of this query or of one around it in SQL."""
-        name = self.only if alias is None else alias
+        name = self.only_alias if alias is None else alias
         if name is not None and name in self.rows:
             return self.rows[name]
         # `this` alone is never that of a query further out.
@@ -65,7 +69,7 @@ class ExpressionScope(ABC):
 
     def is_constant(self, node: Node) -> bool:
         """Checks whether the node has the same value for all rows of the statement."""
-        if node not in self._are_constant:  # for each part and for all that contain it
+        if node not in self._are_constant:  # all that contain a part ask for it
             self._are_constant[node] = self._is_constant(node)
         return self._are_constant[node]
 
@@ -85,10 +89,10 @@ class ExpressionScope(ABC):
             case TimeIndex(name=name) if name in self.context.changing:
                 return False
             case Query():
-                return (
-                    all(self._sees_nothing(alias) for alias in free_aliases(node))
-                    and not is_impure(node)
-                    and not any(self._is_changing(part) for part in node.walk())
+                return not (
+                    any(alias is None or self.element(alias) for alias in free_aliases(node))
+                    or is_impure(node)
+                    or any(self._is_changing(part) for part in node.walk())
                 )
             case Call(name=name) if name in RELATIONS or name in IMPURE or name in OVER_TIME:
                 return False
@@ -97,10 +101,12 @@ class ExpressionScope(ABC):
         return all(self.is_constant(child) for child in node.children())
 
     def _is_variable(self, node: QualifiedName) -> bool:
+        """Checks whether the alias is a variable; the plan is of use as long as that is so."""
         is_variable = self.context.plan.bare[node.alias] = self.names.has_variable(node.alias)
         return is_variable
 
     def _is_outside(self, node: This) -> bool:
+        """Checks whether it is the element of a source further out than this SQL statement."""
         if node.alias is None or self.element(node.alias) is not None:
             return False
         if not self.names.has_source(node.alias):
@@ -111,9 +117,6 @@ class ExpressionScope(ABC):
                 suggestions=nearest(node.alias, aliases) or aliases[:3],
             )
         return True
-
-    def _sees_nothing(self, alias: str | None) -> bool:
-        return alias is not None and self.element(alias) is None
 
     def _is_changing(self, node: Node) -> bool:
         if not isinstance(node, Name | TimeIndex):
@@ -131,7 +134,7 @@ class ExpressionScope(ABC):
         return truth(self.value(node))
 
     def number(self, node: Node) -> SqlValue:
-        """Returns the node as SQL, if it is a number."""
+        """Returns the node as SQL, if it is a number and never NULL; else NotSqlError."""
         value = self.value(node)
         if not value.sql_type.is_number or value.sql_type.nullable:
             raise NotSqlError

@@ -373,7 +373,7 @@ def check_sources(query: Query) -> None:
 
 def _bind(inner: ExpressionScope, aliases: Sequence[str], values: Sequence[SqlValue]) -> None:
     inner.rows.update(zip(aliases, values, strict=True))
-    inner.only = aliases[0] if len(aliases) == 1 else None
+    inner.only_alias = aliases[0] if len(aliases) == 1 else None
 
 
 def _subquery(

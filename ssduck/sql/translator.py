@@ -172,7 +172,7 @@ class _Translator:
         ]
         for source_type, element in zip(source_types, elements, strict=True):
             self.sql.rows[source_type.alias] = element.value
-        self.sql.only = source_types[0].alias if len(source_types) == 1 else None
+        self.sql.only_alias = source_types[0].alias if len(source_types) == 1 else None
         return elements
 
     def _element(self, source_type: SourceType, node: Node) -> FromItem:
@@ -317,7 +317,7 @@ class _Translator:
                 case _:
                     continue
             if self.sql.is_constant(other):
-                alias = row.alias or self.sql.only or ""
+                alias = row.alias or self.sql.only_alias or ""
                 self.sql.ticks.record_single_entity(alias, partial(self.sql.value, other))
 
     def _condition(self, node: Node) -> exp.Expr | None:
