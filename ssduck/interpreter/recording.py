@@ -219,9 +219,10 @@ class Records:
         """
         arguments = ("path", "world", "entities", "start", "end", "tags", "pairs")
         validation.no_others(others, "export", arguments, _INSTEAD_IN_EXPORT)
-        if isinstance(entities, str | CompiledProgram):
-            entities = self._evaluate(entities)
-        names = None if entities is None else _names(entities)
+        named = (
+            self._evaluate(entities) if isinstance(entities, str | CompiledProgram) else entities
+        )
+        names = None if named is None else _names(named)
         start, end = (None if time is None else validation.seconds(time) for time in (start, end))
         within = None if pairs is None else checked_distance(pairs)
         with self._lock:
