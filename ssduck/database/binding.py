@@ -84,6 +84,8 @@ class BoundWorld:
             raise EvaluationError(f"the world {', '.join(self.schemas)} is gone")
         return world
 
+    # -- the recorded poses of rows -----------------------------------------------------------
+
     def check_row(
         self, run: int | None, tick: int, id: int, pose: tuple[float | None, ...]
     ) -> None:
@@ -147,6 +149,8 @@ class BoundWorld:
             numbers = [[None if math.isnan(one) else one for one in pose] for pose in numbers]
         return poses | dict(zip(ids.tolist(), map(tuple, numbers), strict=True))
 
+    # -- rows that DuckDB reads in place ------------------------------------------------------
+
     def buffers(self) -> list[Buffer]:
         """Returns the rows that DuckDB reads in place; of the current tick if it is in memory."""
         live = self.live_buffers() if self.world.ticker.is_restored else []
@@ -186,6 +190,8 @@ class BoundWorld:
         """Returns the names of the rows that are not stored yet, among DuckDB's temporary views."""
         parts = len(self.history.visible_rows) if self.history is not None else 0
         return [f"{self.key}: {table} that wait, {part}" for part in range(parts)]
+
+    # -- shapes, and warnings of them ---------------------------------------------------------
 
     def shapes(self, tick: int, *, with_sites: bool) -> ShapeQueries:
         """Returns the shapes at a tick; with_sites, sites have their regions as shapes."""
@@ -278,6 +284,8 @@ class BoundWorld:
         """Returns the present name of the entity of an id."""
         members = (member for member in self.world.snapshot.entities if member.id == entity_of(id))
         return next((member.name for member in members), f"entity {entity_of(id)}")
+
+    # -- joints, links, contacts and sensors --------------------------------------------------
 
     def joints(self, tick: int, id: int) -> EntityJoints:
         """Returns the joints of an entity at a tick."""

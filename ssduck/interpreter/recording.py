@@ -176,7 +176,7 @@ class Records:
     @record_errors()
     def export(
         self,
-        /,
+        /,  # `of_part` gives it by position, as others may have any name
         path: str | Path,
         world: str | World | None = None,
         *,

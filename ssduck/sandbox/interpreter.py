@@ -124,7 +124,7 @@ class SandboxedInterpreter:
         request: str,
         *arguments: Any,
         seconds: float = 0.0,
-        as_before: bool = False,
+        updates_copies: bool = True,
         **options: Any,
     ) -> Any:
         """Asks the process, which is started again after it has ended.
@@ -133,7 +133,7 @@ class SandboxedInterpreter:
             request: what is asked, and for what, as `"ss.sql"`.
             arguments: its arguments.
             seconds: the time beside that of a program, s.
-            as_before: whether copies of worlds stay as they are.
+            updates_copies: whether copies of worlds become as the worlds are now.
             options: its named arguments.
 
         Raises:
@@ -152,7 +152,7 @@ class SandboxedInterpreter:
             try:
                 limit = self._limits.seconds
                 time = None if limit is None else limit + seconds + GRACE / 4
-                if not as_before:
+                if updates_copies:
                     self._live.update(partial(self._ask, time))
                 return self._ask(time, request, *arguments, **options)
             except WorkerEndedError as error:

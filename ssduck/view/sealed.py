@@ -121,8 +121,8 @@ class SealedScan:
     def advance(self, seconds: float) -> bool:
         """Asks at further ticks for some time; returns whether there are more."""
         arguments = self._viewer, seconds
-        # The sandbox keeps its copy of the world: the search ends at the tick at which it began.
-        told = _asked(self._sandbox, self._stop, "advance_scan", *arguments, as_before=True)
+        # The search ends at the tick at which it began, whatever the world has done since.
+        told = _asked(self._sandbox, self._stop, "advance_scan", *arguments, updates_copies=False)
         more = told.pop("more", False)
         self.progress = told
         return more is True
@@ -133,14 +133,14 @@ def _asked(
     stop: StopRequest,
     method: str,
     *arguments: Any,
-    as_before: bool = False,
+    updates_copies: bool = True,
 ) -> dict[str, Any]:
     """Returns what a method of `AnswersInside` says; another thread may stop the question.
 
     The process may be taken over by a program, so that it may say anything.
     """
     with stop.applies_to(sandbox):
-        text = sandbox.ask(f"page answers.{method}", *arguments, as_before=as_before)
+        text = sandbox.ask(f"page answers.{method}", *arguments, updates_copies=updates_copies)
     try:
         answer = Budget().parsed(text.encode())
     except (AttributeError, ValueError, RecursionError, InvalidAnswerError):
