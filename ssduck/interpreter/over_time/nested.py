@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
@@ -33,12 +32,25 @@ from ssduck.interpreter.over_time.series import TickColumns, TickSeries, is_true
 from ssduck.language.analysis import IMPURE, OVER_TIME, calls_of, free_aliases, mentions
 from ssduck.language.builtins import BUILTINS
 from ssduck.language.evaluator import Frame
-from ssduck.language.tree import Binary, Call, Name, Node, OperatorChain, Placeholder, Unary
+from ssduck.language.tree import (
+    Binary,
+    Call,
+    Literal,
+    Name,
+    Node,
+    OperatorChain,
+    Placeholder,
+    Unary,
+)
+from ssduck.language.value_keys import node_key
 from ssduck.logic.traces import Trace, Window
 from ssduck.recording.replay.past import common_moment, past_of
 from ssduck.recording.replay.record import Record
+from ssduck.sql.relations.registry import RELATIONS
 from ssduck.world.handles import Handle
 
+# Of more leaves, the oldest ones are dropped.
+_MANY = 256
 # Returns the series of the expression in a call.
 SeriesOf = Callable[[Call, Frame], TickSeries]
 
@@ -60,8 +72,9 @@ class Column:
         """Returns Python's values as a column; None is unknown."""
         unknown = np.array([value is None for value in values], np.bool_)
         types = {type(value) for value in values if value is not None}
-        if types in ({bool}, {int}, {float}) and not unknown.any():
-            return cls(np.array(values), unknown)
+        if types in ({bool}, {int}, {float}):
+            (kind,) = types
+            return cls(np.array([kind() if value is None else value for value in values]), unknown)
         return cls(np.fromiter(values, np.object_, len(values)), unknown)
 
     @property
@@ -86,13 +99,16 @@ class NestedExpressions:
         names_entities: Callable[[Node, Frame], bool],
     ) -> None:
         self.series_of, self.names_entities = series_of, names_entities
-        self._leaves: WeakKeyDictionary[Node, Call] = WeakKeyDictionary()
+        self._leaves: dict[str, Call] = {}
 
     def leaf(self, node: Node) -> Call:
-        """Returns the call whose series is that of a part; the same one each time."""
-        if node not in self._leaves:
-            self._leaves[node] = Call(node.span, "changes", (node,), node.span)
-        return self._leaves[node]
+        """Returns the call whose series is that of a part; the same one for equal parts."""
+        key = node_key(node)
+        if key not in self._leaves:
+            while len(self._leaves) >= _MANY:
+                del self._leaves[next(iter(self._leaves))]
+            self._leaves[key] = Call(node.span, "changes", (node,), node.span)
+        return self._leaves[key]
 
     def verdict(self, call: Call, record: Record, frame: Frame) -> bool | float | None:
         """Returns the value of an operator: at the tick of the row, or else at its own tick.
@@ -163,7 +179,8 @@ class Ticks:
         is_last = len(numbers) == len(record.ticks.numbers)
         # Whether more ticks may come: not where a finished record ends.
         self.is_open = record.recording is not None or not is_last
-        self._columns: dict[Node, Column] = {}
+        # The columns of expressions, by their keys.
+        self._columns: dict[str, Column] = {}
 
     def conditions(self, call: Call) -> list[Trace]:
         """Returns the conditions of an operator, or their margins, at each tick."""
@@ -206,7 +223,7 @@ class Ticks:
 
     def _is_made(self, node: Node) -> bool:
         """Checks whether a part is made of others, and no query has its values."""
-        return is_nested(node) or mentions(node, self._given)
+        return is_nested(node) or mentions(node, self._given) or len(_compared_numbers(node)) == 1
 
     def _joined(self, sign: str, trace: Trace, other: Node) -> Trace:
         return trace & self.trace(other) if sign == "AND" else trace | self.trace(other)
@@ -215,9 +232,10 @@ class Ticks:
 
     def column(self, node: Node) -> Column:
         """Returns the values of an expression at each tick."""
-        if node not in self._columns:
-            self._columns[node] = self._column(node)
-        return self._columns[node]
+        key = node_key(node)
+        if key not in self._columns:
+            self._columns[key] = self._column(node)
+        return self._columns[key]
 
     def _column(self, node: Node) -> Column:
         is_logic = isinstance(node, Unary | Binary | OperatorChain) and _sign_of(node) in _LOGIC
@@ -264,11 +282,13 @@ class Ticks:
         parts: dict[str, Column] = {}
 
         def part_of(part: Node) -> Node | None:
+            if part is node:
+                return None
             is_made = self._is_made(part)
             is_part = not (_is_of_values(part) and is_made) and (
                 is_made or self._expressions.names_entities(part, self._frame)
             )
-            if part is not node and is_part:
+            if is_part:
                 name = f"part {len(parts)}"
                 parts[name] = self.column(part)
                 return Placeholder(part.span, name)
@@ -312,10 +332,9 @@ class Ticks:
 
         def given(node: Placeholder) -> Expression:
             values = parts[node.name].values
-            kind = kind_of(values[0]) if len(values) else "object"
-            if kind == "object":
+            if values.dtype == np.object_:
                 raise LeftToDuckDBError
-            return Expression(kind, lambda arrays: arrays[node.name])
+            return Expression(kind_of(values[0]), lambda arrays: arrays[node.name])
 
         def variable(node: Name) -> Expression:
             value = self._frame.value(node)
@@ -370,6 +389,32 @@ def _is_of_values(node: Node) -> bool:
     """Checks whether a part is computed from the values of its own parts."""
     is_builtin = isinstance(node, Call) and node.name in BUILTINS and node.name not in IMPURE
     return is_builtin or isinstance(node, OF_VALUES)
+
+
+def _compared_numbers(node: Node) -> set[str]:
+    """Returns the keys of the numbers that a part compares with constants; "" for others.
+
+    Conditions and margins of one number need one query for it, however many they are.
+    """
+    match node:
+        case Unary(operator="NOT" | "-", operand=operand):
+            return _compared_numbers(operand)
+        case Binary(operator="AND" | "OR", left=left, right=right):
+            return _compared_numbers(left) | _compared_numbers(right)
+        case Binary(operator=sign, left=Call() as call, right=Literal()) if sign in _OF_NUMBERS:
+            return _key_of_number(call)
+        case Binary(operator=sign, left=Literal(), right=Call() as call) if sign in _OF_NUMBERS:
+            return _key_of_number(call)
+    return {"", node_key(node)}
+
+
+_OF_NUMBERS = ("<", "<=", ">", ">=", "-")
+
+
+def _key_of_number(call: Call) -> set[str]:
+    relation = RELATIONS.get(call.name)
+    is_number = relation is not None and relation.result == "double"
+    return {node_key(call)} if is_number else {"", node_key(call)}
 
 
 def _folded(fold: Fold, times: list[float], values: list[Any]) -> Iterator[Any]:
