@@ -2,8 +2,8 @@
 
 `python -m benchmarks [NAME ...]` runs the short ones, or those named: ticks, queries, triggers,
 language and adapters. All of them take some minutes, and so do the tables raw, strict,
-checksums, first and interchange. The table mujoco needs MuJoCo, gym and batches gymnasium as well,
-and view websockets.
+checksums, first and interchange. The tables mujoco and logic need MuJoCo, gym and batches gymnasium
+as well, and view websockets.
 `python -m benchmarks lake [FOLDER]` needs gymnasium and MuJoCo, and Ray and Spark for their rows.
 `python -m benchmarks pairs [OPTION ...]` and `python -m benchmarks time [OPTION ...]` take many
 minutes; `--help` lists their options.
@@ -23,6 +23,7 @@ from benchmarks import (
     interchange,
     lake,
     language,
+    logic,
     mujoco_ticks,
     pair_relations,
     pairs,
@@ -52,7 +53,13 @@ LONG_TABLES = {
     "interchange": interchange,
 }
 # Tables that need an extra.
-EXTRA_TABLES = {"batches": batches, "gym": gym_steps, "mujoco": mujoco_ticks, "view": view}
+EXTRA_TABLES = {
+    "batches": batches,
+    "gym": gym_steps,
+    "logic": logic,
+    "mujoco": mujoco_ticks,
+    "view": view,
+}
 LONG = {
     "lake": lake.main,
     "pairs": pairs.main,

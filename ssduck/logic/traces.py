@@ -21,12 +21,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from ssduck.geometry.arrays import Array, Flags, Indices
 
+# Margins or truth values.
+Values: TypeAlias = npt.NDArray[Any]
 # A bound of a window that is so near to a tick is at it, s: times are sums of time steps.
 SLACK = 1e-9
 
@@ -45,7 +48,7 @@ class Trace:
 
     @classmethod
     def of(
-        cls, times: Array, values: Array, unknown: Flags | None = None, *, is_open: bool = False
+        cls, times: Array, values: Values, unknown: Flags | None = None, *, is_open: bool = False
     ) -> Trace:
         """Returns a trace of values, of which some may be unknown."""
         if unknown is None or not unknown.any():
