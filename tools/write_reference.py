@@ -248,7 +248,7 @@ def relations_page() -> str:
         if same:
             lines.append(f"\nOther names: {', '.join(same)}.")
     lines += ["\n## Functions of plain values\n", "| function | meaning |", "|---|---|"]
-    told = [function.help.split("\nUsage: ") for function in BUILTINS.values()]
+    told = [function.help.split("\nUsage: ") for function in BUILTINS.values() if function.help]
     operators = [entry for entry in told if OPERATOR.fullmatch(entry[0])]
     lines += [
         f"| `{usage}` | {about} |" for about, usage in told if [about, usage] not in operators

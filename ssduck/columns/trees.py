@@ -20,6 +20,7 @@ from ssduck.columns.compiler import (
     LeftToDuckDBError,
     joined,
 )
+from ssduck.language.builtins import EXTREMES_OF_MARGINS, MARGIN_OF_TRUTH
 from ssduck.language.tree import (
     Binary,
     Call,
@@ -161,8 +162,12 @@ class TreeCompiler:
     def _call(self, name: str, arguments: Sequence[Node]) -> Expression:
         """Returns a call of a function of numbers."""
         operations = self.operations
+        name = EXTREMES_OF_MARGINS.get(name, name)
         if name in ("norm", "min", "max", "sum", "avg") and len(arguments) == 1:
             return self._of_list(name, arguments[0])
+        if name == MARGIN_OF_TRUTH:
+            infinity = Literal(arguments[0].span, float("inf"))
+            return self._if(arguments[0], infinity, Unary(infinity.span, "-", infinity))
         if name == "int" and self.of(arguments[0]).kind == "boolean":
             return self._applied("integer", "integer", self.of(arguments[0]))
         parts = [self._double(argument) for argument in arguments]
@@ -186,10 +191,9 @@ class TreeCompiler:
             compute = self.operations.extreme(compare, self._computes(parts))
             return joined("double", compute, *parts)
         part = self._of_kind(argument, "list")
-        whole = part.compute
 
         def compute_list(values: ArrayValues) -> Array:
-            numbers = whole(values)
+            numbers = part.compute(values)
             if numbers.shape[-1] == 0:
                 raise LeftToDuckDBError
             match name:

@@ -32,7 +32,8 @@ _QUERY += "NOT, IN, LIKE, BETWEEN, IS NULL, CASE, WHEN, THEN, ELSE, END"
 KEYWORDS: dict[Language, tuple[str, ...]] = {
     "selectscript": (
         *_QUERY.split(", "),
-        *("START WITH", "CONNECT BY", "STOP WITH", "XOR", "IF", "True", "False", "None", "this"),
+        *("START WITH", "CONNECT BY", "STOP WITH", "XOR", "IMPLIES", "IF", "True", "False", "None"),
+        "this",
     ),
     "sql": (
         *_QUERY.split(", "),

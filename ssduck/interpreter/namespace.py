@@ -413,13 +413,14 @@ class Namespace:
             forms = [other for each in all_adapters() for other in each.names]
             raise UnknownNameError(
                 f"there is no function {short_repr(name)}",
-                suggestions=nearest(name, [*described, *forms]),
+                suggestions=nearest(name, [*self.known_functions(), *forms]),
             )
         return form
 
     def known_functions(self) -> list[str]:
-        """Returns the names of all functions."""
-        return list(dict.fromkeys((*RELATIONS, *self.functions)))
+        """Returns the names of all functions; a program cannot write one with a space."""
+        names = dict.fromkeys((*RELATIONS, *self.functions))
+        return [name for name in names if " " not in name]
 
     def _commands(self) -> list[Function]:
         """Returns the functions that use the interpreter."""

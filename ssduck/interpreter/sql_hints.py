@@ -8,6 +8,7 @@ from collections.abc import Collection, Mapping
 import sqlglot
 
 from ssduck.errors import SelectScriptError, SqlError, nearest
+from ssduck.interpreter.over_time.expansions import EXPANSIONS
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS
 from ssduck.language.parser import parse
 from ssduck.schema import TABLES
@@ -102,7 +103,7 @@ _TABLES = {
     ),
 }
 # The functions of SelectScript that SQL has not.
-_ONLY_PROGRAMS = frozenset(name.lower() for name in TEMPORAL_FUNCTIONS)
+_ONLY_PROGRAMS = frozenset(name.lower() for name in (*TEMPORAL_FUNCTIONS, *EXPANSIONS))
 # The columns that are ids of entities.
 _IDS = ("entity", "sensor", "a", "b")
 

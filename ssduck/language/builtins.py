@@ -310,7 +310,18 @@ AGGREGATES: dict[str, Function] = {function.name: function for function in _LIST
 # least(a, b) of SQL is min([a, b]) here, where least itself is over time.
 EXTREMES = {"least": "min", "greatest": "max"}
 
+# The margins of AND, of OR and of what has none (ssduck.logic.margins), with the function of a list
+# that they are; nothing where a part is nothing, of which `min` and `max` tell as of a mistake.
+EXTREMES_OF_MARGINS = {"margin of AND": "min", "margin of OR": "max"}
+MARGIN_OF_TRUTH = "margin of truth"
+
 BUILTINS: dict[str, Function] = {
     function.name: function
     for function in _LIST_FUNCTIONS + _NUMBER_FUNCTIONS + _OTHER_FUNCTIONS + _OPERATOR_FUNCTIONS
 }
+for _name, _margin in (
+    ("margin of AND", lambda margins: None if None in margins else min(margins)),
+    ("margin of OR", lambda margins: None if None in margins else max(margins)),
+    (MARGIN_OF_TRUTH, lambda holds: holds if holds is None else math.inf if holds else -math.inf),
+):
+    BUILTINS[_name] = Function(_name, _margin, "", 1, 1, builtin=True)

@@ -8,15 +8,15 @@ what has none is plus or minus infinity.
 
 from __future__ import annotations
 
-import math
 from functools import lru_cache
 
+from ssduck.errors import ArgumentError
 from ssduck.language.analysis import OF_MARGINS, TEMPORAL_OPERATORS
+from ssduck.language.builtins import MARGIN_OF_TRUTH
 from ssduck.language.parser import parse
 from ssduck.language.tree import (
     Binary,
     Call,
-    If,
     ListLiteral,
     Literal,
     Name,
@@ -41,6 +41,10 @@ def margin_of(condition: Node) -> Node:
             return Binary(span, "-", right, left)
         case Binary(operator=">" | ">=", left=left, right=right):
             return Binary(span, "-", left, right)
+        case Call(name="scale", arguments=(_, Literal(value=0) | Unary(operator="-"))):
+            raise ArgumentError(
+                "scale takes a number above 0, by which the margin is divided", span=span
+            )
         case Call(name="scale", arguments=(inner, unit)):
             return Binary(span, "/", margin_of(inner), unit)
         case Call(name=name, arguments=arguments) if name in TEMPORAL_OPERATORS:
@@ -49,22 +53,16 @@ def margin_of(condition: Node) -> Node:
             return Call(span, OF_MARGINS + name, margins, condition.name_span)
         case Call(name=name) if (margin := _margin_of_relation(condition)) is not None:
             return margin
-    infinity = Literal(span, math.inf)
-    return If(span, condition, (infinity,), (Unary(span, "-", infinity),))
-
-
-def has_margin(condition: Node) -> bool:
-    """Checks whether the margin of a condition is never infinite for lack of one."""
-    return not any(
-        isinstance(part, Literal) and part.value == math.inf for part in margin_of(condition).walk()
-    )
+    return Call(span, MARGIN_OF_TRUTH, (condition,), span)
 
 
 def _extreme(condition: Node, sign: str, operands: tuple[Node, ...]) -> Node:
-    """Returns the least margin of the operands of AND, or the largest of those of OR."""
+    """Returns the least margin of the operands of AND, or the largest of those of OR.
+
+    It is nothing where one of them is.
+    """
     margins = ListLiteral(condition.span, tuple(map(margin_of, operands)))
-    name = "min" if sign == "AND" else "max"
-    return Call(condition.span, name, (margins,), condition.span)
+    return Call(condition.span, f"margin of {sign}", (margins,), condition.span)
 
 
 def _margin_of_relation(call: Call) -> Node | None:

@@ -11,7 +11,7 @@ from sqlglot import exp
 
 from ssduck.errors import ArgumentError
 from ssduck.language.analysis import BINARY_SIGNS, IMPURE, OVER_TIME, UNARY_SIGNS
-from ssduck.language.builtins import LEAST_SQUARE
+from ssduck.language.builtins import EXTREMES_OF_MARGINS, LEAST_SQUARE
 from ssduck.language.tree import Binary, Call, Node, Query, Unary
 from ssduck.sql import subqueries
 from ssduck.sql.operators import double_of, element_at
@@ -239,24 +239,27 @@ def _builtin(context: StatementContext, name: str, values: list[SqlValue]) -> Sq
         ]:
             context.note_possible_failure()
             total = exp.cast(_list_function("sum", value), "BIGINT")
-            nothing = exp.Literal.number(0)
-            return SqlValue(
-                exp.Coalesce(this=total, expressions=[nothing]), INTEGER, may_exceed_double=True
-            )
+            result = exp.Coalesce(this=total, expressions=[literal(0)])
+            return SqlValue(result, INTEGER, may_exceed_double=True)
         case "sum", [
             SqlValue(sql_type=SqlType(type="list", element=SqlType(type="double"))) as value
         ]:
-            zero = exp.cast(exp.Literal.number(0), "DOUBLE")
-            result = exp.Coalesce(this=_list_function("sum", value), expressions=[zero])
+            result = exp.Coalesce(this=_list_function("sum", value), expressions=[literal(0.0)])
             # The sum of an empty list is an integer.
             domain = FloatDomain.NAN if value.domain else FloatDomain.INFINITE
             return SqlValue(result, SqlType("number"), domain=domain)
-        case "min" | "max", [
+        case "min" | "max" | "margin of AND" | "margin of OR", [
             SqlValue(sql_type=SqlType(type="list", element=SqlType() as element)) as v
         ] if element.type in ("double", "integer", "string"):
-            context.note_possible_failure()
-            found = or_failure(_where_all_are_known(v, _list_function(name, v)), element)
+            found = _where_all_are_known(v, _list_function(EXTREMES_OF_MARGINS.get(name, name), v))
+            if name not in EXTREMES_OF_MARGINS:
+                context.note_possible_failure()
+                found = or_failure(found, element)
             return SqlValue(found, element, domain=v.domain)
+        case "margin of truth", [SqlValue(sql_type=SqlType(type="boolean")) as value]:
+            margin = exp.case().when(value.sql, literal(float("inf")))
+            margin = margin.when(exp.not_(wrapped(copied(value.sql))), literal(-float("inf")))
+            return SqlValue(margin, DOUBLE, domain=FloatDomain.INFINITE)
     return None
 
 

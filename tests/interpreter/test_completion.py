@@ -54,6 +54,8 @@ CASES = [
     ("SELECT hea|", ["heavy"], "SELECT"),
     ("SELECT heig|", ["height"], "heavy"),
     ("SEL|", ["SELECT"], "near"),
+    ("1 < 2 IMP|", ["IMPLIES"], "near"),
+    ("rob|", ["robot", "robustness"], "robustness of once"),
     ("sel|", ["SELECT"], "near"),
     ("first = 1; fir|", ["first"], "near"),
     ("SELECT a.th| FROM a=kitchen", ["this"], "near"),

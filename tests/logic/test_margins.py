@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import mujoco
 import pytest
 
 import ssduck
@@ -106,6 +107,53 @@ def test_the_margin_of_an_operator_of_time_is_the_least_or_the_largest():
         assert ss.eval(f"greatest(robustness({text}));")[1] == 0.01 - min(speeds)
 
 
-def test_mistakes_are_told_of():
-    with ssduck.Interpreter() as ss, pytest.raises(ArgumentError, match="robustness takes 1"):
-        ss.eval("robustness();")
+def test_the_margin_of_lifted_is_that_of_the_expression_it_stands_for():
+    with ssduck.load("kitchen", recording=ssduck.Recording()) as ss:
+        cup = ss["kitchen"]["cup_905a"]
+        ss.run(0.02)
+        cup.move([1.0, 0.433, 1.3])
+        ss.run(0.02)
+        rise = ss.eval("z(kitchen.cup_905a) - initially(z(kitchen.cup_905a));")
+        for text, margin in (
+            ("lifted(kitchen.cup_905a, 0.1)", rise - 0.1),
+            ("once(scale(lifted(kitchen.cup_905a, 0.1), 0.5), 0, 0)", (rise - 0.1) / 0.5),
+        ):
+            assert ss.eval(f"robustness({text});") == pytest.approx(margin, abs=1e-9)
+
+
+def test_the_margin_of_what_is_unknown_is_nothing():
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body name='box' pos='0.5 0 0'><freejoint/><geom size='.1'/></body>"
+        "<body name='ball' pos='0 0 1'><freejoint/><geom size='.1'/></body></worldbody></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    conditions = ["z(b) > 0 AND x(a) > 0", "z(b) > 0 OR x(a) > 0", "z(b) == 1", "touching(a, b)"]
+    with ssduck.Interpreter() as ss:
+        sim = ss.add_variable("sim", ssduck.World.attach((model, data)))
+        ss.add_variable("a", sim["box"])
+        ss.add_variable("b", sim["ball"])
+        data.time = 0.1
+        data.body("ball").xpos[:] = math.nan
+        with pytest.warns(UserWarning, match="no number"):
+            sim.tick()
+        for condition in conditions:
+            for text in (condition, f"NOT ({condition})"):
+                margins = [v for _, v in ss.eval(f"changes(robustness({text}));")]
+                assert (margins[0] > 0) is ss.eval(f"initially({text});")
+                assert margins[1:] == [None], text
+                assert ss.eval(f"robustness(historically({text}, 0, 0));") is None
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        ("robustness()", "robustness takes 1"),
+        ("robustness(lifted(1))", "lifted takes 2"),
+        ("robustness(scale(1 < 2, 0))", "scale takes a number above 0"),
+        ("robustness(scale(1 < 2, -1))", "scale takes a number above 0"),
+    ],
+)
+def test_mistakes_are_told_of(call, message):
+    with ssduck.Interpreter() as ss, pytest.raises(ArgumentError, match=message):
+        ss.eval(f"{call};")

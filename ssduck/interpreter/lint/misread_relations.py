@@ -14,7 +14,8 @@ from ssduck.formatting import name_path
 from ssduck.interpreter.lint.columns import is_comparison
 from ssduck.interpreter.lint.scope import Check, Scope, entity_of, worlds_of
 from ssduck.interpreter.lint.suspect_values import VECTORS
-from ssduck.language.analysis import OVER_TIME
+from ssduck.language.analysis import OVER_TIME, TEMPORAL_OPERATORS
+from ssduck.language.builtins import MARGIN_OF_TRUTH
 from ssduck.language.tree import (
     AdapterClause,
     Binary,
@@ -51,7 +52,10 @@ _AS_CONDITION = {
 # The functions over time whose value is a list of two.
 _EXTREMES = frozenset(("least", "greatest"))
 _OF_EXTREMES = "{0}(…) is [time, value], and {1} is of such lists here: the value is {0}(…)[1]"
-_CONDITIONS_OVER_TIME = frozenset(("since", "heldFor", "holds"))
+# The calls of conditions, with the number of these.
+_OF_CONDITIONS = TEMPORAL_OPERATORS | dict.fromkeys(
+    ("since", "heldFor", "holds", MARGIN_OF_TRUTH), 1
+)
 # The relations that hold as conditions whatever the world is like, with what they are.
 _NO_CONDITIONS = {
     **dict.fromkeys(("id", "name", "type", "kind"), "a text"),
@@ -226,8 +230,8 @@ def _conditions(node: Node) -> tuple[Node, ...]:
             return tuple(operands)
         case If(condition=condition) | Branch(condition=condition):
             return (condition,)
-        case Call(name=name, arguments=(condition, *_)) if name in _CONDITIONS_OVER_TIME:
-            return (condition,)
+        case Call(name=name, arguments=arguments) if name in _OF_CONDITIONS:
+            return arguments[: _OF_CONDITIONS[name]]
     return ()
 
 

@@ -15,6 +15,7 @@ from ssduck.errors import ArgumentError, SelectScriptError, SourceSpan
 from ssduck.formatting import short_repr
 from ssduck.interpreter.lint.columns import is_comparison, unnamed
 from ssduck.interpreter.lint.scope import Check, Scope, worlds_of
+from ssduck.interpreter.over_time.expansions import EXPANSIONS
 from ssduck.language.analysis import OVER_TIME, states
 from ssduck.language.tree import (
     AdapterClause,
@@ -43,8 +44,10 @@ MAX_UNKNOWN = 20
 # The functions that return the name or the kind of an entity.
 _KIND_FUNCTIONS = ("kind", "type")
 _NAME_FUNCTIONS = ("id", "name", *_KIND_FUNCTIONS)
-# The functions that SQL's users know as columns; so common as variables that they may hide them.
-_MAY_HIDE = OVER_TIME | {"name", "kind"}
+# The functions of which a bare name stands for no call.
+_NEVER_BARE = OVER_TIME | EXPANSIONS.keys()
+# With those that SQL's users know as columns; so common as variables that they may hide them.
+_MAY_HIDE = _NEVER_BARE | {"name", "kind"}
 _NAMED = (Name, TimeIndex)
 
 
@@ -86,7 +89,7 @@ def _hidden_in(query: Query) -> Iterator[Check]:
     for node, others in _condition_names(conditions):
         if own.isdisjoint((node.name, *others)):
             names = node.name, *others
-            yield partial(_hides_function, node.name, node.span, names, OVER_TIME)
+            yield partial(_hides_function, node.name, node.span, names, _NEVER_BARE)
     aliases = {s.alias for s in query.sources if not isinstance(s.value, _NAMED)}
     for source in query.sources:
         match source.value:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 from ssduck.interpreter.over_time.functions import never_called
@@ -82,10 +82,14 @@ def expanded(node: Node, check: Callable[[Call], None]) -> Node:
         check: checks the number of arguments of a call.
     """
 
-    def change(part: Node) -> Node | None:
-        if not isinstance(part, Call) or part.name not in EXPANSIONS:
-            return None
-        check(part)
-        return EXPANSIONS[part.name].expand(part).replaced(change)
+    def changed(part: Node, names: Collection[str]) -> Node:
+        def change(part: Node) -> Node | None:
+            if not isinstance(part, Call) or part.name not in names:
+                return None
+            check(part)
+            return changed(EXPANSIONS[part.name].expand(part), names)
 
-    return node.replaced(change)
+        return part.replaced(change)
+
+    # A margin is that of what `lifted` stands for, but it sees `scale`.
+    return changed(changed(node, ("lifted",)), ("robustness", "scale"))

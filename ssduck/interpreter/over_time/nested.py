@@ -303,8 +303,9 @@ class Ticks:
         if not len(rows):
             return Column(values, unknown)
         result = Column(values, unknown).tolist()
+        lists = {name: column.tolist() for name, column in parts.items()}
         for row in rows.tolist():
-            at_tick = {name: column.tolist()[row] for name, column in parts.items()}
+            at_tick = {name: of_all[row] for name, of_all in lists.items()}
             result[row] = Frame(self._frame.scope, placeholders=at_tick).value(tree)
         return Column.of_objects(result)
 

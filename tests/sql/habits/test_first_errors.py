@@ -85,6 +85,7 @@ OF_SQL = [
     ("SELECT dot([1], [2])", "write list_dot_product(a, b)"),
     ("SELECT getTime()", "the simulated time is the column time"),
     ("SELECT heldFor(z(e) > 0) FROM entities e", "This is SelectScript: ss.eval runs it"),
+    ("SELECT robustness(e.z > 0) FROM entities e", "This is SelectScript: ss.eval runs it"),
     ("SELECT * FROM entities WHERE z => 0.1", "write >="),
     (
         "SELECT name FROM entities e WHERE distance(e, [0, 0, 1]) < 1",
@@ -447,9 +448,10 @@ def test_what_is_said_of_other_libraries_is_right():
             mujoco.mj_forward(model, data)
             world.tick()
         condition = "z(sim.cube) > 2"
-        for name, value in (("EVER", True), ("ALWAYS", False), ("NEVER", False)):
-            text = suggestion_for_name(name).removeprefix("write ")
-            assert ss.eval(f"{text.replace('condition', condition)};") is value
+        for name, value in (("EVER", True), ("GLOBALLY", False), ("NEVER", False)):
+            for text in suggestion_for_name(name).removeprefix("write ").split(", or "):
+                call = text.partition(" of ")[0].replace("condition", condition)
+                assert ss.eval(f"{call};") is value
         assert ss.eval(f"[holds({condition})[0][0], holds({condition})[-1][1]];") == [0, 0.5]
         touched = "EXISTS (SELECT this FROM sim WHERE touching(sim.{}, this));"
         assert [ss.eval(touched.format(name)) for name in ("cube", "table")] == [False, True]

@@ -390,6 +390,7 @@ def test_of_many_names_that_nothing_bears_some_are_told(world):
         "SELECT this FROM [1] START WITH c=kitchen.can CONNECT BY c=kitchen.table "
         "STOP WITH id(c) == 'table' AS list;",
         "found = 5; level = 3; x = 5; x + 1 > 5;",
+        "scale = 2; once = 3; scale + once;",
         "(-2)^2; -(2^2); (2^3)^2; 2^(3^2); 2^-1; 2^2 + 3^2;",
         "x = 5; SELECT this FROM [2] WHERE this < x AS list;",
         "upright(kitchen.can, 0.8); 3 > tilt(kitchen.can); id(kitchen.can) LIKE '%*'; n = 9; n > 5;",
