@@ -9,6 +9,8 @@ from ssduck.interpreter.mirrors import Mirror
 from ssduck.limits import Limits
 
 PROGRAMS = [
+    "always(z(kitchen.cup_905a) > 0);",
+    "robustness(historically(z(kitchen.cup_905a) > 0.5));",
     "SELECT id, z FROM kitchen;",
     "SELECT id FROM kitchen WHERE on(kitchen.table, this);",
     "SELECT a.this, b.this FROM a=kitchen, b=kitchen WHERE near(a.this, b.this, 0.02);",

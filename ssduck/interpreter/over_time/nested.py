@@ -46,6 +46,7 @@ from ssduck.language.value_keys import node_key
 from ssduck.logic.traces import Trace, Window
 from ssduck.recording.replay.past import common_moment, past_of
 from ssduck.recording.replay.record import Record
+from ssduck.recording.replay.replayed_world import CopiedWorld
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.world.handles import Handle
 
@@ -127,12 +128,10 @@ class NestedExpressions:
 
     def fold(self, call: Call, frame: Frame, record_of: Callable[[], Record]) -> Fold:
         """Returns the fold that an operator is which looks back."""
-
-        def traces() -> list[Trace]:
-            ticks = Ticks(self, record_of(), frame)
-            return ticks.conditions(call)
-
-        return looking_back(call.name, window_of(call, frame), traces)
+        window = window_of(call, frame)
+        return looking_back(
+            call.name, window, lambda: Ticks(self, record_of(), frame).conditions(call)
+        )
 
     def columns(self, node: Node, record: Record, frame: Frame) -> TickColumns:
         """Returns the values of an expression at all ticks until now."""
@@ -177,8 +176,9 @@ class Ticks:
         are_last = np.append(times[1:] != times[:-1], True)
         self.numbers, self.times = numbers[are_last], times[are_last]
         is_last = len(numbers) == len(record.ticks.numbers)
+        is_live = record.recording is not None or isinstance(record.world, CopiedWorld)
         # Whether more ticks may come: not where a finished record ends.
-        self.is_open = record.recording is not None or not is_last
+        self.is_open = is_live or not is_last
         # The columns of expressions, by their keys.
         self._columns: dict[str, Column] = {}
 
