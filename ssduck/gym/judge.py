@@ -13,6 +13,8 @@ from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.over_time.each_tick import ExpressionsAtTicks, JudgedFolds
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, expressions_of, parts_of
 from ssduck.interpreter.program import CompiledProgram
+from ssduck.language.analysis import OF_MARGINS
+from ssduck.language.builtins import MARGIN_OF_TRUTH
 from ssduck.language.tree import (
     Call,
     Index,
@@ -80,10 +82,17 @@ class Judge:
         self._bound: dict[str, Any] = {}
         for name in variables:  # so that errors suggest them
             interpreter.add_variable(name, None)
-        self._texts = [self._expanded(term) for term in terms]
+        texts = [self._expanded(term) for term in terms]
+        # What is not decided yet does not hold.
+        self._texts = [
+            f"({text}) OR False" if term.is_condition and _looks_ahead(self._tree(text)) else text
+            for term, text in zip(terms, texts, strict=True)
+        ]
         # Each was compiled by itself, so that none is more than an expression.
         self._program = interpreter.compile(_selected(self._texts))
         trees = [self._tree(text) for text in self._texts]
+        for term, text, tree in zip(terms, self._texts, trees, strict=True):
+            _check_margins(term, text, tree)
         self._are_temporal = [_is_temporal(tree) for tree in trees]
         self.are_sensitive = [
             term.is_condition or is_temporal or not _OF_MOTION.isdisjoint(_names(tree))
@@ -208,8 +217,8 @@ class Judge:
 
     def why_success(self) -> str:
         """Returns the parts of success at the present tick, as `WHY` tells them."""
-        keys = [term.key for term in self.terms]
-        return str(self._interpreter.why(f"{self._texts[keys.index('success')]};"))
+        assert self.terms.success is not None
+        return str(self._interpreter.why(f"{self._expanded(self.terms.success)};"))
 
     def settle(self) -> None:
         """Adds the present tick to functions of time that no term has needed at it."""
@@ -487,6 +496,32 @@ def _without_nan(value: Any) -> Any:
     if isinstance(value, list):
         return list(map(_without_nan, value))
     return None if _has_nan(value) else value
+
+
+def _check_margins(term: Term, text: str, tree: Node) -> None:
+    """Checks that a number is known at each step, and finite."""
+    if term.is_condition:
+        return
+    for part in tree.walk():
+        written = text[part.span.start : part.span.end]
+        if isinstance(part, Call) and part.name == MARGIN_OF_TRUTH:
+            raise ArgumentError(
+                f"{term.key}: {written} has no margin: robustness would be infinite"
+            )
+        if isinstance(part, Call) and part.name.startswith(OF_MARGINS) and _looks_ahead(part):
+            raise ArgumentError(
+                f"{term.key}: {term.text!r} looks ahead, and is nothing while an episode goes on: "
+                "write historically in place of always, once in place of eventually"
+            )
+
+
+def _looks_ahead(node: Node) -> bool:
+    return any(
+        isinstance(part, Call)
+        and part.name in TEMPORAL_FUNCTIONS
+        and TEMPORAL_FUNCTIONS[part.name].looks_ahead
+        for part in node.walk()
+    )
 
 
 def _held_conditions(node: Node) -> Iterator[Node]:

@@ -8,7 +8,7 @@ import pybullet
 import pytest
 
 import ssduck
-from ssduck.errors import EvaluationError, SelectScriptError
+from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError
 from ssduck.gym import QueryWrapper
 from tests.support.of_model import OfModel
 
@@ -223,3 +223,31 @@ def test_a_body_that_comes_later_has_no_past():
     found = told(env, 6)
     assert found == pytest.approx([-1.0, -1.0, -1.0, 1 / 240, 2 / 240, 3 / 240])
     pybullet.disconnect(env.unwrapped._client)
+
+
+@pytest.mark.parametrize(
+    ("term", "holds"),
+    [
+        ("eventually(z(sim.ball) < 0.9)", lambda low: low < 0.9),
+        ("until(z(sim.ball) > 0.9, z(sim.ball) < 0.95)", lambda low: low < 0.95),
+        ("always(z(sim.ball) > 0)", lambda _: False),
+    ],
+)
+def test_what_is_not_decided_yet_does_not_hold(term, holds):
+    env = QueryWrapper(Fall(), success=term, forward=False)
+    env.reset()
+    for _ in range(12):
+        info = env.step(env.action_space.sample())[-1]
+        assert info["ssduck"]["success"] is bool(holds(env.unwrapped.data.xpos[1, 2]))
+
+
+@pytest.mark.parametrize(
+    ("reward", "message"),
+    [
+        ("robustness(always(z(sim.ball) > 0.9))", "looks ahead.*historically"),
+        ("robustness(z(sim.ball) > 0 AND isRobot(sim.ball))", "isRobot.sim.ball. has no margin"),
+    ],
+)
+def test_a_reward_has_a_margin_at_each_step(reward, message):
+    with pytest.raises(ArgumentError, match=message):
+        QueryWrapper(Fall(), reward=reward, forward=False).reset()
