@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -23,6 +24,7 @@ Reward: TypeAlias = str | Mapping[str, str]
 WhereNaN: TypeAlias = OneOf["error", "failure"] | float
 # The terms that others can use by their names.
 CONDITIONS = ("success", "failure")
+_LOOKING_AHEAD = re.compile(r"\b(always|eventually|until)\s*\(")
 # The name of a reward that is one term.
 WHOLE = "reward"
 
@@ -47,7 +49,9 @@ class Term:
             return value
         if not self.is_condition and validation.is_number(value):
             return self._number(value)
-        if value is None:
+        if value is None and (ahead := _LOOKING_AHEAD.search(self.text)):
+            hint = f"{ahead[1]} may depend on later steps; once, historically and heldSince do not"
+        elif value is None:
             hint = "an entity, a joint or a past that it names is not there at this step"
         elif self.is_condition:
             hint = "compare it with something, as in z(sim.cup) > 0.5"

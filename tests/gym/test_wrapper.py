@@ -202,6 +202,7 @@ def test_a_bonus_of_each_step_and_a_limit_of_time():
         ({"success": "on(sim.tabel, sim.ball)"}, UnknownNameError, "success: .*'tabel'.*'table'"),
         ({"success": "onn(sim.table, sim.ball)"}, UnknownNameError, "success: .*'onn'"),
         ({"success": "z(sim.ball)"}, ArgumentError, "success: .* not True or False"),
+        ({"success": "always(z(sim.ball) > 0)"}, ArgumentError, "always may depend on later steps"),
         ({"reward": "z(sim.ball) > 1"}, ArgumentError, r"reward: .* not a number: int\("),
         ({"reward": {"a": "z(sim.ball) > 1"}}, ArgumentError, r"reward\['a'\]: .* not a number"),
         ({"success": "1 > 2"}, ArgumentError, "can never change: it has no entity"),

@@ -196,6 +196,8 @@ def test_a_finished_record_is_decided_and_a_replay_sees_no_later_tick(moved, tmp
         ("always(True)", "always takes an expression of entities"),
         ("until(z(sim.ball) > 1)", "until takes 2 to 4 arguments"),
         ("once(z(sim.ball) > 1, 'a')", "not 'a'"),
+        ("once(z(sim.ball) > 1, 0, getTime())", "to is to be the same at all ticks"),
+        ("once(z(sim.ball) > 1, z(sim.box))", "from is to be the same at all ticks"),
     ],
 )
 def test_mistakes_are_told_of(moved, text, message):

@@ -40,6 +40,7 @@ from ssduck.language.tree import (
     Node,
     OperatorChain,
     Placeholder,
+    Query,
     Unary,
 )
 from ssduck.language.value_keys import node_key
@@ -359,8 +360,13 @@ def window_of(call: Call, frame: Frame) -> Window:
 
 
 def _bound(call: Call, name: str, node: Node, frame: Frame) -> float:
-    if free_aliases(node):
-        raise ArgumentError(f"{call.name}: {name} is to be the same for all rows", span=node.span)
+    calls = [part for part in node.walk() if isinstance(part, Call | Query)]
+    if free_aliases(node) or not all(map(_is_of_values, calls)):
+        raise ArgumentError(
+            f"{call.name}: {name} is to be the same at all ticks and for all rows: a number or a "
+            "variable",
+            span=node.span,
+        )
     value = frame.value(node)
     if not validation.is_number(value) or not value >= 0.0:
         way = "after" if TEMPORAL_FUNCTIONS[call.name].looks_ahead else "before"
