@@ -54,7 +54,7 @@ def write(folder: Path, ticks: int) -> None:
 def of_rtamt(formula: str) -> Callable[[], object] | None:
     """Returns a function that evaluates a formula with rtamt; None if that is not installed."""
     try:
-        import rtamt  # type: ignore[import-untyped,unused-ignore]
+        import rtamt
     except ImportError:
         return None
     specification = rtamt.StlDiscreteTimeOfflineSpecification()

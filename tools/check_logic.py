@@ -87,7 +87,7 @@ def _window(draw: random.Random) -> tuple[Window, str]:
 
 def margins_of_rtamt(text: str, signals: dict[str, Any]) -> list[float]:
     """Returns rtamt's margins of a formula at each tick."""
-    import rtamt  # type: ignore[import-untyped,unused-ignore]
+    import rtamt
 
     specification = rtamt.StlDiscreteTimeOfflineSpecification()
     for name in signals:
