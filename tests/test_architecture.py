@@ -120,7 +120,7 @@ BUDGETS = {
     "database": 6_550,
     "demos": 1_500,
     "geometry": 8_900,
-    "gym": 2_650,
+    "gym": 2_660,
     "interchange": 3_000,
     "interpreter": 15_050,
     "lakes": 2_900,

@@ -85,8 +85,8 @@ class Judge:
         texts = [self._expanded(term) for term in terms]
         # What is not decided yet does not hold.
         self._texts = [
-            f"({text}) OR False" if term.is_condition and _looks_ahead(self._tree(text)) else text
-            for term, text in zip(terms, texts, strict=True)
+            f"({text}) OR False" if term.is_condition and _is_decided_later(tree) else text
+            for term, text, tree in zip(terms, texts, map(self._tree, texts), strict=True)
         ]
         # Each was compiled by itself, so that none is more than an expression.
         self._program = interpreter.compile(_selected(self._texts))
@@ -513,6 +513,12 @@ def _check_margins(term: Term, text: str, tree: Node) -> None:
                 f"{term.key}: {term.text!r} looks ahead, and is nothing while an episode goes on: "
                 "write historically in place of always, once in place of eventually"
             )
+
+
+def _is_decided_later(node: Node) -> bool:
+    """Checks whether a condition looks ahead, and may hold: `always` without an end does not."""
+    is_endless = isinstance(node, Call) and node.name == "always" and len(node.arguments) < 3
+    return _looks_ahead(node) and not is_endless
 
 
 def _looks_ahead(node: Node) -> bool:

@@ -228,17 +228,17 @@ def test_a_body_that_comes_later_has_no_past():
 @pytest.mark.parametrize(
     ("term", "holds"),
     [
-        ("eventually(z(sim.ball) < 0.9)", lambda low: low < 0.9),
-        ("until(z(sim.ball) > 0.9, z(sim.ball) < 0.95)", lambda low: low < 0.95),
-        ("always(z(sim.ball) > 0)", lambda _: False),
+        ("eventually(z(sim.ball) < 0.9)", lambda low, _: low < 0.9),
+        ("until(z(sim.ball) > 0.9, z(sim.ball) < 0.95)", lambda low, _: low < 0.95),
+        ("always(z(sim.ball) > 0.9, 0, 0.05)", lambda _, step: step > 2),
     ],
 )
 def test_what_is_not_decided_yet_does_not_hold(term, holds):
     env = QueryWrapper(Fall(), success=term, forward=False)
     env.reset()
-    for _ in range(12):
+    for step in range(1, 13):
         info = env.step(env.action_space.sample())[-1]
-        assert info["ssduck"]["success"] is bool(holds(env.unwrapped.data.xpos[1, 2]))
+        assert info["ssduck"]["success"] is bool(holds(env.unwrapped.data.xpos[1, 2], step))
 
 
 @pytest.mark.parametrize(

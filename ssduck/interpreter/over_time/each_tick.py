@@ -17,6 +17,7 @@ from ssduck.interpreter.over_time.functions import (
     is_fold,
 )
 from ssduck.interpreter.over_time.nested import Column, Ticks
+from ssduck.language.analysis import mentions
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import (
     Call,
@@ -47,9 +48,13 @@ class ExpressionsAtTicks:
             variables: the values of the variables at these.
 
         Returns:
-            None if the record has other ticks, or a value is not known.
+            None if the record has other ticks, if a value is not known at each of them, or if a
+            function of time is no fold, or has a variable, whose past is not the world's.
         """
         execution = self._execution
+        for past in (part for tree in self._trees for part in tree.walk() if _reads_past(part)):
+            if not (isinstance(past, Call) and is_fold(past)) or mentions(past, variables[0]):
+                return None
         world = execution.variable(self._world)
         given = {
             name: Column.of_objects([values[name] for values in variables]) for name in variables[0]
@@ -63,7 +68,7 @@ class ExpressionsAtTicks:
             if not (is_same and np.array_equal(ticks.times[places], times)):
                 return None
             columns = [ticks.column(tree) for tree in self._trees]
-        if any(column.unknown[places].any() for column in columns):
+        if ticks.has_unknown or any(column.unknown[places].any() for column in columns):
             return None
         chosen = (column.values[places].tolist() for column in columns)
         return list(map(list, zip(*chosen, strict=True)))

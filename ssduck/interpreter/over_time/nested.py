@@ -180,6 +180,7 @@ class Ticks:
         is_live = record.recording is not None or isinstance(record.world, CopiedWorld)
         # Whether more ticks may come: not where a finished record ends.
         self.is_open = is_live or not is_last
+        self.has_unknown = False  # whether a part that was read is unknown at a tick
         # The columns of expressions, by their keys.
         self._columns: dict[str, Column] = {}
 
@@ -263,8 +264,11 @@ class Ticks:
         series = self._expressions.series_of(self._expressions.leaf(node), self._frame)
         _, values = series.at(past_of(self._record, None))
         if values.dtype == np.object_:
-            return Column.of_objects(values.tolist())
-        return Column(np.ma.getdata(values), np.ma.getmaskarray(values))
+            column = Column.of_objects(values.tolist())
+        else:
+            column = Column(np.ma.getdata(values), np.ma.getmaskarray(values))
+        self.has_unknown = self.has_unknown or bool(column.unknown.any())
+        return column
 
     def _of_function(self, call: Call) -> Column:
         """Returns the values of a function of time, each from the ticks until its own."""
