@@ -64,7 +64,7 @@ def _points(x: Any, y: Any, z: float) -> Any:
 
 
 def _batches(kitchen: ssduck.World, starts: Any, ends: Any) -> Loop:
-    client = kitchen._simulator.client  # type: ignore[attr-defined]
+    client = kitchen.ticker.simulator.client  # type: ignore[attr-defined]
     parts = [slice(first, first + MAX_RAYS) for first in range(0, len(starts), MAX_RAYS)]
 
     def loop() -> object:

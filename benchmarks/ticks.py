@@ -64,7 +64,7 @@ def own_getters(client: int, moving: set[int]) -> Callable[[], object]:
 def kitchen() -> Iterator[tuple[ssduck.World, int]]:
     """Yields the shipped kitchen at rest, and its client."""
     world = ssduck.World.load(find_scene("kitchen")).step(240)
-    yield world, world._simulator.client  # type: ignore[attr-defined]
+    yield world, world.ticker.simulator.client  # type: ignore[attr-defined]
     world.close()
 
 
