@@ -36,6 +36,7 @@ def check(holds, margin):
     assert margin > -1e-12 if holds else margin < 1e-12
 
 
+@pytest.mark.filterwarnings("ignore:.*shapes of .* overlap")
 @pytest.mark.parametrize("name", OF_PAIRS)
 def test_the_margin_of_a_relation_of_pairs_has_the_sign_of_the_relation(kitchen, name):
     relation = RELATIONS[name]
