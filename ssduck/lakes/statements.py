@@ -30,10 +30,10 @@ from ssduck.lakes.questions import add_hint_of_episode
 from ssduck.language.parser import parse
 from ssduck.limits import Limits
 from ssduck.recording.paths import expand_path, part_number
-from ssduck.recording.replay.record import TIME_TOLERANCE
 from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.recording.stores.stored_columns import part_columns
 from ssduck.schema import MODELS, RECORDED
+from ssduck.simulators.clock import TIME_TOLERANCE
 from ssduck.sql.sql_values import literal
 
 _Part = TypeVar("_Part", bound=exp.Expr)

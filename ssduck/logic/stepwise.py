@@ -14,7 +14,8 @@ from typing import TypeAlias
 import numpy as np
 
 from ssduck.geometry.arrays import Array
-from ssduck.logic.traces import SLACK, Window, scanned
+from ssduck.logic.traces import Window, scanned
+from ssduck.simulators.clock import TIME_TOLERANCE
 
 # A tick that the window has not reached: its time, s, the value, the start and x.
 _Tick: TypeAlias = tuple[float, float, float, float]
@@ -46,7 +47,7 @@ class HeldSince:
         """Returns the state after n ticks, from the arrays of their times, values and starts."""
         x = scanned(values, starts)
         is_endless = np.isinf(window.end)
-        first = times[-1] - (window.start if is_endless else window.end) + SLACK
+        first = times[-1] - (window.start if is_endless else window.end) + TIME_TOLERANCE
         place = max(int(np.searchsorted(times, first, side="right")) - 1, 0)
         state = cls(window)
         if is_endless and place:
@@ -63,7 +64,8 @@ class HeldSince:
 
     def _with(self, time: float, value: float, start: float, x: float) -> HeldSince:
         later = (*self.later, (time, value, start, x))
-        end, begin = time - self.window.start + SLACK, time - self.window.end + SLACK
+        end = time - self.window.start + TIME_TOLERANCE
+        begin = time - self.window.end + TIME_TOLERANCE
         starts, x_at_end, count = list(self.starts), self.x_at_end, 0
         while count < len(later) and later[count][0] <= end:
             came, _, reached, x_at_end = later[count]

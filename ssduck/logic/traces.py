@@ -27,11 +27,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.simulators.clock import TIME_TOLERANCE
 
 # Margins or truth values.
 Values: TypeAlias = npt.NDArray[Any]
-# A bound of a window that is so near to a tick is at it, s: times are sums of time steps.
-SLACK = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +98,7 @@ class Window:
     def ahead(self, times: Array, *, is_open: bool) -> tuple[Indices, Indices]:
         """Returns the first and the last tick at the times after each tick; n for one to come."""
         first, last = (_last_until(times, bound) for bound in (self.start, self.end))
-        end = times[-1] + SLACK
+        end = times[-1] + TIME_TOLERANCE
         first[times + self.start > end] = len(times)
         if is_open:
             last[times + self.end > end] = len(times)
@@ -118,7 +117,7 @@ def _last_until(times: Array, shift: float) -> Indices:
         return np.arange(count)
     if np.isinf(shift):
         return np.full(count, count - 1 if shift > 0.0 else -1)
-    return np.searchsorted(times, times + (shift + SLACK), side="right") - 1
+    return np.searchsorted(times, times + (shift + TIME_TOLERANCE), side="right") - 1
 
 
 # -- operators ------------------------------------------------------------------------------------

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property, lru_cache
 
+# Times that differ by less are equal, s.
+TIME_TOLERANCE = 1e-9
 # Lengths of steps and times that a user writes are fractions with denominators below this.
 _MAX_DENOMINATOR = 1_000_000
 

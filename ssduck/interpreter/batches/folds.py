@@ -19,7 +19,8 @@ from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, TemporalF
 from ssduck.interpreter.over_time.nested import window_of
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import Call
-from ssduck.logic.traces import SLACK, Window
+from ssduck.logic.traces import Window
+from ssduck.simulators.clock import TIME_TOLERANCE
 
 
 @dataclass(eq=False)
@@ -167,9 +168,8 @@ class _Tick:
     starts: Array  # the bounds of that of its start, (2, n)
     x: Array  # the margin without a window, (2, n)
     x_before: Array  # that of the tick before, (2, n)
-    is_there: (
-        Flags  # where it is a tick of the present episode, and no later one has its time, (n,)
-    )
+    # Where it is a tick of the present episode, and no later one has its time, (n,).
+    is_there: Flags
 
 
 class LookingBack:
@@ -180,7 +180,7 @@ class LookingBack:
 
     def __init__(self, window: Window, form: TemporalFunction) -> None:
         self._window, self._form = window, form
-        self._sign = -1.0 if form.name.endswith("historically") else 1.0
+        self._sign = -1.0 if form.takes_least else 1.0
         self._ticks: list[_Tick] = []
         self._largest: Array | None = None  # of starts that have left `_ticks`, (2, n)
 
@@ -201,9 +201,8 @@ class LookingBack:
         x = np.maximum(starts, np.minimum(held, before))
         here = np.ones(len(times), np.bool_)
         self._ticks.append(_Tick(times, held, starts, x, before, here))
-        self._largest = (
-            never if self._largest is None else np.where(are_first, never, self._largest)
-        )
+        largest = never if self._largest is None else self._largest
+        self._largest = np.where(are_first, never, largest)
         self._drop(times)
 
     def _bounds(self, answers: Answers) -> Array:
@@ -215,8 +214,8 @@ class LookingBack:
 
     def _drop(self, times: Array) -> None:
         """Drops the ticks at which no window looks any more, but for the largest start."""
-        end = times - self._window.start + SLACK
-        begin = times - self._window.end + SLACK
+        end = times - self._window.start + TIME_TOLERANCE
+        begin = times - self._window.end + TIME_TOLERANCE
         while len(self._ticks) > 1:
             first, second = self._ticks[:2]
             is_behind = second.times <= (end if np.isinf(self._window.end) else begin)
@@ -232,7 +231,8 @@ class LookingBack:
         """Returns the values of the operator."""
         assert self._largest is not None
         now = self._ticks[-1].times
-        end, begin = now - self._window.start + SLACK, now - self._window.end + SLACK
+        end = now - self._window.start + TIME_TOLERANCE
+        begin = now - self._window.end + TIME_TOLERANCE
         result, x = self._largest, np.full_like(self._largest, -np.inf)
         held = np.full_like(self._largest, np.inf)
         following, has_end = np.full(len(now), np.inf), np.zeros(len(now), np.bool_)

@@ -4,30 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
-from ssduck.errors import SelectScriptError
 from ssduck.interpreter.interpreter import Interpreter
-from ssduck.interpreter.over_time.functions import (
-    TEMPORAL_FUNCTIONS,
-    expressions_of,
-    is_fold,
-)
+from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, expressions_of, is_fold
 from ssduck.interpreter.over_time.nested import Column, Ticks
 from ssduck.language.analysis import mentions
 from ssduck.language.evaluator import Frame
-from ssduck.language.tree import (
-    Call,
-    Index,
-    Name,
-    Node,
-    QualifiedName,
-    Query,
-    TimeIndex,
-)
+from ssduck.language.tree import Call, Index, Name, Node, QualifiedName, Query, TimeIndex
 
 
 class ExpressionsAtTicks:
@@ -131,13 +117,10 @@ class JudgedFolds:
     def settle(self) -> None:
         """Adds the present tick to the functions that no expression needed at it."""
         execution = self._execution
-        missed = [call for call in self._calls if execution.folds.misses(call)]
-        if missed and not self.need_record:
+        if not self.need_record and any(map(execution.folds.misses, self._calls)):
             with execution.lock:
                 execution.begin_meter()
-                for call in missed:
-                    with suppress(SelectScriptError):
-                        Frame(execution).value(call)
+                execution.folds.settle(self._calls)
 
 
 def _reads_past(node: Node) -> bool:

@@ -71,6 +71,7 @@ class TemporalFunction:
     # window. None for another function.
     operator: Callable[..., Trace] | None = None
     looks_ahead: bool = False  # whether the operator depends on later ticks
+    takes_least: bool = False  # whether it is the least of the margins of its condition
     of_margins: bool = False  # whether it takes and returns the margins of its conditions
     conditions: int = 1  # the number of its expressions
 
@@ -94,6 +95,12 @@ def expressions_of(call: Call) -> tuple[Node, ...]:
     return call.arguments[form.expression : form.expression + form.conditions]
 
 
+def operator_of(node: Node) -> TemporalFunction | None:
+    """Returns the operator of temporal logic that a part is; None for another part."""
+    form = TEMPORAL_FUNCTIONS.get(node.name) if isinstance(node, Call) else None
+    return form if form is not None and form.operator is not None else None
+
+
 def is_fold(call: Call) -> bool:
     """Checks whether the value of a call at a tick follows from that at the tick before.
 
@@ -107,12 +114,9 @@ def is_fold(call: Call) -> bool:
 
 def parts_of(call: Call) -> tuple[Node, Node | None]:
     """Returns the expression of a call that is evaluated at ticks, and the other argument."""
-    form = TEMPORAL_FUNCTIONS.get(call.name)
-    if form is not None and form.operator is not None:
-        return call.arguments[0], None
-    place = 0 if form is None else form.expression
-    others = [part for number, part in enumerate(call.arguments) if number != place]
-    return call.arguments[place], others[0] if others else None
+    expression = expressions_of(call)[0]
+    others = [part for part in call.arguments if part is not expression]
+    return expression, others[0] if others and operator_of(call) is None else None
 
 
 def _since(series: TickSeries, _: Any) -> float | None:
@@ -287,7 +291,7 @@ def looking_back(name: str, window: Window, traces_of: Callable[[], Sequence[Tra
         traces_of: returns the traces of its conditions at all recorded ticks.
     """
     form = TEMPORAL_FUNCTIONS[name]
-    sign = -1.0 if name.endswith("historically") else 1.0
+    sign = -1.0 if form.takes_least else 1.0
 
     def bounds(value: Any) -> list[tuple[float, float]]:
         values = value if form.conditions == 2 and value is not None else (value,) * form.conditions
@@ -354,6 +358,7 @@ def _operator(
         is_in_lakes=False,
         operator=operator,
         looks_ahead=looks_ahead,
+        takes_least=name in ("always", "historically"),
         conditions=conditions,
     )
 

@@ -12,7 +12,7 @@ begins at the first tick of an episode, and needs each tick: a tick that was mis
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
@@ -123,6 +123,13 @@ class LiveFolds:
             return False
         last, snapshot = self._last(call), world.snapshot
         return last is None or (last.run, last.tick) != (snapshot.run, snapshot.number)
+
+    def settle(self, calls: Iterable[Call]) -> None:
+        """Adds the present tick to calls whose values nothing has needed at it."""
+        for call in calls:
+            if self.misses(call):
+                with suppress(SelectScriptError):
+                    Frame(self._scope).value(call)
 
     def need_no_tables(self, call: Call) -> bool:
         """Checks whether the value of a call needs no table that DuckDB reads."""
@@ -276,9 +283,8 @@ class LiveFolds:
         number, time = snapshot.number, snapshot.time
         origin = None if last is None else last.origin
         is_later = last is not None and time > last.time
-        if (
-            last is None or time == world.ticker.episode_start
-        ):  # of ticks of one time, the last one counts
+        # Of ticks of one time, the last one counts.
+        if last is None or time == world.ticker.episode_start:
             last, before = None, None
         else:
             before = (last.state,) if is_later else last.before
@@ -317,10 +323,10 @@ class LiveFolds:
         key, _ = self._key(call)
         if key not in self._queries:
             self._queries[key] = [select_of(expression) for expression in expressions_of(call)]
-        for inner in self._inner(call):  # the value of the expression may not need it at this tick
-            with suppress(SelectScriptError):
-                Frame(self._scope).value(inner)
-        values = tuple(self._selected(query, call, world) for query in self._queries[key])
+        try:
+            values = tuple(self._selected(query, call, world) for query in self._queries[key])
+        finally:
+            self.settle(self._inner(call))
         return values if len(values) > 1 else values[0]
 
     def _selected(self, query: Query, call: Call, world: World) -> Any:

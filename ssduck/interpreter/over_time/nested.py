@@ -27,8 +27,14 @@ from ssduck.interpreter.over_time.functions import (
     Fold,
     expressions_of,
     looking_back,
+    operator_of,
 )
-from ssduck.interpreter.over_time.series import TickColumns, TickSeries, is_true
+from ssduck.interpreter.over_time.series import (
+    TickColumns,
+    TickSeries,
+    are_last_of_their_times,
+    is_true,
+)
 from ssduck.language.analysis import IMPURE, OVER_TIME, calls_of, free_aliases, mentions
 from ssduck.language.builtins import BUILTINS
 from ssduck.language.evaluator import Frame
@@ -53,8 +59,6 @@ from ssduck.world.handles import Handle
 
 # Of more leaves, the oldest ones are dropped.
 _MANY = 256
-# Returns the series of the expression in a call.
-SeriesOf = Callable[[Call, Frame], TickSeries]
 
 
 def is_nested(node: Node) -> bool:
@@ -97,7 +101,7 @@ class NestedExpressions:
 
     def __init__(
         self,
-        series_of: SeriesOf,
+        series_of: Callable[[Call, Frame], TickSeries],
         names_entities: Callable[[Node, Frame], bool],
     ) -> None:
         self.series_of, self.names_entities = series_of, names_entities
@@ -173,13 +177,12 @@ class Ticks:
         self._expressions, self._record, self._frame = expressions, record, frame
         self._given = given or {}
         numbers, times = record.ticks_until_now()
-        # Of ticks of one time, the last one counts.
-        are_last = np.append(times[1:] != times[:-1], True)
+        are_last = are_last_of_their_times(times)
         self.numbers, self.times = numbers[are_last], times[are_last]
-        is_last = len(numbers) == len(record.ticks.numbers)
+        is_behind = len(numbers) < len(record.ticks.numbers)  # of a replay
         is_live = record.recording is not None or isinstance(record.world, CopiedWorld)
         # Whether more ticks may come: not where a finished record ends.
-        self.is_open = is_live or not is_last
+        self.is_open = is_live or is_behind
         self.has_unknown = False  # whether a part that was read is unknown at a tick
         # The columns of expressions, by their keys.
         self._columns: dict[str, Column] = {}
@@ -204,8 +207,9 @@ class Ticks:
     def trace(self, node: Node) -> Trace:
         """Returns whether a condition holds at each tick."""
         match node:
-            case Call() if (operator := _operator_of(node)) is not None:
-                return operator(*self.conditions(node), window_of(node, self._frame))
+            case Call() if (form := operator_of(node)) is not None:
+                assert form.operator is not None
+                return form.operator(*self.conditions(node), window_of(node, self._frame))
             case Unary(operator="NOT", operand=operand) if self._is_made(node):
                 return ~self.trace(operand)
             case Binary(operator="AND" | "OR" as sign, left=left, right=right) if self._is_made(
@@ -241,7 +245,7 @@ class Ticks:
 
     def _column(self, node: Node) -> Column:
         is_logic = isinstance(node, Unary | Binary | OperatorChain) and _sign_of(node) in _LOGIC
-        if self._is_made(node) and (is_logic or _operator_of(node) is not None):
+        if self._is_made(node) and (is_logic or operator_of(node) is not None):
             trace = self.trace(node)
             return Column(trace.low, ~trace.is_known)
         match node:
@@ -384,12 +388,6 @@ def _bound(call: Call, name: str, node: Node, frame: Frame) -> float:
 _OPERATIONS = ArrayOperations("", is_exact=True)
 _NO_CALLS: Any = None  # such a tree has no relations
 _LOGIC = ("NOT", "AND", "OR")
-
-
-def _operator_of(node: Node) -> Callable[..., Trace] | None:
-    """Returns the operator of temporal logic that a part is; None for another part."""
-    form = TEMPORAL_FUNCTIONS.get(node.name) if isinstance(node, Call) else None
-    return None if form is None else form.operator
 
 
 def _sign_of(node: Unary | Binary | OperatorChain) -> str:

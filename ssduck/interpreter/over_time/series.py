@@ -110,8 +110,8 @@ class TickSeries:
         """
         found = self._run(past)
         numbers, times = past.ticks_and_times
-        if (times[1:] == times[:-1]).any():
-            are_last = np.append(times[1:] != times[:-1], True)
+        are_last = are_last_of_their_times(times)
+        if not are_last.all():
             numbers, times = numbers[are_last], times[are_last]
         if np.array_equal(found.ticks, numbers):
             return times, found.values
@@ -142,6 +142,11 @@ class TickSeries:
             start = int(np.searchsorted(all_times, all_times[max(end - size, 0)]))
             yield Past(self.record, int(numbers[start]), int(numbers[end - 1]), is_window=True)
             end, size = start, size * 4
+
+
+def are_last_of_their_times(times: Array) -> Flags:
+    """Returns which of n ticks count, (n,): of those of the same time, the last one."""
+    return np.append(times[1:] != times[:-1], True)
 
 
 def is_true(value: Any, node: Node) -> bool:

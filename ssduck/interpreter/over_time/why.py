@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from ssduck.errors import LimitError, SelectScriptError
-from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, expressions_of
+from ssduck.interpreter.over_time.functions import TemporalFunction, expressions_of, operator_of
 from ssduck.interpreter.over_time.nested import NestedExpressions, Ticks, window_of
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import Binary, Call, Literal, Node, OperatorChain, Unary
@@ -39,10 +39,8 @@ class Explainer:
     def why(self, node: Node) -> Why:
         """Returns why a condition has its value."""
         match node:
-            case Call(name=name) if name in TEMPORAL_FUNCTIONS and (
-                TEMPORAL_FUNCTIONS[name].operator is not None
-            ):
-                return self._of_operator(node)
+            case Call() if (form := operator_of(node)) is not None:
+                return self._of_operator(node, form)
             case Unary(operator="NOT", operand=operand):
                 return self._of_parts(node, (operand,))
             case Binary(operator="AND" | "OR", left=left, right=right):
@@ -54,7 +52,7 @@ class Explainer:
     def _of_parts(self, node: Node, parts: tuple[Node, ...]) -> Why:
         return self._made(node, parts=tuple(map(self.why, parts)))
 
-    def _made(self, node: Node, **further: Any) -> Why:
+    def _made(self, node: Node, parts: tuple[Why, ...] = ()) -> Why:
         """Returns a condition with its value and its margin."""
         value = self._value(node)
         margin = self._margin(node)
@@ -63,7 +61,7 @@ class Explainer:
             None if value is None else bool(value),
             margin,
             None if self.ticks is None else float(self.ticks.times[self.place]),
-            **further,
+            parts=parts,
         )
 
     def _written(self, node: Node) -> str:
@@ -92,9 +90,9 @@ class Explainer:
 
     # -- operators of time --------------------------------------------------------------------
 
-    def _of_operator(self, call: Call) -> Why:
+    def _of_operator(self, call: Call, form: TemporalFunction) -> Why:
         """Returns why an operator has its value: by its conditions at the ticks that decide it."""
-        form, window = TEMPORAL_FUNCTIONS[call.name], window_of(call, self.frame)
+        window = window_of(call, self.frame)
         ticks, place = self.ticks, self.place
         if ticks is None:
             ticks = self.nested.ticks(call, self.record_of(call), self.frame)
@@ -106,8 +104,7 @@ class Explainer:
         first, last = (int(end[place]) for end in ends)
         conditions = expressions_of(call)
         # The last condition decides where it is best, or worst for those that take the least.
-        takes_least = call.name in ("always", "historically")
-        decisive = _extreme(ticks, conditions[-1], first, last, takes_least=takes_least)
+        decisive = _extreme(ticks, conditions[-1], first, last, takes_least=form.takes_least)
         parts = []
         if len(conditions) == 2 and decisive is not None:
             start, end = (place, decisive - 1) if form.looks_ahead else (decisive + 1, place)
@@ -123,16 +120,17 @@ class Explainer:
     # -- comparisons and relations --------------------------------------------------------------
 
     def _of_leaf(self, node: Node) -> Why:
+        whole = self._made(node)
         match node:
             case Binary(operator=sign, left=left, right=right) if sign in _COMPARISONS:
                 sides = [side for side in (left, right) if not _is_number(side)]
                 told = (f"{self._written(side)} is {_shown(self._value(side))}" for side in sides)
-                move = self._move_of_comparison(node)
-                return self._made(node, detail="; ".join(told), move=move)
+                move = self._move_of_comparison(node, whole.margin)
+                return replace(whole, detail="; ".join(told), move=move)
             case Call(name=name, arguments=(Node() as a, Node() as b, *_)) if name in _DISTANCES:
                 points = self._points(a, b)
-                return self._made(node, points=points, move=self._move_between(node, b, points))
-        return self._made(node)
+                return replace(whole, points=points, move=self._move_between(whole, b, points))
+        return whole
 
     def _points(self, a: Node, b: Node) -> tuple[tuple[float, ...], ...]:
         """Returns the nearest points of two entities; none if they have no shapes."""
@@ -144,21 +142,19 @@ class Explainer:
         return () if found is None else tuple(map(tuple, found))
 
     def _move_between(
-        self, condition: Node, b: Node, points: tuple[tuple[float, ...], ...]
+        self, whole: Why, b: Node, points: tuple[tuple[float, ...], ...]
     ) -> Move | None:
         """Returns the translation of an entity along the line of the nearest points."""
-        margin = self._margin(condition)
-        if margin is None or not points:
+        if whole.margin is None or not points:
             return None
         way = np.array(points[1]) - np.array(points[0])
         length = float(np.linalg.norm(way))
         if length == 0.0:
             return None
-        return self._move(b, way / length * margin)
+        return self._move(b, way / length * whole.margin)
 
-    def _move_of_comparison(self, node: Binary) -> Move | None:
+    def _move_of_comparison(self, node: Binary, margin: float | None) -> Move | None:
         """Returns the translation that a comparison of a coordinate with a number lacks."""
-        margin = self._margin(node)
         match node.left, node.right:
             case Call(name=axis, arguments=(entity,)), number if axis in _AXES:
                 sign = -1.0 if node.operator in (">", ">=") else 1.0

@@ -17,9 +17,10 @@ from ssduck import validation
 from ssduck.errors import ArgumentError, EvaluationError, UnknownNameError
 from ssduck.formatting import name_path, short_repr
 from ssduck.geometry.arrays import Array
-from ssduck.recording.replay.record import TIME_TOLERANCE, Record, index_at
+from ssduck.recording.replay.record import Record, index_at
 from ssduck.recording.replay.restore import PastWorld
 from ssduck.schema import EntityTable, entity_of
+from ssduck.simulators.clock import TIME_TOLERANCE
 from ssduck.world.entities import Entity
 from ssduck.world.handles import Handle, Links, RecordedTick
 from ssduck.world.world import World

@@ -39,6 +39,7 @@ from ssduck.schema import (
     entity_of,
     link_of,
 )
+from ssduck.simulators.clock import TIME_TOLERANCE
 from ssduck.simulators.partial import StaticSimulator
 from ssduck.world.entities import HANDLES, Entity
 from ssduck.world.handles import Handle, RecordedTick, handle_of
@@ -109,8 +110,6 @@ _NOTHING: tuple[Ticks, Array] = np.zeros(0, np.int64), np.zeros(0)
 # The number of restored worlds that are cached.
 MAX_WORLDS = 256
 
-# Times that differ by less are equal, s.
-TIME_TOLERANCE = 1e-9
 _NAN = float("nan")
 
 
