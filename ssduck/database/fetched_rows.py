@@ -208,8 +208,10 @@ def all_rows(result: duckdb.DuckDBPyConnection) -> list[tuple[Any, ...]]:
 def _joined(head: Sequence[Any], rest: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Returns a column with some values before it, None where there is none."""
     known = np.array([rest.dtype.type() if value is None else value for value in head], rest.dtype)
+    whole = np.concatenate((known, np.ma.getdata(rest)))
+    if None not in head and np.ma.getmask(rest) is np.ma.nomask:
+        return whole
     unknown = np.append([value is None for value in head], np.ma.getmaskarray(rest))
-    whole = np.append(known, np.ma.getdata(rest))
     return np.ma.array(whole, mask=unknown) if unknown.any() else whole
 
 
