@@ -2,7 +2,7 @@
 
 `python -m tools.long [NAME ...]`, which is `make long`, runs what is named, or all; it takes about
 an hour on two cores. It prints a line for each, and ends with the exit status 1 if any failed; what
-they print goes to a folder. `--write` puts the lines into docs/explanation/long-checks.md.
+they print goes to a folder. `--write` puts the lines into tools/README.md.
 
 The tests are those that are marked `long` and those that generate their cases, with `--factor`
 times as many. The seeds of the other checks are of the day, so that each night tries other cases.
@@ -25,7 +25,7 @@ from pathlib import Path
 from tests.support.cases import FACTOR
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / "docs" / "explanation" / "long-checks.md"
+PAGE = ROOT / "tools" / "README.md"
 TABLE = re.compile(r"(?<=<!-- make long -->\n).*?(?=<!-- -->)", re.DOTALL)
 TESTS = "tests"
 # The checks, with arguments of which each takes a few minutes of one core.
@@ -117,7 +117,7 @@ def main() -> int:
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join([TESTS, *CHECKS]))
     parser.add_argument("--factor", type=int, default=4, help="so many times the generated cases")
     parser.add_argument("--seed", type=int, default=dt.date.today().toordinal() * 1000)  # noqa: DTZ011
-    parser.add_argument("--write", action="store_true", help="write the results into the manual")
+    parser.add_argument("--write", action="store_true", help="write the results into tools/README.md")
     options = parser.parse_args()
     names = options.names or [TESTS, *CHECKS]
     if unknown := set(names) - {TESTS, *CHECKS}:

@@ -20,6 +20,7 @@ from tests.support.timing import HANGS
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")
+NAMES += ("tools/README.md", "examples/cleanup/README.md")
 PAGES = [path for name in NAMES if (path := ROOT / name).exists()]
 PAGES += sorted((ROOT / "docs").rglob("*.md"))
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)

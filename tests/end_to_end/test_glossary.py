@@ -12,7 +12,9 @@ import ssduck
 
 ROOT = Path(__file__).resolve().parents[2]
 GLOSSARY = ROOT / "docs" / "glossary.md"
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md"]
+NAMES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")
+NAMES += ("tools/README.md", "examples/cleanup/README.md")
+PAGES = [ROOT / name for name in NAMES]
 PAGES += sorted(path for path in (ROOT / "docs").rglob("*.md") if path != GLOSSARY)
 
 CODE_BLOCK = re.compile(r"^```.*?^```$|^(?: {4}|>>>|\.\.\. ).*?$", re.MULTILINE | re.DOTALL)
