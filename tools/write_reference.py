@@ -58,7 +58,7 @@ where it does not. [The language](language.md#spellings-of-sql) gives the rules.
 as one writes them in SQL, as in `ss.eval("SELECT id, z FROM room")`, each with its value in Python.
 For SQL itself, on [tables](tables.md), there is `ss.sql`.
 
-The world is `room`, from this scene file:
+The world `room` has a robot and five kinbodies, three of which move:
 """
 
 RELATIONS_HEAD = '''# Relations and functions
@@ -373,8 +373,16 @@ def command_line_page() -> str:
 def sql_queries_page() -> str:
     """Returns the page of queries that the tests run, each with what it gives."""
     queries = tomllib.loads((TEST_DATA / "sql_queries.toml").read_text(encoding="utf-8"))["query"]
-    scene = (TEST_DATA / "room.toml").read_text(encoding="utf-8")
-    sections = [SQL_QUERIES_HEAD, f"```toml\n{scene}```\n"]
+    scene = tomllib.loads((TEST_DATA / "room.toml").read_text(encoding="utf-8"))
+    bodies = "".join(
+        f"| {body['name']} | {body.get('kind', 'kinbody')} | {body['position']} "
+        f"| {body.get('mass', 0)} |\n"
+        for body in scene["body"]
+    )
+    sections = [
+        SQL_QUERIES_HEAD,
+        f"| name | kind | position, m | mass, kg |\n|---|---|---|---|\n{bodies}",
+    ]
     answered = (query for query in queries if not {"error", "warning"} & set(query))
     for group, entries in groupby(answered, key=lambda query: query["group"]):
         rows = query_rows(islice(entries, SHOWN_QUERIES))

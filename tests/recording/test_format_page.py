@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -15,16 +14,18 @@ from ssduck.errors import RecordError
 from ssduck.recording.stores.stored_columns import part_columns
 from ssduck.schema import MODELS, RECORDED
 
-PAGE = Path(__file__).parents[2] / "docs" / "reference" / "record-format.md"
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "reference" / "record-format.md"
+EXAMPLE = ROOT / "examples" / "plain_record.py"
 
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
-    """The record of the page's first example, run where ssduck cannot be imported."""
-    (example, *_) = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
+    """The record of the page's example, run where ssduck cannot be imported."""
     place = tmp_path_factory.mktemp("page")
     alone = "import sys; sys.modules['ssduck'] = None\n"
-    subprocess.run([sys.executable, "-c", alone + example], cwd=place, check=True)
+    run = f"import runpy; runpy.run_path({str(EXAMPLE)!r})"
+    subprocess.run([sys.executable, "-c", alone + run], cwd=place, check=True)
     return place / "fallen"
 
 
@@ -70,6 +71,7 @@ def test_a_wrong_label_is_noticed(written):
 
 def test_the_page_names_all_tables_and_keys():
     text = PAGE.read_text("utf-8")
+    assert f"`examples/{EXAMPLE.name}`" in text
     for name in (*RECORDED, *(f"models/{name}" for name in MODELS)):
         assert name in text, name
     from ssduck.recording.stores.descriptions import EPISODE
