@@ -122,7 +122,7 @@ BUDGETS = {
     "geometry": 8_900,
     "gym": 2_660,
     "interchange": 3_000,
-    "interpreter": 15_050,
+    "interpreter": 15_250,
     "lakes": 2_900,
     "language": 6_150,
     "logic": 500,

@@ -271,16 +271,17 @@ class Execution(Namespace):
             )
 
     def why(self, program: Program) -> Why:
-        """Returns why the condition that ends a program has its value."""
+        """Returns why the condition that ends a program has its value, or its query its rows."""
 
-        def record_of(call: Call) -> Record:
-            return self.database.record_of(self.temporal.world_of(call, Frame(self)))
+        def record_of(call: Call, frame: Frame) -> Record:
+            return self.database.record_of(self.temporal.world_of(call, frame))
 
         with self.rehearsal(program) as frame:
             nodes = self.read(program).statements
-            if not nodes or isinstance(nodes[-1], Query):
+            if not nodes:
                 raise ArgumentError("WHY takes a condition, such as WHY on(table, cup);")
-            return Explainer(program.text, frame, self.nested, record_of).why(nodes[-1])
+            resolved = self.planner.resolved_parts
+            return Explainer(program.text, frame, self.nested, record_of, resolved).why(nodes[-1])
 
     def sql_of(self, program: Program, dialect: str) -> str:
         """Returns the SQL of the query that ends a program, in a dialect."""

@@ -386,6 +386,8 @@ class _Reading:
         match node:
             case Literal():
                 return True
+            case Index(base=Name(name=name)):  # an entity
+                return self._names.is_world(name)
             case Unary(operand=operand):
                 return self._is_plain(operand)
             case Binary(left=left, right=right):

@@ -18,7 +18,7 @@ class Move:
     translation: tuple[float, float, float]  # in the world frame, m
 
     def __str__(self) -> str:
-        way = ", ".join(f"{part:.4g}" for part in self.translation)
+        way = ", ".join(f"{round(part, 9) + 0.0:.4g}" for part in self.translation)
         return f"moved by [{way}] m, {self.entity} would change that"
 
 

@@ -98,7 +98,109 @@ def test_what_is_near_moves_away_along_the_line_between():
             assert ss.eval("near(table, can, 3);") is near
 
 
+@pytest.mark.parametrize("seed", range(generated(8)))
+def test_a_row_of_a_query_is_told_by_its_conditions(seed, kitchen):
+    draw = random.Random(seed)  # noqa: S311  # for a test
+    thing = draw.choice([each for each in kitchen["kitchen"] if each.kind == "kinbody"])
+    height, gap = draw.uniform(0.2, 1.4), draw.uniform(0.1, 2.0)
+    where = f"z(this) > {height} AND near(table, this, {gap})"
+    kitchen.add_variable("thing", thing)
+    margins = [thing.position[2] - height, gap - kitchen.eval("clearance(table, thing);")]
+    negated = draw.choice(["", "NOT "])
+    why = kitchen.why(
+        f"kitchen['{thing.name}'] {negated}IN (SELECT obj FROM kitchen WHERE {where});"
+    )
+    if negated:
+        assert why.value is not all(margin > 0 for margin in margins)
+        (why,) = why.parts
+    (row,) = why.parts
+    assert (why.value, row.value) == (all(margin > 0 for margin in margins),) * 2
+    assert row.text == where
+    assert row.detail == f"this is {thing.name}"
+    assert row.margin == pytest.approx(min(margins))
+    assert [part.margin for part in row.parts] == pytest.approx(margins)
+    assert [part.move.entity for part in row.parts] == [thing.name] * 2
+
+
+def test_of_two_sources_the_other_one_that_comes_nearest_is_told(kitchen):
+    """The conditions are those of the robot that is nearest to the can."""
+    can, robots = kitchen["kitchen"]["can"], []
+    for robot in (each for each in kitchen["kitchen"] if each.kind == "robot"):
+        clearance = kitchen.eval("clearance(a, b);", {"a": can, "b": robot})
+        robots += [] if clearance is None else [(clearance, robot.name)]
+    nearest, name = min(robots)
+    limit = nearest / 2
+    query = f"""SELECT a.obj FROM a=kitchen, b=kitchen
+        WHERE near(a.this, b.this, {limit!r}) AND isRobot(b.this)"""
+    (row,) = kitchen.why(f"kitchen.can IN ({query});").parts
+    assert row.detail == f"a is can; b is {name}"
+    assert row.margin == pytest.approx(limit - nearest)
+    assert [part.value for part in row.parts] == [False, True]
+
+
+@pytest.mark.slow
+def test_of_rows_that_fail_one_with_the_fewest_failures_is_told(kitchen):
+    """What has no margin counts as the farthest, whatever the other conditions say."""
+    why = kitchen.why("EXISTS (SELECT this FROM kitchen WHERE on(table, this) AND z > 2);")
+    (row,) = why.parts
+    assert (why.value, row.detail) == (False, "this is cup_905a")
+    # A thing is not near itself, though its distance to itself is 0.
+    why = kitchen.why("SELECT a.this FROM a=kitchen, b=kitchen WHERE near(a.this, b.this, 1e-4);")
+    assert why.parts[0].detail.split("; ")[0] != why.parts[0].detail.split("; ")[1]
+
+
+@pytest.mark.slow
+def test_of_recorded_rows_the_tick_is_told(kitchen):
+    rows = kitchen.eval("SELECT time, z AS z FROM kitchen{} WHERE name = 'cup_905a';")
+    highest = max(row["z"] for row in rows)
+    text = "SELECT this FROM kitchen{} WHERE name = 'cup_905a' AND z(this) > 5"
+    for why in (kitchen.why(f"{text};"), kitchen.why(f"EXISTS ({text});")):
+        _, z = why.parts[0].parts
+        assert (z.margin, z.time) == (highest - 5, 0.0)
+    why = kitchen.why("SELECT this FROM kitchen WHERE historically(z(this) > 9 OR z(this) > 1.2);")
+    (row,) = why.parts[0].parts
+    assert why.parts[0].value is row.value is True
+
+
+def test_what_a_query_yields_is_told_where_no_row_can_be(kitchen):
+    assert kitchen.why("7 IN (SELECT this FROM [1, 2] AS list);").detail == "no row of FROM is 7"
+    assert kitchen.why("2 IN (SELECT this FROM [1, 2] AS list);").detail == "this is 2"
+    for query, unfit in {
+        "SELECT max(z) FROM kitchen": "groups or aggregates",
+        "SELECT kind FROM kitchen GROUP BY kind AS list": "groups or aggregates",
+        "SELECT a.z FROM a=kitchen, b=kitchen, c=kitchen LIMIT 1 OFFSET 1": "LIMIT or OFFSET",
+        "SELECT a.z FROM a=kitchen, b=kitchen, c=kitchen WHERE a.z > b.z": "more than two sources",
+        "SELECT z FROM kitchen LIMIT 1": "LIMIT or OFFSET",
+    }.items():
+        why = kitchen.why(f"2 > 1 AND 1.0 IN ({query});")
+        assert why.parts[1].detail == f"WHY tells no more, as the SELECT has {unfit}"
+        assert why.value is kitchen.eval(f"1.0 IN ({query});")
+    with pytest.warns(ssduck.errors.ProgramWarning, match="write AS list"):
+        why = kitchen.why("cup IN (SELECT obj FROM kitchen);")
+    assert why.detail.endswith("dicts as rows: write AS list")
+
+
+def test_a_condition_that_is_wrong_elsewhere_is_evaluated_where_it_is_right(kitchen):
+    text = "SELECT this FROM [1, 'a'] WHERE this == 1 AND this + 1 > 5"
+    assert kitchen.eval(f"{text};") == []
+    assert kitchen.why(f"{text};").parts[0].detail == "this is 1"
+
+
+def test_between_and_not_in_are_written_as_what_they_are_made_of(kitchen):
+    texts = {part.text for _, part in kitchen.why("z(cup) NOT BETWEEN 1 AND 2;").walk()}
+    assert {"z(cup) >= 1", "z(cup) <= 2", "NOT (z(cup) >= 1 AND z(cup) <= 2)"} < texts
+    why = kitchen.why("kitchen.can NOT IN (SELECT this FROM kitchen WHERE z > 9);")
+    assert why.text == "NOT kitchen.can IN (SELECT this FROM kitchen WHERE z > 9)"
+
+
+def test_all_that_and_joins_is_on_one_level(kitchen):
+    why = kitchen.why("z(cup) > 0 AND z(cup) > 1 AND (z(cup) > 2 OR x(cup) > 3 OR y(cup) > 4);")
+    assert [depth for depth, _ in why.walk()] == [0, 1, 1, 1, 2, 2, 2]
+
+
 def test_what_is_no_condition_is_told_of(kitchen):
     with pytest.raises(ArgumentError, match="WHY takes a condition"):
         kitchen.eval("WHY SELECT name FROM kitchen;")
+    with pytest.raises(ArgumentError, match="this one has groups"):
+        kitchen.eval("WHY SELECT max(z) FROM kitchen WHERE z > 1;")
     assert kitchen.eval("why = 2; why + 1;") == 3

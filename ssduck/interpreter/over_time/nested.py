@@ -123,11 +123,7 @@ class NestedExpressions:
         not decided, and where it is unknown.
         """
         ticks = self.ticks(call, record, frame)
-        trace = ticks.trace(call)
-        moment = common_moment(record.world, (), frame.own_elements())
-        place = 0 if TEMPORAL_FUNCTIONS[call.name].looks_ahead else len(trace.times) - 1
-        if moment is not None:
-            place = int(np.searchsorted(ticks.numbers, moment.tick))
+        trace, place = ticks.trace(call), ticks.place_of(call, frame)
         low, high = trace.low[place].item(), trace.high[place].item()
         return low if low == high else None
 
@@ -186,6 +182,13 @@ class Ticks:
         self.has_unknown = False  # whether a part that was read is unknown at a tick
         # The columns of expressions, by their keys.
         self._columns: dict[str, Column] = {}
+
+    def place_of(self, call: Call, frame: Frame) -> int:
+        """Returns the place of the tick of an operator that is in no other one."""
+        moment = common_moment(self._record.world, (), frame.own_elements())
+        if moment is not None:
+            return int(np.searchsorted(self.numbers, moment.tick))
+        return 0 if TEMPORAL_FUNCTIONS[call.name].looks_ahead else len(self.times) - 1
 
     def conditions(self, call: Call) -> list[Trace]:
         """Returns the conditions of an operator, or their margins, at each tick."""

@@ -1,22 +1,45 @@
-"""Finds why a condition holds or not, at the present tick or at the ticks that decide it."""
+"""Finds why a condition holds or not, at the present tick or at the ticks that decide it.
+
+Of a nested query it is the row that holds best, or comes nearest, that tells why.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
 
-from ssduck.errors import LimitError, SelectScriptError
+from ssduck.adapters.display import readable
+from ssduck.errors import ArgumentError, LimitError, SelectScriptError
 from ssduck.interpreter.over_time.functions import TemporalFunction, expressions_of, operator_of
 from ssduck.interpreter.over_time.nested import NestedExpressions, Ticks, window_of
+from ssduck.language.aggregates import over_rows
+from ssduck.language.analysis import aliases_of
+from ssduck.language.builtins import MARGIN_OF_TRUTH
 from ssduck.language.evaluator import Frame
-from ssduck.language.tree import Binary, Call, Literal, Node, OperatorChain, Unary
+from ssduck.language.tree import (
+    AdapterClause,
+    Binary,
+    Call,
+    ListLiteral,
+    Literal,
+    Node,
+    OperatorChain,
+    Placeholder,
+    QualifiedName,
+    Query,
+    This,
+    Unary,
+    conjuncts,
+)
 from ssduck.logic.margins import margin_of
 from ssduck.logic.why import Move, Why
 from ssduck.recording.replay.record import Record
+from ssduck.sql.name_resolution import ResolvedQuery
 from ssduck.world.handles import Handle
 
 _COMPARISONS = ("<", "<=", ">", ">=", "==", "!=")
@@ -32,7 +55,9 @@ class Explainer:
     text: str  # the text of the program
     frame: Frame
     nested: NestedExpressions
-    record_of: Callable[[Call], Record]  # returns the record that an operator reads
+    record_of: Callable[[Call, Frame], Record]  # returns the record that an operator reads
+    # Resolves the names in a query.
+    resolved: Callable[[Query, Frame], tuple[ResolvedQuery, Any]]
     ticks: Ticks | None = None  # the recorded ticks; None for the present one
     place: int = 0  # the place of a tick among them
 
@@ -43,10 +68,25 @@ class Explainer:
                 return self._of_operator(node, form)
             case Unary(operator="NOT", operand=operand):
                 return self._of_parts(node, (operand,))
-            case Binary(operator="AND" | "OR", left=left, right=right):
-                return self._of_parts(node, (left, right))
-            case OperatorChain(operators=("AND" | "OR", *_), operands=operands):
-                return self._of_parts(node, operands)
+            case (
+                Binary(operator="AND" | "OR" as sign)
+                | OperatorChain(operators=("AND" | "OR" as sign, *_))
+            ):
+                return self._of_parts(node, tuple(_operands(node, sign)))
+            case Binary(operator="IN", left=member, right=Query() as query):
+                return self._of_rows(node, query, member)
+            case Binary(operator="!=", left=ListLiteral(items=()), right=Query() as query):
+                return self._of_rows(node, query, None)  # EXISTS
+            case Query():
+                unfit = _unfit(node, is_member=False) or ("" if node.where else "no WHERE")
+                if unfit:
+                    raise ArgumentError(
+                        "WHY takes a condition, such as WHY on(table, cup); or a SELECT of at most "
+                        f"two sources, with WHERE and without groups; this one has {unfit}",
+                        span=node.span,
+                    )
+                rows = replace(node, adapter=AdapterClause(node.span, "list"))
+                return self._of_rows(rows, node, None)
         return self._of_leaf(node)
 
     def _of_parts(self, node: Node, parts: tuple[Node, ...]) -> Why:
@@ -60,15 +100,36 @@ class Explainer:
             self._written(node),
             None if value is None else bool(value),
             margin,
-            None if self.ticks is None else float(self.ticks.times[self.place]),
+            self._time,
             parts=parts,
         )
 
+    @property
+    def _time(self) -> float | None:
+        """The time of the tick, s; None at present."""
+        if self.ticks is not None:
+            return float(self.ticks.times[self.place])
+        rows = (row for row in self.frame.own_elements() if isinstance(row, Handle))
+        return next((row.state.time for row in rows if row.moment is not None), None)
+
     def _written(self, node: Node) -> str:
         """Returns the text of a part; that of the condition of IMPLIES has no NOT."""
-        text = " ".join(self.text[node.span.start : node.span.end].split())
-        is_denied = isinstance(node, Unary) and node.span == node.operand.span
-        return f"NOT {text}" if is_denied else text
+        match node:
+            case Unary(operand=operand) if node.span == operand.span:
+                text = self._written(operand)
+                is_joined = isinstance(operand, Binary) and operand.operator in ("AND", "OR")
+                return f"NOT ({text})" if is_joined else f"NOT {text}"
+            case Binary(operator=sign, left=left, right=right) if self._is_rewritten(node):
+                text = self._written(right)
+                text = f"({text})" if isinstance(right, Query) else text
+                return f"{self._written(left)} {sign} {text}"
+        return " ".join(self.text[node.span.start : node.span.end].split())
+
+    def _is_rewritten(self, node: Binary) -> bool:
+        """Checks whether the text of a part is that of what is made of it: by NOT IN or BETWEEN."""
+        between = self.text[node.left.span.end : node.right.span.start].upper().split()
+        is_between = node.operator == "AND" and node.span == node.left.span
+        return is_between or "NOT" in between or "BETWEEN" in between
 
     def _value(self, node: Node) -> Any:
         """Returns the value of a part; None if it is unknown."""
@@ -79,8 +140,11 @@ class Explainer:
         return None if column.unknown[self.place] else value
 
     def _margin(self, condition: Node) -> float | None:
+        expression = margin_of(condition)
+        if _is_of_truth(expression):
+            return None
         try:
-            margin = self._value(margin_of(condition))
+            margin = self._value(expression)
         except LimitError:
             raise
         except SelectScriptError:  # it compares no numbers
@@ -95,8 +159,8 @@ class Explainer:
         window = window_of(call, self.frame)
         ticks, place = self.ticks, self.place
         if ticks is None:
-            ticks = self.nested.ticks(call, self.record_of(call), self.frame)
-            place = 0 if form.looks_ahead else len(ticks.times) - 1
+            ticks = self.nested.ticks(call, self.record_of(call, self.frame), self.frame)
+            place = ticks.place_of(call, self.frame)
         if form.looks_ahead:
             ends = window.ahead(ticks.times, is_open=False)
         else:
@@ -115,7 +179,76 @@ class Explainer:
         return self._made(call, parts=tuple(parts))
 
     def _at(self, ticks: Ticks, place: int) -> Explainer:
-        return Explainer(self.text, self.frame, self.nested, self.record_of, ticks, place)
+        return replace(self, ticks=ticks, place=place)
+
+    # -- nested queries -------------------------------------------------------------------------
+
+    def _of_rows(self, node: Node, query: Query, member: Node | None) -> Why:
+        """Returns why a query has rows, or has a member among its values.
+
+        The part is the condition of the row that holds best, or comes nearest.
+        """
+        whole = self._made(node)
+        if unfit := _unfit(query, is_member=member is not None):
+            return replace(whole, detail=f"WHY tells no more, as the SELECT has {unfit}")
+        resolved, _ = self.resolved(query, self.frame)
+        row = self._nearest_row(resolved, member)
+        if row is None:
+            is_lacking = "" if member is None else f" is {readable(self._value(member))}"
+            return replace(whole, detail=f"no row of FROM{is_lacking}")
+        only = row.frame.elements.get(None)
+        elements = row.frame.elements.items() if only is None else [("this", only)]
+        names = [f"{alias} is {readable(element)}" for alias, element in elements]
+        if resolved.query.where is None:
+            return replace(whole, detail="; ".join(names))
+        part = row.why(resolved.query.where)
+        details = [*names, *filter(None, [part.detail])]
+        return replace(whole, parts=(replace(part, detail="; ".join(details)),))
+
+    def _nearest_row(self, resolved: ResolvedQuery, member: Node | None) -> Explainer | None:
+        """Returns what explains in the row that holds best, or comes nearest; None of no rows.
+
+        Of rows that fail, these are the ones with the fewest failing conditions without a margin,
+        and among them the one whose least margin is largest. Only rows with the member count, if
+        there is one.
+        """
+        query, frame = resolved.query, self.frame
+        span, names = query.span, aliases_of(query)
+        where = None
+        if member is not None:
+            members = {**frame.placeholders, "member": self._value(member)}
+            frame = replace(frame, placeholders=members)
+            one = ListLiteral(span, (Placeholder(span, "member"),))
+            where = Binary(span, "IN", resolved.columns[0].node, one)
+        elements = [This(span, name if len(names) > 1 else None) for name in names]
+        conditions = list(conjuncts(query.where))
+
+        def rows(*parts: Node) -> list[list[Any]]:
+            values = enumerate([*elements, *parts])
+            items = [Call(span, "to", (item, Literal(span, str(n))), span) for n, item in values]
+            plain = Query(span, tuple(items), query.sources, where)
+            return [list(row.values()) for row in frame.value(plain)]
+
+        try:
+            found = rows(*conditions, *map(margin_of, conditions))
+        except LimitError:
+            raise
+        except SelectScriptError:  # one compares no numbers, or is wrong where another fails
+            conditions = [query.where] if query.where else []
+            found = rows(*conditions)
+        if not found:
+            return None
+        first, count = len(names), len(conditions)
+        nearest = max(
+            found, key=lambda row: _nearness(row[first : first + count], row[first + count :])
+        )
+        elements_of_row: dict[str | None, Any] = {
+            a: e for a, e in self.frame.elements.items() if a is not None
+        }
+        elements_of_row.update(zip(names, nearest, strict=False))
+        if first == 1:
+            elements_of_row[None] = nearest[0]
+        return replace(self, frame=self.frame.row(elements_of_row, {}))
 
     # -- comparisons and relations --------------------------------------------------------------
 
@@ -124,7 +257,7 @@ class Explainer:
         match node:
             case Binary(operator=sign, left=left, right=right) if sign in _COMPARISONS:
                 sides = [side for side in (left, right) if not _is_number(side)]
-                told = (f"{self._written(side)} is {_shown(self._value(side))}" for side in sides)
+                told = (f"{self._written(side)} is {readable(self._value(side))}" for side in sides)
                 move = self._move_of_comparison(node, whole.margin)
                 return replace(whole, detail="; ".join(told), move=move)
             case Call(name=name, arguments=(Node() as a, Node() as b, *_)) if name in _DISTANCES:
@@ -155,7 +288,7 @@ class Explainer:
 
     def _move_of_comparison(self, node: Binary, margin: float | None) -> Move | None:
         """Returns the translation that a comparison of a coordinate with a number lacks."""
-        match node.left, node.right:
+        match self._called(node.left), self._called(node.right):
             case Call(name=axis, arguments=(entity,)), number if axis in _AXES:
                 sign = -1.0 if node.operator in (">", ">=") else 1.0
             case number, Call(name=axis, arguments=(entity,)) if axis in _AXES:
@@ -165,6 +298,12 @@ class Explainer:
         if margin is None or not _is_number(number):
             return None
         return self._move(entity, np.eye(3)[_AXES[axis]] * sign * margin)
+
+    def _called(self, node: Node) -> Node:
+        """Returns a column of a source's entity, `a.z`, as the call that it is."""
+        if isinstance(node, QualifiedName) and node.alias in self.frame.elements:
+            return node.call(node.key)
+        return node
 
     def _move(self, entity: Node, translation: Any) -> Move | None:
         handle = self.frame.value(entity)
@@ -191,9 +330,53 @@ def _extreme(
     return first + int(np.argmin(values) if takes_least else np.argmax(values))
 
 
+def _operands(node: Node, sign: str) -> Iterator[Node]:
+    """Yields what AND, or OR, joins."""
+    match node:
+        case Binary(operator=own, left=left, right=right) if own == sign:
+            yield from _operands(left, sign)
+            yield from _operands(right, sign)
+        case OperatorChain(operators=(own, *_), operands=operands) if own == sign:
+            for operand in operands:
+                yield from _operands(operand, sign)
+        case _:
+            yield node
+
+
+def _unfit(query: Query, *, is_member: bool) -> str:
+    """Returns what a query has for which no row tells why; empty if it has nothing of that."""
+    if query.group or query.having is not None or any(map(over_rows, query.items)):
+        return "groups or aggregates"
+    if query.recursion is not None:
+        return "CONNECT BY"
+    if query.offset is not None or (is_member and query.limit is not None):
+        return "LIMIT or OFFSET"
+    if is_member and (query.adapter is None or query.adapter.name != "list"):
+        return "dicts as rows: write AS list"
+    return "more than two sources" if len(query.sources) > 2 else ""
+
+
+def _nearness(values: list[Any], margins: list[float | None]) -> tuple[bool, int, float]:
+    """Returns a key that is greater for a row that holds, or comes nearer to that.
+
+    Args:
+        values: the value of each condition of the row.
+        margins: their margins; none if one of them has an error.
+    """
+    numbers = [
+        margin
+        if margin is not None and math.isfinite(margin) and (value or margin <= 0.0)
+        else math.copysign(math.inf, 1 if value else -1)
+        for value, margin in zip_longest(values, margins)
+    ]
+    least = min(filter(math.isfinite, numbers), default=math.inf)
+    return all(values), -numbers.count(-math.inf), least
+
+
+def _is_of_truth(margin: Node) -> bool:
+    """Checks whether a margin is no number: more or less than any."""
+    return isinstance(margin, Call) and margin.name == MARGIN_OF_TRUTH
+
+
 def _is_number(node: Node) -> bool:
     return isinstance(node.operand if isinstance(node, Unary) else node, Literal)
-
-
-def _shown(value: Any) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
