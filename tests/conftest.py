@@ -7,8 +7,6 @@ long` runs the `long` ones, and those that generate their cases with more of the
 any other, in any order: it keeps its files in `tmp_path` and closes what it opens.
 """
 
-from __future__ import annotations
-
 import gc
 import os
 import shutil

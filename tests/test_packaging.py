@@ -1,7 +1,5 @@
 """Of the three simulators, pip installs exactly one: whichever has wheels for the machine."""
 
-from __future__ import annotations
-
 import tomllib
 import warnings
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What of the tests is run each time, and what takes too long for it."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """What follows AS: the registry of forms, what a form is given, `evalAs`."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import time
 

@@ -1,7 +1,5 @@
 """Pictures with axes: that they show what is where it is, to the pixel."""
 
-from __future__ import annotations
-
 import io
 import pickle
 import sys

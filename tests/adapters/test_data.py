@@ -1,7 +1,5 @@
 """What Python brings in: tables, records, long lists, and what functions give."""
 
-from __future__ import annotations
-
 import copy
 import enum
 import time

@@ -1,7 +1,5 @@
 """Tables that fit a terminal: what does not fit is folded or marked, never lost without a word."""
 
-from __future__ import annotations
-
 import io
 import re
 from collections import Counter

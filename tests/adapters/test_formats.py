@@ -1,7 +1,5 @@
 """The formats of results: files by their suffix, result forms, and the command line's output."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

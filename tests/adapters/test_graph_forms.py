@@ -1,7 +1,5 @@
 """Entities and relations as graphs: AS graph, of networkx, and AS dot, for Graphviz."""
 
-from __future__ import annotations
-
 import sys
 
 import networkx as nx

@@ -1,7 +1,5 @@
 """Forms of space: AS points, mesh, glb, image."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rows as tables: AS table, arrow, df, polars, numpy, json, records, parquet; `Interpreter.show`."""
 
-from __future__ import annotations
-
 import io
 import json
 import math

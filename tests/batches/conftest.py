@@ -1,7 +1,5 @@
 """A model, and simulations of it in states of all kinds."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

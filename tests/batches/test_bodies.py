@@ -1,7 +1,5 @@
 """Batches of the bodies of a world, with poses from any simulator."""
 
-from __future__ import annotations
-
 import numpy as np
 import pybullet
 import pytest

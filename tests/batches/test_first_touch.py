@@ -1,7 +1,5 @@
 """What people first give a batch: resets by time, masks, arrays of another order, contacts in part."""
 
-from __future__ import annotations
-
 import gymnasium
 import mujoco
 import numpy as np

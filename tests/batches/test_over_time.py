@@ -1,7 +1,5 @@
 """Functions of time over a batch are those of recorded worlds, of which each is one environment."""
 
-from __future__ import annotations
-
 import gc
 import weakref
 

@@ -1,7 +1,5 @@
 """Programs over a batch are those over each of its simulations, attached as a world of its own."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Queries over a batch have the rows, groups and aggregates of each environment, all at once."""
 
-from __future__ import annotations
-
 from itertools import chain
 
 import mujoco

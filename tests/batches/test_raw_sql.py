@@ -1,7 +1,5 @@
 """Raw SQL over a batch reads the rows of all environments, as its simulations have them."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Kept ticks of a batch are episodes of a lake, as those of simulations that are recorded alone."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pybullet

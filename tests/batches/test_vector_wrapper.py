@@ -1,7 +1,5 @@
 """A vector of environments judges each as `QueryWrapper` does by itself."""
 
-from __future__ import annotations
-
 import gymnasium
 import numpy as np
 import pytest

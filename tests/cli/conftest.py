@@ -1,7 +1,5 @@
 """Fixtures of the tests in this folder."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.support.command_line import write_scene

@@ -1,7 +1,5 @@
 """The other commands of `ssduck`, and the manual."""
 
-from __future__ import annotations
-
 import re
 import shlex
 

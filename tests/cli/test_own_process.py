@@ -1,7 +1,5 @@
 """Strict programs of the command line, and of agents, run in a process of their own."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """`ssduck` as a process: signals, pipes, full disks."""
 
-from __future__ import annotations
-
 import json
 import signal
 import sys

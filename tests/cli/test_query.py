@@ -1,7 +1,5 @@
 """`ssduck query`: answers, the source of the program, errors."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import io

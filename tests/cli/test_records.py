@@ -1,7 +1,5 @@
 """`ssduck record`, `export` and queries of records."""
 
-from __future__ import annotations
-
 import json
 import re
 import signal

@@ -1,7 +1,5 @@
 """Signals that end a command: what an export has begun is removed."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Expressions over numbers and over arrays have DuckDB's values to the last bit, or are left to it."""
 
-from __future__ import annotations
-
 import math
 import struct
 from operator import itemgetter

@@ -1,7 +1,5 @@
 """Raw SQL on live worlds, and how DuckDB is used: statements, plans, buffers, results."""
 
-from __future__ import annotations
-
 import datetime as dt
 import decimal
 import subprocess

@@ -3,8 +3,6 @@
 Nothing else reads them here: nothing is recorded, and each interpreter has one statement.
 """
 
-from __future__ import annotations
-
 import mujoco
 import pytest
 

@@ -1,7 +1,5 @@
 """A forked process leaves its parent's databases alone, also if Python frees them there."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Plans that DuckDB keeps: what they read, their results at each tick, and when they are dropped."""
 
-from __future__ import annotations
-
 import json
 
 import duckdb

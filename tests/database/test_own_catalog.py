@@ -1,7 +1,5 @@
 """A mistake in a user's SQL leaves ssduck's own views, records and statements as they were."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """`Limits(select_only=True)`: SQL is one SELECT."""
 
-from __future__ import annotations
-
 import time
 
 import pytest

@@ -1,7 +1,5 @@
 """Values of DuckDB's that Arrow or Python cannot hold are errors, never other values."""
 
-from __future__ import annotations
-
 import datetime as dt
 
 import pytest

@@ -1,7 +1,5 @@
 """The random scenes of the benchmark of pairs are as described; all ways find the same in them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The demonstrations: that they find what they are to find, and would tell if they did not."""
 
-from __future__ import annotations
-
 import inspect
 import math
 import random

@@ -1,7 +1,5 @@
 """What the README and the manual show is run, and what comes from the code is up to date."""
 
-from __future__ import annotations
-
 import ast
 import os
 import re

@@ -1,7 +1,5 @@
 """The manual, its generated pages and the public docstrings use the terms of the glossary."""
 
-from __future__ import annotations
-
 import inspect
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The shipped kitchen is the tutorial's: names, poses, boxes, and it stands still."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import tomllib

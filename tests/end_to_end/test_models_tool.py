@@ -1,7 +1,5 @@
 """The command that compares model files with independent readers."""
 
-from __future__ import annotations
-
 import os
 
 import numpy as np

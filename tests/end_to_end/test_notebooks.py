@@ -1,7 +1,5 @@
 """What notebooks show: pictures of worlds, and errors without the frames of ssduck."""
 
-from __future__ import annotations
-
 import io
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Files and folders of odd names, through all doors but records, which `test_record_paths` has."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

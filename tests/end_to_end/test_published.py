@@ -1,7 +1,5 @@
 """The problems that SelectScript was published with: four colours, and the Towers of Hanoi."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import pytest

@@ -1,7 +1,5 @@
 """The words of other predicate libraries: each condition of the page runs on the page's scene."""
 
-from __future__ import annotations
-
 import copy
 import math
 import re

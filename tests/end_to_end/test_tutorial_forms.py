@@ -4,8 +4,6 @@ The cells are as they are printed, but that Python 2's `print` and numpy's old n
 and that a plugin's path is its name.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

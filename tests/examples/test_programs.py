@@ -1,7 +1,5 @@
 """The example programs of one file: what each prints is what an oracle of its own says."""
 
-from __future__ import annotations
-
 import math
 import re
 import runpy

@@ -1,7 +1,5 @@
 """The small record of a run, which `ssduck demo cleanup` asks: it has the chosen ticks, unchanged."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

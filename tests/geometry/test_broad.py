@@ -1,7 +1,5 @@
 """The broad phase finds the pairs that comparing all of them finds."""
 
-from __future__ import annotations
-
 from unittest import mock
 
 import numpy as np

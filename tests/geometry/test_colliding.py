@@ -1,7 +1,5 @@
 """All that collides in a tick, found at once, is what is found pair by pair."""
 
-from __future__ import annotations
-
 import numpy as np
 import pybullet
 import pytest

@@ -1,7 +1,5 @@
 """Whether contact normals point up, for many pairs at once, is what single pairs and formulas say."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

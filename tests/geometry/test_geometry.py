@@ -1,7 +1,5 @@
 """Poses against scipy's rotations; boxes against every vertex, and against dense sampling."""
 
-from __future__ import annotations
-
 import math
 import struct
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What is decided for many pairs at once is what is found pair by pair."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

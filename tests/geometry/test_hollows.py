@@ -1,7 +1,5 @@
 """Things in the holes of others: no form of a question takes what is hollow for its convex hull."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

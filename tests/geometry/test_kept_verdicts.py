@@ -1,7 +1,5 @@
 """A verdict is kept while shapes move by less than its room, and is what a new comparison gives."""
 
-from __future__ import annotations
-
 import numpy as np
 import pybullet
 import pytest

@@ -1,7 +1,5 @@
 """All pairs of which one is on the other, found at once, are what is found pair by pair."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What FCL proposes for a few pairs is proved: a verdict is what the signed distance says."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What rests on something in real PyBullet is on it, whatever margins the solver keeps."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Symmetric measures are the same to the last bit, in either order and through every door."""
 
-from __future__ import annotations
-
 import numpy as np
 import pybullet
 import pytest

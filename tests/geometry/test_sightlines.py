@@ -1,7 +1,5 @@
 """What is in the way between points, against points along the way and closed forms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """Which cells shapes occupy, against FCL, closed forms and solid angles."""
 
-from __future__ import annotations
-
 import itertools
 
 import fcl

@@ -1,7 +1,5 @@
 """Angles that are compared with degrees are told of, however the angle is written."""
 
-from __future__ import annotations
-
 import math
 
 import pybullet

@@ -1,7 +1,5 @@
 """Programs of strangers that try to take time, memory, files or Python's objects."""
 
-from __future__ import annotations
-
 import gc
 import time
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What completes at a place of a program: names by their context, the nearest first."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

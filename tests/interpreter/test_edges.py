@@ -1,7 +1,5 @@
 """Where SQL has other ideas than Python: infinities, what is no number, names that SQL folds."""
 
-from __future__ import annotations
-
 import math
 from contextlib import contextmanager
 

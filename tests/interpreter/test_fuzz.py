@@ -1,7 +1,5 @@
 """Mutated programs end in a value or in an error of ours; the long form is `tools/fuzz.py`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Parameters that have the name of a column, are of another kind than it, or are NaN."""
 
-from __future__ import annotations
-
 import math
 from contextlib import suppress
 

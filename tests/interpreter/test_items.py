@@ -1,7 +1,5 @@
 """Variables of an interpreter as items, and what the `repr` of interpreters and worlds says."""
 
-from __future__ import annotations
-
 import copy
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What programs from elsewhere may use; Ctrl-C."""
 
-from __future__ import annotations
-
 import gc
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Functions of time that are kept from tick to tick are those of the whole record."""
 
-from __future__ import annotations
-
 import gc
 from contextlib import contextmanager
 from itertools import count

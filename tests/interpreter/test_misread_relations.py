@@ -1,7 +1,5 @@
 """Relations that read as something else: a share as a condition, and `volume`."""
 
-from __future__ import annotations
-
 import pybullet
 import pytest
 

@@ -4,8 +4,6 @@
 that comes without one fails a test here.
 """
 
-from __future__ import annotations
-
 import inspect
 import math
 import re

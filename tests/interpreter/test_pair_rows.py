@@ -1,7 +1,5 @@
 """Rows that are looked up for all pairs of a tick are those of the SQL, and of Python row by row."""
 
-from __future__ import annotations
-
 import math
 import warnings
 

@@ -1,7 +1,5 @@
 """Programs on the kitchen and their results; what goes to SQL and what is left to Python."""
 
-from __future__ import annotations
-
 import pybullet
 import pytest
 

@@ -1,7 +1,5 @@
 """A condition that is evaluated again and again is planned once, and is right after any change."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Values that Python computes in place of DuckDB are DuckDB's to the last bit."""
 
-from __future__ import annotations
-
 import math
 import struct
 from itertools import cycle

@@ -1,7 +1,5 @@
 """Calls of public functions with wrong arguments: the errors say what to write."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A lake of records from elsewhere is asked in a sandbox."""
 
-from __future__ import annotations
-
 import pytest
 
 import ssduck

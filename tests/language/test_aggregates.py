@@ -1,7 +1,5 @@
 """Aggregates of values that are the same for all rows are over these, however many there are."""
 
-from __future__ import annotations
-
 import pytest
 
 import ssduck

@@ -1,7 +1,5 @@
 """Everything that can be wrong with a program: one clear message, the place, the nearest name."""
 
-from __future__ import annotations
-
 import numpy as np
 import pybullet
 import pytest

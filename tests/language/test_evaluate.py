@@ -1,7 +1,5 @@
 """Values of expressions in Python: what Python brings in, lists that wait, searches."""
 
-from __future__ import annotations
-
 from decimal import Decimal
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every construct of the language: a program, the SQL that it becomes, and its value."""
 
-from __future__ import annotations
-
 import pytest
 
 from ssduck.interpreter import query_runner as queries

@@ -1,7 +1,5 @@
 """Entities at a tick of the past in expressions, and `previous`, `rate` and `at`."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Functions of time of each row: those of all entities are read at once, with the same values."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

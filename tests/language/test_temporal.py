@@ -1,7 +1,5 @@
 """Variables with a history: what is kept, what is given of it, in both evaluators."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The arm and the cube of all tests of links."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.support.cell import Cell

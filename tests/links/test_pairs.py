@@ -1,7 +1,5 @@
 """Pairs of links, and of links and entities, are found at once, as those of entities are."""
 
-from __future__ import annotations
-
 from collections import Counter
 from itertools import pairwise
 

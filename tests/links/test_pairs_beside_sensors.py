@@ -1,7 +1,5 @@
 """Pairs of links are found at once in a world with sensors, which have no shapes."""
 
-from __future__ import annotations
-
 import pytest
 
 import ssduck

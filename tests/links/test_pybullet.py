@@ -1,7 +1,5 @@
 """Links are where PyBullet has them: poses, velocities, boxes, distances, contacts."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

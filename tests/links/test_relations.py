@@ -1,7 +1,5 @@
 """Every relation takes links as it takes entities, in each language, live and past."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

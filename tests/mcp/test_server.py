@@ -1,7 +1,5 @@
 """Agents ask a scene or a record over the Model Context Protocol."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

@@ -1,7 +1,5 @@
 """Records that several files open, and do not change."""
 
-from __future__ import annotations
-
 import pytest
 
 

@@ -1,7 +1,5 @@
 """DuckDB files that are damaged, in use or closed to the user: the error says which it is."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

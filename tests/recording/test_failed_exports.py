@@ -1,7 +1,5 @@
 """A failed export leaves nothing, and takes nothing of others away."""
 
-from __future__ import annotations
-
 import errno
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The format of DuckDB files: their version, and the bytes that an episode takes."""
 
-from __future__ import annotations
-
 import duckdb
 import pybullet
 import pytest

@@ -1,7 +1,5 @@
 """The page of the format is enough to write a record: its example opens, with pyarrow alone."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

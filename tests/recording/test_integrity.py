@@ -1,7 +1,5 @@
 """Damaged records give the right answers or an error; `check` finds and repairs what is damaged."""
 
-from __future__ import annotations
-
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path

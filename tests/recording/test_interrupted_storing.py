@@ -1,7 +1,5 @@
 """Ctrl-C and SIGTERM while ticks are stored: each of them is stored once, in all formats."""
 
-from __future__ import annotations
-
 import math
 import signal
 import sys

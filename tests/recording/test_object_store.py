@@ -1,7 +1,5 @@
 """Records in an object store: a local S3 server, on the loopback."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Names of folders and files mean what they say: no patterns, no addresses, no other file."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

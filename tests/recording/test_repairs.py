@@ -1,7 +1,5 @@
 """What a check repairs, and what is written through no link."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

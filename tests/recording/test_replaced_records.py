@@ -1,7 +1,5 @@
 """A record that is removed or replaced while it is open, and files without permission."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """A record answers as the live world did, tick by tick, and its triggers fire as they did."""
 
-from __future__ import annotations
-
 import re
 
 import pybullet

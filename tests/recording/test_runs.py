@@ -1,7 +1,5 @@
 """Rows tell which run they are of: relations in SQL answer for that one, or say that they cannot."""
 
-from __future__ import annotations
-
 import shutil
 
 import pybullet

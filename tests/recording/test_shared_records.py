@@ -1,7 +1,5 @@
 """Names that a file and a world share, and several recorders of one record."""
 
-from __future__ import annotations
-
 import pytest
 
 import ssduck

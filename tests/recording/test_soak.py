@@ -1,7 +1,5 @@
 """A recorded world runs for long and takes no more memory: a short form of `python -m tools.soak`."""
 
-from __future__ import annotations
-
 import pytest
 
 from tools import soak

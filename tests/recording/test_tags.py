@@ -1,7 +1,5 @@
 """Each episode has an id of its own, and the tags that it was recorded with."""
 
-from __future__ import annotations
-
 import json
 from concurrent.futures import ThreadPoolExecutor
 from multiprocessing import get_context

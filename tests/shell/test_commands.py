@@ -1,7 +1,5 @@
 """The shell without a terminal: statements, commands, modes, and what fails."""
 
-from __future__ import annotations
-
 import json
 from urllib.error import URLError
 from urllib.request import urlopen

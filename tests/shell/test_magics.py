@@ -1,7 +1,5 @@
 """The magics of notebooks, in a shell of IPython."""
 
-from __future__ import annotations
-
 import pytest
 
 import ssduck

@@ -1,7 +1,5 @@
 """The shell at a terminal: keys, completion, history, Ctrl-C and Ctrl-D."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

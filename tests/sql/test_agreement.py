@@ -1,7 +1,5 @@
 """SQL and row by row give the same: programs made at random, in both evaluators."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import pytest

@@ -1,7 +1,5 @@
 """SQL for other engines: SQLite runs it as the oracle; what an engine lacks is named."""
 
-from __future__ import annotations
-
 import sqlite3
 
 import pytest

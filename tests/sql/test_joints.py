@@ -1,7 +1,5 @@
 """Where joints are, and whether they are open: by every door, at the limits, and what is no joint."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """Relations of motion, attitude and grasps, against NumPy, SciPy and PyBullet's contact points."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

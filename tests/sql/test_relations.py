@@ -1,7 +1,5 @@
 """The relations: each registered one is complete, the same in both languages, and exact at its edges."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Square roots are SQL, and give what Python gives, to the last bit and in errors."""
 
-from __future__ import annotations
-
 import pytest
 
 import ssduck

@@ -1,7 +1,5 @@
 """What is around an entity: enclosed, supports, restsOn, nextTo, by rays and contacts of their own."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

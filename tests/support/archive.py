@@ -5,8 +5,6 @@ scenes, the helpers of the tests and the versions of the libraries. So a run aft
 anew, and one without a change, or another process of the same run, copies them.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import shutil

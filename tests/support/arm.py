@@ -1,7 +1,5 @@
 """An arm with all kinds of joints, and the columns of its links' poses."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Bodies of PyBullet that tests create by a call."""
 
-from __future__ import annotations
-
 import pytest
 
 pybullet = pytest.importorskip("pybullet")

@@ -1,7 +1,5 @@
 """Parametrization of which a sample is run each time, and the numbers of generated cases."""
 
-from __future__ import annotations
-
 import os
 from collections import defaultdict
 from itertools import combinations

@@ -1,7 +1,5 @@
 """A PyBullet client with an arm that presses on a cube, and interpreters of its world."""
 
-from __future__ import annotations
-
 import pytest
 
 import ssduck

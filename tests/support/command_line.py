@@ -1,7 +1,5 @@
 """How tests run the command `ssduck`."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Worlds for the tests of copies."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Models for the tests of frames."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Grids of small worlds."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

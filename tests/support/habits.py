@@ -1,7 +1,5 @@
 """Interpreters for the tests of SQL's spellings."""
 
-from __future__ import annotations
-
 import ssduck
 
 PEOPLE = [

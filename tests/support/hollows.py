@@ -4,8 +4,6 @@ Rings, tubes, cups, frames, profiles, boxes with a cavity: their convex hulls do
 things in the hole. Flat and straight hulls have no inside.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Programs in whose text the part that is told of is marked."""
 
-from __future__ import annotations
-
 
 def unmarked(text):
     """A program without its marks « and », and the part between them; None where there are none."""

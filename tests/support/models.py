@@ -1,7 +1,5 @@
 """SDF and MJCF files as texts, made of parts."""
 
-from __future__ import annotations
-
 _AXES = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _MOMENTS = "".join(f"<{k}>{v}</{k}>" for k, v in zip(_AXES, (0.1, 0, 0, 0.2, 0, 0.25), strict=True))
 BOX = "<box><size>0.4 0.2 0.6</size></box>"

@@ -1,7 +1,5 @@
 """Shapes and numbers for the tests of the narrow phase."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Recorded worlds for the tests of records."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Parts of the published scripts."""
 
-from __future__ import annotations
-
 MOVES = [[0, 2], [0, 1], [2, 1], [0, 2], [1, 0], [1, 2], [0, 2]]
 
 # The published towers are those after the move, since the authors' `move` changes them in place;

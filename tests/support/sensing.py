@@ -1,7 +1,5 @@
 """A mast that carries sensors, and scenes for them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """Shapes for the tests of their relations."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

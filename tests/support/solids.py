@@ -1,7 +1,5 @@
 """Placed shapes for the narrow phase."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ssduck.geometry.bounds import BoundingBoxes

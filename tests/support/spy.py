@@ -1,7 +1,5 @@
 """A simulator that counts its reads."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 from ssduck.errors import SimulatorError

@@ -1,7 +1,5 @@
 """A PyBullet client that tests fill with shapes, and queries about its world."""
 
-from __future__ import annotations
-
 import pytest
 
 import ssduck

@@ -5,8 +5,6 @@ and those of the fixtures, by the folder or file and the name. A fixture's secon
 the fixtures that it names as parameters.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from time import perf_counter
 

@@ -1,7 +1,5 @@
 """Falling balls and callbacks for the tests of triggers."""
 
-from __future__ import annotations
-
 import time
 
 import pytest

@@ -1,7 +1,5 @@
 """URDF models and OBJ meshes as texts, made of parts."""
 
-from __future__ import annotations
-
 
 def link(name, *, mass=1.0, com=(0, 0, 0), rpy=(0, 0, 0), shapes=""):
     """Returns a URDF link with an inertial frame, and collision elements."""

@@ -1,7 +1,5 @@
 """How tests ask the server of a page, and what its messages are."""
 
-from __future__ import annotations
-
 import json
 import struct
 from urllib.parse import urlsplit

@@ -1,7 +1,5 @@
 """The warnings of a call."""
 
-from __future__ import annotations
-
 import warnings
 
 from ssduck.errors import ProgramWarning

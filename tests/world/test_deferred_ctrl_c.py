@@ -1,7 +1,5 @@
 """Signals in a context that defers them: they are delivered, and their handlers stay."""
 
-from __future__ import annotations
-
 import signal
 
 import pytest

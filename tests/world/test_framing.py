@@ -1,7 +1,5 @@
 """The camera of a world that has none of its own: it frames what is small and moves."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Names and arguments of other libraries, and entities that were removed: errors say what there is."""
 
-from __future__ import annotations
-
 import pybullet
 import pybullet_data
 import pytest

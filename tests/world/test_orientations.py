@@ -1,7 +1,5 @@
 """Quaternions that users give: PyBullet's, ssduck's and SciPy's, against PyBullet and SciPy."""
 
-from __future__ import annotations
-
 import math
 import warnings
 

@@ -1,7 +1,5 @@
 """The contract of a tick: immutable, of one moment, read no more than is asked for."""
 
-from __future__ import annotations
-
 import threading
 import warnings
 

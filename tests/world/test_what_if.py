@@ -1,7 +1,5 @@
 """What-if worlds: poses that were never simulated, against moving the bodies there."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -1,7 +1,5 @@
 """Worlds and handles of entities."""
 
-from __future__ import annotations
-
 import copy
 from unittest.mock import patch
 

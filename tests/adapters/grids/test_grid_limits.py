@@ -1,7 +1,5 @@
 """Grids stop when the time of a program is up."""
 
-from __future__ import annotations
-
 import time
 from itertools import pairwise
 

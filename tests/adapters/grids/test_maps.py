@@ -1,7 +1,5 @@
 """Maps of ROS, errors, and grids of records."""
 
-from __future__ import annotations
-
 import numpy as np
 import pybullet
 import pytest

@@ -1,7 +1,5 @@
 """Which cells are occupied, and the class of grids."""
 
-from __future__ import annotations
-
 import pickle
 import subprocess
 import sys

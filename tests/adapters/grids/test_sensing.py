@@ -1,7 +1,5 @@
 """What sensors see as a grid, and sums over a plane."""
 
-from __future__ import annotations
-
 import numpy as np
 import pybullet
 import pytest

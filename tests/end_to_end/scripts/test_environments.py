@@ -1,7 +1,5 @@
 """Published scripts: what is broken in them, and demos on worlds of OpenRAVE and ODE."""
 
-from __future__ import annotations
-
 import pytest
 
 import ssduck

@@ -1,7 +1,5 @@
 """Pairs that FCL alone decides wrongly."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What is on or inside what."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -1,7 +1,5 @@
 """The narrow phase against oracles, and at its boundaries."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -1,7 +1,5 @@
 """The narrow phase of a tick."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """Kinds of shapes, the number of compared pairs, and the registry."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -1,7 +1,5 @@
 """Queries about shapes in both languages, and of several worlds."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

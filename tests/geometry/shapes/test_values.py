@@ -1,7 +1,5 @@
 """Values and edges of the relations of shapes."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What callbacks of triggers may do, with and without queues."""
 
-from __future__ import annotations
-
 import gc
 import threading
 import warnings

@@ -1,7 +1,5 @@
 """When triggers are evaluated, and for which worlds."""
 
-from __future__ import annotations
-
 import math
 from fractions import Fraction
 

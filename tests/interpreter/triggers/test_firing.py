@@ -1,7 +1,5 @@
 """Which results fire a trigger, and errors."""
 
-from __future__ import annotations
-
 import contextlib
 import warnings
 from collections import Counter

@@ -1,7 +1,5 @@
 """Worlds that run in simulated time."""
 
-from __future__ import annotations
-
 import os
 import signal
 import threading

@@ -1,7 +1,5 @@
 """Triggers in several threads, and their cost."""
 
-from __future__ import annotations
-
 import gc
 import threading
 import weakref

@@ -1,7 +1,5 @@
 """Triggers that are evaluated together give what they give one by one."""
 
-from __future__ import annotations
-
 import math
 import warnings
 

@@ -1,7 +1,5 @@
 """What is recorded by default, its bound in bytes, and the calls that keep more."""
 
-from __future__ import annotations
-
 import re
 
 import pybullet

@@ -1,7 +1,5 @@
 """Questions about pairs of entities at many ticks: decided together, as at each tick, and once."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A body that takes the name and number of a removed one is another entity to functions of time."""
 
-from __future__ import annotations
-
 import pybullet
 import pytest
 

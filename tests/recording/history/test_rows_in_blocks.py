@@ -1,7 +1,5 @@
 """The rows of recorded ticks are those that each tick had, whenever they are asked for."""
 
-from __future__ import annotations
-
 import signal
 
 import mujoco

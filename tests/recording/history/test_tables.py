@@ -1,7 +1,5 @@
 """The tables of recorded ticks."""
 
-from __future__ import annotations
-
 import gc
 import weakref
 

@@ -1,7 +1,5 @@
 """A user's function of an entity, beside rows of the past, is of their ticks, as a relation is."""
 
-from __future__ import annotations
-
 import pybullet
 import pytest
 

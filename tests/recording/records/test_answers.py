@@ -1,7 +1,5 @@
 """Opened records answer as the live world did."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import duckdb

@@ -1,7 +1,5 @@
 """What records contain, and errors of records."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Full disks and killed processes leave whole records."""
 
-from __future__ import annotations
-
 import pytest
 
 import ssduck

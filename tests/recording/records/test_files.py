@@ -1,7 +1,5 @@
 """Records in DuckDB files."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

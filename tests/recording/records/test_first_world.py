@@ -1,7 +1,5 @@
 """Records of several worlds keep which one was added first: SQL may omit its name."""
 
-from __future__ import annotations
-
 import json
 
 import pybullet

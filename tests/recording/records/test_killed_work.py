@@ -1,7 +1,5 @@
 """Processes that are killed while they work on a record leave no half that looks whole."""
 
-from __future__ import annotations
-
 import os
 
 import pytest

@@ -1,7 +1,5 @@
 """Records of some entities warn where an answer depends on the others."""
 
-from __future__ import annotations
-
 import warnings
 
 import pybullet

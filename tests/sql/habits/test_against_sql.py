@@ -1,7 +1,5 @@
 """Random queries of SQL: SelectScript gives what DuckDB gives, or an error."""
 
-from __future__ import annotations
-
 import re
 import warnings
 

@@ -1,7 +1,5 @@
 """Spellings that new users try: each is an error that says what to write, or works."""
 
-from __future__ import annotations
-
 import re
 import warnings
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """What SQL has and SelectScript lacks, and probable mistakes."""
 
-from __future__ import annotations
-
 import itertools
 import warnings
 

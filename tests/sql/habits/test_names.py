@@ -1,7 +1,5 @@
 """Names that no entity or link has are told alike at every door."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 

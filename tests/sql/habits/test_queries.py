@@ -3,8 +3,6 @@
 Each gives the value that one works out by hand, or an error that shows the right spelling.
 """
 
-from __future__ import annotations
-
 import ast
 import tomllib
 import warnings

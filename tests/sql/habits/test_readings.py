@@ -1,7 +1,5 @@
 """`=` in queries, and nested queries that stand for a value: old meanings, and errors."""
 
-from __future__ import annotations
-
 import warnings
 
 import pytest

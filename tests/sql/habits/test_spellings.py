@@ -1,7 +1,5 @@
 """SQL's aggregates, conditions and values."""
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 

@@ -1,7 +1,5 @@
 """Copies of attached clients and of past ticks."""
 
-from __future__ import annotations
-
 import numpy as np
 import pybullet
 import pytest

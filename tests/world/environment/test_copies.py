@@ -1,7 +1,5 @@
 """Worlds that queries make: contents, errors, removal, cost, saved scenes."""
 
-from __future__ import annotations
-
 import gc
 import os
 import warnings

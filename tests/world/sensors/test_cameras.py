@@ -1,7 +1,5 @@
 """What cameras see: spheres, occlusion, the sensor's own body, bounds."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

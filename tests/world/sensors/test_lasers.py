@@ -1,7 +1,5 @@
 """Range finders and lasers in a room of known size."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Sensors on links, contact sensors, and sensors that come and go."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

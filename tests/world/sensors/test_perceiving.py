@@ -1,7 +1,5 @@
 """The relations of sensors, the ticks of readings, and their cost."""
 
-from __future__ import annotations
-
 import numpy as np
 import pybullet
 import pytest
