@@ -1,4 +1,4 @@
-"""Poses against scipy's rotations; boxes against every vertex, and against dense sampling."""
+"""Poses against scipy's rotations, boxes against support functions, and mesh files."""
 
 import math
 import struct
@@ -20,14 +20,13 @@ from ssduck.geometry.poses import (
     cross,
     invert,
     multiply,
-    rotate,
     rotation_matrices,
 )
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
+from tests.support.pairs import Shape, reach
 from tests.support.urdf import box_obj
 
 coordinates = st.floats(-50.0, 50.0)
-lengths = st.floats(1e-3, 20.0)
 vectors = st.tuples(coordinates, coordinates, coordinates).map(np.array)
 quaternions = (
     st.tuples(*[st.floats(-1.0, 1.0)] * 4)
@@ -91,21 +90,6 @@ def test_invert_undoes_a_pose(position, orientation):
     assert rotation_matrices(turn)[0] == pytest.approx(np.eye(3), abs=1e-14)
 
 
-@pytest.mark.parametrize("count", [0, 1, 2, 7])
-def test_poses_of_many_rows_are_those_of_each_row(count):
-    first, second = turned(1, count + 1)[:count], turned(2, count + 1)[:count]
-    points = np.random.default_rng(3).normal(size=(count, 3))
-    rows = range(count)
-    matrices = rotation_matrices(first)
-    assert matrices.shape == (count, 3, 3)
-    assert rotate(matrices, points) == pytest.approx(
-        np.array([of(first[row]).apply(points[row]) for row in rows]).reshape(-1, 3)
-    )
-    assert multiply(first, second) == pytest.approx(
-        np.array([multiply(first[[row]], second[[row]])[0] for row in rows]).reshape(-1, 4)
-    )
-
-
 # -- boxes ------------------------------------------------------------------------------------
 
 BOX = Geometry.primitive("box", (0.4, 0.2, 1.0))
@@ -140,82 +124,35 @@ SOLID = {
 }
 
 
-def samples(shape):
-    """Points of a shape's surface, (n, 3): all its corners, or a grid of its curved parts."""
-    a, b, c = shape.size
-    round_ = np.linspace(0.0, 2.0 * math.pi, 721)
-    circle = np.stack([np.cos(round_), np.sin(round_), np.zeros_like(round_)], axis=1)
-    up = np.array([0.0, 0.0, 1.0])
-    steep = np.linspace(-math.pi / 2, math.pi / 2, 361)
-    ball = np.concatenate([circle * math.cos(s) + up * math.sin(s) for s in steep])
-    match shape.type:
-        case "box":
-            return np.array([[x, y, z] for x in (-a, a) for y in (-b, b) for z in (-c, c)]) / 2
-        case "sphere":
-            return ball * a
-        case "capsule":
-            return np.concatenate([ball * a + up * b / 2, ball * a - up * b / 2])
-        case "cylinder":
-            return np.concatenate([circle * a + up * b / 2, circle * a - up * b / 2])
-        case "ellipsoid":
-            return ball * shape.size
-    return shape.vertices
-
-
-# How far between two samples of a circle of that radius its highest point can be.
-def coarseness(shape):
-    fine = shape.type in ("box", "hull", "mesh")
-    return 1e-12 if fine else shape.size[0] * (1.0 - math.cos(math.pi / 360)) + 1e-12
-
-
 def boxed(shapes, groups, count, positions, orientations):
     """The boxes as (groups, 2, 3): lower and upper corners."""
     boxes = BoundingBoxes(shapes, groups, count).boxes(positions, rotation_matrices(orientations))
     return boxes.T.reshape(-1, 2, 3)
 
 
-@pytest.mark.parametrize("name", SOLID)
-@pytest.mark.parametrize("seed", range(6))
-def test_box_of_a_shape_against_its_points(name, seed):
-    shape = SOLID[name]
-    rng = np.random.default_rng(seed)
-    frame, place = rng.normal(size=(2, 3))
-    frame_turn, turn = turned(seed, 2)
-    found = boxed([PlacedGeometry(0, shape, place, turn)], [0], 1, frame[None], frame_turn[None])[0]
-    points = of(frame_turn).apply(of(turn).apply(samples(shape)) + place) + frame
-    low, high = points.min(axis=0), points.max(axis=0)
-    # No sample lies outside, and none could be farther inside than the sampling is coarse.
-    assert np.all(found[0] <= low + 1e-12)
-    assert np.all(found[1] >= high - 1e-12)
-    assert found[0] == pytest.approx(low, abs=coarseness(shape))
-    assert found[1] == pytest.approx(high, abs=coarseness(shape))
+def reached(shape, place, turn):
+    """The lower and the upper corner of a shape at a pose, by its support function."""
+    placed = Shape(shape.type, shape, place, turn)
+    axes = np.eye(3)
+    return [[-reach(placed, -axis) for axis in axes], [reach(placed, axis) for axis in axes]]
+
+
+# Cyclic turns of the axes, and any.
+UPRIGHT = [IDENTITY, np.array([0.5, 0.5, 0.5, 0.5]), np.array([0.5, -0.5, -0.5, -0.5])]
+TURNS = [*UPRIGHT, *turned(0, 6)]
 
 
 @pytest.mark.parametrize("name", SOLID)
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_box_of_a_shape_along_an_axis_is_exact(name, axis):
-    """Where its z axis is along an axis of the world, a shape's box is known in closed form."""
-    shape = SOLID[name]
-    x, y, z = shape.size
-    half = {
-        "box": (x / 2, y / 2, z / 2),
-        "sphere": (x, x, x),
-        "capsule": (x, x, x + y / 2),
-        "cylinder": (x, x, y / 2),
-        "ellipsoid": (x, y, z),
-    }.get(shape.type)
-    points = shape.vertices if half is None else np.array([half, half]) * [[-1], [1]]
-    low, high = points.min(axis=0), points.max(axis=0)
-    # Cyclic: z goes to the axis, x and y to the next two.
-    quaternion = [IDENTITY, np.array([0.5, 0.5, 0.5, 0.5]), np.array([0.5, -0.5, -0.5, -0.5])]
-    turn = quaternion[(axis + 1) % 3]
-    shift = (axis + 1) % 3
-    found = boxed(
-        [PlacedGeometry(0, shape, np.zeros(3), turn)], [0], 1, np.zeros((1, 3)), IDENTITY[None]
-    )
-    assert found[0] == pytest.approx(
-        np.array([np.roll(low, shift), np.roll(high, shift)]), abs=1e-15
-    )
+@pytest.mark.parametrize("number", range(len(TURNS)))
+def test_box_of_a_shape_is_as_far_as_the_shape_reaches(name, number):
+    """Turned in its frame, and in a frame that is turned."""
+    frame, place = np.random.default_rng(number).normal(size=(2, 3))
+    for frame_turn, turn in ((IDENTITY, TURNS[number]), (TURNS[-1 - number], TURNS[number])):
+        placed = PlacedGeometry(0, SOLID[name], place, turn)
+        found = boxed([placed], [0], 1, frame[None], frame_turn[None])[0]
+        whole = np.roll((of(frame_turn) * of(turn)).as_quat(), 1)
+        expected = reached(SOLID[name], frame + of(frame_turn).apply(place), whole)
+        assert found == pytest.approx(np.array(expected), abs=1e-12)
 
 
 def scattered(seed):
@@ -253,26 +190,6 @@ def test_the_same_boxes_for_one_pose_after_another(seed):
     boxer.boxes(positions + 7.0, rotation_matrices(turned(9, 3)))
     again = boxer.boxes(positions, rotation_matrices(orientations)).T.reshape(-1, 2, 3)
     assert again.tolist() == boxed(shapes, groups, 5, positions, orientations).tolist()
-
-
-@pytest.mark.slow
-@given(vectors, st.sampled_from(sorted(SOLID)), quaternions)
-def test_a_shifted_shape_has_a_shifted_box(shift, name, turn):
-    shape = [PlacedGeometry(0, SOLID[name], np.array([0.1, -0.2, 0.3]), turn)]
-    here = boxed(shape, [0], 1, np.zeros((1, 3)), IDENTITY[None])[0]
-    there = boxed(shape, [0], 1, shift[None], IDENTITY[None])[0]
-    assert there == pytest.approx(here + shift, abs=1e-12)
-
-
-@pytest.mark.slow
-@given(quaternions, quaternions, vectors)
-def test_a_shape_turned_in_its_frame_is_one_in_a_turned_frame(frame, turn, place):
-    inside = [PlacedGeometry(0, CYLINDER, place, turn)]
-    whole = of(frame) * of(turn)
-    alone = [PlacedGeometry(0, CYLINDER, of(frame).apply(place), np.roll(whole.as_quat(), 1))]
-    assert boxed(inside, [0], 1, np.zeros((1, 3)), frame[None]) == pytest.approx(
-        boxed(alone, [0], 1, np.zeros((1, 3)), IDENTITY[None]), abs=1e-11
-    )
 
 
 @pytest.mark.parametrize("count", [0, 1, 3])

@@ -5,12 +5,10 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from ssduck.geometry.narrow_phase import MIN_DEPTH
 from ssduck.geometry.proofs import cores, gjk
-from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED
+from ssduck.geometry.proofs.verdicts import ABOVE, UNDECIDED
 from ssduck.geometry.queries import MIN_PAIRS_AT_ONCE, ShapeQueries
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
@@ -51,21 +49,6 @@ def undecided(two, bounds=BOUNDS):
 def test_verdicts_are_what_gaps_say(kinds):
     left = undecided([pairs.pair(kinds, seed) for seed in range(60)])
     assert (np.abs(left) > 1e-6).sum() <= 0.02 * 60 * 2 * len(BOUNDS)
-
-
-@pytest.mark.slow
-@given(
-    kinds=st.sampled_from(COMBINATIONS),
-    seed=st.integers(0, 2**32),
-    bound=st.one_of(st.sampled_from(BOUNDS), st.floats(-0.5, 2.0)),
-)
-def test_neither_order_nor_place_turns_a_verdict(kinds, seed, bound):
-    two = pairs.pair(kinds, seed)
-    random = np.random.default_rng(seed)
-    shift, turn = random.uniform(-2, 2, 3), random.normal(size=4)
-    moved = tuple(pairs.moved(one, shift, turn / np.linalg.norm(turn)) for one in two)
-    told = {int(one) for found in pairs.verdicts([two, moved], bound) for one in found}
-    assert not {BELOW, ABOVE} <= told
 
 
 # -- what algorithms get wrong -----------------------------------------------------------------

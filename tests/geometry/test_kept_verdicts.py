@@ -1,12 +1,10 @@
 """A verdict is kept while shapes move by less than its room, and is what a new comparison gives."""
 
 import numpy as np
-import pybullet
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import ssduck
 from ssduck.geometry.proofs.verdicts import (
     ABOVE,
     BELOW,
@@ -15,8 +13,6 @@ from ssduck.geometry.proofs.verdicts import (
     KeptVerdicts,
     ShapePoses,
 )
-from tests.geometry.test_colliding import fill
-from tests.support.cases import sampled
 
 BOTH = np.array([0]), np.array([1])
 STILL = np.eye(3)
@@ -106,40 +102,3 @@ def test_a_verdict_without_room_holds_for_poses_that_are_the_same_to_the_last_bi
 def test_poses_that_are_not_known_decide_nothing():
     lost = poses((np.nan, 0, 0), (1, 0, 0))
     assert kept(ABOVE, 1.0).find(lost, *BOTH).verdicts.tolist() == [UNDECIDED]
-
-
-# -- worlds ------------------------------------------------------------------------------------
-
-MIXED = ["box"] * 10 + ["sphere"] * 4 + ["capsule"] * 4 + ["cylinder"] * 4 + ["hull"] * 6
-CONDITIONS = ("collides(a.this, b.this)", "near(a.this, b.this, 0.05)", "touching(a.this, b.this)")
-CONDITIONS += ("on(a.this, b.this)",)
-
-
-def drift(client, random, far):
-    """Moves two of three bodies by about a distance."""
-    for body in range(pybullet.getNumBodies(client)):
-        if body % 3 == 0:
-            continue
-        place, turn = pybullet.getBasePositionAndOrientation(body, client)
-        place, turn = (np.array(v) + random.normal(size=len(v)) * far for v in (place, turn))
-        pybullet.resetBasePositionAndOrientation(
-            body, place, turn / np.linalg.norm(turn), physicsClientId=client
-        )
-
-
-@pytest.mark.slow
-@sampled("condition", [*CONDITIONS, "collides(a.this, b.this, 0.01)"], every=2)
-def test_a_world_that_moves_answers_as_one_that_compares_pair_by_pair(client, condition):
-    query = f"SELECT id(a.this), id(b.this) FROM a=w, b=w WHERE {condition} AS list;"
-    one_by_one = query.replace(" AS list", " AND z(a.this) > -1e9 AS list")
-    fill(client, [*MIXED, "plane"], seed=8, side=0.8)
-    random = np.random.default_rng(9)
-    with ssduck.Interpreter() as ss:
-        world = ss.add_variable("w", ssduck.World.attach(client))
-        for far in [0.0, 1e-4] + [1e-3] * 8 + [1e-9] * 3 + [5e-3] * 4 + [0.02, 0.0, 0.3]:
-            drift(client, random, far)
-            world.tick()
-            found = ss.eval(query)
-            with ssduck.Interpreter() as other:
-                other.add_variable("w", ssduck.World.attach(client))
-                assert other.eval(one_by_one) == found

@@ -145,9 +145,6 @@ def settled(yard, steps=480):
     return yard.world()
 
 
-FORMS = ["on({0}, {1})", "touching({0}, {1})", "touching({1}, {0})", "inContact({0}, {1})"]
-
-
 @pytest.mark.slow
 def test_every_pair_at_rest(yard):
     """All of it in one world: each pair 10 m from the others, and planes in worlds of their own."""

@@ -137,7 +137,7 @@ def one_by_one(ss, pair, now):
     return [gap, depth, force, points if (a, b) == pair else points[::-1]]
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 5, 8, 15, 16, 17, 33])
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 5, 8, 15, 16, 17, 33])
 @pytest.mark.parametrize("start", [0, 1, 5])
 def test_a_pose_does_not_depend_on_those_beside_it(count, start):
     chance = np.random.default_rng(0)
