@@ -309,11 +309,7 @@ HINTED = {"number": int, "return": int}
 @pytest.mark.parametrize("program", ["asks(2);", "SELECT asks(this) FROM m WHERE asks(this) > 0;"])
 @pytest.mark.parametrize(
     ("inner", "kind"),
-    [
-        ("nothin;", UnknownNameError),
-        ("1 / 0;", EvaluationError),
-        ("1 +;", ParseError),
-    ],
+    [("nothin;", UnknownNameError), ("1 / 0;", EvaluationError), ("1 +;", ParseError)],
 )
 def test_a_function_whose_own_program_fails(both, hints, program, inner, kind):
     """The error is of the function; that of its program is its cause."""

@@ -85,10 +85,7 @@ def test_texts_are_folded_at_spaces():
     lines = fitted_table(
         display_table([{"a": "one two three four five six", "b": "x" * 25}])
     ).lines(50)
-    assert lines[3:] == [
-        "one two three four       xxxxxxxxxxxxxxxxxxxxxxxxx",
-        "five six",
-    ]
+    assert lines[3:] == ["one two three four       xxxxxxxxxxxxxxxxxxxxxxxxx", "five six"]
 
 
 @pytest.mark.parametrize(

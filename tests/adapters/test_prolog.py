@@ -1,7 +1,5 @@
 """Relations as clauses: AS prolog, read by SWI-Prolog, and AS asp, read by clingo."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -187,12 +185,7 @@ REFUSED = [
     ("SELECT givn(this) FROM [1] AS prolog;", UnknownNameError, "'given'", "givn"),
     ("SELECT to(given(this), 3) FROM [1] AS prolog;", ArgumentError, "must be a text", None),
     ("SELECT given(this) FROM rows AS prolog;", ArgumentError, "is no term", "prolog"),
-    (
-        "SELECT to(given(this), 'Up') FROM [1] AS asp;",
-        ArgumentError,
-        "a predicate's name",
-        "asp",
-    ),
+    ("SELECT to(given(this), 'Up') FROM [1] AS asp;", ArgumentError, "a predicate's name", "asp"),
     ("SELECT given(this, 0.5) FROM [1] AS asp(scale=0);", ArgumentError, "above 0", "asp(scale=0)"),
     (
         "SELECT given(this, 3.0) FROM [1] AS asp(scale=10^9);",
@@ -279,22 +272,8 @@ numbers = st.integers(-(2**80), 2**80) | st.floats()
 @needs_swipl
 def test_swi_prolog_reads_what_was_meant(tmp_path):
     """Many texts and numbers at once, told as the numbers of their letters, and exactly."""
-    texts: list[str] = [
-        "is",
-        "mod",
-        "dynamic",
-        "[]",
-        "{}",
-        "!",
-        ";",
-        ",",
-        "|",
-        ".",
-        "",
-        "nan",
-        "inf",
-    ]
-    values: list[float] = []
+    texts = ["is", "mod", "dynamic", "[]", "{}", "!", ";", ",", "|", ".", "", "nan", "inf"]
+    values = []
 
     @given(letters, numbers)
     def gathered(text, number):

@@ -1,7 +1,5 @@
 """The completion of the command line itself, in the shell of the operating system."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
@@ -15,11 +13,11 @@ BASH = shutil.which("bash")
 
 @pytest.mark.slow
 @pytest.mark.skipif(BASH is None, reason="needs bash")
-def test_bash_completes_commands_after_the_installation(tmp_path: Path) -> None:
+def test_bash_completes_commands_after_the_installation(tmp_path):
     environment = os.environ | {"HOME": str(tmp_path)}
     environment["PATH"] = f"{Path(sys.executable).parent}:{environment['PATH']}"
 
-    def bash(script: str) -> str:
+    def bash(script):
         return subprocess.run(
             [str(BASH), "-c", script], env=environment, capture_output=True, text=True, check=True
         ).stdout

@@ -17,14 +17,7 @@ from PIL import Image
 import ssduck
 from ssduck.interpreter import opening
 from tests.support.cases import sampled
-from tests.support.command_line import (
-    NO_ROWS,
-    WRITTEN,
-    answer,
-    fails,
-    ssduck_,
-    write_scene,
-)
+from tests.support.command_line import NO_ROWS, WRITTEN, answer, fails, ssduck_, write_scene
 
 
 @pytest.fixture(scope="module")

@@ -371,11 +371,7 @@ def test_nothing_is_printed_when_python_ends(tmp_path):
     )
     root = str(Path(ssduck.__file__).parent.parent)
     done = subprocess.run(
-        [sys.executable, "-c", program],
-        cwd=root,
-        capture_output=True,
-        text=True,
-        check=False,
+        [sys.executable, "-c", program], cwd=root, capture_output=True, text=True, check=False
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 

@@ -12,10 +12,7 @@ from ssduck.errors import SqlError
 
 # Statements, and the values of their parameters in turn.
 CASES = [
-    (
-        "SELECT name FROM entities WHERE z > $low",
-        [{"low": 0.05}, {"low": 0.15}, {"low": 9.0}],
-    ),
+    ("SELECT name FROM entities WHERE z > $low", [{"low": 0.05}, {"low": 0.15}, {"low": 9.0}]),
     ("SELECT name FROM entities WHERE z > ? AND x < ?", [[0.0, 0.5], [0.0, 0.3], [1.0, 0.3]]),
     ("SELECT *, z > $low FROM entities WHERE x > $low", [{"low": 0.1}, {"low": 0.2}]),
     ("SELECT name, $k * z FROM entities WHERE z > $k", [{"k": 0.01}, {"k": 0.02}]),
@@ -26,20 +23,14 @@ CASES = [
         [{"z": 0.0, "n": 1}, {"z": 0.0, "n": 3}],
     ),
     ("SELECT name FROM entities ORDER BY id LIMIT $n", [{"n": 2}, {"n": 1}]),
-    (
-        "SELECT a.name FROM entities a JOIN entities b ON a.x > b.x + $d",
-        [{"d": 0.1}, {"d": 0.2}],
-    ),
+    ("SELECT a.name FROM entities a JOIN entities b ON a.x > b.x + $d", [{"d": 0.1}, {"d": 0.2}]),
     (
         "SELECT '$low' AS text, name FROM entities WHERE z > $low -- $low",
         [{"low": 0.05}, {"low": 9.0}],
     ),
     ("SELECT quantile_cont(z, $q) FROM entities", [{"q": 0.5}, {"q": 0.1}]),
     ("SELECT $n, name FROM entities", [{"n": 1}, {"n": 2}]),  # INTEGER, and not BIGINT
-    (
-        "SELECT name FROM entities WHERE kind = $kind",
-        [{"kind": "kinbody"}, {"kind": "robot"}],
-    ),
+    ("SELECT name FROM entities WHERE kind = $kind", [{"kind": "kinbody"}, {"kind": "robot"}]),
     ("SELECT name FROM entities WHERE (z > $low) = $yes", [{"low": 0.0, "yes": True}]),
     ("SELECT name FROM entities WHERE id < $id", [{"id": 2**40}, {"id": 3 * 2**40}]),
 ]

@@ -1,10 +1,6 @@
 """Opening a record does little: views and functions are made when a statement names them."""
 
-from __future__ import annotations
-
 from contextlib import closing
-from pathlib import Path
-from typing import Any
 
 import pybullet
 import pytest
@@ -27,7 +23,7 @@ TICKS = 20
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def run(tmp_path_factory):
     """A small record in a folder."""
     place = tmp_path_factory.mktemp("small") / "run"
     with Stage() as stage, ssduck.Interpreter(recording=None) as ss:
@@ -45,19 +41,19 @@ LEFT = "SELECT count(*) FROM duckdb_{}() WHERE NOT internal"
 
 
 @pytest.fixture
-def pool(monkeypatch: pytest.MonkeyPatch) -> InstancePool:
+def pool(monkeypatch):
     """A pool of databases of the test's own."""
     own = InstancePool()
     monkeypatch.setattr(connections, "POOL", own)
     return own
 
 
-def _views(ss: ssduck.Interpreter) -> set[str]:
+def _views(ss):
     sql = "SELECT view_name FROM duckdb_views() WHERE schema_name = 'lab'"
     return {name for (name,) in ss._database.connection.internal_rows(sql)}
 
 
-def _macros(ss: ssduck.Interpreter) -> set[tuple[str, str]]:
+def _macros(ss):
     sql = (
         "SELECT schema_name, function_name FROM duckdb_functions() "
         "WHERE NOT internal AND function_type IN ('macro', 'table_macro')"
@@ -66,7 +62,7 @@ def _macros(ss: ssduck.Interpreter) -> set[tuple[str, str]]:
 
 
 @pytest.fixture
-def file(client: int, tmp_path: Path) -> Path:
+def file(client, tmp_path):
     """A small record in a DuckDB file."""
     pybullet.createMultiBody(1, physicsClientId=client)
     with ssduck.Interpreter(tmp_path / "run.duckdb") as ss:
@@ -75,7 +71,7 @@ def file(client: int, tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_views_in_a_file_find_everything(file: Path) -> None:
+def test_views_in_a_file_find_everything(file):
     names = ("mine", "contacts_history")  # the second is a name of ssduck's own
     with ssduck.Interpreter(file) as ss:
         for name in names:
@@ -100,7 +96,7 @@ CATALOG = [
 
 @pytest.mark.slow
 @sampled("sql", CATALOG, every=3)
-def test_the_catalog_has_everything(run: Path, sql: str) -> None:
+def test_the_catalog_has_everything(run, sql):
     with ssduck.open(run) as ss:
         names = {*TABLES, *(t.history_view for t in HISTORIES.values())}
         shown = {name for (name,) in ss.sql(sql).fetchall()}
@@ -118,15 +114,13 @@ def test_the_catalog_has_everything(run: Path, sql: str) -> None:
         ("SELECT * FROM contacts_histori", '"contacts_history"'),
     ],
 )
-def test_a_message_suggests_names_that_no_statement_had(
-    run: Path, sql: str, suggested: str
-) -> None:
+def test_a_message_suggests_names_that_no_statement_had(run, sql, suggested):
     with ssduck.open(run) as ss, pytest.raises(SqlError, match=suggested):
         ss.sql(sql)
 
 
 @pytest.mark.slow
-def test_a_users_own_views_and_macros_find_everything(run: Path) -> None:
+def test_a_users_own_views_and_macros_find_everything(run):
     with ssduck.open(run) as ss:
         ss.sql("SELECT 'entities'").fetchall()
         ss.sql("CREATE MACRO up(a, b) AS above(a, b)")
@@ -136,7 +130,7 @@ def test_a_users_own_views_and_macros_find_everything(run: Path) -> None:
 
 
 @pytest.mark.slow
-def test_macros_follow_the_worlds(run: Path) -> None:
+def test_macros_follow_the_worlds(run):
     touching = "SELECT count(*) FROM lab.entities a, lab.entities b WHERE {}clearance(a, b) < 5"
     with ssduck.open(run) as ss:
         (alone,) = ss.sql(touching.format("")).fetchall()
@@ -149,7 +143,7 @@ def test_macros_follow_the_worlds(run: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_users_statement_finds_everything(run: Path) -> None:
+def test_a_users_statement_finds_everything(run):
     with ssduck.open(run) as ss:
         ((count,),) = ss.sql("SELECT count(*) FROM entities_history").fetchall()
         assert count == BODIES * TICKS
@@ -158,7 +152,7 @@ def test_a_users_statement_finds_everything(run: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_program_and_a_statement_agree_in_any_order(run: Path) -> None:
+def test_a_program_and_a_statement_agree_in_any_order(run):
     program = "SELECT id FROM lab{} WHERE above(box_0, this) AS list;"
     sql = "SELECT b.name FROM entities_history a, entities_history b WHERE above(a, b) "
     sql += "AND a.tick = b.tick AND a.name = 'box_0' ORDER BY b.tick, b.id"
@@ -174,7 +168,7 @@ def test_a_program_and_a_statement_agree_in_any_order(run: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_recording_that_begins_anew_has_new_views(client: int) -> None:
+def test_a_recording_that_begins_anew_has_new_views(client):
     pybullet.createMultiBody(1, physicsClientId=client)
     with ssduck.Interpreter(recording=Recording(tables=("entities",))) as ss:
         world = ss.add_variable("lab", ssduck.World.attach(client))
@@ -191,7 +185,7 @@ def test_a_recording_that_begins_anew_has_new_views(client: int) -> None:
 
 
 @pytest.mark.slow
-def test_a_database_that_a_user_wrote_to_is_not(run: Path, pool: InstancePool) -> None:
+def test_a_database_that_a_user_wrote_to_is_not(run, pool):
     with ssduck.open(run) as ss:
         ss.sql("CREATE TABLE main.mine AS SELECT 1")
         ss.sql("SET threads = 2")
@@ -203,7 +197,7 @@ def test_a_database_that_a_user_wrote_to_is_not(run: Path, pool: InstancePool) -
 
 
 @pytest.mark.slow
-def test_a_database_whose_memory_was_limited_has_no_limit(run: Path, pool: InstancePool) -> None:
+def test_a_database_whose_memory_was_limited_has_no_limit(run, pool):
     """Opening a record and SelectScript do not seal it, as users' SQL does."""
     select = "SELECT name, value FROM duckdb_settings()"
     with ssduck.open(run) as ss:
@@ -218,7 +212,7 @@ def test_a_database_whose_memory_was_limited_has_no_limit(run: Path, pool: Insta
     pool.close()
 
 
-def test_limits_end_with_their_interpreter(run: Path, pool: InstancePool) -> None:
+def test_limits_end_with_their_interpreter(run, pool):
     strict = ssduck.Interpreter(limits=ssduck.Limits.strict(require=()))
     strict.eval("SELECT this FROM [1, 2] AS list;")
     strict.close()
@@ -230,7 +224,7 @@ def test_limits_end_with_their_interpreter(run: Path, pool: InstancePool) -> Non
 
 @pytest.mark.slow
 @pytest.mark.parametrize("changed", [False, True])
-def test_recorded_ticks_leave_nothing(client: int, pool: InstancePool, changed: bool) -> None:
+def test_recorded_ticks_leave_nothing(client, pool, changed):
     pybullet.createMultiBody(1, physicsClientId=client)
     for _ in range(3):
         with ssduck.Interpreter(recording=Recording(changed=changed)) as ss:
@@ -249,7 +243,7 @@ def test_recorded_ticks_leave_nothing(client: int, pool: InstancePool, changed: 
 
 
 @pytest.mark.slow
-def test_a_file_is_let_go(tmp_path: Path, pool: InstancePool, client: int) -> None:
+def test_a_file_is_let_go(tmp_path, pool, client):
     path = tmp_path / "run.duckdb"
     for _ in range(2):
         with ssduck.Interpreter(str(path)) as ss:
@@ -261,10 +255,10 @@ def test_a_file_is_let_go(tmp_path: Path, pool: InstancePool, client: int) -> No
     pool.close()
 
 
-def test_what_is_left_out_is_made_for_another_statement() -> None:
+def test_what_is_left_out_is_made_for_another_statement():
     """Of statements within one another, each has its own names left out."""
-    made: list[str] = []
-    on_demand: OnDemand[None] = OnDemand()
+    made = []
+    on_demand = OnDemand()
     on_demand.offer(("lab", "entities_history"), lambda _: made.append("rows"))
     select = "SELECT * FROM lab.entities_history"
     with on_demand.without([("lab", "entities_history")]):
@@ -276,13 +270,11 @@ def test_what_is_left_out_is_made_for_another_statement() -> None:
 
 
 @pytest.mark.slow
-def test_a_refused_statement_is_told_also_if_its_time_ends_meanwhile(
-    run: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_refused_statement_is_told_also_if_its_time_ends_meanwhile(run, monkeypatch):
     """All views and macros are made for DuckDB's suggestions, which may take long."""
     provide = Schemas.provide
 
-    def slowly(schemas: Schemas, *arguments: Any) -> None:
+    def slowly(schemas, *arguments):
         provide(schemas, *arguments)
         if arguments[-1] is not None:
             late = UsageMeter(ssduck.Limits(seconds=1e-9))

@@ -39,11 +39,7 @@ def blocks(language):
 
 
 # A part begins where a scene is loaded anew, or a library that may be missing is imported.
-BEGINNINGS = (
-    "import ssduck\n\nss = ssduck.load(",
-    "import gymnasium\n",
-    "import jax\n",
-)
+BEGINNINGS = ("import ssduck\n\nss = ssduck.load(", "import gymnasium\n", "import jax\n")
 
 
 def parts():

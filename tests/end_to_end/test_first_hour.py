@@ -7,7 +7,6 @@ plain Python asks PyBullet's getters; the answers are the same, to the step and 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import pybullet
@@ -39,7 +38,7 @@ class Loop:
     on_plane: list[bool] = field(default_factory=list)
     height: list[float] = field(default_factory=list)
 
-    def build(self) -> None:
+    def build(self):
         """Loads PyBullet's own models."""
         client = {"physicsClientId": self.client}
         pybullet.setAdditionalSearchPath(pybullet_data.getDataPath(), **client)
@@ -53,7 +52,7 @@ class Loop:
         for joint, angle in enumerate(HOME):
             pybullet.resetJointState(self.panda, joint, angle, **client)
 
-    def drive(self, step: int) -> None:
+    def drive(self, step):
         """Moves the fingers beside the cube, then across the table, then up."""
         time = step * STEP
         if time < 1.5:
@@ -81,10 +80,10 @@ class Loop:
             self.panda, [9, 10], targetPositions=[0.0, 0.0], **control
         )
 
-    def note(self) -> None:
+    def note(self):
         """Asks PyBullet about the last step."""
 
-        def points(a: int, b: int) -> list[tuple]:
+        def points(a, b):
             found = pybullet.getContactPoints(a, b, physicsClientId=self.client)
             # Separate shapes do not touch, unless the solver presses them.
             return [point for point in found if point[8] <= 0 or point[9] > 0]
@@ -100,7 +99,7 @@ class Loop:
 
 
 @pytest.fixture(scope="module")
-def hour() -> Iterator[tuple[Loop, ssduck.Interpreter]]:
+def hour():
     """The loop, after its last step."""
     client = pybullet.connect(pybullet.DIRECT)
     loop = Loop(client)
@@ -116,7 +115,7 @@ def hour() -> Iterator[tuple[Loop, ssduck.Interpreter]]:
     pybullet.disconnect(client)
 
 
-def test_time_went_on_with_each_step(hour: tuple[Loop, ssduck.Interpreter]) -> None:
+def test_time_went_on_with_each_step(hour):
     _, ss = hour
     assert ss.call_variable("sim").time == pytest.approx(STEPS * STEP, abs=1e-12)
     rows = ss.sql("SELECT tick, time FROM ticks_history ORDER BY tick").fetchall()
@@ -126,7 +125,7 @@ def test_time_went_on_with_each_step(hour: tuple[Loop, ssduck.Interpreter]) -> N
     )
 
 
-def test_the_finger_touched_the_cube(hour: tuple[Loop, ssduck.Interpreter]) -> None:
+def test_the_finger_touched_the_cube(hour):
     """When first, and with what greatest force: to the step, and to the last bit."""
     loop, ss = hour
     rows = ss.sql(
@@ -138,7 +137,7 @@ def test_the_finger_touched_the_cube(hour: tuple[Loop, ssduck.Interpreter]) -> N
         """,
         [LEFT_FINGER + 1],
     ).fetchall()
-    steps: dict[int, list[float]] = {}
+    steps = {}
     for step, force in rows:
         steps.setdefault(step, []).append(force)
     assert {step: sorted(forces) for step, forces in steps.items()} == {
@@ -149,7 +148,7 @@ def test_the_finger_touched_the_cube(hour: tuple[Loop, ssduck.Interpreter]) -> N
     assert max(force for _, force in rows) == greatest > 1.0
 
 
-def test_the_finger_is_found_by_its_name(hour: tuple[Loop, ssduck.Interpreter]) -> None:
+def test_the_finger_is_found_by_its_name(hour):
     loop, ss = hour
     ((first, greatest),) = ss.sql("""
         SELECT min(time), max(force) FROM contacts_history c
@@ -162,7 +161,7 @@ def test_the_finger_is_found_by_its_name(hour: tuple[Loop, ssduck.Interpreter]) 
 
 
 @pytest.mark.slow
-def test_questions_about_the_finger_as_a_value(hour: tuple[Loop, ssduck.Interpreter]) -> None:
+def test_questions_about_the_finger_as_a_value(hour):
     """In SelectScript and in raw SQL: when, with what force, and where it was."""
     loop, ss = hour
     steps = sorted(step for step, forces in loop.finger.items() if max(forces) > 0)
@@ -191,7 +190,7 @@ def test_questions_about_the_finger_as_a_value(hour: tuple[Loop, ssduck.Interpre
     assert [force for _, force in rows] == pytest.approx(forces, abs=1e-9)
 
 
-def test_the_cube_left_the_table(hour: tuple[Loop, ssduck.Interpreter]) -> None:
+def test_the_cube_left_the_table(hour):
     """Each time at which cube and table began or ceased to touch."""
     loop, ss = hour
     changes = ss.eval("changes(inContact(sim.table, sim.cube));")
@@ -210,7 +209,7 @@ def test_the_cube_left_the_table(hour: tuple[Loop, ssduck.Interpreter]) -> None:
 
 
 @pytest.mark.slow
-def test_how_long_the_cube_rests(hour: tuple[Loop, ssduck.Interpreter]) -> None:
+def test_how_long_the_cube_rests(hour):
     loop, ss = hour
     start = STEPS + 1
     while loop.on_plane[start - 2] and loop.height[start - 2] < 0.03:

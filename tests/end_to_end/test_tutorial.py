@@ -15,7 +15,7 @@ import ssduck
 from ssduck.simulators.scenes import find_scene
 
 # (cell, program, result)
-CELLS: list[tuple[str, str, Any]] = [
+CELLS = [
     ("8", "1+2*3-4/5.;", 6.2),
     (
         "9",

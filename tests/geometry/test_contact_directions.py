@@ -8,11 +8,7 @@ import pytest
 
 from ssduck.geometry.contact_support import MIN_RISING, MIN_UP
 from ssduck.geometry.on_pairs import are_on
-from ssduck.geometry.proofs.contact_directions import (
-    NOT_UPWARD,
-    UPWARD,
-    decide_upward,
-)
+from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD, decide_upward
 from ssduck.geometry.proofs.verdicts import UNDECIDED
 from tests.support import pairs
 from tests.support.pairs import Shape, gap

@@ -14,14 +14,7 @@ from ssduck.errors import ArgumentError
 from ssduck.geometry import mesh_files
 from ssduck.geometry.bounds import BoundingBoxes
 from ssduck.geometry.mesh_files import load_hulls, load_mesh
-from ssduck.geometry.poses import (
-    IDENTITY,
-    compose,
-    cross,
-    invert,
-    multiply,
-    rotation_matrices,
-)
+from ssduck.geometry.poses import IDENTITY, compose, cross, invert, multiply, rotation_matrices
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from tests.support.pairs import Shape, reach
 from tests.support.urdf import box_obj

@@ -17,16 +17,7 @@ from ssduck.schema import ID_FACTOR
 from tests.support import pairs
 from tests.support.cases import generated, sampled
 from tests.support.pairs import Shape
-from tests.support.solids import (
-    STRAIGHT,
-    box,
-    capsule,
-    cylinder,
-    mesh_of,
-    narrow,
-    plane,
-    sphere,
-)
+from tests.support.solids import STRAIGHT, box, capsule, cylinder, mesh_of, narrow, plane, sphere
 
 CONVEX = ("sphere", "box", "cylinder", "capsule", "ellipsoid", "hull", "flat")
 COMBINATIONS = list(itertools.combinations_with_replacement(CONVEX, 2))

@@ -1,13 +1,9 @@
 """Records in the formats of other tools, read back by the libraries of these, and imported."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -34,7 +30,7 @@ TICKS = 49
 
 
 @pytest.fixture(scope="module")
-def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def record(tmp_path_factory):
     """Two episodes of a board, balls, and an arm whose joint moves, each tick at 1/240 s."""
     place = tmp_path_factory.mktemp("formats") / "r"
     for task in ("drop", "swing"):
@@ -47,7 +43,7 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-def rows(place: Path, episode: int | None = None) -> list[tuple[Any, ...]]:
+def rows(place, episode=None):
     with ssduck.open(place, episode=episode) as ss:
         names = ", ".join(POSE)
         links = f"SELECT time, full_name, {names} FROM links_history WHERE link > 0"
@@ -57,7 +53,7 @@ def rows(place: Path, episode: int | None = None) -> list[tuple[Any, ...]]:
 
 
 @pytest.mark.slow
-def test_what_moves_in_an_episode(record: Path) -> None:
+def test_what_moves_in_an_episode(record):
     motion = motion_of(FolderRun(record, "lab", 0))
     assert motion.names == ["board", "ball", "other", "arm", "arm.link1"]
     found = [
@@ -76,12 +72,12 @@ def test_what_moves_in_an_episode(record: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def dataset(record: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def dataset(record, tmp_path_factory):
     place = tmp_path_factory.mktemp("lerobot") / "d"
     return write_dataset(place, map(motion_of, runs_in(record)))
 
 
-def test_a_dataset_has_the_published_layout(record: Path, dataset: Path) -> None:
+def test_a_dataset_has_the_published_layout(record, dataset):
     """Its files are those that LeRobotDatasetMetadata 3.0 loads, with the values that it reads."""
     info = json.loads((dataset / "meta/info.json").read_text())
     assert (info["codebase_version"], info["fps"], info["splits"]) == (
@@ -119,7 +115,7 @@ def test_a_dataset_has_the_published_layout(record: Path, dataset: Path) -> None
     assert info["features"][JOINTS]["names"] == list(motion.joints)
 
 
-def test_statistics_are_those_of_the_frames(dataset: Path) -> None:
+def test_statistics_are_those_of_the_frames(dataset):
     frames = pq.read_table(dataset / "data/chunk-000/file-000.parquet").to_pandas()
     stats = json.loads((dataset / "meta/stats.json").read_text())
     episodes = pq.read_table(dataset / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
@@ -140,7 +136,7 @@ def test_statistics_are_those_of_the_frames(dataset: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_dataset_is_imported_again(record: Path, dataset: Path, tmp_path: Path) -> None:
+def test_a_dataset_is_imported_again(record, dataset, tmp_path):
     with pytest.warns(UserWarning, match="has no shapes.*; not read: observation.state"):
         episodes = ssduck.import_poses(dataset, tmp_path / "r", world="lab")
     assert [episode.tags for episode in episodes] == [
@@ -155,7 +151,7 @@ def test_a_dataset_is_imported_again(record: Path, dataset: Path, tmp_path: Path
     assert [row[0] for row in found] == pytest.approx([row[0] for row in expected], abs=1e-12)
 
 
-def test_frames_per_second_choose_ticks(record: Path, tmp_path: Path) -> None:
+def test_frames_per_second_choose_ticks(record, tmp_path):
     (run, _) = runs_in(record)
     write_dataset(tmp_path / "d", [motion_of(run)], fps=30)
     frames = pq.read_table(tmp_path / "d/data/chunk-000/file-000.parquet").to_pandas()
@@ -164,7 +160,7 @@ def test_frames_per_second_choose_ticks(record: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_is_no_dataset_is_an_error(record: Path, tmp_path: Path) -> None:
+def test_what_is_no_dataset_is_an_error(record, tmp_path):
     uneven = np.array([0.0, 0.1, 0.2, 0.35])
     ssduck.write_record(tmp_path / "a", ["cup"], np.zeros((4, 1, 3)), uneven)
     ssduck.write_record(tmp_path / "a", ["cup"], np.zeros((3, 1, 3)), [0, 0.1, 0.2])
@@ -194,7 +190,7 @@ def test_what_is_no_dataset_is_an_error(record: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_an_entity_that_comes_later_is_no_dataset(tmp_path: Path) -> None:
+def test_an_entity_that_comes_later_is_no_dataset(tmp_path):
     client = pybullet.connect(pybullet.DIRECT)
     with ssduck.Interpreter(recording=ALL) as ss:
         live_lab(ss, client)
@@ -212,14 +208,14 @@ def test_an_entity_that_comes_later_is_no_dataset(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def mcap_file(record: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def mcap_file(record, tmp_path_factory):
     pytest.importorskip("foxglove_schemas_protobuf", reason="the extra mcap is not installed")
     place = tmp_path_factory.mktemp("mcap") / "run.mcap"
     assert write_runs([FolderRun(record, "lab", 0)], place, "mcap") == [place]
     return place
 
 
-def messages(file: Path, topic: str) -> list[Any]:
+def messages(file, topic):
     from mcap.reader import make_reader
     from mcap_protobuf.decoder import DecoderFactory
 
@@ -228,7 +224,7 @@ def messages(file: Path, topic: str) -> list[Any]:
         return [(m.log_time, told) for _, _, m, told in reader.iter_decoded_messages([topic])]
 
 
-def test_doubles_of_an_mcap_file_are_those_of_the_record(record: Path, mcap_file: Path) -> None:
+def test_doubles_of_an_mcap_file_are_those_of_the_record(record, mcap_file):
     motion = motion_of(FolderRun(record, "lab", 0))
     told = messages(mcap_file, "/tf")
     assert [moment for moment, _ in told] == [round(t * 1e9) for t in motion.times]
@@ -241,7 +237,7 @@ def test_doubles_of_an_mcap_file_are_those_of_the_record(record: Path, mcap_file
             assert one.timestamp.seconds * 10**9 + one.timestamp.nanos == moment
 
 
-def test_the_scene_of_an_mcap_file_has_the_shapes(mcap_file: Path) -> None:
+def test_the_scene_of_an_mcap_file_has_the_shapes(mcap_file):
     ((_, update),) = messages(mcap_file, "/scene")
     entities = {entity.id: entity for entity in update.entities}
     assert list(entities) == ["board", "ball", "other", "arm", "arm.link1"]
@@ -265,19 +261,19 @@ FORMS = {
 
 
 @pytest.fixture(scope="module")
-def forms(tmp_path_factory: pytest.TempPathFactory) -> FolderRun:
+def forms(tmp_path_factory):
     place = tmp_path_factory.mktemp("forms") / "r"
     ssduck.write_record(place, FORMS, {name: [0.0, 0, 1] for name in FORMS}, [0.0, 1.0])
     return folder_run(place, None, None)
 
 
-def test_each_form_of_shapes_is_in_the_scene(forms: FolderRun, tmp_path: Path) -> None:
+def test_each_form_of_shapes_is_in_the_scene(forms, tmp_path):
     pytest.importorskip("foxglove_schemas_protobuf", reason="the extra mcap is not installed")
     write_runs([forms], tmp_path / "forms.mcap", "mcap")
     ((_, update),) = messages(tmp_path / "forms.mcap", "/scene")
     entities = {entity.id: entity for entity in update.entities}
 
-    def size(primitive: Any) -> list[float]:
+    def size(primitive):
         return [primitive.size.x, primitive.size.y, primitive.size.z]
 
     assert size(entities["box"].cubes[0]) == [1, 2, 4]
@@ -299,7 +295,7 @@ def test_each_form_of_shapes_is_in_the_scene(forms: FolderRun, tmp_path: Path) -
 
 
 @pytest.mark.slow
-def test_entities_that_go_are_deleted_from_the_scene(tmp_path: Path) -> None:
+def test_entities_that_go_are_deleted_from_the_scene(tmp_path):
     pytest.importorskip("foxglove_schemas_protobuf", reason="the extra mcap is not installed")
     client = pybullet.connect(pybullet.DIRECT)
     with ssduck.Interpreter(recording=ALL) as ss:
@@ -313,7 +309,7 @@ def test_entities_that_go_are_deleted_from_the_scene(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_an_mcap_file_is_imported_again(record: Path, mcap_file: Path, tmp_path: Path) -> None:
+def test_an_mcap_file_is_imported_again(record, mcap_file, tmp_path):
     with pytest.warns(UserWarning, match="tells of poses; its record has no shapes"):
         (episode,) = ssduck.import_poses(mcap_file, tmp_path / "r")
     assert (episode.world, episode.tags) == ("lab", {"task": "drop", "success": True})
@@ -332,7 +328,7 @@ def test_an_mcap_file_is_imported_again(record: Path, mcap_file: Path, tmp_path:
 
 
 @pytest.mark.slow
-def test_ticks_of_one_nanosecond_keep_their_times(tmp_path: Path) -> None:
+def test_ticks_of_one_nanosecond_keep_their_times(tmp_path):
     pytest.importorskip("foxglove_schemas_protobuf", reason="the extra mcap is not installed")
     times = [0.0, 1e-10, 2e-10, 1.0, 1.0 + 4e-16, 1.5]
     poses = np.arange(3.0 * len(times)).reshape(-1, 1, 3)
@@ -346,7 +342,7 @@ def test_ticks_of_one_nanosecond_keep_their_times(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("time", [-0.5, 1e10])
-def test_times_that_mcap_has_not_are_an_error(tmp_path: Path, time: float) -> None:
+def test_times_that_mcap_has_not_are_an_error(tmp_path, time):
     pytest.importorskip("foxglove_schemas_protobuf", reason="the extra mcap is not installed")
     ssduck.write_record(tmp_path / "r", ["cup"], np.zeros((1, 1, 3)), [time])
     with pytest.raises(ArgumentError, match=r"a tick at .* s: times in an MCAP file are from 0 s"):
@@ -355,7 +351,7 @@ def test_times_that_mcap_has_not_are_an_error(tmp_path: Path, time: float) -> No
 
 
 @pytest.mark.slow
-def test_files_of_others(tmp_path: Path) -> None:
+def test_files_of_others(tmp_path):
     """Poses by topics and transforms are read; other topics are named."""
     pytest.importorskip("foxglove_schemas_protobuf", reason="the extra mcap is not installed")
     from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
@@ -363,7 +359,7 @@ def test_files_of_others(tmp_path: Path) -> None:
     from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
     from mcap_protobuf.writer import Writer
 
-    def write(name: str, parents: tuple[str, ...]) -> Path:
+    def write(name, parents):
         with (tmp_path / name).open("wb") as stream, Writer(stream) as writer:
             for second in range(3):
                 pose = PoseInFrame(frame_id=parents[0])
@@ -410,9 +406,7 @@ FORGED_MCAP = [
 
 
 @pytest.mark.parametrize(("part", "content", "message"), FORGED_MCAP)
-def test_a_forged_mcap_file_is_an_error(
-    tmp_path: Path, part: str, content: Any, message: str
-) -> None:
+def test_a_forged_mcap_file_is_an_error(tmp_path, part, content, message):
     pytest.importorskip("foxglove_schemas_protobuf", reason="the extra mcap is not installed")
     from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
     from mcap_protobuf.writer import Writer
@@ -435,9 +429,7 @@ def test_a_forged_mcap_file_is_an_error(
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*tells of poses")
-def test_a_damaged_mcap_file_has_its_poses_or_is_an_error(
-    record: Path, mcap_file: Path, tmp_path: Path
-) -> None:
+def test_a_damaged_mcap_file_has_its_poses_or_is_an_error(record, mcap_file, tmp_path):
     content, right, errors = mcap_file.read_bytes(), rows(record, 0), 0
     for number in range(20):
         damaged = bytearray(content)
@@ -453,16 +445,16 @@ def test_a_damaged_mcap_file_has_its_poses_or_is_an_error(
     assert errors > 10  # the index is not read
 
 
-def _info(**values: Any) -> Callable[[Path], Any]:
-    def change(dataset: Path) -> None:
+def _info(**values):
+    def change(dataset):
         content = json.loads((dataset / "meta/info.json").read_text()) | values
         (dataset / "meta/info.json").write_text(json.dumps(content))
 
     return change
 
 
-def _tags(text: str) -> Callable[[Path], Any]:
-    def change(dataset: Path) -> None:
+def _tags(text):
+    def change(dataset):
         (file,) = (dataset / "meta/episodes").glob("*/*.parquet")
         about = pq.read_table(file).to_pylist()
         about[0]["ssduck/tags"] = text
@@ -472,7 +464,7 @@ def _tags(text: str) -> Callable[[Path], Any]:
 
 
 DATA, ABOUT = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet"
-FORGED_DATASETS: dict[str, tuple[Callable[[Path], Any], str]] = {
+FORGED_DATASETS = {
     "no file": (_info(data_path="../outside"), "no such file"),
     "features": (_info(features=[1]), "tells of no named frames"),
     "tags": (_tags("[1]"), "its tags are no object"),
@@ -480,7 +472,7 @@ FORGED_DATASETS: dict[str, tuple[Callable[[Path], Any], str]] = {
 
 
 @pytest.mark.parametrize("name", FORGED_DATASETS)
-def test_a_forged_dataset_is_an_error(dataset: Path, tmp_path: Path, name: str) -> None:
+def test_a_forged_dataset_is_an_error(dataset, tmp_path, name):
     change, message = FORGED_DATASETS[name]
     place = Path(shutil.copytree(dataset, tmp_path / "d"))
     change(place)
@@ -492,7 +484,7 @@ def test_a_forged_dataset_is_an_error(dataset: Path, tmp_path: Path, name: str) 
 # -- Rerun --------------------------------------------------------------------------------------
 
 
-def test_a_recording_of_rerun(record: Path, tmp_path: Path) -> None:
+def test_a_recording_of_rerun(record, tmp_path):
     pytest.importorskip("rerun", reason="the extra rerun is not installed")
     chunk = pytest.importorskip("rerun.chunk", reason="this rerun-sdk reads no files")
     motion = motion_of(FolderRun(record, "lab", 0))
@@ -506,7 +498,7 @@ def test_a_recording_of_rerun(record: Path, tmp_path: Path) -> None:
     assert np.array(found) == pytest.approx(motion.poses[:, 1, :3], rel=1e-6)  # of 32 bits
 
 
-def test_each_form_of_shapes_is_in_a_recording_of_rerun(forms: FolderRun, tmp_path: Path) -> None:
+def test_each_form_of_shapes_is_in_a_recording_of_rerun(forms, tmp_path):
     pytest.importorskip("rerun", reason="the extra rerun is not installed")
     chunk = pytest.importorskip("rerun.chunk", reason="this rerun-sdk reads no files")
     (file,) = write_runs([forms], tmp_path / "forms.rrd", "rrd")
@@ -531,7 +523,7 @@ def test_each_form_of_shapes_is_in_a_recording_of_rerun(forms: FolderRun, tmp_pa
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # the command writes them
-def test_the_commands_export_and_import(record: Path, tmp_path: Path) -> None:
+def test_the_commands_export_and_import(record, tmp_path):
     out = str(tmp_path / "d")
     assert answer("export", str(record), "-o", out, "--format", "lerobot") == f"{out}\n"
     answer("export", str(record), "-o", out + "1", "--format", "lerobot", "--episode", "1")
@@ -544,7 +536,7 @@ def test_the_commands_export_and_import(record: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_part_of_a_record_in_a_file_is_exported(record: Path, tmp_path: Path) -> None:
+def test_a_part_of_a_record_in_a_file_is_exported(record, tmp_path):
     answer("export", str(record), "-o", str(tmp_path / "d"), "--format", "lerobot",
            "--entities", "ball", "--start", "0.05", "--end", "0.1")  # fmt: skip
     info = json.loads((tmp_path / "d/meta/info.json").read_text())
@@ -561,7 +553,7 @@ def test_a_part_of_a_record_in_a_file_is_exported(record: Path, tmp_path: Path) 
         (["--format", "mcap", "--episode", "7"], "no such episode"),
     ],
 )
-def test_wrong_exports(record: Path, tmp_path: Path, arguments: list[str], message: str) -> None:
+def test_wrong_exports(record, tmp_path, arguments, message):
     try:
         result = ssduck_("export", str(record), "-o", str(tmp_path / "x"), *arguments)
     except SelectScriptError as error:
@@ -572,13 +564,13 @@ def test_wrong_exports(record: Path, tmp_path: Path, arguments: list[str], messa
     assert not (tmp_path / "x").exists()
 
 
-def test_two_episodes_are_no_file(record: Path, tmp_path: Path) -> None:
+def test_two_episodes_are_no_file(record, tmp_path):
     message = r"there are 2: choose one \(--world, --episode\), or name a folder"
     with pytest.raises(ArgumentError, match=message):
         write_runs(runs_in(record), tmp_path / "x.mcap", "mcap")
 
 
-def test_a_wrong_format_names_the_right_ones(record: Path, tmp_path: Path) -> None:
+def test_a_wrong_format_names_the_right_ones(record, tmp_path):
     with pytest.raises(ArgumentError, match="choose one of lerobot, mcap, rrd"):
         write_runs(runs_in(record), tmp_path / "x", "foo")
 
@@ -591,7 +583,7 @@ def test_a_wrong_format_names_the_right_ones(record: Path, tmp_path: Path) -> No
         ({"codebase_version": "v3.0"}, "tells of no named frames"),
     ],
 )  # fmt: skip
-def test_other_datasets_are_errors(tmp_path: Path, content: dict, message: str) -> None:
+def test_other_datasets_are_errors(tmp_path, content, message):
     (tmp_path / "d/meta").mkdir(parents=True)
     (tmp_path / "d/meta/info.json").write_text(json.dumps(content))
     with pytest.raises(RecordError, match=message):

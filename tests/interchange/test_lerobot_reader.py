@@ -1,10 +1,6 @@
 """What a dataset of LeRobot tells twice is the same twice, or an error."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -17,35 +13,25 @@ pytestmark = pytest.mark.filterwarnings("ignore:.*tells of poses; its record has
 
 FPS, COUNT = 10, 5
 DATA, ABOUT = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet"
-INFO: dict[str, Any] = {
+INFO = {
     "codebase_version": "v3.0",
     "fps": FPS,
     "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
     "features": {"p": {"names": ["cup.x", "cup.y", "cup.z"]}, "q": {"names": ["gripper"]}},
 }
 # The cup is at the height of its frame's number, so that a wrong order shows.
-ROWS: dict[str, Any] = {
+ROWS = {
     "p": [[0.5, -1.0, float(frame)] for frame in range(COUNT)],
     "q": [9.0] * COUNT,
     "timestamp": [frame / FPS for frame in range(COUNT)],
     "frame_index": [*range(COUNT)],
     "episode_index": [0] * COUNT,
 }
-EPISODE: dict[str, Any] = {
-    "episode_index": 0,
-    "data/chunk_index": 0,
-    "data/file_index": 0,
-    "tasks": ["lift"],
-}
+EPISODE = {"episode_index": 0, "data/chunk_index": 0, "data/file_index": 0, "tasks": ["lift"]}
 RIGHT = [(frame / FPS, "cup", 0.5, -1.0, float(frame)) for frame in range(COUNT)]
 
 
-def written(
-    place: Path,
-    info: dict[str, Any] | None = None,
-    rows: dict[str, Any] | pa.Table | None = None,
-    episodes: list[dict[str, Any]] | None = None,
-) -> Path:
+def written(place, info=None, rows=None, episodes=None):
     """Writes a dataset of one episode, with what is given in the place of what it has."""
     for name in (DATA, ABOUT):
         (place / name).parent.mkdir(parents=True)
@@ -56,7 +42,7 @@ def written(
     return place
 
 
-def imported(dataset: Path) -> list[tuple[Any, ...]]:
+def imported(dataset):
     ssduck.import_poses(dataset, dataset.parent / "r")
     with ssduck.open(dataset.parent / "r") as ss:
         return ss.sql("SELECT time, name, x, y, z FROM entities_history ORDER BY tick").fetchall()
@@ -69,15 +55,13 @@ NESTED = [[[0.0, 1.0], [2.0, 3.0], [frame, 4.0]] for frame in range(COUNT)]
 @pytest.mark.slow
 @pytest.mark.parametrize("has_number", [True, False])
 @pytest.mark.parametrize("order", ORDERS, ids=str)
-def test_the_order_of_stored_rows_does_not_count(
-    tmp_path: Path, order: list[int], has_number: bool
-) -> None:
+def test_the_order_of_stored_rows_does_not_count(tmp_path, order, has_number):
     rows = pa.table(ROWS).take(order)
     rows = rows if has_number else rows.drop_columns("frame_index")
     assert imported(written(tmp_path / "d", rows=rows)) == RIGHT
 
 
-VALID: dict[str, dict[str, Any]] = {
+VALID = {
     "as it is": {},
     "a length": {"episodes": [EPISODE | {"length": COUNT}]},
     "whole frames per second": {"info": {"fps": 10.0}},
@@ -90,12 +74,12 @@ VALID: dict[str, dict[str, Any]] = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", VALID)
-def test_valid_datasets_are_read(tmp_path: Path, name: str) -> None:
+def test_valid_datasets_are_read(tmp_path, name):
     assert imported(written(tmp_path / "d", **VALID[name])) == RIGHT
 
 
 @pytest.mark.slow
-def test_timestamps_of_a_long_episode_agree_although_they_have_32_bits(tmp_path: Path) -> None:
+def test_timestamps_of_a_long_episode_agree_although_they_have_32_bits(tmp_path):
     count = 40_001  # at 30 frames per second, 22 minutes: their rounding is 6e-5 s
     rows = {
         "p": [[0.0, 0.0, 0.0]] * count,
@@ -108,7 +92,7 @@ def test_timestamps_of_a_long_episode_agree_although_they_have_32_bits(tmp_path:
     assert (len(found), found[-1][0]) == (count, (count - 1) / 30)
 
 
-WRONG: dict[str, tuple[Any, str]] = {
+WRONG = {
     "uneven timestamps": (
         {"rows": {"timestamp": [0.0, 0.1, 5.0, 9.0, 10.0]}},
         "timestamp 5 s at the frame 2, which at 10 frames per second is at 0.2 s",
@@ -125,18 +109,12 @@ WRONG: dict[str, tuple[Any, str]] = {
         {"rows": {"timestamp": [0.4, 0.3, 0.2, 0.1, 0.0]}},
         "timestamp 0.4 s at the frame 0",
     ),
-    "a frame twice": (
-        {"rows": {"frame_index": [0, 1, 1, 2, 3]}},
-        "frame_index 1 where 2 is due",
-    ),
+    "a frame twice": ({"rows": {"frame_index": [0, 1, 1, 2, 3]}}, "frame_index 1 where 2 is due"),
     "a frame is missing": (
         {"rows": pa.table(ROWS).take([0, 1, 3, 4])},
         "frame_index 3 where 2 is due",
     ),
-    "a frame without a number": (
-        {"rows": {"frame_index": [0, 1, None, 3, 4]}},
-        "where 2 is due",
-    ),
+    "a frame without a number": ({"rows": {"frame_index": [0, 1, None, 3, 4]}}, "where 2 is due"),
     "a number in two features": (
         {"info": {"features": INFO["features"] | {"q": {"names": ["cup.x"]}}}},
         "two numbers named 'cup.x', in the features p and q",
@@ -149,18 +127,12 @@ WRONG: dict[str, tuple[Any, str]] = {
         {"rows": {"p": [[0.0, 0, 1, 7]] * COUNT}},
         "has 4 numbers in a frame",
     ),
-    "fewer numbers": (
-        {"rows": {"p": [[0.0, 0]] * COUNT}},
-        "has 2 numbers in a frame, and 3 names",
-    ),
+    "fewer numbers": ({"rows": {"p": [[0.0, 0]] * COUNT}}, "has 2 numbers in a frame, and 3 names"),
     "now more, now fewer": (
         {"rows": {"p": [[0.0, 0, 1], [0.0, 0], [0.0, 0, 1, 2], [0.0, 0, 1], [0.0, 0, 1]]}},
         "numbers in a frame, and 3 names",
     ),
-    "no numbers at a frame": (
-        {"rows": {"p": [None, *ROWS["p"][1:]]}},
-        "has no numbers in a frame",
-    ),
+    "no numbers at a frame": ({"rows": {"p": [None, *ROWS["p"][1:]]}}, "has no numbers in a frame"),
     "one number": ({"rows": {"p": [0.0] * COUNT}}, "has 1 numbers in a frame, and 3 names"),
     "nested lists": ({"rows": {"p": NESTED}}, "it has to be a list of 3 numbers"),
     "texts": ({"rows": {"p": [["1", "2", "3"]] * COUNT}}, "it has to be a list of 3 numbers"),
@@ -190,7 +162,7 @@ WRONG: dict[str, tuple[Any, str]] = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_a_dataset_that_contradicts_itself_is_an_error(tmp_path: Path, name: str) -> None:
+def test_a_dataset_that_contradicts_itself_is_an_error(tmp_path, name):
     given, message = WRONG[name]
     dataset = written(tmp_path / "d", **given)
     with pytest.raises(RecordError) as raised:
@@ -199,14 +171,14 @@ def test_a_dataset_that_contradicts_itself_is_an_error(tmp_path: Path, name: str
     assert not (tmp_path / "r").exists()
 
 
-NAMES: dict[str, Any] = {
+NAMES = {
     "p": {"names": ["cup.x", "cup.y", "cup.z", "lid.x", "grip"]},
     "q": {"names": {"motors": ["a"]}},
     "timestamp": {},
 }
 
 
-def test_what_is_not_read_is_told_of(tmp_path: Path) -> None:
+def test_what_is_not_read_is_told_of(tmp_path):
     """A feature whole, names of a feature that has poses, and further tasks of each episode."""
     rows = {"p": [[0.5, -1.0, float(frame), 1.0, 2.0] for frame in range(COUNT)]}
     second = EPISODE | {"episode_index": 1, "tasks": ["lift", "put"]}
@@ -219,7 +191,7 @@ def test_what_is_not_read_is_told_of(tmp_path: Path) -> None:
         ssduck.import_poses(dataset, tmp_path / "r")
 
 
-def test_many_names_that_are_not_read_are_counted(tmp_path: Path) -> None:
+def test_many_names_that_are_not_read_are_counted(tmp_path):
     names = ["cup.x", "cup.y", "cup.z", *(f"n{k}" for k in range(20))]
     rows = {"p": [[0.5, -1.0, 0.0, *[1.0] * 20]] * COUNT}
     dataset = written(tmp_path / "d", {"features": {"p": {"names": names}}}, rows)
@@ -227,7 +199,7 @@ def test_many_names_that_are_not_read_are_counted(tmp_path: Path) -> None:
         ssduck.import_poses(dataset, tmp_path / "r")
 
 
-def test_a_part_of_an_orientation_is_an_error(tmp_path: Path) -> None:
+def test_a_part_of_an_orientation_is_an_error(tmp_path):
     """It was read as a rotation of length 2**0.5."""
     features = {"p": {"names": ["cup.x", "cup.y", "cup.z", "cup.qz"]}}
     rows = {"p": [[0.5, -1.0, 0.0, 1.0]] * COUNT}

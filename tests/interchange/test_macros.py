@@ -1,10 +1,6 @@
 """Plain DuckDB answers relations over the Parquet of a record as ssduck does."""
 
-from __future__ import annotations
-
 import math
-from pathlib import Path
-from typing import Any
 
 import duckdb
 import polars as pl
@@ -17,7 +13,6 @@ from ssduck.interchange.macros import macro_script, pairs_of
 from ssduck.interpreter.archives import folder_run
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS
 from ssduck.sql.relations.registry import RELATIONS
-from tests.support.archive import Archive
 from tests.support.cases import sampled
 from tests.support.command_line import answer, ssduck_
 from tests.support.recorded import ALL, live_lab
@@ -45,12 +40,12 @@ FORMS = {
 
 
 @pytest.fixture(scope="module")
-def record(tmp_path_factory: pytest.TempPathFactory, archive: Archive) -> Path:
+def record(tmp_path_factory, archive):
     """A record of a world that changes on its way, with a sensor, contacts and pairs."""
     return archive.copy(write_lab, tmp_path_factory.mktemp("macros") / "it's [1]")
 
 
-def write_lab(place: Path) -> None:
+def write_lab(place):
     client = pybullet.connect(pybullet.DIRECT)
     with ssduck.Interpreter(recording=ALL) as ss:
         live_lab(ss, client)
@@ -59,19 +54,19 @@ def write_lab(place: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def opened(record: Path):
+def opened(record):
     with ssduck.open(record) as ss:
         yield ss
 
 
 @pytest.fixture(scope="module")
-def plain(record: Path):
+def plain(record):
     with duckdb.connect() as connection:
         connection.execute(macro_script(run=folder_run(record, None, None)).text)
         yield connection
 
 
-def calls() -> list[tuple[str, str, str]]:
+def calls():
     """Each relation that plain DuckDB can have, with each number of arguments, as a call."""
     names = [name for name in RELATIONS if name not in SHAPES | JOINTS]
     result = []
@@ -90,7 +85,7 @@ def calls() -> list[tuple[str, str, str]]:
     return result
 
 
-def same(found: Any, expected: Any) -> bool:
+def same(found, expected):
     if isinstance(expected, float) and isinstance(found, float):
         return (
             found == expected
@@ -104,15 +99,13 @@ def same(found: Any, expected: Any) -> bool:
 
 @pytest.mark.parametrize("table", ["entities", "links"])
 @sampled(("name", "call", "sources"), calls(), every=2)
-def test_each_macro_answers_as_ssduck(
-    opened: ssduck.Interpreter, plain: Any, name: str, call: str, sources: str, table: str
-) -> None:
+def test_each_macro_answers_as_ssduck(opened, plain, name, call, sources, table):
     if table == "links" and (name in PAIRED or name in SENSINGS | {"environmentID", "hasBody"}):
         pytest.skip("of entities only")
 
     last = opened.past("lab").ticks[-1] - 20
 
-    def query(history: str, schema: str = "") -> str:
+    def query(history, schema=""):
         second = f" JOIN {schema}entities{history} b USING (tick)" if sources == "ab" else ""
         ids = "a.id, b.id" if sources == "ab" else "a.id"
         first = f"{schema}{table}{history} a"
@@ -128,7 +121,7 @@ def test_each_macro_answers_as_ssduck(
 
 
 @pytest.mark.slow
-def test_some_answers_differ_from_row_to_row(plain: Any) -> None:
+def test_some_answers_differ_from_row_to_row(plain):
     """Equal answers could be those of nothing at all."""
     for call in (
         "above(a, b)",
@@ -146,7 +139,7 @@ def test_some_answers_differ_from_row_to_row(plain: Any) -> None:
     assert forces[0] > 10
 
 
-def test_intervals_and_their_relations(plain: Any) -> None:
+def test_intervals_and_their_relations(plain):
     plain.execute(
         "CREATE TEMP VIEW held AS SELECT tick, time, any_value(z) < 0.15 AS holds FROM entities "
         "WHERE name = 'other' GROUP BY ALL"
@@ -160,7 +153,7 @@ def test_intervals_and_their_relations(plain: Any) -> None:
 
 
 @pytest.mark.slow
-def test_without_a_record_there_are_formulas() -> None:
+def test_without_a_record_there_are_formulas():
     script = macro_script()
     lookups = SHAPES | JOINTS | PAIRED | CONTACTS | SENSINGS | FORMS | {"settled"}
     assert set(script.missing) == lookups
@@ -170,13 +163,13 @@ def test_without_a_record_there_are_formulas() -> None:
 
 
 @pytest.mark.slow
-def test_with_a_record_only_shapes_and_joints_are_missing(record: Path) -> None:
+def test_with_a_record_only_shapes_and_joints_are_missing(record):
     script = macro_script(run=folder_run(record, "lab", 0))
     assert set(script.missing) == SHAPES | JOINTS
 
 
 @pytest.mark.slow
-def test_what_is_not_recorded_is_missing(tmp_path: Path) -> None:
+def test_what_is_not_recorded_is_missing(tmp_path):
     ssduck.write_record(tmp_path / "r", ["a", "b"], {"a": [0, 0, 1], "b": [0, 0, 0]}, [0.0])
     script = macro_script(run=folder_run(tmp_path / "r", None, None))
     assert set(script.missing) == SHAPES | JOINTS | PAIRED | CONTACTS | SENSINGS
@@ -191,7 +184,7 @@ def test_what_is_not_recorded_is_missing(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_frames_of_pandas_and_polars_are_asked_by_duckdb(record: Path) -> None:
+def test_frames_of_pandas_and_polars_are_asked_by_duckdb(record):
     files = sorted((record / "entities").rglob("*.parquet"))
     polars_frame = pl.concat([pl.read_parquet(file, glob=False) for file in files])
     pandas_frame = polars_frame.to_pandas()
@@ -214,7 +207,7 @@ def test_frames_of_pandas_and_polars_are_asked_by_duckdb(record: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_table_of_pairs_has_all_that_are_near(record: Path, plain: Any) -> None:
+def test_the_table_of_pairs_has_all_that_are_near(record, plain):
     file, within = pairs_of(folder_run(record, None, None))
     assert within == WITHIN
     with ssduck.open(record) as ss:
@@ -243,7 +236,7 @@ def test_the_table_of_pairs_has_all_that_are_near(record: Path, plain: Any) -> N
 
 
 @pytest.mark.slow
-def test_pairs_of_a_part_of_a_record(record: Path, tmp_path: Path) -> None:
+def test_pairs_of_a_part_of_a_record(record, tmp_path):
     with ssduck.open(record) as ss:
         ss.export(tmp_path / "r", entities=["board", "other"], start=0.05, end=0.1, pairs=0.1)
         with pytest.raises(NumberError, match="less than 0"):
@@ -259,9 +252,7 @@ def test_pairs_of_a_part_of_a_record(record: Path, tmp_path: Path) -> None:
     ("call", "message"),
     [("near(a, b, 0.75)", "within 0.5 m"), ("collides(l, b)", "entities, and no links")],
 )
-def test_what_the_table_of_pairs_cannot_tell_is_an_error(
-    plain: Any, call: str, message: str
-) -> None:
+def test_what_the_table_of_pairs_cannot_tell_is_an_error(plain, call, message):
     sources = "entities a JOIN entities b USING (tick) JOIN links l USING (tick)"
     with pytest.raises(duckdb.Error, match=message):
         plain.execute(f"SELECT count(*) FILTER ({call}) FROM {sources}").fetchall()
@@ -271,7 +262,7 @@ def test_what_the_table_of_pairs_cannot_tell_is_an_error(
 
 
 @pytest.mark.slow
-def test_the_command_writes_a_script(record: Path, tmp_path: Path) -> None:
+def test_the_command_writes_a_script(record, tmp_path):
     copy = str(tmp_path / "copy")
     answer("export", str(record), "-o", copy, "--pairs", "0.1")
     written = answer("macros", "--of", copy, "-o", str(tmp_path / "m.sql"))
@@ -287,20 +278,20 @@ def test_the_command_writes_a_script(record: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")
-def test_a_relation_that_is_not_written_is_a_warning() -> None:
+def test_a_relation_that_is_not_written_is_a_warning():
     result = ssduck_("macros", "above", "near")
     assert result.stdout.count("CREATE") == 1
     assert "near is not written: it is of shapes, which only ssduck compares" in result.stderr
     assert "is not written" not in ssduck_("macros").stderr
 
 
-def test_a_wrong_name_is_an_error() -> None:
+def test_a_wrong_name_is_an_error():
     with pytest.raises(UnknownNameError, match="did you mean 'above'"):
         macro_script(["abvoe"])
     assert ssduck_("macros", "--episode", "1").exit_code == 2
 
 
-def test_several_worlds_need_a_name(tmp_path: Path) -> None:
+def test_several_worlds_need_a_name(tmp_path):
     for world in ("one", "two"):
         ssduck.write_record(tmp_path, ["a"], {"a": [0, 0, 0]}, [0.0], world=world)
     with pytest.raises(RecordError, match="several worlds: one, two"):

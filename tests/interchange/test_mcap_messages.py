@@ -1,10 +1,5 @@
 """Chunks of an MCAP file in each compression are read, and a message that is no pose is an error."""
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import pytest
 
 import ssduck
@@ -12,14 +7,10 @@ from ssduck.errors import RecordError
 
 pytest.importorskip("foxglove_schemas_protobuf", reason="the extra mcap is not installed")
 
-PLAIN: dict[str, Any] = {
-    "parent_frame_id": "map",
-    "child_frame_id": "cup",
-    "rotation": {"w": 1.0},
-}
+PLAIN = {"parent_frame_id": "map", "child_frame_id": "cup", "rotation": {"w": 1.0}}
 
 
-def write(file: Path, *transforms: dict[str, Any], compression: str = "ZSTD", **about: str) -> Path:
+def write(file, *transforms, compression="ZSTD", **about):
     """Writes poses of frames, one a second."""
     from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
     from mcap.writer import CompressionType, Writer
@@ -42,7 +33,7 @@ def write(file: Path, *transforms: dict[str, Any], compression: str = "ZSTD", **
 
 @pytest.mark.filterwarnings("ignore:.*tells of poses")
 @pytest.mark.parametrize("compression", ["ZSTD", "LZ4", "NONE"])
-def test_poses_in_chunks_are_read(tmp_path: Path, compression: str) -> None:
+def test_poses_in_chunks_are_read(tmp_path, compression):
     file = write(tmp_path / "a.mcap", *[PLAIN] * 3, compression=compression)
     (episode,) = ssduck.import_poses(file, tmp_path / "r")
     assert episode.ticks == 3
@@ -57,9 +48,7 @@ def test_poses_in_chunks_are_read(tmp_path: Path, compression: str) -> None:
         ({}, {"world": '"Memory"'}, "a world cannot have the name 'Memory'"),
     ],
 )
-def test_a_message_that_is_no_pose_is_an_error_of_the_file(
-    tmp_path: Path, change: dict[str, Any], about: dict[str, str], message: str
-) -> None:
+def test_a_message_that_is_no_pose_is_an_error_of_the_file(tmp_path, change, about, message):
     file = write(tmp_path / "a.mcap", PLAIN | change, **about)
     with pytest.raises(RecordError, match=f"a.mcap.*{message}"):
         ssduck.import_poses(file, tmp_path / "r")

@@ -1,9 +1,5 @@
 """Frames of MCAP files that are told of at times of their own, in other frames, and not for ever."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,20 +21,13 @@ QUARTER = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
 Message = tuple[str, int | None, Any, int]
 
 
-def stamp(moment: int | None) -> Any:
+def stamp(moment):
     from google.protobuf.timestamp_pb2 import Timestamp
 
     return None if moment is None else Timestamp(seconds=moment // 10**9, nanos=moment % 10**9)
 
 
-def at(
-    moment: int | None,
-    child: str,
-    place: Sequence[float],
-    parent: str = "world",
-    turn: Sequence[float] = (1.0, 0.0, 0.0, 0.0),
-    logged: int | None = None,
-) -> Message:
+def at(moment, child, place, parent="world", turn=(1.0, 0.0, 0.0, 0.0), logged=None):
     """Returns a transform, with a stamp unless the moment is None, and the time of its log, ns."""
     from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 
@@ -48,7 +37,7 @@ def at(
     return "/tf", moment, one, (moment or 0) if logged is None else logged
 
 
-def scene(moment: int, gone: str | None = None, drawn: Sequence[str] = ()) -> Message:
+def scene(moment, gone=None, drawn=()):
     """Returns a change of the scene: what comes, or a deletion of an id or, for "*", of all."""
     from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
     from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
@@ -62,7 +51,7 @@ def scene(moment: int, gone: str | None = None, drawn: Sequence[str] = ()) -> Me
     return "/markers", moment, update, moment
 
 
-def log(file: Path, messages: Sequence[Message]) -> Path:
+def log(file, messages):
     from mcap_protobuf.writer import Writer
 
     with file.open("wb") as stream, Writer(stream) as writer:
@@ -71,7 +60,7 @@ def log(file: Path, messages: Sequence[Message]) -> Path:
     return file
 
 
-def imported(tmp_path: Path, messages: Sequence[Message], **options: Any) -> list[tuple[Any, ...]]:
+def imported(tmp_path, messages, **options):
     """Returns the rows of a log's record: time, name, x, y, z, in the order of the ticks."""
     ssduck.import_poses(log(tmp_path / "log.mcap", messages), tmp_path / "r", **options)
     with ssduck.open(tmp_path / "r") as ss:
@@ -80,7 +69,7 @@ def imported(tmp_path: Path, messages: Sequence[Message], **options: Any) -> lis
         ).fetchall()
 
 
-def cup(ks: Sequence[int] = range(1, 10)) -> list[Message]:
+def cup(ks=range(1, 10)):
     return [at(DAY + 10 * k * MS, "cup", (0, 0, k / 100)) for k in ks]
 
 
@@ -94,7 +83,7 @@ OTHERS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", OTHERS)
-def test_each_frame_is_where_it_was_told_of_last(tmp_path: Path, name: str) -> None:
+def test_each_frame_is_where_it_was_told_of_last(tmp_path, name):
     found = imported(tmp_path, [*OTHERS[name], *cup()])
     both = [(time, z) for time, frame, _, _, z in found if frame == "cup"]
     tables = [time for time, frame, *_ in found if frame == "table"]
@@ -106,10 +95,10 @@ def test_each_frame_is_where_it_was_told_of_last(tmp_path: Path, name: str) -> N
 
 
 @pytest.mark.slow
-def test_no_value_is_lost_and_each_is_the_last_one(tmp_path: Path) -> None:
+def test_no_value_is_lost_and_each_is_the_last_one(tmp_path):
     """Three frames with times of their own, against a search in what was told."""
     generator = np.random.default_rng(7)
-    told: dict[str, list[tuple[int, float]]] = {}
+    told = {}
     for name, count in {"a": 60, "b": 25, "c": 3}.items():
         moments = np.sort(generator.choice(3_000, count, replace=False)).tolist()
         told[name] = [(m * MS, float(k)) for k, m in enumerate(moments)]
@@ -124,7 +113,7 @@ def test_no_value_is_lost_and_each_is_the_last_one(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_frame_ends_where_a_message_says_so(tmp_path: Path) -> None:
+def test_a_frame_ends_where_a_message_says_so(tmp_path):
     """By its id, with all that is in the scene, and until it comes again."""
     table = at(0, "table", (0, 0, 0))
     seconds = [k * 10**9 for k in range(7)]
@@ -140,7 +129,7 @@ def test_a_frame_ends_where_a_message_says_so(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_grid_has_the_last_value_of_each_frame(tmp_path: Path) -> None:
+def test_a_grid_has_the_last_value_of_each_frame(tmp_path):
     messages = [*OTHERS["at another rate"], *cup()]
     found = imported(tmp_path, messages, rate=40)
     grid = [DAY + (5 + 25 * k) * MS for k in range(4)]
@@ -149,7 +138,7 @@ def test_a_grid_has_the_last_value_of_each_frame(tmp_path: Path) -> None:
     assert cups == [(m / 1e9, z) for m, z in zip(grid[1:], [0.03, 0.05, 0.08], strict=True)]
 
 
-def test_the_command_has_the_grid(tmp_path: Path) -> None:
+def test_the_command_has_the_grid(tmp_path):
     log(tmp_path / "log.mcap", cup())
     told = answer("import", str(tmp_path / "log.mcap"), "-o", str(tmp_path / "r"), "--rate", "50")
     assert told.startswith("5 ticks of 'world'")
@@ -164,30 +153,30 @@ def test_the_command_has_the_grid(tmp_path: Path) -> None:
         (1e9, "rate: 120,000,001 ticks of 2 frames are more than 100,000,000 poses"),
     ],
 )
-def test_wrong_rates(tmp_path: Path, rate: Any, message: str) -> None:
+def test_wrong_rates(tmp_path, rate, message):
     with pytest.raises(ArgumentError, match=message):
         imported(tmp_path, cup([0, 12]), rate=rate)
     assert not (tmp_path / "r").exists()
 
 
-def test_datasets_of_frames_have_no_rate(tmp_path: Path) -> None:
+def test_datasets_of_frames_have_no_rate(tmp_path):
     with pytest.raises(ArgumentError, match="rate: a dataset of LeRobot has frames per second"):
         ssduck.import_poses(tmp_path, tmp_path / "r", rate=10)
 
 
 @pytest.mark.slow
-def test_a_slow_grid_is_one_tick(tmp_path: Path) -> None:
+def test_a_slow_grid_is_one_tick(tmp_path):
     assert len(imported(tmp_path, cup(), rate=1e-300)) == 1
 
 
-def test_more_poses_than_a_file_may_have(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_more_poses_than_a_file_may_have(tmp_path, monkeypatch):
     monkeypatch.setattr(mcap_reader, "MAX_POSES", 17)
     with pytest.raises(RecordError, match=r"9 ticks of 2 frames.*give the ticks per second, rate="):
         imported(tmp_path, cup())
 
 
 @pytest.mark.slow
-def test_portions_give_the_rows_of_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_portions_give_the_rows_of_one(tmp_path, monkeypatch):
     messages = [*OTHERS["at another rate"], *cup()]
     whole = imported(tmp_path, messages)
     monkeypatch.setattr(mcap_reader, "_AT_ONCE", 2)
@@ -196,7 +185,7 @@ def test_portions_give_the_rows_of_one(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 @pytest.mark.slow
-def test_stamps_of_a_simulation_begin_with_0(tmp_path: Path) -> None:
+def test_stamps_of_a_simulation_begin_with_0(tmp_path):
     """Though its log has the time of the day."""
     messages = [at(k * MS, "cup", (k, 0, 0), logged=DAY + k * MS) for k in range(3)]
     messages.append(at(None, "table", (0, 0, 0), logged=DAY))
@@ -208,20 +197,20 @@ def test_stamps_of_a_simulation_begin_with_0(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_without_stamps_the_log_has_the_times(tmp_path: Path) -> None:
+def test_without_stamps_the_log_has_the_times(tmp_path):
     found = imported(tmp_path, [at(None, "cup", (k, 0, 0), logged=k * MS) for k in range(4)])
     assert [(time, x) for time, _, x, *_ in found] == [(k / 1000, k) for k in range(4)]
 
 
 @pytest.mark.slow
-def test_stamps_are_whole_nanoseconds(tmp_path: Path) -> None:
+def test_stamps_are_whole_nanoseconds(tmp_path):
     """Also where doubles of seconds are the same."""
     found = imported(tmp_path, [at(DAY + 100 * k, "cup", (k, 0, 0)) for k in range(4)])
     assert [x for _, _, x, *_ in found] == [0, 1, 2, 3]
     assert found[0][0] == found[1][0] == DAY / 1e9
 
 
-def matrix(place: Sequence[float], angle: float) -> Any:
+def matrix(place, angle):
     turn = np.eye(4)
     turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
     turn[:3, 3] = place
@@ -229,7 +218,7 @@ def matrix(place: Sequence[float], angle: float) -> Any:
 
 
 @pytest.mark.slow
-def test_frames_in_frames_are_placed_in_the_world(tmp_path: Path) -> None:
+def test_frames_in_frames_are_placed_in_the_world(tmp_path):
     """A chain of seven whose links turn, each told of at times of its own, against matrices."""
     generator, told, messages = np.random.default_rng(3), [], []
     for link in range(7):
@@ -252,7 +241,7 @@ def test_frames_in_frames_are_placed_in_the_world(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_is_in_a_frame_that_is_gone_is_gone(tmp_path: Path) -> None:
+def test_what_is_in_a_frame_that_is_gone_is_gone(tmp_path):
     messages = [at(0, "tray", (1, 0, 0), turn=QUARTER), at(0, "cup", (0.5, 0, 0), "tray")]
     messages += [at(k * 10**9, "lamp", (0, 0, 2)) for k in range(4)]
     messages += [scene(2 * 10**9, gone="tray"), at(3 * 10**9, "cup", (9, 0, 0))]
@@ -261,7 +250,7 @@ def test_what_is_in_a_frame_that_is_gone_is_gone(tmp_path: Path) -> None:
     assert cups == [(0, 1, 0.5), (1, 1, 0.5), (3, 9, 0)]  # then in another frame
 
 
-def test_frames_in_a_circle_are_an_error(tmp_path: Path) -> None:
+def test_frames_in_a_circle_are_an_error(tmp_path):
     (tmp_path / "whole").mkdir()
     both = [at(0, "a", (0, 0, 0), "b"), at(0, "b", (0, 0, 0), "a")]
     with pytest.raises(RecordError, match="each frame is relative to another one, in a circle"):
@@ -273,7 +262,7 @@ def test_frames_in_a_circle_are_an_error(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_two_poses_of_a_frame_at_one_time_are_told_of(tmp_path: Path) -> None:
+def test_two_poses_of_a_frame_at_one_time_are_told_of(tmp_path):
     same, other = at(0, "cup", (1, 0, 0)), at(10**9, "cup", (2, 0, 0))
     with pytest.warns(UserWarning, match="not read: 1 pose before another one of the same frame"):
         found = imported(tmp_path, [same, same, other, at(10**9, "cup", (3, 0, 0))])
@@ -281,7 +270,7 @@ def test_two_poses_of_a_frame_at_one_time_are_told_of(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_shapes_are_given_for_some_frames(tmp_path: Path) -> None:
+def test_shapes_are_given_for_some_frames(tmp_path):
     """And an entity is there when all of its links are."""
     messages = [at(0, "arm", (0, 0, 0)), at(0, "lamp", (0, 0, 0)), at(10**9, "lamp", (1, 0, 0))]
     messages += [at(10**9, "arm.hand", (1, 0, 0), "arm"), at(0, "shelf", (4, 0, 0))]
@@ -296,9 +285,9 @@ def test_shapes_are_given_for_some_frames(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rate", [None, 1000])
-def test_ticks_at_one_time_are_imported_again(tmp_path: Path, rate: float | None) -> None:
+def test_ticks_at_one_time_are_imported_again(tmp_path, rate):
     """A tick after a step and one after a hand moved something; and what was not there."""
-    rows: dict[str, list[Any]] = {
+    rows = {
         "tick": [1, 1, 2, 3, 3, 4],
         "time": [0.0, 0.0, 0.0, 0.1, 0.1, 0.1],
         "name": ["cup", "table", "cup", "cup", "table", "cup"],

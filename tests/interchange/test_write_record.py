@@ -1,9 +1,5 @@
 """Poses from anywhere become records: the same rows and answers as those of a live recording."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import polars as pl
@@ -23,7 +19,7 @@ TURN = [0.5, -0.5, 0.5, 0.5]
 
 
 @pytest.fixture(scope="module")
-def live(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def live(tmp_path_factory):
     """A live record of PyBullet: a box and a ball that fall, tumbling, on a box that stands."""
     place = tmp_path_factory.mktemp("live") / "r"
     with Stage() as stage, ssduck.Interpreter(recording=None) as ss:
@@ -53,7 +49,7 @@ QUESTIONS = [
 
 
 @pytest.mark.slow
-def test_the_rows_and_answers_are_those_of_a_live_record(live: Path, tmp_path: Path) -> None:
+def test_the_rows_and_answers_are_those_of_a_live_record(live, tmp_path):
     with ssduck.open(live) as ss:
         rows = ss.sql(
             f"SELECT time, name, {COLUMNS} FROM entities_history ORDER BY tick, id"
@@ -74,7 +70,7 @@ def test_the_rows_and_answers_are_those_of_a_live_record(live: Path, tmp_path: P
     assert ssduck.check(tmp_path / "w") == []
 
 
-def falling(ticks: int = 5) -> tuple[np.ndarray, np.ndarray]:
+def falling(ticks=5):
     times = np.arange(ticks) / 8
     poses = np.zeros((ticks, 2, 7))
     poses[:, :, 3:] = TURN
@@ -85,13 +81,13 @@ def falling(ticks: int = 5) -> tuple[np.ndarray, np.ndarray]:
 TWO = {"table": {"box": [1, 1, 0.25]}, "cup": {"sphere": 0.125, "kind": "robot"}}
 
 
-def table_of(times: np.ndarray, poses: np.ndarray) -> pa.Table:
+def table_of(times, poses):
     names = list(TWO)
     columns = dict(zip(POSE, poses.reshape(-1, 7).T, strict=True))
     return pa.table({"time": np.repeat(times, 2), "name": names * len(times), **columns})
 
 
-def with_ticks(numbers: list[float]) -> pa.Table:
+def with_ticks(numbers):
     return table_of(TIMES, POSES).append_column("tick", [numbers])
 
 
@@ -109,7 +105,7 @@ GIVEN = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", GIVEN)
-def test_each_form_of_poses_gives_the_same_record(tmp_path: Path, kind: str) -> None:
+def test_each_form_of_poses_gives_the_same_record(tmp_path, kind):
     poses, times = GIVEN[kind]
     ssduck.write_record(tmp_path / "r", TWO, poses, times, tags={"task": "fall"})
     with ssduck.open(tmp_path / "r") as ss:
@@ -126,7 +122,7 @@ def test_each_form_of_poses_gives_the_same_record(tmp_path: Path, kind: str) -> 
 
 
 @pytest.mark.slow
-def test_positions_alone_and_no_shapes(tmp_path: Path) -> None:
+def test_positions_alone_and_no_shapes(tmp_path):
     ssduck.write_record(tmp_path / "r", ["a", "b"], POSES[..., :3], TIMES)
     with ssduck.open(tmp_path / "r") as ss:
         assert ss.eval("SELECT id FROM world WHERE above(world.a, this) AS list;") == ["b"]
@@ -136,7 +132,7 @@ def test_positions_alone_and_no_shapes(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_velocities_are_kept(tmp_path: Path) -> None:
+def test_velocities_are_kept(tmp_path):
     given = np.arange(60, dtype=float).reshape(5, 2, 6)
     ssduck.write_record(tmp_path / "a", TWO, POSES, TIMES, velocities=given)
     ssduck.write_record(tmp_path / "b", TWO, POSES, TIMES, velocities={"cup": given[:, 1]})
@@ -150,7 +146,7 @@ def test_velocities_are_kept(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_an_entity_that_is_missing_at_a_tick_is_not_there(tmp_path: Path) -> None:
+def test_an_entity_that_is_missing_at_a_tick_is_not_there(tmp_path):
     rows = table_of(TIMES, POSES)
     gone = rows.filter(pa.array([number != 5 for number in range(10)]))
     ssduck.write_record(tmp_path / "r", TWO, gone)
@@ -162,7 +158,7 @@ def test_an_entity_that_is_missing_at_a_tick_is_not_there(tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
-def test_shapes_of_every_form(tmp_path: Path) -> None:
+def test_shapes_of_every_form(tmp_path):
     mesh = tmp_path / "wedge.obj"
     mesh.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
     points = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
@@ -190,7 +186,7 @@ def test_shapes_of_every_form(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_links_have_poses_and_shapes_of_their_own(tmp_path: Path) -> None:
+def test_links_have_poses_and_shapes_of_their_own(tmp_path):
     arm = {
         "kind": "robot",
         "box": [0.1, 0.1, 0.1],
@@ -265,9 +261,7 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("entities", "poses", "times", "message"), WRONG)
-def test_what_is_wrong_is_an_error_and_writes_nothing(
-    tmp_path: Path, entities: object, poses: object, times: object, message: str
-) -> None:
+def test_what_is_wrong_is_an_error_and_writes_nothing(tmp_path, entities, poses, times, message):
     with pytest.raises(SelectScriptError, match=message):
         ssduck.write_record(tmp_path / "r", entities, poses, times)
     assert not (tmp_path / "r").exists()
@@ -281,13 +275,13 @@ def test_what_is_wrong_is_an_error_and_writes_nothing(
         ({"velocities": POSES}, r"velocities: the shape is \(5, 2, 7\)"),
     ],
 )
-def test_wrong_settings(tmp_path: Path, settings: dict, message: str) -> None:
+def test_wrong_settings(tmp_path, settings, message):
     with pytest.raises(ArgumentError, match=message):
         ssduck.write_record(tmp_path / "r", TWO, POSES, TIMES, **settings)
     assert not (tmp_path / "r").exists()
 
 
-def test_a_folder_with_something_else_stays_as_it_is(tmp_path: Path) -> None:
+def test_a_folder_with_something_else_stays_as_it_is(tmp_path):
     (tmp_path / "note.txt").write_text("mine")
     with pytest.raises(RecordError, match="has something else in it"):
         ssduck.write_record(tmp_path, TWO, POSES, TIMES)
@@ -298,7 +292,7 @@ def test_a_folder_with_something_else_stays_as_it_is(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_batches_give_the_rows_of_one_call(tmp_path: Path) -> None:
+def test_batches_give_the_rows_of_one_call(tmp_path):
     times, poses = falling(5000)
     ssduck.write_record(tmp_path / "one", TWO, poses, times)
     with ssduck.RecordWriter(tmp_path / "many", TWO) as writer:
@@ -318,7 +312,7 @@ def test_batches_give_the_rows_of_one_call(tmp_path: Path) -> None:
     assert rows[0].num_rows == 10_000
 
 
-def test_a_wrong_batch_writes_nothing_and_the_others_stay(tmp_path: Path) -> None:
+def test_a_wrong_batch_writes_nothing_and_the_others_stay(tmp_path):
     with ssduck.RecordWriter(tmp_path / "r", TWO) as writer:
         with pytest.raises(ArgumentError, match="nan"):
             writer.add(NAN, TIMES)
@@ -335,7 +329,7 @@ def test_a_wrong_batch_writes_nothing_and_the_others_stay(tmp_path: Path) -> Non
         writer.add(POSES, TIMES + 2)
 
 
-def test_a_writer_that_wrote_nothing_says_so(tmp_path: Path) -> None:
+def test_a_writer_that_wrote_nothing_says_so(tmp_path):
     with (
         pytest.raises(ArgumentError, match="nothing was written"),
         ssduck.RecordWriter(tmp_path / "r", TWO),
@@ -344,12 +338,12 @@ def test_a_writer_that_wrote_nothing_says_so(tmp_path: Path) -> None:
     assert not (tmp_path / "r").exists()
 
 
-def test_frames_of_pandas_may_have_an_index(tmp_path: Path) -> None:
+def test_frames_of_pandas_may_have_an_index(tmp_path):
     frame = LONG.to_pandas().set_index(pd.Index(range(10, 20)))
     assert ssduck.write_record(tmp_path / "r", TWO, frame).ticks == 5
 
 
-def test_a_column_of_lists_is_no_column_of_numbers(tmp_path: Path) -> None:
+def test_a_column_of_lists_is_no_column_of_numbers(tmp_path):
     rows = [{"time": [0.0], "name": "a", "x": 0.0, "y": 0.0, "z": 0.0}]
     with pytest.raises(ArgumentError, match="'time' has other values than numbers"):
         ssduck.write_record(tmp_path / "r", {"a": {"sphere": 0.1}}, pa.Table.from_pylist(rows))

@@ -1,13 +1,10 @@
 """Names of strangers write no control characters to a terminal: errors and warnings escape them."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
 import sys
 import warnings
-from collections.abc import Iterator
 
 import pytest
 
@@ -29,21 +26,21 @@ ESCAPED = "cup\\u001b[2J\\u009b31m\\u202e\\u000d"
         ArgumentError("no", text=f"{HOSTILE};", span=ssduck.errors.SourceSpan(0, 3)),
     ],
 )
-def test_errors(error: ssduck.SelectScriptError) -> None:
+def test_errors(error):
     text = str(error).replace("\n", "")
     assert text.isprintable()
     assert "[2J" in text
     assert "".join(error._render_traceback_()).replace("\n", "").isprintable()
 
 
-def test_warnings() -> None:
+def test_warnings():
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         warn(f"no {HOSTILE}", ProgramWarning)
     assert str(caught[0].message) == f"no {ESCAPED}"
 
 
-def test_a_scene_and_a_record(tmp_path) -> None:
+def test_a_scene_and_a_record(tmp_path):
     for open_ in (ssduck.load, ssduck.open):
         with pytest.raises(ssduck.SelectScriptError) as caught:
             open_(f"{tmp_path}/{HOSTILE}")
@@ -55,14 +52,14 @@ def test_a_scene_and_a_record(tmp_path) -> None:
     assert str(caught.value).replace("\n", "").isprintable()
 
 
-def test_lines_of_a_program_stay_lines() -> None:
+def test_lines_of_a_program_stay_lines():
     with ssduck.Interpreter() as ss, pytest.raises(UnknownNameError) as caught:
         ss.eval("\tnothing;")
     assert str(caught.value).endswith("    \tnothing;\n    \t^^^^^^^")
 
 
 @pytest.fixture
-def hostile() -> Iterator[ssduck.Interpreter]:
+def hostile():
     with Stage() as stage, ssduck.Interpreter() as ss:
         stage.sphere(HOSTILE, radius=0.1, mass=1)
         ss.add_variable("lab", stage.open())
@@ -72,7 +69,7 @@ def hostile() -> Iterator[ssduck.Interpreter]:
 class Terminal(io.StringIO):
     encoding = "utf-8"
 
-    def isatty(self) -> bool:
+    def isatty(self):
         return True
 
 
@@ -80,9 +77,7 @@ class Terminal(io.StringIO):
 @pytest.mark.parametrize(
     "program", ["SELECT id FROM lab AS list;", "SELECT id FROM lab;", "SELECT this FROM lab;"]
 )
-def test_answers_on_a_terminal(
-    hostile: ssduck.Interpreter, monkeypatch: pytest.MonkeyPatch, format: str, program: str
-) -> None:
+def test_answers_on_a_terminal(hostile, monkeypatch, format, program):
     terminal = Terminal()
     monkeypatch.setattr(sys, "stdout", terminal)
     print_value(hostile.eval(program), FORMATS[format])
@@ -96,13 +91,13 @@ def test_answers_on_a_terminal(
         assert HOSTILE in (row if isinstance(row, str) else row.values())
 
 
-def test_files_have_names_as_they_are(hostile: ssduck.Interpreter) -> None:
+def test_files_have_names_as_they_are(hostile):
     value = hostile.eval("SELECT id FROM lab;")
     assert json.loads(text_of(value, FORMATS["json"])) == [{"id": HOSTILE}]
     assert list(csv.reader(io.StringIO(text_of(value, FORMATS["csv"]), newline="")))[1] == [HOSTILE]
 
 
-def test_what_python_shows(hostile: ssduck.Interpreter) -> None:
+def test_what_python_shows(hostile):
     world = hostile.call_variable("lab")
     values = hostile.eval("SELECT id FROM lab AS list;")
     view = TableView(values)
@@ -112,5 +107,5 @@ def test_what_python_shows(hostile: ssduck.Interpreter) -> None:
         assert text.replace("\n", "").isprintable()
 
 
-def test_lines_of_values_stay_lines() -> None:
+def test_lines_of_values_stay_lines():
     assert TableView(["a\n\tb\x07"]).text() == "a\n\tb\\u0007"

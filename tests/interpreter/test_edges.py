@@ -49,10 +49,7 @@ NO_NUMBERS = [
     ("SELECT aabbVolume(this) - aabbVolume(this) FROM w AS list;", [NAN, 0.0, 0.0]),
     ("SELECT id FROM w WHERE aabbVolume(this) - aabbVolume(this) > 0 AS list;", []),
     ("SELECT id FROM w WHERE aabbVolume(this) - aabbVolume(this) == 0 AS list;", ["low", "high"]),
-    (
-        "SELECT id FROM w WHERE aabbVolume(this) - aabbVolume(this) != 0 AS list;",
-        ["ground"],
-    ),
+    ("SELECT id FROM w WHERE aabbVolume(this) - aabbVolume(this) != 0 AS list;", ["ground"]),
     ("SELECT id FROM w WHERE 1 < aabbVolume(this) / aabbVolume(this) AS list;", []),
     ("SELECT id FROM w WHERE aabbVolume(this) * 0 >= 0 AS list;", ["low", "high"]),
     ("SELECT id FROM w WHERE aabbVolume(this) * 2 >= 1 AS list;", ["ground", "low", "high"]),

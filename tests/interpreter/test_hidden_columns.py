@@ -33,11 +33,7 @@ TOLD = [
     ("NOT mass > limit", {"mass": 1, "limit": 2}, ["mass hides"]),
     ("mass IN masses", {"mass": 1, "masses": [1]}, ["mass hides"]),
     ("mass > 2 * limit + 1", {"mass": 1, "limit": 2}, ["mass hides"]),
-    (
-        "this = target",
-        {"target": "light"},
-        ["this is an entity, and never equals 'light'"],
-    ),
+    ("this = target", {"target": "light"}, ["this is an entity, and never equals 'light'"]),
     ("this != target", {"target": "light"}, ["compare its id"]),
     ("this IN names", {"names": ["light", "heavy"]}, ["this is an entity, and never equals"]),
     ("NOT this IN names", {"names": ["light"]}, ["this is an entity, and never equals"]),

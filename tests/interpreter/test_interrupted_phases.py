@@ -67,7 +67,7 @@ def is_interrupted(ss, call, question="SELECT id, z FROM kitchen AS list;") -> N
             os.kill(os.getpid(), signal.SIGINT)
             ended.wait(WITHIN / 2)
 
-    pressed: list[float] = []
+    pressed = []
     before = ss.eval(question)
     presser = threading.Thread(target=press)
     presser.start()

@@ -216,8 +216,7 @@ def test_the_error_of_a_tick_stays_until_the_episode_ends(scene):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "recording",
-    [{"seconds": 0.1}, {"every": 3}, {"entities": ["ball"]}, {"entities": ["box"]}],
+    "recording", [{"seconds": 0.1}, {"every": 3}, {"entities": ["ball"]}, {"entities": ["box"]}]
 )
 def test_what_is_dropped_or_not_recorded_is_not_kept(scene, recording):
     ss = scene[0]

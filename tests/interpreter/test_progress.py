@@ -1,16 +1,12 @@
 """Long programs over recorded ticks: they show their progress, and can be interrupted."""
 
-from __future__ import annotations
-
 import io
 import os
 import re
 import signal
 import sys
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from types import ModuleType
-from typing import Any
 
 import pybullet
 import pytest
@@ -19,7 +15,7 @@ import ssduck
 from ssduck.errors import LimitError
 from ssduck.geometry.shape_comparisons import ShapeComparisons
 from ssduck.interpreter.query_runner import PlannedQuery
-from ssduck.limits import Limits, UsageMeter, _clock
+from ssduck.limits import Limits, _clock
 from ssduck.recording.replay import batch_queries, progress
 from ssduck.recording.replay.batch_queries import EntityShapes
 from tests.support.stage import Stage
@@ -31,12 +27,12 @@ ASKED = "holds(on(board, ball));"
 class Terminal(io.StringIO):
     """A stream that says that it is a terminal."""
 
-    def isatty(self) -> bool:
+    def isatty(self):
         return True
 
 
 @pytest.fixture
-def world() -> Iterator[ssduck.World]:
+def world():
     """A ball that falls on a board."""
     with Stage() as stage:
         pybullet.setGravity(0, 0, -9.81, physicsClientId=stage.client)
@@ -45,7 +41,7 @@ def world() -> Iterator[ssduck.World]:
         yield stage.open()
 
 
-def _asking(world: ssduck.World, limits: Limits | None = None) -> ssduck.Interpreter:
+def _asking(world, limits=None):
     ss = ssduck.Interpreter(limits=limits)
     ss.add_variable("sim", world)
     for name in ("board", "ball"):
@@ -56,14 +52,14 @@ def _asking(world: ssduck.World, limits: Limits | None = None) -> ssduck.Interpr
 
 
 @pytest.fixture
-def slow(monkeypatch: pytest.MonkeyPatch) -> None:
+def slow(monkeypatch):
     """Each tick is a batch, and every report is due."""
     monkeypatch.setattr(batch_queries, "MAX_BATCH_SIZE", 1)
     monkeypatch.setattr(progress, "DELAY", 0.0)
     monkeypatch.setattr(progress, "INTERVAL", 0.0)
 
 
-def _shown(monkeypatch: pytest.MonkeyPatch, ss: ssduck.Interpreter, stream: io.StringIO) -> str:
+def _shown(monkeypatch, ss, stream):
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setattr(sys, "stderr", stream)
     ss.eval(ASKED)
@@ -71,9 +67,7 @@ def _shown(monkeypatch: pytest.MonkeyPatch, ss: ssduck.Interpreter, stream: io.S
 
 
 @pytest.mark.slow
-def test_a_terminal_shows_how_many_are_done(
-    monkeypatch: pytest.MonkeyPatch, world: ssduck.World, slow: None
-) -> None:
+def test_a_terminal_shows_how_many_are_done(monkeypatch, world, slow):
     with _asking(world) as ss:
         shown = _shown(monkeypatch, ss, Terminal())
         assert "comparing shapes at recorded ticks" in shown
@@ -94,43 +88,32 @@ def test_a_terminal_shows_how_many_are_done(
         pytest.param(Terminal, None, 1e9, id="a short program"),
     ],
 )
-def test_others_show_nothing(
-    monkeypatch: pytest.MonkeyPatch,
-    world: ssduck.World,
-    slow: None,
-    stream: type[io.StringIO],
-    limits: Limits | None,
-    delay: float,
-) -> None:
+def test_others_show_nothing(monkeypatch, world, slow, stream, limits, delay):
     monkeypatch.setattr(progress, "DELAY", delay)
     with _asking(world, limits) as ss:
         assert _shown(monkeypatch, ss, stream()) == ""
 
 
 @pytest.mark.slow
-def test_other_threads_show_nothing(
-    monkeypatch: pytest.MonkeyPatch, world: ssduck.World, slow: None
-) -> None:
+def test_other_threads_show_nothing(monkeypatch, world, slow):
     with _asking(world) as ss, ThreadPoolExecutor(1) as other:
         assert other.submit(_shown, monkeypatch, ss, Terminal()).result() == ""
 
 
 @pytest.mark.slow
-def test_a_notebook_shows_a_line(
-    monkeypatch: pytest.MonkeyPatch, world: ssduck.World, slow: None
-) -> None:
+def test_a_notebook_shows_a_line(monkeypatch, world, slow):
     # A stand-in for the display of a kernel, which runs in no test.
     display = ModuleType("IPython.display")
     monkeypatch.setitem(sys.modules, "IPython", ModuleType("IPython"))
     monkeypatch.setitem(sys.modules, "IPython.display", display)
-    lines: list[str] = []
+    lines = []
 
     class Handle:
-        def update(self, bundle: dict[str, str], *, raw: bool) -> None:
+        def update(self, bundle, *, raw):
             assert raw
             lines.append(bundle["text/plain"])
 
-    def shown(bundle: dict[str, str], *, raw: bool, display_id: bool) -> Handle:
+    def shown(bundle, *, raw, display_id):
         assert raw
         assert display_id
         lines.append(bundle["text/plain"])
@@ -147,12 +130,12 @@ def test_a_notebook_shows_a_line(
     assert lines[-1] == ""
 
 
-def _at_batch(monkeypatch: pytest.MonkeyPatch, number: int, action: Any) -> list[int]:
+def _at_batch(monkeypatch, number, action):
     """Has an action happen before a batch; the list has the sizes of the batches that began."""
-    begun: list[int] = []
+    begun = []
     place = EntityShapes._batch
 
-    def batch(self: EntityShapes, *arguments: Any) -> Any:
+    def batch(self, *arguments):
         begun.append(len(arguments[2]))
         if len(begun) == number:
             action()
@@ -163,9 +146,7 @@ def _at_batch(monkeypatch: pytest.MonkeyPatch, number: int, action: Any) -> list
 
 
 @pytest.mark.slow
-def test_ctrl_c_leaves_all_as_it_was(
-    monkeypatch: pytest.MonkeyPatch, world: ssduck.World, slow: None
-) -> None:
+def test_ctrl_c_leaves_all_as_it_was(monkeypatch, world, slow):
     with _asking(world) as ss:
         ss.eval("times = 1;")
         ticks, now = ss.past("sim").ticks, world.time
@@ -184,18 +165,16 @@ def test_ctrl_c_leaves_all_as_it_was(
     assert interrupted[0][0] > 0.0
 
 
-def _expire(meter: UsageMeter) -> None:
+def _expire(meter):
     """Has the time of a program be up from now on."""
     meter._deadline = meter._first_look = 0.0
     meter.step = _clock(0.0, meter.limits.seconds, None)
 
 
-def test_the_time_limit_ends_it_between_two_batches(
-    monkeypatch: pytest.MonkeyPatch, world: ssduck.World, slow: None
-) -> None:
+def test_the_time_limit_ends_it_between_two_batches(monkeypatch, world, slow):
     with _asking(world, Limits(seconds=1000)) as ss:
 
-        def expire() -> None:
+        def expire():
             _expire(ss._database.connection.meter)
 
         begun = _at_batch(monkeypatch, 3, expire)
@@ -211,14 +190,12 @@ def test_the_time_limit_ends_it_between_two_batches(
         ("least(penetration(board, ball));", "signed_distance"),
     ],
 )
-def test_the_time_limit_ends_it_within_a_batch(
-    monkeypatch: pytest.MonkeyPatch, world: ssduck.World, program: str, method: str
-) -> None:
-    compared: list[object] = []
+def test_the_time_limit_ends_it_within_a_batch(monkeypatch, world, program, method):
+    compared = []
     compare = getattr(ShapeComparisons, method)
     with _asking(world, Limits(seconds=1000)) as ss:
 
-        def count(self: ShapeComparisons, *shapes: int) -> Any:
+        def count(self, *shapes):
             compared.append(shapes)
             if len(compared) == 2:
                 _expire(ss._database.connection.meter)
@@ -230,13 +207,11 @@ def test_the_time_limit_ends_it_within_a_batch(
     assert len(compared) == 2
 
 
-def test_the_time_limit_ends_it_while_rows_become_entities(
-    monkeypatch: pytest.MonkeyPatch, world: ssduck.World
-) -> None:
+def test_the_time_limit_ends_it_while_rows_become_entities(monkeypatch, world):
     convert = PlannedQuery._converted
     with _asking(world, Limits(seconds=1000)) as ss:
 
-        def late(self: PlannedQuery, *arguments: Any) -> Any:
+        def late(self, *arguments):
             _expire(ss._database.connection.meter)
             with pytest.raises(LimitError, match="1000 s"):
                 convert(self, *arguments)

@@ -32,8 +32,7 @@ def ss(stage):
 
 
 @pytest.mark.parametrize(
-    "value",
-    ["place", "pose[0]", "user.place", "user.many[1][0]", "toPlace(sim.ball)"],
+    "value", ["place", "pose[0]", "user.place", "user.many[1][0]", "toPlace(sim.ball)"]
 )
 def test_tuples_of_numbers_are_lists(ss, value):
     found = f"SELECT id FROM sim WHERE position(this) == {value} AS list;"

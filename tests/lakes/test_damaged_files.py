@@ -3,8 +3,6 @@
 The size and the time of the file stay, as when a disk loses a bit: only its checksum tells.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 from pathlib import Path
@@ -28,11 +26,11 @@ PARTS = ("ticks", "entities", "frames", "models/entities", "models/shapes", "mod
 ALWAYS_READ = ("ticks", "entities")
 
 
-def file_of(record: Path, table: str, number: int = DAMAGED) -> Path:
+def file_of(record, table, number=DAMAGED):
     return record / f"{table}/world=lab/episode={number}/part-000000.parquet"
 
 
-def change(file: Path, place: float) -> None:
+def change(file, place):
     """Flips a bit at a part of the length of a file, which keeps its time."""
     status, content = file.stat(), bytearray(file.read_bytes())
     content[int(place * len(content))] ^= 4
@@ -41,12 +39,12 @@ def change(file: Path, place: float) -> None:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(tmp_path_factory):
     return write_rising_cups(tmp_path_factory.mktemp("lake") / "r", EPISODES, TICKS)
 
 
 @pytest.fixture
-def record(made: Path, tmp_path: Path) -> Path:
+def record(made, tmp_path):
     """A record that its lake knows."""
     place = Path(shutil.copytree(made, tmp_path / "r"))
     assert not any(ssduck.lake(place).episodes["error"].to_pylist())
@@ -54,7 +52,7 @@ def record(made: Path, tmp_path: Path) -> Path:
     return place
 
 
-def answers(record: Path, program: str) -> list[tuple[object, object]]:
+def answers(record, program):
     rows = ssduck.lake(record).ask(program, processes=1).to_pylist()
     return [
         ({k: v for k, v in row.items() if k not in ("error", "path")}, row["error"]) for row in rows
@@ -63,7 +61,7 @@ def answers(record: Path, program: str) -> list[tuple[object, object]]:
 
 @pytest.mark.slow
 @sampled("table", PARTS, every=3)
-def test_a_flipped_bit_gives_the_right_answer_or_an_error(record: Path, table: str) -> None:
+def test_a_flipped_bit_gives_the_right_answer_or_an_error(record, table):
     right = {program: answers(record, program) for program in PROGRAMS}
     whole = file_of(record, table).read_bytes()
     for place in (0.1, 0.5, 0.95):
@@ -85,7 +83,7 @@ def test_a_flipped_bit_gives_the_right_answer_or_an_error(record: Path, table: s
 @pytest.mark.slow
 @sampled("number", [0, DAMAGED], every=2)
 @sampled("table", PARTS[3:], every=3)
-def test_a_statement_has_the_error_of_its_episode(record: Path, table: str, number: int) -> None:
+def test_a_statement_has_the_error_of_its_episode(record, table, number):
     """A model is damaged: of the first of its group, of which it is planned, or of another."""
     program = PROGRAMS[0]
     right = duckdb.sql(f"SELECT answer FROM ({ssduck.lake(record).sql(program)})").fetchall()

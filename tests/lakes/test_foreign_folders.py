@@ -1,13 +1,10 @@
 """A sandbox imports nothing from the current folder; processes of a question end at once."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 
 import pytest
 
@@ -20,7 +17,7 @@ MODULES = ("multiprocessing", "queue", "html", "json", "selectors", "base64", "s
 
 
 @pytest.fixture
-def foreign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def foreign(tmp_path, monkeypatch):
     """The current folder: a record, and files with the names of modules."""
     folder = tmp_path / "foreign"
     write_rising_cups(folder / "record", 3, 4)
@@ -32,7 +29,7 @@ def foreign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.slow
-def test_a_sandbox_starts_no_file_of_the_folder(foreign: Path) -> None:
+def test_a_sandbox_starts_no_file_of_the_folder(foreign):
     code = "import sys; sys.path.insert(0, ''); import queue"
     subprocess.run([sys.executable, "-c", code], check=False)
     assert (foreign.parent / "run").exists()  # as Python does by itself
@@ -43,7 +40,7 @@ def test_a_sandbox_starts_no_file_of_the_folder(foreign: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_trial_of_a_scene_starts_no_file_of_the_folder(foreign: Path) -> None:
+def test_the_trial_of_a_scene_starts_no_file_of_the_folder(foreign):
     for name in ("pybullet", "numpy", "pickle", "hashlib"):
         (foreign / f"{name}.py").write_text(f"open({str(foreign.parent / 'run')!r}, 'a')\n")
     (foreign / "box.urdf").write_text(BOX)
@@ -71,7 +68,7 @@ if __name__ == "__main__":
 
 @pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signal")
-def test_ctrl_c_ends_the_processes_of_a_question(tmp_path: Path) -> None:
+def test_ctrl_c_ends_the_processes_of_a_question(tmp_path):
     """They are not in the group of a notebook's process that is interrupted."""
     record = write_rising_cups(tmp_path / "record", 3, 12)
     script = tmp_path / "asks.py"

@@ -1,7 +1,5 @@
 """What a lake reads and decodes: each file once a question, and nothing that it still has."""
 
-from __future__ import annotations
-
 from collections import Counter
 from pathlib import Path
 
@@ -15,7 +13,6 @@ from ssduck.recording.stores import episode_batch
 from ssduck.recording.stores.episode_batch import BatchedFile
 from ssduck.recording.stores.files import write_parquet
 from ssduck.recording.stores.parquet import _options as options
-from tests.support.archive import Archive
 from tests.support.cases import sampled
 from tests.support.forged import with_column
 from tests.support.lake_questions import whole_answer_of
@@ -34,17 +31,17 @@ PROGRAMS = (
 
 
 @pytest.fixture
-def record(tmp_path: Path, archive: Archive) -> Path:
+def record(tmp_path, archive):
     place = archive.copy(write_rising_cups, tmp_path / "r", EPISODES, TICKS)
     workers.forget_readers()
     return place
 
 
-def asked(record: Path, program: str) -> list[workers.Answer]:
+def asked(record, program):
     return workers.answer_episodes(ProgramQuestion(program, None), ssduck.lake(record).entries)
 
 
-def by_themselves(record: Path, program: str) -> list[workers.Answer]:
+def by_themselves(record, program):
     answers = []
     for episode in range(EPISODES):
         with ssduck.open(record, "lab", episode) as ss:
@@ -53,18 +50,18 @@ def by_themselves(record: Path, program: str) -> list[workers.Answer]:
 
 
 @pytest.fixture
-def together(monkeypatch: pytest.MonkeyPatch) -> None:
+def together(monkeypatch):
     """Lets no episode be asked by itself."""
     monkeypatch.setattr(workers, "answer_by_itself", None)
 
 
 @pytest.fixture
-def read(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
+def read(monkeypatch):
     """Counts how often each file is read, by its table and its episode."""
-    counts: Counter[str] = Counter()
+    counts = Counter()
     content = BatchedFile.content
 
-    def counted(file: BatchedFile) -> bytes:
+    def counted(file):
         counts[f"{file.table} {Path(file.path).parent.name[-1]}"] += 1
         return content(file)
 
@@ -75,7 +72,7 @@ def read(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
 @pytest.mark.slow
 @pytest.mark.usefixtures("together")
 @sampled("program", PROGRAMS, every=2)
-def test_episodes_that_are_known_are_asked_with_others(record, program) -> None:
+def test_episodes_that_are_known_are_asked_with_others(record, program):
     """Those that the process knows are checked less; each has its own answer."""
     entries = ssduck.lake(record).entries
     expected = by_themselves(record, program)
@@ -83,7 +80,7 @@ def test_episodes_that_are_known_are_asked_with_others(record, program) -> None:
     assert asked(record, program) == expected
 
 
-def changed(record: Path, name: str, value: object) -> None:
+def changed(record, name, value):
     """Changes a value of the last row of the cup in an episode, with right checksums."""
     file = record / f"entities/world=lab/episode={CHANGED}/part-000000.parquet"
     rows = pq.ParquetFile(file).read()
@@ -98,7 +95,7 @@ def changed(record: Path, name: str, value: object) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("together")
 @sampled("value", [99.0, float("nan")], every=2)
-def test_a_file_that_changed_is_decoded_anew(record, value) -> None:
+def test_a_file_that_changed_is_decoded_anew(record, value):
     programs = PROGRAMS[:4]
     before = [asked(record, program) for program in programs]
     changed(record, "z", value)
@@ -116,7 +113,7 @@ def test_a_file_that_changed_is_decoded_anew(record, value) -> None:
 @sampled("program", PROGRAMS, every=3)
 def test_parts_that_are_too_large_to_be_kept_give_the_same_answers(
     record, monkeypatch, read, program
-) -> None:
+):
     monkeypatch.setattr(episode_batch, "MOST_READ", 0)
     assert asked(record, program) == by_themselves(record, program)
     assert max(read.values()) > 1  # they are read again and again

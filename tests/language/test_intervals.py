@@ -1,12 +1,8 @@
 """Since when, how long and when something held: over the recorded ticks, and as SQL."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import pybullet
@@ -26,7 +22,7 @@ STEP = 1 / 240
 
 
 @contextmanager
-def _opened() -> Iterator[Any]:
+def _opened():
     """An interpreter and one row by row on a world whose ball is put at a height, tick by tick."""
     with Stage() as stage:
         stage.box("board", half=[1, 1, 0.1])
@@ -37,19 +33,19 @@ def _opened() -> Iterator[Any]:
 
 
 @pytest.fixture
-def lab() -> Any:
+def lab():
     with _opened() as made:
         yield made
 
 
 @pytest.fixture(scope="module")
-def unmoved() -> Any:
+def unmoved():
     """A lab for tests that do not change it."""
     with _opened() as made:
         yield made
 
 
-def _put(world: ssduck.World, heights: list[float]) -> list[float]:
+def _put(world, heights):
     """Put the ball at heights, one a step; gives the times of these ticks."""
     times = []
     for height in heights:
@@ -59,7 +55,7 @@ def _put(world: ssduck.World, heights: list[float]) -> list[float]:
     return times
 
 
-def _evaluated(lab: Any, program: str) -> Any:
+def _evaluated(lab, program):
     ss, rows, _ = lab
     found = ss.eval(program)
     assert repr(rows.eval(program)) == repr(found)
@@ -71,7 +67,7 @@ def _evaluated(lab: Any, program: str) -> Any:
 
 @pytest.mark.slow
 @given(st.lists(st.booleans(), max_size=40))
-def test_intervals_are_those_of_a_loop(holding: list[bool]) -> None:
+def test_intervals_are_those_of_a_loop(holding):
     times = [0.5 * number for number in range(len(holding))]
     found = intervals_of(times, holding)
     # What holds at a tick holds until the next one; of the last tick only the instant is known.
@@ -85,7 +81,7 @@ def test_intervals_are_those_of_a_loop(holding: list[bool]) -> None:
 
 @pytest.mark.slow
 @given(st.lists(st.sampled_from([True, False, 1, 0, "a", None, 1.5]), max_size=30))
-def test_changes_are_those_of_a_loop(values: list[Any]) -> None:
+def test_changes_are_those_of_a_loop(values):
     times = list(map(float, range(len(values))))
     found = changes_of(np.array(times), column_of(values))
     wanted = [
@@ -98,7 +94,7 @@ def test_changes_are_those_of_a_loop(values: list[Any]) -> None:
 
 @pytest.mark.slow
 @given(st.sampled_from([[0.5, 0.0, -0.0, math.nan], [1, 2, 3], [True, False, True]]), st.data())
-def test_changes_of_columns_are_those_of_objects(some: list[Any], data: st.DataObject) -> None:
+def test_changes_of_columns_are_those_of_objects(some, data):
     values = data.draw(st.lists(st.sampled_from([*some, None]), min_size=1, max_size=30))
     known = np.array([some[0] if value is None else value for value in values])
     column = np.ma.array(known, mask=[value is None for value in values])
@@ -106,7 +102,7 @@ def test_changes_of_columns_are_those_of_objects(some: list[Any], data: st.DataO
     assert repr(changes_of(times, column)) == repr(changes_of(times, column_of(values)))
 
 
-def test_a_long_window_is_what_numpy_finds_by_hand(lab: Any) -> None:
+def test_a_long_window_is_what_numpy_finds_by_hand(lab):
     """Of the ticks of one time the last one counts; at the first ones the entity is not there."""
     _, _, world = lab
     client = world.simulator.client
@@ -142,7 +138,7 @@ ENDS = st.tuples(st.integers(0, 6), st.integers(0, 6)).map(lambda ends: sorted(m
 
 
 @given(ENDS, ENDS)
-def test_relations_of_intervals_are_those_of_points(a: list[float], b: list[float]) -> None:
+def test_relations_of_intervals_are_those_of_points(a, b):
     held = {name for name, r in RELATIONS_OF_INTERVALS.items() if r.holds(*a, *b)}
     wanted = {
         "before": a[1] < b[0],
@@ -166,9 +162,7 @@ def test_relations_of_intervals_are_those_of_points(a: list[float], b: list[floa
     every=3,
     ids=str,
 )
-def test_sql_and_the_language_agree_on_intervals(
-    unmoved: Any, name: str, a: list[float], b: list[float]
-) -> None:
+def test_sql_and_the_language_agree_on_intervals(unmoved, name, a, b):
     ss, _, _ = unmoved
     holds = RELATIONS_OF_INTERVALS[name].holds(*a, *b)
     assert _evaluated(unmoved, f"{name}({a}, {b});") is holds
@@ -181,7 +175,7 @@ HEIGHTS = [0.21, 0.5, 0.21, 0.21, 0.9, 0.25, 0.22]
 
 
 @sampled("near", [0.005, 0.015, 0.03, 0.1, 1.0], every=3, ids=str)
-def test_holds_is_what_a_loop_over_ticks_finds(lab: Any, near: float) -> None:
+def test_holds_is_what_a_loop_over_ticks_finds(lab, near):
     _put(lab[2], HEIGHTS)
     found = _evaluated(lab, f"holds(near(ball, board, {near}));")
     ticks = (
@@ -194,7 +188,7 @@ def test_holds_is_what_a_loop_over_ticks_finds(lab: Any, near: float) -> None:
 
 
 @pytest.mark.slow
-def test_since_when_and_how_long(lab: Any) -> None:
+def test_since_when_and_how_long(lab):
     _put(lab[2], [0.5, 0.21, 0.22, 0.21])
     now = lab[2].time
     begun = _evaluated(lab, "since(near(ball, board, 0.1));")
@@ -207,11 +201,11 @@ def test_since_when_and_how_long(lab: Any) -> None:
 
 @pytest.mark.slow
 @sampled("ticks", [239, 240, 241, 1200, 1000], every=3)
-def test_since_looks_back_as_far_as_it_has_to(lab: Any, ticks: int) -> None:
+def test_since_looks_back_as_far_as_it_has_to(lab, ticks):
     ss, _, world = lab
     world["ball"].move([0, 0, 5])
     world["ball"].move([0, 0, 0.5])
-    told: list[str] = []
+    told = []
     for _ in range(ticks):
         world.tick()
     ss._database.connection._tracer = told.append
@@ -222,7 +216,7 @@ def test_since_looks_back_as_far_as_it_has_to(lab: Any, ticks: int) -> None:
 
 
 @pytest.mark.slow
-def test_since_is_what_a_loop_over_ticks_finds(lab: Any, monkeypatch: Any) -> None:
+def test_since_is_what_a_loop_over_ticks_finds(lab, monkeypatch):
     """The ticks are read in several pieces, and the first two have the same time."""
     monkeypatch.setattr(series, "FIRST_TICKS", 2)
     _put(lab[2], HEIGHTS)
@@ -240,7 +234,7 @@ def test_since_is_what_a_loop_over_ticks_finds(lab: Any, monkeypatch: Any) -> No
         assert _evaluated(lab, f"since(z(ball) >= {height});") == expected
 
 
-def test_the_closest_approach(lab: Any) -> None:
+def test_the_closest_approach(lab):
     times = _put(lab[2], [0.5, 0.3, 0.25, 0.4])
     time, distance = _evaluated(lab, "least(clearance(ball, board));")
     assert (time, distance) == (pytest.approx(times[2]), pytest.approx(0.05, abs=1e-6))
@@ -248,7 +242,7 @@ def test_the_closest_approach(lab: Any) -> None:
     assert late[1] == pytest.approx(0.2, abs=0.01)
 
 
-def test_the_greatest_value(lab: Any) -> None:
+def test_the_greatest_value(lab):
     """At the first tick that has it, and of numbers alone."""
     times = _put(lab[2], [0.5, 0.7, 0.3, 0.7])
     first = [pytest.approx(times[1]), pytest.approx(0.7)]
@@ -258,14 +252,14 @@ def test_the_greatest_value(lab: Any) -> None:
 
 
 @pytest.mark.slow
-def test_changes_of_a_value(lab: Any) -> None:
+def test_changes_of_a_value(lab):
     _put(lab[2], [0.5, 0.21, 0.21, 0.5])
     found = _evaluated(lab, "changes(near(ball, board, 0.05));")
     assert [value for _, value in found] == [False, True, False]
     assert _evaluated(lab, "changes(id(ball));") == [[0.0, "ball"]]
 
 
-def test_rows_are_asked_about_one_by_one(lab: Any) -> None:
+def test_rows_are_asked_about_one_by_one(lab):
     _put(lab[2], [0.21, 0.5])
     program = "SELECT id(this), heldFor(z(this) < 2) FROM lab AS list;"
     now = lab[2].time
@@ -275,7 +269,7 @@ def test_rows_are_asked_about_one_by_one(lab: Any) -> None:
 
 
 @pytest.mark.slow
-def test_an_entity_that_was_not_there_ends_what_holds(lab: Any) -> None:
+def test_an_entity_that_was_not_there_ends_what_holds(lab):
     ss, _, world = lab
     client = world.simulator.client
     world.step(5)
@@ -306,15 +300,13 @@ def test_an_entity_that_was_not_there_ends_what_holds(lab: Any) -> None:
     ],
     every=3,
 )
-def test_what_is_no_expression_over_time(
-    lab: Any, program: str, error: type[Exception], told: str
-) -> None:
+def test_what_is_no_expression_over_time(lab, program, error, told):
     for each in lab[:2]:
         with pytest.raises(error, match=told):
             each.eval(program)
 
 
-def test_entities_of_two_worlds(lab: Any, stage: Stage) -> None:
+def test_entities_of_two_worlds(lab, stage):
     stage.sphere("other")
     other = stage.open()
     lab[0].add_variable("attic", other)
@@ -327,7 +319,7 @@ def test_entities_of_two_worlds(lab: Any, stage: Stage) -> None:
 
 
 @pytest.mark.slow
-def test_intervals_in_sql_are_those_of_the_language(lab: Any) -> None:
+def test_intervals_in_sql_are_those_of_the_language(lab):
     ss, _, world = lab
     _put(world, HEIGHTS)
     ss.sql(
@@ -346,7 +338,7 @@ def test_intervals_in_sql_are_those_of_the_language(lab: Any) -> None:
 
 
 @pytest.mark.slow
-def test_initially_is_the_value_at_the_first_recorded_tick(lab: Any) -> None:
+def test_initially_is_the_value_at_the_first_recorded_tick(lab):
     _, _, world = lab
     start = world["ball"].position[2]
     _put(world, [1.2, 1.5, 1.1])
@@ -358,7 +350,7 @@ def test_initially_is_the_value_at_the_first_recorded_tick(lab: Any) -> None:
     assert _evaluated(lab, program) == ["ball", start]
 
 
-def test_of_what_came_later_nothing_is_known_initially(lab: Any) -> None:
+def test_of_what_came_later_nothing_is_known_initially(lab):
     ss, rows, world = lab
     Stage(client_of(world)).sphere("late", (3, 0, 1), radius=0.1, mass=1)
     world.tick()
@@ -370,7 +362,7 @@ def test_of_what_came_later_nothing_is_known_initially(lab: Any) -> None:
         assert _evaluated(lab, program) is None
 
 
-def test_initially_takes_one_argument(unmoved: Any) -> None:
+def test_initially_takes_one_argument(unmoved):
     ss, *_ = unmoved
     with pytest.raises(ArgumentError, match="initially takes 1 argument"):
         ss.eval("initially(z(ball), 1.0);")

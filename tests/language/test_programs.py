@@ -307,7 +307,7 @@ def test_a_users_function_is_what_an_operator_means(ss, sign):
     before = [ss.eval(program) for program in programs]
     with pytest.warns(UserWarning, match=f"'{name}' replaces the operator"):
         ss.add_function(name, lambda a, b: [a, b])
-    nested: object = reduce(lambda a, _: [a, 1], range(40), 1)
+    nested = reduce(lambda a, _: [a, 1], range(40), 1)
     if sign in ("<", "<=", ">", ">="):  # `a < b < c` is `a < b AND b < c`
         nested = True
     assert [ss.eval(program) for program in programs] == [[1, 2], [[1, 2], [5, 2]], [1, 5], nested]
@@ -644,13 +644,7 @@ def check(ss, program, name):
         ss.eval(program)
     except SelectScriptError as error:
         assert error.span is not None, program
-        foreign = (
-            "TypeError",
-            "ValueError",
-            "OverflowError",
-            "ZeroDivisionError",
-            "domain",
-        )
+        foreign = ("TypeError", "ValueError", "OverflowError", "ZeroDivisionError", "domain")
         assert not any(word in error.message for word in foreign), (program, error.message)
         if isinstance(error, ArgumentError):
             assert name in error.message, (program, error.message)

@@ -1,7 +1,5 @@
 """Ticks are on the disk in time: the first at once, the others after `flush_every` at the latest."""
 
-from __future__ import annotations
-
 import shutil
 import threading
 import time
@@ -188,7 +186,7 @@ def test_the_timer_leaves_a_recorder_that_is_in_use(world, clock, tmp_path):
         recorder = _started(ss, world, tmp_path / "run", flush_every=NEVER)
         _tick(recorder, world)
         clock.now += NEVER
-        results: list[bool] = []
+        results = []
 
         def try_in_thread():
             thread = threading.Thread(target=lambda: results.append(recorder.try_to_flush()))
@@ -229,7 +227,7 @@ def test_flushes_make_no_small_parts(world, clock, tmp_path, monkeypatch):
     """A flush at each tick: the record has full parts, and each row is written twice at most."""
     monkeypatch.setattr(parquet, "PART_TICKS", 10)
     run = tmp_path / "run"
-    written: Counter[str] = Counter()
+    written = Counter()
     write_parquet, append = parquet.write_parquet, parquet.PartLog.append
 
     def counted(rows, place, **options):

@@ -1,12 +1,9 @@
 """Records from strangers in DuckDB files: they are read as data, and what is wrong is an error."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
 import sqlite3
-from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
@@ -75,7 +72,7 @@ ROWS, LINK_ROWS, JOINT_ROWS, TICKS = (
     place(f"{t} 0") for t in ("entities", "links", "joints", "ticks")
 )
 # (name, change, words of the error)
-ATTACKS: list[tuple[str, Callable[[Path], None], str]] = [
+ATTACKS = [
     ("a view as a model", in_place_of("entities model", LEAK), "'entities model' is damaged: it is"),
     *(
         (f"a view as {table}", in_place_of(table, "FROM {old}"), f"'{table}' is damaged: it is")

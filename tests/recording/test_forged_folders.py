@@ -1,12 +1,8 @@
 """Records from strangers in folders: nothing outside is read, and what is wrong is an error."""
 
-from __future__ import annotations
-
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -66,7 +62,7 @@ def moved(old, new):
 
 ENTITIES, TICKS = f"entities/{EPISODE}/part-000000.parquet", f"ticks/{EPISODE}/part-000000.parquet"
 # (name, change, words of the error)
-ATTACKS: list[tuple[str, Callable[[Path], Any], str]] = [
+ATTACKS = [
     ("no UTF-8", text("ssduck.json", b"\xff\xfe{}"), "ssduck.json is damaged: .*utf-8"),
     ("empty", text("ssduck.json", ""), "ssduck.json is damaged: Expecting value"),
     ("a huge number", text("ssduck.json", '{"version": 1' + "0" * 5000 + "}"), "is damaged: Exceeds"),
@@ -238,7 +234,7 @@ def _change(table, change):
     return lambda tables: tables.update({table: change(tables[table])})
 
 
-LOG_ATTACKS: list[tuple[str, Callable[[Any], Any], str]] = [
+LOG_ATTACKS = [
     ("a table less", lambda t: t.pop("contacts"), "its tables are not those recorded|contacts"),
     ("an unknown table", lambda t: t.update(x=t["ticks"]), "'x' is no table"),
     ("another type", _change("entities", with_column("x", lambda v: pa.array(list(map(str, v))))),

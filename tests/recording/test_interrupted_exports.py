@@ -1,13 +1,10 @@
 """Ctrl-C in a call of `export` or `write_record`: nothing is left, or the whole."""
 
-from __future__ import annotations
-
 import inspect
 import math
 import signal
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
@@ -22,7 +19,7 @@ from tests.support.presser import Presser
 
 POSES = {"cup": [[0, 0, 1], [0, 0, 2]]}
 # The modules at lines of which Ctrl-C is pressed: those that begin and end an episode.
-MODULES: tuple[ModuleType, ...] = (exporting, record_writer, recording)
+MODULES = (exporting, record_writer, recording)
 # At so many lines, spread over a call, and at the last ones.
 SPREAD, LAST = 6, 8
 PLACES = tuple(inspect.getfile(module) for module in MODULES)

@@ -1,12 +1,9 @@
 """Links beside a DuckDB file, of the names that DuckDB writes to: nothing goes through them."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -64,13 +61,7 @@ def _repair(file):
     ssduck.check(file, repair=True)
 
 
-DOORS: tuple[Callable[[Path], object], ...] = (
-    _record,
-    _open,
-    ssduck.episodes,
-    ssduck.check,
-    _repair,
-)
+DOORS = (_record, _open, ssduck.episodes, ssduck.check, _repair)
 
 
 @pytest.mark.parametrize("ending", LOGS)

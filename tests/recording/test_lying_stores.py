@@ -1,7 +1,5 @@
 """Object stores that refuse, fail, or lie: whatever they say is an error of a record."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -38,7 +36,7 @@ def opened(path):
 def in_lake(path):
     del path
     lake = ssduck.lake(LAKE)
-    errors: list[str | None] = lake.ask("SELECT x FROM lab{} AS list;", processes=1)["error"]
+    errors = lake.ask("SELECT x FROM lab{} AS list;", processes=1)["error"]
     return errors.to_pylist()  # type: ignore[union-attr]
 
 

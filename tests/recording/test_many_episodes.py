@@ -1,7 +1,5 @@
 """An episode's beginning and its opening look at few of the others."""
 
-from __future__ import annotations
-
 import json
 import re
 from itertools import islice
@@ -27,8 +25,8 @@ class Looks:
     """Counts the files of `episodes` that are looked at, and the runs that are asked for ticks."""
 
     def __init__(self, monkeypatch):
-        self.files: list[str] = []
-        self.runs: list[int] = []
+        self.files = []
+        self.runs = []
         stat, has_ticks = Path.stat, FolderRun.has_ticks.fget
         assert has_ticks is not None
 
@@ -107,7 +105,7 @@ def test_the_last_episode_of_a_file_is_opened_at_once(tmp_path, client, monkeypa
             ss.add_variable("lab", ssduck.World.attach(client))
     from ssduck.interpreter import archives
 
-    read: list[str] = []
+    read = []
     description = archives._description
 
     def counted(path, schema, texts):
@@ -130,7 +128,7 @@ def _begin(path, client):
 def test_an_episode_of_a_file_begins_without_the_texts_of_the_others(tmp_path, client, monkeypatch):
     path = tmp_path / "run.duckdb"
     _begin(path, client)
-    asked: list[str] = []
+    asked = []
     rows = Connection.internal_rows
 
     def counted(own, sql, parameters=None):

@@ -1,7 +1,5 @@
 """A record of many parts: its ticks are read from one file, and a tick from one part."""
 
-from __future__ import annotations
-
 import shutil
 
 import pyarrow.parquet as pq
@@ -54,8 +52,8 @@ class Reads:
     """Has the names of the files that are read: of ticks and models, and of rows."""
 
     def __init__(self, monkeypatch):
-        self.ticks: list[str] = []
-        self.rows: list[str] = []
+        self.ticks = []
+        self.rows = []
         read, rows_of = parquet_layout.rows_of_part, parquet_archive._rows_of_ticks
 
         def counted(file, *arguments):
@@ -164,7 +162,7 @@ def test_few_parts_have_no_index(tmp_path, client, monkeypatch):
 def checks(monkeypatch):
     """The files that are checked; a record has many parts if it has two."""
     monkeypatch.setattr(parquet_archive, "MANY_PARTS", 2)
-    read: list[str] = []
+    read = []
     check = parquet_layout.FolderRun.check_data
 
     def counted(run, table, numbers):

@@ -1,9 +1,5 @@
 """Opening a record reads its ticks and models; the current tick is restored when it is read."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-
 import pybullet
 import pytest
 
@@ -36,7 +32,7 @@ def runs(tmp_path_factory):
 @pytest.fixture
 def work(monkeypatch):
     """The ticks that are restored and the rows that are read."""
-    done: list[str] = []
+    done = []
     restore, rows = Record.restore, parquet_archive._rows_of_ticks
 
     def counted_restore(record, tick):
@@ -69,7 +65,7 @@ def test_the_past_needs_no_current_tick(runs, kind, work):
         assert work.count(f"tick {ticks[-1]}") == 1
 
 
-READS: list[Callable[[ssduck.World], object]] = [
+READS = [
     len,
     lambda lab: [entity.name for entity in lab],
     lambda lab: "still" in lab,

@@ -1,10 +1,7 @@
 """Parts of a record's folder: one that is missing, swapped or of another record is noticed."""
 
-from __future__ import annotations
-
 import shutil
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 
 import pybullet
@@ -72,7 +69,7 @@ def renamed_episode(run):
     shutil.copy(run / "episodes" / "lab-0.json", run / "episodes" / "lab-1.json")
 
 
-DAMAGES: list[tuple[str, Callable[[Path], object], str]] = [
+DAMAGES = [
     ("ticks of a part in the middle", lambda r: part(r, "ticks", 1).unlink(), "000001.* missing"),
     ("two in the middle", lambda r: without(r, 1, 2), "000001.* is missing, and parts after it"),
     ("the first", lambda r: without(r, 0), "000000.* is missing, and parts after it"),

@@ -1,9 +1,5 @@
 """How what waits is stored: by a store that fails; and in memory."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import pybullet
 import pytest
 
@@ -22,7 +18,7 @@ class Store(TickStore):
         self.recording = Recording()
         self.tables = recorded_tables(self.recording.tables)
         self.failures = 0
-        self.rows: list[dict[str, Any]] = []
+        self.rows = []
 
     def add_members(self, members, geometry_id):
         pass

@@ -70,11 +70,7 @@ def test_a_query_holds_the_record_at_its_tick(opened):
     assert kitchen.time == pytest.approx(1.0)
 
 
-RELATIONS = (
-    "collides(a.this, b.this)",
-    "near(a.this, b.this, 1)",
-    "inContact(a.this, b.this)",
-)
+RELATIONS = ("collides(a.this, b.this)", "near(a.this, b.this, 1)", "inContact(a.this, b.this)")
 SOURCES = (
     "a=lab, b=lab{0.04}",
     "a=lab{0.04}, b=lab",

@@ -3,12 +3,9 @@
 `python -m tools.write_records` writes such records.
 """
 
-from __future__ import annotations
-
 import json
 import tarfile
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -49,7 +46,7 @@ def test_a_record_of_another_version_is_an_error(records, version):
 
 def assert_answers(records, place):
     """Checks what a record of the small world says against what PyBullet said."""
-    expected: list[dict[str, Any]] = json.loads((records / "expected.json").read_text("utf-8"))
+    expected = json.loads((records / "expected.json").read_text("utf-8"))
     ticks = [told["tick"] for told in expected]
     with ssduck.open(place) as ss:
         assert ss.past("lab").ticks[-len(ticks) :] == ticks

@@ -1,7 +1,5 @@
 """Ticks go on while those before them are stored in a thread: what is seen, and what may happen."""
 
-from __future__ import annotations
-
 import gc
 import os
 import subprocess
@@ -9,7 +7,6 @@ import sys
 import threading
 import weakref
 from pathlib import Path
-from typing import Any
 
 import pybullet
 import pytest
@@ -110,7 +107,7 @@ def _whole(last, first=1):
 
 
 def _in_thread(call):
-    found: list[Any] = []
+    found = []
     thread = threading.Thread(target=lambda: found.append(call()))
     thread.start()
     return thread, found
@@ -371,7 +368,7 @@ def test_an_interpreter_that_is_forgotten_while_it_stores(world, gate, tmp_path)
 @pytest.mark.slow
 def test_garbage_is_collected_in_the_thread_that_stores(world, tmp_path, monkeypatch):
     path = tmp_path / "run.duckdb"
-    ss: Any = ssduck.Interpreter(str(path), recording=FULL)
+    ss = ssduck.Interpreter(str(path), recording=FULL)
     ss.add_variable("lab", world)
     finish = ss._database.connection._finalizer
     run, ended = WriterConnection.run, threading.Event()

@@ -19,12 +19,7 @@ from prompt_toolkit.document import Document
 from prompt_toolkit.input import create_pipe_input
 from prompt_toolkit.output import DummyOutput
 
-from ssduck.shell.terminal import (
-    NameCompleter,
-    history_path,
-    prompt_session,
-    run_terminal,
-)
+from ssduck.shell.terminal import NameCompleter, history_path, prompt_session, run_terminal
 
 
 @pytest.fixture(scope="module")

@@ -1,17 +1,13 @@
 """Groups, aggregates and DISTINCT run in SQL, and give what the evaluator of the language gives."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
 from fractions import Fraction
-from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import ssduck
-from tests.support.evaluators import Evaluators, evaluators, is_same
+from tests.support.evaluators import evaluators, is_same
 
 # What SQL has, and what is left to Python.
 ITEMS = (
@@ -34,7 +30,7 @@ SOURCES = ("w", "w{-0.02}")
 
 
 @pytest.fixture(scope="module")
-def both() -> Iterator[Evaluators]:
+def both():
     """Both evaluators, on a world whose box and cup have moved."""
     with evaluators() as found:
         for tick in range(6):
@@ -44,13 +40,13 @@ def both() -> Iterator[Evaluators]:
         yield found
 
 
-def _items(draw: Any, pool: tuple[str, ...]) -> str:
+def _items(draw, pool):
     chosen = draw(st.lists(st.sampled_from(pool), min_size=1, max_size=3))
     return ", ".join(f"{item} AS c{place}" for place, item in enumerate(chosen))
 
 
 @st.composite
-def programs(draw: Any, others: tuple[str, ...] = (), *, counted: bool = False) -> str:
+def programs(draw, others=(), *, counted=False):
     """A query with groups, or with one group of all rows, or the distinct rows."""
     clauses = {name: draw(st.sampled_from(texts)) for name, texts in CLAUSES.items()}
     source = draw(st.sampled_from(SOURCES))
@@ -72,12 +68,12 @@ def programs(draw: Any, others: tuple[str, ...] = (), *, counted: bool = False) 
 
 @settings(suppress_health_check=list(HealthCheck))
 @given(text=programs(OTHERS))
-def test_groups_are_those_of_the_evaluator(both: Evaluators, text: str) -> None:
+def test_groups_are_those_of_the_evaluator(both, text):
     assert both.disagreement(text) is None
 
 
 @pytest.mark.parametrize("source", SOURCES)
-def test_pairs_of_rows_are_grouped(both: Evaluators, source: str) -> None:
+def test_pairs_of_rows_are_grouped(both, source):
     text = (
         f"SELECT a.id, count(*) AS n, min(distance(a.this, b.this)) AS least "
         f"FROM {source} a, {source} b WHERE a.z > b.z GROUP BY a.this, b.kind ORDER BY n;"
@@ -85,7 +81,7 @@ def test_pairs_of_rows_are_grouped(both: Evaluators, source: str) -> None:
     assert both.disagreement(text) is None
 
 
-def test_what_is_left_to_python_says_for_what(both: Evaluators) -> None:
+def test_what_is_left_to_python_says_for_what(both):
     text = "SELECT kind, stddev(z) AS s FROM w{-0.02} GROUP BY kind;"
     assert "-- left to Python: GROUP BY, for stddev(z)" in both.sql.explain(text)
     assert both.disagreement(text) is None
@@ -97,7 +93,7 @@ LISTS = st.lists(NUMBERS | st.sampled_from((0.1, -0.1, 1e16, -1e16, -0.0)), min_
 
 @settings(suppress_health_check=list(HealthCheck))
 @given(values=LISTS)
-def test_sums_are_rounded_once(both: Evaluators, values: list[float]) -> None:
+def test_sums_are_rounded_once(both, values):
     exact = sum(map(Fraction, values))
     for interpreter in (both.sql, both.rows):
         interpreter.add_variable("values", values)
@@ -116,7 +112,7 @@ def test_sums_are_rounded_once(both: Evaluators, values: list[float]) -> None:
         assert row["top"] == max(values)
 
 
-def test_the_sum_of_many_numbers_has_one_value(both: Evaluators) -> None:
+def test_the_sum_of_many_numbers_has_one_value(both):
     """However DuckDB shares the rows among its threads."""
     values = [(-1.0) ** n * 0.1 * n for n in range(300_000)]
     both.sql.add_variable("values", values)
@@ -128,9 +124,7 @@ def test_the_sum_of_many_numbers_has_one_value(both: Evaluators) -> None:
     ("first", "second"),
     [(["x", "x, y"], ["y, z", "z"]), (["None", "x"], [None]), ([0.0, -0.0], [1, 2])],
 )
-def test_groups_whose_keys_are_printed_alike_are_one(
-    both: Evaluators, first: list[Any], second: list[Any]
-) -> None:
+def test_groups_whose_keys_are_printed_alike_are_one(both, first, second):
     for interpreter in (both.sql, both.rows):
         interpreter.add_variable("p", first)
         interpreter.add_variable("q", second)
@@ -138,7 +132,7 @@ def test_groups_whose_keys_are_printed_alike_are_one(
     assert both.sql.eval(text) == both.rows.eval(text)
 
 
-def test_no_rows_have_one_group_without_keys(both: Evaluators) -> None:
+def test_no_rows_have_one_group_without_keys(both):
     for items in ("count(*) AS n, max(z) AS m", "sum(z) AS s, avg(z) AS a", "sum(tick) AS s"):
         assert both.disagreement(f"SELECT {items} FROM w{{-0.02}} WHERE z > 100;") is None
         assert (
@@ -147,7 +141,7 @@ def test_no_rows_have_one_group_without_keys(both: Evaluators) -> None:
         )
 
 
-def test_variables_beside_aggregates_change_between_runs(both: Evaluators) -> None:
+def test_variables_beside_aggregates_change_between_runs(both):
     text = "SELECT kind, v AS v, max(z) > v AS high FROM w GROUP BY kind HAVING count(*) > v;"
     for number in (0.5, 1.5, 2.5, 0.5, 3, 0, 1, 2):
         for interpreter in (both.sql, both.rows):
@@ -156,7 +150,7 @@ def test_variables_beside_aggregates_change_between_runs(both: Evaluators) -> No
     assert both.sql.eval("SELECT v AS v, count(*) AS n FROM w WHERE z > 9;") == [{"v": 2, "n": 0}]
 
 
-def test_an_error_of_a_group_has_its_place(both: Evaluators) -> None:
+def test_an_error_of_a_group_has_its_place(both):
     text = "SELECT 1 / (max(z) - max(z)) AS x FROM w{-0.02} GROUP BY kind;"
     for interpreter in (both.sql, both.rows):
         with pytest.raises(ssduck.SelectScriptError, match="division by zero") as caught:

@@ -132,10 +132,7 @@ def squeezed(angle):
     rod = pybullet.createCollisionShape(pybullet.GEOM_CYLINDER, radius=0.1, height=0.1, **here)
     half = math.radians(180 - angle) / 2
     away = 0.1 + 0.01 - 0.002  # the jaws press 2 mm into the rod
-    places = [
-        [0.0, away, 0.0],
-        [away * math.sin(2 * half), -away * math.cos(2 * half), 0.0],
-    ]
+    places = [[0.0, away, 0.0], [away * math.sin(2 * half), -away * math.cos(2 * half), 0.0]]
     hand = create_linked_body(
         client,
         0,

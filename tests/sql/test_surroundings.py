@@ -164,12 +164,7 @@ def test_a_convex_shape_around_the_centre_is_no_wall(stage):
 
 
 # Of a rod along x through the middle of a tube that is 0.42 wide: (half its length, enclosed)
-PAST = [
-    (0.05, True),
-    (0.21 + 1e-3 - EDGE, True),
-    (0.21 + 1e-3 + EDGE, False),
-    (2.0, False),
-]
+PAST = [(0.05, True), (0.21 + 1e-3 - EDGE, True), (0.21 + 1e-3 + EDGE, False), (2.0, False)]
 
 
 @pytest.mark.slow

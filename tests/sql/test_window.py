@@ -1,10 +1,6 @@
 """What a query of many ticks costs, by counts, and that none of its short ways changes an answer."""
 
-from __future__ import annotations
-
 import re
-from collections.abc import Callable, Iterator
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -26,7 +22,7 @@ from tests.support.cases import sampled
 
 
 @pytest.fixture(scope="module")
-def comings() -> Iterator[ssduck.Interpreter]:
+def comings():
     """A ball that falls past a board; another one that is there from the 20th to the 40th tick."""
     client = pybullet.connect(pybullet.DIRECT)
     pybullet.setGravity(0, 0, -9.81, client)
@@ -35,7 +31,7 @@ def comings() -> Iterator[ssduck.Interpreter]:
         "ball": {"shapeType": pybullet.GEOM_SPHERE, "radius": 0.1},
     }
 
-    def body(kind: str, mass: float, place: list[float]) -> int:
+    def body(kind, mass, place):
         made = pybullet.createCollisionShape(**shape[kind], physicsClientId=client)
         return int(pybullet.createMultiBody(mass, made, basePosition=place, physicsClientId=client))
 
@@ -57,9 +53,9 @@ def comings() -> Iterator[ssduck.Interpreter]:
     pybullet.disconnect(client)
 
 
-def _told(ss: ssduck.Interpreter, program: str, long: int) -> tuple[Any, list[str]]:
+def _told(ss, program, long):
     """What a program gives, and its statements; of more ticks than `long`, values are written in."""
-    told: list[str] = []
+    told = []
     before, queries.LONG = queries.LONG, long
     ss._database.connection._tracer = told.append
     try:
@@ -81,9 +77,7 @@ def _told(ss: ssduck.Interpreter, program: str, long: int) -> tuple[Any, list[st
         ("> 4", lambda rest: rest > 4),
     ],
 )
-def test_the_remainder_of_a_tick_is_one_operation(
-    comings: ssduck.Interpreter, compared: str, holds: Callable[[int], bool]
-) -> None:
+def test_the_remainder_of_a_tick_is_one_operation(comings, compared, holds):
     found, told = _told(
         comings, f"SELECT tick(this) FROM lab{{}} WHERE tick(this) % 7 {compared} AS list;", 10
     )
@@ -94,9 +88,7 @@ def test_the_remainder_of_a_tick_is_one_operation(
     assert found == [tick for tick in ticks if holds(tick % 7)] != []
 
 
-def test_the_remainder_of_what_may_be_below_0_has_the_sign_of_the_divisor(
-    comings: ssduck.Interpreter,
-) -> None:
+def test_the_remainder_of_what_may_be_below_0_has_the_sign_of_the_divisor(comings):
     program = "SELECT (tick(this) - 30) % 7 FROM lab{} WHERE this == board AS list;"
     found, _ = _told(comings, program, 10)
     assert found == [(tick - 30) % 7 for tick in comings.past("lab").ticks]
@@ -118,9 +110,7 @@ CONDITIONS = {
 @pytest.mark.parametrize("handle", ["board", "guest"])
 @pytest.mark.parametrize("long", [10, 10_000])
 @sampled("condition", CONDITIONS, every=3)
-def test_a_handles_row_is_read_where_a_column_of_it_is(
-    comings: ssduck.Interpreter, condition: str, long: int, handle: str
-) -> None:
+def test_a_handles_row_is_read_where_a_column_of_it_is(comings, condition, long, handle):
     asked = condition.format(handle)
     program = f"SELECT tick(this) FROM lab{{}} WHERE this == ball AND {asked} AS list;"
     found, told = _told(comings, program, long)
@@ -146,9 +136,7 @@ def test_a_handles_row_is_read_where_a_column_of_it_is(
         "enclosed({1}, {0})",
     ],
 )
-def test_neither_a_relation_nor_its_negation_holds_before_an_entity_came(
-    comings: ssduck.Interpreter, relation: str
-) -> None:
+def test_neither_a_relation_nor_its_negation_holds_before_an_entity_came(comings, relation):
     past = "SELECT tick(this) FROM lab{{}} WHERE this == board AND {} AS list;"
     guest = comings["guest"].id
     there = [e.moment.tick for e in comings.past("lab") if e.id == guest]
@@ -164,11 +152,11 @@ _PLACES = st.one_of(st.none(), st.sampled_from([0.0, 0.5, 0.5 + 2e-9, 0.5 + 5e-1
 
 
 @st.composite
-def _rows(draw: Any) -> list[pa.Table]:
+def _rows(draw):
     """Rows of three entities at some ticks, in parts of whole ticks; not all are there always."""
     numbers = draw(st.lists(st.integers(1, 12), unique=True, max_size=6).map(sorted))
     there = [(tick, id) for tick in numbers for id in (1, 2, 3) if draw(st.booleans())]
-    columns: dict[str, Any] = {"tick": [t for t, _ in there], "id": [id for _, id in there]}
+    columns = {"tick": [t for t, _ in there], "id": [id for _, id in there]}
     for name in (*POSE, *BOX):
         columns[name] = [draw(_PLACES) for _ in there]
     types = [("tick", pa.int64()), ("id", pa.int64()), *((n, pa.float64()) for n in (*POSE, *BOX))]
@@ -179,7 +167,7 @@ def _rows(draw: Any) -> list[pa.Table]:
 
 
 @pytest.fixture(scope="module")
-def writer() -> Iterator[Any]:
+def writer():
     """A connection of a history's own."""
     with ssduck.Interpreter() as ss:
         yield ss._database.connection.writer()
@@ -192,9 +180,7 @@ def writer() -> Iterator[Any]:
     apart=st.sampled_from([0.0, 0.5]),
     ends=st.tuples(st.integers(0, 13), st.integers(0, 13)),
 )
-def test_two_entities_picked_out_of_memory_are_those_of_sql(
-    writer: Any, parts: list[pa.Table], pair: tuple[int, int], apart: float, ends: tuple[int, int]
-) -> None:
+def test_two_entities_picked_out_of_memory_are_those_of_sql(writer, parts, pair, apart, ends):
     rows = pa.concat_tables(parts)
     asked = PairRequest(*ends, *pair, apart)
     found, wanted = _near_pair(rows, asked), near_pair_rows(writer, None, asked, rows)
@@ -211,16 +197,14 @@ def test_two_entities_picked_out_of_memory_are_those_of_sql(
 
 
 @pytest.mark.parametrize("together", [1, 2, 7, 1 << 15])
-def test_pairs_are_the_same_however_many_are_compared_together(
-    comings: ssduck.Interpreter, monkeypatch: pytest.MonkeyPatch, together: int
-) -> None:
+def test_pairs_are_the_same_however_many_are_compared_together(comings, monkeypatch, together):
     program = (
         "SELECT tick(a.this), id(a.this), id(b.this) FROM a=lab{}, b=lab{} "
         "WHERE near(a.this, b.this, 0.12) AS list;"
     )
     monkeypatch.setattr(many_ticks, "MAX_BATCH_SIZE", together)
     found = comings.eval(program)
-    wanted: list[Any] = []
+    wanted = []
     for tick in comings.past("lab").ticks:
         then = comings.past("lab").at(tick)
         shapes = then.shapes()
@@ -235,7 +219,7 @@ def test_pairs_are_the_same_however_many_are_compared_together(
 
 
 @pytest.mark.parametrize("count", [0, 1, 1023, 1024, 1025, 3000])
-def test_products_of_many_rows_are_those_of_each(count: int) -> None:
+def test_products_of_many_rows_are_those_of_each(count):
     turns = np.random.default_rng(count).normal(size=(count, 4))
     turns /= np.sqrt((turns * turns).sum(axis=1))[:, None]
     each = [rotation_matrices(turn[None])[0] for turn in turns]

@@ -1,11 +1,8 @@
 """`step` and `run` take a tick at each physics step: what happened when is exact to a step."""
 
-from __future__ import annotations
-
 import os
 import signal
 import threading
-from collections.abc import Iterator
 
 import pybullet
 import pytest
@@ -16,7 +13,7 @@ from tests.support.stage import Stage
 STEP = 1 / 240
 
 
-def falling_ball() -> int:
+def falling_ball():
     """Returns a client with a ball above a floor."""
     stage = Stage()
     pybullet.setGravity(0, 0, -9.81, stage.client)
@@ -27,7 +24,7 @@ def falling_ball() -> int:
 
 
 @pytest.fixture
-def twins() -> Iterator[tuple[int, int]]:
+def twins():
     """Two clients of the same simulation: ssduck steps one, the test the other."""
     clients = falling_ball(), falling_ball()
     yield clients
@@ -37,7 +34,7 @@ def twins() -> Iterator[tuple[int, int]]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("way", ["step", "run", "interpreter"])
-def test_contacts_are_exact_to_a_step(twins: tuple[int, int], way: str) -> None:
+def test_contacts_are_exact_to_a_step(twins, way):
     mine, plain = twins
     with ssduck.Interpreter() as ss:
         sim = ss.add_variable("sim", ssduck.World.attach(mine, names={0: "floor", 1: "ball"}))
@@ -79,7 +76,7 @@ def test_contacts_are_exact_to_a_step(twins: tuple[int, int], way: str) -> None:
     ],
 )
 @pytest.mark.parametrize("way", ["step", "run"])
-def test_every(twins: tuple[int, int], steps: int, options: dict, ticks: int, way: str) -> None:
+def test_every(twins, steps, options, ticks, way):
     with ssduck.Interpreter() as ss:
         sim = ss.add_variable("sim", ssduck.World.attach(twins[0]))
         if way == "step":
@@ -92,14 +89,14 @@ def test_every(twins: tuple[int, int], steps: int, options: dict, ticks: int, wa
         assert times[-1] == sim.time
 
 
-def test_ticks_that_nobody_gets_are_not_taken(twins: tuple[int, int]) -> None:
+def test_ticks_that_nobody_gets_are_not_taken(twins):
     class Observer:
         ticks = 0
 
-        def due(self, _: ssduck.World) -> float:
+        def due(self, _):
             return float("inf")
 
-        def ticked(self, _: ssduck.World) -> None:
+        def ticked(self, _):
             self.ticks += 1
 
     sim = ssduck.World.attach(twins[0])
@@ -128,7 +125,7 @@ def test_ticks_that_nobody_gets_are_not_taken(twins: tuple[int, int]) -> None:
 
 
 @pytest.mark.slow
-def test_worlds_in_lockstep_keep_their_own_steps() -> None:
+def test_worlds_in_lockstep_keep_their_own_steps():
     clients = falling_ball(), falling_ball()
     pybullet.setTimeStep(1 / 100, clients[1])
     with ssduck.Interpreter() as ss:
@@ -143,7 +140,7 @@ def test_worlds_in_lockstep_keep_their_own_steps() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seconds", [0.003, 0.01, 0.02, 0.03, 0.05, 0.08])
-def test_ctrl_c_leaves_whole_ticks(twins: tuple[int, int], seconds: float) -> None:
+def test_ctrl_c_leaves_whole_ticks(twins, seconds):
     """Wherever it comes, the tables are those of the simulator, and no tick is lost or partial."""
     with ssduck.Interpreter() as ss:
         sim = ss.add_variable("sim", ssduck.World.attach(twins[0]))

@@ -59,10 +59,7 @@ def test_a_name_of_another_library_has_a_counterpart(ss, find, name, told):
     ("call", "told"),
     [
         (lambda lab: lab.tick(dt=0.1), r"tick: .* 'dt'; .*tick\(steps=n\), or tick\(time=…\)"),
-        (
-            lambda lab: lab.tick(step=1),
-            r"tick: .* 'step'; the arguments are steps, time; did you",
-        ),
+        (lambda lab: lab.tick(step=1), r"tick: .* 'step'; the arguments are steps, time; did you"),
         (lambda lab: lab.step(seconds=1), r"step: .* 'seconds'; run\(seconds\)"),
         (lambda lab: lab.run(1.0, time_step=0.1), r"run: .* 'time_step'; .*\.timestep"),
         (lambda lab: lab["ball"].move(pos=[0, 0, 1]), r"move: .* 'pos'; .* position=\[x, y, z\]"),

@@ -1,10 +1,7 @@
 """Worlds that programs make are let go when no variable has them any more."""
 
-from __future__ import annotations
-
 import gc
 import weakref
-from pathlib import Path
 
 import pybullet
 import pytest
@@ -17,7 +14,7 @@ PLACES = ["memory", "file"]
 
 
 @pytest.fixture(params=["memory", pytest.param("file", marks=pytest.mark.long)])
-def lab(request, client, tmp_path: Path):
+def lab(request, client, tmp_path):
     """An interpreter on a world of three boxes, in memory or in a file that is called so, too."""
     box = pybullet.createCollisionShape(
         pybullet.GEOM_BOX, halfExtents=[0.1, 0.1, 0.1], physicsClientId=client
@@ -30,7 +27,7 @@ def lab(request, client, tmp_path: Path):
         yield ss
 
 
-def held(ss) -> tuple[int, int, int, int]:
+def held(ss):
     """How many clients, worlds, schemas and views of buffers there are."""
     clients = sum(pybullet.isConnected(number) for number in range(64))
     schemas = ss.sql(
@@ -55,7 +52,7 @@ ROUNDS = {
 
 @pytest.mark.slow
 @sampled("program", ROUNDS.values(), every=5, ids=ROUNDS)
-def test_a_loop_of_programs_keeps_the_last_world_at_most(lab, program: str) -> None:
+def test_a_loop_of_programs_keeps_the_last_world_at_most(lab, program):
     lab.eval(program)
     lab.eval(program)
     gc.collect()  # clients that other tests left
@@ -72,8 +69,8 @@ def test_a_loop_of_programs_keeps_the_last_world_at_most(lab, program: str) -> N
 
 
 @pytest.mark.long
-def test_what_fails_keeps_no_world(lab) -> None:
-    def fails() -> None:
+def test_what_fails_keeps_no_world(lab):
+    def fails():
         with pytest.raises(UnknownNameError):
             lab.eval("e = SELECT this FROM lab AS environment; SELECT id FROM e AS list; nobody;")
 
@@ -87,7 +84,7 @@ def test_what_fails_keeps_no_world(lab) -> None:
 
 @pytest.mark.slow
 @sampled("how", ["environment", "what_if", "excerpt"], every=3)
-def test_a_world_of_the_users_name_goes_with_its_name(lab, how: str) -> None:
+def test_a_world_of_the_users_name_goes_with_its_name(lab, how):
     world = lab.call_variable("lab")
 
     def made():
@@ -111,7 +108,7 @@ def test_a_world_of_the_users_name_goes_with_its_name(lab, how: str) -> None:
 
 
 @pytest.mark.slow
-def test_what_somebody_has_stays(lab) -> None:
+def test_what_somebody_has_stays(lab):
     kept = lab.eval("e = SELECT this FROM lab AS environment; SELECT this FROM e AS list;")
     past = lab.eval("e{};")
     lab.eval("e = 1;")
@@ -122,7 +119,7 @@ def test_what_somebody_has_stays(lab) -> None:
 
 
 @pytest.mark.slow
-def test_closing_lets_go_what_programs_have_bound(lab) -> None:
+def test_closing_lets_go_what_programs_have_bound(lab):
     lab.eval("e = SELECT this FROM lab AS environment; f = e; mine = 1;")
     lab.add_variable("kept", lab.eval("SELECT this FROM lab AS environment;"))
     bound = weakref.ref(lab.call_variable("e"))

@@ -1,7 +1,5 @@
 """The declarations of tables: what follows from them, and that they name who fills them."""
 
-from __future__ import annotations
-
 from functools import reduce
 from importlib import import_module
 
@@ -13,7 +11,7 @@ ALL = {**TABLES, **RECORDED}
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_a_table_names_the_functions_that_fill_it(name: str) -> None:
+def test_a_table_names_the_functions_that_fill_it(name):
     assert ALL[name].filled_by
     for path in ALL[name].filled_by:
         package, module, *parts = path.split(".")
@@ -22,7 +20,7 @@ def test_a_table_names_the_functions_that_fill_it(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_the_columns_of_a_table_are_declared_once(name: str) -> None:
+def test_the_columns_of_a_table_are_declared_once(name):
     table = ALL[name]
     names = [column.name for column in table.all_columns]
     assert len(set(names)) == len(names)
@@ -30,13 +28,13 @@ def test_the_columns_of_a_table_are_declared_once(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", RECORDED)
-def test_rows_of_ticks_begin_with_the_tick_and_its_time(name: str) -> None:
+def test_rows_of_ticks_begin_with_the_tick_and_its_time(name):
     columns = RECORDED[name].tick_columns
     assert (columns.integers[0], columns.doubles[0]) == ("tick", "time")
 
 
 @pytest.mark.parametrize("name", HISTORIES)
-def test_a_history_has_each_column_in_its_rows_or_in_its_model(name: str) -> None:
+def test_a_history_has_each_column_in_its_rows_or_in_its_model(name):
     table = RECORDED[HISTORIES[name].source]
     stored = {*table.tick_columns.names, *(column.name for column in table.model)}
     assert set(table.names) <= stored
@@ -44,6 +42,6 @@ def test_a_history_has_each_column_in_its_rows_or_in_its_model(name: str) -> Non
         assert set(table.key) <= {column.name for column in MODELS[table.name].model}
 
 
-def test_the_poses_of_links_are_for_records_alone() -> None:
+def test_the_poses_of_links_are_for_records_alone():
     assert FRAMES not in TABLES
     assert FRAMES not in HISTORIES

@@ -160,7 +160,7 @@ def test_openraves_spellings(kitchen):
     assert kitchen.GetKinBody("can") == kitchen["can"]
     assert kitchen.GetSensor("fridge_webcam") == kitchen["fridge_webcam"]
     assert [e.GetName() for e in kitchen.GetRobots()] == [
-        *("fridge", "cooker", "barrett_4918", "roomba_625x"),
+        *("fridge", "cooker", "barrett_4918", "roomba_625x")
     ]
     assert len(kitchen.GetSensors()) == 8
     assert len(kitchen.GetBodies()) == 29

@@ -10,13 +10,7 @@ import pytest
 import ssduck
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS
 from ssduck.sql.relations.registry import RELATIONS
-from tests.support.shape_cases import (
-    CAPSULE,
-    CYLINDER,
-    HOLDS,
-    SHAPES,
-    approx,
-)
+from tests.support.shape_cases import CAPSULE, CYLINDER, HOLDS, SHAPES, approx
 from tests.support.stage import PLANE, pairs_of
 from tests.support.urdf import box_obj, collision, joint, link, robot
 

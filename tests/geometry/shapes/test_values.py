@@ -10,13 +10,7 @@ from hypothesis import strategies as st
 import ssduck
 from ssduck.sql.relations.registry import RELATIONS
 from tests.support.cases import sampled
-from tests.support.shape_cases import (
-    EDGE,
-    HOLDS,
-    SHAPES,
-    TURNED,
-    approx,
-)
+from tests.support.shape_cases import EDGE, HOLDS, SHAPES, TURNED, approx
 from tests.support.stage import Stage, pairs_of
 
 # -- values, and the edges -----------------------------------------------------------------------

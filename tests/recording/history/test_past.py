@@ -1,9 +1,6 @@
 """The past as a source of queries."""
 
-from __future__ import annotations
-
 import re
-from typing import Any
 
 import pybullet
 import pytest
@@ -86,10 +83,7 @@ def test_both_evaluators_see_one_past(fallen, program):
 
 
 @pytest.mark.slow
-@given(
-    heights=st.lists(st.floats(0.2, 3.0), min_size=2, max_size=12),
-    age=st.floats(-0.1, 0.1),
-)
+@given(heights=st.lists(st.floats(0.2, 3.0), min_size=2, max_size=12), age=st.floats(-0.1, 0.1))
 def test_the_past_is_what_was(heights, age):
     client, (ball, _) = _falling()
     world = ssduck.World.attach(client, names={ball: "ball"})
@@ -197,7 +191,7 @@ def test_ticks_that_are_not_kept(falling, program, told):
 def test_no_statement_reads_ticks_that_are_not_asked_for(falling):
     _step(falling, 480)
     falling.flush()
-    told: list[str] = []
+    told = []
     falling._database.connection._tracer = told.append
     falling.eval("SELECT z FROM lab{-0.1} WHERE id(this) == 'ball_0' AS list;")
     (query,) = [sql for sql in told if "entities_history" in sql]
@@ -302,7 +296,7 @@ def test_all_ticks_at_once_are_each_tick(looked_at, moments, form, where):
     program = f"SELECT tick(a.this), id(a.this), id(b.this) FROM a=kitchen{{}}, b=kitchen{{}} WHERE {where.format(form)} AS list;"
     found = looked_at.eval(program)
     relation = form.partition("(")[0]
-    wanted: list[Any] = []
+    wanted = []
     for tick, entities, shapes in moments:
         for a in entities:
             for b in entities:
@@ -356,7 +350,7 @@ def test_a_long_window_has_its_values_written_in(falling):
         "SELECT tick(this) FROM lab{} WHERE this == ball_0 AND near(board, this, 0.4) AS list;"
     )
     wanted = falling.eval(program)
-    told: list[str] = []
+    told = []
     falling._database.connection._tracer = told.append
     before, queries.LONG = queries.LONG, 10
     try:

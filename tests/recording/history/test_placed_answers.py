@@ -1,7 +1,5 @@
 """`inside`, `contains` and `enclosed` at many ticks: as at each tick, and each pose placed once."""
 
-from __future__ import annotations
-
 import pybullet
 import pytest
 
@@ -88,7 +86,7 @@ def _singly(ss, relation, a):
         for entity in world:
             ids = world[a].id, entity.id
             if ids[0] == ids[1]:
-                answer: object = 0.0 if relation == "inside" else False
+                answer = 0.0 if relation == "inside" else False
             elif relation == "inside":
                 answer = shapes.inside(*ids)
             elif relation == "contains":

@@ -59,10 +59,7 @@ def lab(tmp_path_factory):
     tables = {name: rows(ss, name) for name in (*PRESENT, *PAST, *MODELS)}
     ss.close()
     pybullet.disconnect(client)
-    opened = {
-        "folder": ssduck.open(place / "folder"),
-        "file": ssduck.open(place / "run.duckdb"),
-    }
+    opened = {"folder": ssduck.open(place / "folder"), "file": ssduck.open(place / "run.duckdb")}
     # What was opened can be written again.
     opened["folder"].export(place / "copy")
     opened["live"] = ssduck.open(place / "copy")

@@ -12,16 +12,7 @@ from ssduck import Recording
 from ssduck.errors import RecordError, UnsupportedError
 from ssduck.schema import RECORDABLE
 from tests.support.cases import sampled
-from tests.support.recorded import (
-    MODELS,
-    PAST,
-    PRESENT,
-    PROGRAMS,
-    answer,
-    live_lab,
-    python,
-    rows,
-)
+from tests.support.recorded import MODELS, PAST, PRESENT, PROGRAMS, answer, live_lab, python, rows
 
 KINDS = ["folder", "live", "file"]
 

@@ -104,10 +104,7 @@ def test_groups_of_no_rows(ss):
     nothing = "FROM kitchen WHERE z(this) > 100"
     assert ss.eval(
         f"SELECT count(*), sum(z), uniq(z), min(z), max(z), avg(z) {nothing} AS list;"
-    ) == [
-        *(0, 0, []),
-        *(None, None, None),
-    ]
+    ) == [*(0, 0, []), *(None, None, None)]
     assert ss.eval(f"SELECT type, count(*) {nothing} GROUP BY type;") == {}
     assert ss.eval(f"SELECT id {nothing} HAVING count(*) == 0 AS list;") == []
 

@@ -7,14 +7,7 @@ import pytest
 import ssduck
 from ssduck.errors import UnsupportedError
 from tests.support.bodies import create_linked_body
-from tests.support.environments import (
-    MOTORS,
-    constraints,
-    dynamics,
-    farthest,
-    relations,
-    state,
-)
+from tests.support.environments import MOTORS, constraints, dynamics, farthest, relations, state
 from tests.support.urdf import box_obj
 
 

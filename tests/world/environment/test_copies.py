@@ -21,14 +21,7 @@ from ssduck.errors import (
 )
 from ssduck.simulators.scenes import shipped_scenes
 from tests.support.cases import sampled
-from tests.support.environments import (
-    MOTORS,
-    constraints,
-    dynamics,
-    farthest,
-    relations,
-    state,
-)
+from tests.support.environments import MOTORS, constraints, dynamics, farthest, relations, state
 from tests.support.urdf import collision, joint, link, robot
 
 # Nothing that these rest on moves, and nothing else touches them.
