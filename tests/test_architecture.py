@@ -129,7 +129,7 @@ BUDGETS = {
     "mcp": 600,
     "recording": 9_000,
     "render": 1_050,
-    "sandbox": 3_750,
+    "sandbox": 3_780,
     "shell": 500,
     "simulators": 11_900,
     "sql": 7_160,

@@ -17,6 +17,7 @@ from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.namespace import check_name
 from ssduck.interpreter.program import check_parameters
 from ssduck.limits import GRACE, LEAST_OPENING, Limits
+from ssduck.logic.why import Why
 from ssduck.sandbox.budget import InvalidAnswerError
 from ssduck.sandbox.effects import check_present
 from ssduck.sandbox.live_worlds import LiveWorlds
@@ -281,6 +282,11 @@ class SandboxedInterpreter:
     def explain(self, program: str | SandboxedProgram) -> str:
         """Returns the SQL of a program and what Python evaluates, as `Interpreter.explain` does."""
         return str(self.ask("ss.explain", _text_of(program)[0]))
+
+    def why(self, program: str | SandboxedProgram) -> Why:
+        """Returns why the condition that ends a program holds, as `Interpreter.why` does."""
+        why: Why = self.ask("ss.why", _text_of(program)[0])
+        return why
 
     def sql(
         self,

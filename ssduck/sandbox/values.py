@@ -26,6 +26,7 @@ from ssduck.adapters.optional import library
 from ssduck.adapters.result import Result
 from ssduck.adapters.tabular import class_of_rows
 from ssduck.errors import LimitError, SelectScriptError, UnsupportedError
+from ssduck.logic.why import Move, Why
 from ssduck.sandbox.budget import ELEMENT, Budget, InvalidAnswerError, is_short
 from ssduck.sandbox.references import EntityReference, SandboxedWorld
 from ssduck.sandbox.tables import checked_table, plain_table, size_of_values, table_bytes
@@ -46,7 +47,9 @@ _GRAPHS, _NODE, _EDGE = ("EntityGraph", "EntityMultiGraph"), 1000, 1000
 # The kinds of numpy's types: of numbers, truth values, texts and times.
 _KINDS = "biufcUSMm"
 _MODES = {"1": 1, "L": 1, "RGB": 3, "RGBA": 4}
-_OBJECTS = {kind.__name__: kind for kind in (OccupancyGrid, PlaneGrid, SensorGrid, VoxelGrid)}
+_OBJECTS: dict[str, type[Any]] = {
+    kind.__name__: kind for kind in (OccupancyGrid, PlaneGrid, SensorGrid, VoxelGrid, Why, Move)
+}
 _NULLABLE = ("Int64", "boolean")
 _json = json.JSONEncoder(separators=(",", ":")).encode
 _PLAIN = frozenset((type(None), bool, int, float, str))
@@ -175,7 +178,7 @@ class Encoder:
         return self._each([world, entity.id, *names], depth)
 
     def object(self, value: Any, depth: int) -> Any:
-        """Returns what JSON holds of a grid."""
+        """Returns what JSON holds of a grid, or of what tells why a condition holds."""
         parts = [[field.name, getattr(value, field.name)] for field in fields(value)]
         return [type(value).__name__, [[name, self.node(part, depth)] for name, part in parts]]
 
@@ -394,12 +397,28 @@ class Decoder:
         return [known[number] for number in self.node(numbers)]
 
     def object(self, content: Any) -> Any:
-        """Returns a grid."""
+        """Returns a grid, or what tells why a condition holds."""
         name, parts = content
-        values = {field: self.node(part) for field, part in _named(parts)}
-        if not isinstance(values.get("cells"), np.ndarray):
-            raise InvalidAnswerError("a grid has no cells")
-        return _OBJECTS[name](**values)
+        made = _OBJECTS[name](**{field: self.node(part) for field, part in _named(parts)})
+        match made:
+            case Why(
+                text=str(),
+                value=bool() | None,
+                margin=float() | None,
+                time=float() | None,
+                detail=str(),
+                points=tuple() as points,
+                move=Move() | None,
+                parts=tuple() as below,
+            ):
+                is_right = all(map(_is_place, points)) and {Why}.issuperset(map(type, below))
+            case Move(entity=str(), translation=translation):
+                is_right = _is_place(translation)
+            case _:
+                is_right = isinstance(getattr(made, "cells", None), np.ndarray)
+        if not is_right:
+            raise InvalidAnswerError(f"this is no {name}")
+        return made
 
     def other(self, content: Any) -> Any:
         """Returns a frame, a graph or a picture."""
@@ -439,6 +458,11 @@ class Decoder:
         data = bytes(self.part(content))
         self._budget.charge_text(data)
         return data.decode("utf-8", "surrogatepass")
+
+
+def _is_place(value: Any) -> bool:
+    """Checks whether a value is x y z."""
+    return type(value) is tuple and len(value) == 3 and {float}.issuperset(map(type, value))
 
 
 def _named(parts: list[Any]) -> list[Any]:

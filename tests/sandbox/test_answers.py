@@ -15,6 +15,7 @@ import pytest
 import ssduck
 from ssduck.adapters.display import as_json
 from ssduck.errors import (
+    ArgumentError,
     LimitError,
     ProgramWarning,
     SandboxError,
@@ -414,6 +415,25 @@ def test_an_entity_of_the_past_goes_back(zygote):
         ss["then"] = cup
         assert cup.tick == 1
         assert ss.eval("z(then);") == ss.eval("z(kitchen{0.0}.cup_905a);")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "z(kitchen.can) > 9 AND near(kitchen.table, kitchen.can, 0.1);",
+        "kitchen.can IN (SELECT this FROM kitchen WHERE z > 0.5);",
+        "a = 2; historically(a > 1 AND NOT isRobot(kitchen.can));",
+    ],
+)
+def test_why_is_the_tree_that_an_interpreter_returns(text, sandbox, here):
+    assert sandbox.why(text) == sandbox.why(sandbox.compile(text)) == here.why(text)
+    assert sandbox.eval(f"WHY {text}") == str(here.why(text))
+
+
+def test_why_refuses_what_an_interpreter_does(sandbox):
+    with pytest.raises(ArgumentError, match="WHY takes a condition") as caught:
+        sandbox.why("SELECT id FROM kitchen;")
+    assert caught.value.span is not None
 
 
 def test_what_a_sandbox_has_not_says_why(sandbox, here):
