@@ -117,7 +117,7 @@ BUDGETS = {
     "adapters": 4_650,
     "cli": 1_350,
     "columns": 1_300,
-    "database": 6_550,
+    "database": 6_560,
     "demos": 1_500,
     "geometry": 8_900,
     "gym": 2_660,
@@ -132,9 +132,9 @@ BUDGETS = {
     "sandbox": 3_780,
     "shell": 500,
     "simulators": 11_900,
-    "sql": 7_160,
+    "sql": 7_190,
     "view": 2_250,
-    "world": 6_290,
+    "world": 6_310,
 }
 
 

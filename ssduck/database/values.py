@@ -8,6 +8,8 @@ from itertools import chain
 from operator import itemgetter
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from ssduck.recording.replay.record import Record
 from ssduck.sql.types import ANY, BOOLEAN, DOUBLE, EXACT, IDS, INTEGER, STRING, SqlType, merged
 from ssduck.world.handles import Handle
@@ -40,6 +42,8 @@ def sql_type_of(value: Any, schema_of: SchemaOf) -> SqlType:
             return SqlType("entity", schema=schema, past=past, table=table)
         case list():
             return _list((value,), schema_of)
+        case np.ndarray() if value.shape == (3,) and value.dtype.kind in "iuf":
+            return SqlType("array") if np.isfinite(value).all() else ANY
         case dict():
             return _record((value,), schema_of)
     return ANY
@@ -145,6 +149,8 @@ def to_sql(value: Any) -> Any:
         return value.column("id")
     if isinstance(value, list):
         return [to_sql(element) for element in value]
+    if isinstance(value, np.ndarray):
+        return value.astype(np.float64).tolist()
     return value
 
 

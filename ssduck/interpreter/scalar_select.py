@@ -21,7 +21,7 @@ from sqlglot import exp
 
 from ssduck.columns.compiler import Compiler, Expression, Kind, LeftToDuckDBError
 from ssduck.columns.numbers import NumberOperations, known
-from ssduck.database.values import is_exactly
+from ssduck.database.values import is_exactly, to_sql
 from ssduck.errors import ArgumentError, EvaluationError
 from ssduck.language.evaluator import EvaluationScope, Frame
 from ssduck.language.tree import Index, ListLiteral, Literal, Name, Node, QualifiedName
@@ -241,7 +241,7 @@ class RepeatedSelect:
             raise LeftToDuckDBError
         self._variables.update(part.name for part in node.walk() if isinstance(part, Name))
         key = (node.name if isinstance(node, Name) else node,)
-        self._readers[key] = lambda frame: _of_type(_value_of(node, frame), sql_type)
+        self._readers[key] = lambda frame: _of_type(to_sql(_value_of(node, frame)), sql_type)
         return key
 
     def _note_world(self, name: str, frame: Frame) -> None:

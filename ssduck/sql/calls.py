@@ -30,7 +30,7 @@ from ssduck.sql.sql_values import (
     or_failure,
     wrapped,
 )
-from ssduck.sql.types import DOUBLE, INTEGER, STRING, SqlType
+from ssduck.sql.types import DOUBLE, INTEGER, POINT, STRING, SqlType
 
 # Functions that SQL and Python take from C, with the same results to the last digit.
 _REAL_FUNCTIONS = ("sin", "cos", "tan", "atan", "tanh")
@@ -147,7 +147,7 @@ def _array(array: exp.Array, domain: FloatDomain) -> SqlValue:
 def _argument(
     sql: ExpressionScope, relation: Relation, parameter: Parameter, node: Node
 ) -> SqlValue:
-    value = sql.value(node)
+    value = _point(sql, parameter, node) or sql.value(node)
     if value.sql_type.nullable:
         raise NotSqlError  # NULL in SQL, but an error in Python
     if value.domain and parameter.type == "double":
@@ -174,6 +174,14 @@ def _argument(
         index = {"x": 1, "y": 2, "z": 3}
         return replace(value, column=lambda name: element_at(value, index[name]))
     raise _argument_error(sql, relation, parameter, value.sql_type.words, node)
+
+
+def _point(sql: ExpressionScope, parameter: Parameter, node: Node) -> SqlValue | None:
+    """Returns an array of numpy that is a point; it has another meaning where no place is asked."""
+    if parameter.type != "place" or not sql.is_constant(node):
+        return None
+    is_array = sql.context.constant_type(node).type == "array"
+    return sql.context.constant("point", node, POINT) if is_array else None
 
 
 def _argument_error(

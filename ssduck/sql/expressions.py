@@ -164,10 +164,7 @@ class Expressions(ExpressionScope):
             raise NotSqlError
         stem = node.name if isinstance(node, Name | Placeholder) else "value"
         if sql_type.type != "entity":
-            parameter = self.context.parameter(stem, ParameterBinding("", node, sql_type=sql_type))
-            if sql_type.type == "list":
-                parameter = exp.cast(parameter, sql_type.duckdb_type, dialect="duckdb")
-            return SqlValue(parameter, sql_type)
+            return self.context.constant(stem, node, sql_type)
 
         def column(name: str) -> exp.Expr:
             binding = ParameterBinding("", node, name, sql_type=column_type(name))

@@ -129,6 +129,13 @@ class StatementContext:
         self.plan.bindings.append(replace(binding_key, name=name))
         return exp.Parameter(this=exp.var(name))
 
+    def constant(self, stem: str, node: Node, sql_type: SqlType) -> SqlValue:
+        """Returns the value of a part that does not depend on rows, and is no entity."""
+        parameter = self.parameter(stem, ParameterBinding("", node, sql_type=sql_type))
+        if sql_type.type == "list":
+            parameter = exp.cast(parameter, sql_type.duckdb_type, dialect="duckdb")
+        return SqlValue(parameter, sql_type)
+
     def list_in(self, name: str) -> Node | None:
         """Returns the list that a variable holds for this query."""
         if name not in self.plan.deferred:

@@ -94,6 +94,7 @@ _WORDS: dict[ValueType, str] = {
     "string": "a text",
     "boolean": "True or False",
     "list": "a list",
+    "array": "an array",
     "record": "a dict",
     "nothing": "nothing",
 }
@@ -111,6 +112,7 @@ class Signature:
 
 ANY = SqlType("any")
 DOUBLE = SqlType("double")
+POINT = SqlType("list", DOUBLE, 3)
 INTEGER = SqlType("integer")
 STRING = SqlType("string")
 BOOLEAN = SqlType("boolean")

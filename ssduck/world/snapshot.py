@@ -25,7 +25,15 @@ from ssduck.geometry.arrays import Array
 from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.margins import Margins
 from ssduck.geometry.shapes import Geometry
-from ssduck.schema import FORGOTTEN_AFTER, OFTEN_UNKNOWN, ON_DEMAND, STORED_TABLES, TABLES
+from ssduck.schema import (
+    FORGOTTEN_AFTER,
+    OFTEN_UNKNOWN,
+    ON_DEMAND,
+    POSE,
+    STORED_TABLES,
+    TABLES,
+    TWIST,
+)
 from ssduck.simulators.contact_pairs import ContactPairs
 from ssduck.simulators.interface import (
     Body,
@@ -540,14 +548,20 @@ class Snapshot(TickGeometry):
         table.publish_unknown()
 
     def entities_with_nan(self) -> list[EntityInfo]:
-        """Returns the entities with a pose, a box or a velocity that is not a number."""
+        """Returns the entities with a pose, a box or a velocity that is not a number.
+
+        Velocities that no entity has are not known to the simulator, and do not count.
+        """
         if self._link_poses and all(poses.are_finite for poses in self._link_poses):
             return []
         table = self._tables["entities"]
         if table.is_complete:
             return []
-        unknown = np.isnan(table.doubles("x", "zmax")).any(axis=0)
-        return [self.entities[row] for row in np.flatnonzero(unknown).tolist()]
+        unknown = np.isnan(table.doubles("x", "zmax"))
+        velocities = unknown[len(POSE) : len(POSE) + len(TWIST)]
+        velocities &= not velocities.all()
+        rows = np.flatnonzero(unknown.any(axis=0))
+        return [self.entities[row] for row in rows.tolist()]
 
     def _warn_of_unknown(self) -> None:
         """Warns, once for each entity, of poses and velocities that are not numbers."""

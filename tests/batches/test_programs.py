@@ -263,6 +263,25 @@ def test_a_variable_may_be_an_entity(batch):
         assert agree(ss.eval("z(target);"), each(model, states, f"z(sim.{name});"))
 
 
+def test_a_point_may_change_to_an_array_and_back(batch, monkeypatch):
+    ss, sim, model, states = batch
+    sim.tick({name: np.stack([getattr(d, name) for d in states]) for name in ("xpos", "xquat")})
+    program, here = ss.compile("distance(sim.cube, target) < 0.2;"), [0.1, 0.0, 0.4]
+    expected = each(model, states, f"distance(sim.cube, {here}) < 0.2;")
+    asked, choose = [], type(sim.ticker).choose
+    for target in (here, np.array(here), tuple(here), np.array([0.1, 0, 0.4], np.float32), here):
+        ss.add_variable("target", target)
+        ss.eval(program)
+        with monkeypatch.context() as patch:
+            patch.setattr(type(sim.ticker), "choose", lambda *a: asked.append(a) or choose(*a))
+            assert agree(ss.eval(program), expected)
+        for wrong, told in (("a", "a text"), (np.zeros(4), "another length")):
+            ss.add_variable("target", wrong)
+            with pytest.raises(ArgumentError, match=f"environment 0: distance: b .*{told}"):
+                ss.eval(program)
+    assert asked == []
+
+
 def test_a_limit_in_a_function_is_no_cliff(batch, monkeypatch):
     ss, sim, _, states = batch
     heights = ss.eval("z(sim.cube);")

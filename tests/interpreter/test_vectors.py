@@ -66,7 +66,15 @@ def test_relations_take_arrays_as_points(ss, goal, relation, value):
     assert alone == value
     assert type(alone) is type(value)
     row = goal.replace("sim.ball", "this")
-    assert ss.eval(f"SELECT {relation.format(ball='this', goal=row)} FROM sim AS list;") == [value]
+    query = f"SELECT {relation.format(ball='this', goal=row)} FROM sim AS list;"
+    assert ss.eval(query) == [value]
+    assert ("left to Python" in ss.explain(query)) is (goal != "goal")
+
+
+def test_selected_arrays_stay_arrays(ss):
+    (chosen,) = ss.eval("SELECT goal FROM sim WHERE distance(this, goal) > 1 AS list;")
+    assert isinstance(chosen, np.ndarray)
+    assert chosen.tolist() == list(GOAL)
 
 
 @pytest.mark.parametrize("value", [np.zeros((2, 3)), np.array(["a"] * 3), np.zeros(2)])

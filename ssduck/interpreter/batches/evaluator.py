@@ -52,7 +52,7 @@ class BatchExpressions:
         # The sums of whole forces over the contacts of an entity.
         self._sums = sorted(frozenset().union(*map(calls_of, nodes)) & {"force", "torque"})
         self._compiled: CompiledExpressions | None = None
-        self._generation: object = None
+        self._meaning: object = None  # what has to be the same for these
         names = frozenset().union(*map(variables_of, nodes))
         # The variables whose type may change.
         self._names = names - {name for name in names if self._is_world(name)}
@@ -180,18 +180,21 @@ class BatchExpressions:
 
     def _current(self, given: Mapping[str, Array]) -> CompiledExpressions:
         """Returns the compiled expressions for the present types of variables."""
-        compiled, generation = self._compiled, self._execution.planner.generation
-        if compiled is not None and generation is not self._generation:
-            compiled = None
-        if compiled is not None and compiled.is_current(Frame(self._execution)):
+        compiled, execution = self._compiled, self._execution
+        is_same = compiled is not None and self._meaning_of(compiled) is self._meaning
+        if compiled is not None and is_same and compiled.is_current(Frame(execution)):
             return compiled
         # Of an expression that fails everywhere, one environment tells.
         samples = at_environment(given, {}, 0)
-        with self._world.at(0), self._execution.worlds_pinned(*self.substituted):
-            compiled = CompiledExpressions(self._engine, self._execution, self.substituted, samples)
-        self._compiled = compiled
-        self._generation = self._execution.planner.generation
+        with self._world.at(0), execution.worlds_pinned(*self.substituted):
+            compiled = CompiledExpressions(self._engine, execution, self.substituted, samples)
+        self._compiled, self._meaning = compiled, self._meaning_of(compiled)
         return compiled
+
+    def _meaning_of(self, compiled: CompiledExpressions) -> object:
+        """Returns what is replaced where they may have to be compiled anew."""
+        execution = self._execution  # another value may be one that arrays can have
+        return execution.planner.generation if compiled.is_complete else execution.stamp
 
     def _one_by_one(
         self,

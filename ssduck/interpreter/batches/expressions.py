@@ -20,6 +20,7 @@ from ssduck.columns.arrays import Array, ArrayOperations, ArrayValues
 from ssduck.columns.compiler import Compiler, Compute, Expression, Kind, LeftToDuckDBError
 from ssduck.columns.selects import PLAIN
 from ssduck.columns.trees import TreeCompiler, kind_of
+from ssduck.database.values import to_sql
 from ssduck.geometry.arrays import Flags
 from ssduck.interpreter.batches.columns import CHANGING, EnvironmentColumns
 from ssduck.interpreter.batches.kernels import EnvironmentShapes, kernels_of
@@ -152,6 +153,7 @@ class Leaves:
 
     def _constant(self, key: str, value: Any) -> None:
         """Notes a value that is the same in all environments."""
+        value = to_sql(value)
         is_list = isinstance(value, list)
         if is_list and not _are_numbers(value):
             raise LeftToDuckDBError
@@ -289,6 +291,7 @@ class CompiledExpressions:
             None if plan is None else self._computed(node, plan, frame)
             for node, plan in zip(nodes, plans, strict=True)
         ]
+        self.is_complete = None not in self._computes  # whether arrays can have all of them
         self.is_current = self._leaves.is_current
 
     def _plan(self, node: Node, frame: Frame) -> dict[Node, exp.Expr] | None:

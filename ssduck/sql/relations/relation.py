@@ -14,9 +14,9 @@ from ssduck.schema import ALL_ENTITIES, BOX, LINK_FACTOR, MARGINS, MASSES
 from ssduck.simulators.contact_pairs import ContactPairs
 from ssduck.sql.relations.geometry_query import CandidatePairs, GeometryQuery
 
-# What an expression yields. `place` is an entity or a point [x, y, z]; `number` is real or
-# integer from case to case; `record` is a dict of the same keys each time; `any` is a value
-# that only Python knows.
+# What an expression yields. `place` is an entity or a point [x, y, z]; `array` is an array of
+# numpy that may be a point; `number` is real or integer from case to case; `record` is a dict of
+# the same keys each time; `any` is a value that only Python knows.
 ValueType: TypeAlias = Literal[
     "entity",
     "place",
@@ -26,6 +26,7 @@ ValueType: TypeAlias = Literal[
     "string",
     "boolean",
     "list",
+    "array",
     "record",
     "nothing",
     "any",
