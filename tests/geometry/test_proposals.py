@@ -8,7 +8,6 @@ from ssduck.geometry.proofs.proposals import Proposer, gap_bounds
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Decisions
 from ssduck.geometry.solids import SolidsOfShapes, solid_of
 from tests.support import pairs
-from tests.support.cases import sampled
 from tests.support.pairs import gap
 
 KINDS = ("sphere", "box", "cylinder", "capsule", "ellipsoid", "hull")
@@ -83,43 +82,3 @@ def test_wrong_proposals_give_no_wrong_verdict(bound, size):
         return spoiled
 
     check(*decisions(random_pairs(6, 3), bound, spoil), bound)
-
-
-def moved(shapes, random, far):
-    """Returns shapes that have moved and turned by about a distance."""
-    result = []
-    for one in shapes:
-        turn = one.quaternion + random.normal(size=4) * far
-        place = one.position + random.normal(size=3) * far
-        result.append(one.at(place, turn / np.linalg.norm(turn)))
-    return result
-
-
-@pytest.mark.slow
-@sampled("far", [1e-4, 2e-3, 0.05], every=3)
-def test_shapes_that_move_get_no_wrong_verdict(far):
-    scene, random = Scene(random_pairs(7, 4)), np.random.default_rng(8)
-    for tick in range(8):
-        bound = BOUNDS[tick % 2]  # whatever the condition
-        found = scene.proposer.decide(
-            scene.cores, scene.poses, *scene.pairs, np.full(len(scene.first), bound)
-        )
-        gaps = scene.gaps()
-        check(found, gaps, bound)
-        far_pairs = np.abs(gaps - bound) > 1e-3
-        assert (found.verdicts[far_pairs] != UNDECIDED).mean() > 0.7
-        scene.place(moved(scene.shapes, random, far))
-
-
-def test_shapes_that_begin_to_overlap_or_part():
-    """A ball above a box goes down into it, and up again."""
-    random = np.random.default_rng(1)
-    box, ball = (pairs.Shape(kind, pairs.geometry(kind, random, True), np.zeros(3),
-                             np.array([1.0, 0.0, 0.0, 0.0])) for kind in ("box", "sphere"))  # fmt: skip
-    reach = box.geometry.size[2] / 2 + ball.geometry.size[0]
-    scene = Scene([(box, ball)])
-    for height in (2e-3, -2e-3, -4e-3, 2e-3, 4e-3):
-        scene.place([box, ball.at((1e-3, 0.0, reach + height))])
-        found = scene.proposer.decide(scene.cores, scene.poses, *scene.pairs, np.zeros(1))
-        assert found.verdicts.tolist() == [ABOVE if height > 0.0 else BELOW]
-        assert found.room[0] == pytest.approx(abs(height), abs=1e-6)

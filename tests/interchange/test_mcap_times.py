@@ -1,7 +1,5 @@
 """Frames of MCAP files that are told of at times of their own, in other frames, and not for ever."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -18,7 +16,6 @@ MS = 10**6
 DAY = 1_764_000_000 * 10**9
 # A quarter of a turn about z: w, x, y, z.
 QUARTER = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
-Message = tuple[str, int | None, Any, int]
 
 
 def stamp(moment):

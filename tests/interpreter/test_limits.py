@@ -1,14 +1,16 @@
-"""What programs from elsewhere may use; Ctrl-C."""
+"""What programs from elsewhere may use; Ctrl-C; programs that another thread stops."""
 
 import gc
 import subprocess
 import sys
+import threading
 import time
 
 import pytest
 
 import ssduck
 from ssduck.errors import ArgumentError, LimitError, SqlError
+from ssduck.interpreter.stopping import StopRequest
 from tests.support.cases import sampled
 from tests.support.timing import HANGS
 
@@ -202,3 +204,59 @@ def test_a_handler_of_the_users_has_ctrl_c():
         [sys.executable, "-c", HANDLED], capture_output=True, text=True, timeout=HANGS, check=False
     )
     assert (done.returncode, done.stderr) == (0, "")
+
+
+# -- stopped by another thread --------------------------------------------------------------------
+
+ENDLESS = "SELECT count(*) FROM range(9000000) a, range(9000000) b WHERE a.range + b.range = 7"
+
+
+@pytest.fixture(params=[None, 3600])
+def stoppable(request):
+    with ssduck.Interpreter(limits=ssduck.Limits(seconds=request.param)) as ss:
+        yield ss
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("delay", [0.0, 0.001, 0.3])
+def test_a_statement_is_stopped_whenever_that_is_asked(stoppable, delay):
+    stop = StopRequest()
+    timer = threading.Timer(delay, stop.make)
+    timer.start()
+    with stop.applies_to(stoppable), pytest.raises(LimitError, match="was stopped"):
+        stoppable.sql(ENDLESS)
+    timer.join()
+    assert stoppable.sql("SELECT 42").fetchall() == [(42,)]
+
+
+def test_a_program_in_python_is_stopped(stoppable):
+    stop, calls = StopRequest(), []
+
+    def slow(number):
+        calls.append(number)
+        if len(calls) == 5:
+            stop.make()
+        return number
+
+    stoppable.add_variable("n", list(range(10_000)))
+    stoppable.add_function("slow", slow, "Counts its calls.")
+    with stop.applies_to(stoppable), pytest.raises(LimitError, match="was stopped"):
+        stoppable.eval("SELECT this FROM n WHERE slow(this) < 0 AS list;")
+    assert len(calls) == 5
+    assert stoppable.eval("SELECT this FROM [0, 1] WHERE this < 1 AS list;") == [0]
+
+
+def test_a_program_that_begins_after_the_request_is_stopped(stoppable):
+    stop = StopRequest()
+    stop.make()
+    stop.make()
+    with stop.applies_to(stoppable), pytest.raises(LimitError, match="was stopped"):
+        stoppable.sql(ENDLESS)
+
+
+def test_a_request_applies_to_its_interpreter_only(stoppable):
+    stop = StopRequest()
+    stop.make()
+    with stop.applies_to(stoppable), ssduck.Interpreter() as other:
+        assert other.sql("SELECT 42").fetchall() == [(42,)]
+    assert stoppable.sql("SELECT 42").fetchall() == [(42,)]

@@ -159,14 +159,22 @@ def test_the_valid_one_is_none(file):
 @pytest.mark.slow
 def test_a_view_of_the_file_is_not_read(file):
     """Views, macros and own tables in the schemas of the file are not ours."""
-    secret = file.with_name("secret.txt")
+    secret, program = file.with_name("secret.txt"), "SELECT id, z FROM lab;"
+    with ssduck.open(file) as ss:
+        expected = ss.eval(program)
     run(
         file,
         "CREATE SCHEMA IF NOT EXISTS lab",
         f"CREATE OR REPLACE VIEW lab.entities_history AS FROM read_text('{secret}')",
         f"CREATE OR REPLACE VIEW {SCHEMA}.ticks_history AS FROM read_text('{secret}')",
         "CREATE TABLE entities AS SELECT 'mine' AS name",
-        *(f"CREATE MACRO {name}(a) AS 'theirs'" for name in ("abs", "count", "main.len")),
+        "CREATE VIEW main.links AS FROM read_text('/etc/passwd')",
+        *(
+            f"CREATE MACRO {name}(a) AS 'theirs'"
+            for name in ("abs", "count", "main.len", "greatest", "list_value")
+        ),
+        "CREATE MACRO near(a, b, d) AS true",
+        "CREATE MACRO range(a) AS TABLE SELECT 1",
         "CREATE MACRO collides(a, b) AS true",
         "CREATE MACRO lab.collides(a, b) AS true",
         f"CREATE MACRO unnest(a) AS TABLE FROM read_text('{secret}')",
@@ -177,6 +185,7 @@ def test_a_view_of_the_file_is_not_read(file):
     with ssduck.open(file, limits=ssduck.Limits.strict()) as ss:
         found = ss.sql("SELECT name, abs(-z), count(*) OVER () FROM entities").fetchall()
         assert len(found) == 6
+        assert ss.eval(program) == expected
         assert {name for name, *_ in found} == {"board", "ball", "other", "arm", "mesh", "eye"}
         assert all(isinstance(z, float) and count == 6 for _, z, count in found)
         apart = "a.name = 'board' AND b.name = 'mesh'"
@@ -205,26 +214,6 @@ def test_a_log_that_is_no_file_is_not_waited_for(file, kind):
         log.mkdir()
     with pytest.raises(RecordError, match=r"\.wal is (no file|a symbolic link), but"):
         ssduck.open(file)
-
-
-@pytest.mark.slow
-def test_macros_and_tables_of_other_schemas_do_not_change_answers(file):
-    """Those with names of functions and tables that ssduck's own SQL uses."""
-    with ssduck.open(file) as ss:
-        text = "SELECT name, z, abs(z) FROM entities ORDER BY name"
-        expected = ss.sql(text).fetchall(), ss.eval("SELECT id, z FROM lab;")
-    run(
-        file,
-        "CREATE MACRO abs(x) AS 42",
-        "CREATE MACRO greatest(a, b) AS 7",
-        "CREATE MACRO list_value(a) AS [9]",
-        "CREATE MACRO near(a, b, d) AS true",
-        "CREATE MACRO range(a) AS TABLE SELECT 1",
-        "CREATE TABLE main.entities AS SELECT 'forged' AS name, 1.0 AS z",
-        "CREATE VIEW main.links AS SELECT * FROM read_text('/etc/passwd')",
-    )
-    with ssduck.open(file) as ss:
-        assert (ss.sql(text).fetchall(), ss.eval("SELECT id, z FROM lab;")) == expected
 
 
 def test_another_type_of_file_loads_no_extension(tmp_path):

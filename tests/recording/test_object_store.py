@@ -5,7 +5,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import pybullet
 import pytest
 
@@ -18,8 +17,8 @@ from ssduck.recording.stores import descriptions, object_store, parquet
 from ssduck.recording.stores.object_store import ObjectPath, change_object, create_object
 from ssduck.recording.stores.parquet import write_tags
 from ssduck.recording.stores.parquet_layout import FolderRun
-from tests.support.command_line import answer, ssduck_, write_scene
-from tests.support.recorded import ALL, PAST, end_part, live_lab, lively, rows
+from tests.support.command_line import answer, write_scene
+from tests.support.recorded import ALL, PAST, end_part, lively, rows
 from tests.support.s3_server import s3_server
 
 pytest.importorskip("moto.server", reason="moto, a local S3 server, is missing")
@@ -258,21 +257,6 @@ def test_objects_are_listed_and_read(server):
     (place / "a.txt").unlink(missing_ok=True)
     object_store.remove_tree(place)
     assert not place.exists()
-
-
-@pytest.mark.long
-def test_live_worlds_that_change_are_recorded_to_the_store(server):
-    client = pybullet.connect(pybullet.DIRECT)
-    with ssduck.Interpreter(recording=ALL) as ss:
-        live_lab(ss, client)
-        ss.export("s3://lake/changing")
-        with ssduck.open("s3://lake/changing") as there:
-            for table in PAST:
-                expected = pa.Table.from_pylist([]) if not rows(ss, table) else rows(ss, table)
-                if isinstance(expected, list):
-                    assert rows(there, table) == expected
-    pybullet.disconnect(client)
-    assert ssduck_("check", "s3://lake/changing").exit_code == 0
 
 
 @pytest.mark.long

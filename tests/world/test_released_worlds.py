@@ -10,8 +10,6 @@ import ssduck
 from ssduck.errors import UnknownNameError
 from tests.support.cases import sampled
 
-PLACES = ["memory", "file"]
-
 
 @pytest.fixture(params=["memory", pytest.param("file", marks=pytest.mark.long)])
 def lab(request, client, tmp_path):

@@ -220,3 +220,29 @@ def test_ticks_are_taken_while_another_thread_asks(falling):
                 "SELECT max(tick) - min(tick) + 1 - count(*) FROM ticks_history"
             ).fetchall()
             assert (counts, gaps) == ([], [(0,)])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("flushed", [1, 7, 5000])
+def test_what_is_flushed_often_is_put_together(falling, flushed):
+    first = falling.call_variable("lab").snapshot.number
+    for number in range(1, 2500):
+        _step(falling, 1)
+        if number % flushed == 0:
+            falling.flush()
+    rows = falling.sql("SELECT tick, id FROM entities_history ORDER BY ALL").fetchall()
+    assert rows == [(tick, id) for tick in range(first, first + 2500) for id in (1, 2, 3)]
+    assert len(falling._database._recorders.running[0]._store._parts) < 5
+
+
+@pytest.mark.long
+def test_what_was_fetched_stays_as_it_was(falling):
+    falling.record("lab", Recording(ticks=1600))
+    record, kept = falling._database.record_of(falling.call_variable("lab")), []
+    for _ in range(12):
+        _step(falling, 800)
+        kept.append(record.fetch("entities", 0, 10**9))
+    # Whatever was written since.
+    for rows in kept:
+        ticks = rows["tick"].to_pylist()
+        assert ticks == [tick for tick in range(ticks[0], ticks[-1] + 1) for _ in range(3)]
