@@ -117,7 +117,9 @@ def main() -> int:
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join([TESTS, *CHECKS]))
     parser.add_argument("--factor", type=int, default=4, help="so many times the generated cases")
     parser.add_argument("--seed", type=int, default=dt.date.today().toordinal() * 1000)  # noqa: DTZ011
-    parser.add_argument("--write", action="store_true", help="write the results into tools/README.md")
+    parser.add_argument(
+        "--write", action="store_true", help="write the results into tools/README.md"
+    )
     options = parser.parse_args()
     names = options.names or [TESTS, *CHECKS]
     if unknown := set(names) - {TESTS, *CHECKS}:
