@@ -72,25 +72,20 @@ holds. Python treats None as false and cannot compare it.
 
 `above`, `below`, `within`, `overlaps`, `volume` and `aabbVolume` use positions and boxes. They are
 formulas over columns, and fast. Relations that say `Calls the narrow phase` use the shapes
-themselves: the boxes of two balls side by side may overlap while the balls are apart. A pair is
-compared at most once in a tick, and only if it is a candidate, as the entry says. `clearance`
+themselves: the boxes of two balls side by side may overlap while the balls are apart. `clearance`
 compares every pair of which a row needs it; if a bound is enough, `near(a, b, d)` is cheaper.
 
 Of two sources that are the same world, or its links, `collides`, `near`, `touching`, `on`,
 `supports`, `contains` and `enclosed` in `WHERE` find all pairs of the tick at once: milliseconds
 for a thousand bodies. So do `restsOn` of entities, and raw SQL where `a` and `b` are whole rows of
-the current tick (`FROM entities a, entities b`, or a subquery with `SELECT *`). Elsewhere, DuckDB
-compares the boxes of every row with those of every other row, which takes longer than the shapes
-do from about 3,000 bodies on. Raw SQL also has tables of pairs:
+the current tick (`FROM entities a, entities b`, or a subquery with `SELECT *`). Raw SQL also has
+tables of pairs:
 
 ```python
 import ssduck
 
 ss = ssduck.load("kitchen")
-ss.sql("""
-    SELECT e.name, f.name
-    FROM colliding_pairs() p JOIN entities e ON e.id = p.a JOIN entities f ON f.id = p.b
-""")
+ss.sql("SELECT a, b FROM colliding_pairs()")  # ids of entities
 ss.sql("SELECT a, b FROM kitchen.pairs_within(0.02) WHERE a < b")  # of clearances, in metres
 ss.sql("SELECT a, b FROM colliding_pairs(0.001)")  # deeper than a millimetre in each other
 ss.sql("SELECT a, b FROM link_pairs_within(0.02)")  # ids of links; also colliding_link_pairs()
@@ -102,8 +97,7 @@ closed mesh is solid, an open one is a surface. To PyBullet a concave mesh
 (`GEOM_FORCE_CONCAVE_TRIMESH`, `concave="yes"`) is a surface even if it is closed: a ball in such a
 room has clearance 0 from it, and a warning names the mesh. An entity without shapes, such as a
 sensor, touches nothing and is infinitely far from everything. Disabled and invisible entities have
-their shapes as before. The compared rows are of one tick: the current one, or a
-[recorded one](time.md).
+their shapes as before.
 
 Links, and rows of `links`, are compared like entities, with either: a link consists of its own
 shapes. It has the relations to its entity that an entity has to itself. Whether a link carries
@@ -117,8 +111,6 @@ ss = ssduck.load("kitchen")
 kitchen = ss.call_variable("kitchen").step(480)  # two seconds, until all is at rest
 ss.eval("SELECT id FROM kitchen WHERE on(kitchen.table, this) AS list;")  # cups, plates, no chair
 ss.eval("SELECT id FROM kitchen WHERE contains(this, kitchen.table) AS list;")  # ['kitchen']
-ss.eval("SELECT clearance(kitchen.table, this) FROM kitchen WHERE near(kitchen.table, this, 0.5);")
-ss.sql("SELECT a.name, b.name, penetration(a, b) FROM entities a, entities b WHERE collides(a, b)")
 print(ss.statistics()["kitchen"])  # how many pairs that took, and how many calls
 ```
 
@@ -142,9 +134,8 @@ to the last bit, live, at past ticks and in records.
 
 ## On, in and beside
 
-These relations use shapes and poses alone. So they are the same live, at a past tick, in a record
-and in a what-if world. `inContact`, `hasContact` and `contactForce` report what the physics solver
-found.
+These relations use shapes and poses alone: they are the same live, at a past tick, in a record
+and in a what-if world.
 
 - `on(a, b)`: b stands on a by itself, because its centre is over a. `supports(a, b)`: a carries
   b, alone or with others, wherever b's centre is; two blocks both support the plank that bridges
@@ -159,34 +150,13 @@ found.
   horizontal line through both meets no third body between them. ssduck tries lines in two
   directions, through 26 places each, and may miss a gap that is smaller than what lies between.
 
-```python
-import ssduck
-
-ss = ssduck.load("kitchen")
-kitchen = ss.call_variable("kitchen").step(480)
-ss.eval("SELECT id FROM kitchen WHERE enclosed(this, kitchen.plate_b4e7) AS list;")  # ['microwave']
-ss.eval("SELECT a.id, b.id FROM kitchen a JOIN kitchen b ON nextTo(a, b) AS list;")
-```
-
 ## Is it open
 
 `isOpen(e, name)` and `isClosed(e, name)` compare a joint's share of its range. The closed end is
 the limit nearer to 0, or the lower one. If the entity has no joint of the name, the error suggests
 the nearest one, so a query about several entities must first select those that have it. Raw SQL
-evaluates conditions in any order: there the value is NULL for an entity without such a joint. In
-Python, each joint in `entity.joints` has a `position` and an `openness`. For past ticks, the table
-`joints` must have been recorded.
-
-```python
-import ssduck
-
-ss = ssduck.load("kitchen")
-ss.eval("""
-    SELECT joint(this, 'f1'), isOpen(this, 'f1'), isClosed(this, 'f1', 0.2)
-    FROM kitchen WHERE id(this) == 'barrett_4918';
-""")
-ss.sql("SELECT name FROM entities e WHERE isOpen(e, 'f1', 0.1)").fetchall()  # [('barrett_4918',)]
-```
+evaluates conditions in any order: there the value is NULL for an entity without such a joint. For
+past ticks, the table `joints` must have been recorded.
 
 ## In SelectScript and in raw SQL
 
