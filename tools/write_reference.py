@@ -61,7 +61,7 @@ For SQL itself, on [tables](tables.md), there is `ss.sql`.
 The world `room` has a robot and five kinbodies, three of which move:
 """
 
-RELATIONS_HEAD = '''# Relations and functions
+RELATIONS_HEAD = """# Relations and functions
 
 Metres, newtons, radians, kilograms; world frame; quaternions w, x, y, z. A relation of an entity
 with itself is False, a distance is 0. An unknown value, such as that of a body whose pose is not
@@ -178,7 +178,7 @@ of `entities` in raw SQL (`FROM entities a, entities b WHERE above(a, b)`). In r
 
 An `object`, `a` or `b` is an entity, a link or a site, unless the entry says otherwise; arguments
 in brackets are optional.
-'''
+"""
 
 TABLES_HEAD = """# Tables
 

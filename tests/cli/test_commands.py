@@ -139,7 +139,7 @@ def test_examples_of_the_manual(tmp_path, monkeypatch, line, shown):
     monkeypatch.chdir(tmp_path)
     words = shlex.split(line)
     piped = words[1] if words[0] == "echo" else None
-    if {"check", "macros"} & set(words):
+    if "check" in words:
         ssduck_("record", "kitchen", "--seconds", "0.1", "-o", "run", "--tables", "entities")
     result = ssduck_(*words[words.index("ssduck") + 1 :], input=piped)
     assert result.stdout + result.stderr == shown
