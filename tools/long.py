@@ -40,6 +40,7 @@ CHECKS = {
     "lake": ("flip", "24"),
     "episodes": ("40", "--resets", "60"),
     "replay": ("20",),
+    "check_live": ("200",),
     "soak": ("50000",),
     "cleanup": ("1",),
 }

@@ -12,6 +12,7 @@ import ssduck
 from ssduck.errors import ArgumentError, SelectScriptError
 from tests.support.cases import generated
 from tests.support.temporal_logic import Formula, value
+from tools import check_live
 
 MODEL = """
 <mujoco><option timestep="0.01"/><worldbody>
@@ -168,6 +169,33 @@ def test_each_row_is_of_its_entity_and_of_its_tick(moved):
     one = Formula("once", (Formula("z(sim.ball) > 0.5"),), (0, 0.03))
     found = [row["v"] for row in rows if row["name"] == "ball"]
     assert found == [scene.expected(one, tick) for tick in range(TICKS + 1)]
+
+
+def test_a_tick_that_another_one_of_its_time_replaces_has_its_values():
+    scene = Scene(3)
+    with ssduck.Interpreter() as ss:
+        sim = ss.add_variable("sim", ssduck.World.attach((scene.model, scene.data)))
+        sim.tick()
+        heights = []
+        for step in (0, 1, 0):
+            scene.data.time += 0.01 * step
+            scene.data.joint(0).qpos[2] = heights[-1] + 1 if heights else 2.0
+            mujoco.mj_kinematics(scene.model, scene.data)
+            sim.tick()
+            heights.append(scene.data.body("ball").xpos[2])
+        text = "initially(previous(z(sim.ball)))"
+        rows = ss.eval(f"SELECT time, {text} AS z FROM sim{{}} WHERE name = 'ball';")
+        assert {row["time"] for row in rows} == {0.0, 0.01}
+        assert {row["z"] for row in rows} == {heights[0]}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("simulator", check_live.SIMULATORS)
+@pytest.mark.parametrize("seed", range(generated(2)))
+def test_generated_programs_tell_live_what_the_record_tells(simulator, seed):
+    draw = random.Random(seed)  # noqa: S311  # for a test
+    programs = [check_live.program(draw) for _ in range(check_live.PER_RUN)]
+    assert check_live.Run(simulator, seed, programs).differences() == []
 
 
 def test_a_finished_record_is_decided_and_a_replay_sees_no_later_tick(moved, tmp_path):

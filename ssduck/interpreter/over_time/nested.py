@@ -138,9 +138,10 @@ class NestedExpressions:
         """Returns the values of an expression at all ticks until now."""
         ticks = self.ticks(node, record, frame)
         column = ticks.column(node)
-        if column.values.dtype == np.object_:
-            return TickColumns(ticks.numbers, column.objects)
-        return TickColumns(ticks.numbers, np.ma.array(column.values, mask=column.unknown))
+        is_any = column.values.dtype == np.object_
+        values = column.objects if is_any else np.ma.array(column.values, mask=column.unknown)
+        numbers, _ = record.ticks_until_now()  # of those of one time, the last one counts for all
+        return TickColumns(numbers, values[np.searchsorted(ticks.numbers, numbers)])
 
     def ticks(self, node: Node, record: Record, frame: Frame) -> Ticks:
         """Returns the ticks until now; rows of the same entities share them."""
