@@ -2,7 +2,7 @@
 
 `python -m tools.oracles [COUNT] [--seed N]` prints the worst error of each combination of shapes;
 the exit status is 1 if one exceeds its bound. `--write` also writes docs/reference/shapes.md, the
-table of combinations and errors. 100,000 pairs take many minutes.
+table of methods and errors. 100,000 pairs take many minutes.
 
 The pairs are random, of all combinations of shapes; half of them have parallel edges and touching
 faces. The decisions for many convex pairs at once are compared with the distances, and with the
@@ -34,6 +34,34 @@ PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "shapes.m
 # The allowed error of a gap, metres; and that of a cylinder or an ellipsoid and a shape that is no
 # sphere or plane.
 BOUND, ROUND_BOUND = 1e-9, 1e-6
+# Of each method: the combinations of shapes, what it is, and its bound.
+METHODS = {
+    "formula": (
+        "a plane and any shape; a sphere and what is no hull or mesh; two capsules",
+        "closed form",
+        BOUND,
+    ),
+    "surfaces": (
+        "boxes and hulls, also with a capsule; a sphere and a hull",
+        "FCL's distance of triangle surfaces, certified by a separating direction",
+        BOUND,
+    ),
+    "round": (
+        "a cylinder and a box, a capsule, a cylinder or a hull",
+        "the same, refined until a direction separates the cylinder itself up to 1e-7 m",
+        ROUND_BOUND,
+    ),
+    "support": (
+        "an ellipsoid and what is no sphere, plane or mesh",
+        "support points whose hull grows until a direction separates the shapes up to 1e-7 m",
+        ROUND_BOUND,
+    ),
+    "mesh": (
+        "a mesh and what is no plane",
+        "FCL's distance of triangle surfaces",
+        BOUND,
+    ),
+}
 # The gaps with which all pairs of convex shapes are compared at once.
 LIMITS = (-1e-6, 0.0, 1e-3, 0.1)
 # The least heights of upward normals, with which they are compared at once, too.
@@ -50,14 +78,6 @@ edges and touching faces; some are things in the holes of rings, tubes, cups, fr
 boxes with a cavity and bowls. The oracles have their own geometry, except that they cut faces
 into the same triangles if a mesh takes part. No combination raises an error.
 
-| method | meaning |
-|---|---|
-| formula | closed form |
-| surfaces | FCL's distance of triangle surfaces, certified by a separating direction |
-| round | the same, refined until a direction separates the cylinder itself up to 1e-7 m |
-| support | support points whose hull grows until a direction separates the shapes up to 1e-7 m |
-| mesh | FCL's distance of triangle surfaces |
-
 The depth is the length of the shortest translation that separates the shapes. For meshes it is
 that of the deepest corner or crossing triangle, which is at most as long.
 
@@ -66,11 +86,10 @@ faces: their surfaces are off by up to 0.0013 of the radius, or of the longest h
 mesh is the solid that it encloses; a convex closed mesh is a hull. An open mesh is a surface. A
 plane is the half-space below it. Hulls may be flat.
 
-Errors are the worst ones found, in metres, for shapes up to 1 m, rounded up to a power of ten;
-each combination has a clearance or a depth.
+Errors are the worst ones found, in metres, for shapes up to 1 m, rounded up to a power of ten.
 
-| a | b | method | clearance | depth | bound |
-|---|---|---|---|---|---|
+| shapes | method | clearance | depth | bound |
+|---|---|---|---|---|
 """
 
 
@@ -93,7 +112,7 @@ class Worst:
 
 
 def bound(kinds: tuple[str, str]) -> float:
-    return ROUND_BOUND if method(kinds) in ("round", "support") else BOUND
+    return METHODS[method(kinds)][-1]
 
 
 def method(kinds: tuple[str, str]) -> str:
@@ -179,11 +198,14 @@ def differences(a: Any, b: Any, gap: float, seed: int) -> Iterator[float]:
 
 
 def page(worst: dict[tuple[str, str], Worst], count: int, seed: int) -> str:
-    rows = [
-        f"| {a} | {b} | {method((a, b))} | {_power(one.clearance)} | {_power(one.depth)} "
-        f"| {bound((a, b)):.0e} |\n"
-        for (a, b), one in worst.items()
-    ]
+    rows = []
+    for name, (shapes, about, allowed) in METHODS.items():
+        group = Worst()
+        for kinds, one in worst.items():
+            if method(kinds) == name:
+                group.add(one)
+        errors = f"{_power(group.clearance)} | {_power(group.depth)}"
+        rows.append(f"| {shapes} | {about} | {errors} | {allowed:.0e} |\n")
     return HEAD.format(count=count, seed=seed) + "".join(rows)
 
 
