@@ -148,6 +148,12 @@ def test_each_package_keeps_within_its_budget():
     assert {name: count for name, count in lines.items() if count > BUDGETS[name]} == {}
 
 
+def test_the_manual_keeps_within_its_budget():
+    pages = [*(PACKAGE.parent / "docs").rglob("*.md")]
+    assert len(pages) > 10
+    assert sum(len(page.read_text(encoding="utf-8").splitlines()) for page in pages) <= 7_000
+
+
 def test_few_modules_stand_at_the_top():
     modules = {path.stem for path in PACKAGE.glob("*.py")} - {"__init__", "__main__"}
     assert modules >= FRONTS
