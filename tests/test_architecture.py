@@ -124,7 +124,7 @@ BUDGETS = {
     "interchange": 3_000,
     "interpreter": 15_250,
     "lakes": 2_900,
-    "language": 6_150,
+    "language": 6_170,
     "logic": 500,
     "mcp": 600,
     "recording": 9_000,

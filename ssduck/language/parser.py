@@ -99,8 +99,7 @@ _SHORT, _LONG = 2_000, 50_000
 
 # What follows a word at the beginning of a statement only if it is a keyword.
 _OPERANDS = frozenset((TokenType.VAR, TokenType.NUMBER, TokenType.STRING))
-
-
+_OPENING = (TokenType.L_PAREN, TokenType.L_BRACKET)
 # What a program may begin with that asks about its last statement.
 PREFIXES = ("EXPLAIN", "WHY")
 
@@ -113,7 +112,7 @@ class _Parser(SqlForms):
 
     def program(self) -> Program:
         explain = ""
-        if is_kind(self.ahead(), TokenType.VAR):
+        if self._is_prefix():
             explain = next((word for word in PREFIXES if self.take_words(word)), "")
         statements = []
         while self.token is not None:
@@ -127,12 +126,23 @@ class _Parser(SqlForms):
             self.add_suspicion(span, "this begins a comment; an integer quotient is floor(x / y)")
         return Program(self.text, tuple(statements), explain, tuple(self.suspicions))
 
+    def _is_prefix(self) -> bool:
+        """Checks whether a word is no name, because of what follows it, as in WHY (a OR b)."""
+        word, after = self.token, self.ahead()
+        if word is None or after is None or after.token_type in _OPERANDS:
+            return after is not None
+        is_sign = is_kind(after, TokenType.DASH) and self.text[after.end + 1 :][:1] not in (" ", "")
+        return word.end + 1 < after.start and (is_sign or after.token_type in _OPENING)
+
     def fail(self, message: str) -> NoReturn:
         """Raises the error for the current token, or for a statement whose first word is wrong."""
         word, token = self.tokens[self._first], self.token
         is_cause = is_word(token, "FROM") or (
             self.index == self._first + 1 and token is not None and token.token_type in _OPERANDS
         )
+        if is_cause and self._first and is_word(word, *PREFIXES):
+            text = f"{word.text} begins a program: write it before the first statement"
+            raise ParseError(text, text=self.text, span=span_of(word))
         if is_cause and is_kind(word, TokenType.VAR) and not is_word(word, *STATEMENTS):
             names = nearest(word.text, ("SELECT", "EXPLAIN")[: 1 + (self._first == 0)], 1)
             if names and word.text.upper() not in names:

@@ -88,7 +88,8 @@ _INSTEAD_OF = {
 
 # What to write for signs of other languages.
 SIGNS = {
-    "=>": "write >=",
+    "=>": "write >=, or a IMPLIES b",
+    "->": "write a IMPLIES b",
     "=<": "write <=",
     "===": "write ==",
     "**": "a power is x ^ y, or pow(x, y)",
@@ -103,6 +104,7 @@ NO_COMMA = "leave the comma before it out"
 NO_PREFIX = "a text has no letter before its quote; write 'a ' + str(x) for a text with a value"
 NO_NUMBER = "a number is written 1000, 0.5 or 1e3"
 NO_TUPLE = "a list is written in square brackets: [1, 2, 3]"
+NO_BOUNDS = "bounds of time come last: always(condition, 0, 5)"
 NUMPY = (
     "an array of NumPy is written array.tolist(), as in [0.1, 0.2, 0.3], or given as a parameter: "
     "ss.eval('distance(sim.cup, p);', {'p': array})"
@@ -262,9 +264,10 @@ _OF_NAMES = {
     "UNDER UNDERNEATH BENEATH": "write below(a, b)",
     "OVER": "write above(a, b)",
     "HOLDING GRASPING ISGRASPED": "write grasped(a, b)",
-    "EVER SOMETIMES": "write once(condition), or eventually(condition) of what follows",
+    "EVER SOMETIMES FINALLY": "write once(condition), or eventually(condition) of what follows",
     "GLOBALLY": "write always(condition), or historically(condition) of the past",
     "NEVER": "write historically(NOT (condition)), or always(NOT (condition)) of what follows",
+    "MARGIN RHO ROBUST": "write robustness(condition)",
     "DELTA DIFF": "write x - previous(x), or rate(x) for the change in a second",
     "PREV LAG": "write previous(x)",
     "T SIMTIME CLOCK": "the simulated time is getTime()",

@@ -14,6 +14,7 @@ from sqlglot.tokens import Tokenizer
 from ssduck.errors import ParseError, SourceSpan, nearest
 from ssduck.formatting import RESERVED_WORDS
 from ssduck.language.sql_suggestions import (
+    NO_BOUNDS,
     NO_COMMA,
     NO_NUMBER,
     NO_PREFIX,
@@ -433,6 +434,8 @@ class Cursor:
             return NO_COMMA
         if kinds == (TokenType.NUMBER,) * 2 and bracket == TokenType.L_BRACKET:
             return NUMPY
+        if kinds == (TokenType.R_BRACKET, TokenType.L_PAREN):
+            return NO_BOUNDS
         if kinds == (TokenType.NUMBER, TokenType.VAR) and is_adjacent:
             return NO_NUMBER
         if kinds[1] == TokenType.STRING and is_adjacent and is_word(before, "F", "R", "B", "U"):

@@ -313,3 +313,18 @@ def test_every_node_knows_its_text():
             if isinstance(node, Name | Call | Literal | Binary | This | Query | Assignment):
                 (again,) = parse(part).statements
                 assert shown(again) == shown(node)
+
+
+@pytest.mark.parametrize("word", ["WHY", "EXPLAIN"])
+def test_a_prefix_is_told_from_a_name_by_what_follows(word):
+    for text in ("z(a) > 1;", "1 < 2;", "(1 < 2) AND z(a) > 1;", "-z(a) < 0;", "'a' == id(a);"):
+        program = parse(f"{word.lower()} {text}")
+        assert program.explain == word
+        assert str(program.statements) == str(parse(f"{' ' * len(word)} {text}").statements)
+    for text in (f"{word}(1);", f"{word} - 1;", f"{word} = 1;", f"{word}[0];", f"{word} < 1;"):
+        assert not parse(text).explain
+    for text in (f"a = 1; {word} z(a) > 1;", f"a = 1; {word} 'x' == a;"):
+        with pytest.raises(ParseError, match=f"{word} begins a program"):
+            parse(text)
+    with pytest.raises(ParseError):
+        parse(f"{word} -")

@@ -233,6 +233,10 @@ OF_PROGRAMS = [
     ("t > 3;", "the simulated time is getTime()"),
     # Other languages.
     ("z(sim.cube) => 1;", "write >="),
+    ("z(sim.cube) > 1 -> z(sim.cube) > 0;", "write a IMPLIES b"),
+    ("always[0, 5](z(sim.cube) > 1);", "bounds of time come last: always(condition, 0, 5)"),
+    ("finally(z(sim.cube) > 1);", "write once(condition), or eventually(condition)"),
+    ("margin(z(sim.cube) > 1);", "write robustness(condition)"),
     ("z(sim.cube) =< 1;", "write <="),
     ("z(sim.cube) === 1;", "write =="),
     ("2 ** 3;", "a power is x ^ y"),
