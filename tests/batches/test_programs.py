@@ -1,5 +1,8 @@
 """Programs over a batch are those over each of its simulations, attached as a world of its own."""
 
+import re
+import warnings
+
 import mujoco
 import numpy as np
 import pytest
@@ -15,6 +18,7 @@ from ssduck.errors import (
     UnsupportedError,
 )
 from ssduck.interpreter.batches.evaluator import BatchExpressions
+from ssduck.interpreter.batches.expressions import MANY
 from ssduck.sql.relations.registry import RELATIONS
 from tests.batches.conftest import COUNT, MODEL, States, each, simulations
 from tests.support.cases import generated, sampled
@@ -479,6 +483,31 @@ def test_compiled_once(batch, monkeypatch):
         sim.tick(states)
         ss.eval("z(sim.cube) > 0.3;")
     assert made == []
+
+
+@pytest.mark.parametrize(
+    ("text", "calls"),
+    [
+        ("str(z(sim.cube));", "str, z"),
+        ("SELECT env, stddev(z) FROM sim AS list;", "stddev"),
+        ("SELECT env, str(z) FROM sim AS list;", "str"),
+        ("z(sim.cube) > 0.3;", ""),
+        ("SELECT env, max(z) FROM sim AS list;", ""),
+    ],
+)
+@pytest.mark.parametrize("count", [MANY - 1, MANY])
+def test_many_environments_that_are_asked_one_by_one_are_told_of(text, calls, count):
+    model, states = simulations(2)
+    with ssduck.Interpreter() as ss, warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        sim = ss.add_variable("sim", ssduck.World.batch(model, count))
+        for _ in range(2):
+            sim.tick([states[number % 2] for number in range(count)])
+            ss.eval(text)
+    told = [str(w.message) for w in caught if issubclass(w.category, ProgramWarning)]
+    expected = f"each of {count} environments is asked by itself, .* what calls .*{calls}"
+    assert len(told) == (calls != "" and count == MANY)
+    assert all(re.match(expected, text) for text in told)
 
 
 def test_a_warning_is_that_of_a_world(batch):

@@ -18,7 +18,7 @@ from ssduck.errors import (
 from ssduck.formatting import joined_names, short_repr
 from ssduck.geometry.arrays import Flags, Indices
 from ssduck.interpreter.batches.columns import ENV
-from ssduck.interpreter.batches.expressions import Answers, CompiledExpressions, Engine
+from ssduck.interpreter.batches.expressions import Answers, CompiledExpressions, Engine, meaning_of
 from ssduck.interpreter.batches.folds import ArrayFold, fold_of
 from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, expressions_of, parts_of
@@ -142,6 +142,7 @@ class BatchExpressions:
         compiled = self._current(given)
         count = self._world.count
         found, lefts = compiled.values(given, unknown, count)
+        self._engine.warn_of(n for n, v in zip(self.substituted, found, strict=True) if v is None)
         nowhere = np.zeros(0, np.intp)
         rows = [
             np.arange(count) if values is None else np.flatnonzero(left) if left.any() else nowhere
@@ -181,20 +182,19 @@ class BatchExpressions:
     def _current(self, given: Mapping[str, Array]) -> CompiledExpressions:
         """Returns the compiled expressions for the present types of variables."""
         compiled, execution = self._compiled, self._execution
-        is_same = compiled is not None and self._meaning_of(compiled) is self._meaning
-        if compiled is not None and is_same and compiled.is_current(Frame(execution)):
+        if (
+            compiled is not None
+            and self._meaning is meaning_of(execution, is_complete=compiled.is_complete)
+            and compiled.is_current(Frame(execution))
+        ):
             return compiled
         # Of an expression that fails everywhere, one environment tells.
         samples = at_environment(given, {}, 0)
         with self._world.at(0), execution.worlds_pinned(*self.substituted):
             compiled = CompiledExpressions(self._engine, execution, self.substituted, samples)
-        self._compiled, self._meaning = compiled, self._meaning_of(compiled)
+        self._compiled = compiled
+        self._meaning = meaning_of(execution, is_complete=compiled.is_complete)
         return compiled
-
-    def _meaning_of(self, compiled: CompiledExpressions) -> object:
-        """Returns what is replaced where they may have to be compiled anew."""
-        execution = self._execution  # another value may be one that arrays can have
-        return execution.planner.generation if compiled.is_complete else execution.stamp
 
     def _one_by_one(
         self,

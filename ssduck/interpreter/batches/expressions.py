@@ -7,7 +7,7 @@ Python, operators and functions of numbers, follows the tree.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, TypeVar
@@ -21,12 +21,15 @@ from ssduck.columns.compiler import Compiler, Compute, Expression, Kind, LeftToD
 from ssduck.columns.selects import PLAIN
 from ssduck.columns.trees import TreeCompiler, kind_of
 from ssduck.database.values import to_sql
+from ssduck.errors import ProgramWarning, warn
+from ssduck.formatting import joined_names
 from ssduck.geometry.arrays import Flags
 from ssduck.interpreter.batches.columns import CHANGING, EnvironmentColumns
 from ssduck.interpreter.batches.kernels import EnvironmentShapes, kernels_of
 from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.over_time.live import select_of
 from ssduck.interpreter.query_runner import PlannedQuery
+from ssduck.language.analysis import calls_of
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import Name, Node, Placeholder
 from ssduck.language.value_keys import ATOMS
@@ -36,6 +39,8 @@ from ssduck.world.batches.batch_world import BatchWorld
 from ssduck.world.handles import Handle
 
 T = TypeVar("T")
+# So many environments are asked one by one with a warning.
+MANY = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +66,19 @@ class Engine:
         self.shapes = EnvironmentShapes(self.world, self.columns)
         kernels = kernels_of(self.world, self.columns)
         self.operations = ArrayOperations(self.schema, kernels, is_exact=False)
+        self._slow: set[Node] = set()
+
+    def warn_of(self, nodes: Iterable[Node]) -> None:
+        """Warns, once of each, of parts for which many environments are asked one by one."""
+        for node in set(nodes).difference(self._slow):
+            self._slow.add(node)
+            if self.world.count >= MANY:
+                calls = joined_names(sorted(calls_of(node))) or "nothing"
+                warn(
+                    f"each of {self.world.count} environments is asked by itself, which is slow: "
+                    f"arrays cannot have the value of what calls {calls}",
+                    ProgramWarning,
+                )
 
 
 class Leaves:
@@ -270,6 +288,14 @@ def _leave_unknown(array: Array, left: Flags) -> None:
     if np.isnan(np.add.reduce(array, axis=None)):
         is_nan = np.isnan(array)
         np.logical_or(left, is_nan.any(axis=-1) if array.ndim > 1 else is_nan, out=left)
+
+
+def meaning_of(execution: Execution, *, is_complete: bool) -> object:
+    """Returns what is replaced where expressions may have to be compiled anew.
+
+    If arrays cannot have all of them, other values of variables may be such as these can have.
+    """
+    return execution.planner.generation if is_complete else execution.stamp
 
 
 class CompiledExpressions:

@@ -20,7 +20,7 @@ from ssduck.interpreter.batches.evaluator import (
     plain,
     without_unknown,
 )
-from ssduck.interpreter.batches.expressions import Engine
+from ssduck.interpreter.batches.expressions import Engine, meaning_of
 from ssduck.interpreter.batches.rows import BatchRows
 from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.output import AsClause, as_clause_of
@@ -41,7 +41,7 @@ class BatchQuery:
         assert isinstance(substituted, Query)
         self._query = substituted
         self._columns = BatchExpressions(execution, engine, query.items) if _is_row(query) else None
-        self._over: tuple[object, BatchRows | None] | None = None
+        self._over: tuple[object, BatchRows | None] = (None, None)
         self.has_same_arrays = self._outer.has_same_arrays
 
     def _item(self, item: Node) -> Node:
@@ -83,7 +83,9 @@ class BatchQuery:
         given, unknown = self._outer.given()
         over = self._over_entities(given)
         selected: list[Rows | Groups | None] = [None] * self._world.count
-        if over is not None:
+        if over is None:
+            self._engine.warn_of([self._query])
+        else:
             check(over.planned.columns)
             selected = self._of_arrays(over, given, unknown)
 
@@ -107,6 +109,7 @@ class BatchQuery:
         selected = over.selected(found, given, unknown)
         if selected is not None:
             return [None if found.left[number] else selected[number] for number in numbers]
+        self._engine.warn_of([self._query])
         ends = np.searchsorted(found.environments, [*numbers, self._world.count]).tolist()
         fetched = list(zip(*(column.tolist() for column in found.columns), strict=True))
 
@@ -147,20 +150,17 @@ class BatchQuery:
 
     def _over_entities(self, given: Mapping[str, Array]) -> BatchRows | None:
         """Returns the query as functions of arrays; None if it is none."""
-        generation = self._execution.planner.generation
-        if self._over is None or self._over[0] is not generation:
-            samples = at_environment(given, {}, 0)
-            frame = Frame(self._execution, placeholders=samples)
-            with self._world.at(0), self._execution.worlds_pinned(self._query):
-                try:
-                    over = BatchRows(self._execution, self._engine, self._query, frame)
-                except LeftToDuckDBError:
-                    over = None
-            self._over = self._execution.planner.generation, over
-        over = self._over[1]
-        if over is not None and not over.is_current(Frame(self._execution)):
-            self._over = None
-            return self._over_entities(given)
+        execution, (meaning, over) = self._execution, self._over
+        is_same = meaning is meaning_of(execution, is_complete=over is not None)
+        if is_same and (over is None or over.is_current(Frame(execution))):
+            return over
+        frame = Frame(execution, placeholders=at_environment(given, {}, 0))
+        with self._world.at(0), execution.worlds_pinned(self._query):
+            try:
+                over = BatchRows(execution, self._engine, self._query, frame)
+            except LeftToDuckDBError:
+                over = None
+        self._over = meaning_of(execution, is_complete=over is not None), over
         return over
 
 
