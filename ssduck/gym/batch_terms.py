@@ -55,6 +55,9 @@ class BatchTerms:
             part of the reward is 0; or a number for the part of the reward, where a condition is
             False.
 
+    Attributes:
+        terms: the terms.
+
     Raises:
         ArgumentError: a term is of the wrong type, or there is no batch of that name.
         SelectScriptError: a term is wrong otherwise; the message begins with its key.
@@ -71,16 +74,16 @@ class BatchTerms:
         world: str | None = None,
         nan: WhereNaN = "error",
     ) -> None:
-        self._terms = Terms.of(success, failure, reward, stop_when, nan=nan)
+        self.terms = Terms.of(success, failure, reward, stop_when, nan=nan)
         self._interpreter, self._world = interpreter, _batch(interpreter, world)
-        trees = {
-            term.key: compiled(interpreter, term.key, term.text).tree.statements[0]
-            for term in self._terms
+        programs = {
+            term.key: compiled(interpreter, term.key, term.text).tree for term in self.terms
         }
-        nodes = [self._expanded(term, trees) for term in self._terms]
-        for term, node in zip(self._terms, nodes, strict=True):
+        trees = {key: program.statements[0] for key, program in programs.items()}
+        nodes = [self._expanded(term, trees) for term in self.terms]
+        for term, node in zip(self.terms, nodes, strict=True):
             try:
-                interpreter.over_batch([node], self._world)
+                interpreter.over_batch([node], self._world, programs[term.key])
             except SelectScriptError as error:
                 error.message = f"{term.key}: {error.message}"
                 raise
@@ -93,10 +96,10 @@ class BatchTerms:
             ArgumentError: a value is of the wrong type, or unknown without `nan`.
             SelectScriptError: a term failed in an environment, whose number the error has.
         """
-        world, nan = self._world, self._terms.nan
+        world, nan = self._world, self.terms.nan
         answers = self._expressions.answers()
         values, failed = [], np.zeros(world.count, np.bool_)
-        for term, answer in zip(self._terms, answers, strict=True):
+        for term, answer in zip(self.terms, answers, strict=True):
             own, unknown = _typed(term, answer.values, answer.unknown)
             if unknown.any():
                 if nan == "error":
@@ -108,12 +111,12 @@ class BatchTerms:
         left = iter(values)
         flags = [
             None if term is None else next(left)
-            for term in (self._terms.success, self._terms.failure, self._terms.stop_when)
+            for term in (self.terms.success, self.terms.failure, self.terms.stop_when)
         ]
         if nan == "failure" and failed.any():
             flags[0] = None if flags[0] is None else flags[0] & ~failed
             flags[1:] = [failed if flag is None else flag | failed for flag in flags[1:]]
-        parts = dict(zip(self._terms.parts, left, strict=True))
+        parts = dict(zip(self.terms.parts, left, strict=True))
         reward = np.sum(list(parts.values()), axis=0) if parts else None
         success, failure, stop, reward = (
             None if value is None else world.given_back(value) for value in (*flags, reward)

@@ -20,6 +20,7 @@ from ssduck.errors import (
     nearest,
     warn,
 )
+from ssduck.gym.doubts import FirstTicks, warn_of_length
 from ssduck.gym.judge import Judge
 from ssduck.gym.task_description import STEP_TIME, WORLD, Action, Task, spaces, targets, task_of
 from ssduck.gym.terms import Judgement
@@ -71,6 +72,9 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
             )
             self._record_past()
             self._judge.check()
+            step = round(task.step_time / self._world.timestep) * self._world.timestep
+            warn_of_length(self.interpreter, task.terms, task.steps * step)
+            self._first_ticks = FirstTicks(task.terms)
             self._observer.check(may_be_constant=True)
             for number, action in enumerate(task.actions):
                 self._check_joint(f"actions[{number}]", action)
@@ -100,6 +104,7 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
                 raise
         self._steps = 0
         judgement, observation = self._judged(is_first=True)
+        self._first_ticks.see(judgement)
         return observation, {INFO: described(judgement)}
 
     def step(

@@ -23,6 +23,7 @@ from ssduck.errors import ArgumentError, ProgramWarning, SimulatorError, warn
 from ssduck.formatting import short_repr
 from ssduck.geometry.arrays import Flags
 from ssduck.gym.batch_terms import BatchJudgement, BatchTerms
+from ssduck.gym.doubts import FirstTicks, episode_seconds, warn_of_length
 from ssduck.gym.terms import Reward, WhereNaN
 from ssduck.gym.wrapper import INFO, check_open
 from ssduck.interpreter.interpreter import Interpreter
@@ -133,7 +134,7 @@ class VectorQueryWrapper(VectorWrapper[Any, Any, Any, Any, Any]):
                 nan=nan,
             )
             # Variables may have their values from the first reset on.
-            self._terms = None if self._variables else self._terms_of()
+            self._terms = None if self._variables else self._made_terms()
         except BaseException:
             self._interpreter.close()
             raise
@@ -236,8 +237,20 @@ class VectorQueryWrapper(VectorWrapper[Any, Any, Any, Any, Any]):
         for name, read in self._variables.items():
             self._interpreter.add_variable(name, read(self.env))
         if self._terms is None:
-            self._terms = self._terms_of()
-        return self._terms()
+            self._terms = self._made_terms()
+        judgement = self._terms()
+        if are_reset.any():
+            self._first_ticks.see(judgement, lambda one: to_numpy(one, "a term")[are_reset])
+        return judgement
+
+    def _made_terms(self) -> BatchTerms:
+        """Returns the terms; warns of those that ask for more time than an episode has."""
+        made = self._terms_of()
+        self._first_ticks = FirstTicks(made.terms)
+        seconds = episode_seconds(self._parts[0].env) if self._parts else None
+        if seconds is not None:
+            warn_of_length(self._interpreter, made.terms, seconds)
+        return made
 
     def _warn_of_models(self, numbers: Sequence[int]) -> None:
         """Warns, once, if the models of environments that were reset differ from others."""

@@ -14,6 +14,7 @@ import gymnasium
 from ssduck import validation
 from ssduck.errors import ArgumentError, ProgramWarning, SimulatorError, warn
 from ssduck.formatting import short_repr
+from ssduck.gym.doubts import FirstTicks, episode_seconds, time_limit, warn_of_length
 from ssduck.gym.judge import Judge
 from ssduck.gym.terms import Judgement, Reward, Terms, WhereNaN
 from ssduck.interpreter.interpreter import Interpreter
@@ -91,6 +92,10 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         UnknownNameError: a term has a name that nothing has; with the nearest names.
         ArgumentError: a term is of the wrong type, or can never change.
         SelectScriptError: a term is wrong otherwise.
+
+    Warns:
+        ProgramWarning: a term asks for more time than an episode has, which gymnasium's `TimeLimit`
+            ends; or success, failure or the end held at the first tick of each of ten episodes.
     """
 
     def __init__(
@@ -156,6 +161,12 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             if forward is None and self._client is None and any(self._judge.are_sensitive):
                 parts = self.env.unwrapped, self._judge, world, tuple(self._variables)
                 self._forward_check = ForwardCheck(*parts, limits)
+            # The number of steps of an episode at most, until its duration is known.
+            self._limit = time_limit(env)
+            self._first_ticks = FirstTicks(self._terms)
+            seconds = episode_seconds(env, self._step_time)
+            if seconds is not None:
+                self._warn_of_length(seconds)
             # The first reset may build the simulation, or give variables their values.
             self._is_checked = False
             if len(self._simulation):
@@ -220,6 +231,8 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         self._is_saved = False
         told = described(judgement)
         if self._has_ended:
+            if len(self._steps.times) - 1 == self._limit:
+                self._warn_of_length(self._steps.times[-1] - self._steps.times[0])
             self._save()
             if self._tells_why:
                 told["why"] = self._judge.why_success()
@@ -299,9 +312,15 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         if self._folder is not None and self._record is None:
             self._record = self._interpreter.record_to(self._folder, self._world, self._recording)
         judgement = self._judge.judgement()
+        self._first_ticks.see(judgement)
         simulation = self._simulation
         self._steps.add_tick(simulation.tick_number, simulation.time, values)
         return judgement
+
+    def _warn_of_length(self, seconds: float) -> None:
+        """Warns of terms that ask for more time than an episode has."""
+        self._limit = None
+        warn_of_length(self._interpreter, self._terms, seconds)
 
     def _check_first(self) -> None:
         """Checks the terms before the first reset, which may be what sets variables."""

@@ -5,10 +5,11 @@ If a program fails, its variables are restored, and the error has the place.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
+from types import MappingProxyType
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -102,6 +103,8 @@ class Execution(Namespace):
         self._program_texts: list[str] = []
         self._stamp: tuple[object, ...] = ()
         self._override_cache: WeakKeyDictionary[Program, Program] = WeakKeyDictionary()
+        # Statements as they are written, by what they stand for.
+        self._written: WeakKeyDictionary[Node, Node] = WeakKeyDictionary()
         # The stamp of the names for which a statement has no probable mistake.
         self._sound: WeakKeyDictionary[Node, object] = WeakKeyDictionary()
         self._reader = SqlReader(self)
@@ -176,6 +179,7 @@ class Execution(Namespace):
         if overridden is None:
             overridden = with_overrides(program, self.overrides) if self.overrides else program
             nodes = tuple(map(self.expanded, overridden.statements))
+            self._written.update(zip(nodes, overridden.statements, strict=True))
             overridden = replace(overridden, statements=nodes)
             self._override_cache[program] = overridden
         return overridden
@@ -212,11 +216,17 @@ class Execution(Namespace):
         for node in self._with_overrides(program).statements:
             stamp = self.stamp
             if self._sound.get(node) is not stamp:
-                mistakes = self.linter.check(program.text, node, frame.local)
+                mistakes = self.mistakes(program.text, node, frame.local)
                 self.report(mistakes)
                 if not mistakes:
                     self._sound[node] = stamp
             yield node
+
+    def mistakes(
+        self, text: str, node: Node, local: Mapping[str, Any] = MappingProxyType({})
+    ) -> list[SelectScriptError]:
+        """Returns the probable mistakes in a statement of a program, as errors."""
+        return self.linter.check(text, self._written.get(node, node), local)
 
     def report(self, suspicions: Iterable[SelectScriptError]) -> None:
         """Warns of probable mistakes, once of each, or collects them in `doubts`: of the first."""

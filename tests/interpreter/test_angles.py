@@ -45,6 +45,14 @@ DEGREES = [
     "atan2(1, 2) == -90;",
     "tilt(sim.ramp) > most;",
     "upright(sim.ramp, 10);",
+    "robustness(tilt(sim.ramp) < 45);",
+    "robustness(scale(upright(sim.ramp, 10), 0.2) AND z(sim.ramp) > 0) > 0;",
+    "robustness(always(tilt(sim.ramp) < 45, 0, 1));",
+    "historically(z(sim.ramp) > 0 IMPLIES tilt(sim.ramp) < 45);",
+    "heldFor(tilt(sim.ramp) < 45) >= 0.5;",
+    "robustness(tilt(sim.ramp) < 0.5) > -30;",
+    "least(robustness(once(tilt(sim.ramp) < 0.5)))[1] > -30;",
+    "tilt(sim.ramp) - initially(tilt(sim.ramp)) > 30;",
 ]
 DEGREES_IN_SQL = [
     "SELECT name FROM entities e WHERE tilt(e) > 45",
@@ -75,6 +83,10 @@ def test_degrees_are_told_of(ss, text):
         "tilt(sim.ramp) * 180 / 3.141592653589793 > 45;",
         "greatest(tilt(sim.ramp))[0] > 45;",  # a time
         "tilt(sim.ramp) < 3.14159;",
+        "robustness(tilt(sim.ramp) < 1.1) < 0.5;",
+        "robustness(scale(tilt(sim.ramp) < 1.1, 0.2)) > -45;",
+        "robustness(heldFor(tilt(sim.ramp) < 1.1) > 5) > -45;",
+        "historically(tilt(sim.ramp) < 1.1, 0, 45);",
         "SELECT name FROM entities e WHERE degrees(tilt(e)) > 45",
         "SELECT name FROM entities e WHERE tilt(e) > 1.1 AND e.z < 45",
     ],

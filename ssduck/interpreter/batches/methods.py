@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 from ssduck.errors import ArgumentError
 from ssduck.formatting import joined_names
 from ssduck.interpreter.execution import Execution
-from ssduck.language.tree import Node
+from ssduck.language.tree import Node, Program
 from ssduck.lazy import service
 from ssduck.world.batches.batch_world import BatchWorld
 
@@ -87,9 +87,17 @@ class Batches:
             raise ArgumentError(f"name a batch of this interpreter, of which there are: {known}")
         return found[0]
 
-    def over_batch(self, nodes: Sequence[Node], world: BatchWorld) -> BatchExpressions:
-        """Returns parsed expressions as a function of all environments; `terms` are made of it."""
+    def over_batch(
+        self, nodes: Sequence[Node], world: BatchWorld, program: Program | None = None
+    ) -> BatchExpressions:
+        """Returns parsed expressions as a function of all environments; `terms` are made of it.
+
+        Probable mistakes in the program that an expression is are reported, if that is given.
+        """
         assert self.programs is not None, "a batch is bound"
         with self._execution.lock:
             self._execution.begin_program()
-            return self.programs.terms(nodes, world)
+            expressions = self.programs.terms(nodes, world)
+            if program is not None:
+                self.programs.report(program, world)
+            return expressions

@@ -60,6 +60,12 @@ class BatchPrograms:
         expressions.check()
         return expressions
 
+    def report(self, program: Program, world: BatchWorld) -> None:
+        """Reports the probable mistakes in an expression or a query over a batch."""
+        (node,) = self._execution.read(program).statements
+        with world.at(0):
+            self._execution.report(self._execution.mistakes(program.text, node))
+
     def forget(self) -> None:
         """Forgets compiled programs: a name means another batch."""
         self._engines.clear()
@@ -82,8 +88,7 @@ class BatchPrograms:
                 "add_variable"
             )
         (node,) = read.statements
-        with world.at(0):
-            execution.report(execution.linter.check(program.text, node, {}))
+        self.report(program, world)
         value: BatchQuery | BatchExpressions
         if isinstance(node, Query):
             value = BatchQuery(execution, self._engine_of(world), node)

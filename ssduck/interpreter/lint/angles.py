@@ -13,6 +13,7 @@ from sqlglot import exp
 from ssduck import validation
 from ssduck.errors import ArgumentError, SourceSpan
 from ssduck.interpreter.lint.columns import is_comparison
+from ssduck.interpreter.lint.foregone import ANGLES
 from ssduck.interpreter.lint.scope import Check, Scope
 from ssduck.interpreter.lint.suspect_values import (
     Comparison,
@@ -20,6 +21,7 @@ from ssduck.interpreter.lint.suspect_values import (
     kind_of_relation,
     site_of,
 )
+from ssduck.language.analysis import TEMPORAL_OPERATORS
 from ssduck.language.builtins import BUILTINS
 from ssduck.language.tree import (
     Binary,
@@ -35,11 +37,15 @@ from ssduck.language.tree import (
 )
 from ssduck.sql.user_sql import bound_value, parameter_of, span_of, statement_trees
 
-# The functions whose values are angles, with the least one.
-_ANGLES = {"tilt": "0", "acos": "0", "asin": "-1.57", "atan": "-1.57", "atan2": "-3.14"}
-_GREATEST = {"asin": "1.57", "atan": "1.57"}
 # The functions whose values are angles if those of an argument are.
-_KEEPING = frozenset(("min", "max", "avg", "median", "abs", "round", "previous", "at", "clip"))
+_KEEPING = frozenset(
+    (
+        *("min", "max", "avg", "median", "abs", "round", "previous", "at", "clip", "initially"),
+        # The margin of a comparison of an angle is one.
+        *("robustness", *(name for name, count in TEMPORAL_OPERATORS.items() if count == 1)),
+    )
+)
+_OF_ANGLES = frozenset(("+", "-", "<", "<=", ">", ">="))
 _KEEPING_IN_SQL = (exp.Max, exp.Min, exp.Avg, exp.Median, exp.Abs, exp.Round, exp.Paren)
 _COMPARED_IN_SQL = (
     *(exp.GT, exp.GTE, exp.LT, exp.LTE, exp.EQ, exp.NEQ, exp.Between, exp.In),
@@ -80,11 +86,11 @@ def _angles_in(node: Node, query: Query | None) -> Iterator[tuple[Node, str, Com
     """Yields the angles that a value may be: each with its function, and the column that it is."""
     parts: tuple[Node, ...] = ()
     match node:
-        case Name(name=name) | QualifiedName(key=name) if name in _ANGLES and query is not None:
+        case Name(name=name) | QualifiedName(key=name) if name in ANGLES and query is not None:
             column = site_of(node, query, (), node.span)
             if column is not None:
                 yield node, name, column
-        case Call(name=name) if name in _ANGLES:
+        case Call(name=name) if name in ANGLES:
             yield node, name, None
         case Index(
             base=Call(name="least" | "greatest", arguments=extremes), indices=(Literal(value=1),)
@@ -96,7 +102,7 @@ def _angles_in(node: Node, query: Query | None) -> Iterator[tuple[Node, str, Com
             parts = items
         case Query(items=items):
             parts, query = items, node
-        case Binary(operator="+" | "-", left=left, right=right):
+        case Binary(operator=sign, left=left, right=right) if sign in _OF_ANGLES:
             parts = left, right
     for part in parts:
         yield from _angles_in(part, query)
@@ -130,9 +136,9 @@ def _number(scope: Scope, node: Node) -> float:
 
 
 def _in_degrees(name: str, value: float) -> str:
-    low, high = _ANGLES.get(name, "0"), _GREATEST.get(name, "3.14")
+    low, high = ANGLES.get(name, ANGLES["tilt"])
     return (
-        f"the angle of {name} is in radians, from {low} to {high}: {value} degrees are "
+        f"the angle of {name} is in radians, from {low:.3g} to {high:.3g}: {value} degrees are "
         f"{value} * 3.141592653589793 / 180"
     )
 

@@ -15,6 +15,7 @@ from weakref import WeakKeyDictionary
 
 from ssduck.errors import ArgumentError, ProgramWarning, SelectScriptError, SourceSpan, warn
 from ssduck.interpreter.lint.angles import angles, degrees_in_sql
+from ssduck.interpreter.lint.foregone import foregone
 from ssduck.interpreter.lint.misread_relations import is_nan, misread_relations, swapped_rows
 from ssduck.interpreter.lint.names_in_programs import MAX_UNKNOWN, hidden_names, unknown_names
 from ssduck.interpreter.lint.scope import Check, KnownNames, Scope, entity_of
@@ -30,6 +31,7 @@ _FINDERS: tuple[Callable[[Node], Iterable[Check]], ...] = (
     suspect_values,
     misread_relations,
     angles,
+    foregone,
 )
 # The largest number of reported mistakes that are remembered.
 MAX_REPORTS = 10_000

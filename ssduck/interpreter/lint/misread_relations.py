@@ -15,7 +15,6 @@ from ssduck.interpreter.lint.columns import is_comparison
 from ssduck.interpreter.lint.scope import Check, Scope, entity_of, worlds_of
 from ssduck.interpreter.lint.suspect_values import VECTORS
 from ssduck.language.analysis import OVER_TIME, TEMPORAL_OPERATORS
-from ssduck.language.builtins import MARGIN_OF_TRUTH
 from ssduck.language.tree import (
     AdapterClause,
     Binary,
@@ -54,7 +53,7 @@ _EXTREMES = frozenset(("least", "greatest"))
 _OF_EXTREMES = "{0}(…) is [time, value], and {1} is of such lists here: the value is {0}(…)[1]"
 # The calls of conditions, with the number of these.
 _OF_CONDITIONS = TEMPORAL_OPERATORS | dict.fromkeys(
-    ("since", "heldFor", "holds", MARGIN_OF_TRUTH), 1
+    ("since", "heldFor", "holds", "robustness", "scale"), 1
 )
 # The relations that hold as conditions whatever the world is like, with what they are.
 _NO_CONDITIONS = {
