@@ -117,7 +117,7 @@ BUDGETS = {
     "adapters": 4_650,
     "cli": 1_350,
     "columns": 1_300,
-    "database": 6_560,
+    "database": 6_580,
     "demos": 1_500,
     "geometry": 8_900,
     "gym": 2_790,
@@ -132,7 +132,7 @@ BUDGETS = {
     "sandbox": 3_780,
     "shell": 500,
     "simulators": 11_900,
-    "sql": 7_190,
+    "sql": 7_200,
     "view": 2_250,
     "world": 6_310,
 }

@@ -149,9 +149,20 @@ def to_sql(value: Any) -> Any:
         return value.column("id")
     if isinstance(value, list):
         return [to_sql(element) for element in value]
-    if isinstance(value, np.ndarray):
-        return value.astype(np.float64).tolist()
-    return value
+    return point_of(value) if isinstance(value, np.ndarray) else value
+
+
+def point_of(value: Any) -> Any:
+    """Returns a list or an array of three numbers as doubles, [x, y, z]; another value as it is.
+
+    >>> point_of([1, 0.5, 0])
+    [1.0, 0.5, 0.0]
+    """
+    numbers = value.tolist() if isinstance(value, np.ndarray) else value
+    is_point = (
+        type(numbers) is list and len(numbers) == 3 and set(map(type, numbers)) <= {int, float}
+    )
+    return list(map(float, numbers)) if is_point else value
 
 
 Converter: TypeAlias = Callable[[Any], Any]

@@ -21,13 +21,13 @@ from sqlglot import exp
 
 from ssduck.columns.compiler import Compiler, Expression, Kind, LeftToDuckDBError
 from ssduck.columns.numbers import NumberOperations, known
-from ssduck.database.values import is_exactly, to_sql
+from ssduck.database.values import is_exactly, point_of
 from ssduck.errors import ArgumentError, EvaluationError
 from ssduck.language.evaluator import EvaluationScope, Frame
 from ssduck.language.tree import Index, ListLiteral, Literal, Name, Node, QualifiedName
 from ssduck.language.value_history import LazyList
 from ssduck.sql.plan import Plan
-from ssduck.sql.types import EXACT, SqlType
+from ssduck.sql.types import EXACT, POINT, SqlType
 from ssduck.world.handles import Handle, place_of
 from ssduck.world.layout import EntityInfo
 from ssduck.world.world import World
@@ -241,7 +241,7 @@ class RepeatedSelect:
             raise LeftToDuckDBError
         self._variables.update(part.name for part in node.walk() if isinstance(part, Name))
         key = (node.name if isinstance(node, Name) else node,)
-        self._readers[key] = lambda frame: _of_type(to_sql(_value_of(node, frame)), sql_type)
+        self._readers[key] = lambda frame: _of_type(_value_of(node, frame), sql_type)
         return key
 
     def _note_world(self, name: str, frame: Frame) -> None:
@@ -271,6 +271,7 @@ def _value_of(node: Node, frame: Frame) -> Any:
 
 def _of_type(value: Any, sql_type: SqlType) -> Any:
     """Returns a value if it has the type that the plan relies on."""
+    value = point_of(value) if sql_type == POINT else value
     is_same = is_exactly(value, sql_type)
     if is_same and sql_type.type == "list":
         is_same = bool(value) and (len(value) == 3) == (sql_type.length == 3)

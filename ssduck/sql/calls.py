@@ -12,7 +12,7 @@ from sqlglot import exp
 from ssduck.errors import ArgumentError
 from ssduck.language.analysis import BINARY_SIGNS, IMPURE, OVER_TIME, UNARY_SIGNS
 from ssduck.language.builtins import EXTREMES_OF_MARGINS, LEAST_SQUARE
-from ssduck.language.tree import Binary, Call, Node, Query, Unary
+from ssduck.language.tree import Binary, Call, ListLiteral, Node, Query, Unary
 from ssduck.sql import subqueries
 from ssduck.sql.operators import double_of, element_at
 from ssduck.sql.relation_calls import expanded, in_world, note_pair
@@ -177,11 +177,18 @@ def _argument(
 
 
 def _point(sql: ExpressionScope, parameter: Parameter, node: Node) -> SqlValue | None:
-    """Returns an array of numpy that is a point; it has another meaning where no place is asked."""
-    if parameter.type != "place" or not sql.is_constant(node):
+    """Returns an array or a list that is a point, whose numbers are doubles; None for another.
+
+    Where no place is asked, an array has another meaning, and a list may have integers.
+    """
+    if parameter.type != "place" or isinstance(node, ListLiteral) or not sql.is_constant(node):
         return None
-    is_array = sql.context.constant_type(node).type == "array"
-    return sql.context.constant("point", node, POINT) if is_array else None
+    sql_type = sql.context.constant_type(node)
+    element = sql_type.element
+    is_point = sql_type.length == 3 and element is not None and element.is_number
+    return (
+        sql.context.constant("point", node, POINT) if is_point or sql_type.type == "array" else None
+    )
 
 
 def _argument_error(

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import ssduck
+from ssduck.database.connection import Connection
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.scalar_select import RepeatedSelect
 from tests.support.cases import sampled
@@ -114,6 +115,20 @@ def test_terms_are_what_a_new_plan_gives(lab, monkeypatch, term):
             assert lab.ss.eval(program) == value
 
 
+@pytest.mark.parametrize(
+    "goal", [[0.1, 0, 0.3], [1, 2, 3], np.array([0.1, 0, 0.3]), np.array([1, 2, 3])], ids=str
+)
+def test_points_of_any_numbers_need_no_statement(lab, monkeypatch, goal):
+    lab.ss["goal"] = goal
+    program = lab.ss.compile("SELECT distance(lab.ball, goal) FROM [0] AS value;")
+    lab.ss.eval(program)
+    monkeypatch.setattr(Connection, "rows", None)
+    for _ in range(3):
+        lab.run(10)
+        expected = np.linalg.norm(lab.data.body("ball").xpos - np.asarray(goal))
+        assert lab.ss.eval(program) == pytest.approx(expected, rel=1e-12)
+
+
 CHANGES = {
     "an integer": lambda lab: lab.ss.add_variable("limit", 1),
     "a text": lambda lab: lab.ss.add_variable("limit", "high"),
@@ -121,6 +136,12 @@ CHANGES = {
     "not a number": lambda lab: lab.ss.add_variable("limit", float("nan")),
     "a longer list": lambda lab: lab.ss.add_variable("goal", [0.1, 0.2, 0.3, 0.4]),
     "a list of integers": lambda lab: lab.ss.add_variable("goal", [1, 2, 3]),
+    "a list of both": lambda lab: lab.ss.add_variable("goal", [1, 0.5, 0]),
+    "an array": lambda lab: lab.ss.add_variable("goal", np.array([0.4, 0.5, 0.6], np.float32)),
+    "an array of integers": lambda lab: lab.ss.add_variable("goal", np.array([1, 2, 3])),
+    "a longer array": lambda lab: lab.ss.add_variable("goal", np.array([1.0, 2.0, 3.0, 4.0])),
+    "an array with NaN": lambda lab: lab.ss.add_variable("goal", np.array([1.0, np.nan, 3.0])),
+    "an array of texts": lambda lab: lab.ss.add_variable("goal", np.array(["a", "b", "c"])),
     "an empty list": lambda lab: lab.ss.add_variable("goal", []),
     "an entity": lambda lab: lab.ss.add_variable("goal", lab.world["cube"]),
     "a link": lambda lab: lab.ss.add_variable("ball", lab.world["gripper"].links[0]),
