@@ -122,7 +122,7 @@ BUDGETS = {
     "geometry": 8_900,
     "gym": 2_790,
     "interchange": 3_000,
-    "interpreter": 15_730,
+    "interpreter": 15_760,
     "lakes": 2_900,
     "language": 6_170,
     "logic": 500,

@@ -17,7 +17,11 @@ from ssduck.database.database import Database
 from ssduck.errors import ArgumentError, LimitError, UnknownNameError, nearest, warn
 from ssduck.formatting import name_path, short_repr
 from ssduck.interpreter.link_functions import LINK_FUNCTIONS, mentions_links
-from ssduck.interpreter.output import help_of_result_form, help_of_result_forms
+from ssduck.interpreter.output import (
+    HELP_OF_WORDS,
+    help_of_result_form,
+    help_of_result_forms,
+)
 from ssduck.interpreter.over_time.expansions import EXPANSIONS
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS
 from ssduck.interpreter.sources import worlds_in
@@ -62,7 +66,10 @@ _FUNCTION_LIKENESS = 0.8
 # What to write for a call with another number of arguments.
 _CALLS = {
     "heldFor": "the time is compared: heldFor(condition) >= 0.2",
-    "since": "how long a condition has held is compared: heldFor(condition) >= 0.2",
+    "since": "how long a condition has held is compared: heldFor(condition) >= 0.2; of two "
+    "conditions write heldSince(condition, start)",
+    "heldSince": "heldSince(condition, start[, from, to]); since when a condition has held is "
+    "since(condition), and for how long heldFor(condition)",
     "time": "the simulated time now is getTime(), that of a row time(this)",
     **{name: f"of several values, it is {name}([a, b])" for name in AGGREGATES},
     **{name: f"of several values, it is {list_one}([a, b])" for name, list_one in EXTREMES.items()},
@@ -375,7 +382,7 @@ class Namespace:
             )
             written = function.help.rpartition("Usage: ")[2] if function.builtin else ""
             fits, usage = minimum <= count <= maximum, written or f"see help('{name}')"
-            usage = _CALLS.get(name, usage) if count != 1 else usage
+            usage = _CALLS.get(name, usage) if count != 1 or minimum > 1 else usage
         else:
             error = unknown_function(node, self.known_functions())
             worlds = [key for key, value in self.variables.items() if isinstance(value, World)]
@@ -396,7 +403,9 @@ class Namespace:
             )
 
     def help(self, name: str | None = None) -> Any:
-        """Returns the names of all functions, or the help of one or of a result form (`AS`: all).
+        """Returns the names of all functions, or the help of one, or of a word such as `IMPLIES`.
+
+        The name may be that of a result form, too; `AS` has all of these.
 
         Raises:
             UnknownNameError: nothing has that name; the error suggests the nearest names.
@@ -405,6 +414,8 @@ class Namespace:
             return sorted(self.known_functions(), key=str.casefold)
         if isinstance(name, str) and name.upper() == "AS":
             return help_of_result_forms()
+        if isinstance(name, str) and name.upper() in HELP_OF_WORDS:
+            return f"{name.upper()}\n{HELP_OF_WORDS[name.upper()]}"
         described: dict[str, Function | Relation] = {**RELATIONS, **self.functions}
         if isinstance(name, str) and name in described:
             return f"{name}\n{described[name].help}"
@@ -413,7 +424,7 @@ class Namespace:
             forms = [other for each in all_adapters() for other in each.names]
             raise UnknownNameError(
                 f"there is no function {short_repr(name)}",
-                suggestions=nearest(name, [*self.known_functions(), *forms]),
+                suggestions=nearest(name, [*self.known_functions(), *forms, *HELP_OF_WORDS]),
             )
         return form
 

@@ -200,6 +200,20 @@ def as_clause_of(query: Query, frame: Frame) -> AsClause:
     return AsClause(clause.name, adapter, arguments, by_name, clause.span)
 
 
+# The text of `help('IMPLIES')` and of other words after the word.
+HELP_OF_WORDS = {
+    "IMPLIES": "Checks if a condition holds wherever another one does: a IMPLIES b is NOT a OR b. "
+    "It is looser than OR, and a IMPLIES b IMPLIES c is a IMPLIES (b IMPLIES c). "
+    "always(a IMPLIES eventually(b, 0, 1)): whenever a holds, b does within a second.\n"
+    "Usage: a IMPLIES b -> bool",
+    "XOR": "Checks if exactly one of two conditions holds.\nUsage: a XOR b -> bool",
+    "WHY": "Before a program that ends with a condition: the parts of this, each with its value, "
+    "its margin, the tick that decides it, and what would change it.\nUsage: WHY condition",
+    "EXPLAIN": "Before a program: the SQL of its queries, and what Python evaluates.\n"
+    "Usage: EXPLAIN program",
+}
+
+
 def help_of_result_forms() -> str:
     """Returns the text of `help('AS')`: all result forms with their arguments."""
     entries = [f"{form.usage}\n    {form.help}" for form in all_adapters()]

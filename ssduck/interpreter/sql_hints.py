@@ -102,6 +102,11 @@ _TABLES = {
         "entities_history, links_history and so on, which have the rows of all recorded ticks",
     ),
 }
+# What to do about words of SelectScript.
+_WORDS = {
+    "IMPLIES": "IMPLIES is a word of SelectScript, which ss.eval runs: in SQL write NOT (a) OR (b)",
+    "WHY": 'WHY is a word of SelectScript, which ss.eval runs: ss.eval("WHY on(table, cup);")',
+}
 # The functions of SelectScript that SQL has not.
 _ONLY_PROGRAMS = frozenset(name.lower() for name in (*TEMPORAL_FUNCTIONS, *EXPANSIONS))
 # The columns that are ids of entities.
@@ -136,7 +141,9 @@ def add_hint(
 def _hint(message: str, sql: str, worlds: Mapping[str, World]) -> str:
     """Returns the hint for a message of DuckDB's; empty if there is none."""
     if message.startswith("Parser Error"):
-        return _hint_of_world(message, sql, worlds) or _hint_of_syntax(sql)
+        at = _SYNTAX.match(message)
+        word = _WORDS.get(at.group(1).upper(), "") if at else ""
+        return word or _hint_of_world(message, sql, worlds) or _hint_of_syntax(sql)
     if match := _TABLE.match(message):
         return _hint_of_table(match.group(1), message, worlds)
     if match := _COLUMN.search(message):

@@ -62,6 +62,15 @@ def test_a_number_that_is_compared_is_not(ss, program):
     assert told(ss.eval, program) == []
 
 
+@pytest.mark.parametrize(
+    "program", ["heldSince(z(sim.ball) > 1, 5);", "heldSince(z(sim.ball) > 1, 0, 5);"]
+)
+def test_a_time_in_place_of_a_condition_is_told_of(ss, program):
+    (message,) = told(ss.eval, program)
+    assert message.startswith("heldSince takes a condition here, and a number always holds")
+    assert told(ss.eval, "heldSince(z(sim.ball) > 1, True, 0, 5);") == []
+
+
 # (program, what always holds)
 ALWAYS = [
     ("SELECT id FROM sim WHERE position;", "position is a list"),

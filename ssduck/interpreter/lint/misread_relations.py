@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ssduck import validation
 from ssduck.errors import ArgumentError, SelectScriptError, SourceSpan
 from ssduck.formatting import name_path
 from ssduck.interpreter.lint.columns import is_comparison
@@ -55,6 +56,10 @@ _OF_EXTREMES = "{0}(…) is [time, value], and {1} is of such lists here: the va
 _OF_CONDITIONS = TEMPORAL_OPERATORS | dict.fromkeys(
     ("since", "heldFor", "holds", "robustness", "scale"), 1
 )
+_NO_CONDITION = (
+    "{0} takes a condition here, and a number always holds: how long a condition has held is "
+    "compared, heldFor(condition) >= 0.2"
+)
 # The relations that hold as conditions whatever the world is like, with what they are.
 _NO_CONDITIONS = {
     **dict.fromkeys(("id", "name", "type", "kind"), "a text"),
@@ -72,6 +77,10 @@ def misread_relations(statement: Node) -> Iterator[Check]:
                 yield partial(_misread, part, message)
             if isinstance(part, Call | Name | QualifiedName | Index):
                 yield partial(_always_true, part)
+            match node, part:
+                case Call(name=name), Literal(value=value) if name in TEMPORAL_OPERATORS:
+                    if validation.is_number(value):
+                        yield partial(_told, _NO_CONDITION.format(name), part.span)
         if isinstance(node, Binary):
             yield from _extremes_in(node)
             names = [side for side in (node.left, node.right) if isinstance(side, Name)]

@@ -84,6 +84,9 @@ OF_SQL = [
     ("SELECT getTime()", "the simulated time is the column time"),
     ("SELECT heldFor(z(e) > 0) FROM entities e", "This is SelectScript: ss.eval runs it"),
     ("SELECT robustness(e.z > 0) FROM entities e", "This is SelectScript: ss.eval runs it"),
+    ("SELECT always(z > 0) FROM entities_history", "This is SelectScript: ss.eval runs it"),
+    ("SELECT 1 FROM entities WHERE z > 0 IMPLIES x > 0", "in SQL write NOT (a) OR (b)"),
+    ("WHY SELECT z > 0 FROM entities", 'ss.eval("WHY on(table, cup);")'),
     ("SELECT * FROM entities WHERE z => 0.1", "write >="),
     (
         "SELECT name FROM entities e WHERE distance(e, [0, 0, 1]) < 1",
@@ -222,6 +225,8 @@ OF_PROGRAMS = [
         "heldFor takes 1 argument, not 2: the time is compared: heldFor",
     ),
     ("since(z(sim.cube) > 0, 0.2);", "heldFor(condition) >= 0.2"),
+    ("since(z(sim.cube) > 0, x(sim.cube) > 0);", "write heldSince(condition, start)"),
+    ("heldSince(z(sim.cube) > 0);", "for how long heldFor(condition)"),
     ("initially(z(sim.cube), 0.2);", "initially(expression) -> value"),
     ("holds(z(sim.cube) > 0) >= 0.2;", "heldFor(condition) >= 0.2"),
     ("z(sim.cube) > 0 FOR 0.2;", "heldFor(condition) >= 0.2"),
