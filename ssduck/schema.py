@@ -27,6 +27,8 @@ MARGINS = "margins"
 ALL_ENTITIES = "all entities"
 # Requested likewise: the moments of contacts besides those of their forces, which are not stored.
 MOMENTS = "moments"
+# Requested likewise: velocities, which a record of poses does not have.
+VELOCITIES = "velocities"
 # A table is read with each tick until this number of ticks has passed without a request.
 FORGOTTEN_AFTER = 240
 # A pair of entities in SQL is one number, the first id times this plus the second: DuckDB passes

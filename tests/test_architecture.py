@@ -127,7 +127,7 @@ BUDGETS = {
     "language": 6_170,
     "logic": 500,
     "mcp": 600,
-    "recording": 9_000,
+    "recording": 9_010,
     "render": 1_050,
     "sandbox": 3_780,
     "shell": 500,

@@ -1,5 +1,7 @@
 """Poses from anywhere become records: the same rows and answers as those of a live recording."""
 
+import warnings
+
 import numpy as np
 import pandas as pd
 import polars as pl
@@ -129,6 +131,29 @@ def test_positions_alone_and_no_shapes(tmp_path):
         assert ss.sql("SELECT DISTINCT qw, qx FROM entities_history").fetchall() == [(1, 0)]
         with pytest.raises(SelectScriptError, match="not recorded"):
             ss.sql("SELECT * FROM contacts_history")
+
+
+@pytest.mark.parametrize(
+    ("program", "value"),
+    [
+        ("SELECT id FROM world WHERE speed(this) < 1 AS list;", []),
+        ("SELECT id FROM world{} WHERE speed(this) < 1 AS list;", []),
+        ("heldFor(speed(world.cup) < 1);", 0.0),
+        ("speed(world.cup);", None),
+    ],
+)
+def test_a_record_without_velocities_tells_of_it_once(tmp_path, program, value):
+    ssduck.write_record(tmp_path / "without", TWO, POSES, TIMES)
+    ssduck.write_record(tmp_path / "with", TWO, POSES, TIMES, velocities=np.zeros((5, 2, 6)))
+    for name, count in (("without", 1), ("with", 0)):
+        with ssduck.open(tmp_path / name) as ss, warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            ss.eval("SELECT id FROM world WHERE z(this) < 1;")
+            assert caught == []
+            found = [ss.eval(program), ss.eval(program)]
+        told = ["velocities were not recorded" in str(one.message) for one in caught]
+        assert told == [True] * count
+        assert (found == [value, value]) is (name == "without")
 
 
 @pytest.mark.slow

@@ -28,7 +28,7 @@ from ssduck.interpreter.triggers.groups import TIME_COLUMNS, Formula, Planned, S
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import Binary, Literal, Name, Node, Query, Unary
 from ssduck.language.value_keys import ATOMS
-from ssduck.schema import ALL_ENTITIES, MARGINS, MASSES, TABLES
+from ssduck.schema import ALL_ENTITIES, MARGINS, MASSES, TABLES, VELOCITIES
 from ssduck.sql.plan import ParameterBinding, Plan
 from ssduck.sql.sql_values import with_values
 from ssduck.world.entities import Entity
@@ -40,7 +40,7 @@ _KINDS: dict[str, Kind] = {
     **dict.fromkeys(("name", "kind"), "string"),
     **dict.fromkeys(("enabled", "visible"), "boolean"),
 }
-_TABLES = frozenset((ALL_ENTITIES, MASSES, MARGINS, "shapes"))
+_TABLES = frozenset((ALL_ENTITIES, MASSES, MARGINS, VELOCITIES, "shapes"))
 _CONSTANT_NODES = (Name, Literal, Unary, Binary)
 _LARGEST = 1 << 63
 

@@ -36,6 +36,8 @@ from ssduck.schema import (
     POSE,
     RECORDABLE,
     TABLES,
+    TWIST,
+    VELOCITIES,
     entity_of,
     link_of,
 )
@@ -164,6 +166,7 @@ class Record:
         # Whether it was replaced by another record, or discarded.
         self.is_closed = False
         self._has_told_of_entities = self._has_told_of_dropped = False
+        self._has_told_of_velocities = False
         # Calls of the narrow phase count for the world, at any tick.
         self.calls = CallCounter() if world is None else world.snapshot.calls
 
@@ -250,6 +253,22 @@ class Record:
             self.warn_of_masses()
         if ALL_ENTITIES in inputs:
             self.warn_of_missing_entities()
+        if VELOCITIES in inputs:
+            self._warn_of_velocities()
+
+    def _warn_of_velocities(self) -> None:
+        """Warns, once, if no velocity was recorded, so that what depends on one is nothing."""
+        if self._has_told_of_velocities or not len(self.ticks):
+            return
+        self._has_told_of_velocities = True
+        last = int(self.ticks.numbers[-1])
+        rows = self.fetch("entities", last, last)
+        if rows.num_rows and all(rows[name].null_count == rows.num_rows for name in TWIST):
+            warn(
+                f"{self.world.name!r}: velocities were not recorded, and speed(e), settled(e) and "
+                "their like are nothing: rate(position(e)) follows from the poses; "
+                "write_record(velocities=…) stores them"
+            )
 
     def warn_of_missing_entities(self) -> None:
         """Warns, once, if entities are missing on which the answer to a question may depend."""

@@ -10,7 +10,7 @@ from typing import Literal, TypeAlias
 import sqlglot
 from sqlglot import exp
 
-from ssduck.schema import ALL_ENTITIES, BOX, LINK_FACTOR, MARGINS, MASSES
+from ssduck.schema import ALL_ENTITIES, BOX, LINK_FACTOR, MARGINS, MASSES, TWIST, VELOCITIES
 from ssduck.simulators.contact_pairs import ContactPairs
 from ssduck.sql.relations.geometry_query import CandidatePairs, GeometryQuery
 
@@ -221,9 +221,10 @@ class Relation:
     def inputs(self) -> frozenset[str]:
         """The data to fetch before it is evaluated: tables, masses, margins, all entities."""
         tree = self.expressions[self.required_count]
-        reads_mass = any(column.name == "mass" for column in tree.find_all(exp.Column))
+        read = {column.name for column in tree.find_all(exp.Column)}
         uses_margins = self.geometry is not None and self.geometry.uses_margins
-        result = self.tables | self.further_inputs | ({MASSES} if reads_mass else frozenset())
+        result = self.tables | self.further_inputs | ({MASSES} if "mass" in read else frozenset())
+        result |= {VELOCITIES} if read.intersection(TWIST) else frozenset()
         result |= {MARGINS} if uses_margins else frozenset()
         # A relation of two entities reads their contacts, one of a single entity all of its own.
         entities = [one for one in self.parameters if one.type == "entity"]
