@@ -13,6 +13,7 @@ from ssduck.adapters.marks import OUTLINE, Marks
 from ssduck.errors import ArgumentError, LimitError, ProgramWarning, UnknownNameError
 from ssduck.schema import LINK_FACTOR
 from ssduck.simulators.scenes import Camera
+from tests.support.bodies import solid
 
 TURN = pybullet.getQuaternionFromEuler([0.3, -0.7, 1.1])
 PLACE = [0.5, -0.25, 1.0]
@@ -64,8 +65,7 @@ def shapes():
         number = pybullet.createCollisionShape(**shape, physicsClientId=client)
         body = pybullet.createMultiBody(1.0, number, -1, PLACE, TURN, physicsClientId=client)
         names[body] = name
-    plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
-    names[pybullet.createMultiBody(0.0, plane, physicsClientId=client)] = "floor"
+    names[solid(client, pybullet.GEOM_PLANE, 0.0)] = "floor"
     with ssduck.Interpreter() as ss:
         ss.add_variable("world", ssduck.World.attach(client, names=names))
         yield ss

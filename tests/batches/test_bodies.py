@@ -6,40 +6,29 @@ import pytest
 
 import ssduck
 from ssduck.errors import ArgumentError, UnknownNameError
+from tests.support.bodies import create_linked_body, solid
 
 COUNT = 3
 
 
 @pytest.fixture
 def world(client):
-    shapes = {
-        name: pybullet.createCollisionShape(
-            pybullet.GEOM_BOX, halfExtents=size, physicsClientId=client
-        )
-        for name, size in (("cube", [0.05] * 3), ("foot", [0.15, 0.15, 0.05]), ("tip", [0.05] * 3))
-    }
-    common = {"baseMass": 1, "physicsClientId": client}
-    cube = pybullet.createMultiBody(
-        baseCollisionShapeIndex=shapes["cube"], basePosition=[0, 0, 0.05], **common
+    foot, tip = (
+        pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=size, physicsClientId=client)
+        for size in ([0.15, 0.15, 0.05], [0.05] * 3)
     )
-    link = {
-        "linkMasses": [1],
-        "linkCollisionShapeIndices": [shapes["tip"]],
-        "linkVisualShapeIndices": [-1],
-        "linkPositions": [[0.1, 0, 0.3]],
-        "linkOrientations": [[0, 0, np.sin(0.25), np.cos(0.25)]],
-        "linkInertialFramePositions": [[0, 0, 0]],
-        "linkInertialFrameOrientations": [[0, 0, 0, 1]],
-        "linkParentIndices": [0],
-        "linkJointAxis": [[0, 1, 0]],
-    }
+    cube = solid(client, pybullet.GEOM_BOX, 1, [0, 0, 0.05], halfExtents=[0.05] * 3)
     shelf, arm = (
-        pybullet.createMultiBody(
-            baseCollisionShapeIndex=shapes["foot"],
+        create_linked_body(
+            client,
+            1,
+            foot,
+            link_shape=tip,
             basePosition=place,
             linkJointTypes=[kind],
-            **link,
-            **common,
+            linkJointAxis=[[0, 1, 0]],
+            linkPositions=[[0.1, 0, 0.3]],
+            linkOrientations=[[0, 0, np.sin(0.25), np.cos(0.25)]],
         )
         for place, kind in (
             ([1, 0, 0.05], pybullet.JOINT_FIXED),

@@ -50,19 +50,20 @@ EXPRESSIONS = [
     "mass(sim.cube) * z(sim.cube)",
     "str(z(sim.cube))",
 ]
-# The relations of two entities, and of one.
-PAIRS = [
-    name
+# Of each world its own: each attached world counts its ticks, an entity is in every environment.
+OWN = ("tick", "obj", "robot", "kinbody", "sensor")
+# The arguments with which the relations of one and of two entities are called.
+ARGUMENTS = {
+    1: ["sim.cube", "sim.arm"],
+    2: ["sim.cube, sim.table", "sim.ball, sim.cube", "sim.arm, sim.ball", "sim.cube, sim.cube"],
+}
+CALLS = {
+    name: ARGUMENTS[relation.required_count]
     for name, relation in RELATIONS.items()
-    if [p.type for p in relation.parameters if not p.optional] == ["entity", "entity"]
-]
-SINGLES = [
-    name
-    for name, relation in RELATIONS.items()
-    if [p.type for p in relation.parameters if not p.optional] == ["entity"]
-    # Each attached world counts its own ticks; an entity is in every environment.
-    and name not in ("tick", "obj", "robot", "kinbody", "sensor")
-]
+    if name not in OWN
+    and {p.type for p in relation.parameters if not p.optional} == {"entity"}
+    and relation.required_count in ARGUMENTS
+}
 
 
 def outcome(evaluate):
@@ -104,22 +105,11 @@ def test_expressions(batch, monkeypatch, text):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::ssduck.errors.ProgramWarning", "ignore:.*contacts")
-@sampled("name", PAIRS, every=8)
-def test_relations_of_two_entities(batch, name):
+@sampled("name", CALLS, every=8)
+def test_relations(batch, name):
     ss, _, model, states = batch
-    for a, b in (("cube", "table"), ("ball", "cube"), ("arm", "ball"), ("cube", "cube")):
-        text = f"{name}(sim.{a}, sim.{b});"
-        expected = outcome(lambda text=text: each(model, states, text))
-        assert agree(outcome(lambda text=text: ss.eval(text)), expected), text
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::ssduck.errors.ProgramWarning", "ignore:.*contacts")
-@sampled("name", SINGLES, every=8)
-def test_relations_of_one_entity(batch, name):
-    ss, _, model, states = batch
-    for entity in ("cube", "arm"):
-        text = f"{name}(sim.{entity});"
+    for arguments in CALLS[name]:
+        text = f"{name}({arguments});"
         expected = outcome(lambda text=text: each(model, states, text))
         assert agree(outcome(lambda text=text: ss.eval(text)), expected), text
 
@@ -194,49 +184,6 @@ def test_an_error_has_the_number_of_its_environment(batch):
     # Of a branch that is not taken, it is none.
     text = "IF(distance(sim.cube, sim.ball) == 0; 9.0; 1 / distance(sim.cube, sim.ball));"
     assert ss.eval(text)[3] == 9.0
-
-
-def test_nothing_meets_across_environments():
-    model, states = simulations(4)
-    for number, data in enumerate(states):  # each cube is where only other balls are
-        data.xpos[2] = [number, 0, 5]
-        data.xpos[3] = [(number + 1) % 4, 0, 5]
-    with ssduck.Interpreter(recording=None) as ss:
-        ss.add_variable("sim", ssduck.World.batch(model, 4)).tick(states)
-        for condition in ("touching", "collides", "hasContact"):
-            assert not ss.eval(f"{condition}(sim.cube, sim.ball);").any()
-        program = "SELECT env, id(this) FROM sim WHERE touching(sim.cube, this);"
-        assert ss.eval(program) == []
-
-
-ROWS = [
-    "SELECT env, id(this) FROM sim WHERE z(this) > 0.35 AS list;",
-    "SELECT env, id(this), z(this) FROM sim WHERE touching(sim.table, this) AS records;",
-    "SELECT env, id(this), distance(this, sim.ball) FROM sim WHERE id(this) <> 'ball';",
-    "SELECT env, id(this) FROM sim WHERE inContact(this, sim.table) AS list;",
-    "SELECT env, count(*) AS n FROM sim WHERE above(this, sim.table);",
-    "SELECT env, a.id AS upper, b.id AS lower FROM a=sim, b=sim WHERE above(a.this, b.this) ORDER BY upper, lower;",
-    "SELECT id(this) FROM sim WHERE env = 3 AND z(this) > goal[2] AS list;",
-    "SELECT env, z(sim.cube) FROM [0] AS list;",
-]
-
-
-@pytest.mark.parametrize("text", ROWS)
-def test_queries_have_the_rows_of_each_environment(batch, text):
-    ss, _, model, states = batch
-    goal = np.linspace(0.3, 0.4, COUNT)[:, None] * np.ones(3)
-    ss.add_variable("goal", goal)
-    parameters = {"env": list(range(COUNT)), "goal": goal.tolist()}
-    expected = [row for rows in each(model, states, text, parameters) for row in rows]
-    found = ss.eval(text)
-    assert [plain(row) for row in found] == [plain(row) for row in expected]
-    assert found
-
-
-def plain(row):
-    row = list(row.values()) if isinstance(row, dict) else row
-    is_single = isinstance(row, int | str | float)
-    return row if is_single else [pytest.approx(v) if isinstance(v, float) else v for v in row]
 
 
 def test_tensors(batch):
@@ -412,19 +359,13 @@ def test_answers_are_of_the_library_of_the_states(batch, library):
         assert np.allclose(np.asarray(answer), expected, atol=1e-6)  # jax has single precision
 
 
-def test_contacts_that_are_not_known_are_an_error(batch):
-    ss, sim, _, states = batch
-    sim.tick(qpos=np.stack([data.qpos for data in states]))
-    with pytest.raises(SelectScriptError, match="contact="):
-        ss.eval("inContact(sim.cube, sim.table);")
-
-
 @pytest.mark.parametrize(
     ("text", "array"),
     [
         ("speed(sim.cube) < 1;", "cvel="),
         ("z(sim.cube.top);", "site_xpos="),
         ("joint(sim.arm, 'elbow');", "qpos="),
+        ("inContact(sim.cube, sim.table);", "contact="),
     ],
 )
 def test_arrays_that_are_not_known_are_an_error(batch, text, array):

@@ -35,6 +35,14 @@ QUERIES = [
     "SELECT id FROM sim WHERE z > low ORDER BY kind DESC, id DESC LIMIT 2 OFFSET 1 AS list;",
     "SELECT id, str(z(this)) AS text FROM sim WHERE z > low ORDER BY text;",
     "SELECT DISTINCT kind FROM sim AS list;",
+    "SELECT env, id(this) FROM sim WHERE z(this) > 0.35 AS list;",
+    "SELECT env, id(this), z(this) FROM sim WHERE touching(sim.table, this) AS records;",
+    "SELECT env, id(this), distance(this, sim.ball) FROM sim WHERE id(this) <> 'ball';",
+    "SELECT env, id(this) FROM sim WHERE inContact(this, sim.table) AS list;",
+    "SELECT env, count(*) AS n FROM sim WHERE above(this, sim.table);",
+    f"SELECT env, a.id AS u, b.id AS v {PAIRS} WHERE above(a.this, b.this) ORDER BY u, v;",
+    "SELECT id(this) FROM sim WHERE env = 3 AND z(this) > goal[2] AS list;",
+    "SELECT env, z(sim.cube) FROM [0] AS list;",
     "SELECT id, z(sim.cube) - z AS below FROM sim WHERE z < z(sim.cube);",
     "SELECT env, median(z) AS middle, max(distance(this, sim.cube)) AS far FROM sim WHERE id <> 'cube';",
 ]
@@ -42,7 +50,9 @@ QUERIES = [
 AT_ONCE = [
     text
     for text in QUERIES
-    if not any(w in text for w in ("HAVING", "str(", "DISTINCT", "median", "goal", "kind, z"))
+    if not any(
+        w in text for w in ("HAVING", "str(", "DISTINCT", "median", "goal", "kind, z", "[0]")
+    )
 ]
 
 
@@ -200,6 +210,9 @@ def test_bodies_of_other_environments_are_far_away():
             where = f"{PAIRS} WHERE {condition} AND a.id = 'cube' AND b.id = 'ball'"
             assert ss.eval(f"SELECT env {where} AS list;") == []
             assert ss.eval(f"SELECT count(*) {where} AS value;").tolist() == [0] * 4
+        for condition in ("touching", "collides", "hasContact"):
+            assert not ss.eval(f"{condition}(sim.cube, sim.ball);").any()
+        assert ss.eval("SELECT env, id(this) FROM sim WHERE touching(sim.cube, this);") == []
 
 
 def test_an_error_in_a_group_has_the_number_of_its_environment(many):

@@ -7,6 +7,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import ArgumentError, ProgramWarning, UnsupportedError
+from tests.support.bodies import solid
 
 XML = """
 <mujoco>
@@ -112,10 +113,7 @@ def test_ticks_that_were_dropped_are_told_of(tmp_path):
 
 
 def test_poses_by_entity_are_recorded_without_contacts(client, tmp_path):
-    shape = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
-    )
-    body = pybullet.createMultiBody(1, shape, physicsClientId=client)
+    body = solid(client, pybullet.GEOM_BOX, 1, halfExtents=[0.1] * 3)
     world = ssduck.World.attach(client, names={body: "cup"})
     with ssduck.Interpreter() as ss:
         sim = ss.add_variable("sim", ssduck.World.batch(world, 2, history=10))

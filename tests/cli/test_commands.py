@@ -1,7 +1,14 @@
-"""The other commands of `ssduck`, and the manual."""
+"""The other commands of `ssduck`, the completion of bash, and the manual."""
 
+import os
 import re
 import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
 
 import pytest
 import typer
@@ -154,3 +161,43 @@ def test_the_manual_names_every_command_and_option():
             named = [o for o in options if o.startswith("--") and f"`{o}" in PAGE]
             named += [o for o in options if o.startswith("--") and f", `{o}" in PAGE]
             assert named or not options[0].startswith("-"), f"{name}: {options}"
+
+
+pytest.importorskip("websockets", reason="the extra view is not installed")
+
+
+@pytest.mark.slow
+def test_the_first_line_is_the_address():
+    command = [sys.executable, "-m", "ssduck", "view", "kitchen", "--no-browser"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        url = process.stdout.readline().strip()
+        try:
+            assert url.startswith("http://127.0.0.1:")
+            with urllib.request.urlopen(url, timeout=30) as reply:  # noqa: S310  # its own server
+                assert "ssduck" in reply.read().decode()
+        finally:
+            process.send_signal(signal.SIGINT)
+    assert process.returncode == 130
+
+
+BASH = shutil.which("bash")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(BASH is None, reason="needs bash")
+def test_bash_completes_commands_after_the_installation(tmp_path):
+    environment = os.environ | {"HOME": str(tmp_path)}
+    environment["PATH"] = f"{Path(sys.executable).parent}:{environment['PATH']}"
+
+    def bash(script):
+        return subprocess.run(
+            [str(BASH), "-c", script], env=environment, capture_output=True, text=True, check=True
+        ).stdout
+
+    bash("ssduck --install-completion; exit $?")  # it asks which shell has called it
+    # What bash does when Tab is pressed behind `ssduck vi`.
+    script = (
+        f"source {next((tmp_path / '.bash_completions').iterdir())}; COMP_WORDS=(ssduck vi); "
+        'COMP_CWORD=1; _ssduck_completion ssduck; echo "${COMPREPLY[@]}"'
+    )
+    assert bash(script).split() == ["view"]

@@ -1,7 +1,9 @@
 """`ssduck` as a process: signals, pipes, full disks."""
 
 import json
+import re
 import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -92,3 +94,46 @@ finally:
     returned, out, err = run(module=("-c", code), cwd=tmp_path)
     assert (returned, err) == (0, "")
     assert out.splitlines()[-1] == ""
+
+
+# Each level makes a text a hundred times as long, in one step that DuckDB does not count.
+CONCAT = f"concat({', '.join(['s'] * 100)})"
+LARGE = f"(SELECT '{'a' * 1000}' || range AS s FROM range(100))"
+for _ in range(4):
+    LARGE = f"(SELECT {CONCAT} AS s FROM {LARGE})"
+LARGE = f"SELECT max(length(s)) AS n FROM {LARGE}"
+# It is measured before it runs, or it takes too much.
+REFUSED = r"memory|took more than|would be too large"
+
+
+# -- ssduck query --strict --------------------------------------------------------------------
+
+
+def query(*arguments, **options):
+    return subprocess.Popen(
+        [sys.executable, "-m", "ssduck", "query", "hall", "--strict", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        **options,
+    )
+
+
+@pytest.mark.slow
+@LINUX
+def test_a_strict_query_has_its_result_and_its_errors():
+    process = query("-F", "json", "[1, 2];")
+    assert (*process.communicate(timeout=HANGS), process.returncode) == ("[1, 2]\n", "", 0)
+    process = query("nobody;")
+    out, err = process.communicate(timeout=HANGS)
+    assert (out, process.returncode) == ("", 1)
+    assert "there is no variable 'nobody'" in err
+
+
+@LINUX
+@pytest.mark.long
+def test_a_strict_query_takes_no_more_memory_than_it_may():
+    process = query("--sql", LARGE)
+    out, err = process.communicate(timeout=HANGS)
+    assert (out, process.returncode) == ("", 1)
+    assert re.search(REFUSED, err)

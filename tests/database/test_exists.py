@@ -10,6 +10,7 @@ import pytest
 import ssduck
 from ssduck.database.plans import RUNS_BEFORE_PLAN
 from ssduck.database.statement_names import words_of
+from tests.support.bodies import solid
 from tests.support.cases import generated, sampled
 
 RUNS = RUNS_BEFORE_PLAN + 2
@@ -31,12 +32,9 @@ def ss():
     client, places = pybullet.connect(pybullet.DIRECT), Random(5)  # noqa: S311
     sizes = [[0.1, 0.1, 0.1], [0.05, 0.1, 0.02], [0.3, 0.3, 0.01]]
     for number in range(11):
-        shape = pybullet.createCollisionShape(
-            pybullet.GEOM_BOX, halfExtents=sizes[number % 3], physicsClientId=client
-        )
         place = [places.uniform(0, 0.5), places.uniform(0, 0.5), 0.1 * (number % 4)]
         place = [math.nan, 0, 0] if number == 5 else place
-        pybullet.createMultiBody(1, shape, basePosition=place, physicsClientId=client)
+        solid(client, pybullet.GEOM_BOX, 1, place, halfExtents=sizes[number % 3])
     with ssduck.Interpreter(recording=None) as interpreter:
         with pytest.warns(UserWarning, match="no number"):
             interpreter.add_variable("sim", ssduck.World.attach(client))

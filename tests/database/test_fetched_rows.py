@@ -137,7 +137,6 @@ def test_limits_end_an_answer_without_end(fetch):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("limits", [None, ssduck.Limits.strict(progress=False)])
 @pytest.mark.parametrize(
     "program",
     [
@@ -146,8 +145,8 @@ def test_limits_end_an_answer_without_end(fetch):
         "SELECT id(a), max(z(b)) FROM a=kitchen, b=kitchen GROUP BY id(a), id(b) AS list;",
     ],
 )
-def test_a_long_answer_that_is_asked_for_again_is_of_the_present_tick(program, limits):
-    with ssduck.load("kitchen", limits=limits) as ss, ssduck.Interpreter(row_by_row=True) as loop:
+def test_a_long_answer_that_is_asked_for_again_is_of_the_present_tick(program):
+    with ssduck.load("kitchen") as ss, ssduck.Interpreter(row_by_row=True) as loop:
         world = ss["kitchen"]
         loop.add_variable("kitchen", world)
         answers = []

@@ -10,6 +10,7 @@ import ssduck
 from ssduck.database import plans
 from ssduck.database.plans import RUNS_BEFORE_PLAN
 from ssduck.schema import TABLES
+from tests.support.bodies import solid
 from tests.support.cases import sampled
 
 RUNS = RUNS_BEFORE_PLAN + 3
@@ -74,8 +75,7 @@ CASES = [
 @pytest.fixture
 def traced(client):
     """An interpreter with falling boxes, and their client."""
-    plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
-    pybullet.createMultiBody(0, plane, physicsClientId=client)
+    solid(client, pybullet.GEOM_PLANE, 0)
     pybullet.setGravity(0, 0, -9.81, physicsClientId=client)
     for number in range(6):
         add_box(client, number)
@@ -86,11 +86,8 @@ def traced(client):
 
 
 def add_box(client, number):
-    box = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[0.05, 0.05, 0.05], physicsClientId=client
-    )
     position = [0.04 * number, 0, 0.06 + 0.11 * number]
-    return pybullet.createMultiBody(1, box, basePosition=position, physicsClientId=client)
+    return solid(client, pybullet.GEOM_BOX, 1, position, halfExtents=[0.05, 0.05, 0.05])
 
 
 def move(ss, client, steps=7):

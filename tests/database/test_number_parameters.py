@@ -9,6 +9,7 @@ import ssduck
 from ssduck.adapters.result import Result
 from ssduck.database.plans import RUNS_BEFORE_PLAN
 from ssduck.errors import SqlError
+from tests.support.bodies import solid
 
 # Statements, and the values of their parameters in turn.
 CASES = [
@@ -38,12 +39,13 @@ CASES = [
 
 def boxes(client, numbers):
     """Adds boxes, each higher than the one before, and returns their names."""
-    shape = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[0.02, 0.02, 0.02], physicsClientId=client
-    )
     return {
-        pybullet.createMultiBody(
-            1, shape, basePosition=[0.1 * i, 0, 0.05 * i + 0.02], physicsClientId=client
+        solid(
+            client,
+            pybullet.GEOM_BOX,
+            1,
+            [0.1 * i, 0, 0.05 * i + 0.02],
+            halfExtents=[0.02, 0.02, 0.02],
         ): f"b{i}"
         for i in numbers
     }

@@ -143,15 +143,6 @@ def test_macros_follow_the_worlds(run):
 
 
 @pytest.mark.slow
-def test_a_users_statement_finds_everything(run):
-    with ssduck.open(run) as ss:
-        ((count,),) = ss.sql("SELECT count(*) FROM entities_history").fetchall()
-        assert count == BODIES * TICKS
-        ((links,),) = ss.sql("SELECT count(*) FROM lab.links").fetchall()
-        assert links == BODIES
-
-
-@pytest.mark.slow
 def test_a_program_and_a_statement_agree_in_any_order(run):
     program = "SELECT id FROM lab{} WHERE above(box_0, this) AS list;"
     sql = "SELECT b.name FROM entities_history a, entities_history b WHERE above(a, b) "
@@ -165,20 +156,6 @@ def test_a_program_and_a_statement_agree_in_any_order(run):
                 values = ss.eval(text) if text is program else ss.sql(text).fetchall()
                 answers.append([v if text is program else v[0] for v in values])
     assert all(answer == answers[0] for answer in answers)
-
-
-@pytest.mark.slow
-def test_a_recording_that_begins_anew_has_new_views(client):
-    pybullet.createMultiBody(1, physicsClientId=client)
-    with ssduck.Interpreter(recording=Recording(tables=("entities",))) as ss:
-        world = ss.add_variable("lab", ssduck.World.attach(client))
-        world.step()
-        count = "SELECT tick(this) FROM lab{} AS list;"
-        assert ss.eval(count) == [1, 2]
-        ss.record("lab", Recording(tables=("entities",)))
-        world.step()
-        assert ss.eval(count) == [2, 3]
-        assert ss.sql("SELECT tick FROM lab.entities_history ORDER BY 1").fetchall() == [(2,), (3,)]
 
 
 # -- databases that are used again ----------------------------------------------------------------

@@ -21,6 +21,7 @@ from ssduck.cli.app import app
 from ssduck.errors import SelectScriptError
 from ssduck.openrave import OccupancyGridMap
 from ssduck.recording.replay.replayed_world import ReplayedWorld
+from tests.support.bodies import solid
 from tests.support.cases import sampled
 
 HUGE = 10**400
@@ -263,15 +264,10 @@ class Things:
 
     def __init__(self, folder):
         self.client = pybullet.connect(pybullet.DIRECT)
-        shape = pybullet.createCollisionShape(
-            pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=self.client
-        )
         (folder / "arm.urdf").write_text(ARM)
         names = {
-            pybullet.createMultiBody(1, shape, physicsClientId=self.client): "ball",
-            pybullet.createMultiBody(
-                1, shape, basePosition=[0, 0, 0.2], physicsClientId=self.client
-            ): "other",
+            solid(self.client, pybullet.GEOM_SPHERE, 1, radius=0.1): "ball",
+            solid(self.client, pybullet.GEOM_SPHERE, 1, [0, 0, 0.2], radius=0.1): "other",
             pybullet.loadURDF(
                 str(folder / "arm.urdf"), [9, 9, 9], physicsClientId=self.client
             ): "arm",

@@ -5,6 +5,7 @@ import pytest
 
 import ssduck
 from ssduck.language.parser import parse
+from tests.support.bodies import solid
 
 
 @pytest.fixture(scope="module")
@@ -299,10 +300,9 @@ def test_what_depends_on_no_row_is_evaluated_once(ss):
 def test_order_holds_in_large_worlds():
     """Joins and the row of parameters may not disturb it, whatever plan DuckDB takes."""
     client = pybullet.connect(pybullet.DIRECT)
-    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
     for number in range(3000):
         place = [number % 7, number % 11, number % 13]
-        pybullet.createMultiBody(0, shape, basePosition=place, physicsClientId=client)
+        solid(client, pybullet.GEOM_SPHERE, 0, place, radius=0.1)
     with ssduck.Interpreter() as ss:
         ss.add_variable("sim", ssduck.World.attach(client))
         ss.add_variable("three", 3.0)

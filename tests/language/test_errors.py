@@ -20,6 +20,7 @@ from ssduck.errors import (
     UnsupportedError,
     nearest,
 )
+from tests.support.bodies import solid
 from tests.support.marked import unmarked
 
 
@@ -234,10 +235,7 @@ def test_sql_mistakes(ss, sql, words):
 def test_a_removed_body():
     client = pybullet.connect(pybullet.DIRECT)
     try:
-        shape = pybullet.createCollisionShape(
-            pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
-        )
-        bodies = [pybullet.createMultiBody(1, shape, physicsClientId=client) for _ in range(2)]
+        bodies = [solid(client, pybullet.GEOM_BOX, 1, halfExtents=[0.1] * 3) for _ in range(2)]
         world = ssduck.World.attach(client, names={bodies[0]: "stays", bodies[1]: "goes"})
         with ssduck.Interpreter() as ss:
             ss.add_variable("sim", world)

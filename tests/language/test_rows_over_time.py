@@ -6,6 +6,7 @@ import pytest
 
 import ssduck
 from ssduck.interpreter.over_time import evaluator
+from tests.support.bodies import solid
 
 pytestmark = pytest.mark.slow
 COUNT, STEPS = 12, 20
@@ -95,10 +96,9 @@ def test_an_expression_that_fails_for_others_is_read_for_each(fall):
 
 def test_an_entity_that_came_later_has_no_value(client):
     pybullet = pytest.importorskip("pybullet")
-    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
 
     def made(z):
-        return pybullet.createMultiBody(1, ball, -1, [0, 0, z], physicsClientId=client)
+        return solid(client, pybullet.GEOM_SPHERE, 1, [0, 0, z], radius=0.1)
 
     names = {made(z): f"b{z}" for z in (1, 2, 3)}
     with ssduck.Interpreter() as ss:

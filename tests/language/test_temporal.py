@@ -19,6 +19,7 @@ from ssduck.errors import (
 from ssduck.interpreter import query_runner as queries
 from ssduck.language.parser import parse
 from ssduck.language.value_history import SAME_TIME, ValueHistory, past_value, with_assignment
+from tests.support.bodies import solid
 from tests.support.cases import sampled
 
 STEP = 0.25
@@ -28,10 +29,7 @@ def box_world(client, name="w"):
     """A world of one box whose steps take a quarter of a second."""
     pybullet.setTimeStep(STEP, client)
     pybullet.setGravity(0, 0, 0, client)
-    shape = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
-    )
-    body = pybullet.createMultiBody(1.0, shape, -1, [0, 0, 0.5], physicsClientId=client)
+    body = solid(client, pybullet.GEOM_BOX, 1.0, [0, 0, 0.5], halfExtents=[0.1] * 3)
     return ssduck.World.attach(client, name=name, names={body: "box"})
 
 

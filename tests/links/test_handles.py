@@ -18,6 +18,7 @@ from ssduck.errors import (
     UnsupportedError,
 )
 from ssduck.schema import LINK_FACTOR, MAX_LINKS, link_id
+from tests.support.bodies import solid
 from tests.support.cases import sampled
 
 HAND = "sim.panda.panda_hand"
@@ -211,8 +212,7 @@ def test_what_if(cell):
 
 
 def test_links_of_a_removed_body(client):
-    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
-    body = pybullet.createMultiBody(1, shape, physicsClientId=client)
+    body = solid(client, pybullet.GEOM_SPHERE, 1, radius=0.1)
     world = ssduck.World.attach(client, names={body: "ball"})
     (link,) = world["ball"].links
     for row_by_row in (False, True):
@@ -235,13 +235,12 @@ def test_methods_of_worlds_and_entities_take_links_or_say_so(client):
     """A sensor and a held body are fixed to a link; all else is about whole entities."""
     pybullet.setAdditionalSearchPath(pybullet_data.getDataPath(), client)
     panda = pybullet.loadURDF("franka_panda/panda.urdf", useFixedBase=True, physicsClientId=client)
-    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
     world = ssduck.World.attach(client, names={panda: "panda"})
     hand = world["panda"].link("panda_hand")
     sensor = world.add_sensor("range_finder", hand, max_range=2.0)
     assert (sensor.host, sensor.spec.link) == (world["panda"].id, "panda_hand")
     assert sensor.position == pytest.approx(hand.position)
-    ball = pybullet.createMultiBody(1, shape, basePosition=hand.position, physicsClientId=client)
+    ball = solid(client, pybullet.GEOM_SPHERE, 1, hand.position, radius=0.1)
     world.tick(steps=0)
     held = next(entity for entity in world if entity.kind == "kinbody")
     world["panda"].hold(held, hand)

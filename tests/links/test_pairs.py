@@ -152,3 +152,26 @@ def test_pairs_of_links_are_tables(cell, table, condition, place):
         expected = names_in(ss, pairs_of(condition, SOURCES[0]))
     assert sorted(rows) == sorted(expected)
     assert bool(rows) is ("-1" not in table)
+
+
+BESIDE = (("links(kitchen)", "links(kitchen)"), ("kitchen", "links(kitchen)"))
+
+
+@pytest.fixture(scope="module")
+def ss():
+    with ssduck.load("kitchen") as interpreter:
+        assert len(interpreter.eval("SELECT id(this) FROM kitchen WHERE isSensor(this);")) > 1
+        yield interpreter
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("condition", ["touching(a.this, b.this)", "on(a.this, b.this)"])
+@pytest.mark.parametrize(("first", "second"), BESIDE)
+def test_at_once_is_one_by_one(ss, first, second, condition):
+    selected = f"SELECT str(a.this), str(b.this) FROM a={first}, b={second} WHERE {condition}"
+    at_once, one_by_one = (
+        ss.eval(f"{selected}{more} AS list;") for more in ("", " AND z(a.this) > -1e9")
+    )
+    pairs = [sorted(zip(found[::2], found[1::2], strict=True)) for found in (at_once, one_by_one)]
+    assert pairs[0]
+    assert pairs[0] == pairs[1]

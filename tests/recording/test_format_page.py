@@ -1,16 +1,19 @@
-"""The page of the format is enough to write a record: its example opens, with pyarrow alone."""
+"""The page of the format is enough to write a record with pyarrow alone; what a DuckDB file has is plain."""
 
 import subprocess
 import sys
 from pathlib import Path
 
+import duckdb
 import pyarrow.parquet as pq
+import pybullet
 import pytest
 
 import ssduck
 from ssduck.errors import RecordError
 from ssduck.recording.stores.stored_columns import part_columns
 from ssduck.schema import MODELS, RECORDED
+from tests.support.bodies import solid
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "reference" / "record-format.md"
@@ -76,3 +79,70 @@ def test_the_page_names_all_tables_and_keys():
 
     for key in EPISODE:
         assert f"`{key}`" in text, key
+
+
+BODIES = 10
+TICKS = 6
+
+
+@pytest.fixture
+def world(client):
+    """A world of boxes."""
+    for place in range(BODIES):
+        solid(client, pybullet.GEOM_BOX, 1, [place, 0, 1], halfExtents=[0.1, 0.1, 0.1])
+    return ssduck.World.attach(client, name="lab")
+
+
+def _record(path, world):
+    with ssduck.Interpreter(str(path)) as ss:
+        ss.add_variable("lab", world)
+        for _ in range(TICKS - 1):
+            world.step()
+
+
+def _format(path):
+    """Returns the version of the format of a file, and the size of its blocks, bytes."""
+    with duckdb.connect(str(path), read_only=True) as plain:
+        ((tags,),) = plain.execute(
+            "SELECT tags FROM duckdb_databases() WHERE database_name = current_database()"
+        ).fetchall()
+        sizes = plain.execute("SELECT block_size FROM pragma_database_size()").fetchall()
+        return tags["storage_version"], sizes[0][0]
+
+
+@pytest.mark.slow
+def test_a_new_file_has_the_format_of_long_term_support(world, tmp_path):
+    path = tmp_path / "run.duckdb"
+    _record(path, world)
+    version, block = _format(path)
+    assert version.startswith("v1.4.0")
+    assert block == 16384
+    _record(path, world)
+    assert _format(path) == (version, block)
+    with ssduck.open(path) as ss:
+        assert len(ss.past("lab").ticks) == TICKS
+
+
+@pytest.mark.slow
+def test_an_episode_takes_few_bytes(world, tmp_path):
+    path = tmp_path / "run.duckdb"
+    sizes = []
+    for _ in range(5):
+        _record(path, world)
+        sizes.append(path.stat().st_size)
+    assert (sizes[-1] - sizes[0]) / 4 < 400_000  # 1.9 MB in blocks of DuckDB's own size
+    assert [episode.ticks for episode in ssduck.episodes(path)] == [TICKS] * 5
+
+
+@pytest.mark.slow
+def test_a_file_of_another_format_is_written_on(world, tmp_path):
+    path = tmp_path / "run.duckdb"
+    duckdb.connect(str(path)).execute("CREATE TABLE mine AS SELECT 7 AS seven").close()
+    before = _format(path)
+    assert before[1] > 16384
+    _record(path, world)
+    assert _format(path) == before
+    with ssduck.open(path) as ss:
+        assert len(ss.past("lab").ticks) == TICKS
+    with duckdb.connect(str(path), read_only=True) as plain:
+        assert plain.execute("FROM mine").fetchall() == [(7,)]

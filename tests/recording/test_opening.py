@@ -6,6 +6,7 @@ import pytest
 import ssduck
 from ssduck.recording.replay.record import Record
 from ssduck.recording.stores import parquet_archive
+from tests.support.bodies import solid
 
 STEPS = 5
 HEIGHTS = [1.0, 2.0]
@@ -16,9 +17,8 @@ def runs(tmp_path_factory):
     """A folder and a file with the same record of two spheres, of which one falls."""
     place = tmp_path_factory.mktemp("opening")
     client = pybullet.connect(pybullet.DIRECT)
-    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
     for mass, height in enumerate(HEIGHTS):
-        pybullet.createMultiBody(mass, shape, -1, [0, 0, height], physicsClientId=client)
+        solid(client, pybullet.GEOM_SPHERE, mass, [0, 0, height], radius=0.1)
     pybullet.setGravity(0, 0, -9.81, physicsClientId=client)
     world = ssduck.World.attach(client, {0: "still", 1: "falling"})
     with ssduck.Interpreter(place / "run.duckdb") as ss:

@@ -13,6 +13,7 @@ from ssduck.errors import RecordError
 from ssduck.recording.paths import part_name
 from ssduck.recording.stores.descriptions import read_description
 from ssduck.recording.stores.files import write_json
+from tests.support.bodies import solid
 from tests.support.recorded import end_part
 
 PARTS = 4
@@ -25,17 +26,14 @@ def made(tmp_path_factory):
     place = tmp_path_factory.mktemp("parts") / "run"
     client = pybullet.connect(pybullet.DIRECT)
     pybullet.setGravity(0, 0, -9.81, client)
-    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
-    pybullet.createMultiBody(1, shape, physicsClientId=client)
+    solid(client, pybullet.GEOM_SPHERE, 1, radius=0.1)
     with ssduck.Interpreter() as ss:
         world = ss.add_variable("lab", ssduck.World.attach(client))
         for _ in range(2):
             with ss.record_to(place, recording=Recording(tables=("entities", "links"))) as writing:
                 for part in range(PARTS):
                     if part == 2:  # what entities are has two parts, too
-                        pybullet.createMultiBody(
-                            1, shape, basePosition=[3, 0, 0], physicsClientId=client
-                        )
+                        solid(client, pybullet.GEOM_SPHERE, 1, [3, 0, 0], radius=0.1)
                     world.step()
                     world.step()
                     end_part(writing)

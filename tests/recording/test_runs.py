@@ -9,6 +9,7 @@ import ssduck
 from ssduck import Recording
 from ssduck.errors import EvaluationError, RecordError, SelectScriptError, SqlError
 from ssduck.schema import RECORDABLE
+from tests.support.bodies import solid
 from tests.support.forged import rewrite, without_checksums
 
 ALL = Recording(tables=RECORDABLE)
@@ -19,11 +20,8 @@ RADIUS = 0.5
 
 
 def balls(client, apart):
-    shape = pybullet.createCollisionShape(
-        pybullet.GEOM_SPHERE, radius=RADIUS, physicsClientId=client
-    )
     for x in (0, apart):
-        pybullet.createMultiBody(0, shape, basePosition=[x, 0, 0], physicsClientId=client)
+        solid(client, pybullet.GEOM_SPHERE, 0, [x, 0, 0], radius=RADIUS)
     return ssduck.World.attach(client)
 
 

@@ -75,9 +75,8 @@ def world(client, monkeypatch):
     """A world of falling balls; a file takes its ticks ten at a time, and each time a checkpoint."""
     monkeypatch.setattr(worlds, "BUFFERED_TICKS", RING)
     monkeypatch.setattr(writer, "LONG_LOG", 1)
-    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
     for place in range(BALLS):
-        pybullet.createMultiBody(1, ball, basePosition=[place, 0, 1], physicsClientId=client)
+        solid(client, pybullet.GEOM_SPHERE, 1, [place, 0, 1], radius=0.1)
     return ssduck.World.attach(client, name="lab")
 
 

@@ -1,6 +1,7 @@
 """The shell at a terminal: keys, completion, history, Ctrl-C and Ctrl-D."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import ssduck
 from ssduck.shell.session import Session
 from tests.support.command_line import LINUX, environment
 from tests.support.timing import HANGS
+from tools import draw_shell
 
 pytest.importorskip("prompt_toolkit", reason="the extra shell is not installed")
 
@@ -141,3 +143,14 @@ def test_a_pseudo_terminal(tmp_path):
         process.kill()
         process.wait()
         os.close(own)
+
+
+def texts(path):
+    return re.findall(r"<text[^>]*>([^<]*)</text>", path.read_text(encoding="utf-8"))
+
+
+@pytest.mark.slow
+def test_the_manuals_picture_of_the_shell_is_up_to_date(tmp_path):
+    drawn = texts(draw_shell.draw(tmp_path))
+    assert len(drawn) > 20
+    assert drawn == texts(draw_shell.IMAGES / "shell.svg")

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import ssduck
 from ssduck.errors import SqlError
-from tests.support.bodies import create_linked_body
+from tests.support.bodies import create_linked_body, solid
 from tests.support.stage import Stage
 
 EDGE = 1e-9
@@ -129,7 +129,6 @@ def squeezed(angle):
     client = pybullet.connect(pybullet.DIRECT)
     here = {"physicsClientId": client}
     jaw = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.2, 0.01, 0.2], **here)
-    rod = pybullet.createCollisionShape(pybullet.GEOM_CYLINDER, radius=0.1, height=0.1, **here)
     half = math.radians(180 - angle) / 2
     away = 0.1 + 0.01 - 0.002  # the jaws press 2 mm into the rod
     places = [[0.0, away, 0.0], [away * math.sin(2 * half), -away * math.cos(2 * half), 0.0]]
@@ -141,7 +140,7 @@ def squeezed(angle):
         linkPositions=[np.subtract(places[1], places[0]).tolist()],
         linkOrientations=[Rotation.from_euler("z", 2 * half).as_quat().tolist()],
     )
-    thing = pybullet.createMultiBody(1, rod, **here)
+    thing = solid(client, pybullet.GEOM_CYLINDER, 1, radius=0.1, height=0.1)
     pybullet.stepSimulation(client)
     points = pybullet.getContactPoints(hand, thing, **here)
     names = {hand: "hand", thing: "thing"}
@@ -213,9 +212,8 @@ def test_a_grasp_is_pressed_from_opposite_sides(angle):
 def test_a_thing_that_rests_is_not_grasped(tmp_path):
     client = pybullet.connect(pybullet.DIRECT)
     here = {"physicsClientId": client}
-    box = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.1] * 3, **here)
-    table = pybullet.createMultiBody(0, box, **here)
-    thing = pybullet.createMultiBody(1, box, basePosition=[0, 0, 0.2], **here)
+    table = solid(client, pybullet.GEOM_BOX, 0, halfExtents=[0.1] * 3)
+    thing = solid(client, pybullet.GEOM_BOX, 1, [0, 0, 0.2], halfExtents=[0.1] * 3)
     pybullet.setGravity(0, 0, -9.81, **here)
     world = ssduck.World.attach(client, names={table: "table", thing: "thing"})
     with ssduck.Interpreter() as ss:

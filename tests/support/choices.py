@@ -7,9 +7,8 @@ simplest choice is 0 everywhere, so that smaller numbers are smaller programs.
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TypeVar
 
 T = TypeVar("T")
 
@@ -28,28 +27,28 @@ class Choices:
         taken: the numbers so far.
     """
 
-    def __init__(self, draw: Callable[[int], int], first: Sequence[int] = ()) -> None:
+    def __init__(self, draw, first=()):
         self._draw = draw
         self._first = first
-        self.taken: list[int] = []
+        self.taken = []
 
-    def below(self, bound: int) -> int:
+    def below(self, bound):
         """Returns a number from 0 to below the bound."""
         index = len(self.taken)
         number = self._first[index] % bound if index < len(self._first) else self._draw(bound)
         self.taken.append(number)
         return number
 
-    def pick(self, options: Sequence[T]) -> T:
+    def pick(self, options):
         """Returns one of the options; the first is the simplest."""
         return options[self.below(len(options))]
 
-    def chance(self, percent: int) -> bool:
+    def chance(self, percent):
         """Returns True with a probability; False is simpler."""
         return self.below(100) >= 100 - percent
 
 
-def seeded(seed: int) -> Choices:
+def seeded(seed):
     """Choices that a seed determines."""
     return Choices(random.Random(seed).randrange)  # noqa: S311  # a test's
 
@@ -71,7 +70,7 @@ NUMBER = Type("number")
 SCALARS = (INT, REAL, TEXT, FLAG)
 
 
-def list_of(element: Type) -> Type:
+def list_of(element):
     """Returns the type of a list of at least two elements, where it is one of a list's elements."""
     return Type("list", element)
 
@@ -80,7 +79,7 @@ INTS, REALS, TEXTS = list_of(INT), list_of(REAL), list_of(TEXT)
 RECORD = Type("dict", keys=(("k", INT), ("name", TEXT), ("r", REAL)))
 
 # Variables that are there before a program runs, in both interpreters.
-VARIABLES: dict[str, tuple[Any, Type]] = {
+VARIABLES = {
     "n": (2, INT),
     "half": (0.5, REAL),
     "word": ("b", TEXT),
@@ -103,7 +102,7 @@ HISTORIES = (
     ("past{} = 1;", "trail{2.5} = 'b';"),
     ("past{} = 2;", "trail{2.5} = 'ab';"),
 )
-AGED: tuple[tuple[str, Type], ...] = (
+AGED = (
     ("past", INT),
     ("past{1.5}", INT),
     ("past{}", INTS),
@@ -111,7 +110,7 @@ AGED: tuple[tuple[str, Type], ...] = (
     ("trail{getTime() - 1}", TEXT),
     ("trail{}", TEXTS),
 )
-LITERALS: dict[str, tuple[str, ...]] = {
+LITERALS = {
     "int": ("1", "0", "2", "3", "5", "(-1)", "(-2)", "7"),
     "real": ("0.5", "1.0", "2.0", "0.0", "1.5", "(-0.25)", "3.75", "0.1", "1e3"),
     "text": ("'a'", "'b'", "'ab'", "''", "'box'", "'cup'"),
@@ -128,22 +127,22 @@ FLAG_RELATIONS = ("isRobot", "isKinbody", "isSensor", "isOpen", "isClosed", "upr
 PAIR_RELATIONS = ("above", "within", "below", "isSensing")
 
 
-def plain(value: int, whole: int) -> int:
+def plain(value, whole):
     """Returns a user's function with hints."""
     return value * 2 + whole
 
 
-def scaled(value: float) -> float:
+def scaled(value):
     """Returns a user's function with hints."""
     return value * 0.5 - 1.0
 
 
-def longer(left: str, right: str) -> bool:
+def longer(left, right):
     """Returns a user's function with hints."""
     return len(left) > len(right)
 
 
-def bare(value: Any) -> Any:
+def bare(value):
     """Returns a user's function that gives back what it gets."""
     return value
 
@@ -153,7 +152,7 @@ def unhinted(value):  # type: ignore[no-untyped-def]
     return value + value
 
 
-FUNCTIONS: tuple[Callable[..., Any], ...] = (plain, scaled, longer, bare, unhinted)
+FUNCTIONS = (plain, scaled, longer, bare, unhinted)
 
 
 # -- scopes -------------------------------------------------------------------------------------
@@ -175,7 +174,7 @@ class Scope:
     own: Atoms = ()
     variables: Atoms = ()
 
-    def of(self, wanted: Type) -> list[str]:
+    def of(self, wanted):
         """Returns the atoms of a type, those of this query first and twice."""
         own = [text for text, type_ in self.own if type_ == wanted]
         others = [text for text, type_ in (*self.outer, *self.variables) if type_ == wanted]
@@ -191,17 +190,17 @@ class Source:
     type: Type
 
     @property
-    def written(self) -> str:
+    def written(self):
         """As it stands in FROM."""
         return self.text if self.alias is None else f"{self.alias}={self.text}"
 
     @property
-    def this(self) -> str:
+    def this(self):
         """Its current element."""
         return "this" if self.alias is None else f"{self.alias}.this"
 
 
-def reached(text: str, type_: Type) -> Iterator[tuple[str, Type]]:
+def reached(text, type_):
     """Yields a value and what can be reached in it by constant keys."""
     yield text, type_
     if type_.element is not None:

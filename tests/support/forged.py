@@ -1,12 +1,8 @@
 """Forges records: small valid ones, made once, of which a test changes a copy."""
 
-from __future__ import annotations
-
 import json
 import tarfile
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -27,7 +23,7 @@ TICKS = 4
 DATA = Path(__file__).parents[1] / "data"
 
 
-def make_records(place: Path) -> None:
+def make_records(place):
     """Makes `folder`, `unfinished`, which has a log only, and `file.duckdb` in a place."""
     client = pybullet.connect(pybullet.DIRECT)
     names = lively(client)
@@ -59,7 +55,7 @@ def make_records(place: Path) -> None:
     about.write_text(json.dumps(content))
 
 
-def use(path: Path) -> None:
+def use(path):
     """Opens a record, and reads all that is in it in each way there is."""
     for episode in ssduck.episodes(path):
         assert episode.ticks
@@ -78,21 +74,21 @@ def use(path: Path) -> None:
             ss.sql(f"SELECT * FROM {table}_model").fetchall()
 
 
-def part(record: Path, table: str, number: int = 0) -> Path:
+def part(record, table, number=0):
     """Returns the file of a part of a table, or of `models/<table>`."""
     return record / table / EPISODE / f"part-{number:06d}.parquet"
 
 
-def rewrite(file: Path, change: Callable[[pa.Table], pa.Table]) -> None:
+def rewrite(file, change):
     """Changes the rows of a part; it keeps its label."""
     rows = pq.ParquetFile(file).read()
     pq.write_table(change(rows).replace_schema_metadata(rows.schema.metadata), file)
 
 
-def with_column(name: str, values: Any) -> Callable[[pa.Table], pa.Table]:
+def with_column(name, values):
     """Returns a change that replaces a column by values, or by a function of its values."""
 
-    def change(rows: pa.Table) -> pa.Table:
+    def change(rows):
         index = rows.column_names.index(name)
         new = values(rows[name].to_pylist()) if callable(values) else values
         kind = None if isinstance(new, pa.Array) else rows.schema.field(name).type
@@ -102,7 +98,7 @@ def with_column(name: str, values: Any) -> Callable[[pa.Table], pa.Table]:
     return change
 
 
-def without_checksums(record: Path) -> None:
+def without_checksums(record):
     """Takes the checksums of a folder away, as a stranger can: what is read is checked again."""
     for file in (record / "ssduck.json", *(record / "episodes").iterdir()):
         about = json.loads(file.read_text())
@@ -115,14 +111,14 @@ def without_checksums(record: Path) -> None:
         pq.write_table(rows.replace_schema_metadata(metadata), file)
 
 
-def describe(file: Path, **values: Any) -> None:
+def describe(file, **values):
     """Changes values of a description, and removes its checksum, as a forger would."""
     content = json.loads(file.read_text()) | values
     content.pop("crc32", None)
     file.write_text(json.dumps(content))
 
 
-def _streams(file: Path) -> dict[str, pa.Table]:
+def _streams(file):
     content, tables = pa.BufferReader(file.read_bytes()), {}
     while content.tell() < content.size():
         table = pa.ipc.open_stream(content).read_all()
@@ -130,7 +126,7 @@ def _streams(file: Path) -> dict[str, pa.Table]:
     return tables
 
 
-def rewrite_log(record: Path, change: Callable[[dict[str, pa.Table]], None]) -> None:
+def rewrite_log(record, change):
     """Changes the tables of the first file of a log, by name; it keeps its label."""
     file = next(record.glob("log/*/*/part-000000-0000.arrow"))
     tables = _streams(file)

@@ -1,8 +1,5 @@
 """Random programs of the language."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 from tests.support.choices import (
@@ -24,7 +21,6 @@ from tests.support.choices import (
     TEXT,
     VARIABLES,
     WILD,
-    Choices,
     Scope,
     Source,
     Type,
@@ -40,12 +36,12 @@ class Grammar:
         choices: what decides.
     """
 
-    def __init__(self, choices: Choices) -> None:
+    def __init__(self, choices):
         self.c = choices
         self.wild = choices.chance(20)
         self.joins = not self.wild or choices.chance(35)
         self.aliases = 0
-        self.before: list[str] = []
+        self.before = []
         self.tally = choices.chance(5)
         self.worlds = 2
         self.size = choices.pick((1, 1, 2, 1))
@@ -53,7 +49,7 @@ class Grammar:
 
     # -- statements -------------------------------------------------------------------------
 
-    def program(self) -> str:
+    def program(self):
         """Statements, the last of them a query or an expression."""
         variables = ((name, type_) for name, (_, type_) in VARIABLES.items())
         scope = Scope(variables=(*variables, *(AGED if self.c.chance(25) else ())))
@@ -78,7 +74,7 @@ class Grammar:
             last = f"[({last}), tally]"
         return " ".join(f"{statement};" for statement in (*self.before, last))
 
-    def stored(self, scope: Scope) -> str:
+    def stored(self, scope):
         """Returns a query over the stored result of another query."""
         type_ = self.c.pick(SCALARS)
         self.before.append(f"found = {self.query(scope, 1, type_)}")
@@ -86,7 +82,7 @@ class Grammar:
         source = Source(alias, "found", type_)
         return self.rest(scope, [source], 0, None)
 
-    def deferred(self, scope: Scope) -> str:
+    def deferred(self, scope):
         """Returns a list for the query that uses it, stored before that."""
         first, second = self.alias(), self.alias()
         lists = (list_of(INT), list_of(TEXT), list_of(REAL))
@@ -116,18 +112,18 @@ class Grammar:
 
     # -- queries ----------------------------------------------------------------------------
 
-    def alias(self) -> str:
+    def alias(self):
         """Returns a new name of a source; now and then a name that was used."""
         if self.aliases and self.c.chance(3):
             return "abcdefghijklmnopq"[self.c.below(min(self.aliases, 17))]
         self.aliases += 1
         return f"s{self.aliases}" if self.aliases > 17 else "abcdefghijklmnopq"[self.aliases - 1]
 
-    def nested(self, text: str) -> str:
+    def nested(self, text):
         """Returns a query in parentheses."""
         return f"({text})"
 
-    def query(self, scope: Scope, depth: int, wanted: Type | None = None, form: str = "") -> str:
+    def query(self, scope, depth, wanted=None, form=""):
         """Returns a query; one with a column of a type, on request."""
         many = 1 + self.c.below(3 if depth == 0 else 2) if self.c.chance(45) else 1
         aliased = many > 1 or self.c.chance(60)
@@ -136,14 +132,14 @@ class Grammar:
 
     def rest(
         self,
-        scope: Scope,
-        sources: list[Source],
-        depth: int,
-        wanted: Type | None,
+        scope,
+        sources,
+        depth,
+        wanted,
         *,
-        form: str = "",
-        where: str = "",
-    ) -> str:
+        form="",
+        where="",
+    ):
         """Returns a query over these sources."""
         inner = self.inside(scope, sources)
         columns = self.columns(inner, sources, depth, wanted)
@@ -166,12 +162,12 @@ class Grammar:
             elif self.c.chance(10):
                 return self.aggregated(parts, inner, sources)
         parts.extend(self.arranging(inner, sources))
-        chosen: str = form or ("list" if wanted else self.c.pick(("list", "dict", "value", "list")))
+        chosen = form or ("list" if wanted else self.c.pick(("list", "dict", "value", "list")))
         if chosen != "dict" or self.c.chance(30):
             parts.append(f"AS {self.c.pick((chosen, chosen, chosen.upper(), chosen.title()))}")
         return " ".join(parts)
 
-    def aggregated(self, parts: list[str], inner: Scope, sources: list[Source]) -> str:
+    def aggregated(self, parts, inner, sources):
         """Returns a query of aggregates over the rows of its groups, or of all rows."""
         source = parts[0].split(" FROM ", 1)[1]
         found = [f"{self.aggregate(inner)} AS c{n}" for n in range(1 + self.c.below(2))]
@@ -186,14 +182,14 @@ class Grammar:
             made.append(f"LIMIT {self.c.pick(('2', '1', '0'))}")
         return " ".join([*made, f"AS {self.c.pick(('list', 'dict', 'value'))}"])
 
-    def aggregate(self, inner: Scope) -> str:
+    def aggregate(self, inner):
         """Returns a number of the rows of a group."""
         name = self.c.pick(("count", "sum", "min", "max", "avg"))
         over = self.expression(self.c.pick((INT, REAL)), inner, 1, 9)
         kinds = (f"{name}({over})", "count(*)", f"count(DISTINCT {over})", f"{name}(uniq({over}))")
         return f"{self.c.pick(kinds)}{self.c.pick(('', ' + 1', ' * 2'))}"
 
-    def arranging(self, inner: Scope, sources: list[Source]) -> Iterator[str]:
+    def arranging(self, inner, sources):
         """ORDER BY and LIMIT."""
         if self.c.chance(30):
             keys = []
@@ -208,7 +204,7 @@ class Grammar:
         if self.c.chance(15):
             yield f"LIMIT {self.c.pick(('2', '1', '0', '5', 'n', 'n + 1', 'count(ints)'))}"
 
-    def grouping(self, inner: Scope, sources: list[Source]) -> str:
+    def grouping(self, inner, sources):
         """GROUP BY, perhaps with HAVING."""
         keys = []
         for _ in range(1 + self.c.below(2)):
@@ -223,7 +219,7 @@ class Grammar:
         sign, bound = self.c.pick(COMPARISONS), self.literal(self.c.pick((INT, REAL)))
         return f"{text} HAVING {self.aggregate(inner)} {sign} {bound}"
 
-    def inside(self, scope: Scope, sources: list[Source]) -> Scope:
+    def inside(self, scope, sources):
         """Returns the scope of a query's parts: its own sources, and the outer ones by alias."""
         outer = tuple(
             (text, type_)
@@ -235,7 +231,7 @@ class Grammar:
         own = [atom for source in sources for atom in reached(source.this, source.type)]
         return Scope(outer, tuple(own), scope.variables)
 
-    def names(self, sources: list[Source], types: Sequence[Type]) -> list[str]:
+    def names(self, sources, types):
         """Bare names that mean something of the only source."""
         if len(sources) != 1:
             return []
@@ -245,15 +241,13 @@ class Grammar:
             return [name for name, of in known if of in types]
         return [name for name, of in type_.keys if of in types]
 
-    def columns(
-        self, inner: Scope, sources: list[Source], depth: int, wanted: Type | None
-    ) -> list[str]:
+    def columns(self, inner, sources, depth, wanted):
         """What is selected."""
         if wanted is not None:
             return [self.expression(wanted, inner, self.size, depth + 1)]
         if self.c.chance(5):
             return ["*"]
-        found: list[str] = []
+        found = []
         for number in range(self.c.pick((1, 1, 2, 3))):
             names = [name for name in self.names(sources, SCALARS) if name not in found]
             if names and self.c.chance(40):
@@ -265,7 +259,7 @@ class Grammar:
             found.append(f"to({value}, 'c{number}')")
         return found
 
-    def source(self, scope: Scope, depth: int, *, aliased: bool) -> Source:
+    def source(self, scope, depth, *, aliased):
         """Returns a source of a query."""
         alias = self.alias() if aliased else None
         kind = self.c.below(100)
@@ -294,7 +288,7 @@ class Grammar:
         type_ = self.c.pick(SCALARS)
         return Source(alias, self.literal(type_), type_)
 
-    def records(self, scope: Scope, depth: int) -> tuple[str, Type]:
+    def records(self, scope, depth):
         """Returns a nested query AS dict, as a source."""
         source = self.source(scope, 2, aliased=True)
         inner = self.inside(scope, [source])
@@ -303,7 +297,7 @@ class Grammar:
         text = f"(SELECT {', '.join(columns)} FROM {source.written} AS dict)"
         return text, Type("dict", keys=keys)
 
-    def list(self, element: Type, scope: Scope) -> str:
+    def list(self, element, scope):
         """Returns a list that is written out; of numbers of both kinds, if that is what it is of."""
         values = []
         for _ in range(self.c.below(5)):
@@ -315,7 +309,7 @@ class Grammar:
                 values.append(self.literal(type_))
         return f"[{', '.join(values)}]"
 
-    def pair(self, element: Type, scope: Scope) -> str:
+    def pair(self, element, scope):
         """Returns a list of two or three values."""
         atoms = [text for text, of in scope.outer if of == element]
         values = [
@@ -326,7 +320,7 @@ class Grammar:
 
     # -- hierarchies ------------------------------------------------------------------------
 
-    def hierarchy(self, scope: Scope, depth: int) -> str:
+    def hierarchy(self, scope, depth):
         """Returns a hierarchical query that a level bounds."""
         type_ = self.c.pick((INT, TEXT, INTS, REAL))
         aliased = self.c.chance(60)
@@ -368,19 +362,19 @@ class Grammar:
 
     # -- expressions ------------------------------------------------------------------------
 
-    def literal(self, type_: Type) -> str:
+    def literal(self, type_):
         """Returns a constant of a type."""
         if self.wild and type_.kind in WILD and self.c.chance(15):
             return self.c.pick(WILD[type_.kind])
         return self.c.pick(LITERALS[type_.kind])
 
-    def expression(self, type_: Type, scope: Scope, size: int, depth: int) -> str:
+    def expression(self, type_, scope, size, depth):
         """Returns an expression of a type; seldom of another one, if errors are allowed."""
         if self.wild and self.c.chance(4):
             type_ = self.c.pick((INT, TEXT, REAL, INTS, FLAG))
         if size <= 0 or not self.c.chance(95 if type_ == FLAG else 62):
             return self.atom(type_, scope)
-        makers: dict[str, Callable[[Scope, int, int], str]] = {
+        makers = {
             "int": self.integer,
             "real": self.real,
             "text": self.text,
@@ -392,7 +386,7 @@ class Grammar:
             return f"({makers[type_.kind](scope, size - 1, depth)})"
         return self.atom(type_, scope) if type_.kind != "list" else self.listed(type_, scope, size)
 
-    def atom(self, type_: Type, scope: Scope) -> str:
+    def atom(self, type_, scope):
         """Returns a literal, a variable, or what an element gives."""
         atoms = scope.of(type_)
         if atoms and not self.c.chance(30):
@@ -414,7 +408,7 @@ class Grammar:
             return self.pair(type_.element, scope)
         return atoms[0] if atoms else "[[1, 2], [3, 4]]"
 
-    def listed(self, type_: Type, scope: Scope, size: int) -> str:
+    def listed(self, type_, scope, size):
         """Returns a list of at least two elements."""
         element = type_.element
         if element is None or element.kind not in LITERALS:
@@ -432,7 +426,7 @@ class Grammar:
                 return f"position({self.c.pick(entities)})"
         return f"[{', '.join(parts)}]"
 
-    def choice(self, type_: Type, scope: Scope, size: int, depth: int) -> str:
+    def choice(self, type_, scope, size, depth):
         """IF with branches of a type, perhaps one after another; of flags some may be missing."""
         condition = self.expression(FLAG, scope, size, depth)
         if type_ == FLAG and self.c.chance(20):
@@ -450,7 +444,7 @@ class Grammar:
             other = f"IF({further}; {other}; {self.atom(type_, scope)})"
         return f"IF({condition}; {then}; {other})"
 
-    def chain(self, type_: Type, scope: Scope) -> str:
+    def chain(self, type_, scope):
         """Returns about as many operands in a row as are kept flat."""
         signs = {"int": ("+", "-"), "real": ("+", "-", "*"), "text": ("+",)}
         parts = [self.atom(type_, scope) for _ in range(2)]
@@ -460,14 +454,14 @@ class Grammar:
         sign = self.c.pick(signs[type_.kind])
         return f" {sign} ".join((parts * many)[:many])
 
-    def counted(self, scope: Scope, depth: int) -> str:
+    def counted(self, scope, depth):
         """Returns a condition that counts where it holds, or how often it is asked."""
         condition = self.expression(FLAG, scope, 1, depth)
         if self.c.chance(50):
             return f"IF({condition}; tally = tally + 1, True; False)"
         return f"((tally = tally + 1) > {self.c.below(4)} AND {condition})"
 
-    def divisor(self, type_: Type, scope: Scope, size: int) -> str:
+    def divisor(self, type_, scope, size):
         """Returns a divisor that is not 0, unless errors are allowed."""
         if self.wild and self.c.chance(60):
             return self.expression(type_, scope, size, 9)
@@ -475,7 +469,7 @@ class Grammar:
             return self.c.pick(("2", "3", "(-2)", "7"))
         return self.c.pick(("0.5", "2.0", "(-3.5)", "0.1"))
 
-    def integer(self, scope: Scope, size: int, depth: int) -> str:
+    def integer(self, scope, size, depth):
         """Returns an integer."""
         one = self.expression(INT, scope, size, depth)
         match self.c.below(18):
@@ -511,7 +505,7 @@ class Grammar:
             return one
         return self.of_query(INT, scope, depth)
 
-    def of_query(self, type_: Type, scope: Scope, depth: int) -> str:
+    def of_query(self, type_, scope, depth):
         """Returns a value of a nested query."""
         kind = self.c.below(3)
         if type_ in (INT, REAL) and kind < 2:
@@ -529,14 +523,14 @@ class Grammar:
         order = " ".join(self.arranging(inner, [source])).split("LIMIT")[0].strip()
         return f"(SELECT {column} FROM {source.written} {order} AS value)"
 
-    def indexed(self, type_: Type, scope: Scope, size: int) -> str:
+    def indexed(self, type_, scope, size):
         """Returns an element of a list."""
         values = self.expression(list_of(type_), scope, size, 9)
         if self.wild and self.c.chance(50):
             return f"{values}[{self.expression(INT, scope, size, 9)}]"
         return f"{values}[{self.c.pick(('0', '1', '-1', '-2'))}]"
 
-    def real(self, scope: Scope, size: int, depth: int) -> str:
+    def real(self, scope, size, depth):
         """Returns a real number."""
         one = self.expression(REAL, scope, size, depth)
         match self.c.below(17):
@@ -573,7 +567,7 @@ class Grammar:
                 return f"round({one}, {self.c.below(3)})"
         return one if depth > self.deepest else self.of_query(REAL, scope, depth)
 
-    def text(self, scope: Scope, size: int, depth: int) -> str:
+    def text(self, scope, size, depth):
         """Returns a text."""
         one = self.expression(TEXT, scope, size, depth)
         match self.c.below(9):
@@ -591,7 +585,7 @@ class Grammar:
                 return f"trail{{1 + abs({self.expression(INT, scope, size, depth)})}}"
         return one if depth > self.deepest else self.of_query(TEXT, scope, depth)
 
-    def flag(self, scope: Scope, size: int, depth: int) -> str:
+    def flag(self, scope, size, depth):
         """Returns a condition."""
         entities = scope.of(ENTITY)
         kind = self.c.below(25)
@@ -619,7 +613,7 @@ class Grammar:
         names = (self.c.pick(entities), self.c.pick((*entities, "box")))
         return f"{self.c.pick(PAIR_RELATIONS)}({names[0]}, {names[1]})"
 
-    def habit(self, scope: Scope, size: int, kind: int) -> str:
+    def habit(self, scope, size, kind):
         """Returns a condition as SQL has it."""
         negated = self.c.pick(("", "NOT "))
         if kind == 22:
@@ -636,7 +630,7 @@ class Grammar:
         values = ", ".join(self.literal(type_) for _ in range(self.c.below(4)))
         return f"{one} {negated}IN ({values})"
 
-    def comparison(self, scope: Scope, size: int, depth: int) -> str:
+    def comparison(self, scope, size, depth):
         """Two values of like types, compared."""
         type_ = self.c.pick((INT, REAL, TEXT, INTS, FLAG, ENTITY))
         if type_ == ENTITY:
@@ -654,7 +648,7 @@ class Grammar:
         signs = COMPARISONS if ordered or (self.wild and self.c.chance(30)) else ("==", "!=")
         return f"{left} {self.c.pick(signs)} {right}"
 
-    def membership(self, scope: Scope, size: int, depth: int) -> str:
+    def membership(self, scope, size, depth):
         """IN a list, a text, a query."""
         type_ = self.c.pick((INT, TEXT, REAL))
         left = self.expression(type_, scope, size, depth)
@@ -666,7 +660,7 @@ class Grammar:
             type_ = self.c.pick((INT, TEXT, REAL))
         return f"{left} IN {self.expression(list_of(type_), scope, size, depth)}"
 
-    def of_rows(self, scope: Scope, size: int, depth: int) -> str:
+    def of_rows(self, scope, size, depth):
         """Returns a question about the rows of a nested query."""
         if depth > self.deepest:
             return self.comparison(scope, size, depth)
@@ -684,6 +678,6 @@ class Grammar:
         return f"{self.pair(type_, scope)} == {query}"
 
 
-def program(choices: Choices) -> str:
+def program(choices):
     """Returns the text of a program."""
     return Grammar(choices).program()

@@ -1,10 +1,5 @@
 """Records episodes of a small environment: a gripper moves between 18 bodies for two seconds."""
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import gymnasium
 import numpy as np
 
@@ -23,7 +18,7 @@ SHAPES = (
 PLACES = [(-0.32 + 0.16 * (i % 5), -0.24 + 0.16 * (i // 5)) for i in range(15)]
 
 
-def model() -> str:
+def model():
     """Returns the model of the environment: 20 bodies, 17 of which move."""
     lying = "".join(
         f'<body name="thing_{i}" pos="{x} {y} .44"><freejoint/>'
@@ -59,14 +54,14 @@ class Push(OfModel):
 
     action_space = gymnasium.spaces.Box(-4, 4, (2,), np.float32)
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__(model(), round(STEP_TIME / TIMESTEP))
 
-    def start(self) -> None:
+    def start(self):
         self.data.qpos[:2] = self.np_random.uniform((-0.05, -0.1), (0.05, 0.1))
         self.goal = float(self.np_random.uniform(-0.3, -0.1))
 
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+    def step(self, action):
         self.data.ctrl[:] = action
         return super().step(action)
 
@@ -75,7 +70,7 @@ SUCCESS = "x(sim.cup) > goal AND on(sim.table, sim.cup)"
 REWARD = {"near": "-distance(sim.gripper, sim.cup)", "done": "10 * int(success)"}
 
 
-def record_episodes(folder: Path, count: int, first: int = 0, steps: int = STEPS) -> None:
+def record_episodes(folder, count, first=0, steps=STEPS):
     """Records episodes into a folder, with seeds from `first` on."""
     env = QueryWrapper(
         Push(),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -39,7 +39,7 @@ class LyingStore:
     cut: tuple[str, ...] = ()
     requests: list[tuple[str, str]] = field(default_factory=list)
 
-    def objects(self) -> dict[str, int]:
+    def objects(self):
         """Returns the sizes of what it lists, by name."""
         files = {
             file.relative_to(self.folder).as_posix(): file.stat().st_size
@@ -51,7 +51,7 @@ class LyingStore:
 
 
 @contextmanager
-def lying_store(folder: Path) -> Iterator[LyingStore]:
+def lying_store(folder):
     """Yields a store whose bucket has the files of a folder; the environment names it meanwhile."""
     store = LyingStore(folder)
     server = ThreadingHTTPServer(("127.0.0.1", 0), type("Handler", (_Handler,), {"store": store}))
@@ -73,18 +73,18 @@ class _Handler(BaseHTTPRequestHandler):
     disable_nagle_algorithm = True  # else each answer waits 40 ms for its head to be acknowledged
     store: LyingStore
 
-    def log_message(self, *_: object) -> None:
+    def log_message(self, *_):
         """Says nothing."""
 
-    def do_HEAD(self) -> None:
+    def do_HEAD(self):
         """Answers what is asked of an object."""
         self._answer()
 
-    def do_GET(self) -> None:
+    def do_GET(self):
         """Answers with an object, or a listing."""
         self._answer()
 
-    def _answer(self) -> None:
+    def _answer(self):
         url = urlsplit(self.path)
         path = unquote(url.path).lstrip("/")
         self.store.requests.append((self.command, path))
@@ -97,7 +97,7 @@ class _Handler(BaseHTTPRequestHandler):
         else:
             self._object(key)
 
-    def _object(self, key: str) -> None:
+    def _object(self, key):
         status = _of(key, self.store.statuses)
         file = self.store.folder / key
         if status is not None:
@@ -117,7 +117,7 @@ class _Handler(BaseHTTPRequestHandler):
                 self.close_connection = True
             self._send(200 if asked is None else 206, content, size)
 
-    def _send(self, status: int, content: bytes, size: int | None = None) -> None:
+    def _send(self, status, content, size=None):
         self.send_response(status)
         self.send_header("Content-Length", str(len(content) if size is None else size))
         self.send_header("Last-Modified", _DATE)
@@ -126,7 +126,7 @@ class _Handler(BaseHTTPRequestHandler):
         if self.command == "GET":
             self.wfile.write(content)
 
-    def _listing(self, prefix: str, has_folders: bool) -> bytes:
+    def _listing(self, prefix, has_folders):
         files, folders = [], set[str]()
         for key, size in sorted(self.store.objects().items()):
             rest = key.removeprefix(prefix)
@@ -150,6 +150,6 @@ class _Handler(BaseHTTPRequestHandler):
         ).encode()
 
 
-def _of(key: str, values: Mapping[str, int]) -> int | None:
+def _of(key, values):
     """Returns the value of the first end that a name has."""
     return next((value for end, value in values.items() if key.endswith(end)), None)

@@ -1,7 +1,5 @@
 """MJCF models for tests of MuJoCo worlds."""
 
-from __future__ import annotations
-
 import numpy as np
 
 # Boxes, balls and a robot: hinges off the origin, a slide and a hinge of one body, a ball joint.
@@ -37,7 +35,7 @@ LAB = """
 """
 
 
-def random_state(model, data, seed: int) -> None:
+def random_state(model, data, seed):
     """Gives all joints and velocities of a simulation random values."""
     import mujoco
 

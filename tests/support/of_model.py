@@ -1,9 +1,5 @@
 """An environment of gymnasium on a model of MuJoCo's."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import gymnasium
 import mujoco
 import numpy as np
@@ -19,26 +15,26 @@ class OfModel(gymnasium.Env):
 
     action_space = gymnasium.spaces.Box(-1, 1, (1,), np.float32)
 
-    def __init__(self, xml: str, substeps: int = 1) -> None:
+    def __init__(self, xml, substeps=1):
         self.xml, self.substeps = xml, substeps
         self.build()
         self.observation_space = gymnasium.spaces.Box(-100, 100, (self.model.nq,), np.float64)
 
-    def build(self) -> None:
+    def build(self):
         """Makes the simulation."""
         self.model = mujoco.MjModel.from_xml_string(self.xml)
         self.data = mujoco.MjData(self.model)
 
-    def start(self) -> None:
+    def start(self):
         """Sets the state at the beginning of an episode."""
 
-    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
+    def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
         mujoco.mj_resetData(self.model, self.data)
         self.start()
         mujoco.mj_forward(self.model, self.data)
         return self.data.qpos.copy(), {}
 
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+    def step(self, action):
         mujoco.mj_step(self.model, self.data, self.substeps)
         return self.data.qpos.copy(), 0.0, False, False, {}

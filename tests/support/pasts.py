@@ -1,14 +1,10 @@
 """Recorded worlds for the tests of histories."""
 
-from __future__ import annotations
-
 import threading
-from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
 
-import ssduck
 from tests.support.stage import Stage
 
 pybullet = pytest.importorskip("pybullet")
@@ -16,7 +12,7 @@ pybullet = pytest.importorskip("pybullet")
 ALL = ("entities", "links", "joints", "shapes", "contacts", "sensings")
 
 
-def _falling(balls: int = 2) -> tuple[int, list[int]]:
+def _falling(balls=2):
     """A client of PyBullet with a table that stands still and balls that fall on it."""
     stage = Stage()
     pybullet.setGravity(0, 0, -9.81, stage.client)
@@ -25,17 +21,17 @@ def _falling(balls: int = 2) -> tuple[int, list[int]]:
     return stage.client, bodies
 
 
-def _step(ss: ssduck.Interpreter, count: int, world: str = "lab") -> None:
+def _step(ss, count, world="lab"):
     for _ in range(count):
         ss.call_variable(world).step()
 
 
 @contextmanager
-def _stepped(world: ssduck.World) -> Iterator[None]:
+def _stepped(world):
     """While this lasts, another thread steps the world."""
     ends = threading.Event()
 
-    def steps() -> None:
+    def steps():
         while not ends.is_set():
             world.step()
 

@@ -1,15 +1,11 @@
 """Records small episodes that differ in one number: a cup that rises beside a pot."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 
 import ssduck
 
 
-def write_rising_cups(place: Path, episodes: int, ticks: int) -> Path:
+def write_rising_cups(place, episodes, ticks):
     """Records episodes of a world `lab`, in each of which the cup begins at another height."""
     for episode in range(episodes):
         poses = np.zeros((ticks, 2, 3))

@@ -1,15 +1,12 @@
 """A local S3 server on the loopback."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
 from contextlib import contextmanager
 
 from tests.support.store_environment import store_environment
 
 
 @contextmanager
-def s3_server(bucket: str) -> Iterator[str]:
+def s3_server(bucket):
     """Yields the address of a server with a bucket, which the environment names meanwhile."""
     from moto.server import ThreadedMotoServer
     from pyarrow.fs import S3FileSystem

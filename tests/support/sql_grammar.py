@@ -5,7 +5,6 @@ Nothing of it is SelectScript's own. The columns are those of `COLUMNS`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from tests.support.choices import Choices
@@ -28,7 +27,7 @@ class _Scope:
     outer: tuple[str, ...] = ()
     depth: int = 0
 
-    def inside(self, alias: str) -> _Scope:
+    def inside(self, alias):
         return _Scope((alias,), (*self.aliases, *self.outer), self.depth + 1)
 
 
@@ -54,7 +53,7 @@ class _Writer:
 
     # -- values ---------------------------------------------------------------------------------
 
-    def column(self, scope: _Scope, names: Sequence[str]) -> str:
+    def column(self, scope, names):
         name = self.choices.pick(names)
         outer = [alias for alias in scope.outer if alias]
         if outer and self.is_outer_visible and self.choices.chance(30):
@@ -64,7 +63,7 @@ class _Writer:
             return name
         return f"{alias}.{name}"
 
-    def number(self, scope: _Scope, depth: int = 2) -> str:
+    def number(self, scope, depth=2):
         kind = self.choices.below(14) if depth else self.choices.below(4)
         if kind < 3:
             return self.column(scope, NUMBERS)
@@ -85,22 +84,22 @@ class _Writer:
         values = [self.number(scope, depth - 1) for _ in range(2)]
         return f"CASE WHEN {condition} THEN {values[0]} ELSE {values[1]} END"
 
-    def text(self, scope: _Scope) -> str:
+    def text(self, scope):
         return self.column(scope, TEXTS) if self.choices.chance(85) else self.choices.pick(_NAMES)
 
-    def scalar(self, scope: _Scope) -> str:
+    def scalar(self, scope):
         """A nested query of one value."""
         inner = scope.inside(self.alias())
         where = f" WHERE {self.condition(inner, 1)}" if self.choices.chance(60) else ""
         return f"(SELECT {self.aggregate(inner, 1)} FROM {self.table(inner.aliases[0])}{where})"
 
-    def aggregate(self, scope: _Scope, depth: int = 2) -> str:
+    def aggregate(self, scope, depth=2):
         before, self.is_outer_visible = self.is_outer_visible, False  # or it is of the outer rows
         text = self.aggregate_of_rows(scope, depth)
         self.is_outer_visible = before
         return text
 
-    def aggregate_of_rows(self, scope: _Scope, depth: int) -> str:
+    def aggregate_of_rows(self, scope, depth):
         kind = self.choices.below(8)
         if kind < 2:
             return "count(*)"
@@ -114,7 +113,7 @@ class _Writer:
 
     # -- conditions -----------------------------------------------------------------------------
 
-    def condition(self, scope: _Scope, depth: int = 2) -> str:
+    def condition(self, scope, depth=2):
         kind = self.choices.below(20) if depth else self.choices.below(9)
         sign = self.choices.pick(("=", "<", ">", "<>", "<=", ">=", "!="))
         if kind < 3:
@@ -168,24 +167,24 @@ class _Writer:
         table = self.table(inner.aliases[0])
         return f"{column} {self.no()}IN (SELECT {item} FROM {table}{where}{group})"
 
-    def no(self) -> str:
+    def no(self):
         return "NOT " if self.choices.chance(30) else ""
 
     # -- queries --------------------------------------------------------------------------------
 
-    def alias(self) -> str:
+    def alias(self):
         self.count += 1
         return f"t{self.count}"
 
-    def table(self, alias: str) -> str:
+    def table(self, alias):
         return f"room {alias}" if alias else "room"
 
-    def item(self, value: str) -> str:
+    def item(self, value):
         name = f"c{len(self.columns) + 1}"
         self.columns.append(name)
         return f"{value} AS {name}"
 
-    def plain(self) -> SqlQuery:
+    def plain(self):
         """Rows of one source or of two."""
         source, scope, where = self.sources()
         values = []
@@ -206,7 +205,7 @@ class _Writer:
             return SqlQuery(text)
         return SqlQuery(text + self.order(values, scope, is_total=not distinct), is_ordered=True)
 
-    def order(self, values: list[str], scope: _Scope, *, is_total: bool) -> str:
+    def order(self, values, scope, *, is_total):
         if is_total:
             index = self.choices.below(len(values))
             key = self.choices.pick((self.columns[index], values[index], str(index + 1)))
@@ -220,7 +219,7 @@ class _Writer:
         offset = f" OFFSET {self.choices.below(3)}" if self.choices.chance(20) else ""
         return f" ORDER BY {', '.join(words)}{limit}{offset}"
 
-    def sources(self) -> tuple[str, _Scope, str]:
+    def sources(self):
         kind = self.choices.below(10)
         if kind < 4:
             return "room", _Scope(("",)), ""
@@ -241,31 +240,31 @@ class _Writer:
             return f"room {first} {word} room {second} ON {condition}", scope, ""
         return f"room {first}, room {second}", scope, f"{first}.z > {second}.z"
 
-    def where(self, scope: _Scope, where: str = "") -> str:
+    def where(self, scope, where=""):
         conditions = [where] if where else []
         if self.choices.chance(60):
             condition = self.condition(scope)
             conditions.append(f"({condition})" if where else condition)
         return f" WHERE {' AND '.join(conditions)}" if conditions else ""
 
-    def aggregated(self) -> SqlQuery:
+    def aggregated(self):
         """Aggregates of all rows."""
         source, scope, where = self.sources()
         items = ", ".join(self.item(self.computed(scope)) for _ in range(1 + self.choices.below(2)))
         having = f" HAVING {self.having(scope)}" if self.choices.chance(20) else ""
         return SqlQuery(f"SELECT {items} FROM {source}{self.where(scope, where)}{having}")
 
-    def computed(self, scope: _Scope) -> str:
+    def computed(self, scope):
         value = self.aggregate(scope)
         if self.choices.chance(25):
             value = f"{value} {self.choices.pick(('+', '-', '*'))} {self.aggregate(scope)}"
         return value
 
-    def having(self, scope: _Scope) -> str:
+    def having(self, scope):
         bound = self.choices.pick(("1.37", "0.13", "2.9"))
         return f"{self.aggregate(scope)} {self.choices.pick(('>', '<'))} {bound}"
 
-    def grouped(self) -> SqlQuery:
+    def grouped(self):
         """Aggregates of groups."""
         source, scope, where = self.sources()
         keys = [self.key(scope) for _ in range(1 + self.choices.below(2))]
@@ -292,7 +291,7 @@ class _Writer:
         text += f" ORDER BY {order[0]}{descending}, {', '.join(order[1:])}{limit}"
         return SqlQuery(text, is_ordered=True)
 
-    def key(self, scope: _Scope) -> str:
+    def key(self, scope):
         kind = self.choices.below(5)
         if kind < 3:
             return self.column(scope, (*TEXTS, *FLAGS))
@@ -302,7 +301,7 @@ class _Writer:
         return f"CASE WHEN {condition} THEN 'yes' ELSE 'no' END"
 
 
-def sql_query(choices: Choices) -> SqlQuery:
+def sql_query(choices):
     """Returns a query that choices determine."""
     writer = _Writer(choices)
     kind = choices.below(10)

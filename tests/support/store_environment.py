@@ -1,8 +1,5 @@
 """Names an object store on the loopback in the environment."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
@@ -11,7 +8,7 @@ from ssduck.recording.stores import object_store
 
 
 @contextmanager
-def store_environment(address: str, **others: str) -> Iterator[None]:
+def store_environment(address, **others):
     """Has the environment name a store, and forgets it afterwards.
 
     Args:

@@ -4,14 +4,10 @@
 its workers.
 """
 
-from __future__ import annotations
-
 import json
 import sys
-from typing import Any
 
-from ssduck.sandbox.processes import WorkerProcess, Zygote
-from ssduck.sandbox.seal import Walls
+from ssduck.sandbox.processes import Zygote
 
 # The system calls that a worker may make without an effect.
 OPENED = {
@@ -35,20 +31,20 @@ class HookedZygote(Zygote):
         without: the effects and layers that its next workers lack.
     """
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__(__name__)
-        self.without: tuple[str, ...] = ()
+        self.without = ()
 
-    def worker(self, walls: Walls, order: dict[str, Any]) -> WorkerProcess:
+    def worker(self, walls, order):
         return super().worker(walls, {**order, "without": self.without})
 
 
-def main() -> None:
+def main():
     from ssduck.sandbox import worker, zygote
 
-    held: dict[str, int] = {}
+    held = {}
 
-    def python(own: Any, code: str) -> Any:
+    def python(own, code):
         names = {"worker": own, "ss": own._opened.get("ss"), "connection": held["connection"]}
         if "\n" not in code:
             return eval(code, names)  # noqa: S307
@@ -57,7 +53,7 @@ def main() -> None:
 
     worker.Worker.python = python  # type: ignore[attr-defined]
 
-    def serve(connection: int, walls: Walls, order: dict[str, Any]) -> None:
+    def serve(connection, walls, order):
         held["connection"] = connection
         for name in order.get("without", ()):
             take_away(name)
@@ -66,7 +62,7 @@ def main() -> None:
     zygote.run(serve, json.loads(sys.argv[1]))
 
 
-def take_away(name: str) -> None:
+def take_away(name):
     """Has this process seal itself without an effect, or without a layer."""
     from ssduck.sandbox import landlock, seal, seccomp
 

@@ -28,7 +28,7 @@ class Part:
     mass: float
 
     @property
-    def vertices(self) -> np.ndarray:
+    def vertices(self):
         """The corners of a mesh: those of a box, with one off."""
         signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
         return (signs * self.size * np.where(np.arange(8) == 7, 1.5, 1.0)[:, None]).astype(
@@ -36,7 +36,7 @@ class Part:
         )
 
 
-def parts_of(seed: int) -> list[Part]:
+def parts_of(seed):
     """Random shapes in a heap, two of each kind; the first ones are fixed."""
     rng = np.random.default_rng(seed)
     parts = []
@@ -61,11 +61,11 @@ ARM = """<body name="arm" pos="0.2 -0.9 0.6"><geom type="box" size=".1 .1 .1" ma
 POSITIONS = {"joint1": 0.7, "joint2": -0.25}
 
 
-def numbers(values) -> str:
+def numbers(values):
     return " ".join(repr(float(value)) for value in values)
 
 
-def in_mujoco(parts: list[Part]):
+def in_mujoco(parts):
     meshes = "".join(
         f'<mesh name="{p.name}" vertex="{numbers(p.vertices.reshape(-1))}"/>'
         for p in parts
@@ -93,7 +93,7 @@ def in_mujoco(parts: list[Part]):
     return model, data
 
 
-def in_pybullet(parts: list[Part], client: int, *, margins: bool = False) -> dict[int, str]:
+def in_pybullet(parts, client, *, margins=False):
     def collision(kind, size, vertices=None):
         settings = {
             "box": lambda: {"shapeType": pybullet.GEOM_BOX, "halfExtents": size},
@@ -137,7 +137,7 @@ def in_pybullet(parts: list[Part], client: int, *, margins: bool = False) -> dic
     return names | {arm: "arm"}
 
 
-def same(one, other) -> bool:
+def same(one, other):
     """Whether answers are equal up to the tolerance; entities, by their names."""
     if isinstance(one, ssduck.Entity) and isinstance(other, ssduck.Entity):
         return one.name == other.name
@@ -152,7 +152,7 @@ def same(one, other) -> bool:
     return one == other
 
 
-def differences(ss, query: str) -> list:
+def differences(ss, query):
     """Returns the rows in which the answers of the worlds p and m differ, in order."""
     one, other = (
         [list(row.values()) for row in ss.eval(query.replace("SIM", world))] for world in "pm"

@@ -1,5 +1,6 @@
 """Rows are written when something reads them, and are those of the present tick then."""
 
+import signal
 from itertools import chain
 
 import mujoco
@@ -8,6 +9,7 @@ import pytest
 
 import ssduck
 from ssduck.geometry.poses import rotation_matrices, unit_quaternions
+from ssduck.world import ctrl_c
 from ssduck.world.tick_geometry import TickPlaces
 from tests.support.gym_environments import PUSH
 
@@ -180,3 +182,38 @@ def test_shapes_are_where_their_poses_in_links_have_them(pose):
             assert places.positions == pytest.approx(data.geom_xpos, abs=1e-12)
             matrices = rotation_matrices(unit_quaternions(places.orientations)).reshape(-1, 9)
             assert matrices == pytest.approx(data.geom_xmat, abs=1e-12)
+
+
+UNIX = pytest.mark.skipif(not hasattr(signal, "SIGALRM"), reason="Windows has no such signal")
+
+
+@UNIX
+def test_a_handler_is_called_as_often_as_its_signal_came():
+    """`ssduck record` ends after one, and at once after two."""
+    calls = []
+
+    def first(number, _):
+        calls.append("first")
+        signal.signal(number, second)
+
+    def second(*_):
+        calls.append("second")
+
+    kept = signal.signal(signal.SIGTERM, first)
+    try:
+        with ctrl_c.deferred():
+            with ctrl_c.deferred():
+                signal.raise_signal(signal.SIGTERM)
+                signal.raise_signal(signal.SIGTERM)
+            assert not calls
+        assert calls == ["first", "second"]
+        with ctrl_c.deferred():
+            signal.raise_signal(signal.SIGTERM)
+            with ctrl_c.allowed():
+                assert calls[2:] == ["second"]
+                signal.signal(signal.SIGTERM, first)
+            signal.raise_signal(signal.SIGTERM)
+        assert calls[3:] == ["first"]
+        assert signal.getsignal(signal.SIGTERM) is second
+    finally:
+        signal.signal(signal.SIGTERM, kept)

@@ -7,6 +7,7 @@ import ssduck
 from ssduck.errors import ArgumentError
 from ssduck.simulators.backends import drawn_shapes
 from ssduck.simulators.scenes import Camera
+from tests.support.bodies import solid
 
 pybullet = pytest.importorskip("pybullet")
 data = pytest.importorskip("pybullet_data")
@@ -20,10 +21,7 @@ def client():
 
 
 def box(client, half, position, mass=0.0):
-    shape = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=half, physicsClientId=client
-    )
-    return pybullet.createMultiBody(mass, shape, basePosition=position, physicsClientId=client)
+    return solid(client, pybullet.GEOM_BOX, mass, position, halfExtents=half)
 
 
 def seen(camera, point):

@@ -8,17 +8,15 @@ import pytest
 
 import ssduck
 from ssduck.errors import UnknownNameError
+from tests.support.bodies import solid
 from tests.support.cases import sampled
 
 
 @pytest.fixture(params=["memory", pytest.param("file", marks=pytest.mark.long)])
 def lab(request, client, tmp_path):
     """An interpreter on a world of three boxes, in memory or in a file that is called so, too."""
-    box = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[0.1, 0.1, 0.1], physicsClientId=client
-    )
     for x in range(3):
-        pybullet.createMultiBody(1, box, basePosition=[x, 0, 0], physicsClientId=client)
+        solid(client, pybullet.GEOM_BOX, 1, [x, 0, 0], halfExtents=[0.1, 0.1, 0.1])
     place = ":memory:" if request.param == "memory" else tmp_path / "world.duckdb"
     with ssduck.Interpreter(place) as ss:
         ss.add_variable("lab", ssduck.World.attach(client))

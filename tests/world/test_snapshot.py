@@ -1,7 +1,9 @@
-"""The contract of a tick: immutable, of one moment, read no more than is asked for."""
+"""The contract of a tick: immutable, of one moment, read no more than is asked for; its columns."""
 
 import threading
 import warnings
+from functools import reduce
+from importlib import import_module
 
 import numpy as np
 import pybullet
@@ -9,7 +11,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import SimulatorError
-from ssduck.schema import STORED_TABLES, TABLES
+from ssduck.schema import FRAMES, HISTORIES, MODELS, RECORDED, STORED_TABLES, TABLES
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.world.live_tables import LiveTable
 from tests.support.spy import Spy
@@ -348,3 +350,43 @@ def test_unknown_numbers_come_and_go_in_a_table():
     table.publish_unknown()
     assert table.arrow is whole
     assert whole["time"].to_pylist() == [3.5]
+
+
+ALL = {**TABLES, **RECORDED}
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_a_table_names_the_functions_that_fill_it(name):
+    assert ALL[name].filled_by
+    for path in ALL[name].filled_by:
+        package, module, *parts = path.split(".")
+        home = import_module(f"ssduck.{package}.{module}")
+        assert callable(reduce(getattr, parts, home))
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_the_columns_of_a_table_are_declared_once(name):
+    table = ALL[name]
+    names = [column.name for column in table.all_columns]
+    assert len(set(names)) == len(names)
+    assert {*table.key, *table.entity_columns} <= set(names)
+
+
+@pytest.mark.parametrize("name", RECORDED)
+def test_rows_of_ticks_begin_with_the_tick_and_its_time(name):
+    columns = RECORDED[name].tick_columns
+    assert (columns.integers[0], columns.doubles[0]) == ("tick", "time")
+
+
+@pytest.mark.parametrize("name", HISTORIES)
+def test_a_history_has_each_column_in_its_rows_or_in_its_model(name):
+    table = RECORDED[HISTORIES[name].source]
+    stored = {*table.tick_columns.names, *(column.name for column in table.model)}
+    assert set(table.names) <= stored
+    if table.model:
+        assert set(table.key) <= {column.name for column in MODELS[table.name].model}
+
+
+def test_the_poses_of_links_are_for_records_alone():
+    assert FRAMES not in TABLES
+    assert FRAMES not in HISTORIES

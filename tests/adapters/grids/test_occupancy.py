@@ -3,6 +3,8 @@
 import pickle
 import subprocess
 import sys
+import time
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,8 @@ from scipy.spatial.transform import Rotation
 
 import ssduck
 from ssduck.adapters.grid_values import OccupancyGrid, PlaneGrid, SensorGrid, VoxelGrid
-from ssduck.errors import ArgumentError, UnsupportedError
+from ssduck.errors import ArgumentError, LimitError, UnsupportedError
+from ssduck.limits import UsageMeter
 from tests.support.cases import sampled
 from tests.support.grids import ALL, BALL, TINY, Boxes, centres
 
@@ -339,3 +342,29 @@ def test_plot_without_matplotlib(grid, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(UnsupportedError, match=r"pip install 'ssduck\[plot\]'"):
         grid.plot()
+
+
+LARGE = [
+    "SELECT obj FROM kitchen WHERE isSensor(this) AS sensorgrid(0.24, 0.002);",
+    "SELECT obj FROM kitchen AS voxelgrid(0.01);",
+]
+
+
+@pytest.mark.slow
+@sampled("program", LARGE, every=2)
+def test_a_large_grid_stops_at_the_next_check(program, monkeypatch):
+    """A step of the work between two checks is small: the time is up at the fifth check."""
+    checks = []
+
+    def check_time(meter):
+        checks.append(time.process_time())
+        if len(checks) == 5:
+            raise LimitError("the time is up")
+
+    with ssduck.load("kitchen", limits=ssduck.Limits(seconds=600.0), recording=None) as ss:
+        ss.eval("SELECT obj FROM kitchen AS voxelgrid(1);")  # shapes are built
+        monkeypatch.setattr(UsageMeter, "check_time", check_time)
+        with pytest.raises(LimitError, match="the time is up"):
+            ss.eval(program)
+    assert len(checks) == 5
+    assert max(after - before for before, after in pairwise(checks)) < 5.0

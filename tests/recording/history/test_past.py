@@ -443,14 +443,13 @@ def test_a_handle_in_a_nested_query_goes_with_the_row(falling):
 def test_a_name_that_two_had():
     client, bodies = _falling(1)
     world = ssduck.World.attach(client, names={0: "board"})
-    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
     with ssduck.Interpreter() as ss:
         ss.add_variable("lab", world)
         (name,) = [entity.name for entity in world if entity.name != "board"]
         _step(ss, 3)
         pybullet.removeBody(bodies[0], client)
         _step(ss, 3)
-        pybullet.createMultiBody(1, ball, basePosition=[0, 0, 0.6], physicsClientId=client)
+        solid(client, pybullet.GEOM_SPHERE, 1, [0, 0, 0.6], radius=0.1)
         _step(ss, 3)
         program = (
             "SELECT tick(a.this) FROM a=lab{}, b=lab{} WHERE id(a.this) == '" + name + "' "

@@ -48,11 +48,10 @@ def ss(tmp_path_factory):
         joint("slide", "prismatic", "case", "tray", xyz=(0, 0, 0.1), axis=(1, 0, 0), limit=limit),
     )
     (folder / "drawer.urdf").write_text(drawer)
-    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.05, **own)
     bodies = [
         pybullet.loadURDF(str(folder / "bin.urdf"), (0, 0, 0), useFixedBase=True, **own),
         pybullet.loadURDF(str(folder / "bin.urdf"), (2, 0, 0), useFixedBase=True, **own),
-        pybullet.createMultiBody(1, ball, -1, (0, 0, 0.48), **own),
+        solid(client, pybullet.GEOM_SPHERE, 1, (0, 0, 0.48), radius=0.05),
         solid(client, pybullet.GEOM_BOX, 0, (2.1, 0, 0.2), halfExtents=[0.05] * 3),
         pybullet.loadURDF(str(folder / "drawer.urdf"), (4, 0, 0), useFixedBase=True, **own),
     ]

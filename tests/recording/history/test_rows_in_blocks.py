@@ -10,6 +10,7 @@ import ssduck
 from ssduck import Recording
 from ssduck.recording.buffers import RowBuffer
 from ssduck.schema import RECORDED
+from tests.support.bodies import create_linked_body, solid
 
 TABLES = ("entities", "links", "joints", "shapes", "contacts", "sensings")
 MODEL = """
@@ -37,27 +38,19 @@ def _in_mujoco():
 def _in_pybullet(client):
     pybullet.setGravity(0, 0, -10, client)
     here = {"physicsClientId": client}
-    plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, **here)
     box = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.1, 0.2, 0.3], **here)
-    pybullet.createMultiBody(0, plane, **here)
+    solid(client, pybullet.GEOM_PLANE, 0)
     for height in (0.4, 1.2, 2.0):
-        pybullet.createMultiBody(
+        create_linked_body(
+            client,
             1,
             box,
             basePosition=[height / 9, 0, height],
             baseInertialFramePosition=[0.01, 0.02, 0],
             baseInertialFrameOrientation=[0, 0.1, 0, 0.995],
-            linkMasses=[1],
-            linkCollisionShapeIndices=[box],
-            linkVisualShapeIndices=[-1],
             linkPositions=[[0.3, 0, 0]],
-            linkOrientations=[[0, 0, 0, 1]],
             linkInertialFramePositions=[[0, 0.02, 0]],
-            linkInertialFrameOrientations=[[0, 0, 0, 1]],
-            linkParentIndices=[0],
             linkJointTypes=[pybullet.JOINT_REVOLUTE],
-            linkJointAxis=[[0, 0, 1]],
-            **here,
         )
     return ssduck.World.attach(client), lambda: [pybullet.stepSimulation(client) for _ in range(9)]
 

@@ -1,11 +1,13 @@
 """Full disks and killed processes leave whole records."""
 
+import os
+
 import pytest
 
 import ssduck
 from tests.support.cases import generated, sampled
 from tests.support.recorded import POSIX, python
-from tools import kill
+from tools import kill, kill_work
 
 # -- a full disk ---------------------------------------------------------------------------------
 
@@ -113,5 +115,23 @@ def test_half_an_export_is_taken_back(tmp_path):
 def test_killed_recorders_leave_whole_records(seed):
     """The short form of `python -m tools.kill`."""
     run = kill.Run(kill.KINDS["both"], slack=5.0)  # the machine may be busy
+    run.add(seed)
+    assert run.faults == {}
+
+
+POSIX = pytest.mark.skipif(os.name != "posix", reason="SIGKILL")
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    return kill_work.Run(tuple(kill_work.WORK), tmp_path_factory.mktemp("records"))
+
+
+@pytest.mark.long
+@POSIX
+# Exports, closing and so on in turn; folders below the number of works, files from it on.
+@pytest.mark.parametrize("seed", [0, 7, 2, 9, 4, 11])
+def test_killed_work_leaves_whole_records(run, seed):
+    """The short form of `python -m tools.kill_work`."""
     run.add(seed)
     assert run.faults == {}

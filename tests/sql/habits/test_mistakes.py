@@ -1,6 +1,5 @@
 """What SQL has and SelectScript lacks, and probable mistakes."""
 
-import itertools
 import warnings
 
 import pybullet
@@ -17,7 +16,7 @@ from ssduck.errors import (
 )
 from ssduck.interpreter import query_runner as queries
 from ssduck.interpreter.lint.linter import MAX_UNKNOWN
-from tests.support.cases import generated, sampled
+from tests.support.cases import sampled
 from tests.support.habits import _interpreter
 from tests.support.marked import unmarked
 
@@ -507,33 +506,6 @@ def test_a_warning_of_refused_sql_is_of_the_users_line(world, monkeypatch):
         with pytest.warns(UserWarning, match="DuckDB refused a query's SQL: no such") as caught:
             assert ss.eval(text) == expected
         assert [warning.filename for warning in caught] == [__file__]
-
-
-@pytest.mark.slow
-def test_combinations_agree(as_sql, by_rows):
-    """Clauses with each other, in both evaluators."""
-    items = ("type, count(*) AS n", "id", "DISTINCT type", "max(z) - min(z) AS d, count(id) AS n")
-    wheres = ("", "WHERE isRobot OR z > 1", "WHERE z > 100", "WHERE id LIKE 'c%'")
-    groups = (
-        "",
-        "GROUP BY type",
-        "GROUP BY z > 0.5, type HAVING count(*) > 2",
-        "HAVING count(*) > 9",
-    )
-    orders = ("", "ORDER BY count(*) DESC", "ORDER BY type, id DESC LIMIT 3")
-    tables = (items, wheres, groups, orders)
-    for indices in itertools.product(*map(range, map(len, tables))):
-        if sum(indices) % 2 and generated(1) == 1:
-            continue  # in any two tables, each pair of clauses is in what is left
-        item, *clauses = (table[index] for table, index in zip(tables, indices, strict=True))
-        program = f"SELECT {item} FROM kitchen {' '.join(clauses)};"
-        found = []
-        for ss in (as_sql, by_rows):
-            try:
-                found.append(repr(ss.eval(program)))
-            except SelectScriptError as error:
-                found.append(type(error).__name__)
-        assert found[0] == found[1], program
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import ProgramWarning, SelectScriptError, UnknownNameError
+from tests.support.bodies import solid
 
 ROOM = Path(__file__).resolve().parents[2] / "data" / "room.toml"
 
@@ -91,10 +92,7 @@ def test_records_suggest_it_too(ss, door, tmp_path):
 
 @pytest.mark.slow
 def test_worlds_of_ones_own(client):
-    shape = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
-    )
-    body = pybullet.createMultiBody(0, shape, physicsClientId=client)
+    body = solid(client, pybullet.GEOM_BOX, 0, halfExtents=[0.1] * 3)
     with ssduck.Interpreter(strict=True) as ss:
         ss.add_variable("own", ssduck.World.attach(client, names={body: "crate"}))
         for run, text in ((ss.eval, "SELECT z FROM own WHERE id = '{}'"), (ss.sql, _RAW)):

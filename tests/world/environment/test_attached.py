@@ -6,7 +6,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import UnsupportedError
-from tests.support.bodies import create_linked_body
+from tests.support.bodies import create_linked_body, solid
 from tests.support.environments import MOTORS, constraints, dynamics, farthest, relations, state
 from tests.support.urdf import box_obj
 
@@ -63,19 +63,13 @@ def test_relations_of_bodies_of_others_agree(menagerie):
 @pytest.mark.long
 def test_hulls_and_meshes_of_others(client, tmp_path):
     """Their margins are others, so that they rest elsewhere by a 100th of a millimetre."""
-    own = {"physicsClientId": client}
     pybullet.setGravity(0, 0, -9.81, client)
     corners = [[x, y, z] for x in (-0.1, 0.1) for y in (-0.05, 0.05) for z in (-0.08, 0.08)]
     file = tmp_path / "crate.obj"
     file.write_text(box_obj((-0.1, -0.1, -0.1), (0.1, 0.1, 0.1)), encoding="utf-8")
-    ground = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[9, 9, 0.1], **own)
-    hull = pybullet.createCollisionShape(pybullet.GEOM_MESH, vertices=corners, **own)
-    mesh = pybullet.createCollisionShape(
-        pybullet.GEOM_MESH, fileName=str(file), meshScale=[1, 2, 1], **own
-    )
-    pybullet.createMultiBody(0, ground, **own)
-    pybullet.createMultiBody(1, hull, basePosition=[0, 0, 0.19], **own)
-    pybullet.createMultiBody(1, mesh, basePosition=[1, 0, 0.22], **own)
+    solid(client, pybullet.GEOM_BOX, 0, halfExtents=[9, 9, 0.1])
+    solid(client, pybullet.GEOM_MESH, 1, [0, 0, 0.19], vertices=corners)
+    solid(client, pybullet.GEOM_MESH, 1, [1, 0, 0.22], fileName=str(file), meshScale=[1, 2, 1])
     world = ssduck.World.attach(client, names={0: "ground", 1: "hull", 2: "mesh"})
     copy = world.excerpt(world)
     assert farthest(world, copy) < 1e-12
@@ -115,10 +109,7 @@ def test_a_number_that_another_body_has_by_now(client, menagerie):
     numbers = {member.name: member.body.handle for member in menagerie.snapshot.load_order}
     ball = menagerie["ball"].position
     pybullet.removeBody(numbers["ball"], client)
-    shape = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[1, 1, 1], physicsClientId=client
-    )
-    assert pybullet.createMultiBody(1, shape, physicsClientId=client) == numbers["ball"]
+    assert solid(client, pybullet.GEOM_BOX, 1, halfExtents=[1, 1, 1]) == numbers["ball"]
     with pytest.warns(UserWarning, match="ball: only shapes, links, joints and masses are known"):
         copy = menagerie.excerpt(["ball"])
     assert copy["ball"].position == pytest.approx(ball)
@@ -166,13 +157,9 @@ def test_soft_bodies_are_refused(client):
 def test_a_concave_mesh_without_a_file_is_copied(client, tmp_path):
     file = tmp_path / "bowl.obj"
     file.write_text(box_obj((-0.1, -0.1, -0.1), (0.1, 0.1, 0.1)), encoding="utf-8")
-    shape = pybullet.createCollisionShape(
-        pybullet.GEOM_MESH,
-        fileName=str(file),
-        flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
-        physicsClientId=client,
+    number = solid(
+        client, pybullet.GEOM_MESH, 0, fileName=str(file), flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH
     )
-    number = pybullet.createMultiBody(0, shape, physicsClientId=client)
     file.unlink()
     world = ssduck.World.attach(client, names={number: "bowl"})
     copy = world.excerpt(world)
@@ -181,14 +168,14 @@ def test_a_concave_mesh_without_a_file_is_copied(client, tmp_path):
 
 @pytest.mark.slow
 def test_what_stands_in_for_a_shape_is_told_of(client):
-    shape = pybullet.createCollisionShape(
+    number = solid(
+        client,
         pybullet.GEOM_HEIGHTFIELD,
+        0,
         heightfieldData=[0.0, 1.0] * 8,
         numHeightfieldRows=4,
         numHeightfieldColumns=4,
-        physicsClientId=client,
     )
-    number = pybullet.createMultiBody(0, shape, physicsClientId=client)
     with pytest.warns(UserWarning, match="bounding boxes") as caught:
         world = ssduck.World.attach(client, names={number: "field"})
     assert [w.filename for w in caught] == [__file__]

@@ -20,6 +20,7 @@ from ssduck.errors import (
     UnsupportedError,
 )
 from ssduck.simulators.scenes import shipped_scenes
+from tests.support.bodies import solid
 from tests.support.cases import sampled
 from tests.support.environments import MOTORS, constraints, dynamics, farthest, relations, state
 from tests.support.urdf import collision, joint, link, robot
@@ -234,8 +235,7 @@ def test_removing(kitchen, client):
     assert [e.name for e in copy] == [e.name for e in kitchen if e.name not in gone]
     again = copy.excerpt(copy)
     assert [e.name for e in again] == [e.name for e in copy]
-    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
-    number = pybullet.createMultiBody(1, shape, physicsClientId=client)
+    number = solid(client, pybullet.GEOM_SPHERE, 1, radius=0.1)
     theirs = ssduck.World.attach(client, names={number: "ball"})
     with pytest.raises(UnsupportedError, match="client of yours"):
         theirs.remove("ball")
