@@ -129,7 +129,7 @@ class BatchTerms:
         numbers = np.flatnonzero(unknown)
         named = joined_names([str(number) for number in numbers], 5)
         with self._world.at(int(numbers[0])):
-            has_nan = bool(self._world.snapshot.entities_with_nan())
+            has_nan = bool(self._world.snapshot.entities_with_nan(may_lack_velocities=True))
         if not has_nan:
             return ArgumentError(
                 f"{term.key}: {term.text!r} has no value in environment {named}, where no pose is "

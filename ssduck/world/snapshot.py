@@ -547,10 +547,11 @@ class Snapshot(TickGeometry):
         table["time"].fill(self.time)
         table.publish_unknown()
 
-    def entities_with_nan(self) -> list[EntityInfo]:
+    def entities_with_nan(self, *, may_lack_velocities: bool = False) -> list[EntityInfo]:
         """Returns the entities with a pose, a box or a velocity that is not a number.
 
-        Velocities that no entity has are not known to the simulator, and do not count.
+        Args:
+            may_lack_velocities: whether velocities that no entity has do not count.
         """
         if self._link_poses and all(poses.are_finite for poses in self._link_poses):
             return []
@@ -559,7 +560,7 @@ class Snapshot(TickGeometry):
             return []
         unknown = np.isnan(table.doubles("x", "zmax"))
         velocities = unknown[len(POSE) : len(POSE) + len(TWIST)]
-        velocities &= not velocities.all()
+        velocities &= not (may_lack_velocities and velocities.all())
         rows = np.flatnonzero(unknown.any(axis=0))
         return [self.entities[row] for row in rows.tolist()]
 

@@ -230,15 +230,6 @@ def test_the_manuals_example_is_a_scene(write):
         assert names == ["shelf", "shelf_2", "end_board", "left_arm", "left_tool"]
 
 
-def test_the_manuals_mistake_is_told_as_it_shows(scene):
-    page = (ROOT / "docs" / "reference" / "scenes.md").read_text(encoding="utf-8")
-    (shown,) = re.findall(r"^```console\n(.*?)\n```", page, re.MULTILINE | re.DOTALL)
-    body = '[[body]]\nname = "{}"\nurdf = "cup.urdf"\n'
-    path = scene(body.format("a") + body.format("b") + "positon = [0, 0, 0]\n")
-    told = str(failure(lambda: read_scene(path)))
-    assert told == shown.replace("room.toml", str(path))
-
-
 # -- what is wrong with a file -----------------------------------------------------------------
 
 BODY = '[[body]]\nname = "a"\nurdf = "cup.urdf"\n'

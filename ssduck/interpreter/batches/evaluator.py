@@ -215,8 +215,8 @@ class BatchExpressions:
                     try:
                         value = plain(frame.value(node), node)
                     except SelectScriptError as error:
-                        has_nan = bool(self._world.snapshot.entities_with_nan())
-                        if not (isinstance(error, ArgumentError) and has_nan):
+                        nan = self._world.snapshot.entities_with_nan(may_lack_velocities=True)
+                        if not (isinstance(error, ArgumentError) and nan):
                             error.message = f"environment {number}: {error.message}"
                             raise
                         value = None

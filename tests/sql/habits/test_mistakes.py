@@ -391,7 +391,7 @@ def test_of_many_names_that_nothing_bears_some_are_told(world):
         "(-2)^2; -(2^2); (2^3)^2; 2^(3^2); 2^-1; 2^2 + 3^2;",
         "x = 5; SELECT this FROM [2] WHERE this < x AS list;",
         "upright(kitchen.can, 0.8); 3 > tilt(kitchen.can); id(kitchen.can) LIKE '%*'; n = 9; n > 5;",
-        "x = 5; (x == 5) == (5 == 5); x == 5 == True; x != (5 == x); x == 5 AND 5 != x;",
+        "x = 5; (x == 5) == (5 == 5); x == 5 == True; x != (5 == x); x == 5 AND 6 != x;",
         "x = 5; // one = 2;\n [5 - 3, -2]; [5 - 3]; [5-3]; [x -3]; [-5]",
         "x = 5; SELECT this FROM [2] WHERE x > this - 1 AS list;",
         "(0 < 1) < 2; 1 < 2 == True; 3 IN (1, 2);",
