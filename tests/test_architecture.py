@@ -125,15 +125,15 @@ BUDGETS = {
     "interpreter": 15_760,
     "lakes": 2_900,
     "language": 6_170,
-    "logic": 500,
+    "logic": 550,
     "mcp": 600,
     "recording": 9_010,
-    "render": 1_050,
+    "render": 1_150,
     "sandbox": 3_780,
     "shell": 500,
     "simulators": 11_900,
     "sql": 7_200,
-    "view": 2_250,
+    "view": 2_300,
     "world": 6_310,
 }
 

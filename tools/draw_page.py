@@ -1,7 +1,8 @@
 """Draws the pictures of the page of `ssduck view` in the README and the manual.
 
 `python -m tools.draw_page [FOLDER]` writes them to docs/images or to another folder. It needs
-Chromium, and shows the shipped kitchen with the answer of a query, and a record with its time line.
+Chromium, and shows the shipped kitchen with the answer of a query, a record with its time line, and
+why a condition did not hold.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from tools.browser import Browser, Page
 IMAGES = Path(__file__).resolve().parent.parent / "docs" / "images"
 CUP = "cup_905a"
 LASTING = f"holds(on(kitchen.table, kitchen.{CUP}));"
+WHY = f"WHY always(z(kitchen.{CUP}) < 1.2 AND near(kitchen.table, kitchen.{CUP}, 0.3));"
 QUERY = "SELECT id, z FROM kitchen WHERE above(kitchen.table, this);"
 
 
@@ -50,6 +52,17 @@ def draw_time(folder: Path) -> Path:
             return _save(page, folder / "view-time.png")
 
 
+def draw_why(folder: Path) -> Path:
+    """Writes the picture of why a condition did not hold into a folder; returns its path."""
+    with tempfile.TemporaryDirectory() as place:
+        _record(Path(place) / "run")
+        with view_record(Path(place) / "run") as served, _page(served.url) as page:
+            page.wait("__ss.ticks > 0")
+            page.ask(WHY)
+            page.wait("__ss.time > 1 && __ss.drawings > 0 && __ss.scans > 0")
+            return _save(page, folder / "view-why.png")
+
+
 def _record(path: Path) -> None:
     """Records a cup that is lifted from the table, and falls."""
     with ssduck.load("kitchen") as ss:
@@ -75,10 +88,10 @@ def _page(url: str) -> Iterator[Page]:
 
 
 def _save(page: Page, path: Path) -> Path:
-    Image.fromarray(page.picture()).quantize(192).save(path, optimize=True)
+    Image.fromarray(page.picture()).quantize(192, kmeans=2).save(path, optimize=True)
     return path
 
 
 if __name__ == "__main__":
     place = Path(sys.argv[1]) if sys.argv[1:] else IMAGES
-    print(draw(place), draw_time(place))
+    print(draw(place), draw_time(place), draw_why(place))

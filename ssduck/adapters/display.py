@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from ssduck.errors import printable
 from ssduck.formatting import short_repr
+from ssduck.logic.why import Why
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -129,10 +130,12 @@ _EXPLANATION = ["explain_key", "explain_value"]
 
 
 def readable_table(value: Any, max_rows: int | None = None) -> DisplayTable:
-    """Returns what people read of a value: DuckDB's plans as they are, other values as rows."""
+    """Returns what people read of a value: DuckDB's plans and trees as they are, others as rows."""
     if isinstance(value, RowsOfColumns) and value.columns == _EXPLANATION:
         plans = [[plan.rstrip("\n")] for _, plan in value]
         return DisplayTable(["value"], plans, named=False)
+    if isinstance(value, Why):
+        return DisplayTable(["value"], [[str(value)]], named=False)
     return display_table(value, max_rows)
 
 
@@ -145,6 +148,8 @@ def _table_of_result(result: RowsOfColumns, max_rows: int) -> DisplayTable:
 
 
 def _table_of_value(value: Any) -> DisplayTable:
+    if isinstance(value, Why):
+        value = value.rows()
     if isinstance(value, dict):
         return DisplayTable(["key", "value"], list(value.items()))
     if value is None:

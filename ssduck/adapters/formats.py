@@ -28,6 +28,7 @@ from ssduck.adapters.display import (
     table_lines,
 )
 from ssduck.errors import ArgumentError, check_known, printable
+from ssduck.logic.why import Why
 
 # Characters that Markdown would interpret: [ only in links, _ only beside a word.
 _MARKDOWN = re.compile(r"[\\`*|~]|\[(?=[^]]*\]\()|(?<!\w)_|_(?!\w)")
@@ -40,6 +41,8 @@ def _table(value: Any, stream: TextIO) -> None:
 
 
 def _json(value: Any, stream: TextIO) -> None:
+    if isinstance(value, Why):
+        value = value.rows()
     if isinstance(value, RowsOfColumns):
         columns = numbered_duplicates(value.columns)
         value = [dict(zip(columns, row, strict=True)) for row in value]

@@ -102,7 +102,7 @@ def render(
     fov: Annotated[float, option("The vertical field of view, with --eye.", "DEGREES")] = 50.0,
     highlight: Annotated[
         str | None,
-        option("A query, asked at each picture: the entities of its result stand out.", "QUERY"),
+        option("A query, asked at each picture: what it finds stands out, or why.", "QUERY"),
     ] = None,
     sql: Annotated[bool, option("The query is SQL, not SelectScript.", flags="--sql")] = False,
     episode: EpisodeNumber = None,

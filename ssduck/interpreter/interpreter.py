@@ -276,7 +276,7 @@ class Interpreter(PublicNames):
         """
         rows = validation.integer(rows, "show: rows", minimum=0)
         compiled = program if isinstance(program, CompiledProgram) else self.compile(program)
-        return TableView(rows_to_show(compiled, self.eval), rows)
+        return TableView(rows_to_show(compiled, self), rows)
 
     def explain(self, program: str | CompiledProgram) -> str:
         """Returns the SQL of the queries in a program's last statement, and what Python evaluates.

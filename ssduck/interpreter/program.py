@@ -51,23 +51,25 @@ def tree_of(program: str | CompiledProgram) -> Program:
     return parse(text)
 
 
-def rows_to_show(compiled: CompiledProgram, evaluate: Callable[[CompiledProgram], Any]) -> Any:
+def rows_to_show(compiled: CompiledProgram, ss: Any) -> Any:
     """Returns the value of a program; the empty table of its columns if its query has no rows.
+
+    Of a program that begins with WHY it is a `Why`.
 
     >>> import ssduck
     >>> with ssduck.Interpreter() as ss:
     ...     program = ss.compile("SELECT n.this FROM n=[1, 2] WHERE n.this > 2;")
-    ...     rows_to_show(program, ss.eval).columns
+    ...     rows_to_show(program, ss).columns
     ['n']
     """
-    value = evaluate(compiled)
+    value = ss.why(compiled) if compiled.tree.explain == "WHY" else ss.eval(compiled)
     if not (isinstance(value, list) and not value):
         return value
     query = last_query(compiled)
     if query is None or query.adapter is not None:
         return value
     form, none = AdapterClause(query.span, "table"), Literal(query.span, 0)
-    return evaluate(with_last(compiled, query, form, limit=none, offset=None))
+    return ss.eval(with_last(compiled, query, form, limit=none, offset=None))
 
 
 def value_to_show(ss: Any, text: str, language: str) -> Any:
@@ -76,13 +78,13 @@ def value_to_show(ss: Any, text: str, language: str) -> Any:
         return ss.sql(text)
     program = ss.compile(text)
     is_here = isinstance(program, CompiledProgram)  # else it is in a sandbox
-    return rows_to_show(program, ss.eval) if is_here else program.shown()
+    return rows_to_show(program, ss) if is_here else program.shown()
 
 
 def last_query(compiled: CompiledProgram) -> Query | None:
-    """Returns the query that ends a program; None if something else does."""
-    statements = compiled.tree.statements
-    return statements[-1] if statements and isinstance(statements[-1], Query) else None
+    """Returns the query whose rows a program yields; None if it yields something else."""
+    *_, last = compiled.tree.statements or (None,)
+    return last if isinstance(last, Query) and not compiled.tree.explain else None
 
 
 def with_last(

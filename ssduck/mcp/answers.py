@@ -20,8 +20,9 @@ from ssduck.formatting import first_sentence, short_repr
 from ssduck.interpreter.archives import episodes
 from ssduck.interpreter.completion import Language
 from ssduck.interpreter.interpreter import Interpreter
-from ssduck.interpreter.program import last_query, value_to_show, with_last
+from ssduck.interpreter.program import last_query, rows_to_show, value_to_show, with_last
 from ssduck.language.tree import AdapterClause, Literal
+from ssduck.logic.why import Why
 from ssduck.sandbox.interpreter import SandboxedInterpreter
 from ssduck.schema import HISTORIES, TABLES
 
@@ -54,6 +55,9 @@ Examples for a world `kitchen` with a `table` and a `cup`:
 - How high is the cup? `SELECT z(this) FROM kitchen WHERE id(this) == 'cup' AS value;`
 - When was the cup lifted? `SELECT time(this) FROM kitchen{} WHERE id(this) == 'cup'
   AND z(this) > 1 LIMIT 1 AS value;`
+- Why is the cup not on the table, or not high enough?
+  `WHY on(kitchen.table, kitchen.cup) AND z(kitchen.cup) > 1;` gives its parts as rows: `depth`,
+  `value`, the `margin` by which each holds (less than 0: by which it fails), what would change it.
 
 SQL is one SELECT in DuckDB's dialect on the tables below. Relations are functions of rows:
 `SELECT b.name FROM entities a, entities b WHERE a.name = 'table' AND "on"(a, b)`. The view
@@ -188,7 +192,7 @@ class InterpreterAnswers:
         if language == "sql":
             return self._with_marks(self._ss.sql(program), size)
         compiled = self._ss.compile(program)
-        value, query = self._ss.eval(compiled), last_query(compiled)
+        value, query = rows_to_show(compiled, self._ss), last_query(compiled)
         if picture := png_of(value):
             return picture
         if query is None:
@@ -245,6 +249,8 @@ def _text(value: Any, max_rows: int) -> str:
     Such an object has `rows`, their `count` and a `note`; or the `beginning` of the value's JSON,
     the number of its `letters` and a `note`.
     """
+    if isinstance(value, Why):
+        value = value.rows()
     if isinstance(value, RowsOfColumns):
         names = numbered_duplicates(value.columns)
         value = [dict(zip(names, row, strict=True)) for row in value]

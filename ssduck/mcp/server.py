@@ -199,6 +199,8 @@ class _Asking:
         """Runs a program, and returns its result as JSON; infinities and NaN are texts.
 
         A large result is an object with the first rows, `rows`, their whole `count` and a `note`.
+        `WHY` in front of a condition, or of a SELECT without rows, returns what fails, and by how
+        much.
 
         Args:
             program: the program.

@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import math
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain, count, pairwise
@@ -37,11 +37,14 @@ from ssduck.interpreter.completion import Language
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.opening import open_record
 from ssduck.interpreter.program import rows_to_show
+from ssduck.logic.why import Why
 from ssduck.recording.paths import is_record
 from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.recording.stores.files import write_atomically
 from ssduck.render.canvas import Canvas, Picture
+from ssduck.render.overlays import with_parts
 from ssduck.render.stage import Stage
+from ssduck.simulators.clock import TIME_TOLERANCE
 from ssduck.simulators.scenes import Camera, find_scene
 from ssduck.view.frames import Frame
 from ssduck.world.world import World
@@ -178,6 +181,8 @@ class Film:
         size: width and height, pixels.
         camera: the camera; None for that of the world.
         highlight: a query, asked at each picture; the entities and links of its result stand out.
+            The parts of a WHY are drawn: nearest points, and margins. A PNG of a record without a
+            span shows the tick that decides.
         language: the language of the query.
 
     Raises:
@@ -410,12 +415,22 @@ def _pictures(
     for number, time in enumerate(take.times.tolist(), 1):
         take.go(time)
         with take.world.lock:
+            marks, why = query.answer()
+            is_chosen = film.span is not None or len(take.times) > 1
+            if not is_chosen and why is not None and why.decided_at is not None:
+                take.go(why.decided_at)
             frame = Frame.of(take.world.snapshot)
-            marks = query.marks()
-        yield drawing.picture(take.world, frame, marks)
+        parts = [] if why is None else _parts_at(why, frame.time)
+        yield drawing.picture(take.world, frame, marks, parts)
         if on_picture is not None:
             on_picture(number, len(take.times))
     query.warn_if_unseen()
+
+
+def _parts_at(why: Why, time: float) -> list[Why]:
+    """Returns the parts of a condition that have points, and are of a tick."""
+    times = ((part, time if part.time is None else part.time) for _, part in why.walk())
+    return [part for part, at in times if part.points and abs(at - time) < TIME_TOLERANCE]
 
 
 class _Drawing:
@@ -425,8 +440,13 @@ class _Drawing:
         self._canvas, self._camera = canvas, film.camera
         self._stage: Stage | None = None
 
-    def picture(self, world: World, frame: Frame, marks: list[Mark]) -> Picture:
-        """Returns the picture of a frame, in which some entities and links stand out."""
+    def picture(
+        self, world: World, frame: Frame, marks: list[Mark], parts: Sequence[Why] = ()
+    ) -> Picture:
+        """Returns the picture of a frame, in which some entities and links stand out.
+
+        Parts of a condition are drawn over it.
+        """
         canvas, stage = self._canvas, self._stage
         if stage is None or not stage.frame.has_same_scene(frame):
             with world.lock:
@@ -436,7 +456,8 @@ class _Drawing:
         low, high = stage.bounds(matrices)
         if self._camera is None:
             self._camera = world.camera
-        return canvas.draw(matrices, stage.highlighted(marks), self._camera, low, high)
+        picture = canvas.draw(matrices, stage.highlighted(marks), self._camera, low, high)
+        return with_parts(picture, parts, self._camera) if parts else picture
 
 
 class _Query:
@@ -450,13 +471,13 @@ class _Query:
         if film.highlight is not None and film.language == "selectscript":
             self._compiled = take.ss.compile(film.highlight)
 
-    def marks(self) -> list[Mark]:
-        """Returns the entities and links in the result at the present tick."""
+    def answer(self) -> tuple[list[Mark], Why | None]:
+        """Returns the entities and links in the result at the present tick, and the WHY it is."""
         if self._film.highlight is None:
-            return []
+            return [], None
         ss = self._take.ss
         if self._compiled is not None:
-            value: Any = rows_to_show(self._compiled, ss.eval)
+            value: Any = rows_to_show(self._compiled, ss)
         else:
             value = ss.sql(self._film.highlight)
         rows = display_table(value).rows
@@ -464,7 +485,7 @@ class _Query:
         self._has_marks = self._has_marks or bool(found)
         if rows and not found:
             self._unseen = short_repr(list(rows) if self._compiled is None else value)
-        return found
+        return found, value if isinstance(value, Why) else None
 
     def warn_if_unseen(self) -> None:
         """Warns if the query was asked, and nothing stood out in any picture."""

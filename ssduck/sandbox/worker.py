@@ -214,7 +214,7 @@ class Worker:
 
     def show(self, text: str) -> Any:
         """Runs a program, and returns the columns of its query even if it has no rows."""
-        return rows_to_show(self._compiled(text), self.ss.eval)
+        return rows_to_show(self._compiled(text), self.ss)
 
     def sql_of(self, text: str, dialect: str) -> str:
         """Returns the SQL of a program."""

@@ -20,7 +20,7 @@ def register_magics(shell: Any) -> None:
         interpreter is the only one among the variables; `%%selectscript ss` names one of several.
         """
         ss, program = _interpreter_and_program(shell.user_ns, line, cell)
-        return rows_to_show(ss.compile(program), ss.eval)
+        return rows_to_show(ss.compile(program), ss)
 
     def sql(line: str, cell: str | None = None) -> Any:
         """Runs an SQL statement, and returns its rows; as `%%selectscript` otherwise."""

@@ -29,10 +29,12 @@ from ssduck.errors import (
 )
 from ssduck.interpreter.completion import KEYWORDS, Language, complete
 from ssduck.interpreter.interpreter import Interpreter
+from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS
 from ssduck.interpreter.program import value_to_show
 from ssduck.interpreter.stopping import StopRequest
 from ssduck.language.analysis import calls_of
 from ssduck.language.tree import Assignment, Call
+from ssduck.logic.why import Why
 from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.view.facts import facts_of, plot_of
 from ssduck.view.live import Asked, Ticks
@@ -42,6 +44,7 @@ from ssduck.world.world import World
 # The functions whose values are intervals of simulated time.
 _INTERVALS = "holds"
 MAX_LANES = 12
+_AHEAD = frozenset(name for name, form in TEMPORAL_FUNCTIONS.items() if form.looks_ahead)
 
 
 def not_shown(ss: Interpreter, text: str, language: Language) -> Iterator[str]:
@@ -105,11 +108,15 @@ MAX_POINTS = 200_000
 
 
 def drawing_of(value: Any) -> dict[str, Any] | None:
-    """Returns a description of a grid or a cloud; None for other values.
+    """Returns a description of a grid, a cloud or the parts of a condition; None for other values.
 
     A flat grid has the share of its largest value in each cell, from 0 to 255, row by row along the
-    first axis. A cloud has points (float32 x y z), and a number for the entity of each.
+    first axis. A cloud has points (float32 x y z), and a number for the entity of each. A condition
+    has its parts, each with its depth, whether it holds, its margin, its points and its time, null
+    when it was asked.
     """
+    if isinstance(value, Why):
+        return {"kind": "why", "parts": value.rows()}
     if isinstance(value, PointCloud):
         return _cloud(value.points, value.owners, list(value.names), None)
     if not isinstance(value, Grid):
@@ -271,26 +278,28 @@ class Answers:
         text, language = text_of(question, "text"), language_of(question)
         started = time.perf_counter()
         bars = self._bars_of(text, language, _time(question))
-        asked = self._source.mirror(_time(question))
+        asked = self._source.mirror(self._time_of(question, text, language))
         world = asked.world
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             value = self._value_of(asked, text, language)
             picture, drawing = _picture(value), drawing_of(value)
-            table = DisplayTable([], []) if picture else display_table(value)
-            everything = list(map(Marks(world).of, table.rows))
+            table, marked = _table_of(value, picture)
+            everything = list(map(Marks(world).of, marked))
         self._result = value
+        is_why = isinstance(value, Why)
         rows = shown_rows(table.rows[:MAX_ROWS])
         return {
             "columns": heads_of(asked.interpreter, text, language, value, table.columns),
             "rows": rows,
             "marks": everything[: len(rows)],
             "all": sorted({mark for each in everything for mark in each}),
-            "lines": list(_lines(world, everything)),
-            "boxes": list(_boxes(world, everything)),
+            "lines": [] if is_why else list(_lines(world, everything)),
+            "boxes": [] if is_why else list(_boxes(world, everything)),
             "count": len(table.rows),
             "picture": picture,
             "drawing": drawing,
+            "decided": value.decided_at if is_why else None,
             "lanes": bars,
             "warnings": [
                 *not_shown(asked.interpreter, text, language),
@@ -299,6 +308,19 @@ class Answers:
             "time": world.time,
             "ms": (time.perf_counter() - started) * 1e3,
         }
+
+    def _time_of(self, question: dict[str, Any], text: str, language: Any) -> float | None:
+        """Returns the time at which a question is asked, s; None for the present.
+
+        A new WHY of what looks ahead is of all recorded ticks: it has just begun at the first one.
+        """
+        at, ticks = _time(question), self._source.ticks()
+        if at is None or ticks is None or language == "sql" or question.get("anew") is not True:
+            return at
+        tree = self._source.mirror(at).interpreter.compile(text).tree
+        calls = frozenset().union(*map(calls_of, tree.statements))
+        is_whole = tree.explain == "WHY" and not calls.isdisjoint(_AHEAD)
+        return float(ticks.times[-1]) if is_whole else at
 
     def _value_of(self, asked: Asked, text: str, language: Any) -> Any:
         with self._stop.applies_to(asked.interpreter):
@@ -365,6 +387,21 @@ class Answers:
         ss = self._source.mirror(None).interpreter
         with self._stop.applies_to(ss):
             return plot_of(ss, id, column, name)
+
+
+def _table_of(value: Any, picture: str | None) -> tuple[DisplayTable, Sequence[Any]]:
+    """Returns the table that a page shows of a value, and what stands out for each of its rows."""
+    if picture:
+        return DisplayTable([], []), []
+    if not isinstance(value, Why):
+        table = display_table(value)
+        return table, table.rows
+    rows = [
+        (f"{part.mark} {part.text}\n{told}".strip(), part.margin)
+        for _, part, told in value.told(margins=False)
+    ]
+    entities = [part.entities for _, part in value.walk()]
+    return DisplayTable(["why", "margin"], rows), entities
 
 
 def _lines(world: World, rows: Sequence[list[Mark]]) -> Iterator[list[list[float]]]:

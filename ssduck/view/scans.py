@@ -24,6 +24,7 @@ from ssduck.interpreter.completion import Language
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.program import value_to_show
 from ssduck.interpreter.stopping import StopRequest
+from ssduck.logic.why import Why
 from ssduck.recording.replay.replayed_world import ReplayedWorld
 
 SAMPLES = 200
@@ -132,6 +133,8 @@ def _answer(value: Any) -> _Answer:
         return _Answer(value.cells.tobytes().hex(), int(value.cells.any()))
     if isinstance(value, PointCloud):
         return _Answer(np.round(value.points, DECIMALS).tobytes().hex(), len(value))
+    if isinstance(value, Why):
+        return _Answer(str(value.value), int(value.value is True))
     table = display_table(value)
     rows = [[_rounded(as_json(cell)) for cell in row] for row in table.rows[:_MAX_ROWS]]
     if len(rows) == len(table.columns) == 1 and rows[0][0] in (False, None):

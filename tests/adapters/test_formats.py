@@ -12,6 +12,7 @@ import pytest
 import ssduck
 from ssduck.adapters.formats import FORMATS, save, text_of
 from ssduck.errors import ArgumentError, NumberError, UnknownNameError
+from ssduck.logic.why import Why
 
 SQL = "SELECT name, z, [x, y] AS place FROM entities ORDER BY id"
 PROGRAM = "SELECT id, z, position FROM chaos"
@@ -99,6 +100,16 @@ MARKDOWN = [
 @pytest.mark.parametrize(("value", "text"), MARKDOWN)
 def test_markdown(value, text):
     assert text_of(value, FORMATS["markdown"]) == text
+
+
+def test_why_is_a_tree_for_people_and_rows_for_programs():
+    part = Why("z > 1", False, -0.5, 2.0, points=((0.0, 0.0, 0.5), (0.0, 0.0, 1.0)))
+    why = Why("historically(z > 1)", False, -0.5, parts=(part,))
+    tree = "✗ historically(z > 1)  (margin -0.5)\n  ✗ z > 1  (margin -0.5; at 2 s)"
+    assert text_of(why, FORMATS["table"]) == f"{tree}\n"
+    assert json.loads(text_of(why, FORMATS["json"])) == why.rows()
+    head, *rows = csv.reader(io.StringIO(text_of(why, FORMATS["csv"])))
+    assert [dict(zip(head, row, strict=True))["margin"] for row in rows] == ["-0.5", "-0.5"]
 
 
 def test_forms_of_the_same_names(chaos):

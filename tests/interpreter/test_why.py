@@ -8,6 +8,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import ArgumentError
+from ssduck.logic.why import Move, Why
 from tests.support.cases import generated
 
 
@@ -196,6 +197,36 @@ def test_between_and_not_in_are_written_as_what_they_are_made_of(kitchen):
 def test_all_that_and_joins_is_on_one_level(kitchen):
     why = kitchen.why("z(cup) > 0 AND z(cup) > 1 AND (z(cup) > 2 OR x(cup) > 3 OR y(cup) > 4);")
     assert [depth for depth, _ in why.walk()] == [0, 1, 1, 1, 2, 2, 2]
+
+
+def test_a_notebook_and_a_terminal_show_the_tree(kitchen):
+    why = kitchen.why("'<b>' == 'a' OR z(cup) > 0;")
+    assert repr(why) == str(why)
+    lines = why._repr_html_().split("</div>")
+    assert [line.count("✓") for line in lines] == [1, 0, 1, 0]
+    assert "&lt;b&gt;" in lines[1]
+    assert "<b>'" not in lines[1]
+    assert [line.partition("padding-left: ")[2][:3] for line in lines[:3]] == ["0em", "2em", "2em"]
+
+
+def test_texts_of_strangers_control_no_terminal():
+    why = Why("a", False, detail="this is a\x1b[2J\u202e", move=Move("b\n", (0.0, 0.0, 1.0)))
+    assert str(why).isprintable()
+    assert "\x1b" not in why._repr_html_()
+
+
+def test_points_show_what_a_coordinate_lacks(kitchen):
+    x, y, z = kitchen["cup"].position
+    why = kitchen.why("2 >= y(cup);")
+    assert why.points == ((x, y, z), (x, pytest.approx(2), z))
+    assert why.entities == ("cup_905a",)
+    assert kitchen.why("near(table, cup, 0.1);").entities == ("table", "cup_905a")
+    rows = kitchen.eval("SELECT time, z AS z FROM kitchen{} WHERE name = 'cup_905a';")
+    lowest = min(rows, key=lambda row: row["z"])
+    why = kitchen.why("isRobot(table) OR NOT historically(z(cup) > 0);")
+    assert (why.decided_at, why.parts[1].decided_at) == (None, lowest["time"])
+    part = why.parts[1].parts[0].parts[0]
+    assert (part.points[0][2], part.points[1][2]) == (lowest["z"], pytest.approx(0))
 
 
 def test_what_is_no_condition_is_told_of(kitchen):

@@ -66,6 +66,16 @@ def test_answers_are_those_of_the_interpreter(kitchen):
     assert json.loads(value) == kitchen.call_variable("kitchen")["fridge"].position[2]
 
 
+def test_why_is_answered_by_rows(kitchen):
+    server, program = create_server(kitchen), "z(kitchen.can) > 9 AND isRobot(kitchen.fridge);"
+    rows = json.loads(text_of(server, "query", program=f"WHY {program}"))
+    assert rows == kitchen.why(program).rows()
+    assert [(row["depth"], row["value"]) for row in rows] == [(0, False), (1, False), (1, True)]
+    assert rows[1]["margin"] == kitchen.eval("z(kitchen.can);") - 9
+    cut = json.loads(text_of(server, "query", program=f"WHY {program}", max_rows=1))
+    assert (cut["rows"], cut["count"]) == (rows[:1], 3)
+
+
 @pytest.mark.parametrize(
     "program", ["10 ^ 5000;", "SELECT 10 ^ 5000 FROM kitchen LIMIT 1;", "[10 ^ 5000];"]
 )
@@ -93,6 +103,9 @@ def test_the_queries_of_the_guide_run(kitchen):
     assert ["table", "cup_905a"] not in [sorted(pair.values()) for pair in collide]
     assert height == kitchen.call_variable("kitchen")["cup_905a"].position[2]
     assert lifted == []  # nothing has moved
+    (why,) = re.findall(r"`(WHY [^`]*)`", GUIDE)
+    parts = json.loads(text_of(server, "query", program=why.replace("cup", "cup_905a")))
+    assert [part["value"] for part in parts] == [False, True, False]
     (sql,) = re.findall(r"`(SELECT b\.name[^`]*)`", GUIDE)
     rows = json.loads(text_of(server, "query", program=sql, language="sql"))
     assert sorted(row["name"] for row in rows) == sorted(on_the_table)

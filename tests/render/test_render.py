@@ -2,6 +2,7 @@
 
 import math
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,9 @@ from PIL import Image
 
 import ssduck
 from ssduck.errors import ArgumentError, ProgramWarning, SelectScriptError, UnknownNameError
+from ssduck.logic.why import Why
 from ssduck.render import Film, filmed, render
+from ssduck.render.overlays import with_parts
 from ssduck.simulators.scenes import Camera
 from tests.support.command_line import answer
 from tests.support.opengl import skip_without_opengl
@@ -155,6 +158,71 @@ def test_a_film_in_which_something_stands_out_sometimes_is_not_told_of(scene):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         render(scene, scene.parent / "sometimes.gif", film)
+
+
+HOLDS, FAILS = (26, 127, 55), (207, 34, 46)
+
+
+def is_near(colour, other):
+    """Checks where colours are about another one; what is highlighted has more green than blue."""
+    difference = np.subtract(colour, other)
+    is_alike = np.abs(difference).sum(axis=-1) < 90
+    return is_alike & (np.abs(difference[..., 1] - difference[..., 2]) < 25)
+
+
+def is_drawn(picture, point, colour):
+    """Checks whether a colour is where a point is seen, or in a pixel beside."""
+    column, row = pixel(point)
+    return is_near(picture[row - 1 : row + 2, column - 1 : column + 2], colour).any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("limit", "colour"), [(0.5, FAILS), (2, HOLDS)])
+def test_of_a_why_nearest_points_are_drawn_with_the_margin(scene, limit, colour):
+    """The cube and the sphere are 0.8 m apart, along x."""
+    why = f"WHY near(desk.red, desk.green, {limit}) AND isKinbody(desk.red);"
+    path = scene.parent / "why.png"
+    marked = drawn(render(scene, path, Film(size=SIZE, camera=VIEW, highlight=why)))
+    for x in (0.2, 0.6):
+        assert is_drawn(marked, (x, 0, 0.2), colour)
+    assert not is_drawn(marked, (-0.1, 0, 0.2), colour)
+    column, row = pixel((0.6, 0, 0.2))
+    label = marked[row - 4 : row + 5, column + 6 : column + 60]
+    more = label[..., np.argmax(colour)] - label[..., np.argmin(colour)]
+    assert (more > 40).sum() > 20  # the letters
+    assert (label.min(axis=-1) > 240).sum() > 40  # are on white
+
+
+@pytest.mark.slow
+def test_of_a_why_a_record_shows_the_tick_that_decides(record, tmp_path):
+    """The box is highest at first."""
+    why = "WHY always(z(desk.faller) < 2.5);"
+    film = Film(size=SIZE, camera=VIEW, highlight=why)
+    marked = drawn(render(record, tmp_path / "decides.png", film))
+    for z in (3.0, 2.7, 2.5):
+        assert is_drawn(marked, (-1, 0, z), FAILS)
+    now = Film(span=(1.0, 1.0), size=SIZE, camera=VIEW, highlight=why)
+    assert not is_near(drawn(render(record, tmp_path / "now.png", now)), FAILS).any()
+    assert (at(marked, (-1, 0, 3.05)) != at(drawn(tmp_path / "now.png"), (-1, 0, 3.05))).any()
+
+
+def test_lines_that_leave_the_picture_are_cut_and_labels_are_apart():
+    plain = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
+    front, behind = (0.0, 0.0, 1.4), (9.0, -12.0, 6.0)
+    one = Why("a", False, -1.0, points=(front, behind))
+    between = np.array(front) + 0.3 * (np.array(behind) - front)
+    for part in (one, replace(one, points=(behind, front))):
+        cut = with_parts(plain, [part], VIEW).astype(int)
+        for point in (front, between):
+            assert is_drawn(cut, point, FAILS)
+    hidden = replace(one, points=(behind, behind))
+    assert (with_parts(plain, [hidden], VIEW) == plain).all()
+    short = replace(one, points=(front, (0.1, 0.0, 1.4)))
+    rows = [
+        np.flatnonzero((with_parts(plain, [short] * count, VIEW) < 250).any(axis=(1, 2)))
+        for count in (1, 2)
+    ]
+    assert np.ptp(rows[1]) > 1.7 * np.ptp(rows[0])
 
 
 @pytest.mark.slow

@@ -49,6 +49,13 @@ def test_a_cell_and_a_line(ss):
     assert result.fetchall() == [("goal",)]
 
 
+def test_why_is_a_tree_that_a_notebook_shows(ss):
+    program = "isRobot(hall.goal);"
+    why = magics(ss=ss)["selectscript"]("", f"WHY {program}")
+    assert why == ss.why(program)
+    assert hasattr(why, "_repr_html_")
+
+
 def test_the_interpreter_of_a_name(ss, other):
     found = magics(ss=ss, other=other)
     assert found["selectscript"](" ss ", PROGRAM) == ["goal"]

@@ -220,10 +220,12 @@ def test_nothing_overlaps(page, size):
 
 
 @pytest.mark.long
-def test_the_manuals_picture_is_up_to_date(tmp_path):
+@pytest.mark.parametrize("draw", [draw_page.draw, draw_page.draw_why])
+def test_the_manuals_pictures_are_up_to_date(draw, tmp_path):
+    path = draw(tmp_path)
     drawn, stored = (
-        np.asarray(Image.open(folder / "view.png").convert("RGB")).astype(int)
-        for folder in (draw_page.draw(tmp_path).parent, draw_page.IMAGES)
+        np.asarray(Image.open(each).convert("RGB")).astype(int)
+        for each in (path, draw_page.IMAGES / path.name)
     )
     assert stored.shape == drawn.shape
     # Fonts, and the time that the answer took, are not the same everywhere.

@@ -11,6 +11,8 @@ import { Tracks } from "./tracks.js";
 const at = (id) => document.getElementById(id);
 const nonce = at("program").dataset.nonce;
 const AGAIN_MS = 250;
+// How much farther right the parts of a condition are, pixels.
+const INDENT = 16;
 
 const state = {
   hello: null, language: "selectscript", status: null, time: 0, tick: 0, question: null,
@@ -93,6 +95,7 @@ function seen(time, text) {
   panel.setTime(time);
   window.__ss.ready = true;
   window.__ss.time = time;
+  if (state.answer?.drawing?.kind === "why") drawReasons(state.answer);
   askAgain();
 }
 
@@ -244,7 +247,26 @@ async function complete(text, cursor) {
 // What the result has stands out, and is drawn where it is.
 function highlight(answer) {
   scene.mark(answer.all, answer.lines, answer.boxes);
-  scene.draw3d(answer.drawing);
+  if (answer.drawing?.kind === "why") drawReasons(answer);
+  else scene.draw3d(answer.drawing);
+}
+
+// Draws the parts of a condition that are of the tick that is seen.
+function drawReasons(answer) {
+  const isSeen = (time) => Math.abs((time ?? answer.asked) - state.time) < 1e-9;
+  const parts = answer.drawing.parts.filter(
+    ({ points, time }) => points.length && (isSeen(time) || (time === null && timeline.isFollowing)),
+  );
+  scene.draw3d({ kind: "why", parts });
+}
+
+// Goes to the tick that decides; the answer is of that tick until another one is looked at.
+function goToDecision(answer) {
+  if (answer.decided === null || !timeline.times.length) return;
+  stopReplay();
+  const index = timeline.indexAt(answer.decided);
+  answer.time = timeline.times[index];
+  timeline.go(index);
 }
 
 // Looks for the ticks at which the answer changes.
@@ -292,7 +314,7 @@ async function ask(isNew) {
   isAsking = true;
   lastAsked = performance.now();
   try {
-    const answer = await connection.ask({ type: "ask", ...question, ...timeAsked() });
+    const answer = await connection.ask({ type: "ask", anew: isNew, ...question, ...timeAsked() });
     // The server ends a query when another one is asked.
     if (question !== state.question || number !== asked) return;
     if (answer.error) {
@@ -302,9 +324,11 @@ async function ask(isNew) {
       showError(answer.error);
     } else {
       state.answer = answer;
+      answer.asked = answer.time;
       highlight(answer);
       timeline.setSpans(answer.lanes);
       showAnswer();
+      if (isNew) goToDecision(answer);
     }
     window.__ss.error = answer.error ?? null;
     window.__ss.answers += 1;
@@ -383,6 +407,8 @@ function showAnswer() {
 
 function tableOf(answer) {
   const table = element("table");
+  const parts = answer.drawing?.kind === "why" ? answer.drawing.parts : null;
+  if (parts) table.className = "why";
   const head = table.createTHead().insertRow();
   answer.columns.forEach((name, column) => {
     const isSorted = state.sorted?.column === column;
@@ -408,6 +434,7 @@ function tableOf(answer) {
       cell.textContent = cell.title = textOf(value);
       if (typeof value === "number") cell.className = "number";
     }
+    if (parts) row.cells[0].style.paddingLeft = `${8 + INDENT * parts[index].depth}px`;
     const marks = answer.marks[index];
     if (!marks.length) continue;
     row.className = "marked";

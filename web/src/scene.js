@@ -4,7 +4,7 @@
 import * as THREE from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import { toCreasedNormals } from "three/examples/jsm/utils/BufferGeometryUtils.js";
-import { cloudOf, gridOf } from "./drawings.js";
+import { cloudOf, gridOf, reasonsOf } from "./drawings.js";
 
 const BACKGROUND = 0xe9edf2;
 const HIGHLIGHT = new THREE.Color(0xff6a13);
@@ -220,7 +220,7 @@ export class Scene {
     this.paint();
   }
 
-  // Draws a grid on the floor or points in the scene; null for nothing.
+  // Draws a grid on the floor, points or the parts of a condition in the scene; null for nothing.
   draw3d(drawing) {
     for (const each of this.drawn.children) {
       each.geometry.dispose();
@@ -234,6 +234,7 @@ export class Scene {
     }
     this.hasCloud = drawing?.kind === "cloud";
     if (this.hasCloud) this.drawn.add(cloudOf(drawing, PALETTE));
+    if (drawing?.kind === "why") for (const each of reasonsOf(drawing.parts)) this.drawn.add(each);
     this.paint();
   }
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ssduck.adapters.display import readable
+from ssduck.adapters.display import on_one_line
 from ssduck.errors import ArgumentError, LimitError, SelectScriptError
 from ssduck.interpreter.over_time.functions import TemporalFunction, expressions_of, operator_of
 from ssduck.interpreter.over_time.nested import NestedExpressions, Ticks, window_of
@@ -25,8 +25,10 @@ from ssduck.language.tree import (
     AdapterClause,
     Binary,
     Call,
+    Index,
     ListLiteral,
     Literal,
+    Name,
     Node,
     OperatorChain,
     Placeholder,
@@ -194,11 +196,11 @@ class Explainer:
         resolved, _ = self.resolved(query, self.frame)
         row = self._nearest_row(resolved, member)
         if row is None:
-            is_lacking = "" if member is None else f" is {readable(self._value(member))}"
+            is_lacking = "" if member is None else f" is {on_one_line(self._value(member))}"
             return replace(whole, detail=f"no row of FROM{is_lacking}")
         only = row.frame.elements.get(None)
         elements = row.frame.elements.items() if only is None else [("this", only)]
-        names = [f"{alias} is {readable(element)}" for alias, element in elements]
+        names = [f"{alias} is {on_one_line(element)}" for alias, element in elements]
         if resolved.query.where is None:
             return replace(whole, detail="; ".join(names))
         part = row.why(resolved.query.where)
@@ -253,26 +255,38 @@ class Explainer:
     # -- comparisons and relations --------------------------------------------------------------
 
     def _of_leaf(self, node: Node) -> Why:
-        whole = self._made(node)
+        whole = replace(self._made(node), entities=tuple(self._entities(node)))
         match node:
             case Binary(operator=sign, left=left, right=right) if sign in _COMPARISONS:
                 sides = [side for side in (left, right) if not _is_number(side)]
-                told = (f"{self._written(side)} is {readable(self._value(side))}" for side in sides)
-                move = self._move_of_comparison(node, whole.margin)
-                return replace(whole, detail="; ".join(told), move=move)
+                told = (f"{self._written(s)} is {on_one_line(self._value(s))}" for s in sides)
+                whole = replace(whole, detail="; ".join(told))
+                return self._with_coordinate(whole, node)
             case Call(name=name, arguments=(Node() as a, Node() as b, *_)) if name in _DISTANCES:
-                points = self._points(a, b)
-                return replace(whole, points=points, move=self._move_between(whole, b, points))
+                found = self._value_of_call("nearestPoints", a, b)
+                if found is not None:  # they have shapes
+                    points = tuple(map(tuple, found))
+                    return replace(whole, points=points, move=self._move_between(whole, b, points))
         return whole
 
-    def _points(self, a: Node, b: Node) -> tuple[tuple[float, ...], ...]:
-        """Returns the nearest points of two entities; none if they have no shapes."""
-        points = Call(a.span, "nearestPoints", (a, b), a.span)
+    def _entities(self, node: Node) -> dict[str, None]:
+        """Returns the full names of the entities that a part without nested queries names."""
+        names: dict[str, None] = {}
+        if isinstance(node, Name | Index | This):
+            value = self.frame.value(node)
+            return {value.full_name: None} if isinstance(value, Handle) else {}
+        for part in () if isinstance(node, Query) else self._called(node).children():
+            names |= self._entities(part)
+        return names
+
+    def _value_of_call(self, name: str, *arguments: Node) -> Any:
+        """Returns the value of a function of entities at the tick."""
+        span = arguments[0].span
+        call = Call(span, name, arguments, span)
         if self.ticks is not None:  # only at that tick
-            time = Literal(a.span, float(self.ticks.times[self.place]))
-            points = Call(a.span, "at", (time, points), a.span)
-        found = self.frame.value(points)
-        return () if found is None else tuple(map(tuple, found))
+            time = Literal(span, float(self.ticks.times[self.place]))
+            call = Call(span, "at", (time, call), span)
+        return self.frame.value(call)
 
     def _move_between(
         self, whole: Why, b: Node, points: tuple[tuple[float, ...], ...]
@@ -286,18 +300,21 @@ class Explainer:
             return None
         return self._move(b, way / length * whole.margin)
 
-    def _move_of_comparison(self, node: Binary, margin: float | None) -> Move | None:
-        """Returns the translation that a comparison of a coordinate with a number lacks."""
+    def _with_coordinate(self, whole: Why, node: Binary) -> Why:
+        """Returns a comparison with the way that a coordinate of an entity lacks, if it has one."""
         match self._called(node.left), self._called(node.right):
             case Call(name=axis, arguments=(entity,)), number if axis in _AXES:
                 sign = -1.0 if node.operator in (">", ">=") else 1.0
             case number, Call(name=axis, arguments=(entity,)) if axis in _AXES:
                 sign = 1.0 if node.operator in (">", ">=") else -1.0
             case _:
-                return None
-        if margin is None or not _is_number(number):
-            return None
-        return self._move(entity, np.eye(3)[_AXES[axis]] * sign * margin)
+                return whole
+        if whole.margin is None or not _is_number(number):
+            return whole
+        way = np.eye(3)[_AXES[axis]] * sign * whole.margin
+        start = self._value_of_call("position", entity)
+        points = (tuple(start), tuple((start + way).tolist()))
+        return replace(whole, points=points, move=self._move(entity, way))
 
     def _called(self, node: Node) -> Node:
         """Returns a column of a source's entity, `a.z`, as the call that it is."""
