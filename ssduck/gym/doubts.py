@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import gymnasium
@@ -18,11 +18,11 @@ EPISODES = 10
 
 def time_limit(env: Any) -> int | None:
     """Returns the number of steps after which gymnasium's `TimeLimit` ends an episode."""
-    limits = []
-    while isinstance(env, gymnasium.Wrapper):
-        if isinstance(env, gymnasium.wrappers.TimeLimit):
-            limits.append(env._max_episode_steps)  # noqa: SLF001  # its `spec` may be missing
-        env = env.env
+    limits = [
+        wrapper._max_episode_steps  # noqa: SLF001  # its `spec` may be missing
+        for wrapper in _wrappers(env)
+        if isinstance(wrapper, gymnasium.wrappers.TimeLimit)
+    ]
     return min(limits, default=None)
 
 
@@ -34,11 +34,19 @@ def episode_seconds(env: Any, step: float | None = None) -> float | None:
         step: the simulated time of a step, s; None if an environment on MuJoCo has to say it.
     """
     limit, inner = time_limit(env), env.unwrapped
-    steps = getattr(inner, "frame_skip", getattr(inner, "n_substeps", None))
-    if step is None and steps is not None and hasattr(inner, "dt") and hasattr(inner, "model"):
+    # Another wrapper may take several steps in one.
+    is_plain = all(type(one).__module__.startswith("gymnasium.") for one in _wrappers(env))
+    if step is None and is_plain and hasattr(inner, "dt") and hasattr(inner, "model"):
+        steps = getattr(inner, "frame_skip", getattr(inner, "n_substeps", 0))
         seconds = inner.model.opt.timestep * steps
         step = seconds if seconds == inner.dt else None
     return None if limit is None or step is None else limit * step
+
+
+def _wrappers(env: Any) -> Iterator[Any]:
+    while isinstance(env, gymnasium.Wrapper):
+        yield env
+        env = env.env
 
 
 def warn_of_length(interpreter: Interpreter, terms: Terms, longest: float) -> None:

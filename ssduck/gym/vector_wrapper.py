@@ -247,9 +247,10 @@ class VectorQueryWrapper(VectorWrapper[Any, Any, Any, Any, Any]):
         """Returns the terms; warns of those that ask for more time than an episode has."""
         made = self._terms_of()
         self._first_ticks = FirstTicks(made.terms)
-        seconds = episode_seconds(self._parts[0].env) if self._parts else None
-        if seconds is not None:
-            warn_of_length(self._interpreter, made.terms, seconds)
+        durations = [episode_seconds(part.env) for part in self._parts]
+        known = [seconds for seconds in durations if seconds is not None]
+        if known and len(known) == len(durations):
+            warn_of_length(self._interpreter, made.terms, max(known))
         return made
 
     def _warn_of_models(self, numbers: Sequence[int]) -> None:

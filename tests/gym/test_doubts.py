@@ -60,12 +60,14 @@ def told(make, play=lambda _: None):
     return [first, later]
 
 
-def play(env, episodes=1):
+def play(env, episodes=1, holds=None):
+    """Plays episodes until they end; a success is to hold at each step, or at none, if so given."""
     for seed in range(episodes):
         env.reset(seed=seed)
         over = False
         while not over:
-            *_, terminated, truncated, _ = env.step(env.action_space.sample())
+            *_, terminated, truncated, info = env.step(env.action_space.sample())
+            assert holds is None or info["ssduck"]["success"] is holds
             over = np.all(terminated | truncated)
 
 
@@ -75,7 +77,7 @@ def test_what_needs_more_time_than_an_episode_is_told_of_once(kind, success, why
     """At construction if the environment says how long a step is, or else after an episode."""
     found = told(
         lambda: QueryWrapper(seconds(kind(), 1), success, forward=False),
-        lambda env: play(env, 3),
+        lambda env: play(env, 3, holds=False),
     )
     first, later = found if kind is Stepped else found[::-1]
     assert later == []
@@ -90,6 +92,18 @@ def test_what_needs_more_time_than_an_episode_is_told_of_once(kind, success, why
 def test_what_an_episode_has_time_for_is_not(success):
     make = lambda: QueryWrapper(seconds(Stepped(), 1), success, forward=False)  # noqa: E731
     assert told(make, play) == [[], []]
+
+
+def test_a_wrapper_that_takes_several_steps_in_one_is_no_mistake():
+    class Twice(gymnasium.Wrapper):
+        def step(self, action):
+            self.env.step(action)
+            return self.env.step(action)
+
+    env = gymnasium.wrappers.TimeLimit(Twice(Stepped()), 50)  # of 2 s
+    success = "heldFor(z(sim.ball) > -1) >= 1.9"
+    found = told(lambda: QueryWrapper(env, success, forward=False), lambda env: play(env, 2))
+    assert found == [[], []]
 
 
 def test_without_an_end_nothing_is_known():
