@@ -115,7 +115,7 @@ def test_kinds_of_worlds_override_nothing_private():
 BUDGETS = {
     "": 2_300,
     "adapters": 4_650,
-    "cli": 1_350,
+    "cli": 1_365,
     "columns": 1_300,
     "database": 6_580,
     "demos": 1_500,
@@ -123,7 +123,7 @@ BUDGETS = {
     "gym": 2_790,
     "interchange": 3_000,
     "interpreter": 15_760,
-    "lakes": 2_900,
+    "lakes": 2_910,
     "language": 6_170,
     "logic": 550,
     "mcp": 600,

@@ -20,7 +20,7 @@ import typer
 from typer.core import TyperGroup
 
 from ssduck.adapters.display import DisplayTable, print_line, print_table, written_warnings
-from ssduck.cli.lakes import ask, lake, tag
+from ssduck.cli.lakes import ask, lake, lint, tag
 from ssduck.cli.options import (
     IS_OWN_PROCESS,
     EpisodeNumber,
@@ -284,7 +284,7 @@ def query(
     write(value)
 
 
-for command in (record, export, episodes, check, lake, ask, tag, macros):
+for command in (record, export, episodes, check, lake, ask, lint, tag, macros):
     app.command()(command)
 app.command("import")(import_)
 

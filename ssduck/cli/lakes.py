@@ -1,4 +1,4 @@
-"""Defines the commands about many records: `ssduck lake`, `ask` and `tag`."""
+"""Defines the commands about many records: `ssduck lake`, `ask`, `lint` and `tag`."""
 
 from __future__ import annotations
 
@@ -148,6 +148,19 @@ def ask(
     failed = answers.num_rows - answers["error"].null_count
     if failed:
         sys.stderr.write(f"{count_of(failed, 'episode')} without an answer: see the column error\n")
+        raise typer.Exit(1)
+
+
+def lint(
+    path: Lake, program: Program = None, file: ProgramFile = None, where: Where = None
+) -> None:
+    """Tell of a condition that holds never, always, or at the first tick of each episode."""
+    from ssduck.lakes.lake import Lake as Episodes
+
+    told = Episodes(path).lint(program_text(program, file), where)
+    for sentence in told:
+        print_line(sentence)
+    if told:
         raise typer.Exit(1)
 
 

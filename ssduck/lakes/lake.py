@@ -31,6 +31,7 @@ from ssduck.errors import (
 from ssduck.gym.terms import Reward, Terms, WhereNaN
 from ssduck.lakes.answers import AnsweredEpisode, KeptAnswers, answer_table, whole_table
 from ssduck.lakes.engines import Answerer, EngineName, How, engine_of, how_of
+from ssduck.lakes.lint import told_of, values_of
 from ssduck.lakes.manifest import (
     EpisodeEntry,
     named_errors,
@@ -325,6 +326,22 @@ class Lake:
                 return lake.score(*terms, where=where, nan=nan, **vars(how))
         question = ScoreQuestion(Terms.of(success, failure, reward, stop_when, nan=nan), limits)
         return whole_table(self._answered(question, where, how))
+
+    def lint(self, condition: str, where: str | None = None, **options: Any) -> list[str]:
+        """Tells of a condition that never holds, always, or at the first tick of each episode.
+
+        Args:
+            condition: an expression of SelectScript, as success is one.
+            where: a condition on the columns of `episodes`; None for all episodes.
+            options: further arguments of `ask`.
+
+        Returns:
+            What is told of it, a sentence each; nothing of a condition that may well be meant.
+
+        Raises:
+            ArgumentError: it is no condition, or an argument is wrong.
+        """
+        return told_of(condition, self.ask(values_of(condition), where, **options))
 
     def _answered(
         self, question: Question, where: str | None, how: How
