@@ -8,6 +8,7 @@ module is imported when a world first needs it. To add a simulator, write its `S
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -47,18 +48,6 @@ def collision_visuals(body: Body) -> list[VisualShape]:
 def stored_visuals(body: Body) -> list[VisualShape]:
     """Returns what is drawn of a body that no simulator tells of: as recorded, or what collides."""
     return collision_visuals(body) if body.visuals is None else list(body.visuals)
-
-
-def with_grounds(shapes: Sequence[VisualShape]) -> list[VisualShape]:
-    """Returns shapes with planes, in the colour of a ground, in place of large flat meshes.
-
-    These are squares of 20 m or more in the xy plane of their frame, such as that of `plane.urdf`.
-    """
-    plane = Geometry.primitive("plane", (0.0, 0.0, 1.0))
-    return [
-        replace(shape, geometry=plane, colour=None) if _is_ground(shape.geometry) else shape
-        for shape in shapes
-    ]
 
 
 def _is_ground(geometry: Geometry) -> bool:
@@ -182,16 +171,21 @@ def mjcf_scene(file: Path) -> Scene:
 def drawn_shapes(simulator: Simulator, body: Body) -> list[VisualShape]:
     """Returns what a simulator draws of a body; its collision shapes where that is not known.
 
+    Planes in the colour of a ground are in place of large flat meshes: squares of 20 m or more in
+    the xy plane of their frame, such as that of `plane.urdf`.
+
     It is not known of a simulator without a backend, or whose backend does not support it.
     """
-    # A static simulator has the bodies of a what-if world, or of an older record.
-    if body.visuals is not None or isinstance(simulator, StaticSimulator):
-        return with_grounds(stored_visuals(body))
     if isinstance(simulator, EnvironmentSimulator):
         simulator = simulator.template
-    if simulator.backend not in BACKENDS:
-        return with_grounds(collision_visuals(body))
-    try:
-        return with_grounds(backend(simulator.backend).visual_shapes(simulator, body))
-    except UnsupportedError:
-        return with_grounds(collision_visuals(body))
+    shapes = stored_visuals(body)
+    # A static simulator has the bodies of a what-if world, or of an older record.
+    is_told = body.visuals is not None or isinstance(simulator, StaticSimulator)
+    if not is_told and simulator.backend in BACKENDS:
+        with suppress(UnsupportedError):
+            shapes = backend(simulator.backend).visual_shapes(simulator, body)
+    plane = Geometry.primitive("plane", (0.0, 0.0, 1.0))
+    return [
+        replace(shape, geometry=plane, colour=None) if _is_ground(shape.geometry) else shape
+        for shape in shapes
+    ]

@@ -14,9 +14,10 @@ from ssduck.errors import ArgumentError, UnknownNameError, nearest
 from ssduck.formatting import short_repr
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.margins import Margins
-from ssduck.geometry.poses import cross, multiply, rotate, rotation_matrices
+from ssduck.geometry.poses import rotation_matrices
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import SCALAR_JOINTS, Body, ContactPoints, LinkPoses, Simulator
+from ssduck.simulators.kinematics import absolute_states, relative_states
 from ssduck.simulators.partial import PartialSimulator, unsupported
 
 # The libraries whose arrays cannot change.
@@ -184,15 +185,12 @@ class EnvironmentSimulator(PartialSimulator):
 
 def to_numpy(value: Any, name: str) -> npt.NDArray[Any]:
     """Returns an array of any library as one of NumPy; one on a device is copied to memory."""
-    if isinstance(value, np.ndarray):
-        array = value
-    else:
-        detached = value.detach() if hasattr(value, "detach") else value  # torch's, with a gradient
-        on_host = detached.cpu() if hasattr(detached, "cpu") else detached
-        try:
-            array = np.asarray(on_host)
-        except (TypeError, ValueError, RuntimeError) as error:
-            raise ArgumentError(f"{name}: {short_repr(value)} is no array: {error}") from None
+    detached = value.detach() if hasattr(value, "detach") else value  # torch's, with a gradient
+    on_host = detached.cpu() if hasattr(detached, "cpu") else detached
+    try:
+        array = np.asarray(on_host)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise ArgumentError(f"{name}: {short_repr(value)} is no array: {error}") from None
     if array.dtype.kind not in "fiub":
         raise ArgumentError(f"{name}: an array of numbers is expected, not of {array.dtype}")
     return array
@@ -201,7 +199,7 @@ def to_numpy(value: Any, name: str) -> npt.NDArray[Any]:
 def like(values: npt.NDArray[Any], sample: Any) -> Any:
     """Returns a copy of an array of NumPy, of the library and on the device of another array."""
     copied = np.array(values)
-    if _library_of(sample) == "torch":
+    if type(sample).__module__.partition(".")[0] == "torch":
         import torch
 
         return torch.from_numpy(copied).to(sample.device)
@@ -210,14 +208,10 @@ def like(values: npt.NDArray[Any], sample: Any) -> Any:
     return sample.__array_namespace__().asarray(copied, device=sample.device)
 
 
-def _library_of(array: Any) -> str:
-    return type(array).__module__.partition(".")[0]
-
-
 def kept(value: Any, name: str, shape: tuple[int | str, ...]) -> npt.NDArray[Any]:
     """Returns a checked array that stays as it is: simulators write the next state into theirs."""
     array = checked(value, name, shape)
-    return array if _library_of(value) in _JAX else np.array(array)
+    return array if type(value).__module__.partition(".")[0] in _JAX else np.array(array)
 
 
 def checked(value: Any, name: str, shape: tuple[int | str, ...]) -> npt.NDArray[Any]:
@@ -228,12 +222,12 @@ def checked(value: Any, name: str, shape: tuple[int | str, ...]) -> npt.NDArray[
         for actual, expected in zip(array.shape, shape, strict=True)
     )
     if not fits:
-        expected = ", ".join(map(str, shape))
-        hint = ""
         first, *others = shape
-        if array.shape == tuple(others) or (array.ndim and array.shape[0] != first):
-            hint = f": the first axis is the {first} environments"
-        raise ArgumentError(f"{name} is of shape {array.shape}, not ({expected}){hint}")
+        lacks_first = array.shape == tuple(others) or (array.ndim and array.shape[0] != first)
+        hint = f": the first axis is the {first} environments" if lacks_first else ""
+        raise ArgumentError(
+            f"{name} is of shape {array.shape}, not ({', '.join(map(str, shape))}){hint}"
+        )
     return array
 
 
@@ -284,12 +278,10 @@ class BodyEnvironments(Environments):
     ) -> None:
         super().__init__(count)
         self._bodies = bodies
-        self._states = {
-            body: np.broadcast_to(own, (count, *own.shape)) for body, own in states.items()
-        }
-        self._joints = {
-            body: np.broadcast_to(own, (count, *own.shape)) for body, own in joints.items()
-        }
+        self._states, self._joints = (
+            {body: np.broadcast_to(own, (count, *own.shape)) for body, own in initial.items()}
+            for initial in (states, joints)
+        )
         # The bodies with joints whose poses were given without these.
         self._moved: frozenset[Body] = frozenset()
 
@@ -299,24 +291,19 @@ class BodyEnvironments(Environments):
             given,
             "part of a state; give poses={'cup': (n, 7)}, joints={'arm': (n, joints)} and time",
         )
-        new_states, new_joints = dict(self._states), dict(self._joints)
-        for name, values in self._named(given, "poses"):
-            body = self._bodies[name]
-            new_states[body] = self._poses_of(name, body, values)
-        for name, values in self._named(given, "joints"):
-            body = self._bodies[name]
-            new_joints[body] = self._joints_of(name, body, values)
+        posed = self._read(given, "poses", self._poses_of)
+        jointed = self._read(given, "joints", self._joints_of)
         time = given.get("time")
         times = self.times if time is None else times_of(time, self.count)
         self.times, self.has_times = times, time is not None
         self.sample = next(iter((given.get("poses") or {}).values()), self.sample)
-        self._states, self._joints = new_states, new_joints
-        of_joints = frozenset(self._bodies[name] for name, _ in self._named(given, "joints"))
-        posed = frozenset(self._bodies[name] for name, _ in self._named(given, "poses"))
-        self._moved = (self._moved | {body for body in posed if body.joints}) - of_joints
+        self._states, self._joints = self._states | posed, self._joints | jointed
+        self._moved = (self._moved | {body for body in posed if body.joints}) - jointed.keys()
 
-    def _named(self, given: Mapping[str, Any], part: str) -> Sequence[tuple[str, Any]]:
-        """Returns the names and arrays of a part of a state."""
+    def _read(
+        self, given: Mapping[str, Any], part: str, read: Callable[[str, Body, Any], Array]
+    ) -> dict[Body, Array]:
+        """Returns what a part of a state says of bodies, by a function of name, body and values."""
         by_name = given.get(part) or {}
         if not isinstance(by_name, Mapping):
             raise ArgumentError(f"tick: {part}: give a dict of arrays by the names of entities")
@@ -326,7 +313,7 @@ class BodyEnvironments(Environments):
                     f"tick: {part}: no body has the name {name!r}",
                     suggestions=nearest(name, list(self._bodies)),
                 )
-        return list(by_name.items())
+        return {self._bodies[n]: read(n, self._bodies[n], values) for n, values in by_name.items()}
 
     def _poses_of(self, name: str, body: Body, values: Any) -> Array:
         """Returns the states of a body's links, (n, links, 13)."""
@@ -352,19 +339,11 @@ class BodyEnvironments(Environments):
     def _rigid(self, body: Body, base: Array) -> Array:
         """Returns the states of all links of a body without joints, from those of its base."""
         first = self._states[body][0]
-        conjugate = first[0, 3:7] * np.array([1.0, -1.0, -1.0, -1.0])
-        inverse = rotation_matrices(conjugate[None])
-        result = np.zeros((self.count, len(first), _STATE))
-        matrices = rotation_matrices(base[:, 3:7])
-        for number, link in enumerate(first):
-            inner = rotate(inverse, (link[:3] - first[0, :3])[None])
-            turn = multiply(conjugate[None], link[None, 3:7])
-            arms = rotate(matrices, np.broadcast_to(inner, (self.count, 3)))
-            result[:, number, :3] = base[:, :3] + arms
-            result[:, number, 3:7] = multiply(base[:, 3:7], np.broadcast_to(turn, (self.count, 4)))
-            result[:, number, 7:10] = base[:, 7:10] + cross(base[:, 10:], arms)
-            result[:, number, 10:] = base[:, 10:]
-        return result
+        within = relative_states(np.broadcast_to(first[0], first.shape), first)
+        within[:, 7:] = 0.0
+        links = np.tile(within, (self.count, 1))
+        states = absolute_states(np.repeat(base, len(first), axis=0), links)
+        return states.reshape(self.count, len(first), _STATE)
 
     def _joints_of(self, name: str, body: Body, values: Any) -> Array:
         """Returns positions, velocities and efforts of a body's joints, (n, joints, 3)."""

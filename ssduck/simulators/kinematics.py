@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeAlias
+from typing import Protocol, TypeAlias
 
 import numpy as np
 
@@ -28,15 +28,8 @@ from ssduck.errors import (
     nearest,
 )
 from ssduck.formatting import joined_names, short_repr
-from ssduck.geometry.arrays import Array, Indices
-from ssduck.geometry.poses import (
-    IDENTITY,
-    compose,
-    cross,
-    invert,
-    rotate,
-    rotation_matrices,
-)
+from ssduck.geometry.arrays import Array
+from ssduck.geometry.poses import IDENTITY, compose, cross, invert, rotate, rotation_matrices
 from ssduck.simulators.interface import SCALAR_JOINTS, Body, Joint, LinkPoses, MotorTarget
 from ssduck.simulators.scene_bodies import BodySpec, Primitive
 
@@ -70,7 +63,11 @@ def joint_positions(values: JointValues, body: Body, name: str) -> dict[int, flo
     """Returns positions of joints, rad or m, by index: given by name, or one for each scalar."""
     joints = _joints_by_name(body)
     if not isinstance(values, Mapping):
-        _check_sequence(values, name)
+        if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray):
+            raise ArgumentError(
+                f"{name}: joint values are given in a list, or by the joints' names in a dict, not "
+                f"as {short_repr(values)}"
+            )
         settable = [joint.name for joint in body.joints if joint.type in SCALAR_JOINTS]
         if len(values) != len(settable):
             raise ArgumentError(
@@ -79,10 +76,8 @@ def joint_positions(values: JointValues, body: Body, name: str) -> dict[int, flo
             )
         values = dict(zip(settable, values, strict=True))
     return {
-        number: _position(value, body.joints[number], name)
-        for number, value in (
-            (_scalar_joint(key, joints, body, name), value) for key, value in values.items()
-        )
+        (n := _scalar_joint(key, joints, body, name)): _position(value, body.joints[n], name)
+        for key, value in values.items()
     }
 
 
@@ -129,15 +124,6 @@ def _joints_by_name(body: Body) -> dict[str, int]:
     return {joint.name: number for number, joint in enumerate(body.joints)}
 
 
-def _check_sequence(values: Any, name: str) -> None:
-    """Raises an error if values are not a sequence."""
-    if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray):
-        raise ArgumentError(
-            f"{name}: joint values are given in a list, or by the joints' names in a dict, not as "
-            f"{short_repr(values)}"
-        )
-
-
 def _bounded(value: float, joint: Joint, quantity: str, name: str) -> float:
     """Checks a velocity or an effort against the limit of the joint's model."""
     place = f"{name}: joint {joint.name!r}: {quantity}"
@@ -182,8 +168,7 @@ def _scalar_joint(key: str, joints: Mapping[str, int], body: Body, name: str) ->
 
 def _position(value: float, joint: Joint, name: str) -> float:
     position = float(validation.finite_array([value], 1, f"{name}: joint {joint.name!r}")[0])
-    low = -math.inf if joint.lower is None else joint.lower
-    high = math.inf if joint.upper is None else joint.upper
+    low, high = _limits(joint)
     if not low - LIMIT_TOLERANCE <= position <= high + LIMIT_TOLERANCE:
         raise StateError(
             f"{name}: joint {joint.name!r}: {position:g} is not from {low:g} to {high:g}, "
@@ -218,7 +203,7 @@ def moved_link_poses(
     parents = np.array([link.parent for link in body.links], dtype=np.intp)
     # The parent of the base is the world, the last row.
     frames = np.concatenate((old, _WORLD))
-    within = _relative_states(frames[parents], old)
+    within = relative_states(frames[parents], old)
     moving = sorted({body.joints[number].link for number in joints})
     for link in moving:
         numbers = [n for n, joint in enumerate(body.joints) if joint.link == link]
@@ -227,11 +212,15 @@ def moved_link_poses(
     if base is not None:
         new[0, :3], new[0, 3:7] = base
     elif 0 in moving:
-        new[:1] = _absolute_states(_WORLD, within[:1])
+        new[:1] = absolute_states(_WORLD, within[:1])
     else:
         new[0] = old[0]
-    for links in _generations(parents):
-        new[links] = _absolute_states(new[parents[links]], within[links])
+    depths = np.zeros(len(parents), dtype=np.intp)
+    for link, parent in enumerate(parents[1:].tolist(), 1):
+        depths[link] = depths[parent] + 1
+    for depth in range(1, int(depths.max()) + 1):
+        links = np.flatnonzero(depths == depth)
+        new[links] = absolute_states(new[parents[links]], within[links])
     return LinkPoses(new[:, :3].copy(), rotation_matrices(new[:, 3:7]), new)
 
 
@@ -239,23 +228,21 @@ def moved_link_poses(
 _WORLD = np.array([[0.0, 0.0, 0.0, 1.0, *(0.0,) * 9]])
 
 
-def _relative_states(parents: Array, links: Array) -> Array:
+def relative_states(parents: Array, links: Array) -> Array:
     """Returns the states of links (n, 13), at their frames' origins, relative to their parents."""
     arms = links[:, :3] - parents[:, :3]
-    inverse = parents[:, 3:7] * np.array([1.0, -1.0, -1.0, -1.0])
-    positions, orientations = compose(
-        *invert(parents[:, :3], parents[:, 3:7]), links[:, :3], links[:, 3:7]
-    )
-    to_parent = rotation_matrices(inverse)
+    inverse = invert(*_pose(parents))
+    positions, orientations = compose(*inverse, *_pose(links))
+    to_parent = rotation_matrices(inverse[1])
     drift = links[:, 7:10] - parents[:, 7:10] - cross(parents[:, 10:], arms)
     spin = links[:, 10:] - parents[:, 10:]
     return np.hstack((positions, orientations, rotate(to_parent, drift), rotate(to_parent, spin)))
 
 
-def _absolute_states(parents: Array, links: Array) -> Array:
-    """Returns the inverse of `_relative_states`: the states of links (n, 13) in the world."""
+def absolute_states(parents: Array, links: Array) -> Array:
+    """Returns the inverse of `relative_states`: the states of links (n, 13) in the world."""
     to_world = rotation_matrices(parents[:, 3:7])
-    positions, orientations = compose(parents[:, :3], parents[:, 3:7], links[:, :3], links[:, 3:7])
+    positions, orientations = compose(*_pose(parents), *_pose(links))
     lever_velocities = cross(parents[:, 10:], positions - parents[:, :3])
     velocities = parents[:, 7:10] + lever_velocities + rotate(to_world, links[:, 7:10])
     spins = parents[:, 10:] + rotate(to_world, links[:, 10:])
@@ -271,21 +258,18 @@ def _move_link(
 ) -> None:
     """Moves a link (1, 13), relative to its parent, by its joints, in place."""
     within[:, 7:] = 0.0
-    positions = {n: _position_of(n, joints, states) for n in numbers} if len(numbers) > 1 else {}
-    for place, number in enumerate(numbers):
-        if number in changes:
-            later = _product(joints, positions, numbers[place + 1 :])
-            moved = compose(*_pose(within), *invert(*later))
-            moved = compose(*moved, *_displacement(joints[number], changes[number]))
-            within[:, :3], within[:, 3:7] = compose(*moved, *later)
-            if number in positions:
-                positions[number] += changes[number]
-    if not positions:
+    if len(numbers) == 1:
+        step = _displacement(joints[numbers[0]], changes[numbers[0]])
+        within[:, :3], within[:, 3:7] = compose(*_pose(within), *step)
         return
+    old = {n: _position_of(n, joints, states) for n in numbers}
+    new = {n: position + changes.get(n, 0.0) for n, position in old.items()}
+    fixed = compose(*_pose(within), *invert(*_product(joints, old, numbers)))
+    within[:, :3], within[:, 3:7] = compose(*fixed, *_product(joints, new, numbers))
     assert states is not None
     for place, number in enumerate(numbers):
         if number not in changes:
-            later = _product(joints, positions, numbers[place + 1 :])
+            later = _product(joints, new, numbers[place + 1 :])
             _add_velocity(within, joints[number], float(states[number, 1]), later)
 
 
@@ -337,14 +321,6 @@ def _add_velocity(within: Array, joint: Joint, velocity: float, later: Pose) -> 
     anchor = back[0] + rotate(rotation_matrices(back[1]), np.array([joint.anchor]))
     within[:, 7:10] += rotate(to_parent, cross(axis, -anchor))
     within[:, 10:] += rotate(to_parent, axis)
-
-
-def _generations(parents: Indices) -> list[Indices]:
-    """Groups the links except the base by depth: its children, their children, and so on."""
-    depths = np.zeros(len(parents), dtype=np.intp)
-    for link, parent in enumerate(parents[1:].tolist(), 1):
-        depths[link] = depths[parent] + 1
-    return [np.flatnonzero(depths == depth) for depth in range(1, int(depths.max()) + 1)]
 
 
 # The default least openness of an open joint, and greatest openness of a closed one.
@@ -477,6 +453,5 @@ def _check_joint(name: str, value: float | None, joints: Sequence[Joint], place:
 
 
 def _limits(joint: Joint) -> tuple[float, float]:
-    if joint.lower is None or joint.upper is None:
-        return -math.inf, math.inf
-    return joint.lower, joint.upper
+    low = -math.inf if joint.lower is None else joint.lower
+    return low, math.inf if joint.upper is None else joint.upper

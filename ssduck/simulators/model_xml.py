@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
-from itertools import chain, count
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
 from typing import Any
 from xml.etree import ElementTree as ET
 from xml.parsers import expat
@@ -17,6 +17,7 @@ import numpy as np
 
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.poses import rotation_matrices
+from ssduck.simulators.naming import unique_name
 
 # What expat refuses and simulators read over: comments with --, and declarations anywhere.
 _READ_OVER = re.compile(r"<!--.*?-->|<\?.*?\?>", re.DOTALL)
@@ -28,6 +29,16 @@ _NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]
 # a world begins with, and texts of this name and that of an entity, with the kind of the entity if
 # its joints do not tell.
 STATE_KEY, KIND_PREFIX = "ssduck", "ssduck kind of "
+# MJCF's sizes of primitives, as parts of those of `Geometry`: half lengths.
+MJCF_SIZES: Mapping[str, tuple[float, ...]] = MappingProxyType(
+    {
+        "box": (0.5, 0.5, 0.5),
+        "sphere": (1.0,),
+        "cylinder": (1.0, 0.5),
+        "capsule": (1.0, 0.5),
+        "ellipsoid": (1.0, 1.0, 1.0),
+    }
+)
 # The folder of meshes, pictures and heights, beside an MJCF file.
 ASSETS = "assets"
 
@@ -70,6 +81,14 @@ def _parsed(content: bytes) -> ET.Element:
     return builder.close()
 
 
+def number_in(word: str) -> float | None:
+    """Returns the number that a word is; None if it is none."""
+    try:
+        return float(word)
+    except ValueError:
+        return None
+
+
 # -- writing ---------------------------------------------------------------------------------------
 
 
@@ -96,9 +115,7 @@ def unique_names(names: Iterable[str]) -> list[str]:
     """
     unique: dict[str, None] = {}
     for name in names:
-        stem = _NOT_IN_XML.sub("_", name) or "_"
-        numbered = (f"{stem}_{number}" for number in count(2))
-        unique[next(n for n in chain([stem], numbered) if n not in unique)] = None
+        unique[unique_name(_NOT_IN_XML.sub("_", name) or "_", unique)] = None
     return list(unique)
 
 

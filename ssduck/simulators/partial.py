@@ -22,10 +22,15 @@ def unsupported(action: str, instead: str = "") -> Callable[..., Any]:
         action: what the simulator cannot do, to follow "cannot".
         instead: what the user can do instead, for the end of the message.
     """
+    advice = f"; {instead}" if instead else ""
+    return _refusing(f"{{0.__class__.__name__}} cannot {action}{advice}")
+
+
+def _refusing(message: str) -> Callable[..., Any]:
+    """Returns a method that raises `UnsupportedError`; {0} in its message is the simulator."""
 
     def refuse(self: object, *_: Any, **__: Any) -> NoReturn:
-        advice = f"; {instead}" if instead else ""
-        raise UnsupportedError(f"{type(self).__name__} cannot {action}{advice}")
+        raise UnsupportedError(message.format(self))
 
     return refuse
 
@@ -102,32 +107,19 @@ class StaticSimulator(PartialSimulator):
     def read_contacts(self) -> ContactPoints:
         return self.contacts
 
-    def step(self, count: int) -> None:  # noqa: ARG002
-        raise UnsupportedError(
-            f"{self.description} is not simulated: it cannot be stepped; step the world that it "
-            "was taken from"
-        )
-
-    def _refuse_change(self, *_: Any) -> NoReturn:
-        raise UnsupportedError(
-            f"{self.description} does not change: ask what if, "
-            "world.what_if({name: pose}, joints={name: {joint: value}})"
-        )
-
-    begin_episode = set_clock = place = set_joints = drive = enable = show = remove = _refuse_change
-    has_constraint = add_constraint = remove_constraint = _refuse_change
-
-    def _refuse_rays(self, *_: Any) -> NoReturn:
-        raise UnsupportedError(
-            f"sensors perceive nothing in {self.description}: no simulation casts their rays"
-        )
-
-    cast_rays = photograph = _refuse_rays
-
-    def render(self, *_: Any, **__: Any) -> NoReturn:
-        raise UnsupportedError(f"{self.description} has no picture: no simulator draws it")
-
-    segment = render
+    step = _refusing(
+        "{0.description} is not simulated: it cannot be stepped; step the world that it was taken "
+        "from"
+    )
+    begin_episode = set_clock = place = set_joints = drive = enable = show = remove = _refusing(
+        "{0.description} does not change: ask what if, "
+        "world.what_if({{name: pose}}, joints={{name: {{joint: value}}}})"
+    )
+    has_constraint = add_constraint = remove_constraint = place
+    cast_rays = photograph = _refusing(
+        "sensors perceive nothing in {0.description}: no simulation casts their rays"
+    )
+    render = segment = _refusing("{0.description} has no picture: no simulator draws it")
 
     def close(self) -> None:
         """Does nothing: it holds no resources."""

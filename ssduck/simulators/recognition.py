@@ -39,7 +39,9 @@ _Path: TypeAlias = tuple[str, ...]
 
 def simulator_of(simulation: Any) -> str:
     """Returns the name of the simulator of a client, a model with its data, or an environment."""
-    candidate = simulation() if callable(simulation) and not _has_parts(simulation) else simulation
+    candidate = simulation
+    if callable(simulation) and (isinstance(simulation, type) or parts_of(simulation) is None):
+        candidate = simulation()
     if validation.is_integer(candidate) or any(hasattr(candidate, name) for name in _CLIENTS):
         return DEFAULT_BACKEND
     if parts_of(candidate) is not None:
@@ -83,7 +85,7 @@ def parts_of(simulation: Any) -> tuple[Any, Any] | None:
             return None
         model, data = (_own(part, name) for part, name in zip(simulation, _NAMES, strict=True))
         return None if model is None or data is None else (model, data)
-    return next((pair for _, pair in _places(simulation, _MAX_DEPTH, ())), None)
+    return next((pair for _, pair in _places(simulation)), None)
 
 
 def parts_finder(simulation: Any) -> Callable[[], tuple[Any, Any] | None]:
@@ -102,7 +104,7 @@ def parts_finder(simulation: Any) -> Callable[[], tuple[Any, Any] | None]:
                 model, data = getters[0](simulation), getters[1](simulation)
                 if (type(model), type(data)) == types:
                     return model, data
-        found = next(_places(simulation, _MAX_DEPTH, ()), None)
+        found = next(_places(simulation), None)
         if found is None:
             getters = types = ()
             return None
@@ -116,21 +118,23 @@ def parts_finder(simulation: Any) -> Callable[[], tuple[Any, Any] | None]:
 
 def client_of(simulation: Any) -> int | None:
     """Returns the number of the PyBullet client of an environment; None if it has none."""
-    return next(_clients(simulation, _MAX_DEPTH), None)
+    for _, part in _kept_in(simulation):
+        for name in _CLIENTS:
+            client = getattr(part, name, None)
+            for number in (client, getattr(client, _CLIENTS[0], None)):
+                if number is not None and validation.is_integer(number):
+                    return int(number)
+    return None
 
 
-def _clients(simulation: Any, depth: int) -> Iterator[int]:
-    """Yields the numbers of the clients of an object, the outermost first."""
-    for name in _CLIENTS:
-        client = getattr(simulation, name, None)
-        for number in (client, getattr(client, _CLIENTS[0], None)):
-            if number is not None and validation.is_integer(number):
-                yield int(number)
+def _kept_in(part: Any, depth: int = _MAX_DEPTH, path: _Path = ()) -> Iterator[tuple[_Path, Any]]:
+    """Yields an object, and those that it keeps, the outermost first, after the ways to them."""
+    yield path, part
     if depth:
         for name in _INNER:
-            inner = getattr(simulation, name, None)
-            if inner is not None and inner is not simulation:
-                yield from _clients(inner, depth - 1)
+            inner = getattr(part, name, None)
+            if inner is not None and inner is not part:
+                yield from _kept_in(inner, depth - 1, (*path, name))
 
 
 def simulator_of_scene(scene: Scene) -> str:
@@ -161,23 +165,13 @@ def _is_mjcf(path: Path) -> bool:
 _NAMES = ("MjModel", "MjData")
 
 
-def _has_parts(simulation: Any) -> bool:
-    return not isinstance(simulation, type) and parts_of(simulation) is not None
-
-
-def _places(
-    simulation: Any, depth: int, path: _Path
-) -> Iterator[tuple[tuple[_Path, _Path], tuple[Any, Any]]]:
+def _places(simulation: Any) -> Iterator[tuple[tuple[_Path, _Path], tuple[Any, Any]]]:
     """Yields the models and data of an object, the outermost first, after the ways to them."""
-    model, to_model = _found(getattr(simulation, "model", None), _NAMES[0])
-    data, to_data = _found(getattr(simulation, "data", None), _NAMES[1])
-    if model is not None and data is not None:
-        yield ((*path, "model", *to_model), (*path, "data", *to_data)), (model, data)
-    if depth:
-        for name in _INNER:
-            inner = getattr(simulation, name, None)
-            if inner is not None and inner is not simulation:
-                yield from _places(inner, depth - 1, (*path, name))
+    for path, part in _kept_in(simulation):
+        model, to_model = _found(getattr(part, "model", None), _NAMES[0])
+        data, to_data = _found(getattr(part, "data", None), _NAMES[1])
+        if model is not None and data is not None:
+            yield ((*path, "model", *to_model), (*path, "data", *to_data)), (model, data)
 
 
 def _own(part: Any, name: str) -> Any:

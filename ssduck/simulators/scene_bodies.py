@@ -128,12 +128,11 @@ def read_body(table: TomlTable, folder: Path) -> BodySpec:
     """Reads a `[[body]]` table; model files are relative to a folder."""
     kind = table.text("kind", "") or None
     if kind not in (None, "robot", "kinbody"):
-        table.fail(
-            "kind",
-            f"{kind!r} is neither 'robot' nor 'kinbody'",
-            nearest(kind, ("robot", "kinbody")),
-        )
-    name = _name(table)
+        near = nearest(kind, ("robot", "kinbody"))
+        table.fail("kind", f"{kind!r} is neither 'robot' nor 'kinbody'", near)
+    # An SDF or MJCF file may name its bodies.
+    may_lack_name = "name" not in table.values and {"sdf", "mjcf"} & table.values.keys()
+    name = table.text("name", "") or None if may_lack_name else table.text("name")
     source = table.one_of((*MODEL_FILES, *PRIMITIVES))
     fixed = table.flag("fixed", source == "plane")
     velocity = BodySpec.velocity
@@ -178,18 +177,15 @@ def read_floor(table: TomlTable) -> BodySpec:
     return BodySpec(FLOOR, None, model, position=(0.0, 0.0, height), fixed=True, visible=visible)
 
 
-def _name(table: TomlTable) -> str | None:
-    """Returns the name of a body; None if it is left to an SDF or MJCF file."""
-    if "name" not in table.values and ("sdf" in table.values or "mjcf" in table.values):
-        return table.text("name", "") or None
-    return table.text("name")
-
-
 def _model(table: TomlTable, key: str, folder: Path) -> Path:
     """Returns the path of a model file."""
     file = table.text(key)
-    model = _existing(folder / file)
-    if model is None:
+    try:
+        model = (folder / file).resolve()
+        is_there = model.is_file()
+    except (OSError, RuntimeError, ValueError):  # the name is too long, a link to itself, or NUL
+        is_there = False
+    if not is_there:
         where = "" if Path(file).is_absolute() else " beside the scene file"
         table.fail(key, f"there is no file {file!r}{where}")
     suffixes = MODEL_FILES[key]
@@ -198,15 +194,6 @@ def _model(table: TomlTable, key: str, folder: Path) -> Path:
         right = tuple(name for name, endings in MODEL_FILES.items() if suffix in endings)
         table.fail(key, f"{model.name!r} does not end in {' or '.join(suffixes)}", right)
     return model
-
-
-def _existing(file: Path) -> Path | None:
-    """Returns the path of a file, without links; None if there is none of that name."""
-    try:
-        file = file.resolve()
-        return file if file.is_file() else None
-    except (OSError, RuntimeError, ValueError):  # the name is too long, a link to itself, or NUL
-        return None
 
 
 def _primitive(table: TomlTable, type: str, fixed: bool) -> Primitive:

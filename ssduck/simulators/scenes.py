@@ -17,7 +17,7 @@ from typing import Any
 from ssduck.errors import ArgumentError, SceneError, UnknownNameError, nearest
 from ssduck.formatting import joined_names, short_repr
 from ssduck.simulators.scene_bodies import MODEL_SUFFIXES, BodySpec, read_body, read_floor
-from ssduck.simulators.sensor_types import SENSOR_TYPES, SensorSetting, SensorType
+from ssduck.simulators.sensor_types import SENSOR_TYPES, SensorSetting
 from ssduck.simulators.toml_reader import REQUIRED, Quaternion, TomlTable, Vector
 
 
@@ -175,6 +175,14 @@ class Scene:
     simulator: str | None = None
 
     @property
+    def entries(self) -> list[tuple[BodySpec, str]]:
+        """The floor and the bodies, with what errors put before their keys."""
+        # A model by itself has no entry in a scene's file.
+        place = "" if self.path.suffix.lower() in MODEL_SUFFIXES else f"{self.path}: body[%d]."
+        bodies = [(spec, place and place % n) for n, spec in enumerate(self.bodies)]
+        return [(self.floor, ""), *bodies] if self.floor else bodies
+
+    @property
     def model_file(self) -> Path | None:
         """The model file that is loaded by itself; None for the bodies of a scene file."""
         model = self.bodies[0].model if len(self.bodies) == 1 else None
@@ -183,14 +191,10 @@ class Scene:
 
 def shipped_scenes() -> dict[str, Path]:
     """Returns the scenes that come with ssduck: the path of the scene file by name."""
-    return {path.parent.name: path for path in sorted(_shipped_folder().glob("*/scene.toml"))}
-
-
-def _shipped_folder() -> Path:
-    """Returns the folder of the scenes: inside the package in a wheel, beside it in a checkout."""
     package = Path(str(files("ssduck")))
-    inside = package / "scenes"
-    return inside if inside.is_dir() else package.parent / "scenes"
+    inside = package / "scenes"  # in a wheel; in a checkout they are beside the package
+    folder = inside if inside.is_dir() else package.parent / "scenes"
+    return {path.parent.name: path for path in sorted(folder.glob("*/scene.toml"))}
 
 
 def find_scene(name: str | Path) -> Scene:
@@ -256,7 +260,9 @@ def _scene(table: TomlTable, path: Path) -> Scene:
     first = () if floor is None else (floor,)
     _check_unique(path, "body", [body.name for body in bodies], first)
     everything = (*first, *bodies)
-    names = _names_of(everything)
+    # Files may name some bodies.
+    all_named = all(body.is_named for body in everything)
+    names = {str(body.name) for body in everything} if all_named else None
     sensors = tuple(_sensor(entry, names) for entry in table.tables("sensor"))
     _check_unique(path, "sensor", [sensor.name for sensor in sensors], everything)
     constraints = tuple(_constraint(entry, names) for entry in table.tables("constraint"))
@@ -265,18 +271,16 @@ def _scene(table: TomlTable, path: Path) -> Scene:
     if eye == target:
         camera.fail("target", "the target is where the camera is")
     engine = table.table("engine")
+    full = path.resolve()  # name.toml, or name/scene.toml
+    stem = full.parent.name if full.name == "scene.toml" else full.stem
     scene = Scene(
-        name=table.text("name", _default_name(path)),
+        name=table.text("name", variable_name(stem)),
         path=path,
         description=table.text("description", "", empty=True),
         gravity=table.vector("gravity", Scene.gravity),
         timestep=table.number("timestep", Scene.timestep, above=0.0),
         time=table.number("time", Scene.time, at_least=0.0),
-        camera=Camera(
-            eye,
-            target,
-            camera.number("fov", Camera.fov, above=0.0, below=180.0),
-        ),
+        camera=Camera(eye, target, camera.number("fov", Camera.fov, above=0.0, below=180.0)),
         floor=floor,
         bodies=bodies,
         sensors=sensors,
@@ -303,12 +307,6 @@ def _floor(table: TomlTable) -> BodySpec | None:
         return read_floor(TomlTable(None, "", {})) if table.flag("floor", False) else None
     floor = table.table("floor", "true, false or a table")
     return read_floor(floor) if "floor" in table.values else None
-
-
-def _names_of(bodies: Sequence[BodySpec]) -> Collection[str] | None:
-    """Returns the names of bodies; None if files name some of them."""
-    names = {str(body.name) for body in bodies}
-    return names if all(body.is_named for body in bodies) else None
 
 
 def check_body(name: str, bodies: Collection[str] | None, place: str) -> None:
@@ -371,20 +369,13 @@ def _sensor(table: TomlTable, bodies: Collection[str] | None) -> SensorSpec:
         orientation=table.quaternion("orientation"),
         period=table.number("period", 0.0, at_least=0.0),
         max_range=table.number("max_range", above=0.0) if kind.has_range else 0.0,
-        settings=_settings(table, kind),
+        settings={setting.name: _setting(table, setting) for setting in kind.settings},
         powered=table.flag("powered", True),
     )
+    if fault := kind.fault(spec.settings):
+        table.fail(*fault)
     table.end()
     return spec
-
-
-def _settings(table: TomlTable, kind: SensorType) -> dict[str, float]:
-    """Returns the settings of a sensor of a type."""
-    settings = {setting.name: _setting(table, setting) for setting in kind.settings}
-    fault = kind.fault(settings)
-    if fault is not None:
-        table.fail(*fault)
-    return settings
 
 
 def _setting(table: TomlTable, setting: SensorSetting) -> float:
@@ -408,12 +399,6 @@ def _check_unique(
     for index, name in enumerate(names):
         if name is not None and (name in other_names or name in names[:index]):
             raise SceneError(f"{path}: {table}[{index}].name: {name!r} is there already")
-
-
-def _default_name(path: Path) -> str:
-    """Returns the name of a scene by its file: `name.toml`, or `name/scene.toml`."""
-    full = path.resolve()
-    return variable_name(full.parent.name if full.name == "scene.toml" else full.stem)
 
 
 def variable_name(text: str) -> str:

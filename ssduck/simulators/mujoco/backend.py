@@ -17,13 +17,7 @@ from ssduck.errors import (
     warn,
 )
 from ssduck.formatting import joined_names, short_repr
-from ssduck.simulators.backends import (
-    MJCF_FILE,
-    BodyToCopy,
-    ShapesByBody,
-    TickToCopy,
-    mjcf_scene,
-)
+from ssduck.simulators.backends import MJCF_FILE, BodyToCopy, ShapesByBody, TickToCopy, mjcf_scene
 from ssduck.simulators.interface import Body, Kind, Simulator, VisualShape
 from ssduck.simulators.model_xml import STATE_KEY
 from ssduck.simulators.mujoco import rendering

@@ -20,7 +20,7 @@ import numpy as np
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.interface import SCALAR_JOINTS, Body, Joint, Kind, Link
-from ssduck.simulators.model_xml import KIND_PREFIX
+from ssduck.simulators.model_xml import KIND_PREFIX, MJCF_SIZES
 from ssduck.simulators.mujoco.contacts import margins_of
 from ssduck.simulators.mujoco.flexes import entity_roots, flex_names, flex_shapes
 from ssduck.simulators.mujoco.library import mujoco
@@ -32,6 +32,10 @@ _JOINT_TYPES = {
     int(_JOINT.mjJNT_BALL): "spherical",
     int(_JOINT.mjJNT_SLIDE): "prismatic",
     int(_JOINT.mjJNT_HINGE): "revolute",
+}
+# The primitives by MuJoCo's numbers.
+_PRIMITIVES: Mapping[int, Any] = {
+    int(getattr(_GEOM, f"mjGEOM_{name.upper()}")): name for name in MJCF_SIZES
 }
 # The arrays of a model that describe shapes and joints, and that users may change at any time.
 _MUTABLE = (
@@ -165,10 +169,8 @@ class ModelReader:
     def _body(self, root: int, links: range) -> Body:
         model = self._model
         joints = tuple(self._joint(n, link - root) for link in links for n in self._joints[link])
-        name, kind = self._root_names[root], kind_by_joints(joints)
-        own_name = self._flex_names.get(root, name)
-        if root in self._flex_names:
-            kind = "kinbody"
+        name, own_name = self._root_names[root], self._flex_names.get(root, self._root_names[root])
+        kind: Kind = "kinbody" if root in self._flex_names else kind_by_joints(joints)
         return Body(
             handle=root,
             name=self._names.get(name, self._names.get(root, own_name)),
@@ -234,14 +236,8 @@ class ModelReader:
         model = self._model
         geometry, centre, is_exact = geometry_of(model, number)
         geometry = self._geometries.setdefault(number, geometry)
-        position, orientation = model.geom_pos[number].copy(), model.geom_quat[number].copy()
-        if centre.any():
-            matrix = np.zeros(9)
-            mujoco.mju_quat2Mat(matrix, orientation)
-            position += matrix.reshape(3, 3) @ centre
-        return PlacedGeometry(
-            link, geometry, position, orientation, self._margins[number], is_exact
-        )
+        pose = pose_of(model, number, centre)
+        return PlacedGeometry(link, geometry, *pose, self._margins[number], is_exact)
 
 
 def kind_by_joints(joints: Iterable[Joint]) -> Kind:
@@ -280,6 +276,14 @@ def sites_on(model: Any, links: range) -> list[int]:
 def numbers_of(body: Body) -> range:
     """Returns MuJoCo's numbers of the bodies that are the links of a body, without its sites."""
     return range(body.handle, body.handle + body.rigid_count)
+
+
+def joint_numbers(model: Any, bodies: Sequence[Body]) -> Indices:
+    """Returns MuJoCo's numbers of the joints of some bodies, in order."""
+    first, count = model.body_jntadr, model.body_jntnum
+    links = [number for body in bodies for number in numbers_of(body)]
+    numbers = [number for n in links for number in range(first[n], first[n] + count[n])]
+    return np.array(numbers, dtype=np.intp)
 
 
 def parts_of(model: Any, body: Body, disabled: Indices | None = None) -> Indices:
@@ -333,6 +337,16 @@ def geometry_of(model: Any, number: int) -> tuple[Geometry, Array, bool]:
     return Geometry.primitive("box", 2 * box[3:]), box[:3].copy(), False
 
 
+def pose_of(model: Any, number: int, centre: Array) -> tuple[Array, Array]:
+    """Returns the pose, in the frame of its body, of a shape with a centre in the geom's frame."""
+    position, orientation = model.geom_pos[number].copy(), model.geom_quat[number].copy()
+    if centre.any():
+        matrix = np.zeros(9)
+        mujoco.mju_quat2Mat(matrix, orientation)
+        position += matrix.reshape(3, 3) @ centre
+    return position, orientation
+
+
 def region_of(model: Any, number: int) -> Geometry:
     """Returns the region of a site."""
     size = model.site_size[number]
@@ -342,18 +356,11 @@ def region_of(model: Any, number: int) -> Geometry:
 
 def _primitive(type: int, size: Sequence[float]) -> Geometry | None:
     """Returns the shape of a geom or a site; None for a plane, a mesh and a field."""
-    a, b, c = size
-    if type == _GEOM.mjGEOM_BOX:
-        return Geometry.primitive("box", (2 * a, 2 * b, 2 * c))
-    if type == _GEOM.mjGEOM_SPHERE:
-        return Geometry.primitive("sphere", (a, 0, 0))
-    if type == _GEOM.mjGEOM_CAPSULE:
-        return Geometry.primitive("capsule", (a, 2 * b, 0))
-    if type == _GEOM.mjGEOM_CYLINDER:
-        return Geometry.primitive("cylinder", (a, 2 * b, 0))
-    if type == _GEOM.mjGEOM_ELLIPSOID:
-        return Geometry.primitive("ellipsoid", (a, b, c))
-    return None
+    if type not in _PRIMITIVES:
+        return None
+    name = _PRIMITIVES[type]
+    sizes = [n / part for n, part in zip(size, MJCF_SIZES[name], strict=False)]
+    return Geometry.primitive(name, (*sizes, 0.0, 0.0)[:3])
 
 
 def _hull_vertices(model: Any, mesh: int) -> Array:
@@ -372,30 +379,16 @@ def _hull_vertices(model: Any, mesh: int) -> Array:
 
 def is_same(one: Body, other: Body) -> bool:
     """Checks whether two descriptions of a body are the same but for their identity."""
-    return (
-        (one.handle, one.name, one.kind, one.movable, one.joints)
-        == (other.handle, other.name, other.kind, other.movable, other.joints)
-        and list(map(_link_key, one.links)) == list(map(_link_key, other.links))
-        and len(one.shapes) == len(other.shapes)
-        and all(map(_is_same_shape, one.shapes, other.shapes))
-    )
+    return _content(one) == _content(other)
 
 
-def _link_key(link: Link) -> tuple[str, int, str | None]:
-    return link.name, link.parent, None if link.region is None else link.region.key
-
-
-def _is_same_shape(one: PlacedGeometry, other: PlacedGeometry) -> bool:
-    return (
-        (one.frame, one.geometry.key, one.exact) == (other.frame, other.geometry.key, other.exact)
-        and np.array_equal(one.position, other.position)
-        and np.array_equal(one.orientation, other.orientation)
-    )
-
-
-def inexact(bodies: Sequence[Body]) -> Iterator[str]:
-    """Yields the names of bodies with a shape that a box stands in for."""
-    return (body.name for body in bodies if body.has_stand_ins and not body.bends)
+def _content(body: Body) -> tuple[Any, ...]:
+    links = [(link.name, link.parent, link.region and link.region.key) for link in body.links]
+    shapes = [
+        (shape.frame, shape.geometry.key, shape.exact, *shape.position, *shape.orientation)
+        for shape in body.shapes
+    ]
+    return body.handle, body.name, body.kind, body.movable, body.joints, links, shapes
 
 
 def height_field(model: Any, number: int) -> Geometry:
@@ -413,34 +406,24 @@ def height_field(model: Any, number: int) -> Geometry:
     x, y = np.meshgrid(xs, ys)
     top = np.column_stack((x.reshape(-1), y.reshape(-1), heights))
     numbers = np.arange(rows * columns).reshape(rows, columns)
-    outline = _outline(numbers)
+    # The vertices of the outline, to the left around it.
+    sides = numbers[0, :-1], numbers[:-1, -1], numbers[-1, :0:-1], numbers[:0:-1, 0]
+    outline = np.concatenate(sides)
     below = len(top) + np.arange(len(outline))
     bottom = top[outline]
     bottom[:, 2] = -depth
     centre = np.array([[0.0, 0.0, -depth]])
     following, following_below = np.roll(outline, -1), np.roll(below, -1)
     middle = np.full(len(below), len(top) + len(below))
-    faces = np.concatenate(
-        (
-            _cells(numbers),
-            np.column_stack((outline, below, following_below)),
-            np.column_stack((outline, following_below, following)),
-            np.column_stack((below, middle, following_below)),
-        )
-    )
-    vertices = np.concatenate((top, bottom, centre))
-    return Geometry("mesh", (0.0, 0.0, 0.0), vertices, faces.astype(np.int32))
-
-
-def _cells(numbers: Indices) -> Indices:
-    """Returns the two triangles of each cell of a grid of vertices, seen from above."""
     here, right = numbers[:-1, :-1].reshape(-1), numbers[:-1, 1:].reshape(-1)
     ahead, diagonal = numbers[1:, :-1].reshape(-1), numbers[1:, 1:].reshape(-1)
-    lower = np.column_stack((here, right, diagonal))
-    return np.concatenate((lower, np.column_stack((here, diagonal, ahead))))
-
-
-def _outline(numbers: Indices) -> Indices:
-    """Returns the vertices of the outline of a grid, to the left around it."""
-    sides = (numbers[0, :-1], numbers[:-1, -1], numbers[-1, :0:-1], numbers[:0:-1, 0])
-    return np.concatenate(sides)
+    triangles = (
+        (here, right, diagonal),
+        (here, diagonal, ahead),
+        (outline, below, following_below),
+        (outline, following_below, following),
+        (below, middle, following_below),
+    )
+    vertices = np.concatenate((top, bottom, centre))
+    faces = np.hstack(triangles).T.astype(np.int32)
+    return Geometry("mesh", (0.0, 0.0, 0.0), vertices, faces)

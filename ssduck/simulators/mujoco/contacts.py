@@ -21,7 +21,6 @@ from ssduck.simulators.interface import ContactPoints
 from ssduck.simulators.mujoco.flexes import Flex, entity_roots, flexes_of
 from ssduck.simulators.mujoco.library import copied_data, mujoco
 
-# The largest number of contacts whose forces are compared one by one, which is faster then.
 # Of the numbers of a wrench, those that are forces; the others are moments.
 _FORCE_AXES = 3
 _PYRAMIDAL = int(mujoco.mjtCone.mjCONE_PYRAMIDAL)
@@ -90,12 +89,8 @@ class StepContacts:
 
     def only(self, are_chosen: Flags) -> Self:
         """Returns some of them."""
-        chosen = {name: values[are_chosen] for name, values in self._of_contacts().items()}
-        return replace(self, **chosen)
-
-    def _of_contacts(self) -> dict[str, Any]:
-        """Returns the arrays of contacts by their names."""
-        return {name: values for name, values in vars(self).items() if name != "efc_forces"}
+        values = {name: array for name, array in vars(self).items() if name != "efc_forces"}
+        return replace(self, **{name: array[are_chosen] for name, array in values.items()})
 
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
@@ -118,8 +113,14 @@ class SleepingContacts:
     def __init__(self) -> None:
         self._known: tuple[tuple[bytes, ...], StepContacts] | None = None
 
-    def complete(self, model: Any, data: Any, owners: Owners) -> StepContacts:
+    def read(
+        self, model: Any, data: Any, owners: Owners, only: Collection[int] | None = None
+    ) -> MuJoCoContacts:
         """Returns the contacts of the last step, with those of sleeping bodies."""
+        contacts = self._complete(model, data, owners)
+        return MuJoCoContacts(contacts, owners.roots, only, bool(model.opt.cone == _PYRAMIDAL))
+
+    def _complete(self, model: Any, data: Any, owners: Owners) -> StepContacts:
         listed = StepContacts.of(data, owners)
         if not (model.opt.enableflags & _SLEEP):
             return listed
@@ -133,22 +134,17 @@ class SleepingContacts:
         key = sleepers.tobytes(), *poses, bytes([model.opt.cone])
         is_awake = ~is_asleep[trees] & (trees >= 0)
         if self._known is None or self._known[0] != key:
-            known = _awakened(model, data, owners)
+            copied = copied_data(model, data, mujoco.MjData(model))
+            flags = model.opt.enableflags
+            try:
+                model.opt.enableflags = flags & ~_SLEEP
+                mujoco.mj_forward(model, copied)
+            finally:
+                model.opt.enableflags = flags
+            known = StepContacts.of(copied, owners)
             self._known = key, known.only(~is_awake[known.bodies].any(axis=1))
         awake = listed.only(is_awake[listed.bodies].any(axis=1))
         return StepContacts.joined((awake, self._known[1]))
-
-
-def _awakened(model: Any, data: Any, owners: Owners) -> StepContacts:
-    """Returns the contacts of the present state if no body slept."""
-    copied = copied_data(model, data, mujoco.MjData(model))
-    flags = model.opt.enableflags
-    try:
-        model.opt.enableflags = flags & ~_SLEEP
-        mujoco.mj_forward(model, copied)
-    finally:
-        model.opt.enableflags = flags
-    return StepContacts.of(copied, owners)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,14 +162,6 @@ class MuJoCoContacts:
     # step before they were left out.
     only: Collection[int] | None
     is_pyramidal: bool  # whether the friction cones of the step were pyramids
-
-    @classmethod
-    def of(
-        cls, model: Any, contacts: StepContacts, owners: Owners, only: Collection[int] | None
-    ) -> Self:
-        """Returns those of the last step of a model."""
-        is_pyramidal = bool(model.opt.cone == _PYRAMIDAL)
-        return cls(contacts, owners.roots, only, is_pyramidal=is_pyramidal)
 
     @cached_property
     def _roots(self) -> Indices:
@@ -205,26 +193,19 @@ class MuJoCoContacts:
         return self._wrenches(np.arange(len(self._roots)))
 
     @cached_property
-    def _are_kept(self) -> Flags:
-        """Which contacts count, (n,)."""
-        are_kept: Flags = (self._roots >= 0).all(axis=1) & (
-            (self.contacts.distances <= 0.0) | (self._every_wrench[:, 0] > 0.0)
-        )
-        if self.only is not None:
-            are_kept &= np.isin(self._roots, list(self.only)).all(axis=1)
-        return are_kept
-
-    @cached_property
     def _all(self) -> ContactPoints:
-        roots, is_kept = self._roots, self._are_kept
-        forces = self._every_wrench[:, :_FORCE_AXES]
-        if not is_kept.any():
+        roots, forces = self._roots, self._every_wrench[:, :_FORCE_AXES]
+        are_kept = (roots >= 0).all(axis=1)
+        are_kept &= (self.contacts.distances <= 0.0) | (forces[:, 0] > 0.0)
+        if self.only is not None:
+            are_kept &= np.isin(roots, list(self.only)).all(axis=1)
+        if not are_kept.any():
             return ContactPoints.none()
         frames, depths = self.contacts.frames.reshape(-1, 3, 3), -self.contacts.distances
         middles, bodies = self.contacts.middles, self.contacts.bodies
-        if not is_kept.all():
-            forces, roots, bodies = forces[is_kept], roots[is_kept], bodies[is_kept]
-            frames, depths, middles = frames[is_kept], depths[is_kept], middles[is_kept]
+        if not are_kept.all():
+            forces, roots, bodies = forces[are_kept], roots[are_kept], bodies[are_kept]
+            frames, depths, middles = frames[are_kept], depths[are_kept], middles[are_kept]
         return ContactPoints(
             bodies=roots,
             links=bodies - roots,
@@ -311,8 +292,9 @@ def margins_of(model: Any) -> Margins:
     keys = np.column_stack((own, gaps, np.where(is_of_pair, np.arange(len(own)), -1)))
     kinds, classes = np.unique(keys, axis=0, return_inverse=True)
     classes = classes.reshape(-1)
-    of_classes = _combined(kinds[:, 0], are_added) - _combined(kinds[:, 1], are_added)
-    of_classes = np.maximum(of_classes, 0.0)
+    combine = np.add if are_added else np.maximum
+    of_classes = combine(kinds[:, None, :2], kinds[:, :2])  # of each two classes: margins, gaps
+    of_classes = np.maximum(of_classes[..., 0] - of_classes[..., 1], 0.0)
     one, other = classes[first], classes[second]
     of_classes[one, other] = of_classes[other, one] = of_pairs
     # A half of the largest: the sum of two is at least their margin.
@@ -320,10 +302,3 @@ def margins_of(model: Any) -> Margins:
     if np.array_equal(numbers[:, None] + numbers, of_classes):
         return Margins(numbers[classes])
     return Margins(numbers[classes], classes, of_classes)
-
-
-def _combined(numbers: Array, are_added: bool) -> Array:
-    """Returns what the numbers of each two classes make."""
-    combine = np.add if are_added else np.maximum
-    combined: Array = combine(numbers[:, None], numbers)
-    return combined

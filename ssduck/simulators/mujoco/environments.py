@@ -31,8 +31,8 @@ from ssduck.simulators.environments import (
     to_numpy,
 )
 from ssduck.simulators.interface import SCALAR_JOINTS, Body, ContactPoints, LinkPoses
-from ssduck.simulators.mujoco.bodies import numbers_of, sites_on
-from ssduck.simulators.mujoco.contacts import MuJoCoContacts, Owners, SleepingContacts
+from ssduck.simulators.mujoco.bodies import joint_numbers, numbers_of, sites_on
+from ssduck.simulators.mujoco.contacts import Owners, SleepingContacts
 from ssduck.simulators.mujoco.library import mujoco
 from ssduck.simulators.mujoco.readings import LinkReader
 from ssduck.simulators.mujoco.simulator import MuJoCoSimulator
@@ -51,16 +51,16 @@ def environments_of(model: Any, count: int) -> EnvironmentSimulator:
     simulator = MuJoCoSimulator(lambda: (model, data), owned=False)
     described = simulator.describe()
     bodies = [] if described is None else described[0]
-    states = MuJoCoEnvironments(model, data, count, simulator)
+    states = MuJoCoEnvironments(model, data, count)
     return EnvironmentSimulator(bodies, states, simulator, simulator.read_margins)
 
 
 class MuJoCoEnvironments(Environments):
     """The states of environments of a model; its data is what kinematics are computed with."""
 
-    def __init__(self, model: Any, data: Any, count: int, simulator: MuJoCoSimulator) -> None:
+    def __init__(self, model: Any, data: Any, count: int) -> None:
         super().__init__(count)
-        self._model, self._data, self._simulator = model, data, simulator
+        self._model, self._data = model, data
         self._shapes: dict[str, tuple[int, ...]] = {
             "xpos": (model.nbody, 3),
             "xquat": (model.nbody, 4),
@@ -146,10 +146,8 @@ class MuJoCoEnvironments(Environments):
             for name, parts in zip(names, columns, strict=True)
         }
         self._arrays, self._contacts, self.sample = stacked, None, None
-        self._columns = {}
-        self._missing = frozenset()
-        self.times = np.array([state.time for state in states])
-        self.has_times = True
+        self._columns, self._missing = {}, frozenset()
+        self.times, self.has_times = np.array([state.time for state in states]), True
         self._read_contacts = partial(self._contacts_in, tuple(states), self.times.copy())
         if self._wants_contacts:
             self._contacts = self._read_contacts()
@@ -164,10 +162,7 @@ class MuJoCoEnvironments(Environments):
         self._wants_contacts = True
         if self._owners is None:
             self._owners = Owners.of(self._model)
-        owners, of_each = self._owners, []
-        for state in states:
-            contacts = SleepingContacts().complete(self._model, state, owners)
-            of_each.append(MuJoCoContacts.of(self._model, contacts, owners, None))
+        of_each = [SleepingContacts().read(self._model, one, self._owners) for one in states]
         points, counts = ContactPoints.joined(of_each)
         return EnvironmentContacts(np.repeat(np.arange(self.count), counts), points)
 
@@ -223,7 +218,7 @@ class MuJoCoEnvironments(Environments):
         if body.links[link].region is None:
             return self._column("xpos", number), orientations
         self._check_known("places of sites", "site_xpos")
-        site = self._site(body, link)
+        site = sites_on(self._model, numbers_of(body))[link - body.rigid_count]
         turn = np.broadcast_to(self._model.site_quat[site], orientations.shape)
         return self._column("site_xpos", site), multiply(orientations, turn)
 
@@ -239,16 +234,12 @@ class MuJoCoEnvironments(Environments):
 
     def joints(self, body: Body) -> Array:
         if body not in self._joint_numbers:
-            self._joint_numbers[body] = self._simulator.joint_numbers([body])
+            self._joint_numbers[body] = joint_numbers(self._model, [body])
         numbers = self._joint_numbers[body]
-        positions = self._model.jnt_qposadr[numbers]
-        velocities = self._model.jnt_dofadr[numbers]
-        columns = [
-            self._joint_column("qpos", positions),
-            self._joint_column("qvel", velocities),
-            self._joint_column("qfrc_actuator", velocities),
-        ]
-        values = np.stack(columns, axis=-1)
+        positions, velocities = self._model.jnt_qposadr[numbers], self._model.jnt_dofadr[numbers]
+        places = {"qpos": positions, "qvel": velocities, "qfrc_actuator": velocities}
+        columns = [self._arrays[name][:, own] for name, own in places.items()]
+        values = np.stack(columns, axis=-1, dtype=np.float64)
         values[:, [joint.type not in SCALAR_JOINTS for joint in body.joints]] = np.nan
         return values
 
@@ -282,17 +273,10 @@ class MuJoCoEnvironments(Environments):
             self._columns[key] = np.array(own.T, np.float64, order="C").T
         return self._columns[key]
 
-    def _joint_column(self, name: str, places: Indices) -> Array:
-        return np.array(self._arrays[name][:, places], np.float64)
-
     def _number(self, body: Body, link: int) -> int:
         """Returns MuJoCo's number of a link's body, of a site that of its parent."""
         is_site = body.links[link].region is not None
         return body.handle + (body.links[link].parent if is_site else link)
-
-    def _site(self, body: Body, link: int) -> int:
-        sites: list[int] = list(sites_on(self._model, numbers_of(body)))
-        return sites[link - body.rigid_count]
 
     def _contacts_of(self, contact: Any, efc_forces: Any) -> EnvironmentContacts:
         """Returns contacts from arrays (n, m, …), without those that do not meet."""

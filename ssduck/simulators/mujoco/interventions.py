@@ -12,7 +12,7 @@ actuator pulls the joint towards a position, a velocity actuator towards a veloc
 from __future__ import annotations
 
 import copy
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ssduck.errors import StateError, UnsupportedError
-from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.arrays import Flags, Indices
 from ssduck.geometry.poses import compose, invert
 from ssduck.simulators.interface import Body, Joint, MotorTarget
 from ssduck.simulators.mujoco.bodies import colliding_geoms, name_of, numbers_of
@@ -48,61 +48,43 @@ class Switches:
     model: Any
     disabled: frozenset[Body] = frozenset()
     hidden: frozenset[Body] = frozenset()
-    _saved: dict[tuple[str, Body], dict[str, tuple[Indices, Array]]] = field(default_factory=dict)
+    _saved: dict[tuple[_Off, Body], list[_Numbers]] = field(default_factory=dict)
 
     @property
     def disabled_geoms(self) -> Indices:
         """The geoms, then the flexes, that would collide if their bodies were not disabled."""
-        saved = [self._saved["enable", body] for body in self.disabled]
-        geoms = [parts["geom_contype"][0] for parts in saved]
-        flexes = [parts["flex_contype"][0] + self.model.ngeom for parts in saved]
+        saved = [number for body in self.disabled for number in self._saved[_uncollided, body]]
+        geoms = [numbers for name, numbers, _ in saved if name == "geom_contype"]
+        flexes = [
+            numbers + self.model.ngeom for name, numbers, _ in saved if name == "flex_contype"
+        ]
         return np.concatenate([np.zeros(0, np.intp), *geoms, *flexes])
 
     def enable(self, body: Body, on: bool) -> None:
         """Switches the collisions of a body on or off."""
-        if on != (body in self.disabled):
-            return
-        if on:
-            self._restore("enable", body)
-            self.disabled -= {body}
-            return
-        model = self.model
-        numbers = colliding_geoms(model)
-        numbers = numbers[np.isin(model.geom_bodyid[numbers], numbers_of(body))]
-        pairs = np.isin(model.pair_geom1, numbers) | np.isin(model.pair_geom2, numbers)
-        self._set("enable", body, ("geom_contype", "geom_conaffinity"), numbers, 0)
-        are_of_body = np.isin(np.arange(model.nbody), numbers_of(body))
-        flexes = flexes_on(model, are_of_body)
-        self._set("enable", body, ("flex_contype", "flex_conaffinity"), flexes, 0)
-        self._set("enable", body, ("pair_margin",), np.flatnonzero(pairs), NEVER)
-        self.disabled |= {body}
+        self.disabled = self._switched(_uncollided, self.disabled, body, on)
 
     def show(self, body: Body, on: bool) -> None:
         """Shows or hides a body."""
-        if on != (body in self.hidden):
-            return
+        self.hidden = self._switched(_undrawn, self.hidden, body, on)
+
+    def _switched(
+        self, numbers_off: _Off, off: frozenset[Body], body: Body, on: bool
+    ) -> frozenset[Body]:
+        """Switches a body on or off; returns the bodies that are off then."""
+        if on != (body in off):
+            return off
         if on:
-            self._restore("show", body)
-            self.hidden -= {body}
-            return
-        model = self.model
-        for part, owners in (("geom", model.geom_bodyid), ("site", model.site_bodyid)):
-            numbers = np.flatnonzero(np.isin(owners, numbers_of(body)))
-            self._set("show", body, (f"{part}_matid",), numbers, -1)
-            self._set("show", body, (f"{part}_rgba",), numbers, 0.0)
-        self.hidden |= {body}
-
-    def _set(
-        self, action: str, body: Body, names: Collection[str], numbers: Indices, value: float
-    ) -> None:
-        saved = self._saved.setdefault((action, body), {})
-        for name in names:
-            array = getattr(self.model, name)
-            saved[name] = numbers, array[numbers].copy()
-            array[numbers] = value
-
-    def _restore(self, action: str, body: Body) -> None:
-        _write(self.model, self._saved.pop((action, body)))
+            _write(self.model, self._saved.pop((numbers_off, body)))
+            return off - {body}
+        changes = list(
+            numbers_off(self.model, np.isin(np.arange(self.model.nbody), numbers_of(body)))
+        )
+        self._saved[numbers_off, body] = [
+            (name, numbers, getattr(self.model, name)[numbers]) for name, numbers, _ in changes
+        ]
+        _write(self.model, changes)
+        return off | {body}
 
     def switched_on(self, model: Any) -> Any:
         """Returns a copy of a copy of the model, in which all bodies collide and are drawn."""
@@ -112,8 +94,32 @@ class Switches:
         return copied
 
 
-def _write(model: Any, saved: Mapping[str, tuple[Indices, Array]]) -> None:
-    for name, (numbers, values) in saved.items():
+# The name of an array of a model, some places in it, and what is to be there.
+_Numbers: TypeAlias = tuple[str, Indices, Any]
+# Yields what switches something off for bodies of a model, by flags (bodies,).
+_Off: TypeAlias = Callable[[Any, Flags], Iterator[_Numbers]]
+
+
+def _uncollided(model: Any, bodies: Flags) -> Iterator[_Numbers]:
+    geoms = colliding_geoms(model)
+    geoms = geoms[bodies[model.geom_bodyid[geoms]]]
+    for part, numbers in (("geom", geoms), ("flex", flexes_on(model, bodies))):
+        yield f"{part}_contype", numbers, 0
+        yield f"{part}_conaffinity", numbers, 0
+    pairs = np.isin(model.pair_geom1, geoms) | np.isin(model.pair_geom2, geoms)
+    yield "pair_margin", np.flatnonzero(pairs), NEVER
+
+
+def _undrawn(model: Any, bodies: Flags) -> Iterator[_Numbers]:
+    for part, owners in (("geom", model.geom_bodyid), ("site", model.site_bodyid)):
+        numbers = np.flatnonzero(bodies[owners])
+        yield f"{part}_matid", numbers, -1
+        yield f"{part}_rgba", numbers, 0.0
+    yield "flex_rgba", flexes_on(model, bodies), 0.0
+
+
+def _write(model: Any, changes: Iterable[_Numbers]) -> None:
+    for name, numbers, values in changes:
         getattr(model, name)[numbers] = values
 
 
@@ -145,36 +151,20 @@ def put_base(
 
 def take_out(model: Any, data: Any, is_gone: Flags) -> None:
     """Takes bodies, (bodies,) flags of whole trees, out of all interactions, and hides them."""
-    of_geoms = is_gone[model.geom_bodyid]
-    model.geom_contype[of_geoms] = model.geom_conaffinity[of_geoms] = 0
-    model.geom_rgba[of_geoms, 3] = 0.0
-    of_flexes = flexes_on(model, is_gone)
-    model.flex_contype[of_flexes] = model.flex_conaffinity[of_flexes] = 0
-    model.flex_rgba[of_flexes, 3] = 0.0
-    model.geom_matid[of_geoms] = -1
-    model.pair_margin[of_geoms[model.pair_geom1] | of_geoms[model.pair_geom2]] = NEVER
-    model.site_rgba[is_gone[model.site_bodyid], 3] = 0.0
-    model.site_matid[is_gone[model.site_bodyid]] = -1
-    of_dofs = is_gone[model.dof_bodyid]
-    data.qvel[of_dofs] = 0.0
+    _write(model, (*_uncollided(model, is_gone), *_undrawn(model, is_gone)))
+    data.qvel[is_gone[model.dof_bodyid]] = 0.0
     model.body_gravcomp[is_gone] = 1.0
-    for number in range(model.neq):
-        if any(is_gone[body] for body in _bodies_of_constraint(model, number)):
-            data.eq_active[number] = 0
-
-
-def _bodies_of_constraint(model: Any, number: int) -> list[int]:
-    """Returns the bodies that an equality constraint connects, as far as it names any."""
-    object_type = int(model.eq_objtype[number])
     owners = {
         int(mujoco.mjtObj.mjOBJ_BODY): np.arange(model.nbody),
         int(mujoco.mjtObj.mjOBJ_JOINT): model.jnt_bodyid,
         int(mujoco.mjtObj.mjOBJ_SITE): model.site_bodyid,
-    }.get(object_type)
-    if owners is None:
-        return []
-    ends = (int(model.eq_obj1id[number]), int(model.eq_obj2id[number]))
-    return [int(owners[end]) for end in ends if end >= 0]
+    }
+    for kind, of_parts in owners.items():
+        # The last flag stands for the number -1, for none.
+        are_gone = np.append(is_gone[of_parts], False)
+        rows = np.flatnonzero(model.eq_objtype == kind)
+        are_cut = are_gone[model.eq_obj1id[rows]] | are_gone[model.eq_obj2id[rows]]
+        data.eq_active[rows[are_cut]] = 0
 
 
 # -- holding ---------------------------------------------------------------------------------
@@ -197,12 +187,9 @@ def add_spare_welds(spec: Any) -> None:
 
 def spare_welds(model: Any) -> list[int]:
     """Returns the numbers of the welds by which bodies can be held."""
-    names = (name_of(model, mujoco.mjtObj.mjOBJ_EQUALITY, n, "") for n in range(model.neq))
-    return [
-        n
-        for n, name in enumerate(names)
-        if name.startswith(HOLD) and int(model.eq_type[n]) == _WELD
-    ]
+    welds = np.flatnonzero(model.eq_type == _WELD).tolist()
+    kind = mujoco.mjtObj.mjOBJ_EQUALITY
+    return [n for n in welds if name_of(model, kind, n, "").startswith(HOLD)]
 
 
 def holds(model: Any, data: Any) -> Iterator[tuple[int, int, int]]:
@@ -253,9 +240,11 @@ def drive(
             )
         actuator = _actuator(model, number, servo)
         if actuator is None:
+            names = [repr(_name(model, other)) for other in _actuators(model, number)]
+            others = f"; it has {', '.join(names)}" if names else ""
             raise UnsupportedError(
-                f"{place} has no {servo} actuator{_others(model, number)}; write to data.ctrl "
-                "what the actuators of your model take"
+                f"{place} has no {servo} actuator{others}; write to data.ctrl what the actuators "
+                "of your model take"
             )
         value = target.velocity if target.position is None else target.position
         value *= float(model.actuator_gear[actuator, 0])
@@ -319,10 +308,4 @@ def _servo(model: Any, actuator: int) -> Servo | None:
 
 
 def _name(model: Any, actuator: int) -> str:
-    object_type = mujoco.mjtObj.mjOBJ_ACTUATOR
-    return mujoco.mj_id2name(model, object_type, actuator) or f"actuator_{actuator}"
-
-
-def _others(model: Any, joint: int) -> str:
-    names = [repr(_name(model, actuator)) for actuator in _actuators(model, joint)]
-    return f"; it has {', '.join(names)}" if names else ""
+    return name_of(model, mujoco.mjtObj.mjOBJ_ACTUATOR, actuator, "actuator")

@@ -106,7 +106,9 @@ class RayCaster:
         _, firsts, groups = np.unique(keys, axis=0, return_index=True, return_inverse=True)
         for number, first in enumerate(firsts.tolist()):
             rays = np.flatnonzero(groups.reshape(-1) == number)
-            self._choose(data, starts[first], int(through[first]))
+            chosen = self._geoms[self._roots[self._geoms] != through[first]]
+            self._model.geom_group[:] = _PASSED
+            self._model.geom_group[chosen[~self._containing(data, starts[first], chosen)]] = _HIT
             geoms, hits = self._cast_from(data, starts[first], ends[rays] - starts[first])
             is_hit = geoms >= 0
             bodies[rays[is_hit]] = self._roots[geoms[is_hit]]
@@ -143,13 +145,6 @@ class RayCaster:
         fractions[near] = distances[is_near] / lengths[near]
         return geoms, fractions
 
-    def _choose(self, data: Any, start: Array, through: int) -> None:
-        """Puts the geoms that rays from a point can hit into a group of their own."""
-        groups = np.full(self._model.ngeom, _PASSED, dtype=np.int32)
-        chosen = self._geoms[self._roots[self._geoms] != through]
-        groups[chosen[~self._containing(data, start, chosen)]] = _HIT
-        self._model.geom_group[:] = groups
-
     def _containing(self, data: Any, start: Array, geoms: Indices) -> Flags:
         """Returns whether each geom is convex and contains a point."""
         bounds = self._model.geom_rbound[geoms]
@@ -157,16 +152,15 @@ class RayCaster:
         is_plane = bounds == 0.0
         flags: Flags = is_plane | (distances <= bounds * (1.0 + 1e-6))
         for place in np.flatnonzero(flags).tolist():
-            flags[place] = self._contains(data, start, int(geoms[place]))
+            geom = int(geoms[place])
+            if geom not in self._solids:
+                geometry, centre, _ = geometry_of(self._model, geom)
+                self._solids[geom] = solid_of(geometry), centre
+            solid, centre = self._solids[geom]
+            if not solid.is_convex or (is_triangle_surface(solid) and solid.offsets is None):
+                flags[place] = False
+            else:
+                matrix = data.geom_xmat[geom].reshape(3, 3)
+                local = (start - data.geom_xpos[geom]) @ matrix - centre
+                flags[place] = ray_chords(solid, local, np.zeros((1, 3))).contains
         return flags
-
-    def _contains(self, data: Any, start: Array, geom: int) -> bool:
-        if geom not in self._solids:
-            geometry, centre, _ = geometry_of(self._model, geom)
-            self._solids[geom] = solid_of(geometry), centre
-        solid, centre = self._solids[geom]
-        if not solid.is_convex or (is_triangle_surface(solid) and solid.offsets is None):
-            return False
-        matrix = data.geom_xmat[geom].reshape(3, 3)
-        local = (start - data.geom_xpos[geom]) @ matrix - centre
-        return bool(ray_chords(solid, local, np.zeros((1, 3))).contains)

@@ -24,7 +24,7 @@ from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.shapes import Geometry
 from ssduck.simulators.backends import collision_visuals
 from ssduck.simulators.interface import Body, CameraView, VisualShape
-from ssduck.simulators.mujoco.bodies import geometry_of, numbers_of
+from ssduck.simulators.mujoco.bodies import geometry_of, numbers_of, pose_of
 from ssduck.simulators.mujoco.flexes import entity_roots
 from ssduck.simulators.mujoco.library import mujoco
 from ssduck.simulators.scenes import Camera
@@ -122,11 +122,8 @@ def _place(scene: Any, viewpoint: Viewpoint) -> None:
     """Puts the cameras of a scene at a viewpoint: one for each eye, which are the same."""
     half = _NEAR * math.tan(math.radians(viewpoint.fov) / 2)
     for camera in scene.camera:
-        camera.pos, camera.forward, camera.up = (
-            viewpoint.position,
-            viewpoint.forward,
-            viewpoint.up,
-        )
+        camera.pos, camera.forward = viewpoint.position, viewpoint.forward
+        camera.up = viewpoint.up
         camera.orthographic = 0
         camera.frustum_center = camera.frustum_width = 0.0  # the width follows from the picture
         camera.frustum_bottom, camera.frustum_top = -half, half
@@ -170,34 +167,21 @@ def visual_shapes(model: Any, body: Body) -> list[VisualShape]:
 
 
 def _shape(model: Any, number: int, link: int) -> VisualShape:
-    geometry, centre = _drawn_geometry(model, number)
-    position, orientation = model.geom_pos[number].copy(), model.geom_quat[number].copy()
-    if centre.any():
-        matrix = np.zeros(9)
-        mujoco.mju_quat2Mat(matrix, orientation)
-        position += matrix.reshape(3, 3) @ centre
-    return VisualShape(link, geometry, position, orientation, _colour(model, number))
-
-
-def _drawn_geometry(model: Any, number: int) -> tuple[Geometry, Any]:
-    """Returns the form of a geom, and its centre in the frame of the geom, m."""
+    geometry, centre, _ = geometry_of(model, number)
     type = int(model.geom_type[number])
     if type == mujoco.mjtGeom.mjGEOM_MESH:
-        return _mesh(model, int(model.geom_dataid[number])), np.zeros(3)
-    if type == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
+        mesh = int(model.geom_dataid[number])
+        first, face = int(model.mesh_vertadr[mesh]), int(model.mesh_faceadr[mesh])
+        vertices = model.mesh_vert[first : first + int(model.mesh_vertnum[mesh])]
+        faces = model.mesh_face[face : face + int(model.mesh_facenum[mesh])]
+        geometry = _triangles(vertices, faces)
+    elif type == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
         import trimesh
 
         sphere = trimesh.creation.icosphere(subdivisions=_SUBDIVISIONS)
-        vertices = np.asarray(sphere.vertices) * model.geom_size[number]
-        return _triangles(vertices, sphere.faces), np.zeros(3)
-    geometry, centre, _ = geometry_of(model, number)
-    return geometry, centre
-
-
-def _mesh(model: Any, mesh: int) -> Geometry:
-    first, face = int(model.mesh_vertadr[mesh]), int(model.mesh_faceadr[mesh])
-    vertices = model.mesh_vert[first : first + int(model.mesh_vertnum[mesh])]
-    return _triangles(vertices, model.mesh_face[face : face + int(model.mesh_facenum[mesh])])
+        geometry = _triangles(sphere.vertices * model.geom_size[number], sphere.faces)
+    pose = pose_of(model, number, centre)
+    return VisualShape(link, geometry, *pose, _colour(model, number))
 
 
 def _triangles(vertices: Any, faces: Any) -> Geometry:

@@ -14,7 +14,8 @@ from __future__ import annotations
 import copy
 import shutil
 import tempfile
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain, count
 from pathlib import Path
 from typing import Any
@@ -24,11 +25,11 @@ import numpy as np
 
 from ssduck.errors import UnsupportedError, warn
 from ssduck.formatting import joined_names
-from ssduck.geometry.poses import compose, invert
+from ssduck.geometry.poses import IDENTITY, multiply
 from ssduck.simulators.backends import BodyToCopy, TickToCopy
 from ssduck.simulators.interface import SCALAR_JOINTS, Simulator
 from ssduck.simulators.model_xml import ASSETS, KIND_PREFIX, STATE_KEY, numbers_text
-from ssduck.simulators.mujoco.bodies import body_names
+from ssduck.simulators.mujoco.bodies import body_names, joint_numbers
 from ssduck.simulators.mujoco.flexes import entity_roots
 from ssduck.simulators.mujoco.interventions import (
     HOLD,
@@ -69,13 +70,26 @@ def write_model(model: Any, data: Any, spec: Any, kinds: Mapping[str, str], file
         kinds: the kinds of entities whose joints do not tell them, by the names of their roots.
         file: the file.
     """
-    welds = list(_welds(model, data))
-    root = ET.fromstring(_source(_without_holds(model), spec))  # noqa: S314  # MuJoCo wrote it
+    names = body_names(model)
+    # What bodies hold is held by constraints like others in the file.
+    welds = [
+        {
+            "body1": names[one],
+            "body2": names[other],
+            "relpose": numbers_text(model.eq_data[number, 3:10]),
+        }
+        for number, one, other in holds(model, data)
+    ]
+    # The welds for holding are there as they were when the model was compiled.
+    plain, spare = copy.copy(model), spare_welds(model)
+    plain.eq_obj1id[spare], plain.eq_obj2id[spare] = 1, 0
+    plain.eq_data[spare, : len(IDLE)] = IDLE
+    root = ET.fromstring(_source(plain, spec))  # noqa: S314  # MuJoCo wrote it
     _copy_files(root, Path(spec.modelfiledir) if spec is not None else None, file.parent / ASSETS)
     for part in root.iter("statistic"):
         part.attrib.pop("meaninertia", None)  # MuJoCo 4 writes it, and warns when it reads it
-    _replace(root, "keyframe", "key", STATE_KEY, [_state(model, data)])
-    texts = [ET.Element("text", name=KIND_PREFIX + name, data=kind) for name, kind in kinds.items()]
+    _replace(root, "keyframe", "key", STATE_KEY, [_state(data)])
+    texts = [{"name": KIND_PREFIX + name, "data": kind} for name, kind in kinds.items()]
     _replace(root, "equality", "weld", HOLD, welds)
     _replace(root, "custom", "text", KIND_PREFIX, texts)
     ET.indent(root)
@@ -125,50 +139,33 @@ def _copy_back(model: Any, spec: Any) -> None:
     spec.compile()  # the text is that of what was compiled last
 
 
-def _welds(model: Any, data: Any) -> Iterator[ET.Element]:
-    """Yields welds for what bodies hold, which are constraints like others in the file."""
-    names = body_names(model)
-    for number, one, other in holds(model, data):
-        ends = {"body1": names[one], "body2": names[other]}
-        yield ET.Element("weld", ends, relpose=numbers_text(model.eq_data[number, 3:10]))
-
-
-def _without_holds(model: Any) -> Any:
-    """Returns a copy of a model whose welds for holding are as they were when it was compiled."""
-    plain, welds = copy.copy(model), spare_welds(model)
-    plain.eq_obj1id[welds], plain.eq_obj2id[welds] = 1, 0
-    for number in welds:
-        plain.eq_data[number, : len(IDLE)] = IDLE
-    return plain
-
-
 def _replace(
-    root: ET.Element, section: str, tag: str, prefix: str, elements: Iterable[ET.Element]
+    root: ET.Element, section: str, tag: str, prefix: str, elements: Iterable[dict[str, str]]
 ) -> None:
-    """Replaces the elements of a section whose names begin with a prefix."""
+    """Replaces the elements of a section whose names begin with a prefix, by their attributes."""
     parts = root.findall(section) or [ET.SubElement(root, section)]
     for part in parts:
         for element in part.findall(tag):
             if element.get("name", "").startswith(prefix):
                 part.remove(element)
-    parts[-1].extend(elements)
+    parts[-1].extend(ET.Element(tag, attributes) for attributes in elements)
     for part in parts:
         if not len(part):
             root.remove(part)
 
 
-def _state(model: Any, data: Any) -> ET.Element:
-    """Returns the state as a key."""
+def _state(data: Any) -> dict[str, str]:
+    """Returns the attributes of the state as a key."""
     values = {
         "qpos": data.qpos,
         "qvel": data.qvel,
         "act": data.act,
         "ctrl": data.ctrl,
-        "mpos": data.mocap_pos.ravel() if model.nmocap else (),
-        "mquat": data.mocap_quat.ravel() if model.nmocap else (),
+        "mpos": data.mocap_pos,
+        "mquat": data.mocap_quat,
     }
     texts = {name: numbers_text(numbers) for name, numbers in values.items() if len(numbers)}
-    return ET.Element("key", {"name": STATE_KEY, "time": numbers_text(data.time), **texts})
+    return {"name": STATE_KEY, "time": numbers_text(data.time), **texts}
 
 
 # -- files -----------------------------------------------------------------------------------
@@ -195,7 +192,9 @@ def _copy_files(root: ET.Element, folder: Path | None, assets: Path) -> None:
                     "that MuJoCo does not tell; a world of ssduck.load knows its folder"
                 )
             if path not in names:
-                names[path] = _free_name(path, set(names.values()))
+                numbered = (f"{path.stem}_{number}{path.suffix}" for number in count(2))
+                free = (n for n in chain([path.name], numbered) if n not in names.values())
+                names[path] = next(free)
                 assets.mkdir(exist_ok=True)
                 shutil.copyfile(path, assets / names[path])
             if attribute == "file" and part.get("name") is None:
@@ -207,11 +206,6 @@ def _copy_files(root: ET.Element, folder: Path | None, assets: Path) -> None:
     if names:
         compiler = compilers[0] if compilers else ET.SubElement(root, "compiler")
         compiler.set("assetdir", ASSETS)
-
-
-def _free_name(path: Path, taken: Container[str]) -> str:
-    numbered = (f"{path.stem}_{number}{path.suffix}" for number in count(2))
-    return next(name for name in chain([path.name], numbered) if name not in taken)
 
 
 # -- check -----------------------------------------------------------------------------------
@@ -251,7 +245,9 @@ def excerpt(
     # Where everything is copied, so is what the world body shows.
     kept = {0, *chosen} if source.has_only(chosen) else chosen
     take_out(model, data, ~np.isin(entity_roots(model), list(kept)))
-    if not _is_present(source, originals, tick):
+    now = source.read_link_poses(tuple(one.body for one in originals), with_velocities=True)
+    states = np.concatenate([np.zeros((0, 13)), *(one.link_poses.states for one in originals)])
+    if tick.time != source.time or not np.array_equal(now.states, states):
         _restore(model, data, originals, tick)
     return MuJoCoSimulator(
         lambda: (model, data),
@@ -266,15 +262,6 @@ def excerpt(
             [body.handle for body in tick.hidden],
         ),
     )
-
-
-def _is_present(source: MuJoCoSimulator, originals: Sequence[BodyToCopy], tick: TickToCopy) -> bool:
-    """Checks whether bodies are at the tick as they are now."""
-    bodies = tuple(one.body for one in originals)
-    now = source.read_link_poses(bodies, with_velocities=True)
-    parts = [one.link_poses.states for one in originals]
-    states = np.concatenate([np.zeros((0, 13)), *parts])
-    return tick.time == source.time and np.array_equal(now.states, states)
 
 
 def _restore(model: Any, data: Any, originals: Sequence[BodyToCopy], tick: TickToCopy) -> None:
@@ -295,37 +282,31 @@ def _restore(model: Any, data: Any, originals: Sequence[BodyToCopy], tick: TickT
 def _restore_joints(model: Any, data: Any, original: BodyToCopy) -> None:
     """Sets the joints but a free one, whose pose is that of the base."""
     body = original.body
-    first = 0
-    for number, link in enumerate(body.links):
-        joints = [joint for joint in body.joints if joint.link == number]
-        for place, joint in enumerate(joints):
-            index = int(model.body_jntadr[body.handle + number]) + place
-            position, velocity = original.joints[first + place].tolist()
-            if joint.type in SCALAR_JOINTS and not np.isnan(position):
-                data.qpos[model.jnt_qposadr[index]] = position
-                data.qvel[model.jnt_dofadr[index]] = 0.0 if np.isnan(velocity) else velocity
-            elif joint.type == "spherical" and len(joints) == 1:
-                _restore_ball(model, data, original, (number, link.parent, index))
-            elif joint.type != "free":
-                raise UnsupportedError(
-                    f"{original.name}: the position of joint {joint.name!r} at {data.time:g} s is "
-                    "unknown: record the table of joints"
-                )
-        first += len(joints)
+    counts = Counter(joint.link for joint in body.joints)
+    for joint, index, (position, velocity) in zip(
+        body.joints, joint_numbers(model, [body]), original.joints.tolist(), strict=True
+    ):
+        if joint.type in SCALAR_JOINTS and not np.isnan(position):
+            data.qpos[model.jnt_qposadr[index]] = position
+            data.qvel[model.jnt_dofadr[index]] = 0.0 if np.isnan(velocity) else velocity
+        elif joint.type == "spherical" and counts[joint.link] == 1:
+            _restore_ball(model, data, original, joint.link, index)
+        elif joint.type != "free":
+            raise UnsupportedError(
+                f"{original.name}: the position of joint {joint.name!r} at {data.time:g} s is "
+                "unknown: record the table of joints"
+            )
 
 
-def _restore_ball(
-    model: Any, data: Any, original: BodyToCopy, numbers: tuple[int, int, int]
-) -> None:
+def _restore_ball(model: Any, data: Any, original: BodyToCopy, link: int, joint: int) -> None:
     """Sets a ball joint from the orientations of its link and of the parent."""
-    link, parent, joint = numbers
-    states = original.link_poses.states
-    turns = states[:, 3:7]
-    zero = np.zeros((1, 3))
-    before = turns[parent : parent + 1] if parent >= 0 else np.array([[1.0, 0.0, 0.0, 0.0]])
-    fixed = compose(zero, before, zero, model.body_quat[original.body.handle + link][None])
-    _, turn = compose(*invert(*fixed), zero, turns[link : link + 1])
+    states, parent = original.link_poses.states, original.body.links[link].parent
+    turn, spin = states[[link], 3:7], states[link, 10:]
+    before = IDENTITY[None]
+    if parent >= 0:
+        before, spin = states[[parent], 3:7], spin - states[parent, 10:]
+    fixed = multiply(before, model.body_quat[original.body.handle + link][None])
+    back = fixed * np.array([1.0, -1.0, -1.0, -1.0])
     first, velocity = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-    data.qpos[first : first + 4] = turn[0]
-    spin = states[link, 10:] - (states[parent, 10:] if parent >= 0 else 0.0)
+    data.qpos[first : first + 4] = multiply(back, turn)[0]
     data.qvel[velocity : velocity + 3] = original.link_poses.matrices[link].T @ spin

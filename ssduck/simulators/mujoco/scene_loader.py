@@ -23,13 +23,13 @@ from ssduck.formatting import joined_names
 from ssduck.geometry.poses import rotation_matrices, turn_to, unit_quaternions
 from ssduck.simulators.interface import SCALAR_JOINTS, Body
 from ssduck.simulators.kinematics import check_joints, position_nearest_zero
-from ssduck.simulators.model_xml import parse_tolerantly
+from ssduck.simulators.model_xml import MJCF_SIZES, parse_tolerantly
 from ssduck.simulators.mujoco.bodies import ModelReader
 from ssduck.simulators.mujoco.interventions import add_spare_welds, hold_positions
 from ssduck.simulators.mujoco.library import mujoco
 from ssduck.simulators.mujoco.simulator import MuJoCoSimulator
 from ssduck.simulators.naming import name_by_file, unique_name
-from ssduck.simulators.scene_bodies import FLOOR, MODEL_SUFFIXES, BodySpec, Primitive
+from ssduck.simulators.scene_bodies import FLOOR, BodySpec, Primitive
 from ssduck.simulators.scenes import Engine, Scene
 
 # MuJoCo's groups of geoms: those that are drawn, and those that only collide, which are not.
@@ -44,14 +44,6 @@ _MARGIN = 0.001
 # difference from its velocity, rad/s or m/s. It goes back in this time, s, many steps: then it is
 # stable however light the link is.
 _GIVES_WAY, _DELAY = 0.02, 0.05
-_GEOM = mujoco.mjtGeom
-_SHAPES = {
-    "box": _GEOM.mjGEOM_BOX,
-    "sphere": _GEOM.mjGEOM_SPHERE,
-    "cylinder": _GEOM.mjGEOM_CYLINDER,
-    "capsule": _GEOM.mjGEOM_CAPSULE,
-    "plane": _GEOM.mjGEOM_PLANE,
-}
 _SCALAR = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
 
 
@@ -61,12 +53,8 @@ def load_bodies(scene: Scene) -> MuJoCoSimulator:
     builder = _Builder({"world", FLOOR, *(str(body.name) for body in scene.bodies if body.name)})
     spec = builder.spec
     spec.option.timestep, spec.option.gravity = scene.timestep, scene.gravity
-    # A model by itself has no entry in a scene's file.
-    is_model = scene.path.suffix.lower() in MODEL_SUFFIXES
-    if scene.floor is not None:
-        builder.add(scene.floor, "")
-    for index, entry in enumerate(scene.bodies):
-        builder.add(entry, "" if is_model else f"{scene.path}: body[{index}].")
+    for entry, place in scene.entries:
+        builder.add(entry, place)
     if builder.undrawn:
         listed = joined_names(sorted(builder.undrawn))
         warn(f"{scene.path}: MuJoCo reads no such meshes, which are not drawn: {listed}")
@@ -79,18 +67,18 @@ def load_bodies(scene: Scene) -> MuJoCoSimulator:
     data.time = scene.time
     described = ModelReader(model, None, None, part_names=builder.part_names).bodies()
     by_name = {body.name: body for body in described}
-    entries = [(added, by_name[added.name]) for added in builder.entries]
-    for added, body in entries:
-        _begin(added, body, model, data)
+    for entry, name, place in builder.entries:
+        _begin(entry, place, by_name[name], model, data)
     mujoco.mj_forward(model, data)
+    entries = [(entry, by_name[name]) for entry, name, _ in builder.entries]
     return MuJoCoSimulator(
         lambda: (model, data),
         owned=True,
         spec=spec,
-        kinds={added.name: added.spec.kind for added, _ in entries if added.spec.kind},
+        kinds={body.name: entry.kind for entry, body in entries if entry.kind},
         switched_off=(
-            [body.handle for added, body in entries if not added.spec.enabled],
-            [body.handle for added, body in entries if not added.spec.visible],
+            [body.handle for entry, body in entries if not entry.enabled],
+            [body.handle for entry, body in entries if not entry.visible],
         ),
         part_names=builder.part_names,
     )
@@ -116,21 +104,13 @@ def _check_supported(scene: Scene) -> None:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class _Entry:
-    """A body of the scene and of the model."""
-
-    spec: BodySpec
-    name: str  # of its base in the model
-    place: str  # in errors
-
-
 @dataclass(eq=False)
 class _Builder:
     """A specification that grows body by body."""
 
     taken: set[str]  # names, with those that are still to come
-    entries: list[_Entry] = field(default_factory=list)
+    # The entries of the scene, with the names of their bases in the model, and their places.
+    entries: list[tuple[BodySpec, str, str]] = field(default_factory=list)
     undrawn: set[str] = field(default_factory=set)  # files of meshes
     # The names of links and joints in their files, by those in the model.
     part_names: dict[str, str] = field(default_factory=dict)
@@ -154,9 +134,8 @@ class _Builder:
             _add_shape(root, spec.model)
             mass = 0.0 if spec.fixed else spec.model.mass
         else:
-            urdf = _read_urdf(spec.model, place, self)
-            name = spec.name or unique_name(urdf.name, self.taken)
-            root = self._attach(urdf, prefix)
+            own_name, root = self._read(spec.model, place, prefix)
+            name = spec.name or unique_name(own_name, self.taken)
             mass = root.mass
         root.pos, root.quat = spec.position, spec.orientation
         if not spec.fixed and mass:
@@ -172,25 +151,41 @@ class _Builder:
         for one, other in combinations(links, 2):
             exclusion = self.spec.add_exclude()
             exclusion.bodyname1, exclusion.bodyname2 = one.name, other.name
-        self.entries.append(_Entry(spec, name, place))
+        self.entries.append((spec, name, place))
 
-    def _attach(self, urdf: _Urdf, prefix: str) -> Any:
-        """Moves the tree of a URDF file into the model, and returns its root."""
-        root = self.spec.worldbody.add_frame().attach_body(urdf.root, prefix, "")
+    def _read(self, file: Path, place: str, prefix: str) -> tuple[str, Any]:
+        """Reads a URDF file; returns its name, and the root of its tree, which is in the model."""
+        try:
+            tree = parse_tolerantly(file.read_bytes())
+            _find_meshes(tree, file, self.undrawn)
+            compiler = _child(_child(tree, "mujoco"), "compiler")
+            compiler.attrib |= dict.fromkeys(("fusestatic", "discardvisual", "strippath"), "false")
+            spec = mujoco.MjSpec.from_string(ET.tostring(tree, encoding="unicode"))
+        except (OSError, ET.ParseError, ValueError, RuntimeError, MemoryError) as error:
+            key = "urdf: " if place else ""
+            raise SceneError(f"{place}{key}{file} cannot be loaded: {error}") from error
+        meshes = {mesh.name: self._mesh(mesh.file, mesh.scale) for mesh in spec.meshes}
+        for mesh in list(spec.meshes):
+            spec.delete(mesh) if hasattr(spec, "delete") else mesh.delete()  # MuJoCo 3.3.0
+        root = self.spec.worldbody.add_frame().attach_body(spec.worldbody.first_body(), prefix, "")
+        frictions = {
+            f"{prefix}{link.get('name')}": float(found.get("value", _FRICTION))
+            for link in tree.iter("link")
+            if (found := link.find("contact/lateral_friction")) is not None
+        }
         for link in (root, *root.find_all("body")):
-            friction = urdf.frictions.get(link.name.removeprefix(prefix), _FRICTION)
             for geom in link.geoms:
-                if mesh := geom.meshname.removeprefix(prefix):
-                    geom.meshname = urdf.meshes[mesh]
-                if mesh:
+                if geom.meshname:
+                    geom.meshname = meshes[geom.meshname.removeprefix(prefix)]
                     geom.margin = _MARGIN
                 if geom.contype or geom.conaffinity:
+                    friction = frictions.get(link.name, _FRICTION)
                     geom.group, geom.friction = _COLLIDING, (friction, *_OTHER_FRICTION)
                 else:
                     geom.group, geom.mass = _DRAWN, 0.0
-        return root
+        return name_by_file(tree.get("name", ""), file) or file.stem, root
 
-    def mesh(self, file: str, scale: Iterable[float]) -> str:
+    def _mesh(self, file: str, scale: Iterable[float]) -> str:
         """Returns the name of a mesh, which the model has once."""
         key = file, tuple(map(float, scale))
         if key not in self._meshes:
@@ -219,28 +214,19 @@ class _Builder:
         # The joint limits the effort: the solver stays implicit.
         motor.gaintype, motor.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
         motor.gainprm[0] = gain
-        motor.biasprm[:3] = (0, -gain, -gain * _DELAY) if _has_limits(joint) else (0, 0, -gain)
-
-
-def _has_limits(joint: Any) -> bool:
-    low, high = joint.range
-    return bool(low < high)
+        has_limits = joint.range[0] < joint.range[1]
+        motor.biasprm[:3] = (0, -gain, -gain * _DELAY) if has_limits else (0, 0, -gain)
 
 
 def _add_shape(body: Any, primitive: Primitive) -> None:
     """Gives a body the shape of a primitive."""
-    a, b, c = (*primitive.size, 0.0, 0.0)[:3]
-    sizes = {
-        "box": (a / 2, b / 2, c / 2),
-        "sphere": (a, 0, 0),
-        "plane": (0, 0, 1),
-    }
     geom, material = body.add_geom(), primitive.material
-    geom.type = _SHAPES[primitive.type]
-    geom.size = sizes.get(primitive.type, (a, b / 2, 0))
+    geom.type = getattr(mujoco.mjtGeom, f"mjGEOM_{primitive.type.upper()}")
     if primitive.type == "plane":
-        geom.quat = turn_to((a, b, c))
+        geom.size, geom.quat = (0, 0, 1), turn_to(primitive.size)
     else:
+        sizes = zip(primitive.size, MJCF_SIZES[primitive.type], strict=True)
+        geom.size = (*(n * part for n, part in sizes), 0, 0)[:3]
         geom.mass = primitive.mass
     geom.rgba = material.colour
     geom.friction = material.friction, material.spinning_friction, material.rolling_friction
@@ -248,63 +234,20 @@ def _add_shape(body: Any, primitive: Primitive) -> None:
         geom.condim = 6
 
 
-@dataclass(frozen=True, eq=False)
-class _Urdf:
-    """The content of a URDF file."""
-
-    name: str
-    spec: Any  # has to live as long as the root
-    meshes: dict[str, str]  # their names in the model, by those in the file
-    frictions: dict[str, float]  # sliding friction, of links that state one
-
-    @property
-    def root(self) -> Any:
-        """The base."""
-        return self.spec.worldbody.first_body()
-
-
-def _read_urdf(file: Path, place: str, builder: _Builder) -> _Urdf:
-    """Reads a URDF file; its meshes get into the model of the builder."""
-    try:
-        root = parse_tolerantly(file.read_bytes())
-        _find_meshes(root, file, builder)
-        compiler = _child(_child(root, "mujoco"), "compiler")
-        compiler.attrib |= {"fusestatic": "false", "discardvisual": "false", "strippath": "false"}
-        spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"))
-    except (OSError, ET.ParseError, ValueError, RuntimeError, MemoryError) as error:
-        raise SceneError(
-            f"{place}{'urdf: ' if place else ''}{file} cannot be loaded: {error}"
-        ) from error
-    meshes = {mesh.name: builder.mesh(mesh.file, mesh.scale) for mesh in spec.meshes}
-    for mesh in list(spec.meshes):
-        spec.delete(mesh) if hasattr(spec, "delete") else mesh.delete()  # MuJoCo 3.3.0
-    frictions = {
-        str(link.get("name")): float(found.get("value", _FRICTION))
-        for link in root.iter("link")
-        if (found := link.find("contact/lateral_friction")) is not None
-    }
-    name = name_by_file(root.get("name", ""), file) or file.stem
-    return _Urdf(name, spec, meshes, frictions)
-
-
-def _find_meshes(root: ET.Element, file: Path, builder: _Builder) -> None:
+def _find_meshes(root: ET.Element, file: Path, undrawn: set[str]) -> None:
     """Lets the meshes of a URDF file be found, and leaves out what MuJoCo cannot draw."""
     for link in root.iter("link"):
         for visual in link.findall("visual"):
             mesh = visual.find("geometry/mesh")
             name = "" if mesh is None else mesh.get("filename", "")
             if name and Path(name).suffix.lower() not in _MESHES:
-                builder.undrawn.add(name)
+                undrawn.add(name)
                 link.remove(visual)
     for mesh in root.iter("mesh"):
-        mesh.set("filename", str(_found(mesh.get("filename", ""), file.parent)))
-
-
-def _found(name: str, folder: Path) -> Path:
-    """Returns the path of a mesh file: in a folder, or in one of those around it."""
-    tail = name.partition("://")[2] or name
-    places = (place / tail for place in (folder, *folder.parents))
-    return next((path for path in places if path.is_file()), folder / tail)
+        name = mesh.get("filename", "")
+        places = [folder / (name.partition("://")[2] or name) for folder in file.parents]
+        found = next((path for path in places if path.is_file()), places[0])
+        mesh.set("filename", str(found))
 
 
 def _child(element: ET.Element, tag: str) -> ET.Element:
@@ -313,10 +256,9 @@ def _child(element: ET.Element, tag: str) -> ET.Element:
     return ET.SubElement(element, tag) if found is None else found
 
 
-def _begin(entry: _Entry, body: Body, model: Any, data: Any) -> None:
+def _begin(spec: BodySpec, place: str, body: Body, model: Any, data: Any) -> None:
     """Puts a body into its initial state."""
-    spec = entry.spec
-    check_joints(spec, [joint for joint in body.joints if joint.type != "free"], entry.place)
+    check_joints(spec, [joint for joint in body.joints if joint.type != "free"], place)
     for joint in body.joints:
         if joint.type in SCALAR_JOINTS:
             number = int(model.body_jntadr[body.handle + joint.link])

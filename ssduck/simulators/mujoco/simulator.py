@@ -30,14 +30,13 @@ from ssduck.simulators.interface import (
 from ssduck.simulators.mujoco.bodies import (
     ModelContent,
     ModelReader,
-    inexact,
     is_same,
+    joint_numbers,
     link_masses,
     numbers_of,
     parts_of,
 )
 from ssduck.simulators.mujoco.contacts import (
-    MuJoCoContacts,
     Owners,
     SleepingContacts,
     margin_content,
@@ -143,28 +142,32 @@ class MuJoCoSimulator(PartialSimulator):
         disabled = self._switches.disabled_geoms
         reader = ModelReader(model, self._names, self._kinds, self._only, disabled, self.part_names)
         before = {body.handle: body for body in self._bodies}
-        bodies = []
-        for body in reader.bodies():
-            old = before.get(body.handle)
-            bodies.append(old if old is not None and is_same(old, body) else body)
+        bodies = [
+            old if (old := before.get(body.handle)) and is_same(old, body) else body
+            for body in reader.bodies()
+        ]
         added = [body for body in bodies if before.get(body.handle) is not body]
-        kept = set(bodies).difference(added)
+        kept = set(bodies)
         gone = [body for body in self._bodies if body not in kept]
         self._described, self._bodies = (model, ModelContent(model)), bodies
         self._ray_caster = None
         self._link_readers, self._joint_rows, self._parts, self._margins = [], None, {}, None
-        self._warn_of_boxes(added)
-        self._switch_off(added)
-        return (added, gone) if added or gone else None
-
-    def _switch_off(self, bodies: Sequence[Body]) -> None:
-        """Switches off what is to be off at first."""
-        (disabled, hidden), self._switched_off = self._switched_off, ((), ())
-        for body in bodies:
-            if body.handle in disabled:
+        inexact = (body.name for body in added if body.has_stand_ins and not body.bends)
+        boxed = [name for name in inexact if name not in self._warned]
+        if boxed:
+            self._warned.update(boxed)
+            warn(
+                f"{joined_names(boxed)}: bounding boxes are used instead of shapes that ssduck "
+                "does not know (signed distance fields are such), which have "
+                "exact = false in the table of shapes"
+            )
+        (uncollided, hidden), self._switched_off = self._switched_off, ((), ())
+        for body in added:
+            if body.handle in uncollided:
                 self.enable(body, False)
             if body.handle in hidden:
                 self.show(body, False)
+        return (added, gone) if added or gone else None
 
     def switched_on(self, model: Any) -> Any:
         """Returns a copy of a copy of the model, in which all bodies collide and are drawn."""
@@ -211,16 +214,6 @@ class MuJoCoSimulator(PartialSimulator):
     def begin_episode(self) -> None:
         self._episodes.begin()
 
-    def _warn_of_boxes(self, bodies: Sequence[Body]) -> None:
-        names = [name for name in inexact(bodies) if name not in self._warned]
-        if names:
-            self._warned.update(names)
-            warn(
-                f"{joined_names(names)}: bounding boxes are used instead of shapes that ssduck "
-                "does not know (signed distance fields are such), which have "
-                "exact = false in the table of shapes"
-            )
-
     # -- state ----------------------------------------------------------------------------
 
     @property
@@ -236,18 +229,17 @@ class MuJoCoSimulator(PartialSimulator):
         return Clock(self.timestep, self.time)
 
     def read_link_poses(self, bodies: tuple[Body, ...], *, with_velocities: bool) -> LinkPoses:  # noqa: ARG002
-        for reader in self._link_readers:
-            if reader.bodies is bodies:
-                return reader.read(self._state)
-        reader = LinkReader(self.model, bodies)
-        self._link_readers = [reader, *self._link_readers[: _PREPARED - 1]]
+        reader = next((one for one in self._link_readers if one.bodies is bodies), None)
+        if reader is None:
+            reader = LinkReader(self.model, bodies)
+            self._link_readers = [reader, *self._link_readers[: _PREPARED - 1]]
         return reader.read(self._state)
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:
         # The effort is the force of the actuators on the joint in the last step.
         known = self._joint_rows
         if known is None or known[0] != tuple(bodies):
-            numbers = self.joint_numbers(bodies)
+            numbers = joint_numbers(self.model, bodies)
             types = [joint.type for body in bodies for joint in body.joints]
             is_scalar = np.array([type in SCALAR_JOINTS for type in types], dtype=bool)
             positions = self.model.jnt_qposadr[numbers].astype(np.intp)
@@ -259,16 +251,6 @@ class MuJoCoSimulator(PartialSimulator):
         columns = state.qpos[positions], state.qvel[velocities], state.qfrc_actuator[velocities]
         values: Array = np.stack(columns, axis=1) + unknown
         return values
-
-    def joint_numbers(self, bodies: Sequence[Body]) -> Indices:
-        """Returns MuJoCo's numbers of the joints of some bodies, in order."""
-        model = self.model
-        links = [
-            range(int(model.body_jntadr[n]), int(model.body_jntadr[n] + model.body_jntnum[n]))
-            for body in bodies
-            for n in numbers_of(body)
-        ]
-        return np.array([number for joints in links for number in joints], dtype=np.intp)
 
     def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
         masses = link_masses(self.model)
@@ -304,9 +286,7 @@ class MuJoCoSimulator(PartialSimulator):
         model, state = self.model, self._state
         if self._owners is None or self._owners[0] is not model:
             self._owners, self._sleeping = (model, Owners.of(model)), SleepingContacts()
-        owners = self._owners[1]
-        contacts = self._sleeping.complete(model, state, owners)
-        return MuJoCoContacts.of(model, contacts, owners, self._only)
+        return self._sleeping.read(model, state, self._owners[1], self._only)
 
     def step(self, count: int) -> None:
         self._refresh()
@@ -347,7 +327,7 @@ class MuJoCoSimulator(PartialSimulator):
 
     def set_joints(self, body: Body, positions: Mapping[int, float]) -> None:
         # Position actuators of a simulation that ssduck made hold the new positions.
-        numbers = self.joint_numbers([body])
+        numbers = joint_numbers(self.model, [body])
         model, data = self.model, self.data
         for index, position in positions.items():
             data.qpos[model.jnt_qposadr[numbers[index]]] = position
@@ -357,7 +337,7 @@ class MuJoCoSimulator(PartialSimulator):
         mujoco.mj_forward(model, data)
 
     def drive(self, body: Body, motors: Mapping[int, MotorTarget]) -> None:
-        numbers = self.joint_numbers([body])
+        numbers = joint_numbers(self.model, [body])
         targets = {
             int(numbers[index]): (body.joints[index], motor) for index, motor in motors.items()
         }
@@ -442,24 +422,20 @@ class EpisodeClock:
             self.offset = 0.0
             return True
         if has_fallen or is_unstable:
-            self._go_on(before, timestep, is_unstable=is_unstable)
+            # MuJoCo's time goes on from that of the last tick.
+            time = before + self.offset
+            self.offset = time + (self._interval or max(self.last, timestep)) - self.last
+            reason = "the simulation was reset without begin_episode()"
+            if is_unstable:
+                reason = "MuJoCo reset a state that was unstable (a smaller timestep may help)"
+            warn(
+                f"MuJoCo's time fell to {self.last:g} s within an episode, after {time:g} s: "
+                f"{reason}. The episode goes on, and its time too",
+                ProgramWarning,
+            )
         elif not is_same_time:
             self._interval = self.last - before
         return False
-
-    def _go_on(self, before: float, timestep: float, *, is_unstable: bool) -> None:
-        """Adds to MuJoCo's time what makes it go on from that of the last tick."""
-        time = before + self.offset
-        self.offset = time + (self._interval or max(self.last, timestep)) - self.last
-        if is_unstable:
-            reason = "MuJoCo reset a state that was unstable (a smaller timestep may help)"
-        else:
-            reason = "the simulation was reset without begin_episode()"
-        warn(
-            f"MuJoCo's time fell to {self.last:g} s within an episode, after {time:g} s: {reason}. "
-            "The episode goes on, and its time too",
-            ProgramWarning,
-        )
 
 
 def _unstable_states(data: Any) -> int:

@@ -9,13 +9,7 @@ from typing import Any, NoReturn
 from ssduck import validation
 from ssduck.errors import ArgumentError, SelectScriptError, SimulatorError, UnsupportedError
 from ssduck.formatting import short_repr
-from ssduck.simulators.backends import (
-    MJCF_FILE,
-    BodyToCopy,
-    ShapesByBody,
-    TickToCopy,
-    mjcf_scene,
-)
+from ssduck.simulators.backends import MJCF_FILE, BodyToCopy, ShapesByBody, TickToCopy, mjcf_scene
 from ssduck.simulators.interface import Body, Kind, Simulator, VisualShape
 from ssduck.simulators.pybullet import introspection
 from ssduck.simulators.pybullet.clients import all_handles_of, new_client, pybullet

@@ -12,7 +12,7 @@ the frame of its centre of mass), the number is the compound's own margin, which
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -24,7 +24,7 @@ from ssduck.errors import ArgumentError, SimulatorError
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.mesh_files import load_hulls, load_mesh
 from ssduck.geometry.poses import IDENTITY, compose, rotation_matrices
-from ssduck.geometry.shapes import Geometry, PlacedGeometry
+from ssduck.geometry.shapes import Geometry, GeometryType, PlacedGeometry
 from ssduck.simulators.interface import Body, Joint, Kind, Link
 from ssduck.simulators.pybullet.bullet_file import SavedShapes
 from ssduck.simulators.pybullet.clients import pybullet
@@ -46,18 +46,6 @@ class LinkMargin:
     is_of_file: bool = False
 
 
-def link_margin(dynamics: Sequence[Any], entries: Sequence[tuple[Any, ...]] | None) -> LinkMargin:
-    """Returns the margin of a link by `getDynamicsInfo` and `getCollisionShapeData`, if called."""
-    if entries is None:
-        return LinkMargin(None)
-    is_offset = [np.abs((*entry[5], *entry[6][:3])).max() > _POSE_TOLERANCE for entry in entries]
-    is_of_file = any(
-        entry[2] == pybullet.GEOM_MESH and entry[4] not in (b"", b"unknown_file")
-        for entry in entries
-    )
-    return LinkMargin(float(dynamics[11]), len(entries) > 1 or any(is_offset), is_of_file)
-
-
 def margin_of(type: str, link_margin: LinkMargin) -> float:
     """Returns the margin of a shape, metres.
 
@@ -74,11 +62,6 @@ def margin_of(type: str, link_margin: LinkMargin) -> float:
     if link_margin.margin in (0.0, DEFAULT) or (type == "hull" and link_margin.is_of_file):
         return default
     return link_margin.margin
-
-
-def with_margins(shapes: Sequence[PlacedGeometry], link_margin: LinkMargin) -> list[PlacedGeometry]:
-    """Returns the shapes of a link with their margins."""
-    return [replace(shape, margin=margin_of(shape.geometry.type, link_margin)) for shape in shapes]
 
 
 def margins_now(client: int, body: Body, known: Sequence[LinkMargin]) -> list[float]:
@@ -192,11 +175,8 @@ def masses_of(client: int, body: Body) -> list[float]:
     links = range(-1, len(body.links) - 1)
     dynamics = [pybullet.getDynamicsInfo(body.handle, link, client) for link in links]
     # PyBullet's mass of a soft body is no number of kilograms.
-    return (
-        body.masses
-        if dynamics[0][10] == _SOFT_BODY
-        else [float(dynamic[0]) for dynamic in dynamics]
-    )
+    is_soft = dynamics[0][10] == _SOFT_BODY
+    return body.masses if is_soft else [float(dynamic[0]) for dynamic in dynamics]
 
 
 def _com_poses(dynamics: Sequence[Any]) -> Pose:
@@ -204,10 +184,8 @@ def _com_poses(dynamics: Sequence[Any]) -> Pose:
         # PyBullet returns uninitialized memory. The frame of the centre of mass is the only one
         # that these bodies have.
         return np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0, 0.0]])
-    return (
-        np.array([dynamic[3] for dynamic in dynamics], dtype=np.float64),
-        wxyz(np.array([dynamic[4] for dynamic in dynamics], dtype=np.float64)),
-    )
+    places, turns = (np.array([dynamic[n] for dynamic in dynamics], np.float64) for n in (3, 4))
+    return places, wxyz(turns)
 
 
 class _BodyReader:
@@ -250,9 +228,9 @@ class _BodyReader:
             links=tuple(map(Link, names, parents, masses)),
             joints=joints,
             shapes=tuple(
-                shape
+                replace(shape, margin=margin_of(shape.geometry.type, margin))
                 for link, margin in enumerate(link_margins)
-                for shape in with_margins(self._shapes[link], margin)
+                for shape in self._shapes[link]
             ),
         )
         return BodyDescription(body, self.com, not body.has_stand_ins, link_margins)
@@ -270,64 +248,48 @@ class _BodyReader:
 
     def _read_margin(self, link: int) -> LinkMargin:
         """Returns the margin of a link as far as PyBullet knows it."""
-        if all(
-            margin_of(shape.geometry.type, LinkMargin(None)) == 0.0 for shape in self._shapes[link]
-        ):
-            return LinkMargin(None)
-        entries = None
+        is_padded = any(shape.geometry.type in _PADDED for shape in self._shapes[link])
         # PyBullet crashes on some links with capsules; it has no shapes of soft bodies, nor of
         # bodies in maximal coordinates.
-        if link not in self._capsule_links and self.type == _MULTI_BODY:
-            entries = pybullet.getCollisionShapeData(self.handle, link - 1, self.client)
-        return link_margin(self._dynamics[link], entries)
+        if not is_padded or link in self._capsule_links or self.type != _MULTI_BODY:
+            return LinkMargin(None)
+        entries = pybullet.getCollisionShapeData(self.handle, link - 1, self.client)
+        shifts = [np.abs((*entry[5], *entry[6][:3])).max() for entry in entries]
+        is_compound = len(entries) > 1 or max(shifts, default=0.0) > _POSE_TOLERANCE
+        files = [entry[4] for entry in entries if entry[2] == pybullet.GEOM_MESH]
+        is_of_file = not {b"", b"unknown_file"}.issuperset(files)
+        return LinkMargin(float(self._dynamics[link][11]), is_compound, is_of_file)
 
     @cached_property
     def _shapes(self) -> list[list[PlacedGeometry]]:
         """The collision shapes of each link."""
-        return [list(self._read_shapes(link)) for link in range(len(self._dynamics))]
+        return list(map(self._read_shapes, range(len(self._dynamics))))
 
-    def _read_shapes(self, link: int) -> Iterator[PlacedGeometry]:
-        """Yields the collision shapes of a link in its link frame (link 0 is the base).
+    def _read_shapes(self, link: int) -> list[PlacedGeometry]:
+        """Returns the collision shapes of a link in its link frame (link 0 is the base).
 
         The user's own shapes take precedence over those that PyBullet returns, and these over those
         that it saves. If a shape is still unknown, the box of the link stands in for all shapes.
         """
-        if (link, None) in self._user_shapes:
-            shapes: Shapes = self._placed(link, self._user_shapes[link, None])
-        else:
-            shapes = self._known_shapes(link)
-        if shapes is None:
-            yield self._stand_in(link)
-        else:
-            yield from shapes
-
-    def _known_shapes(self, link: int) -> Shapes:
-        """Returns the shapes of a link, with the user's own; None if one is unknown."""
+        given = {
+            number: [PlacedGeometry(link, one, np.zeros(3), IDENTITY) for one in geometries]
+            for (owner, number), geometries in self._user_shapes.items()
+            if owner == link
+        }
+        if None in given:
+            return given[None]
         entries = self._entries(link)
-        numbers = {number for i, number in self._user_shapes if i == link and number is not None}
-        if numbers:
-            count = 0 if entries is None else len(entries)
-            self._check_numbers(link, numbers, count)
-            entries = [
-                self._placed(link, self._user_shapes[link, number]) if number in numbers else entry
-                for number, entry in enumerate(entries or ())
-            ]
-        if entries is None or None in entries:
-            return None
-        return [shape for entry in entries if entry is not None for shape in entry]
-
-    def _check_numbers(self, link: int, numbers: set[int], count: int) -> None:
-        for number in numbers:
-            if not 0 <= number < count:
-                has = f"{count} shapes, from 0" if count else "none that can be told apart"
-                raise ArgumentError(
-                    f"shapes: body {self.handle}, link {link - 1} has no shape {number}: it has "
-                    f"{has}; ({self.handle}, {link - 1}) stands for all shapes of the link"
-                )
-
-    def _placed(self, link: int, geometries: Iterable[Geometry]) -> list[PlacedGeometry]:
-        """Places geometries at the frame of a link."""
-        return [PlacedGeometry(link, geometry, np.zeros(3), IDENTITY) for geometry in geometries]
+        shapes: dict[int | None, Shapes] = dict(enumerate(entries or ()))
+        for number in given.keys() - shapes:
+            has = f"{len(shapes)} shapes, from 0" if shapes else "none that can be told apart"
+            raise ArgumentError(
+                f"shapes: body {self.handle}, link {link - 1} has no shape {number}: it has "
+                f"{has}; ({self.handle}, {link - 1}) stands for all shapes of the link"
+            )
+        found = (shapes | given).values()
+        if entries is None or None in found:
+            return [self._stand_in(link)]
+        return [shape for own in found for shape in own or ()]
 
     def _entries(self, link: int) -> list[Shapes] | None:
         """Returns the known shapes of a link one by one; None if none is known.
@@ -369,17 +331,15 @@ class _BodyReader:
         local = np.array([entry[5]]), wxyz(np.array([entry[6]]))
         position, orientation = compose(*com, *local)
         primitive = primitive_of(entry[2], entry[3])
+        pieces: tuple[Geometry, ...] = ()
         if primitive is not None:
-            return [PlacedGeometry(link, primitive, position[0], orientation[0])]
-        if entry[2] != pybullet.GEOM_MESH:
+            pieces = (primitive,)
+        elif entry[2] != pybullet.GEOM_MESH:
             return None
-        file = Path(entry[4].decode(errors="replace"))
-        if file.is_file():
+        elif (file := Path(entry[4].decode(errors="replace"))).is_file():
             pieces = self._read_mesh(link, file, tuple(map(float, entry[3])), local)
-            if pieces is not None:
-                return [
-                    PlacedGeometry(link, piece, position[0], orientation[0]) for piece in pieces
-                ]
+        if pieces:
+            return [PlacedGeometry(link, piece, position[0], orientation[0]) for piece in pieces]
         vertices = self._hull_vertices(link, index)
         if not len(vertices):
             return None
@@ -387,8 +347,8 @@ class _BodyReader:
 
     def _read_mesh(
         self, link: int, file: Path, scale: tuple[float, ...], local: Pose
-    ) -> Sequence[Geometry] | None:
-        """Returns a mesh as its file has it: hulls, or the surface of a concave one.
+    ) -> tuple[Geometry, ...]:
+        """Returns a mesh as its file has it: hulls, or the surface of a concave one; else nothing.
 
         PyBullet makes one hull of each object in the file. It returns only the first hull, rounded
         to about a 10,000th of its size, and nothing of a concave mesh. So a mesh is concave if none
@@ -398,7 +358,7 @@ class _BodyReader:
             mesh = load_mesh(file, scale)
             hulls = load_hulls(file, scale)
         except ValueError:
-            return None
+            return ()
         corners = mesh.vertices[np.argmax(mesh.vertices @ _GENERIC_DIRECTIONS.T, axis=0)]
         corners = corners @ rotation_matrices(local[1])[0].T + local[0]
         vertices = self._hull_vertices(link)
@@ -406,7 +366,7 @@ class _BodyReader:
             gaps = np.linalg.norm(corners[:, None] - vertices[None], axis=2).min(axis=1)
             if gaps.max() < 2e-3 * float(np.ptp(mesh.vertices, axis=0).max()):
                 return hulls
-        return [mesh]
+        return (mesh,)
 
     def _hull_vertices(self, link: int, index: int = -1) -> Array:
         """Returns the corners of a link's hulls, or of one shape, from the centre of mass."""
@@ -433,14 +393,15 @@ class _BodyReader:
 
     def _visual_shapes(self, link: int) -> list[PlacedGeometry]:
         """Returns the visual shapes of a link; none if one is a mesh."""
-        entries = [entry for entry in self._visuals if entry[1] == link - 1]
-        primitives = [primitive_of(entry[2], entry[3]) for entry in entries]
-        shapes = [
-            PlacedGeometry(link, primitive, np.array(entry[5]), wxyz(np.array([entry[6]]))[0])
-            for entry, primitive in zip(entries, primitives, strict=True)
-            if primitive is not None
-        ]
-        return shapes if len(shapes) == len(entries) else []
+        shapes = []
+        for entry in self._visuals:
+            if entry[1] == link - 1:
+                primitive = primitive_of(entry[2], entry[3])
+                if primitive is None:
+                    return []
+                turn = wxyz(np.array([entry[6]]))[0]
+                shapes.append(PlacedGeometry(link, primitive, np.array(entry[5]), turn))
+        return shapes
 
     def _stand_in(self, link: int) -> PlacedGeometry:
         """Returns the present bounding box of a link, for shapes that PyBullet does not return."""
@@ -492,15 +453,12 @@ def _are_equal(some: Sequence[PlacedGeometry], others: Sequence[PlacedGeometry])
 
 def primitive_of(kind: int, size: Sequence[float]) -> Geometry | None:
     """Returns the geometry of a shape by PyBullet's numbers; None for what is no primitive."""
-    a, b, c = size
-    if kind == pybullet.GEOM_BOX:
-        return Geometry.primitive("box", (a, b, c))
-    if kind == pybullet.GEOM_SPHERE:
-        return Geometry.primitive("sphere", (a, 0.0, 0.0))
-    if kind == pybullet.GEOM_CYLINDER:  # PyBullet gives height, radius
-        return Geometry.primitive("cylinder", (b, a, 0.0))
-    if kind == pybullet.GEOM_CAPSULE:
-        return Geometry.primitive("capsule", (b, a, 0.0))
-    if kind == pybullet.GEOM_PLANE:
-        return Geometry.primitive("plane", (a, b, c))
-    return None
+    a, b, _ = size
+    forms: Mapping[int, tuple[GeometryType, Sequence[float]]] = {
+        pybullet.GEOM_BOX: ("box", size),
+        pybullet.GEOM_SPHERE: ("sphere", (a, 0.0, 0.0)),
+        pybullet.GEOM_CYLINDER: ("cylinder", (b, a, 0.0)),  # PyBullet gives height, radius
+        pybullet.GEOM_CAPSULE: ("capsule", (b, a, 0.0)),
+        pybullet.GEOM_PLANE: ("plane", size),
+    }
+    return Geometry.primitive(*forms[kind]) if kind in forms else None

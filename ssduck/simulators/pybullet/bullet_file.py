@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.poses import IDENTITY, compose, quaternion_from_matrix, turn_to
-from ssduck.geometry.shapes import Geometry
+from ssduck.geometry.shapes import Geometry, GeometryType
 from ssduck.simulators.pybullet.clients import pybullet
 
 # A geometry with its position (3,) and orientation (4,) in a frame.
@@ -92,31 +92,25 @@ class SavedShapes:
 
         The file has no numbers of bodies: each link has a friction of its own while it is saved.
         """
-        links = [
-            (handle, link)
-            for handle in self._handles
-            for link in range(-1, pybullet.getNumJoints(handle, self._client))
-        ]
-        frictions = [pybullet.getDynamicsInfo(*end, self._client)[_FRICTION] for end in links]
+        client = self._client
+        counts = [(handle, pybullet.getNumJoints(handle, client)) for handle in self._handles]
+        ends = [(handle, link) for handle, count in counts for link in range(-1, count)]
+        frictions = [pybullet.getDynamicsInfo(*end, client)[_FRICTION] for end in ends]
         try:
-            for tag, end in enumerate(links, _FIRST_TAG):
-                pybullet.changeDynamics(
-                    *end, lateralFriction=float(tag), physicsClientId=self._client
-                )
-            data = _save(self._client)
+            for tag, end in enumerate(ends, _FIRST_TAG):
+                pybullet.changeDynamics(*end, lateralFriction=float(tag), physicsClientId=client)
+            data = _save(client)
         finally:
-            for end, friction in zip(links, frictions, strict=True):
-                pybullet.changeDynamics(
-                    *end, lateralFriction=friction, physicsClientId=self._client
-                )
+            for end, friction in zip(ends, frictions, strict=True):
+                pybullet.changeDynamics(*end, lateralFriction=friction, physicsClientId=client)
         if data is None:
             return None
-        tags = {
-            float(tag): (handle, link + 1) for tag, (handle, link) in enumerate(links, _FIRST_TAG)
-        }
         file = _BulletFile(data)
-        found = ((tags.get(friction), address) for friction, address in file.colliders())
-        return file, {link: address for link, address in found if link is not None}
+        by_tag = dict(file.colliders())
+        links = (
+            (float(tag), handle, link + 1) for tag, (handle, link) in enumerate(ends, _FIRST_TAG)
+        )
+        return file, {(handle, link): by_tag[tag] for tag, handle, link in links if tag in by_tag}
 
 
 def _save(client: int) -> bytes | None:
@@ -179,7 +173,9 @@ class _BulletFile:
             case _Kind.SPHERES:
                 return self._spheres(shape)
             case _Kind.HULL:
-                return [_at_origin(Geometry.hull(self._hull(shape)))]
+                scale = _vector(shape["m_convexInternalShapeData"]["m_localScaling"])
+                names = "m_unscaledPointsDoublePtr", "m_unscaledPointsFloatPtr"
+                return [_at_origin(Geometry.hull(self._points(shape, *names) * scale))]
             case _Kind.MESH:
                 return self._mesh(shape, np.ones(3))
             case _Kind.SCALED_MESH:
@@ -187,9 +183,11 @@ class _BulletFile:
             case _Kind.EMPTY:
                 return []
             case _Kind.PLANE:
-                return _plane(shape)
-        primitive = _primitive(kind, shape)
-        return None if primitive is None else [primitive]
+                normal = _vector(shape["m_planeNormal"])
+                normal /= np.linalg.norm(normal)
+                place = normal * _shortest_decimal(shape["m_planeConstant"])
+                return [(Geometry.primitive("plane", normal.tolist()), place, IDENTITY.copy())]
+        return _primitive(kind, shape)
 
     def _compound(self, shape: Any) -> list[PosedGeometry] | None:
         if not shape["m_numChildShapes"]:
@@ -223,11 +221,11 @@ class _BulletFile:
         capsule = Geometry.primitive("capsule", (radii[0], length, 0.0))
         return [(capsule, centres.mean(axis=0), turn_to(axis / length))]
 
-    def _hull(self, shape: Any) -> Array:
-        address = int(shape["m_unscaledPointsDoublePtr"]) or int(shape["m_unscaledPointsFloatPtr"])
-        points = self._block(address)["m_floats"][:, :3].astype(np.float64)
-        scaled: Array = points * _vector(shape["m_convexInternalShapeData"]["m_localScaling"])
-        return scaled
+    def _points(self, part: Any, in_doubles: str, in_floats: str) -> Array:
+        """Returns the points (n, 3) that a part has under one of two names."""
+        block = self._block(int(part[in_doubles]) or int(part[in_floats]))
+        points: Array = block["m_floats"][:, :3].astype(np.float64)
+        return points
 
     def _mesh(self, shape: Any, scale: Array) -> list[PosedGeometry] | None:
         vertices: list[Array] = []
@@ -235,12 +233,11 @@ class _BulletFile:
         mesh = shape["m_meshInterface"]
         parts = self._block(int(mesh["m_meshPartsPtr"])) if mesh["m_numMeshParts"] else ()
         for part in parts:
-            address = int(part["m_vertices3d"]) or int(part["m_vertices3f"])
             triangles = self._triangles(part)
-            if not address or triangles is None:
+            if triangles is None or not (int(part["m_vertices3d"]) or int(part["m_vertices3f"])):
                 return None
             faces.append(triangles + sum(map(len, vertices)))
-            vertices.append(self._block(address)["m_floats"][:, :3].astype(np.float64))
+            vertices.append(self._points(part, "m_vertices3d", "m_vertices3f"))
         if not vertices:
             return []
         # Triangles may have vertices of their own in the file; in a closed mesh they share them.
@@ -287,23 +284,16 @@ class _BulletFile:
 
 def _parse_structures(data: bytes) -> list[_Structure]:
     """Parses the description of the structures at the end of a file."""
+    names: list[list[str]] = []
     offset = 4  # behind "SDNA"
-
-    def read_names() -> list[str]:
-        nonlocal offset
+    for _ in ("fields", "types"):
         (count,) = struct.unpack_from("<i", data, offset + 4)
-        offset += 8
-        names = []
-        for _ in range(count):
-            end = data.index(b"\0", offset)
-            names.append(data[offset:end].decode())
-            offset = end + 1
-        offset = -(-offset // 4) * 4
-        return names
-
-    field_names, types = read_names(), read_names()
-    offset += 4 + 2 * len(types)  # their lengths, which follow from their fields
-    offset = -(-offset // 4) * 4
+        *texts, _rest = data[offset + 8 :].split(b"\0", count)
+        names.append([text.decode() for text in texts])
+        offset = _aligned(offset + 8 + sum(len(text) + 1 for text in texts))
+    field_names, types = names
+    # Behind the lengths of the types, which follow from their fields.
+    offset = _aligned(offset + 4 + 2 * len(types))
     (count,) = struct.unpack_from("<i", data, offset + 4)
     offset += 8
     structures: list[_Structure] = []
@@ -313,6 +303,11 @@ def _parse_structures(data: bytes) -> list[_Structure]:
         structures.append((types[kind], [(types[t], field_names[n]) for t, n in pairs]))
         offset += 4 + 4 * fields
     return structures
+
+
+def _aligned(offset: int) -> int:
+    """Returns the next multiple of 4."""
+    return -(-offset // 4) * 4
 
 
 # -- numbers and primitives -------------------------------------------------------------------
@@ -336,15 +331,7 @@ def _at_origin(geometry: Geometry) -> PosedGeometry:
     return geometry, np.zeros(3), IDENTITY.copy()
 
 
-def _plane(shape: Any) -> list[PosedGeometry]:
-    normal = _vector(shape["m_planeNormal"])
-    normal /= np.linalg.norm(normal)
-    offset = _shortest_decimal(shape["m_planeConstant"])
-    plane = Geometry.primitive("plane", normal.tolist())
-    return [(plane, normal * offset, IDENTITY.copy())]
-
-
-def _primitive(kind: int, shape: Any) -> PosedGeometry | None:
+def _primitive(kind: int, shape: Any) -> list[PosedGeometry] | None:
     """Returns a box, a sphere, a capsule or a cylinder; None for other types."""
     convex, axis = shape, 2
     if "m_upAxis" in shape.dtype.names:
@@ -355,16 +342,14 @@ def _primitive(kind: int, shape: Any) -> PosedGeometry | None:
     sizes = convex["m_implicitShapeDimensions"]["m_floats"][:3]
     margin = convex["m_collisionMargin"]
     halves = [_shortest_decimal(np.float32(size) + np.float32(margin)) for size in sizes]
-    across = (axis + 1) % 3
-    orientation = turn_to(np.eye(3)[axis])
-    if kind == _Kind.BOX:
-        return _at_origin(Geometry.primitive("box", [2.0 * half for half in halves]))
-    if kind == _Kind.SPHERE:
-        return _at_origin(Geometry.primitive("sphere", (_shortest_decimal(sizes[0]), 0.0, 0.0)))
-    if kind == _Kind.CAPSULE:
-        size = _shortest_decimal(sizes[across]), 2.0 * _shortest_decimal(sizes[axis]), 0.0
-        return Geometry.primitive("capsule", size), np.zeros(3), orientation
-    if kind == _Kind.CYLINDER:
-        size = halves[across], 2.0 * halves[axis], 0.0
-        return Geometry.primitive("cylinder", size), np.zeros(3), orientation
-    return None
+    inner, across = list(map(_shortest_decimal, sizes)), (axis + 1) % 3
+    forms: Mapping[int, tuple[GeometryType, Sequence[float]]] = {
+        _Kind.BOX: ("box", [2.0 * half for half in halves]),
+        _Kind.SPHERE: ("sphere", (inner[0], 0.0, 0.0)),
+        _Kind.CAPSULE: ("capsule", (inner[across], 2.0 * inner[axis], 0.0)),
+        _Kind.CYLINDER: ("cylinder", (halves[across], 2.0 * halves[axis], 0.0)),
+    }
+    if kind not in forms:
+        return None
+    turn = IDENTITY.copy() if axis == 2 else turn_to(np.eye(3)[axis])
+    return [(Geometry.primitive(*forms[kind]), np.zeros(3), turn)]

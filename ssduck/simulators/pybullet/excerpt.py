@@ -37,19 +37,16 @@ from ssduck.simulators.pybullet.introspection import (
     poses_in_parents,
     zero_poses,
 )
-from ssduck.simulators.pybullet.readings import link_poses_of
+from ssduck.simulators.pybullet.readings import LinkPosesReader
 from ssduck.simulators.pybullet.scene_loader import (
     LoadedBodies,
     create_constraint,
-    gravity_of,
     hold_joint,
     load_body,
-    set_elastic,
-    set_solver_settings,
-    solver_settings,
+    set_up,
 )
 from ssduck.simulators.pybullet.scene_writer import loadable_spec, placed, write_model
-from ssduck.simulators.pybullet.simulator import PyBulletSimulator, VisualColours, visual_colours
+from ssduck.simulators.pybullet.simulator import PyBulletSimulator, visual_colours
 from ssduck.simulators.scene_bodies import BodySpec
 from ssduck.simulators.scenes import Scene
 
@@ -95,29 +92,19 @@ class _Copier:
 
     def copy(self, originals: Sequence[BodyToCopy]) -> PyBulletSimulator:
         """Copies bodies."""
-        self.loaded.time = self.tick.time
-        self._copy_settings()
+        settings = self.source.settings() if self.source else Scene("", Path())
+        set_up(settings, self.client)
+        self.loaded.time, self.loaded.elastic = self.tick.time, settings.elastic
         with tempfile.TemporaryDirectory(prefix="ssduck") as folder:
             for original in originals:
                 self._copy_body(original, Path(folder))
         self._copy_constraints()
         pybullet.performCollisionDetection(self.client)
-        self._warn_of_differences()
+        for difference, names in self.differences.items():
+            warn(f"{joined_names(list(names))}: {difference}")
+        if self.source is None:
+            warn("gravity and time step are not recorded; they are as in a new scene")
         return PyBulletSimulator(self.client, owned=True, loaded=self.loaded)
-
-    def _copy_settings(self) -> None:
-        """Copies gravity, time step and solver settings from the source."""
-        timestep, gravity = Scene.timestep, Scene.gravity
-        if self.source is not None:
-            parameters = self.source.parameters()
-            timestep = parameters["fixedTimeStep"]
-            gravity = gravity_of(parameters)
-            set_solver_settings(solver_settings(self.source.client), self.client)
-            if self.source.loaded.elastic:
-                self.loaded.elastic = True
-                set_elastic(self.client)
-        pybullet.setTimeStep(timestep, self.client)
-        pybullet.setGravity(*gravity, physicsClientId=self.client)
 
     # -- bodies ---------------------------------------------------------------------------
 
@@ -130,7 +117,12 @@ class _Copier:
         self.handles[body] = handle
         if live is not None:
             copy_dynamics(live.client, body.handle, self.client, handle)
-            copy_colours(live.colours_when_shown(body), self.client, handle)
+            present = {(n, i): colour for n, i, colour in visual_colours(self.client, handle)}
+            for link, shape, colour in live.colours_when_shown(body):
+                if present.get((link, shape), colour) != colour:
+                    pybullet.changeVisualShape(
+                        handle, link, shape, rgbaColor=colour, physicsClientId=self.client
+                    )
         self._copy_joints(original, handle)
         copy = replace(body, handle=handle, name=original.name)
         com = com_poses_of(self.client, handle)
@@ -195,11 +187,12 @@ class _Copier:
         """
         body, poses = original.body, original.link_poses
         copy = replace(body, handle=handle)
-        present = link_poses_of(self.client, copy, com_poses_of(self.client, handle))
+        reader = LinkPosesReader([copy], [com_poses_of(self.client, handle)])
+        present = reader.read(self.client, with_velocities=True)
         before = [
-            pybullet.getJointState(handle, n, self.client)[:1] for n in range(len(body.joints))
+            pybullet.getJointState(handle, n, self.client)[0] for n in range(len(body.joints))
         ]
-        zero = zero_poses(body, present, np.array(before).reshape(-1, 1))
+        zero = zero_poses(body, present, np.array(before)[:, None])
         shifts, turns = compose(*invert(*zero), *poses_in_parents(body, poses))
         parents = [link.parent for link in body.links[1:]]
         drift = poses.states[1:, 10:] - poses.states[parents, 10:]
@@ -250,8 +243,8 @@ class _Copier:
         """Makes the constraints between the bodies, and to the world."""
         if self.source is None:
             return
-        described = [body for body in self.handles if self._live(body) is not None]
-        handles = {body.handle: self.handles[body] for body in described}
+        copies = self.handles.items()
+        handles = {body.handle: new for body, new in copies if self._live(body) is not None}
         handles[-1] = -1
         for spec, on, to in constraints_of(self.source.client):
             if on[0] in handles and to[0] in handles:
@@ -262,12 +255,6 @@ class _Copier:
 
     def _note_difference(self, difference: str, original: BodyToCopy) -> None:
         self.differences.setdefault(difference, {})[original.name] = None
-
-    def _warn_of_differences(self) -> None:
-        for difference, names in self.differences.items():
-            warn(f"{joined_names(list(names))}: {difference}")
-        if self.source is None:
-            warn("gravity and time step are not recorded; they are as in a new scene")
 
 
 # The indices of changeDynamics' parameters in the result of getDynamicsInfo. Margins are not among
@@ -307,14 +294,3 @@ def copy_dynamics(source: int, original: int, client: int, handle: int) -> None:
                 changes |= limits
         if changes:
             pybullet.changeDynamics(handle, link, physicsClientId=client, **changes)
-
-
-def copy_colours(new_colours: VisualColours, client: int, handle: int) -> None:
-    """Colours a body."""
-    colours = {(link, shape): colour for link, shape, colour in visual_colours(client, handle)}
-    for link, shape, colour in new_colours:
-        present = colours.get((link, shape))
-        if present is not None and tuple(present) != tuple(colour):
-            pybullet.changeVisualShape(
-                handle, link, shape, rgbaColor=colour, physicsClientId=client
-            )

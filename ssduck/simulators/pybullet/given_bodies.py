@@ -17,7 +17,7 @@ import numpy as np
 from ssduck import validation
 from ssduck.errors import ArgumentError, ProgramWarning, warn
 from ssduck.formatting import joined_names, short_repr
-from ssduck.geometry.arrays import Array, Triangles
+from ssduck.geometry.arrays import Array
 from ssduck.geometry.mesh_files import load_mesh
 from ssduck.geometry.shapes import Geometry
 from ssduck.simulators.backends import ShapesByBody
@@ -99,21 +99,15 @@ def names_of(
     another body has it with another mesh. PyBullet does not tell the files of models.
     """
     models = {h: pybullet.getBodyInfo(h, client)[1].decode(errors="replace") for h in handles}
-    sharing: dict[str, list[int]] = {}
-    for handle, model in models.items():
-        sharing.setdefault(model, []).append(handle)
 
     def name(handle: int) -> str:
         model = models[handle]
         own = body_name(model)
         mesh = _base_mesh(client, handle) if own else ""
         if mesh and (by_mesh := name_by_file(model, PurePath(mesh))) != own:
-            others = sharing[model]
-            if (
-                tells_nothing(model)
-                or names_a_file(model)
-                or any(_base_mesh(client, other) != mesh for other in others)
-            ):
+            meshes = (_base_mesh(client, other) for other in handles if models[other] == model)
+            is_vague = tells_nothing(model) or names_a_file(model)
+            if is_vague or any(other != mesh for other in meshes):
                 return by_mesh
         return own or f"body_{handle}"
 
@@ -170,14 +164,10 @@ def _key(client: int, handles: Sequence[int], key: Any) -> tuple[int, int, int |
 
 
 def _geometries(key: Any, value: Any) -> list[Geometry]:
-    if isinstance(value, list) and value and not _is_pair(value):
+    # A list of two tables of numbers is [vertices, faces] rather than two meshes.
+    if isinstance(value, list) and value and [np.ndim(_array(one)) for one in value] != [2, 2]:
         return [_geometry(key, one) for one in value]
     return [_geometry(key, value)]
-
-
-def _is_pair(value: Any) -> bool:
-    """Checks whether a list is [vertices, faces] rather than some meshes."""
-    return len(value) == 2 and all(np.ndim(_array(part)) == 2 for part in value)
 
 
 def _array(part: Any) -> Any:
@@ -198,34 +188,28 @@ def _geometry(key: Any, value: Any) -> Geometry:
         value = value.vertices, value.faces
     if not (isinstance(value, tuple | list) and len(value) == 2):
         raise ArgumentError(f"shapes: {key!r}: {short_repr(value)} is no mesh: a mesh is {_MESHES}")
-    vertices = _vertices(key, value[0])
+    vertices = _rows(key, value[0], 3, "vertices must be numbers (n, 3), at least three")
+    is_wrong = ~np.isfinite(vertices).all(axis=1)
+    if is_wrong.any():
+        row = int(is_wrong.argmax())
+        raise ArgumentError(f"shapes: {key!r}: vertex {row} is not finite: {vertices[row]}")
     if value[1] is None:
         return Geometry.hull(vertices)
-    return Geometry("mesh", (0.0, 0.0, 0.0), vertices, _faces(key, value[1], len(vertices)))
-
-
-def _vertices(key: Any, values: Any) -> Array:
-    vertices = _array(values)
-    if vertices is None or vertices.ndim != 2 or vertices.shape[1] != 3 or len(vertices) < 3:
-        raise ArgumentError(f"shapes: {key!r}: vertices must be numbers (n, 3), at least three")
-    if not np.isfinite(vertices).all():
-        row = int(np.argmax(~np.isfinite(vertices).all(axis=1)))
-        raise ArgumentError(f"shapes: {key!r}: vertex {row} is not finite: {vertices[row]}")
-    return np.array(vertices)
-
-
-def _faces(key: Any, values: Any, count: int) -> Triangles:
-    faces = _array(values)
-    if faces is None or faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
-        raise ArgumentError(
-            f"shapes: {key!r}: faces must be numbers of vertices (n, 3), at least one triangle"
-        )
-    wrong = (faces != np.floor(faces)) | ~((faces >= 0) & (faces < count))
-    if wrong.any():
-        row = int(np.argmax(wrong.any(axis=1)))
+    rule = "faces must be numbers of vertices (n, 3), at least one triangle"
+    faces = _rows(key, value[1], 1, rule)
+    is_wrong = ~((faces == np.floor(faces)) & (faces >= 0) & (faces < len(vertices))).all(axis=1)
+    if is_wrong.any():
+        row = int(is_wrong.argmax())
         raise ArgumentError(
             f"shapes: {key!r}: face {row} is {faces[row].tolist()}; the vertices have the numbers "
-            f"0 to {count - 1}"
+            f"0 to {len(vertices) - 1}"
         )
-    triangles: Triangles = faces.astype(np.int32)
-    return triangles
+    return Geometry("mesh", (0.0, 0.0, 0.0), vertices, faces.astype(np.int32))
+
+
+def _rows(key: Any, values: Any, least: int, rule: str) -> Array:
+    """Returns a copy of rows of three numbers; at least some of them."""
+    rows = _array(values)
+    if rows is None or rows.ndim != 2 or rows.shape[1] != 3 or len(rows) < least:
+        raise ArgumentError(f"shapes: {key!r}: {rule}")
+    return np.array(rows)

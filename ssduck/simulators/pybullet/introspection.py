@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -21,7 +22,7 @@ from ssduck.simulators.interface import SCALAR_JOINTS, Body, LinkPoses, VisualSh
 from ssduck.simulators.kinematics import moved_link_poses, position_nearest_zero
 from ssduck.simulators.pybullet.bodies import Pose, primitive_of, wxyz
 from ssduck.simulators.pybullet.clients import pybullet
-from ssduck.simulators.pybullet.scene_loader import CONSTRAINTS
+from ssduck.simulators.pybullet.scene_loader import CONSTRAINTS, constraint_infos
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.scenes import ConstraintSpec
 
@@ -29,7 +30,8 @@ from ssduck.simulators.scenes import ConstraintSpec
 ConstraintEnd: TypeAlias = tuple[int, int]
 
 _SOFT_BODY = 3
-# The elements of a model's contact parameters: their indices in the result of getDynamicsInfo.
+# The elements of a model's contact parameters that are not written if they have PyBullet's
+# defaults, 0 and -1: their indices in the result of getDynamicsInfo.
 _CONTACT_ELEMENTS = {
     "rolling_friction": 6,
     "spinning_friction": 7,
@@ -89,17 +91,13 @@ def model_of(simulator: PyBulletSimulator, body: Body) -> BodyModel:
         description.com,
         np.array([dynamic[2] for dynamic in dynamics]),
         [info[6] for info in infos],
-        [_contact_parameters(dynamic) for dynamic in dynamics],
+        [
+            {name: dynamic[n] for name, n in _CONTACT_ELEMENTS.items() if dynamic[n] not in (0, -1)}
+            | {"lateral_friction": dynamic[1]}
+            for dynamic in dynamics
+        ],
         list(_visuals(simulator, body)),
     )
-
-
-def _contact_parameters(dynamic: Sequence[Any]) -> dict[str, float]:
-    """Returns the contact parameters of a link, without PyBullet's defaults, 0 and -1."""
-    parameters = {name: float(dynamic[index]) for name, index in _CONTACT_ELEMENTS.items()}
-    return {name: value for name, value in parameters.items() if value not in (0.0, -1.0)} | {
-        "lateral_friction": float(dynamic[1])
-    }
 
 
 def estimated_model(body: Body, link_poses: LinkPoses, joints: Array) -> BodyModel:
@@ -173,50 +171,41 @@ def visual_shapes(simulator: PyBulletSimulator, body: Body) -> list[VisualShape]
 
     PyBullet's visual planes have no normal, and soft bodies have a mesh without a file.
     """
-    shapes: dict[int, list[VisualShape] | None] = {}
-    for visual in _visuals(simulator, body):
-        link, geometry = visual.link, visual.geometry
+    shapes: list[VisualShape] = []
+    lacking = set()
+    for v in _visuals(simulator, body):
+        geometry = v.geometry
         if geometry is None:
-            geometry = _mesh_of(visual)
-        known = shapes.setdefault(link, [])
-        if known is None or geometry is None or geometry.type == "plane":
-            shapes[link] = None
-            continue
-        colour: Any = visual.colour and tuple(visual.colour)
-        known.append(VisualShape(link, geometry, visual.position, visual.orientation, colour))
-    drawn = [shape for known in shapes.values() for shape in known or ()]
-    lacking = {link for link, known in shapes.items() if known is None}
-    collision = collision_visuals(body)
-    return drawn + [each for each in collision if each.link in lacking or not shapes]
-
-
-def _mesh_of(visual: Visual) -> Geometry | None:
-    """Returns the mesh of a visual shape; None if its file cannot be read."""
-    try:
-        return load_mesh(Path(visual.file), tuple(map(float, visual.scale)))
-    except ValueError:
-        return None
+            with suppress(ValueError):
+                geometry = load_mesh(Path(v.file), tuple(map(float, v.scale)))
+        if geometry is None or geometry.type == "plane":
+            lacking.add(v.link)
+        else:
+            colour: Any = v.colour and tuple(v.colour)
+            shapes.append(VisualShape(v.link, geometry, v.position, v.orientation, colour))
+    if not (shapes or lacking):
+        return collision_visuals(body)
+    stand_ins = [shape for shape in collision_visuals(body) if shape.link in lacking]
+    return [shape for shape in shapes if shape.link not in lacking] + stand_ins
 
 
 def constraints_of(client: int) -> Iterator[tuple[ConstraintSpec, ConstraintEnd, ConstraintEnd]]:
     """Yields the constraints of a client with the links that they connect; -1, -1 is the world."""
     names = {number: name for name, number in CONSTRAINTS.items()}
-    for index in range(pybullet.getNumConstraints(client)):
-        number = pybullet.getConstraintUniqueId(index, physicsClientId=client)
-        info = pybullet.getConstraintInfo(number, client)
-        (orientation,), (to_orientation,) = (wxyz(np.array([info[i]])).tolist() for i in (8, 9))
+    for _, info in constraint_infos(client):
+        orientation, to_orientation = map(tuple, wxyz(np.array(info[8:10])).tolist())
         spec = ConstraintSpec(
             type=names[info[4]],
             on="",
             axis=info[5],
             position=info[6],
-            orientation=tuple(orientation),
+            orientation=orientation,
             to_position=info[7],
-            to_orientation=tuple(to_orientation),
+            to_orientation=to_orientation,
             max_force=info[10],
             gear_ratio=info[11],
             gear_link=info[12],
             gear_target=info[13],
             erp=info[14],
         )
-        yield spec, (info[0], info[1]), (info[2], info[3])
+        yield spec, info[:2], info[2:4]

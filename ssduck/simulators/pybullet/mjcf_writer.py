@@ -24,10 +24,11 @@ from ssduck.geometry.poses import IDENTITY, compose, invert, multiply, turn_to
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.geometry.solids import solid_of
 from ssduck.simulators.backends import BodyToCopy, TickToCopy
-from ssduck.simulators.interface import SCALAR_JOINTS, Joint, VisualShape
+from ssduck.simulators.interface import SCALAR_JOINTS, VisualShape
 from ssduck.simulators.model_xml import (
     ASSETS,
     KIND_PREFIX,
+    MJCF_SIZES,
     STATE_KEY,
     add_part,
     obj_text,
@@ -35,7 +36,6 @@ from ssduck.simulators.model_xml import (
 )
 from ssduck.simulators.naming import unique_name
 from ssduck.simulators.pybullet.introspection import constraints_of, model_of, visual_shapes
-from ssduck.simulators.pybullet.scene_loader import gravity_of
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 
 # MuJoCo refuses parts that move with less mass, kg, or less moment of inertia, kg m².
@@ -74,10 +74,9 @@ class _Writer:
 
     def __post_init__(self) -> None:
         self.root = ET.Element("mujoco", model="world")
-        parameters = self.simulator.parameters()
         add_part(self.root, "compiler", angle="radian", meshdir=ASSETS)
-        timestep, gravity = parameters["fixedTimeStep"], gravity_of(parameters)
-        add_part(self.root, "option", timestep=timestep, gravity=gravity)
+        scene = self.simulator.settings()
+        add_part(self.root, "option", timestep=scene.timestep, gravity=scene.gravity)
         self.assets = add_part(self.root, "asset")
         self.world = add_part(self.root, "worldbody")
         add_part(self.world, "light", pos="0 0 5", dir="0 0 -1", directional="true")
@@ -202,15 +201,21 @@ class _Tree:
             if joint.type != "fixed":
                 self._note(f"its {joint.type} joint {joint.name!r} is fixed")
             return False
-        values = self._scalar_joint(joint, number - 1) if joint.type in SCALAR_JOINTS else {}
-        if values:
+        name, kind = self._joint_names[number - 1], _JOINTS[joint.type]
+        values: dict[str, Any] = {}
+        if joint.type not in SCALAR_JOINTS:  # the pose of the link has the present turn
+            self._writer.positions += IDENTITY.tolist()
+            self._writer.velocities += [0.0] * 3
+        else:
             position, velocity = (0.0 if math.isnan(n) else n for n in states[:2].tolist())
             self._writer.positions.append(position)
             self._writer.velocities.append(velocity)
-        else:  # the pose of the link has the present turn
-            self._writer.positions += IDENTITY.tolist()
-            self._writer.velocities += [0.0] * 3
-        name, kind = self._joint_names[number - 1], _JOINTS[joint.type]
+            values |= {"axis": joint.axis, "damping": self._model.damping[number - 1]}
+            if joint.lower is not None and joint.upper is not None:
+                values |= {"limited": "true", "range": (joint.lower, joint.upper)}
+            if effort := joint.max_effort:
+                values |= {"actuatorfrclimited": "true", "actuatorfrcrange": (-effort, effort)}
+                values["frictionloss"] = effort
         add_part(element, "joint", name=name, type=kind, **values)
         return True
 
@@ -224,16 +229,6 @@ class _Tree:
         spin = self._original.link_poses.matrices[0].T @ state[10:]
         self._writer.velocities += [*state[7:10].tolist(), *spin.tolist()]
         return True
-
-    def _scalar_joint(self, joint: Joint, number: int) -> dict[str, Any]:
-        values: dict[str, Any] = {"axis": joint.axis, "damping": self._model.damping[number]}
-        if joint.lower is not None and joint.upper is not None:
-            values |= {"limited": "true", "range": (joint.lower, joint.upper)}
-        if joint.max_effort:
-            limit = (-joint.max_effort, joint.max_effort)
-            values |= {"actuatorfrclimited": "true", "actuatorfrcrange": limit}
-            values["frictionloss"] = joint.max_effort
-        return values
 
     def _add_inertial(self, element: ET.Element, number: int, *, moves: bool) -> None:
         mass, inertia = self._body.links[number].mass, self._model.inertias[number]
@@ -268,29 +263,22 @@ class _Tree:
     def _add_geom(
         self, element: ET.Element, shape: PlacedGeometry | VisualShape, more: Mapping[str, Any]
     ) -> None:
-        geometry, turn, (a, b, c) = shape.geometry, shape.orientation, shape.geometry.size
+        geometry, turn = shape.geometry, shape.orientation
         form: dict[str, Any] = {"type": geometry.type}
-        match geometry.type:
-            case "box":
-                form["size"] = a / 2, b / 2, c / 2
-            case "sphere":
-                form["size"] = a
-            case "cylinder" | "capsule":
-                form["size"] = a, b / 2
-            case "ellipsoid":
-                form["size"] = a, b, c
-            case "plane":
-                form["size"] = "0 0 1"
-                turn = multiply(turn, turn_to((a, b, c)))
-                if self._body.links[0].mass:
-                    self._note("a plane that moves is left out")
-                    return
-            case "hull" | "mesh":
-                mesh = self._mesh(geometry, is_drawn=more["group"] == _DRAWN)
-                if mesh is None:
-                    self._note("a flat hull is left out")
-                    return
-                form = {"type": "mesh", "mesh": mesh}
+        if factors := MJCF_SIZES.get(geometry.type):
+            form["size"] = [n * part for n, part in zip(geometry.size, factors, strict=False)]
+        elif geometry.type == "plane":
+            form["size"] = "0 0 1"
+            turn = multiply(turn, turn_to(geometry.size))
+            if self._body.links[0].mass:
+                self._note("a plane that moves is left out")
+                return
+        else:
+            mesh = self._mesh(geometry, is_drawn=more["group"] == _DRAWN)
+            if mesh is None:
+                self._note("a flat hull is left out")
+                return
+            form = {"type": "mesh", "mesh": mesh}
         add_part(element, "geom", **form, pos=shape.position, quat=turn, **more)
 
     def _mesh(self, geometry: Geometry, *, is_drawn: bool) -> str | None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -17,7 +17,7 @@ from xml.etree import ElementTree as ET
 
 from ssduck.errors import SceneError
 from ssduck.formatting import joined_names, short_repr
-from ssduck.simulators.model_xml import parse_tolerantly
+from ssduck.simulators.model_xml import number_in, parse_tolerantly
 from ssduck.simulators.pybullet.bodies import MAX_JOINTS
 from ssduck.simulators.pybullet.model_repairs import (
     free_continuous_joints,
@@ -90,24 +90,21 @@ def ignored_parts(format: str, root: ET.Element) -> list[str]:
     parents = {child: parent for parent in root.iter() for child in parent}
     found = []
     for path in IGNORED[format]:
-        _, bracket, attribute = path.partition("[@")
-        key = attribute.rstrip("]")
+        key = path.partition("[@")[2].rstrip("]")
         parts = [part for part in root.iterfind(path) if _has_effect(part, key)]
         if parts:
-            what = f"<{parts[0].tag} {key}>" if bracket else f"<{parts[0].tag}>"
+            what = f"<{parts[0].tag} {key}>" if key else f"<{parts[0].tag}>"
             found.append(what + _of_owners(parts, parents))
     macros = {part.tag for part in root.iter() if part.tag.startswith("xacro:")}
     found += [f"<{macro}>" for macro in sorted(macros)]
-    if format == "urdf":
-        floating = [joint for joint in root.iterfind("joint") if joint.get("type") == "floating"]
-        found += ["the motion of floating joints" + _of_owners(floating, {})] if floating else []
+    if floating := root.findall("joint[@type='floating']") if format == "urdf" else []:
+        found.append("the motion of floating joints" + _of_owners(floating, {}))
     return found
 
 
 def _has_effect(part: ET.Element, key: str) -> bool:
     """Checks whether a part, or an attribute of it, says more than the default."""
-    text = part.get(key, "") if key else part.text or ""
-    words = text.split()
+    words = (part.get(key, "") if key else part.text or "").split()
     return not _NO_EFFECT.issuperset(words) if words else not key
 
 
@@ -115,26 +112,6 @@ def _of_owners(parts: Iterable[ET.Element], parents: Mapping[ET.Element, ET.Elem
     """Returns the names of what has some parts, in words."""
     names = dict.fromkeys(name for part in parts if (name := named_owner(part, parents)))
     return f" of {joined_names(list(names), _MAX_OWNERS)}" if names else ""
-
-
-def free_bodies(root: ET.Element) -> list[str]:
-    """Returns the names of an MJCF file's bodies without joints, which PyBullet leaves free."""
-    bodies = [body for world in root.iterfind("worldbody") for body in world.iterfind("body")]
-    return [
-        body.get("name") or "a body without a name"
-        for body in bodies
-        if body.find("joint") is None
-        and body.find("freejoint") is None
-        and body.find("geom") is not None
-    ]
-
-
-def has_unknown_angles(root: ET.Element) -> bool:
-    """Checks whether PyBullet takes the angles of an MJCF file for radians, MuJoCo for degrees."""
-    return root.find("compiler") is None and any(
-        joint.get("range") is not None and joint.get("type", "hinge") == "hinge"
-        for joint in root.iter("joint")
-    )
 
 
 @dataclass(frozen=True)
@@ -212,25 +189,23 @@ def check_numbers(format: str, root: ET.Element) -> list[str]:
     """Checks the numbers of a model file; tells, in words, what PyBullet takes for 0."""
     rules = _RULES[format]
     parents = {child: parent for parent in root.iter() for child in parent}
-    doubts: dict[str, int] = {}
+    doubts: Counter[str] = Counter()
     for part in root.iter():
-        for (tag, attribute), text in _texts(part):
-            rule = rules.get((tag, attribute))
+        for attribute, text in (("", part.text or ""), *part.items()):
+            rule = rules.get((part.tag, attribute))
             words = text.split()
             if rule is None or not words:
                 continue
-            what = f"<{tag} {attribute}>" if attribute else f"<{tag}>"
-            numbers = [_number(word) for word in words]
-            known = [number for number in numbers if number is not None]
-            fault = rule.fault(known)
+            what = f"<{part.tag} {attribute}>" if attribute else f"<{part.tag}>"
+            numbers = [number_in(word) for word in words]
+            fault = rule.fault([number for number in numbers if number is not None])
             if format == "sdf" and rule is _POSE and len(words) < 6:
                 fault = f"has {len(words)} numbers, not 6"
             if fault:
                 raise SceneError(f"{what} {fault}: {short_repr(text.strip())}")
             if doubt := _doubt(rule, words, numbers):
                 owner = named_owner(part, parents)
-                doubt = f"{what}{owner and f' of {owner}'} {doubt}"
-                doubts[doubt] = doubts.get(doubt, 0) + 1
+                doubts[f"{what}{owner and f' of {owner}'} {doubt}"] += 1
     told = [text if count == 1 else f"{text} ({count} times)" for text, count in doubts.items()]
     return first_of(told, "numbers")
 
@@ -255,20 +230,6 @@ def _doubt(rule: _Rule, words: list[str], numbers: list[float | None]) -> str:
     found = _BEGINNING.match(other)
     taken = f"takes {found[0]}, its beginning," if found else "takes 0"
     return f"has {short_repr(other)}, which is no number: PyBullet {taken} for it"
-
-
-def _texts(part: ET.Element) -> Iterator[tuple[tuple[str, str], str]]:
-    """Yields the texts of an element, by its tag and the attribute."""
-    yield (part.tag, ""), part.text or ""
-    for attribute, text in part.attrib.items():
-        yield (part.tag, attribute), text
-
-
-def _number(word: str) -> float | None:
-    try:
-        return float(word)
-    except ValueError:
-        return None
 
 
 # Elements of SDF files whose text PyBullet reads without a check.
@@ -308,7 +269,11 @@ class ModelFile:
             raise SceneError(f"it cannot be read as XML: {error}") from error
         join_numbers(root)
         if spec.source == "sdf":
-            _fill_texts(root)
+            for part in root.iter():
+                # As in URDF, an attribute may stand for a text.
+                is_empty = not len(part) and not (part.text or "").strip()
+                if part.tag in _TEXTS and is_empty and part.get("value"):
+                    part.text = part.get("value")
             place_frames(root)
         elif spec.source == "urdf":
             free_continuous_joints(root)
@@ -329,7 +294,13 @@ class ModelFile:
             if self.format == "sdf":
                 _check_texts(model)
             _check_roots(model)
-            _check_count(model, self.format)
+            count = len(model.findall("joint"))
+            if count > MAX_JOINTS:
+                other = '; load(…, simulator="mujoco") reads it' if self.format == "urdf" else ""
+                raise SceneError(
+                    f"the model {model.get('name')!r} has {count} joints, and PyBullet has room "
+                    f"for {MAX_JOINTS} in a body, fixed ones included{other}"
+                )
         doubts = check_numbers(self.format, self.root)
         return [*first_of(self.left_out, "meshes"), *doubts]
 
@@ -357,13 +328,19 @@ class ModelFile:
         parts = ignored_parts(self.format, self.root)
         found = [f"ignores {'; '.join(parts)}"] if parts else []
         if self.format == "mjcf":
-            free = [] if fixed else free_bodies(self.root)
-            if free:
+            free = [
+                body.get("name") or "a body without a name"
+                for body in self.root.iterfind("worldbody/body[geom]")
+                if body.find("joint") is None and body.find("freejoint") is None
+            ]
+            if free and not fixed:
                 found.append(
                     f"leaves {joined_names(free)} free; MuJoCo fixes bodies without a joint, "
                     "as fixed = true does"
                 )
-            if has_unknown_angles(self.root):
+            joints = self.root.iterfind(".//joint[@range]")
+            hinges = [joint for joint in joints if joint.get("type", "hinge") == "hinge"]
+            if hinges and self.root.find("compiler") is None:
                 found.append("takes angles for radians without <compiler>, MuJoCo for degrees")
         return found
 
@@ -414,14 +391,6 @@ def _check_names(parts: Iterable[ET.Element]) -> None:
             )
 
 
-def _fill_texts(root: ET.Element) -> None:
-    """Takes attributes `value`, as in URDF, for texts that are empty."""
-    for part in root.iter():
-        is_empty = not len(part) and not (part.text or "").strip()
-        if part.tag in _TEXTS and is_empty and part.get("value"):
-            part.text = part.get("value")
-
-
 def _check_texts(part: ET.Element) -> None:
     """Checks the texts that PyBullet reads in a model of an SDF file."""
     waiting = [part]
@@ -434,17 +403,6 @@ def _check_texts(part: ET.Element) -> None:
         if part.tag in _TEXTS and not (part.text or "").strip():
             raise SceneError(f"a <{part.tag}> is empty")
         waiting += reversed(part)
-
-
-def _check_count(model: ET.Element, format: str) -> None:
-    """Checks that PyBullet has room for the joints of a model."""
-    count = len(model.findall("joint"))
-    if count > MAX_JOINTS:
-        other = '; load(…, simulator="mujoco") reads it' if format == "urdf" else ""
-        raise SceneError(
-            f"the model {model.get('name')!r} has {count} joints, and PyBullet has room for "
-            f"{MAX_JOINTS} in a body, fixed ones included{other}"
-        )
 
 
 def _check_roots(model: ET.Element) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import re
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import cache, lru_cache
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -48,8 +48,8 @@ _MAX_NUMBER = 2**31 - 1
 
 def check_meshes(model: Path, root: ET.Element) -> None:
     """Checks the OBJ, STL and COLLADA files that a model file names, where PyBullet finds them."""
-    for name in _names_in(root):
-        file = find_mesh(model, name)
+    for part in root.iter("mesh"):
+        file = find_mesh(model, mesh_name(part, root))
         if file is not None and (fault := mesh_fault(file)):
             raise SceneError(f"{file}: {fault}")
 
@@ -63,14 +63,6 @@ def mesh_fault(file: Path) -> str:
         return _fault_of(file, status.st_mtime_ns, status.st_size)
     except OSError as error:
         return f"it cannot be read: {error.strerror}"
-
-
-def _names_in(root: ET.Element) -> Iterator[str]:
-    """Yields the names of mesh files in a model file."""
-    for part in root.iter("mesh"):
-        for name in (part.get("filename"), part.get("file"), part.findtext("uri")):
-            if name:
-                yield name.strip()
 
 
 def find_mesh(model: Path, name: str) -> Path | None:
@@ -141,7 +133,8 @@ def _obj_fault(file: Path) -> str:
     for start, words in lines:
         # PyBullet ends there, and frees what it has not made if this is behind the first group.
         if start > second and not all(map(_WORD.fullmatch, words)):
-            return f"a face has a corner that is none: {_shown(words)}"
+            told = short_repr(b" ".join(words).decode(errors="backslashreplace"))
+            return f"a face has a corner that is none: {told}"
     faces = [(start, list(map(_vertex, words))) for start, words in lines]
     faces = [face for face in faces if len(face[1]) > 2]  # PyBullet leaves out the others
     if not faces:
@@ -169,10 +162,6 @@ def _line_fault(content: bytes) -> str:
                 f"{PIECE:,}"
             )
     return ""
-
-
-def _shown(words: list[bytes]) -> str:
-    return short_repr(b" ".join(words).decode(errors="backslashreplace"))
 
 
 def _words(text: bytes) -> list[bytes]:
@@ -220,50 +209,55 @@ def collada_fault(file: Path) -> str:
         root = ET.fromstring(content, ET.XMLParser(target=parts))  # noqa: S314  # no entities
     except (ET.ParseError, ValueError) as error:
         return f"it is no XML: {error}"
-    if _name(root) != "COLLADA":
+    for part in root.iter():
+        if isinstance(part.tag, str):  # that of a comment is a function
+            part.tag = part.tag.rpartition("}")[2]
+    if root.tag != "COLLADA":
         return "it has no <COLLADA>"
     if _PREFIXED.search(content):
         return "its elements have a prefix, as in <a:COLLADA>, which PyBullet does not know"
     try:
-        for unit in _children(_child(root, "asset"), "unit"):
-            _attribute(unit, "meter")
-        for scene in _children(root, "scene"):
-            for shown in _children(scene, "instance_visual_scene"):
-                _attribute(shown, "url")
-        for scenes in _children(root, "library_visual_scenes"):
-            for scene in _children(scenes, "visual_scene"):
-                _attribute(scene, "id")
-        for geometry in _children(_child(root, "library_geometries"), "geometry"):
-            _attribute(geometry, "id")
-            for mesh in _children(geometry, "mesh"):
-                _check_mesh(mesh)
+        for name in ("asset", "library_geometries"):
+            _child(root, name)
+        for path, key in _NEEDED.items():
+            for part in root.iterfind(path):
+                _attribute(part, key)
+        for mesh in root.iterfind("library_geometries[1]/geometry/mesh"):
+            _check_mesh(mesh)
     except ValueError as error:
         return str(error)
     return ""
 
 
+# Attributes that PyBullet reads without a check, by the paths of their elements.
+_NEEDED = {
+    "asset[1]/unit": "meter",
+    "scene/instance_visual_scene": "url",
+    "library_visual_scenes/visual_scene": "id",
+    "library_geometries[1]/geometry": "id",
+}
+
+
 def _check_mesh(mesh: ET.Element) -> None:
     """Checks the triangles of a mesh; PyBullet reads no source of a mesh without any."""
-    sources = {_attribute(part, "id"): part for part in _children(mesh, "source")}
+    sources = {_attribute(part, "id"): part for part in mesh.iterfind("source")}
     vertices = _child(mesh, "vertices")
-    if next(_children(mesh, "triangles"), None) is None:
+    if mesh.find("triangles") is None:
         return
     counts = {name: _row_count(part) for name, part in sources.items()}
-    inputs = list(_children(vertices, "input"))
-    places = [i for i in inputs if _attribute(i, "semantic") == "POSITION"]
-    if not places:
+    rows = [(_attribute(i, "semantic"), _count_of(i, counts)) for i in vertices.iterfind("input")]
+    positions = [count for semantic, count in rows if semantic == "POSITION"]
+    if not positions:
         raise ValueError("<vertices> has no positions")
-    for part in inputs:
-        _count_of(part, counts)
-    counts[_attribute(vertices, "id")] = _count_of(places[0], counts)
-    for triangles in _children(mesh, "triangles"):
+    counts[_attribute(vertices, "id")] = positions[0]
+    for triangles in mesh.iterfind("triangles"):
         _check_triangles(triangles, counts)
 
 
 def _check_triangles(triangles: ET.Element, counts: Mapping[str, int]) -> None:
     bounds: dict[int, int] = {}
     semantics = set()
-    for part in _children(triangles, "input"):
+    for part in triangles.iterfind("input"):
         semantics.add(_attribute(part, "semantic"))
         offset = _number(part, "offset")
         if not 0 <= offset <= _MAX_OFFSET:
@@ -288,8 +282,7 @@ def _row_count(source: ET.Element) -> int:
     numbers = _child(source, "float_array")
     _attribute(numbers, "id")
     count = len((numbers.text or "").split())
-    common = next(_children(source, "technique_common"), None)
-    accessor = None if common is None else next(_children(common, "accessor"), None)
+    accessor = source.find("technique_common[1]/accessor")
     if accessor is None:
         raise ValueError("a <source> has no <accessor>")
     stride = _number(accessor, "stride")
@@ -306,26 +299,17 @@ def _count_of(part: ET.Element, counts: Mapping[str, int]) -> int:
     return counts[source]
 
 
-def _name(part: ET.Element) -> str:
-    """Returns the name of an element without its namespace."""
-    return str(part.tag).rpartition("}")[2]
-
-
-def _children(part: ET.Element, name: str) -> Iterator[ET.Element]:
-    return (child for child in part if _name(child) == name)
-
-
 def _child(part: ET.Element, name: str) -> ET.Element:
-    child = next(_children(part, name), None)
+    child = part.find(name)
     if child is None:
-        raise ValueError(f"<{_name(part)}> has no <{name}>")
+        raise ValueError(f"<{part.tag}> has no <{name}>")
     return child
 
 
 def _attribute(part: ET.Element, key: str) -> str:
     value = part.get(key)
     if not value:
-        raise ValueError(f"a <{_name(part)}> has no {key}")
+        raise ValueError(f"a <{part.tag}> has no {key}")
     return value
 
 
@@ -388,9 +372,8 @@ def replace_meshes(model: Path, format: str, root: ET.Element) -> list[str]:
             if not is_pointer(file) and mesh_fault(file):
                 continue  # which is an error
             try:
-                _set_name(
-                    part, str(_converted(file, (status := file.stat()).st_mtime_ns, status.st_size))
-                )
+                status = file.stat()
+                _set_name(part, str(_converted(file, status.st_mtime_ns, status.st_size)))
                 continue
             except (OSError, ValueError) as error:
                 fault = str(error)

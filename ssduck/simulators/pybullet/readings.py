@@ -10,10 +10,10 @@ that a ray begins in.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
-from functools import cache, cached_property, partial
+from functools import cache, cached_property
 from itertools import chain, count, repeat
 from operator import itemgetter
 from typing import Any, ClassVar, Self, TypeAlias
@@ -22,12 +22,7 @@ import numpy as np
 
 from ssduck.geometry.arrays import Array, Indices, are_moderate
 from ssduck.geometry.poses import invert, multiply, rotate, rotation_matrices
-from ssduck.simulators.interface import (
-    Body,
-    ContactPoints,
-    LinkPoses,
-    RayHits,
-)
+from ssduck.simulators.interface import Body, ContactPoints, LinkPoses, RayHits
 from ssduck.simulators.pybullet.bodies import Pose, is_soft
 from ssduck.simulators.pybullet.clients import pybullet
 
@@ -72,32 +67,29 @@ class PyBulletContacts:
 
     @cached_property
     def _all(self) -> ContactPoints:
-        return _found(self.points)
-
-
-def _found(points: Sequence[_Point]) -> ContactPoints:
-    """Returns the points at which shapes press or meet."""
-    if not points:
-        return ContactPoints.none()
-    numbers = _flatten((*p[5], *p[6], *p[7], *p[8:11], *p[11], p[12], *p[13]) for p in points)
-    floats = np.fromiter(numbers, np.float64, _FLOATS * len(points)).reshape(-1, _FLOATS).T.copy()
-    ends = _flatten(point[1:5] for point in points)
-    sides = np.fromiter(ends, np.intp, 4 * len(points)).reshape(-1, 4).T
-    is_found = (floats[_DISTANCE] <= 0.0) | (floats[_FORCE] > 0.0)
-    if not is_found.all():
-        chosen = is_found.nonzero()[0]
-        sides, floats = sides.take(chosen, axis=1), floats.take(chosen, axis=1)
-    friction = floats[_FRICTION_1] * floats[_FRICTION_1 + 1 : _FRICTION_2]
-    friction += floats[_FRICTION_2] * floats[_FRICTION_2 + 1 :]
-    return ContactPoints(
-        bodies=sides[:2].T,
-        links=sides[2:].T + 1,
-        points=floats[:6].reshape(2, 3, -1).transpose(2, 0, 1),
-        normals=floats[6:9].T,
-        depths=-floats[_DISTANCE],
-        forces=floats[_FORCE],
-        frictions=friction.T,
-    )
+        points = self.points
+        if not points:
+            return ContactPoints.none()
+        numbers = _flatten((*p[5], *p[6], *p[7], *p[8:11], *p[11], p[12], *p[13]) for p in points)
+        rows = np.fromiter(numbers, np.float64, _FLOATS * len(points)).reshape(-1, _FLOATS)
+        floats = rows.T.copy()
+        ends = _flatten(point[1:5] for point in points)
+        sides = np.fromiter(ends, np.intp, 4 * len(points)).reshape(-1, 4).T
+        is_found = (floats[_DISTANCE] <= 0.0) | (floats[_FORCE] > 0.0)
+        if not is_found.all():
+            chosen = is_found.nonzero()[0]
+            sides, floats = sides.take(chosen, axis=1), floats.take(chosen, axis=1)
+        friction = floats[_FRICTION_1] * floats[_FRICTION_1 + 1 : _FRICTION_2]
+        friction += floats[_FRICTION_2] * floats[_FRICTION_2 + 1 :]
+        return ContactPoints(
+            bodies=sides[:2].T,
+            links=sides[2:].T + 1,
+            points=floats[:6].reshape(2, 3, -1).transpose(2, 0, 1),
+            normals=floats[6:9].T,
+            depths=-floats[_DISTANCE],
+            forces=floats[_FORCE],
+            frictions=friction.T,
+        )
 
 
 # Parts of a link's state: the pose of the centre of mass; linear and angular velocity.
@@ -114,12 +106,8 @@ class LinkPosesReader:
         self._links = [list(range(len(body.links) - 1)) for body in bodies if len(body.links) > 1]
         soft = [is_soft(body) for body in bodies]
         counts = np.array([len(body.links) for body in bodies], dtype=np.intp)
-        # By whether the links' velocities are read: the number of values in PyBullet's results, and
-        # the places of each link's values.
-        self._orders = {
-            with_velocities: _order(counts, soft, with_velocities)
-            for with_velocities in (False, True)
-        }
+        # By whether the links' velocities are read.
+        self._orders = [_order(counts, soft, with_velocities) for with_velocities in (False, True)]
         self._are_known = not any(soft)
         positions = np.concatenate([np.zeros((0, 3)), *(pose[0] for pose in com)])
         orientations = np.concatenate([np.zeros((0, 4)), *(pose[1] for pose in com)])
@@ -147,25 +135,22 @@ class LinkPosesReader:
         )
         count, order = self._orders[with_velocities]
         numbers = np.fromiter(_flatten(_flatten(results)), np.float64, count)
-        states = cache(partial(self._states, numbers, order))
+
+        @cache
+        def states() -> Array:
+            states = numbers.take(order)
+            if self._has_rotated_com:
+                states[:, 3:7] = multiply(states[:, 3:7], self._link_from_com)
+            return states
+
         matrices = cache(lambda: rotation_matrices(states()[:, 3:7]))
-        return LinkPoses(
-            lambda: self._positions(states()[:, :3], matrices),
-            matrices,
-            states,
-            are_finite=self._are_known and are_moderate(numbers[:-1]),
-        )
 
-    def _states(self, numbers: Array, order: Indices) -> Array:
-        """Returns the states of the links, (n, 13); see `LinkPoses`."""
-        states = numbers.take(order)
-        if self._has_rotated_com:
-            states[:, 3:7] = multiply(states[:, 3:7], self._link_from_com)
-        return states
+        def positions() -> Array:
+            centres = states()[:, :3]
+            return centres + rotate(matrices(), self._origins) if self._has_shifted_com else centres
 
-    def _positions(self, centres: Array, matrices: Callable[[], Array]) -> Array:
-        """Returns the origins of link frames, (n, 3), of the centres of mass of the links."""
-        return centres + rotate(matrices(), self._origins) if self._has_shifted_com else centres
+        are_finite = self._are_known and are_moderate(numbers[:-1])
+        return LinkPoses(positions, matrices, states, are_finite=are_finite)
 
 
 # A result like those of PyBullet, of one value, for velocities that are not read.
@@ -193,48 +178,29 @@ def _order(counts: Indices, soft: Sequence[bool], with_velocities: bool) -> tupl
     return count, order[:, [0, 1, 2, 6, 3, 4, 5, *range(7, 13)]]
 
 
-def link_poses_of(client: int, body: Body, com: Pose) -> LinkPoses:
-    """Returns the link poses of one body as they are now."""
-    return LinkPosesReader([body], [com]).read(client, with_velocities=True)
-
-
 # PyBullet refuses more rays than its maximum in one call, and returns nothing for the maximum.
 MAX_RAYS: int = pybullet.MAX_RAY_INTERSECTION_BATCH_SIZE - 1
 # Waking other threads takes longer than casting fewer rays than this.
 MIN_RAYS_FOR_THREADS = 50
 _ALL_THREADS = 0
-_body = itemgetter(0)
-_fraction = itemgetter(2)
 
 
 def cast_rays(client: int, starts: Array, ends: Array, through: Indices) -> RayHits:
     """Returns the first hit of each ray, ignoring the body that it passes through."""
     bodies, fractions = _cast(client, starts, ends)
-    blocked = np.flatnonzero((bodies == through) & (bodies >= 0))
-    if blocked.size:
-        bodies[blocked], fractions[blocked] = _first_others(
-            client, starts[blocked], ends[blocked], through[blocked]
-        )
-    return RayHits(bodies, fractions)
-
-
-def _first_others(
-    client: int, starts: Array, ends: Array, through: Indices
-) -> tuple[Indices, Array]:
-    """Returns the nearest of all hits, without those of the bodies that the rays pass through."""
-    bodies = np.full(len(starts), -1, dtype=np.intp)
-    fractions = np.ones(len(starts))
-    rays = np.arange(len(starts))
+    # The rays that hit that body first; those of them that have as many hits as were looked at.
+    rays = np.flatnonzero((bodies == through) & (bodies >= 0))
+    bodies[rays], fractions[rays] = -1, 1.0
     for number in count():
+        if not rays.size:
+            break
         hit_bodies, hit_fractions = _cast(client, starts[rays], ends[rays], number)
         is_hit = hit_bodies >= 0
         is_nearer = is_hit & (hit_bodies != through[rays]) & (hit_fractions < fractions[rays])
         bodies[rays[is_nearer]] = hit_bodies[is_nearer]
         fractions[rays[is_nearer]] = hit_fractions[is_nearer]
         rays = rays[is_hit]
-        if not rays.size:
-            break
-    return bodies, fractions
+    return RayHits(bodies, fractions)
 
 
 def _cast(client: int, starts: Array, ends: Array, number: int = -1) -> tuple[Indices, Array]:
@@ -252,7 +218,5 @@ def _cast(client: int, starts: Array, ends: Array, number: int = -1) -> tuple[In
             physicsClientId=client,
         )
     ]
-    return (
-        np.fromiter(map(_body, hits), np.intp, total),
-        np.fromiter(map(_fraction, hits), np.float64, total),
-    )
+    bodies = np.fromiter(map(itemgetter(0), hits), np.intp, total)
+    return bodies, np.fromiter(map(itemgetter(2), hits), np.float64, total)

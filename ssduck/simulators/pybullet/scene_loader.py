@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 import re
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -23,9 +23,8 @@ from ssduck.simulators.pybullet.bodies import BodyDescription, joint_of, wxyz, x
 from ssduck.simulators.pybullet.clients import captured, pybullet
 from ssduck.simulators.pybullet.model_files import ModelFile
 from ssduck.simulators.pybullet.model_repairs import check_meshes, write_for_pybullet
-from ssduck.simulators.scene_bodies import MODEL_SUFFIXES, BodySpec, Material, Primitive
-from ssduck.simulators.scenes import ConstraintSpec, Scene, check_body
-from ssduck.simulators.toml_reader import Vector
+from ssduck.simulators.scene_bodies import BodySpec, Primitive
+from ssduck.simulators.scenes import ConstraintSpec, Engine, Scene, check_body
 
 # The beginning of each of Bullet's messages, which do not end in a new line.
 _MESSAGE_START = re.compile(r"b3(?:Error|Warning)\[[^]]*\]:")
@@ -46,18 +45,14 @@ _SHAPES = {
 }
 
 
-class LoadedModel(NamedTuple):
-    """The bodies of a scene entry."""
+def _load_model(spec: BodySpec, place: str, client: int) -> tuple[Sequence[int], tuple[str, ...]]:
+    """Loads the model of a scene entry.
 
-    handles: Sequence[int]  # PyBullet's numbers of the bodies
-    messages: tuple[str, ...] = ()  # what PyBullet leaves out or takes for 0, in words
-
-
-def load_model(spec: BodySpec, place: str, client: int) -> LoadedModel:
-    """Loads the model of a scene entry."""
+    Returns PyBullet's numbers of the bodies, and what it leaves out or takes for 0, in words.
+    """
     if isinstance(spec.model, Primitive):
         with captured():  # PyBullet warns about the picture of a plane, and draws it
-            return LoadedModel((_create_primitive(spec, spec.model, client),))
+            return (_create_primitive(spec, spec.model, client),), ()
     where = f"{place}{spec.source}: " if place else ""
     failure: Exception | None = None
     handles: Sequence[int] = ()
@@ -71,7 +66,7 @@ def load_model(spec: BodySpec, place: str, client: int) -> LoadedModel:
     if failure is None:
         skipped = (message for message in messages if _SKIPPED.search(message))
         said = dict.fromkeys(_FILE_AND_LINE.sub("", message) for message in skipped)
-        return LoadedModel(handles, (*doubts, *said))
+        return handles, (*doubts, *said)
     faults = (_FILE_AND_LINE.sub("", m) for m in messages if not _CHATTER.search(m))
     reason = "; ".join(faults) or str(failure)
     raise SceneError(f"{where}{spec.model} cannot be loaded: {reason}") from failure
@@ -95,7 +90,8 @@ def _load_file(spec: BodySpec, client: int, doubts: list[str]) -> Sequence[int]:
     for number, handle in enumerate(handles):
         if spec.fixed or number in static:
             pybullet.changeDynamics(handle, -1, mass=0.0, physicsClientId=client)
-        _move(handle, spec, client)
+        if (spec.position, spec.orientation) != (BodySpec.position, BodySpec.orientation):
+            _put(handle, spec, pybullet.getBasePositionAndOrientation(handle, client), client)
     return handles
 
 
@@ -121,24 +117,24 @@ def names_in_file(spec: BodySpec, handles: Sequence[int], client: int) -> list[s
 
 def link_names(handle: int, client: int) -> list[str]:
     """Returns PyBullet's names of the links of a body, the base first."""
-    infos = [
-        pybullet.getJointInfo(handle, index, client)[12]
-        for index in range(pybullet.getNumJoints(handle, client))
-    ]
+    links = range(pybullet.getNumJoints(handle, client))
+    names = (pybullet.getJointInfo(handle, index, client)[12] for index in links)
     base = pybullet.getBodyInfo(handle, client)[0]
-    return [name.decode(errors="replace") for name in (base, *infos)]
+    return [name.decode(errors="replace") for name in (base, *names)]
 
 
-def _move(handle: int, spec: BodySpec, client: int) -> None:
-    """Moves a body from the frame of its file to the pose of the scene entry."""
-    if spec.position == BodySpec.position and spec.orientation == BodySpec.orientation:
-        return
-    pose = pybullet.getBasePositionAndOrientation(handle, client)
+def _put(handle: int, spec: BodySpec, com: Sequence[Any], client: int) -> Array:
+    """Puts a body at the pose of its entry, by that of its centre of mass in the frame there.
+
+    Returns the position of the centre of mass, (3,).
+    """
     origin = np.array([spec.position]), np.array([spec.orientation])
-    com = compose(*origin, np.array([pose[0]]), wxyz(np.array([pose[1]])))
+    places, turns = compose(*origin, np.array([com[0]]), wxyz(np.array([com[1]])))
+    place: Array = places[0]
     pybullet.resetBasePositionAndOrientation(
-        handle, com[0][0].tolist(), xyzw(com[1])[0].tolist(), client
+        handle, place.tolist(), xyzw(turns)[0].tolist(), client
     )
+    return place
 
 
 def _load_urdf(spec: BodySpec, file: str, client: int) -> int:
@@ -150,14 +146,8 @@ def _load_urdf(spec: BodySpec, file: str, client: int) -> int:
     )
     # The flags of loadURDF decide whether its position is that of the root's centre of mass or of
     # its link frame; so the link frame is placed here.
-    dynamics = pybullet.getDynamicsInfo(handle, -1, client)
-    link = np.array([spec.position]), np.array([spec.orientation])
-    com = np.array([dynamics[3]]), wxyz(np.array([dynamics[4]]))
-    position, orientation = compose(*link, *com)
-    pybullet.resetBasePositionAndOrientation(
-        handle, position[0].tolist(), xyzw(orientation)[0].tolist(), client
-    )
-    _set_velocity(handle, spec, position[0] - link[0][0], client)
+    position = _put(handle, spec, pybullet.getDynamicsInfo(handle, -1, client)[3:5], client)
+    _set_velocity(handle, spec, position - spec.position, client)
     return handle
 
 
@@ -171,40 +161,27 @@ def _set_velocity(handle: int, spec: BodySpec, com: Array, client: int) -> None:
 
 def _create_primitive(spec: BodySpec, primitive: Primitive, client: int) -> int:
     """Creates a body of one primitive shape."""
-    shape, size, colour = _SHAPES[primitive.type], primitive.size, primitive.material.colour
-    collision_size, visual_size = _sizes(primitive.type, size)
+    shape, size, material = _SHAPES[primitive.type], primitive.size, primitive.material
+    sizes: dict[str, Any] = {"radius": size[0]}
+    if primitive.type == "box":
+        sizes = {"halfExtents": [length / 2 for length in size]}
+    elif primitive.type == "plane":
+        sizes = {"planeNormal": size}
+    is_long = primitive.type in ("cylinder", "capsule")
+    collides = {"height": size[1], **sizes} if is_long else sizes
+    drawn = {"length": size[1], **sizes} if is_long else sizes
     handle = int(
         pybullet.createMultiBody(
             0.0 if spec.fixed else primitive.mass,
-            pybullet.createCollisionShape(shape, physicsClientId=client, **collision_size),
+            pybullet.createCollisionShape(shape, physicsClientId=client, **collides),
             pybullet.createVisualShape(
-                shape, rgbaColor=colour, physicsClientId=client, **visual_size
+                shape, rgbaColor=material.colour, physicsClientId=client, **drawn
             ),
             spec.position,
             xyzw(np.array([spec.orientation]))[0].tolist(),
             physicsClientId=client,
         )
     )
-    _set_material(handle, primitive.material, client)
-    _set_velocity(handle, spec, np.zeros(3), client)
-    return handle
-
-
-def _sizes(type: str, size: Sequence[float]) -> tuple[dict[str, object], dict[str, object]]:
-    """Returns PyBullet's arguments for the size of a collision shape and of a visual shape."""
-    match type:
-        case "box":
-            half = [length / 2 for length in size]
-            return {"halfExtents": half}, {"halfExtents": half}
-        case "sphere":
-            return {"radius": size[0]}, {"radius": size[0]}
-        case "plane":
-            return {"planeNormal": size}, {"planeNormal": size}
-    radius, length = size
-    return {"radius": radius, "height": length}, {"radius": radius, "length": length}
-
-
-def _set_material(handle: int, material: Material, client: int) -> None:
     pybullet.changeDynamics(
         handle,
         -1,
@@ -214,6 +191,8 @@ def _set_material(handle: int, material: Material, client: int) -> None:
         restitution=material.restitution,
         physicsClientId=client,
     )
+    _set_velocity(handle, spec, np.zeros(3), client)
+    return handle
 
 
 CONSTRAINTS = {
@@ -251,19 +230,9 @@ class LoadedBodies:
 
 def load_models(scene: Scene, client: int) -> LoadedBodies:
     """Fills a new client with a scene."""
-    pybullet.setTimeStep(scene.timestep, client)
-    pybullet.setGravity(*scene.gravity, physicsClientId=client)
-    engine = {name: value for name, value in asdict(scene.engine).items() if value is not None}
-    set_solver_settings(engine, client)
-    if scene.elastic:
-        set_elastic(client)
+    set_up(scene, client)
     loaded = LoadedBodies(time=scene.time, elastic=scene.elastic)
-    entries = [(scene.floor, load_body(scene.floor, "", loaded, client))] if scene.floor else []
-    # A model by itself has no entry in a scene's file.
-    is_model = scene.path.suffix.lower() in MODEL_SUFFIXES
-    for index, spec in enumerate(scene.bodies):
-        place = "" if is_model else f"{scene.path}: body[{index}]."
-        entries.append((spec, load_body(spec, place, loaded, client)))
+    entries = [(spec, load_body(spec, place, loaded, client)) for spec, place in scene.entries]
     loaded.names = _names(scene, entries, client)
     _warn_of_ignored_parts(entries, loaded)
     _create_constraints(scene, loaded, client)
@@ -274,13 +243,40 @@ def load_models(scene: Scene, client: int) -> LoadedBodies:
     return loaded
 
 
+def set_up(scene: Scene, client: int) -> None:
+    """Gives a client the gravity, the time step and the solver of a scene."""
+    pybullet.setTimeStep(scene.timestep, client)
+    pybullet.setGravity(*scene.gravity, physicsClientId=client)
+    present = pybullet.getPhysicsEngineParameters(client)
+    engine = {_ENGINE[name]: value for name, value in asdict(scene.engine).items()}
+    changes = {key: n for key, n in engine.items() if n is not None and n != present[key]}
+    if scene.elastic:
+        # Slow contacts bounce, too. No penetration is corrected: that would add energy.
+        changes |= {"restitutionVelocityThreshold": 0.0, "contactERP": 0.0}
+    if changes:
+        pybullet.setPhysicsEngineParameter(physicsClientId=client, **changes)
+
+
+def settings_of(client: int, loaded: LoadedBodies) -> Scene:
+    """Returns a scene without bodies: the gravity, the time step and the solver of a client."""
+    parameters = pybullet.getPhysicsEngineParameters(client)
+    x, y, z = (parameters[f"gravityAcceleration{axis}"] for axis in "XYZ")
+    return Scene(
+        name="world",
+        path=Path(),
+        gravity=(x, y, z),
+        timestep=parameters["fixedTimeStep"],
+        elastic=loaded.elastic,
+        engine=Engine(**{name: int(parameters[key]) for name, key in _ENGINE.items()}),
+    )
+
+
 def _check_poses(handle: int, place: str, client: int) -> None:
     """Checks that the links of a body have poses: a joint about an axis of length 0 gives none."""
-    count = pybullet.getNumJoints(handle, client)
-    links = pybullet.getLinkStates(handle, range(count), physicsClientId=client) if count else ()
-    names = ["its base"] + [f"the joint {joint.name!r}" for joint in _joints_of(handle, client)]
-    poses = [pybullet.getBasePositionAndOrientation(handle, client)]
-    poses += [(link[4], link[5]) for link in links]
+    joints = _joints_of(handle, client)
+    links = pybullet.getLinkStates(handle, range(len(joints)), physicsClientId=client) or ()
+    poses = [pybullet.getBasePositionAndOrientation(handle, client), *(s[4:6] for s in links)]
+    names = ["its base", *(f"the joint {joint.name!r}" for joint in joints)]
     for name, pose in zip(names, poses, strict=True):
         if not all(math.isfinite(number) for part in pose for number in part):
             raise SceneError(f"{place} has no pose at {name}: is an axis or an origin no vector?")
@@ -307,27 +303,16 @@ def _warn_of_ignored_parts(
     entries: Sequence[tuple[BodySpec, Sequence[int]]], loaded: LoadedBodies
 ) -> None:
     """Warns of each model file with parts that PyBullet ignores."""
-    names: dict[Path, list[str]] = {}
-    parts: dict[Path, list[str]] = {}
+    by_file: dict[Path, tuple[BodySpec, list[str]]] = {}
     for spec, handles in entries:
         if isinstance(spec.model, Path):
-            names.setdefault(spec.model, []).extend(loaded.names[handle] for handle in handles)
-            if spec.model not in parts:
-                parts[spec.model] = ModelFile.read(spec).ignored(spec.fixed)
-    for file, found in parts.items():
-        said = [f"PyBullet {part}" for part in found] + list(loaded.skipped.get(file, ()))
+            _, names = by_file.setdefault(spec.model, (spec, []))
+            names += (loaded.names[handle] for handle in handles)
+    for file, (spec, names) in by_file.items():
+        ignored = ModelFile.read(spec).ignored(spec.fixed)
+        said = [*(f"PyBullet {part}" for part in ignored), *loaded.skipped.get(file, ())]
         if said:
-            warn(f"{file} ({joined_names(names[file])}): {'; '.join(said)}")
-
-
-def set_elastic(client: int) -> None:
-    """Makes the collisions of a client elastic."""
-    pybullet.setPhysicsEngineParameter(
-        # Slow contacts bounce, too. No penetration is corrected: that would add energy.
-        restitutionVelocityThreshold=0.0,
-        contactERP=0.0,
-        physicsClientId=client,
-    )
+            warn(f"{file} ({joined_names(names)}): {'; '.join(said)}")
 
 
 def make_elastic(handle: int, client: int) -> None:
@@ -349,28 +334,9 @@ def make_elastic(handle: int, client: int) -> None:
         )
 
 
-def set_solver_settings(engine: Mapping[str, int], client: int) -> None:
-    """Sets the solver, by the names of `Engine`; equal values are not set."""
-    for name, value in engine.items():
-        if solver_settings(client)[name] != value:
-            pybullet.setPhysicsEngineParameter(physicsClientId=client, **{_ENGINE[name]: value})
-
-
-def solver_settings(client: int) -> dict[str, int]:
-    """Returns the settings of the solver, by the names of `Engine`."""
-    parameters = pybullet.getPhysicsEngineParameters(client)
-    return {name: int(parameters[key]) for name, key in _ENGINE.items()}
-
-
-def gravity_of(parameters: Mapping[str, float]) -> Vector:
-    """Returns gravity, m/s², among PyBullet's parameters."""
-    x, y, z = (parameters[f"gravityAcceleration{axis}"] for axis in "XYZ")
-    return x, y, z
-
-
 def load_body(spec: BodySpec, place: str, loaded: LoadedBodies, client: int) -> Sequence[int]:
     """Loads a scene entry and returns the numbers of its bodies; a file may hold several."""
-    handles, messages = load_model(spec, place, client)
+    handles, messages = _load_model(spec, place, client)
     if messages and isinstance(spec.model, Path):
         loaded.skipped[spec.model] = messages
     joints = [_joints_of(handle, client) for handle in handles]
@@ -383,9 +349,18 @@ def load_body(spec: BodySpec, place: str, loaded: LoadedBodies, client: int) -> 
             loaded.disabled.add(handle)
         if not spec.visible:
             loaded.hidden.add(handle)
-        positions = _set_joints(handle, spec, own_joints, client)
-        if positions:
-            loaded.motor_positions[handle] = positions
+        motors: dict[int, float] = {}
+        for joint in own_joints:
+            if joint.type in SCALAR_JOINTS:
+                # A joint that the scene does not set is at 0, or at its limit nearest to 0.
+                value = spec.joints.get(joint.name, position_nearest_zero(joint))
+                velocity = spec.joint_velocities.get(joint.name, 0.0)
+                pybullet.resetJointState(handle, joint.link - 1, value, velocity, client)
+                if spec.hold:
+                    motors[joint.link] = spec.held.get(joint.name, value)
+                    hold_joint(handle, joint, motors[joint.link], client)
+        if motors:
+            loaded.motor_positions[handle] = motors
         if loaded.elastic:
             make_elastic(handle, client)
     return handles
@@ -396,29 +371,8 @@ def _joints_of(handle: int, client: int) -> list[Joint]:
     return [joint_of(pybullet.getJointInfo(handle, index, client)) for index in range(count)]
 
 
-def _set_joints(
-    handle: int, spec: BodySpec, joints: Sequence[Joint], client: int
-) -> dict[int, float]:
-    """Sets the initial joint states; returns the positions that motors hold, by link.
-
-    A joint that the scene does not set is at 0, or at its limit nearest to 0. Joints without limits
-    are wheels and the like; their motors hold velocity 0.
-    """
-    motor_positions: dict[int, float] = {}
-    for joint in joints:
-        if joint.type not in SCALAR_JOINTS:
-            continue
-        value = spec.joints.get(joint.name, position_nearest_zero(joint))
-        velocity = spec.joint_velocities.get(joint.name, 0.0)
-        pybullet.resetJointState(handle, joint.link - 1, value, velocity, client)
-        if spec.hold:
-            motor_positions[joint.link] = spec.held.get(joint.name, value)
-            hold_joint(handle, joint, motor_positions[joint.link], client)
-    return motor_positions
-
-
 def hold_joint(handle: int, joint: Joint, value: float, client: int) -> None:
-    """Makes a joint's motor hold a position; velocity 0 for a joint without limits."""
+    """Makes a motor hold a position; velocity 0 for a joint without limits, as of a wheel."""
     position = None if joint.lower is None else value
     set_motor(handle, joint.link, MotorTarget(position, 0.0, joint.max_effort or 0.0, None), client)
 
@@ -446,14 +400,11 @@ def _create_constraints(scene: Scene, loaded: LoadedBodies, client: int) -> None
                 ends.append((-1, -1))
                 continue
             check_body(body, handles, f"{place}{key}")
-            handle = handles[body]
-            names = link_names(handle, client)
+            names = link_names(handles[body], client)
             if link is not None and link not in names:
-                raise SceneError(
-                    f"{place}{key}_link: {body!r} has no link {link!r}",
-                    suggestions=nearest(link, names),
-                )
-            ends.append((handle, -1 if link is None else names.index(link) - 1))
+                told = f"{place}{key}_link: {body!r} has no link {link!r}"
+                raise SceneError(told, suggestions=nearest(link, names))
+            ends.append((handles[body], -1 if link is None else names.index(link) - 1))
         create_constraint(spec, ends[0], ends[1], client)
 
 
@@ -461,17 +412,10 @@ def create_constraint(
     spec: ConstraintSpec, on: tuple[int, int], to: tuple[int, int], client: int
 ) -> None:
     """Creates a constraint between two links, each a body number and PyBullet's link index."""
-    number = pybullet.createConstraint(
-        *on,
-        *to,
-        CONSTRAINTS[spec.type],
-        spec.axis,
-        spec.position,
-        spec.to_position,
-        _to_xyzw(spec.orientation),
-        _to_xyzw(spec.to_orientation),
-        physicsClientId=client,
-    )
+    turns = xyzw(np.array([spec.orientation, spec.to_orientation])).tolist()
+    places = spec.axis, spec.position, spec.to_position
+    kind = CONSTRAINTS[spec.type]
+    number = pybullet.createConstraint(*on, *to, kind, *places, *turns, physicsClientId=client)
     settings: dict[str, Any] = {}
     # PyBullet's default of 500 is an impulse of 500 N s; if set, it would be a force of 500 N.
     if spec.max_force != ConstraintSpec.max_force:
@@ -486,11 +430,6 @@ def create_constraint(
         settings["erp"] = spec.erp
     if settings:
         pybullet.changeConstraint(number, physicsClientId=client, **settings)
-
-
-def _to_xyzw(orientation: Sequence[float]) -> list[float]:
-    w, *vector = orientation
-    return [*vector, w]
 
 
 def add_fixed_constraint(client: int, on: tuple[int, int], to: int) -> None:
@@ -512,13 +451,15 @@ def add_fixed_constraint(client: int, on: tuple[int, int], to: int) -> None:
 
 def fixed_constraints(client: int, on: int, to: int) -> list[int]:
     """Returns the numbers of the fixed constraints between a body and the base of another."""
-    numbers = [
-        pybullet.getConstraintUniqueId(index, physicsClientId=client)
-        for index in range(pybullet.getNumConstraints(client))
-    ]
     return [
         number
-        for number in numbers
-        for info in [pybullet.getConstraintInfo(number, client)]
-        if (info[0], info[2], info[3], info[4]) == (on, to, -1, pybullet.JOINT_FIXED)
+        for number, info in constraint_infos(client)
+        if (info[0], *info[2:5]) == (on, to, -1, pybullet.JOINT_FIXED)
     ]
+
+
+def constraint_infos(client: int) -> Iterator[tuple[int, tuple[Any, ...]]]:
+    """Yields the numbers of the constraints of a client, and what PyBullet tells of each."""
+    for index in range(pybullet.getNumConstraints(client)):
+        number = pybullet.getConstraintUniqueId(index, physicsClientId=client)
+        yield number, pybullet.getConstraintInfo(number, client)

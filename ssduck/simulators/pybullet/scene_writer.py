@@ -23,10 +23,9 @@ from ssduck.simulators.interface import SCALAR_JOINTS, Body
 from ssduck.simulators.model_xml import add_part, obj_text, roll_pitch_yaw, unique_names
 from ssduck.simulators.naming import unique_name
 from ssduck.simulators.pybullet.introspection import BodyModel, Visual, constraints_of, model_of
-from ssduck.simulators.pybullet.scene_loader import gravity_of, solver_settings
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.scene_bodies import BodySpec, Primitive
-from ssduck.simulators.scenes import ConstraintSpec, Engine, Scene
+from ssduck.simulators.scenes import ConstraintSpec, Scene
 
 # The folder of the models; each model has a folder of its own there.
 MODELS = "models"
@@ -38,19 +37,14 @@ def scene_of(
     simulator: PyBulletSimulator, originals: Sequence[BodyToCopy], tick: TickToCopy, folder: Path
 ) -> Scene:
     """Describes a simulation as a scene without sensors; writes its models into a folder."""
-    parameters = simulator.parameters()
     models = _ModelWriter(simulator, folder)
     by_handle = {original.body.handle: original for original in originals}
-    return Scene(
-        name="world",
+    return replace(
+        simulator.settings(),
         path=folder,
-        gravity=gravity_of(parameters),
-        timestep=parameters["fixedTimeStep"],
         time=tick.time,
         bodies=tuple(models.spec_of(original, tick) for original in originals),
         constraints=tuple(_constraints(simulator.client, by_handle)),
-        engine=Engine(**solver_settings(simulator.client)),
-        elastic=simulator.loaded.elastic,
     )
 
 
@@ -104,7 +98,11 @@ class _ModelWriter:
         """Returns the scene's entry of a body."""
         body, states = original.body, original.joints
         spec = loadable_spec(self.simulator, body)
-        copy = None if spec is None else self._copy_of(spec.model)
+        copy = None if spec is None else spec.model
+        if isinstance(copy, Path):
+            if copy not in self.copies:
+                self.copies[copy] = self._copy(copy)
+            copy = self.copies[copy]
         if spec is None or copy is None:
             folder, stem = self._new_folder(original.name), _file_name(original.name)
             copy = write_model(model_of(self.simulator, body), folder, stem)
@@ -125,20 +123,13 @@ class _ModelWriter:
             held={name: target for name, target in targets.items() if target != positions[name]},
         )
 
-    def _copy_of(self, file: Path | Primitive) -> Path | Primitive | None:
-        """Returns a copy of a URDF file and its meshes, or a primitive; None if there is none."""
-        if isinstance(file, Primitive):
-            return file
-        if file not in self.copies:
-            self.copies[file] = self._copy(file)
-        return self.copies[file]
-
     def _copy(self, file: Path) -> Path | None:
+        """Returns a copy of a URDF file and its meshes; None if some are elsewhere."""
         references = _referenced_files(file)
         if references is None:
             return None
         folder = self._new_folder(file.stem)
-        for name in (file.relative_to(file.parent), *references):
+        for name in (Path(file.name), *references):
             target = folder / name
             target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(file.parent / name, target)
@@ -179,10 +170,6 @@ def _file_name(name: str) -> str:
     return re.sub(r"[^\w-]+", "_", name) or "body"
 
 
-# PyBullet's limit of effort or velocity of a joint without such a limit.
-_UNLIMITED = 0.0
-
-
 def write_model(model: BodyModel, folder: Path, stem: str) -> Path:
     """Writes a model and its meshes into a folder; the URDF file is `stem.urdf`."""
     robot = ET.Element("robot", name=unique_names([model.body.name])[0])
@@ -193,7 +180,11 @@ def write_model(model: BodyModel, folder: Path, stem: str) -> Path:
         contact = add_part(element, "contact")
         for kind, value in model.contacts[index].items():
             add_part(contact, kind, value=value)
-        _add_inertial(element, model, index)
+        inertial = add_part(element, "inertial")
+        _add_origin(inertial, model.com[0][index], model.com[1][index])
+        add_part(inertial, "mass", value=model.body.links[index].mass)
+        ixx, iyy, izz = model.inertias[index]
+        add_part(inertial, "inertia", ixx=ixx, iyy=iyy, izz=izz, ixy="0", ixz="0", iyz="0")
         shapes = [shape for shape in model.body.shapes if shape.frame == index]
         for shape in shapes:
             part = _add_shape(element, "collision", shape, meshes)
@@ -214,54 +205,45 @@ def write_model(model: BodyModel, folder: Path, stem: str) -> Path:
     return path
 
 
-def _add_inertial(element: ET.Element, model: BodyModel, index: int) -> None:
-    inertial = add_part(element, "inertial")
-    _add_origin(inertial, model.com[0][index], model.com[1][index])
-    add_part(inertial, "mass", value=model.body.links[index].mass)
-    ixx, iyy, izz = model.inertias[index]
-    add_part(inertial, "inertia", ixx=ixx, iyy=iyy, izz=izz, ixy="0", ixz="0", iyz="0")
-
-
 def _add_visual(
     element: ET.Element, visual: Visual, shapes: Sequence[PlacedGeometry], meshes: _Meshes
 ) -> list[ET.Element]:
     """Adds a visual shape; if its mesh is unknown, the collision shapes of the link."""
-    if visual.geometry is None and Path(visual.file).is_file():
-        part = add_part(element, "visual")
-        _add_origin(part, visual.position, visual.orientation)
-        name = meshes.copy(Path(visual.file))
-        add_part(add_part(part, "geometry"), "mesh", filename=name, scale=visual.scale)
-        return [part]
     if visual.geometry is not None:
-        pose = visual.position, visual.orientation
-        shapes = [PlacedGeometry(visual.link, visual.geometry, *pose)]
-    return [_add_shape(element, "visual", shape, meshes) for shape in shapes]
+        return [_add_shape(element, "visual", visual, meshes)]
+    if not Path(visual.file).is_file():
+        return [_add_shape(element, "visual", shape, meshes) for shape in shapes]
+    part = add_part(element, "visual")
+    _add_origin(part, visual.position, visual.orientation)
+    name = meshes.copy(Path(visual.file))
+    add_part(add_part(part, "geometry"), "mesh", filename=name, scale=visual.scale)
+    return [part]
 
 
 def _add_shape(
-    element: ET.Element, kind: str, shape: PlacedGeometry, meshes: _Meshes
+    element: ET.Element, kind: str, shape: PlacedGeometry | Visual, meshes: _Meshes
 ) -> ET.Element:
-    part = add_part(element, kind)
+    part, geometry = add_part(element, kind), shape.geometry
     _add_origin(part, shape.position, shape.orientation)
-    tag, attributes = _geometry(shape.geometry, meshes)
-    add_part(add_part(part, "geometry"), tag, **attributes)
-    return part
-
-
-def _geometry(geometry: Geometry, meshes: _Meshes) -> tuple[str, dict[str, Any]]:
-    """Returns the element of a geometry, and its attributes."""
+    assert geometry is not None
+    a, b, _ = geometry.size
+    attributes: dict[str, Any] = {}
+    tag: str = geometry.type
     match geometry.type:
         case "box":
-            return "box", {"size": geometry.size}
+            attributes = {"size": geometry.size}
         case "sphere":
-            return "sphere", {"radius": geometry.size[0]}
-        case "cylinder" | "capsule" as round:
-            return round, {"radius": geometry.size[0], "length": geometry.size[1]}
+            attributes = {"radius": a}
+        case "cylinder" | "capsule":
+            attributes = {"radius": a, "length": b}
         case "plane":
-            return "plane", {"normal": geometry.size}
-        case "ellipsoid":  # PyBullet has none
-            geometry = Geometry.hull(solid_of(geometry).points)
-    return "mesh", {"filename": meshes.write(geometry)}
+            attributes = {"normal": geometry.size}
+        case _:
+            is_ellipsoid = geometry.type == "ellipsoid"  # PyBullet has none
+            mesh = Geometry.hull(solid_of(geometry).points) if is_ellipsoid else geometry
+            tag, attributes = "mesh", {"filename": meshes.write(mesh)}
+    add_part(add_part(part, "geometry"), tag, **attributes)
+    return part
 
 
 def _add_joint(
@@ -277,9 +259,9 @@ def _add_joint(
     if joint.type in SCALAR_JOINTS:
         add_part(element, "axis", xyz=joint.axis)
     add_part(element, "dynamics", damping=model.damping[number])
-    # PyBullet takes an empty range for no limit.
+    # PyBullet takes an empty range for no limit, and an effort or a velocity of 0.
     low, high = (joint.lower, joint.upper) if limited else (0.0, -1.0)
-    effort, velocity = joint.max_effort or _UNLIMITED, joint.max_velocity or _UNLIMITED
+    effort, velocity = joint.max_effort or 0.0, joint.max_velocity or 0.0
     add_part(element, "limit", lower=low, upper=high, effort=effort, velocity=velocity)
 
 
@@ -287,12 +269,13 @@ def _add_origin(element: ET.Element, position: Array, orientation: Array) -> Non
     add_part(element, "origin", xyz=position, rpy=roll_pitch_yaw(orientation))
 
 
+@dataclass(frozen=True)
 class _Meshes:
     """The mesh files of a model, each written once."""
 
-    def __init__(self, folder: Path, stem: str) -> None:
-        self._folder, self._stem = folder, stem
-        self._names: dict[str, str] = {}
+    folder: Path
+    stem: str  # of their names
+    names: dict[str, str] = field(default_factory=dict)  # by what they are of
 
     def write(self, geometry: Geometry) -> str:
         """Writes a hull or a mesh; returns the name of the file."""
@@ -309,8 +292,8 @@ class _Meshes:
         return self._file(key, file.suffix, lambda path: shutil.copyfile(file, path))
 
     def _file(self, key: str, suffix: str, make: Callable[[Path], Any]) -> str:
-        if key not in self._names:
-            name = f"{self._stem}_{len(self._names) + 1}{suffix}"
-            make(self._folder / name)
-            self._names[key] = name
-        return self._names[key]
+        if key not in self.names:
+            name = f"{self.stem}_{len(self.names) + 1}{suffix}"
+            make(self.folder / name)
+            self.names[key] = name
+        return self.names[key]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TypeAlias
 from xml.etree import ElementTree as ET
@@ -18,7 +19,7 @@ import numpy as np
 from ssduck.errors import SceneError
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.poses import IDENTITY, compose, invert, multiply, rotation_matrices
-from ssduck.simulators.model_xml import numbers_text, roll_pitch_yaw
+from ssduck.simulators.model_xml import number_in, numbers_text, roll_pitch_yaw
 
 # A pose: a position (1, 3), and an orientation (1, 4) as w, x, y, z.
 Pose: TypeAlias = tuple[Array, Array]
@@ -45,7 +46,7 @@ def place_frames(root: ET.Element) -> None:
     """
     world = root.find("world")
     scope = root if world is None else world
-    version = _number(root.get("version", ""), 1.7)
+    version = (*_numbers(root.get("version")), 1.7)[0]
     # All are read before the first is written.
     changes = [each for model in scope.findall("model") for each in _changes(scope, model, version)]
     for owner, path, text in changes:
@@ -97,18 +98,14 @@ class _Frames:
 def _changes(scope: ET.Element, model: ET.Element, version: float) -> Iterator[_Change]:
     """Yields the changes of a model in a world."""
     frames = _Frames.of(model)
-    for part in model:
-        try:
-            if part.tag == "link":
+    for part in (*model, model):
+        with suppress(_UnknownFrameError, RecursionError):
+            if part is model:
+                yield from _change_of_model(scope, model, frames)
+            elif part.tag == "link":
                 yield from _changes_of_link(part, frames)
             elif part.tag == "joint" and part.get("name"):
                 yield from _changes_of_joint(part, frames, version)
-        except (_UnknownFrameError, RecursionError):
-            continue
-    try:
-        yield from _change_of_model(scope, model, frames)
-    except (_UnknownFrameError, RecursionError):
-        return
 
 
 def _change_of_model(scope: ET.Element, model: ET.Element, frames: _Frames) -> Iterator[_Change]:
@@ -116,13 +113,13 @@ def _change_of_model(scope: ET.Element, model: ET.Element, frames: _Frames) -> I
     children = {_child_of(joint) for joint in model.findall("joint")}
     names = [link.get("name", "") for link in model.findall("link")]
     roots = [name for name in names if name not in children]
-    base = frames[roots[0]] if len(roots) == 1 and roots[0] else _identity()
+    position, turn = base = frames[roots[0] if len(roots) == 1 else ""]
     place = frames[model.get("placement_frame", "")]
-    if _is_plain(model) and _is_identity(base) and not model.get("placement_frame"):
-        return
-    around = _Frames.of(scope)[_relative_to(model)]
-    pose = compose(*compose(*compose(*around, *_pose_of(model)), *invert(*place)), *base)
-    yield model, "pose", _text_of(pose)
+    is_moved = position.any() or turn[0, 1:].any() or model.get("placement_frame")
+    if is_moved or not _is_plain(model):
+        around = _Frames.of(scope)[_relative_to(model)]
+        pose = compose(*compose(*compose(*around, *_pose_of(model)), *invert(*place)), *base)
+        yield model, "pose", _text_of(pose)
 
 
 def _changes_of_link(link: ET.Element, frames: _Frames) -> Iterator[_Change]:
@@ -143,7 +140,7 @@ def _changes_of_joint(joint: ET.Element, frames: _Frames, version: float) -> Ite
     axis = joint.find("axis/xyz")
     direction = np.zeros(3)
     if axis is not None:
-        numbers = [_number(word, math.nan) for word in (axis.text or "").split()]
+        numbers = _numbers(axis.text)
         if len(numbers) != 3 or not np.isfinite(numbers).all():
             return
         of_model = joint.findtext("axis/use_parent_model_frame", str(version <= _AXES_OF_MODELS))
@@ -182,7 +179,7 @@ def _relative_to(part: ET.Element) -> str:
 def _pose_of(part: ET.Element) -> Pose:
     """Returns the pose of an element in the frame that it is relative to."""
     pose = part.find("pose")
-    numbers = [] if pose is None else [_number(w, math.nan) for w in (pose.text or "").split()]
+    numbers = [] if pose is None else _numbers(pose.text)
     if pose is None or not numbers:
         return _identity()
     is_quaternion = pose.get("rotation_format") == "quat_xyzw"
@@ -195,35 +192,25 @@ def _pose_of(part: ET.Element) -> Pose:
         raise _UnknownFrameError
     position = np.array([numbers[:3]])
     if is_quaternion:
-        x, y, z, w = numbers[3:]
-        quaternion = np.array([[w, x, y, z]])
+        quaternion = np.roll(numbers[3:], 1)[None]
         return position, quaternion / np.linalg.norm(quaternion)
-    scale = math.pi / 180 if pose.get("degrees", "").strip().lower() in ("1", "true") else 1.0
-    return position, _quaternion([number * scale for number in numbers[3:]])
-
-
-def _quaternion(rpy: list[float]) -> Array:
-    """Returns the quaternion (1, 4) of roll, pitch and yaw: R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    in_degrees = pose.get("degrees", "").strip().lower() in ("1", "true")
+    # Roll, pitch and yaw, one after the other about the axes of the model.
     turns = np.zeros((3, 1, 4))
-    for axis, angle in enumerate(rpy):
+    for axis, angle in enumerate(np.radians(numbers[3:]) if in_degrees else numbers[3:]):
         turns[axis, 0, 0], turns[axis, 0, axis + 1] = math.cos(angle / 2), math.sin(angle / 2)
-    return multiply(turns[2], multiply(turns[1], turns[0]))
+    return position, multiply(turns[2], multiply(turns[1], turns[0]))
 
 
 def _identity() -> Pose:
     return np.zeros((1, 3)), IDENTITY[None]
 
 
-def _is_identity(pose: Pose) -> bool:
-    return not pose[0].any() and not pose[1][0, 1:].any()
-
-
 def _text_of(pose: Pose) -> str:
     return numbers_text([*pose[0][0], *roll_pitch_yaw(pose[1][0])])
 
 
-def _number(word: str, default: float) -> float:
-    try:
-        return float(word)
-    except ValueError:
-        return default
+def _numbers(text: str | None) -> list[float]:
+    """Returns the numbers of a text; NaN for words that are none."""
+    numbers = map(number_in, (text or "").split())
+    return [math.nan if number is None else number for number in numbers]

@@ -9,11 +9,11 @@ boxes are computed exactly (`ssduck.geometry.bounds`).
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import partial
-from itertools import repeat
-from typing import Any, TypeAlias, TypeVar
+from functools import partial, wraps
+from itertools import count, repeat
+from typing import Any, Concatenate, ParamSpec, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -24,14 +24,7 @@ from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.poses import compose
 from ssduck.geometry.shapes import PlacedGeometry
 from ssduck.simulators.clock import Clock
-from ssduck.simulators.interface import (
-    Body,
-    CameraView,
-    Kind,
-    LinkPoses,
-    MotorTarget,
-    RayHits,
-)
+from ssduck.simulators.interface import Body, CameraView, Kind, LinkPoses, MotorTarget, RayHits
 from ssduck.simulators.pybullet.bodies import (
     BodyDescription,
     UserShapes,
@@ -50,10 +43,12 @@ from ssduck.simulators.pybullet.scene_loader import (
     fixed_constraints,
     hold_joint,
     set_motor,
+    settings_of,
 )
-from ssduck.simulators.scenes import Camera
+from ssduck.simulators.scenes import Camera, Scene
 
 T = TypeVar("T")
+P = ParamSpec("P")
 # The colours of a body's visual shapes: link, index among those of the link, red green blue alpha.
 VisualColours: TypeAlias = list[tuple[int, int, Sequence[float]]]
 
@@ -69,6 +64,18 @@ _MAX_READERS = 2
 _WHOLE_BODY = (-1, -1)
 # The largest number of a shape: PyBullet computes with single floats.
 MAX_NUMBER = float(np.finfo(np.float32).max)
+
+
+def _calls(
+    method: Callable[Concatenate[PyBulletSimulator, P], T],
+) -> Callable[Concatenate[PyBulletSimulator, P], T]:
+    """Runs a method as `PyBulletSimulator.call` runs a function."""
+
+    @wraps(method)
+    def run(self: PyBulletSimulator, /, *args: P.args, **named: P.kwargs) -> T:
+        return self.call(lambda: method(self, *args, **named))
+
+    return run
 
 
 class PyBulletSimulator:
@@ -118,10 +125,11 @@ class PyBulletSimulator:
         self._lost_reason: str | None = None
         # The last lists of bodies whose poses were read, the last one first.
         self._readers: list[tuple[tuple[Body, ...], LinkPosesReader]] = []
-        self.clock = Clock(self._client_timestep(), self.loaded.time)
+        self.clock = Clock(self.timestep, self.loaded.time)
 
     # -- bodies ---------------------------------------------------------------------------
 
+    @_calls
     def describe(self) -> tuple[list[Body], list[Body]] | None:
         # PyBullet reuses the number of a removed body at once. So every described body carries a
         # tag: user data, which PyBullet removes with the body.
@@ -145,36 +153,38 @@ class PyBulletSimulator:
         saved = SavedShapes(self.client, added)
         with captured():  # PyBullet prints warnings about shapes that it does not return
             name_bodies = partial(names_of, self.client, handles)
-            names = self.call(lambda: name_bodies(added, self._given.names))
-            new = self.call(lambda: {h: self._describe_body(h, names[h], saved) for h in added})
+            names = name_bodies(added, self._given.names)
+            new = {handle: self._describe_body(handle, names[handle], saved) for handle in added}
             changed = self._given.changed(description.body for description in new.values())
-            names = self.call(lambda: name_bodies(changed, self._given.names))
-            new |= self.call(lambda: {h: self._describe_body(h, names[h], saved) for h in changed})
+            names = name_bodies(changed, self._given.names)
+            new |= {handle: self._describe_body(handle, names[handle], saved) for handle in changed}
         self._check_shapes(description.body for description in new.values())
-        _warn_of_stand_ins(
-            [description.body for description in new.values() if not description.exact]
-        )
+        if boxed := [each.body.name for each in new.values() if not each.exact]:
+            warn(
+                f"{joined_names(boxed)}: PyBullet does not give back all shapes (a height field is "
+                "such a shape); bounding boxes are used instead, which have exact = false in the "
+                "table of shapes: World.attach(client, shapes={…}) takes the shapes themselves; of "
+                "a soft body, the box keeps its present form, the velocity is unknown (NULL), and "
+                "the mass is told as 0"
+            )
         gone = [d.body for handle, d in self._descriptions.items() if handle not in present]
         self._forget(gone)
         self._descriptions = {handle: self._descriptions[handle] for handle in present} | new
         self._tags = self._read_tags(lambda _: handles)
         self._given.end()
         self._is_described = True
-        self._apply_initial_flags()
-        return [description.body for description in new.values()], gone
-
-    def _apply_initial_flags(self) -> None:
-        """Disables and hides the bodies that begin without collisions or hidden."""
         for handle in self.loaded.disabled:
             self.enable(self._descriptions[handle].body, on=False)
         for handle in self.loaded.hidden:
             self.show(self._descriptions[handle].body, on=False)
         self.loaded.disabled, self.loaded.hidden = set(), set()
+        return [description.body for description in new.values()], gone
 
+    @_calls
     def remove(self, body: Body) -> None:
-        self.call(lambda: pybullet.removeBody(body.handle, self.client))
+        pybullet.removeBody(body.handle, self.client)
         # Bodies that rested on it must fall with the next step.
-        self.call(lambda: pybullet.performCollisionDetection(self.client))
+        pybullet.performCollisionDetection(self.client)
         self._forget([body])
         del self._descriptions[body.handle]
         for values in (self.loaded.origins, self.loaded.motor_positions):
@@ -209,8 +219,8 @@ class PyBulletSimulator:
 
     def _read_tags(self, list_bodies: Callable[[int], list[int]]) -> dict[int, int]:
         """Returns the tags of the bodies that a function lists of a client, by number."""
-        handles = self.call(lambda: list_bodies(self.client))
-        return dict(zip(handles, self.call(lambda: self._tags_of(handles)), strict=True))
+        handles = list_bodies(self.client)
+        return dict(zip(handles, self._tags_of(handles), strict=True))
 
     def _tags_of(self, handles: Sequence[int]) -> list[int]:
         """Returns the tag of each body; -1 for none."""
@@ -244,8 +254,15 @@ class PyBulletSimulator:
         return self.clock.time
 
     @property
+    @_calls
     def timestep(self) -> float:
-        return self._client_timestep()
+        # The user may change it at any time.
+        return float(pybullet.getPhysicsEngineParameters(self.client)["fixedTimeStep"])
+
+    @_calls
+    def settings(self) -> Scene:
+        """Returns a scene without bodies: the gravity, the time step and the solver."""
+        return settings_of(self.client, self.loaded)
 
     def begin_episode(self) -> None:
         self.episode += 1
@@ -262,48 +279,44 @@ class PyBulletSimulator:
             self._readers = [(bodies, reader), *self._readers[: _MAX_READERS - 1]]
         return self.call(partial(reader.read, self.client, with_velocities))
 
+    @_calls
     def read_joints(self, bodies: Sequence[Body]) -> Array:
-        def read() -> Iterator[tuple[float, float, float]]:
-            for body in bodies:
-                indices = range(len(body.joints))
-                for state in pybullet.getJointStates(body.handle, list(indices), self.client):
-                    yield state[0], state[1], state[3]
-
-        rows = self.call(lambda: list(read()))
+        rows = [
+            (state[0], state[1], state[3])
+            for body in bodies
+            for state in pybullet.getJointStates(
+                body.handle, list(range(len(body.joints))), self.client
+            )
+        ]
         return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
+    @_calls
     def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
-        client, are_present = self.client, self._are_present(bodies)
-        return self.call(
-            lambda: [
-                masses_of(client, body) if is_present else body.masses
-                for body, is_present in zip(bodies, are_present, strict=True)
-            ]
-        )
+        return [
+            masses_of(self.client, body) if is_present else body.masses
+            for body, is_present in zip(bodies, self._are_present(bodies), strict=True)
+        ]
 
+    @_calls
     def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
-        are_present = self._are_present(bodies)
-        margins = self.call(
-            lambda: [
-                margins_now(self.client, body, self._descriptions[body.handle].link_margins)
-                if is_present
-                else body.margins
-                for body, is_present in zip(bodies, are_present, strict=True)
-            ]
-        )
+        margins = [
+            margins_now(self.client, body, self._descriptions[body.handle].link_margins)
+            if is_present
+            else body.margins
+            for body, is_present in zip(bodies, self._are_present(bodies), strict=True)
+        ]
         if margins != self._margins:  # the same object as long as nothing has changed
             self._margins = margins
         return self._margins
 
     def _are_present(self, bodies: Sequence[Body]) -> list[bool]:
         """Returns whether the client still has each of some bodies."""
-        if not bodies:
-            return []
-        now = self.call(lambda: self._tags_of([body.handle for body in bodies]))
+        now = self._tags_of([body.handle for body in bodies])
         return [tag == self._tags.get(b.handle) for b, tag in zip(bodies, now, strict=True)]
 
+    @_calls
     def has_moved_on(self, sample: Sequence[Body]) -> bool:
-        count = self.call(lambda: pybullet.getNumBodies(self.client))
+        count = pybullet.getNumBodies(self.client)
         return count != len(self._tags) or not all(self._are_present(sample))
 
     def read_contacts(self) -> PyBulletContacts:
@@ -316,109 +329,79 @@ class PyBulletSimulator:
     def cast_rays(self, starts: Array, ends: Array, through: Indices) -> RayHits:
         return self.call(lambda: cast_rays(self.client, starts, ends, through))
 
+    @_calls
     def step(self, count: int) -> None:
-        timestep = self._client_timestep()
+        timestep, done = self.timestep, 0
+        try:
+            for _ in range(count):
+                # Ctrl-C is handled after the call, so that a step is counted before it runs.
+                done += 1
+                pybullet.stepSimulation(self.client)
+        finally:
+            self.clock = self.clock.after(done, timestep)
 
-        def run() -> None:
-            done = 0
-            try:
-                for _ in range(count):
-                    # Ctrl-C is handled after the call, so that a step is counted before it runs.
-                    done += 1
-                    pybullet.stepSimulation(self.client)
-            finally:
-                self.clock = self.clock.after(done, timestep)
-
-        self.call(run)
-
-    def _client_timestep(self) -> float:
-        """Returns the client's time step, which the user may change at any time."""
-        return float(self.parameters()["fixedTimeStep"])
-
-    def parameters(self) -> dict[str, Any]:
-        """Returns PyBullet's parameters of gravity, time step and solver."""
-        parameters: dict[str, Any] = self.call(
-            lambda: pybullet.getPhysicsEngineParameters(self.client)
-        )
-        return parameters
-
+    @_calls
     def place(self, body: Body, position: Array, orientation: Array) -> None:
         com = self._descriptions[body.handle].com
         com_pose = compose(position[None], orientation[None], com[0][:1], com[1][:1])
+        pybullet.resetBasePositionAndOrientation(
+            body.handle, com_pose[0][0].tolist(), xyzw(com_pose[1])[0].tolist(), self.client
+        )
+        # Otherwise its contacts would be those at its old place.
+        pybullet.performCollisionDetection(self.client)
 
-        def put() -> None:
-            pybullet.resetBasePositionAndOrientation(
-                body.handle, com_pose[0][0].tolist(), xyzw(com_pose[1])[0].tolist(), self.client
-            )
-            # Otherwise its contacts would be those at its old place.
-            pybullet.performCollisionDetection(self.client)
-
-        self.call(put)
-
+    @_calls
     def set_joints(self, body: Body, positions: Mapping[int, float]) -> None:
         # The motors of a client that ssduck made hold the new positions.
-        def put() -> None:
-            for number, position in positions.items():
-                joint = body.joints[number]
-                pybullet.resetJointState(body.handle, number, position, 0.0, self.client)
-                if not self.is_external:
-                    hold_joint(body.handle, joint, position, self.client)
-                    self.loaded.motor_positions.setdefault(body.handle, {})[joint.link] = position
-            pybullet.performCollisionDetection(self.client)
+        for number, position in positions.items():
+            joint = body.joints[number]
+            pybullet.resetJointState(body.handle, number, position, 0.0, self.client)
+            if not self.is_external:
+                hold_joint(body.handle, joint, position, self.client)
+                self.loaded.motor_positions.setdefault(body.handle, {})[joint.link] = position
+        pybullet.performCollisionDetection(self.client)
 
-        self.call(put)
-
+    @_calls
     def drive(self, body: Body, motors: Mapping[int, MotorTarget]) -> None:
-        def put() -> None:
-            for number, motor in motors.items():
-                set_motor(body.handle, body.joints[number].link, motor, self.client)
+        for number, motor in motors.items():
+            set_motor(body.handle, body.joints[number].link, motor, self.client)
 
-        self.call(put)
-
+    @_calls
     def has_constraint(self, body: Body, other: Body) -> bool:
-        return bool(self.call(lambda: fixed_constraints(self.client, body.handle, other.handle)))
+        return bool(fixed_constraints(self.client, body.handle, other.handle))
 
+    @_calls
     def add_constraint(self, body: Body, link: int, other: Body) -> None:
-        self.call(lambda: add_fixed_constraint(self.client, (body.handle, link - 1), other.handle))
+        add_fixed_constraint(self.client, (body.handle, link - 1), other.handle)
 
+    @_calls
     def remove_constraint(self, body: Body, other: Body) -> None:
-        def remove() -> None:
-            for number in fixed_constraints(self.client, body.handle, other.handle):
-                pybullet.removeConstraint(number, self.client)
+        for number in fixed_constraints(self.client, body.handle, other.handle):
+            pybullet.removeConstraint(number, self.client)
 
-        self.call(remove)
-
+    @_calls
     def enable(self, body: Body, on: bool) -> None:
         # PyBullet does not return collision filters. A body that is switched on again gets the
         # default ones.
         if on == (body not in self.disabled):
             return
-
-        def put() -> None:
-            for link, part in enumerate(body.links):
-                fixed = link == 0 and part.mass == 0.0
-                group, mask = (_FIXED_FILTER if fixed else _FREE_FILTER) if on else (0, 0)
-                pybullet.setCollisionFilterGroupMask(
-                    body.handle, link - 1, group, mask, self.client
-                )
-            pybullet.performCollisionDetection(self.client)
-
-        self.call(put)
+        for link, part in enumerate(body.links):
+            fixed = link == 0 and part.mass == 0.0
+            group, mask = (_FIXED_FILTER if fixed else _FREE_FILTER) if on else (0, 0)
+            pybullet.setCollisionFilterGroupMask(body.handle, link - 1, group, mask, self.client)
+        pybullet.performCollisionDetection(self.client)
         self.disabled = self.disabled - {body} if on else self.disabled | {body}
 
+    @_calls
     def show(self, body: Body, on: bool) -> None:
         if on == (body not in self.hidden):
             return
         colours = self.colours_when_shown(body)
-
-        def put() -> None:
-            for link, shape, (*rgb, alpha) in colours:
-                colour = [*rgb, alpha if on else 0.0]
-                pybullet.changeVisualShape(
-                    body.handle, link, shape, rgbaColor=colour, physicsClientId=self.client
-                )
-
-        self.call(put)
+        for link, shape, (*rgb, alpha) in colours:
+            colour = [*rgb, alpha if on else 0.0]
+            pybullet.changeVisualShape(
+                body.handle, link, shape, rgbaColor=colour, physicsClientId=self.client
+            )
         self.hidden = self.hidden - {body} if on else self.hidden | {body}
         if on:
             self._colours.pop(body, None)
@@ -430,18 +413,15 @@ class PyBulletSimulator:
     ) -> npt.NDArray[np.uint8]:
         return self._draw(width, height, *_camera_matrices(camera, width, height), shadow=shadow)
 
+    @_calls
     def segment(self, camera: Camera, width: int, height: int) -> tuple[Indices, Indices]:
-        view, projection = _camera_matrices(camera, width, height)
-        pixels = self.call(
-            lambda: pybullet.getCameraImage(
-                width,
-                height,
-                view,
-                projection,
-                renderer=pybullet.ER_TINY_RENDERER,
-                flags=pybullet.ER_SEGMENTATION_MASK_OBJECT_AND_LINKINDEX,
-                physicsClientId=self.client,
-            )
+        pixels = pybullet.getCameraImage(
+            width,
+            height,
+            *_camera_matrices(camera, width, height),
+            renderer=pybullet.ER_TINY_RENDERER,
+            flags=pybullet.ER_SEGMENTATION_MASK_OBJECT_AND_LINKINDEX,
+            physicsClientId=self.client,
         )[4]
         # A pixel is link << 24 | body, the base being link 0; -1 shows no body.
         numbers = np.asarray(pixels, dtype=np.intp).reshape(height, width)
@@ -457,24 +437,23 @@ class PyBulletSimulator:
         )
         return self._draw(view.width, view.height, view_matrix, projection, shadow=False)
 
+    @_calls
     def _draw(
         self, width: int, height: int, view: Any, projection: Any, *, shadow: bool
     ) -> npt.NDArray[np.uint8]:
-        picture = self.call(
-            lambda: pybullet.getCameraImage(
-                width,
-                height,
-                view,
-                projection,
-                lightDirection=(4.0, -6.0, 8.0),
-                lightDistance=8.0,
-                lightAmbientCoeff=0.65,
-                lightDiffuseCoeff=0.6,
-                lightSpecularCoeff=0.05,
-                shadow=int(shadow),
-                renderer=pybullet.ER_TINY_RENDERER,
-                physicsClientId=self.client,
-            )
+        picture = pybullet.getCameraImage(
+            width,
+            height,
+            view,
+            projection,
+            lightDirection=(4.0, -6.0, 8.0),
+            lightDistance=8.0,
+            lightAmbientCoeff=0.65,
+            lightDiffuseCoeff=0.6,
+            lightSpecularCoeff=0.05,
+            shadow=int(shadow),
+            renderer=pybullet.ER_TINY_RENDERER,
+            physicsClientId=self.client,
         )[2]
         pixels = np.asarray(picture, dtype=np.uint8).reshape(height, width, 4)
         return np.ascontiguousarray(pixels[:, :, :3])
@@ -514,17 +493,6 @@ def _camera_matrices(camera: Camera, width: int, height: int) -> tuple[Any, Any]
     return view, pybullet.computeProjectionMatrixFOV(camera.fov, width / height, 0.05, depth)
 
 
-def _warn_of_stand_ins(bodies: Sequence[Body]) -> None:
-    if bodies:
-        warn(
-            f"{joined_names([body.name for body in bodies])}: PyBullet does not give back "
-            "all shapes (a height field is such a shape); bounding boxes are used instead, which "
-            "have exact = false in the table of shapes: World.attach(client, shapes={…}) takes "
-            "the shapes themselves; of a soft body, the box keeps its present form, the velocity "
-            "is unknown (NULL), and the mass is told as 0",
-        )
-
-
 def _is_finite(shape: PlacedGeometry) -> bool:
     """Checks the numbers of a shape as single floats."""
     geometry = shape.geometry
@@ -534,9 +502,6 @@ def _is_finite(shape: PlacedGeometry) -> bool:
 
 def visual_colours(client: int, handle: int) -> VisualColours:
     """Returns the colours of a body as they are now."""
-    shapes: Counter[int] = Counter()
-    colours = []
-    for entry in pybullet.getVisualShapeData(handle, physicsClientId=client):
-        colours.append((entry[1], shapes[entry[1]], entry[7]))
-        shapes[entry[1]] += 1
-    return colours
+    entries = pybullet.getVisualShapeData(handle, physicsClientId=client)
+    numbers: dict[int, Iterator[int]] = defaultdict(count)
+    return [(entry[1], next(numbers[entry[1]]), entry[7]) for entry in entries]

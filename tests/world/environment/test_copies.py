@@ -118,7 +118,9 @@ def test_nothing_selected_is_an_empty_world_of_the_same_settings(client):
     ss.add_variable("w", ssduck.World.attach(client))
     empty = ss.eval("SELECT obj FROM w WHERE mass(this) > 1000 AS environment;")
     assert len(empty) == 0
-    assert empty.simulator.parameters() == pybullet.getPhysicsEngineParameters(client)
+    assert pybullet.getPhysicsEngineParameters(
+        empty.simulator.client
+    ) == pybullet.getPhysicsEngineParameters(client)
     assert empty.step(3).time == pytest.approx(0.03)
 
 
