@@ -61,7 +61,6 @@ def unit(orientation: Array, of: str) -> Array:
 
 def joint_positions(values: JointValues, body: Body, name: str) -> dict[int, float]:
     """Returns positions of joints, rad or m, by index: given by name, or one for each scalar."""
-    joints = _joints_by_name(body)
     if not isinstance(values, Mapping):
         if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray):
             raise ArgumentError(
@@ -76,7 +75,7 @@ def joint_positions(values: JointValues, body: Body, name: str) -> dict[int, flo
             )
         values = dict(zip(settable, values, strict=True))
     return {
-        (n := _scalar_joint(key, joints, body, name)): _position(value, body.joints[n], name)
+        (n := _scalar_joint(key, body, name)): _position(value, body.joints[n], name)
         for key, value in values.items()
     }
 
@@ -91,11 +90,10 @@ def motor_targets(
     """Returns the targets of motors by the indices of their joints; see `Entity.drive`."""
     for values, quantity in ((velocities, "velocities"), (efforts, "efforts")):
         validation.mapping(values, f"{name}: {quantity} are given by the joints' names, in a dict")
-    joints = _joints_by_name(body)
     position_values = joint_positions(positions, body, name) if positions is not None else {}
     velocity_values, effort_values = (
         {
-            (n := _scalar_joint(key, joints, body, name)): _bounded(value, body.joints[n], of, name)
+            (n := _scalar_joint(key, body, name)): _bounded(value, body.joints[n], of, name)
             for key, value in (values or {}).items()
         }
         for values, of in ((velocities, "velocity"), (efforts, "effort"))
@@ -117,11 +115,6 @@ def motor_targets(
         )
         for number in sorted(position_values.keys() | velocity_values.keys())
     }
-
-
-def _joints_by_name(body: Body) -> dict[str, int]:
-    """Returns the indices of a body's joints by their names."""
-    return {joint.name: number for number, joint in enumerate(body.joints)}
 
 
 def _bounded(value: float, joint: Joint, quantity: str, name: str) -> float:
@@ -153,8 +146,9 @@ def descendant_links(body: Body, link: int) -> set[int]:
     return descendants
 
 
-def _scalar_joint(key: str, joints: Mapping[str, int], body: Body, name: str) -> int:
+def _scalar_joint(key: str, body: Body, name: str) -> int:
     """Returns the index of the joint of a name, whose position is one number."""
+    joints = {joint.name: number for number, joint in enumerate(body.joints)}
     if key not in joints:
         raise UnknownNameError(f"{name} has no joint {key!r}", suggestions=nearest(key, joints))
     type = body.joints[joints[key]].type
@@ -262,11 +256,12 @@ def _move_link(
         step = _displacement(joints[numbers[0]], changes[numbers[0]])
         within[:, :3], within[:, 3:7] = compose(*_pose(within), *step)
         return
-    old = {n: _position_of(n, joints, states) for n in numbers}
+    if states is None:
+        states = np.full((len(joints), 2), np.nan)
+    old = {n: _position_of(joints[n], float(states[n, 0])) for n in numbers}
     new = {n: position + changes.get(n, 0.0) for n, position in old.items()}
     fixed = compose(*_pose(within), *invert(*_product(joints, old, numbers)))
     within[:, :3], within[:, 3:7] = compose(*fixed, *_product(joints, new, numbers))
-    assert states is not None
     for place, number in enumerate(numbers):
         if number not in changes:
             later = _product(joints, new, numbers[place + 1 :])
@@ -277,10 +272,8 @@ def _pose(states: Array) -> Pose:
     return states[:, :3], states[:, 3:7]
 
 
-def _position_of(number: int, joints: Sequence[Joint], states: Array | None) -> float:
+def _position_of(joint: Joint, position: float) -> float:
     """Returns the present position of a joint of a link that has several."""
-    joint = joints[number]
-    position = math.nan if states is None else float(states[number, 0])
     if joint.type not in SCALAR_JOINTS or math.isnan(position):
         raise UnsupportedError(
             f"joint {joint.name!r} moves a link with others, and its position is "
@@ -312,13 +305,13 @@ def _product(
 
 def _add_velocity(within: Array, joint: Joint, velocity: float, later: Pose) -> None:
     """Adds the velocity that a joint gives its link, relative to the parent, in place."""
-    back = invert(*later)
-    to_parent = rotation_matrices(within[:, 3:7])
-    axis = velocity * rotate(rotation_matrices(back[1]), np.array([joint.axis]))
+    position, turn = invert(*later)
+    back, to_parent = rotation_matrices(turn), rotation_matrices(within[:, 3:7])
+    axis = velocity * rotate(back, np.array([joint.axis]))
     if joint.type == "prismatic":
         within[:, 7:10] += rotate(to_parent, axis)
         return
-    anchor = back[0] + rotate(rotation_matrices(back[1]), np.array([joint.anchor]))
+    anchor = position + rotate(back, np.array([joint.anchor]))
     within[:, 7:10] += rotate(to_parent, cross(axis, -anchor))
     within[:, 10:] += rotate(to_parent, axis)
 
@@ -425,31 +418,27 @@ class EntityJoints:
 def check_joints(spec: BodySpec, joints: Sequence[Joint], place: str) -> None:
     """Checks that the bodies of a scene entry can have their joints as the entry says."""
     model = "" if isinstance(spec.model, Primitive) else spec.model.name
-    for key in ("joints", "held"):
+    by_name = {joint.name: joint for joint in joints}
+    for key in ("joints", "held", "joint_velocities"):
         for name, value in getattr(spec, key).items():
-            _check_joint(name, value, joints, f"{place}{key}.{name}: {model}")
-    for name in spec.joint_velocities:
-        _check_joint(name, None, joints, f"{place}joint_velocities.{name}: {model}")
+            where = f"{place}{key}.{name}: {model}"
+            if name not in by_name:
+                raise SceneError(f"{where} has no such joint", suggestions=nearest(name, by_name))
+            joint = by_name[name]
+            if joint.type not in SCALAR_JOINTS:
+                raise SceneError(f"{where}: a {joint.type} joint has no position")
+            low, high = _limits(joint)
+            # Solvers leave a joint a little beyond its limits, and worlds are saved in that state.
+            is_within = low - LIMIT_TOLERANCE < value < high + LIMIT_TOLERANCE
+            if key != "joint_velocities" and not is_within:
+                limits = f"{value:g} is not from {low:g} to {high:g}, the joint's limits"
+                raise SceneError(f"{where}: {limits}")
 
 
 def position_nearest_zero(joint: Joint) -> float:
     """Returns 0, or the limit of a joint nearest to 0."""
     low, high = _limits(joint)
     return min(max(0.0, low), high)
-
-
-def _check_joint(name: str, value: float | None, joints: Sequence[Joint], place: str) -> None:
-    """Raises an error for a joint that does not exist or cannot be at a position."""
-    by_name = {joint.name: joint for joint in joints}
-    if name not in by_name:
-        raise SceneError(f"{place} has no such joint", suggestions=nearest(name, by_name))
-    joint = by_name[name]
-    if joint.type not in SCALAR_JOINTS:
-        raise SceneError(f"{place}: a {joint.type} joint has no position")
-    low, high = _limits(joint)
-    # Solvers leave a joint a little beyond its limits, and worlds are saved in that state.
-    if value is not None and not low - LIMIT_TOLERANCE < value < high + LIMIT_TOLERANCE:
-        raise SceneError(f"{place}: {value:g} is not from {low:g} to {high:g}, the joint's limits")
 
 
 def _limits(joint: Joint) -> tuple[float, float]:

@@ -80,16 +80,9 @@ class TomlTable:
         self, key: str, count: int, default: tuple[float, ...] = REQUIRED, *, meaning: str = ""
     ) -> tuple[float, ...]:
         """Returns a tuple of `count` finite numbers; errors name their meaning."""
-
-        def fits(value: object) -> bool:
-            return (
-                isinstance(value, list | tuple)
-                and len(value) == count
-                and all(map(_is_number, value))
-            )
-
         expected = f"{count} finite numbers" + (f" ({meaning})" if meaning else "")
-        return tuple(float(v) for v in self._get(key, default, fits, expected))
+        numbers = self._get(key, default, lambda value: _are_numbers(value, count), expected)
+        return tuple(map(float, numbers))
 
     def vector(self, key: str, default: Vector = REQUIRED) -> Vector:
         """Returns three finite numbers."""
@@ -115,17 +108,12 @@ class TomlTable:
     def colour(self, key: str, default: tuple[float, ...]) -> tuple[float, ...]:
         """Returns red, green, blue and alpha, from 0 to 1; the alpha of three numbers is 1."""
 
-        def fits(value: object) -> bool:
-            return (
-                isinstance(value, list | tuple)
-                and len(value) in (3, 4)
-                and all(_is_number(number) and 0.0 <= number <= 1.0 for number in value)
-            )
+        def fits(value: Any) -> bool:
+            return _are_numbers(value, 3, 4) and all(0.0 <= number <= 1.0 for number in value)
 
-        red, green, blue, *alpha = map(
-            float, self._get(key, default, fits, "3 or 4 numbers from 0 to 1")
-        )
-        return (red, green, blue, *(alpha or [1.0]))
+        numbers = self._get(key, default, fits, "3 or 4 numbers from 0 to 1")
+        red, green, blue, alpha = (*map(float, numbers), 1.0)[:4]
+        return red, green, blue, alpha
 
     def one_of(self, keys: Sequence[str]) -> str:
         """Returns the one of some keys that the table has; it must have exactly one."""
@@ -183,6 +171,12 @@ class TomlTable:
         if not fits(value):
             self.fail(key, f"expected {expected}, found {value!r}")
         return value
+
+
+def _are_numbers(values: Any, *counts: int) -> bool:
+    return (
+        isinstance(values, list | tuple) and len(values) in counts and all(map(_is_number, values))
+    )
 
 
 def _is_number(value: Any) -> bool:

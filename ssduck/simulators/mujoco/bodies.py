@@ -133,11 +133,8 @@ class ModelReader:
         disabled: Indices | None = None,
         part_names: Mapping[str, str] | None = None,
     ) -> None:
-        self._only = only
-        self._model = model
-        self._names = names or {}
-        self._kinds = kinds or {}
-        self._part_names = part_names or {}
+        self._model, self._only = model, only
+        self._names, self._kinds, self._part_names = names or {}, kinds or {}, part_names or {}
         self._root_names, self._flex_names = body_names(model), flex_names(model)
         self._link_names = [self._part_names.get(name, name) for name in self._root_names]
         self._geoms = _by_owner(model.geom_bodyid, colliding_geoms(model, disabled), model.nbody)
@@ -154,17 +151,13 @@ class ModelReader:
         """Returns all bodies, in the order of their numbers."""
         roots = roots_of(self._model)
         ends = [*roots[1:], self._model.nbody]
+        # The world body is an entity if it has geoms or sites.
+        has_world = self._geoms[0] or self._flex_shapes[0] or sites_on(self._model, range(1))
         return [
             self._body(root, range(root, end))
             for root, end in zip(roots, ends, strict=True)
-            if self._is_chosen(root)
+            if (root or has_world) and (self._only is None or root in self._only)
         ]
-
-    def _is_chosen(self, root: int) -> bool:
-        """Checks whether a tree is an entity; the world body is one if it has geoms or sites."""
-        has_parts = self._geoms[0] or self._flex_shapes[0] or sites_on(self._model, range(1))
-        is_empty = not (root or has_parts)
-        return not is_empty and (self._only is None or root in self._only)
 
     def _body(self, root: int, links: range) -> Body:
         model = self._model
@@ -178,16 +171,12 @@ class ModelReader:
             movable=bool(joints) or bool((model.body_mocapid[links.start : links.stop] >= 0).any()),
             links=(*(self._link(number, root) for number in links), *self._site_links(links)),
             joints=joints,
-            shapes=tuple(self._shapes(links)),
+            shapes=(
+                *(self._shape(n, link - root) for link in links for n in self._geoms[link]),
+                *(replace(s, frame=n - root) for n in links for s in self._flex_shapes[n]),
+            ),
             unread=self._unread,
         )
-
-    def _shapes(self, links: range) -> Iterator[PlacedGeometry]:
-        """Yields the shapes of the geoms on some bodies, then those of flexes."""
-        root = links.start
-        yield from (self._shape(n, link - root) for link in links for n in self._geoms[link])
-        for link in links:
-            yield from (replace(one, frame=link - root) for one in self._flex_shapes[link])
 
     def _link(self, number: int, root: int) -> Link:
         model = self._model

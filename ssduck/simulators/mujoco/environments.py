@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from functools import partial
+from functools import cached_property, partial
 from operator import attrgetter
 from types import SimpleNamespace
 from typing import Any
@@ -93,7 +93,6 @@ class MuJoCoEnvironments(Environments):
         self._missing: AbstractSet[str] = frozenset()
         self._readers: list[LinkReader] = []
         self._joint_numbers: dict[Body, Indices] = {}
-        self._owners: Owners | None = None
         self._has_told_of_mocap = False
 
     def update(self, states: States, arrays: Mapping[str, Any]) -> None:
@@ -106,8 +105,12 @@ class MuJoCoEnvironments(Environments):
         there = ", ".join(self.accepted)
         self.check_names(given, f"array of a state of MuJoCo; there are {there}")
         if states is not None:
-            found = {name: _attribute(states, name) for name in self.accepted}
-            given = {n: value for n, value in found.items() if value is not None} | given
+            inner = getattr(states, "_impl", None)  # where MJX has some arrays
+            for name in self.accepted:
+                value = getattr(inner, name, None)
+                value = getattr(states, name, None) if value is None else value
+                if value is not None:
+                    given.setdefault(name, value)
         if "qpos" not in given and not {"xpos", "xquat"} <= given.keys():
             raise ArgumentError(
                 "tick: give the poses of all bodies, xpos=… and xquat=…, or the joint positions "
@@ -160,8 +163,6 @@ class MuJoCoEnvironments(Environments):
                 "asked for: call tick, then ask again"
             )
         self._wants_contacts = True
-        if self._owners is None:
-            self._owners = Owners.of(self._model)
         of_each = [SleepingContacts().read(self._model, one, self._owners) for one in states]
         points, counts = ContactPoints.joined(of_each)
         return EnvironmentContacts(np.repeat(np.arange(self.count), counts), points)
@@ -199,6 +200,10 @@ class MuJoCoEnvironments(Environments):
             "is: it is taken to be where the model has it; give mocap_pos=… and mocap_quat=…, too",
             ProgramWarning,
         )
+
+    @cached_property
+    def _owners(self) -> Owners:
+        return Owners.of(self._model)
 
     # -- reading ----------------------------------------------------------------------------
 
@@ -310,8 +315,6 @@ class MuJoCoEnvironments(Environments):
             frames = to_numpy(parts["frame"], "tick: contact: frame")
             frames = frames.reshape(*distances.shape, 3, 3)
             normals = -frames[environments, places, 0].astype(np.float64)
-        if self._owners is None:
-            self._owners = Owners.of(self._model)
         numbers = self._model.geom_bodyid[chosen]
         handles = self._owners.roots[numbers]  # the first body of an entity
         nothing = np.full((len(chosen), 3), np.nan)
@@ -359,10 +362,3 @@ def _check_world(known: Mapping[str, npt.NDArray[Any]]) -> None:
                 f"{short_repr(first)}: the bodies are in the order of the model, quaternions are "
                 "w, x, y, z, and positions in the world frame"
             )
-
-
-def _attribute(states: States, name: str) -> Any:
-    """Returns an array of states; None if there is none. MJX has some in a part of its data."""
-    inner = getattr(states, "_impl", None)
-    own = getattr(inner, name, None)
-    return getattr(states, name, None) if own is None else own

@@ -143,7 +143,11 @@ class _Builder:
         links = [root, *root.find_all("body")]
         for part in (*links, *(joint for joint in root.find_all("joint") if joint.name)):
             own = part.name.removeprefix(prefix) or name
-            part.name = name if part is root else self._unique(own, name)
+            if own in self.taken and part is not root:
+                part.name = unique_name(f"{name}_{own}", self.taken)
+            else:
+                part.name = name if part is root else own
+            self.taken.add(part.name)
             self.part_names[part.name] = own
         if spec.hold:
             for joint in root.find_all("joint"):
@@ -196,12 +200,6 @@ class _Builder:
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
             self._meshes[key] = name
         return self._meshes[key]
-
-    def _unique(self, name: str, owner: str) -> str:
-        """Returns the name of a part in the model."""
-        chosen = name if name not in self.taken else unique_name(f"{owner}_{name}", self.taken)
-        self.taken.add(chosen)
-        return chosen
 
     def _add_motor(self, joint: Any) -> None:
         """Adds a motor that holds a joint with limits, and brakes one without."""

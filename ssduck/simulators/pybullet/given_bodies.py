@@ -133,15 +133,16 @@ def user_shapes(
     for key, value in (shapes or {}).items():
         body, link, number = _key(client, handles, key)
         shapes_of_body = by_body.setdefault(body, {})
-        is_whole = number is None or (link, None) in shapes_of_body
-        if (link, number) in shapes_of_body or (
-            is_whole and any(other == link for other, _ in shapes_of_body)
-        ):
+        others = {other for owner, other in shapes_of_body if owner == link}
+        if others and (number is None or None in others or number in others):
             raise ArgumentError(
                 f"shapes: {key!r} and another key select the same shapes of body {body}, "
                 f"link {link - 1}"
             )
-        shapes_of_body[link, number] = _geometries(key, value)
+        # A list of two tables of numbers is [vertices, faces] rather than two meshes.
+        is_list = isinstance(value, list) and [np.ndim(_array(one)) for one in value] != [2, 2]
+        meshes = value if is_list and value else [value]
+        shapes_of_body[link, number] = [_geometry(key, mesh) for mesh in meshes]
     return dict(by_body)
 
 
@@ -161,13 +162,6 @@ def _key(client: int, handles: Sequence[int], key: Any) -> tuple[int, int, int |
             f"shapes: body {body} has no link {link}; its links: -1 (the base) to {count - 1}"
         )
     return body, link + 1, number
-
-
-def _geometries(key: Any, value: Any) -> list[Geometry]:
-    # A list of two tables of numbers is [vertices, faces] rather than two meshes.
-    if isinstance(value, list) and value and [np.ndim(_array(one)) for one in value] != [2, 2]:
-        return [_geometry(key, one) for one in value]
-    return [_geometry(key, value)]
 
 
 def _array(part: Any) -> Any:

@@ -48,7 +48,7 @@ _SHAPES = {
 def _load_model(spec: BodySpec, place: str, client: int) -> tuple[Sequence[int], tuple[str, ...]]:
     """Loads the model of a scene entry.
 
-    Returns PyBullet's numbers of the bodies, and what it leaves out or takes for 0, in words.
+    Returns PyBullet's numbers of the bodies, and what it reads otherwise than meant, in words.
     """
     if isinstance(spec.model, Primitive):
         with captured():  # PyBullet warns about the picture of a plane, and draws it
@@ -73,8 +73,10 @@ def _load_model(spec: BodySpec, place: str, client: int) -> tuple[Sequence[int],
 
 
 def _load_file(spec: BodySpec, client: int, doubts: list[str]) -> Sequence[int]:
-    """Loads a model file; adds what PyBullet leaves out or takes for 0 to a list."""
+    """Loads a model file; adds what PyBullet reads otherwise than meant to a list."""
     model = ModelFile.read(spec)
+    doubts += (f"PyBullet {part}" for part in model.ignored(spec.fixed))
+    ignored = "".join(f"; {doubt}" for doubt in doubts)
     doubts += model.check()
     check_meshes(model.file, model.root)
     with tempfile.TemporaryDirectory(prefix="ssduck") as folder:
@@ -84,7 +86,6 @@ def _load_file(spec: BodySpec, client: int, doubts: list[str]) -> Sequence[int]:
         load = pybullet.loadSDF if spec.source == "sdf" else pybullet.loadMJCF
         handles: Sequence[int] = load(file, physicsClientId=client)
     if not handles:
-        ignored = "".join(f"; PyBullet {part}" for part in model.ignored(spec.fixed))
         raise SceneError(f"no body is in it{ignored}")
     static = model.static_models()
     for number, handle in enumerate(handles):
@@ -222,8 +223,8 @@ class LoadedBodies:
     described: dict[int, BodyDescription] = field(default_factory=dict)
     disabled: set[int] = field(default_factory=set)  # bodies that begin without collisions
     hidden: set[int] = field(default_factory=set)  # bodies that begin hidden
-    # What PyBullet says of parts of model files that it skips.
-    skipped: dict[Path, tuple[str, ...]] = field(default_factory=dict)
+    # What PyBullet ignores, skips or reads otherwise in model files, in words.
+    doubts: dict[Path, tuple[str, ...]] = field(default_factory=dict)
     time: float = 0.0  # the initial simulated time, s
     elastic: bool = False  # whether nothing loses energy
 
@@ -234,7 +235,11 @@ def load_models(scene: Scene, client: int) -> LoadedBodies:
     loaded = LoadedBodies(time=scene.time, elastic=scene.elastic)
     entries = [(spec, load_body(spec, place, loaded, client)) for spec, place in scene.entries]
     loaded.names = _names(scene, entries, client)
-    _warn_of_ignored_parts(entries, loaded)
+    for file, doubts in loaded.doubts.items():
+        names = [
+            loaded.names[n] for spec, handles in entries if spec.model == file for n in handles
+        ]
+        warn(f"{file} ({joined_names(names)}): {'; '.join(doubts)}")
     _create_constraints(scene, loaded, client)
     # The contacts and rays of the first tick are those of the present poses.
     pybullet.performCollisionDetection(client)
@@ -299,22 +304,6 @@ def _names(
     return names
 
 
-def _warn_of_ignored_parts(
-    entries: Sequence[tuple[BodySpec, Sequence[int]]], loaded: LoadedBodies
-) -> None:
-    """Warns of each model file with parts that PyBullet ignores."""
-    by_file: dict[Path, tuple[BodySpec, list[str]]] = {}
-    for spec, handles in entries:
-        if isinstance(spec.model, Path):
-            _, names = by_file.setdefault(spec.model, (spec, []))
-            names += (loaded.names[handle] for handle in handles)
-    for file, (spec, names) in by_file.items():
-        ignored = ModelFile.read(spec).ignored(spec.fixed)
-        said = [*(f"PyBullet {part}" for part in ignored), *loaded.skipped.get(file, ())]
-        if said:
-            warn(f"{file} ({joined_names(names)}): {'; '.join(said)}")
-
-
 def make_elastic(handle: int, client: int) -> None:
     """Makes a body elastic and frictionless, without damping."""
     for link in range(-1, pybullet.getNumJoints(handle, client)):
@@ -336,9 +325,9 @@ def make_elastic(handle: int, client: int) -> None:
 
 def load_body(spec: BodySpec, place: str, loaded: LoadedBodies, client: int) -> Sequence[int]:
     """Loads a scene entry and returns the numbers of its bodies; a file may hold several."""
-    handles, messages = _load_model(spec, place, client)
-    if messages and isinstance(spec.model, Path):
-        loaded.skipped[spec.model] = messages
+    handles, doubts = _load_model(spec, place, client)
+    if doubts and isinstance(spec.model, Path):
+        loaded.doubts.setdefault(spec.model, doubts)
     joints = [_joints_of(handle, client) for handle in handles]
     check_joints(spec, [joint for of_body in joints for joint in of_body], place)
     for handle, own_joints in zip(handles, joints, strict=True):

@@ -47,8 +47,17 @@ def place_frames(root: ET.Element) -> None:
     world = root.find("world")
     scope = root if world is None else world
     version = (*_numbers(root.get("version")), 1.7)[0]
-    # All are read before the first is written.
-    changes = [each for model in scope.findall("model") for each in _changes(scope, model, version)]
+    changes: list[_Change] = []  # all are read before the first is written
+    for model in scope.findall("model"):
+        frames = _Frames.of(model)
+        for part in (*model, model):
+            with suppress(_UnknownFrameError, RecursionError):
+                if part is model:
+                    changes += _change_of_model(scope, model, frames)
+                elif part.tag == "link":
+                    changes += _changes_of_link(part, frames)
+                elif part.tag == "joint" and part.get("name"):
+                    changes += _changes_of_joint(part, frames, version)
     for owner, path, text in changes:
         child = owner.find(path)
         if text is None:
@@ -93,19 +102,6 @@ class _Frames:
             raise _UnknownFrameError(name)
         default = _child_of(part) if part.tag == "joint" else part.get("attached_to", "")
         return compose(*self[_relative_to(part) or default], *_pose_of(part))
-
-
-def _changes(scope: ET.Element, model: ET.Element, version: float) -> Iterator[_Change]:
-    """Yields the changes of a model in a world."""
-    frames = _Frames.of(model)
-    for part in (*model, model):
-        with suppress(_UnknownFrameError, RecursionError):
-            if part is model:
-                yield from _change_of_model(scope, model, frames)
-            elif part.tag == "link":
-                yield from _changes_of_link(part, frames)
-            elif part.tag == "joint" and part.get("name"):
-                yield from _changes_of_joint(part, frames, version)
 
 
 def _change_of_model(scope: ET.Element, model: ET.Element, frames: _Frames) -> Iterator[_Change]:

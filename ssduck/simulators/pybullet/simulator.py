@@ -22,7 +22,6 @@ from ssduck.errors import SceneError, SimulatorError, warn
 from ssduck.formatting import joined_names
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.poses import compose
-from ssduck.geometry.shapes import PlacedGeometry
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import Body, CameraView, Kind, LinkPoses, MotorTarget, RayHits
 from ssduck.simulators.pybullet.bodies import (
@@ -239,13 +238,16 @@ class PyBulletSimulator:
     def _check_shapes(self, bodies: Iterable[Body]) -> None:
         """Warns of shapes with numbers that are not finite in PyBullet."""
         for body in bodies:
-            wrong = next((shape for shape in body.shapes if not _is_finite(shape)), None)
-            if wrong is not None:
-                kind = wrong.geometry.type
-                message = f"{body.name!r} has a {kind} with numbers that are not finite"
+            for shape in body.shapes:
+                form = shape.geometry
+                numbers = form.vertices.ravel(), form.size, shape.position, shape.orientation
+                if (np.abs(np.concatenate(numbers)) <= MAX_NUMBER).all():
+                    continue
+                message = f"{body.name!r} has a {form.type} with numbers that are not finite"
                 if body.handle in self.loaded.origins:
                     raise SceneError(f"{message} as single floats, which are below 3.4e38")
                 warn(f"{message}: its boxes, and what is computed of them, are wrong")
+                break
 
     # -- state ----------------------------------------------------------------------------
 
@@ -491,13 +493,6 @@ def _camera_matrices(camera: Camera, width: int, height: int) -> tuple[Any, Any]
     # A view much deeper than the scene has too little depth resolution: shadows get rings.
     depth = 3.0 * math.dist(camera.eye, camera.target)
     return view, pybullet.computeProjectionMatrixFOV(camera.fov, width / height, 0.05, depth)
-
-
-def _is_finite(shape: PlacedGeometry) -> bool:
-    """Checks the numbers of a shape as single floats."""
-    geometry = shape.geometry
-    numbers = (geometry.vertices, geometry.size, shape.position, shape.orientation)
-    return all((np.abs(each) <= MAX_NUMBER).all() for each in numbers)
 
 
 def visual_colours(client: int, handle: int) -> VisualColours:
