@@ -267,6 +267,12 @@ def numbers_of(body: Body) -> range:
     return range(body.handle, body.handle + body.rigid_count)
 
 
+def number_of(body: Body, link: int) -> int:
+    """Returns MuJoCo's number of a link's body, of a site that of its parent."""
+    is_site = body.links[link].region is not None
+    return body.handle + (body.links[link].parent if is_site else link)
+
+
 def joint_numbers(model: Any, bodies: Sequence[Body]) -> Indices:
     """Returns MuJoCo's numbers of the joints of some bodies, in order."""
     first, count = model.body_jntadr, model.body_jntnum

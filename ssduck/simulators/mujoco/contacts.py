@@ -8,7 +8,7 @@ if the model overrides contacts.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import Any, Self
@@ -18,7 +18,7 @@ import numpy as np
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.margins import Margins
 from ssduck.simulators.interface import ContactPoints
-from ssduck.simulators.mujoco.flexes import Flex, entity_roots, flexes_of
+from ssduck.simulators.mujoco.flexes import entity_roots, flexes_of
 from ssduck.simulators.mujoco.library import copied_data, mujoco
 
 # Of the numbers of a wrench, those that are forces; the others are moments.
@@ -29,41 +29,10 @@ _SLEEP = int(getattr(mujoco.mjtEnableBit, "mjENBL_SLEEP", 0))
 
 
 @dataclass(frozen=True, eq=False)
-class Owners:
-    """The bodies that contacts of a model are of."""
-
-    bodies: Indices  # (geoms + 1,), the body of each geom; that of -1, which is no geom, is -1
-    roots: Indices  # (bodies + 1,), the first body of the entity of each body; that of -1 is -1
-    flexes: Sequence[Flex]  # the flexes
-
-    @classmethod
-    def of(cls, model: Any) -> Self:
-        """Returns those of a model."""
-        bodies = model.geom_bodyid.astype(np.intp)
-        return cls(np.append(bodies, -1), np.append(entity_roots(model), -1), flexes_of(model))
-
-    def of_contacts(self, data: Any) -> Indices:
-        """Returns the bodies of the contacts of a step, (n, 2); -1 for none."""
-        contact = data.contact
-        bodies: Indices = self.bodies.take(contact.geom)
-        if not self.flexes or bodies.min(initial=0) >= 0:
-            return bodies
-        sides = contact.flex, contact.elem, contact.vert
-        for side, (flexes, elements, vertices) in enumerate(
-            zip(*(s.T for s in sides), strict=True)
-        ):
-            for flex in self.flexes:
-                rows = (flexes == flex.number).nonzero()[0]
-                parts = contact.pos[rows], elements[rows], vertices[rows]
-                bodies[rows, side] = flex.nearest(data, *parts)
-        return bodies
-
-
-@dataclass(frozen=True, eq=False)
 class StepContacts:
     """The arrays of the contacts of a step, (n, …), copied from MuJoCo's; forces of constraints."""
 
-    bodies: Indices
+    bodies: Indices  # (n, 2); -1 for none
     distances: Array
     addresses: Indices
     dims: Indices
@@ -72,56 +41,43 @@ class StepContacts:
     frictions: Array
     efc_forces: Array
 
-    @classmethod
-    def of(cls, data: Any, owners: Owners) -> Self:
-        """Returns those of the last step of data."""
-        contact = data.contact
-        return cls(
-            owners.of_contacts(data),
-            contact.dist.copy(),
-            contact.efc_address.copy(),
-            contact.dim.copy(),
-            contact.frame.copy(),
-            contact.pos.copy(),
-            contact.friction.copy(),
-            data.efc_force.copy(),
-        )
-
     def only(self, are_chosen: Flags) -> Self:
         """Returns some of them."""
         values = {name: array for name, array in vars(self).items() if name != "efc_forces"}
         return replace(self, **{name: array[are_chosen] for name, array in values.items()})
 
-    @classmethod
-    def joined(cls, parts: Sequence[Self]) -> Self:
-        """Returns those of several steps or bodies, one part after the other."""
-        columns = zip(*(vars(part).values() for part in parts), strict=True)
-        joined = cls(*map(np.concatenate, columns))
-        forces = [len(part.efc_forces) for part in parts]
-        starts = np.repeat(np.cumsum([0, *forces[:-1]]), [len(part.dims) for part in parts])
-        addresses = joined.addresses
-        return replace(joined, addresses=np.where(addresses < 0, -1, addresses + starts))
+    def followed_by(self, other: Self) -> Self:
+        """Returns these and those of another step."""
+        addresses = np.where(other.addresses < 0, -1, other.addresses + len(self.efc_forces))
+        later = replace(other, addresses=addresses)
+        columns = zip(vars(self).values(), vars(later).values(), strict=True)
+        return type(self)(*map(np.concatenate, columns))
 
 
-class SleepingContacts:
-    """The contacts of sleeping bodies, which MuJoCo neither lists nor computes.
+class ContactReader:
+    """Reads the contacts of a model, with those of sleeping bodies.
 
-    A copy of the data is computed with all bodies awake, once for as long as the same ones sleep
-    where they are: so the contacts are those of the step in which they fell asleep.
+    MuJoCo neither lists nor computes these. A copy of the data is computed with all bodies awake,
+    once for as long as the same ones sleep where they are: so the contacts are those of the step in
+    which they fell asleep.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, model: Any) -> None:
+        self._model = model
+        # (geoms + 1,), the body of each geom; that of -1, which is no geom, is -1.
+        self._bodies = np.append(model.geom_bodyid.astype(np.intp), -1)
+        # (bodies + 1,), the first body of the entity of each body; that of -1 is -1.
+        self.roots = np.append(entity_roots(model), -1)
+        self._flexes = flexes_of(model)
         self._known: tuple[tuple[bytes, ...], StepContacts] | None = None
 
-    def read(
-        self, model: Any, data: Any, owners: Owners, only: Collection[int] | None = None
-    ) -> MuJoCoContacts:
-        """Returns the contacts of the last step, with those of sleeping bodies."""
-        contacts = self._complete(model, data, owners)
-        return MuJoCoContacts(contacts, owners.roots, only, bool(model.opt.cone == _PYRAMIDAL))
+    def read(self, data: Any, only: Collection[int] | None = None) -> MuJoCoContacts:
+        """Returns the contacts of the last step of data; those of some root bodies, or of all."""
+        contacts, is_pyramidal = self._read(data), bool(self._model.opt.cone == _PYRAMIDAL)
+        return MuJoCoContacts(contacts, self.roots, only, is_pyramidal)
 
-    def _complete(self, model: Any, data: Any, owners: Owners) -> StepContacts:
-        listed = StepContacts.of(data, owners)
+    def _read(self, data: Any) -> StepContacts:
+        model, listed = self._model, self._listed(data)
         if not (model.opt.enableflags & _SLEEP):
             return listed
         is_asleep = np.append(data.tree_asleep >= 0, False)
@@ -141,10 +97,34 @@ class SleepingContacts:
                 mujoco.mj_forward(model, copied)
             finally:
                 model.opt.enableflags = flags
-            known = StepContacts.of(copied, owners)
+            known = self._listed(copied)
             self._known = key, known.only(~is_awake[known.bodies].any(axis=1))
         awake = listed.only(is_awake[listed.bodies].any(axis=1))
-        return StepContacts.joined((awake, self._known[1]))
+        return awake.followed_by(self._known[1])
+
+    def _listed(self, data: Any) -> StepContacts:
+        """Returns the contacts that MuJoCo lists."""
+        contact = data.contact
+        bodies: Indices = self._bodies.take(contact.geom)
+        if self._flexes and bodies.min(initial=0) < 0:
+            for side in (0, 1):
+                flexes, elements, vertices = (
+                    numbers[:, side] for numbers in (contact.flex, contact.elem, contact.vert)
+                )
+                for flex in self._flexes:
+                    rows = (flexes == flex.number).nonzero()[0]
+                    parts = contact.pos[rows], elements[rows], vertices[rows]
+                    bodies[rows, side] = flex.nearest(data, *parts)
+        return StepContacts(
+            bodies,
+            contact.dist.copy(),
+            contact.efc_address.copy(),
+            contact.dim.copy(),
+            contact.frame.copy(),
+            contact.pos.copy(),
+            contact.friction.copy(),
+            data.efc_force.copy(),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +137,7 @@ class MuJoCoContacts:
     """
 
     contacts: StepContacts  # the arrays of the contacts
-    roots: Indices  # the first body of the entity of each body; see `Owners`
+    roots: Indices  # the first body of the entity of each body; see `ContactReader`
     # The root bodies whose contacts count; None for all. There may be contacts of others from the
     # step before they were left out.
     only: Collection[int] | None

@@ -31,15 +31,17 @@ from ssduck.simulators.environments import (
     to_numpy,
 )
 from ssduck.simulators.interface import SCALAR_JOINTS, Body, ContactPoints, LinkPoses
-from ssduck.simulators.mujoco.bodies import joint_numbers, numbers_of, sites_on
-from ssduck.simulators.mujoco.contacts import Owners, SleepingContacts
+from ssduck.simulators.mujoco.bodies import joint_numbers, number_of, numbers_of, sites_on
+from ssduck.simulators.mujoco.contacts import ContactReader
 from ssduck.simulators.mujoco.library import mujoco
 from ssduck.simulators.mujoco.readings import LinkReader
 from ssduck.simulators.mujoco.simulator import MuJoCoSimulator
 
 # What a contact has: the numbers of its geoms, their distance, m, and what is known besides.
 _OF_CONTACTS = ("geom", "dist", "force", "frame", "efc_address", "dim")
-_MOCAP = frozenset(("mocap_pos", "mocap_quat"))
+_MOCAP = ("mocap_pos", "mocap_quat")
+# What follows from joint positions and velocities.
+_COMPUTED = ("xpos", "xquat", "site_xpos", "cvel", "subtree_com")
 # The world may be off its place by rounding, m.
 _WORLD_TOLERANCE = 1e-3
 
@@ -62,16 +64,8 @@ class MuJoCoEnvironments(Environments):
         super().__init__(count)
         self._model, self._data = model, data
         self._shapes: dict[str, tuple[int, ...]] = {
-            "xpos": (model.nbody, 3),
-            "xquat": (model.nbody, 4),
-            "site_xpos": (model.nsite, 3),
-            "cvel": (model.nbody, 6),
-            "subtree_com": (model.nbody, 3),
-            "qpos": (model.nq,),
-            "qvel": (model.nv,),
-            "qfrc_actuator": (model.nv,),
-            "mocap_pos": (model.nmocap, 3),
-            "mocap_quat": (model.nmocap, 4),
+            name: getattr(data, name).shape
+            for name in (*_COMPUTED, "qpos", "qvel", "qfrc_actuator", *_MOCAP)
         }
         self.accepted = [*self._shapes, "time", "contact", "efc_force"]
         self._arrays: dict[str, npt.NDArray[Any]] = {
@@ -163,21 +157,20 @@ class MuJoCoEnvironments(Environments):
                 "asked for: call tick, then ask again"
             )
         self._wants_contacts = True
-        of_each = [SleepingContacts().read(self._model, one, self._owners) for one in states]
+        of_each = [self._contact_reader.read(state) for state in states]
         points, counts = ContactPoints.joined(of_each)
         return EnvironmentContacts(np.repeat(np.arange(self.count), counts), points)
 
     def _forward(self, known: dict[str, Any]) -> dict[str, Any]:
         """Adds the poses and velocities that follow from joint positions and velocities."""
         model, data = self._model, self._data
-        names = ("xpos", "xquat", "site_xpos", "cvel", "subtree_com")
         self._warn_of_mocap(known)
-        computed = {name: np.zeros((self.count, *self._shapes[name])) for name in names}
+        computed = {name: np.zeros((self.count, *self._shapes[name])) for name in _COMPUTED}
         velocities = known.get("qvel")
         for number, positions in enumerate(known["qpos"]):
             data.qpos[:] = positions
             data.qvel[:] = 0.0 if velocities is None else velocities[number]
-            for name in _MOCAP & known.keys():
+            for name in known.keys() & _MOCAP:
                 getattr(data, name)[:] = known[name][number]
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
@@ -202,8 +195,8 @@ class MuJoCoEnvironments(Environments):
         )
 
     @cached_property
-    def _owners(self) -> Owners:
-        return Owners.of(self._model)
+    def _contact_reader(self) -> ContactReader:
+        return ContactReader(self._model)
 
     # -- reading ----------------------------------------------------------------------------
 
@@ -218,7 +211,7 @@ class MuJoCoEnvironments(Environments):
         return reader.read(SimpleNamespace(**state))
 
     def frames(self, body: Body, link: int) -> tuple[Array, Array]:
-        number = self._number(body, link)
+        number = number_of(body, link)
         orientations = self._column("xquat", number)
         if body.links[link].region is None:
             return self._column("xpos", number), orientations
@@ -229,7 +222,7 @@ class MuJoCoEnvironments(Environments):
 
     def velocities(self, body: Body, link: int) -> Array:
         self._check_known("velocities", "cvel", "subtree_com")
-        number = self._number(body, link)
+        number = number_of(body, link)
         twists = self._column("cvel", number)
         root = int(self._model.body_rootid[number])
         arms = self.frames(body, link)[0] - self._column("subtree_com", root)
@@ -278,11 +271,6 @@ class MuJoCoEnvironments(Environments):
             self._columns[key] = np.array(own.T, np.float64, order="C").T
         return self._columns[key]
 
-    def _number(self, body: Body, link: int) -> int:
-        """Returns MuJoCo's number of a link's body, of a site that of its parent."""
-        is_site = body.links[link].region is not None
-        return body.handle + (body.links[link].parent if is_site else link)
-
     def _contacts_of(self, contact: Any, efc_forces: Any) -> EnvironmentContacts:
         """Returns contacts from arrays (n, m, …), without those that do not meet."""
         if not isinstance(contact, Mapping):
@@ -316,7 +304,7 @@ class MuJoCoEnvironments(Environments):
             frames = frames.reshape(*distances.shape, 3, 3)
             normals = -frames[environments, places, 0].astype(np.float64)
         numbers = self._model.geom_bodyid[chosen]
-        handles = self._owners.roots[numbers]  # the first body of an entity
+        handles = self._contact_reader.roots[numbers]  # the first body of an entity
         nothing = np.full((len(chosen), 3), np.nan)
         points = ContactPoints(
             handles,

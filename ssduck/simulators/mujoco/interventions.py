@@ -272,11 +272,9 @@ def hold_positions(model: Any, data: Any, positions: Mapping[int, float]) -> Non
 def _actuators(model: Any, joint: int) -> list[int]:
     """Returns the actuators that act on a joint alone."""
     kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-    return [
-        n
-        for n in range(len(model.actuator_trntype))
-        if int(model.actuator_trntype[n]) in kinds and int(model.actuator_trnid[n, 0]) == joint
-    ]
+    are_on = np.isin(model.actuator_trntype, kinds) & (model.actuator_trnid[:, 0] == joint)
+    numbers: list[int] = np.flatnonzero(are_on).tolist()
+    return numbers
 
 
 def _controls(model: Any, actuator: int) -> range:

@@ -22,7 +22,13 @@ from ssduck.geometry.poses import cross, multiply, rotation_matrices
 from ssduck.geometry.ray_casting import is_triangle_surface, ray_chords
 from ssduck.geometry.solids import Solid, solid_of
 from ssduck.simulators.interface import Body, LinkPoses, RayHits
-from ssduck.simulators.mujoco.bodies import colliding_geoms, geometry_of, numbers_of, sites_on
+from ssduck.simulators.mujoco.bodies import (
+    colliding_geoms,
+    geometry_of,
+    number_of,
+    numbers_of,
+    sites_on,
+)
 from ssduck.simulators.mujoco.flexes import entity_roots
 from ssduck.simulators.mujoco.library import mujoco
 
@@ -32,12 +38,8 @@ class LinkReader:
 
     def __init__(self, model: Any, bodies: tuple[Body, ...]) -> None:
         self.bodies, self._model = bodies, model
-        # The number of each link, of a site that of its parent; the root of the tree of each body.
-        links = [
-            body.handle + (number if link.region is None else link.parent)
-            for body in bodies
-            for number, link in enumerate(body.links)
-        ]
+        # The number of each link; the root of the tree of each body.
+        links = [number_of(body, link) for body in bodies for link in range(len(body.links))]
         self._links = np.array(links, dtype=np.intp)
         self._roots = model.body_rootid.astype(np.intp)
         # Which of the links are sites, and the numbers of these.

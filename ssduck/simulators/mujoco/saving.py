@@ -29,16 +29,9 @@ from ssduck.geometry.poses import IDENTITY, multiply
 from ssduck.simulators.backends import BodyToCopy, TickToCopy
 from ssduck.simulators.interface import SCALAR_JOINTS, Simulator
 from ssduck.simulators.model_xml import ASSETS, KIND_PREFIX, STATE_KEY, numbers_text
+from ssduck.simulators.mujoco import interventions
 from ssduck.simulators.mujoco.bodies import body_names, joint_numbers
 from ssduck.simulators.mujoco.flexes import entity_roots
-from ssduck.simulators.mujoco.interventions import (
-    HOLD,
-    IDLE,
-    holds,
-    put_base,
-    spare_welds,
-    take_out,
-)
 from ssduck.simulators.mujoco.library import all_digits, copied_data, mujoco
 from ssduck.simulators.mujoco.simulator import MuJoCoSimulator
 
@@ -78,19 +71,19 @@ def write_model(model: Any, data: Any, spec: Any, kinds: Mapping[str, str], file
             "body2": names[other],
             "relpose": numbers_text(model.eq_data[number, 3:10]),
         }
-        for number, one, other in holds(model, data)
+        for number, one, other in interventions.holds(model, data)
     ]
     # The welds for holding are there as they were when the model was compiled.
-    plain, spare = copy.copy(model), spare_welds(model)
+    plain, spare = copy.copy(model), interventions.spare_welds(model)
     plain.eq_obj1id[spare], plain.eq_obj2id[spare] = 1, 0
-    plain.eq_data[spare, : len(IDLE)] = IDLE
+    plain.eq_data[spare, : len(interventions.IDLE)] = interventions.IDLE
     root = ET.fromstring(_source(plain, spec))  # noqa: S314  # MuJoCo wrote it
     _copy_files(root, Path(spec.modelfiledir) if spec is not None else None, file.parent / ASSETS)
     for part in root.iter("statistic"):
         part.attrib.pop("meaninertia", None)  # MuJoCo 4 writes it, and warns when it reads it
     _replace(root, "keyframe", "key", STATE_KEY, [_state(data)])
     texts = [{"name": KIND_PREFIX + name, "data": kind} for name, kind in kinds.items()]
-    _replace(root, "equality", "weld", HOLD, welds)
+    _replace(root, "equality", "weld", interventions.HOLD, welds)
     _replace(root, "custom", "text", KIND_PREFIX, texts)
     ET.indent(root)
     ET.ElementTree(root).write(file, encoding="utf-8")
@@ -244,7 +237,7 @@ def excerpt(
     chosen = {one.body.handle for one in originals}
     # Where everything is copied, so is what the world body shows.
     kept = {0, *chosen} if source.has_only(chosen) else chosen
-    take_out(model, data, ~np.isin(entity_roots(model), list(kept)))
+    interventions.take_out(model, data, ~np.isin(entity_roots(model), list(kept)))
     now = source.read_link_poses(tuple(one.body for one in originals), with_velocities=True)
     states = np.concatenate([np.zeros((0, 13)), *(one.link_poses.states for one in originals)])
     if tick.time != source.time or not np.array_equal(now.states, states):
@@ -272,7 +265,9 @@ def _restore(model: Any, data: Any, originals: Sequence[BodyToCopy], tick: TickT
             state = original.base_state
             # MuJoCo has the angular velocity of a free joint in the frame of the body.
             spin = original.link_poses.matrices[0].T @ state[10:]
-            put_base(model, data, original.body.handle, state[:7], (*state[7:10], *spin))
+            interventions.put_base(
+                model, data, original.body.handle, state[:7], (*state[7:10], *spin)
+            )
             _restore_joints(model, data, original)
     if model.nu:
         warn("the copy of an earlier or assumed tick has the present controls of actuators")

@@ -27,31 +27,23 @@ from ssduck.simulators.interface import (
     MotorTarget,
     RayHits,
 )
+from ssduck.simulators.mujoco import interventions
 from ssduck.simulators.mujoco.bodies import (
     ModelContent,
     ModelReader,
     is_same,
     joint_numbers,
     link_masses,
+    number_of,
     numbers_of,
     parts_of,
 )
 from ssduck.simulators.mujoco.contacts import (
-    Owners,
-    SleepingContacts,
+    ContactReader,
     margin_content,
     margins_of,
 )
 from ssduck.simulators.mujoco.flexes import entity_roots
-from ssduck.simulators.mujoco.interventions import (
-    Switches,
-    drive,
-    hold,
-    hold_positions,
-    holds,
-    put_base,
-    take_out,
-)
 from ssduck.simulators.mujoco.library import copied_data, mujoco
 from ssduck.simulators.mujoco.readings import LinkReader, RayCaster
 from ssduck.simulators.mujoco.rendering import Viewpoint, draw, segment
@@ -105,7 +97,7 @@ class MuJoCoSimulator(PartialSimulator):
         self._forward = forward
         self.spec, self.part_names = spec, part_names
         self.model, self.data = source()
-        self._switches = Switches(self.model)
+        self._switches = interventions.Switches(self.model)
         # What is to be switched off when the bodies are described first.
         self._switched_off: SwitchedOff = switched_off
         # A copy of the data in which the derived quantities are computed; None until needed.
@@ -121,9 +113,7 @@ class MuJoCoSimulator(PartialSimulator):
         self._parts: dict[Body, Indices] = {}
         # What the margins followed from, and those of some bodies that were read then.
         self._margins: tuple[bytes, list[Body], list[list[float]] | Margins] | None = None
-        # The bodies of the geoms of a model.
-        self._owners: tuple[Any, Owners] | None = None
-        self._sleeping = SleepingContacts()
+        self._contact_reader = ContactReader(self.model)
         self._warned: set[str] = set()
         self._is_closed = False
         self.episode = 0
@@ -190,7 +180,8 @@ class MuJoCoSimulator(PartialSimulator):
         if self._episodes.begins(self.data, self.timestep, is_new=is_new):
             self.episode += 1
         if is_new:
-            self._switches = Switches(self.model)
+            self._switches = interventions.Switches(self.model)
+            self._contact_reader = ContactReader(self.model)
         self._positions = self.data.qpos.tobytes()
         # The first number is 0 in data whose poses MuJoCo never computed, or reset since.
         if not self._forward and self.data.xquat[0, 0]:
@@ -283,10 +274,7 @@ class MuJoCoSimulator(PartialSimulator):
         return of_bodies
 
     def read_contacts(self) -> Contacts:
-        model, state = self.model, self._state
-        if self._owners is None or self._owners[0] is not model:
-            self._owners, self._sleeping = (model, Owners.of(model)), SleepingContacts()
-        return self._sleeping.read(model, state, self._owners[1], self._only)
+        return self._contact_reader.read(self._state, self._only)
 
     def step(self, count: int) -> None:
         self._refresh()
@@ -322,7 +310,7 @@ class MuJoCoSimulator(PartialSimulator):
         if base_joints and base_joints[0].type != "free":
             names = joined_names([joint.name for joint in base_joints])
             raise UnsupportedError(f"the base of {body.name!r} moves by its joints: set {names}")
-        put_base(model, data, root, np.concatenate((position, orientation)))
+        interventions.put_base(model, data, root, np.concatenate((position, orientation)))
         mujoco.mj_forward(model, data)
 
     def set_joints(self, body: Body, positions: Mapping[int, float]) -> None:
@@ -333,7 +321,9 @@ class MuJoCoSimulator(PartialSimulator):
             data.qpos[model.jnt_qposadr[numbers[index]]] = position
             data.qvel[model.jnt_dofadr[numbers[index]]] = 0.0
         if not self.is_external:
-            hold_positions(model, data, {int(numbers[n]): p for n, p in positions.items()})
+            interventions.hold_positions(
+                model, data, {int(numbers[n]): p for n, p in positions.items()}
+            )
         mujoco.mj_forward(model, data)
 
     def drive(self, body: Body, motors: Mapping[int, MotorTarget]) -> None:
@@ -341,20 +331,21 @@ class MuJoCoSimulator(PartialSimulator):
         targets = {
             int(numbers[index]): (body.joints[index], motor) for index, motor in motors.items()
         }
-        drive(self.model, self.data, body.name, targets)
+        interventions.drive(self.model, self.data, body.name, targets)
 
     def has_constraint(self, body: Body, other: Body) -> bool:
-        ends = ((one, held) for _, one, held in holds(self.model, self.data))
-        return any(one in numbers_of(body) and held == other.handle for one, held in ends)
+        return bool(self._holds(body, other))
 
     def add_constraint(self, body: Body, link: int, other: Body) -> None:
-        rigid = link if body.links[link].region is None else body.links[link].parent
-        hold(self.model, self.data, self._state, body.handle + rigid, other.handle)
+        interventions.hold(self.model, self.data, self._state, number_of(body, link), other.handle)
 
     def remove_constraint(self, body: Body, other: Body) -> None:
-        for number, one, held in holds(self.model, self.data):
-            if one in numbers_of(body) and held == other.handle:
-                self.data.eq_active[number] = 0
+        self.data.eq_active[self._holds(body, other)] = 0
+
+    def _holds(self, body: Body, other: Body) -> list[int]:
+        """Returns the welds by which links of a body hold another."""
+        welds = interventions.holds(self.model, self.data)
+        return [n for n, one, held in welds if one in numbers_of(body) and held == other.handle]
 
     @property
     def disabled(self) -> frozenset[Body]:
@@ -374,7 +365,7 @@ class MuJoCoSimulator(PartialSimulator):
         self._switches.show(body, on)
 
     def remove(self, body: Body) -> None:
-        take_out(self.model, self.data, entity_roots(self.model) == body.handle)
+        interventions.take_out(self.model, self.data, entity_roots(self.model) == body.handle)
         self._only = {one.handle for one in self._bodies if one is not body}
         self._described = self._ray_caster = None
 

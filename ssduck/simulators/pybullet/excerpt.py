@@ -28,23 +28,11 @@ from ssduck.geometry.arrays import Array
 from ssduck.geometry.poses import compose, invert
 from ssduck.simulators.backends import BodyToCopy, TickToCopy
 from ssduck.simulators.interface import SCALAR_JOINTS, Body, Simulator
+from ssduck.simulators.pybullet import introspection, scene_loader
 from ssduck.simulators.pybullet.bodies import BodyDescription, com_poses_of, xyzw
 from ssduck.simulators.pybullet.clients import new_client, pybullet
-from ssduck.simulators.pybullet.introspection import (
-    constraints_of,
-    estimated_model,
-    model_of,
-    poses_in_parents,
-    zero_poses,
-)
 from ssduck.simulators.pybullet.readings import LinkPosesReader
-from ssduck.simulators.pybullet.scene_loader import (
-    LoadedBodies,
-    create_constraint,
-    hold_joint,
-    load_body,
-    set_up,
-)
+from ssduck.simulators.pybullet.scene_loader import LoadedBodies
 from ssduck.simulators.pybullet.scene_writer import loadable_spec, placed, write_model
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator, visual_colours
 from ssduck.simulators.scene_bodies import BodySpec
@@ -93,7 +81,7 @@ class _Copier:
     def copy(self, originals: Sequence[BodyToCopy]) -> PyBulletSimulator:
         """Copies bodies."""
         settings = self.source.settings() if self.source else Scene("", Path())
-        set_up(settings, self.client)
+        scene_loader.set_up(settings, self.client)
         self.loaded.time, self.loaded.elastic = self.tick.time, settings.elastic
         with tempfile.TemporaryDirectory(prefix="ssduck") as folder:
             for original in originals:
@@ -111,7 +99,7 @@ class _Copier:
     def _copy_body(self, original: BodyToCopy, folder: Path) -> None:
         body, live = original.body, self._live(original.body)
         spec = placed(self._spec_of(original, folder), original, self.tick)
-        (handle,) = load_body(spec, "", self.loaded, self.client)
+        (handle,) = scene_loader.load_body(spec, "", self.loaded, self.client)
         if pybullet.getNumJoints(handle, self.client) != len(body.joints):
             raise SimulatorError(f"the model of {original.name!r} has changed since it was loaded")
         self.handles[body] = handle
@@ -140,14 +128,14 @@ class _Copier:
         if spec is not None:
             return replace(spec, joints={}, joint_velocities={}, held={}, hold=False)
         if live is None:
-            model = estimated_model(body, original.link_poses, original.joints)
+            model = introspection.estimated_model(body, original.link_poses, original.joints)
             self._note_difference(
                 "only shapes, links, joints and masses are known; inertia and centre of mass are "
                 "those of the shapes, friction and damping PyBullet's own, and joints are held",
                 original,
             )
         else:
-            model = model_of(live, body)
+            model = introspection.model_of(live, body)
             if body.has_stand_ins:
                 self._note_difference(
                     "not all shapes are given back; it collides as its box", original
@@ -171,7 +159,7 @@ class _Copier:
                 position, velocity = states[number].tolist()
                 pybullet.resetJointState(handle, number, position, velocity, self.client)
                 if joint.link in motors:
-                    hold_joint(handle, joint, motors[joint.link], self.client)
+                    scene_loader.hold_joint(handle, joint, motors[joint.link], self.client)
             elif joint.type == "spherical":
                 turn, spin = xyzw(turns[[number]])[0].tolist(), spins[number].tolist()
                 pybullet.resetJointStateMultiDof(handle, number, turn, spin, self.client)
@@ -192,8 +180,8 @@ class _Copier:
         before = [
             pybullet.getJointState(handle, n, self.client)[0] for n in range(len(body.joints))
         ]
-        zero = zero_poses(body, present, np.array(before)[:, None])
-        shifts, turns = compose(*invert(*zero), *poses_in_parents(body, poses))
+        zero = introspection.zero_poses(body, present, np.array(before)[:, None])
+        shifts, turns = compose(*invert(*zero), *introspection.poses_in_parents(body, poses))
         parents = [link.parent for link in body.links[1:]]
         drift = poses.states[1:, 10:] - poses.states[parents, 10:]
         spins = np.einsum("nji,nj->ni", poses.matrices[1:], np.nan_to_num(drift))
@@ -246,10 +234,10 @@ class _Copier:
         copies = self.handles.items()
         handles = {body.handle: new for body, new in copies if self._live(body) is not None}
         handles[-1] = -1
-        for spec, on, to in constraints_of(self.source.client):
+        for spec, on, to in introspection.constraints_of(self.source.client):
             if on[0] in handles and to[0] in handles:
                 ends = [(handles[body], link) for body, link in (on, to)]
-                create_constraint(spec, ends[0], ends[1], self.client)
+                scene_loader.create_constraint(spec, ends[0], ends[1], self.client)
 
     # -- differences ----------------------------------------------------------------------
 

@@ -13,6 +13,7 @@ import tempfile
 from collections.abc import Mapping
 from functools import cache, lru_cache
 from pathlib import Path
+from typing import NamedTuple
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -50,19 +51,8 @@ def check_meshes(model: Path, root: ET.Element) -> None:
     """Checks the OBJ, STL and COLLADA files that a model file names, where PyBullet finds them."""
     for part in root.iter("mesh"):
         file = find_mesh(model, mesh_name(part, root))
-        if file is not None and (fault := mesh_fault(file)):
+        if file is not None and (fault := _facts_of(file).fault):
             raise SceneError(f"{file}: {fault}")
-
-
-def mesh_fault(file: Path) -> str:
-    """Returns what would crash PyBullet in a mesh file, in words; nothing if it can be read."""
-    if file.suffix.lower() not in _CHECKS or not file.exists():
-        return ""
-    try:
-        status = file.stat()
-        return _fault_of(file, status.st_mtime_ns, status.st_size)
-    except OSError as error:
-        return f"it cannot be read: {error.strerror}"
 
 
 def find_mesh(model: Path, name: str) -> Path | None:
@@ -75,54 +65,47 @@ def find_mesh(model: Path, name: str) -> Path | None:
     return next((place for place in places if os.path.exists(place)), None)  # noqa: PTH110  # any name
 
 
-def is_readable(file: Path) -> bool:
-    """Checks whether PyBullet reads triangles from a mesh file, if it is not damaged."""
+class _MeshFacts(NamedTuple):
+    """What is known of a mesh file."""
+
+    fault: str = ""  # what would crash PyBullet, in words; nothing if it can be read
+    is_readable: bool = False  # whether PyBullet reads triangles, if it is not damaged
+    is_pointer: bool = False  # whether it is a pointer that Git LFS has in place of a large file
+
+
+def _facts_of(file: Path) -> _MeshFacts:
     try:
         status = file.stat()
-        return file.is_file() and _has_triangles(file, status.st_mtime_ns, status.st_size)
-    except OSError:
-        return False
+        return _facts_of_version(file, status.st_mtime_ns, status.st_size)
+    except OSError as error:
+        return _MeshFacts(f"it cannot be read: {error.strerror}")
 
 
 @lru_cache(maxsize=256)
-def _has_triangles(file: Path, _time: int, size: int) -> bool:
-    match file.suffix.lower():
-        case ".obj":
-            faces = _FACE.finditer(file.read_bytes())
-            return any(len(_words(face[1])) > 2 for face in faces)
-        case ".stl":
-            return size == 84 + 50 * _triangle_count(file)
-        case ".dae":
-            return not is_pointer(file)
-    return False
-
-
-def is_pointer(file: Path) -> bool:
-    """Checks whether a file is a pointer that Git LFS has in place of a large one."""
-    try:
-        if not file.is_file():
-            return False
-        with file.open("rb") as stream:
-            return stream.read(len(_POINTER)) == _POINTER
-    except OSError:
-        return False
-
-
-def _triangle_count(file: Path) -> int:
-    """Returns the number of triangles that the header of a binary STL file tells."""
-    with file.open("rb") as stream:
-        return int.from_bytes(stream.read(84)[80:], "little")
-
-
-@lru_cache(maxsize=64)
-def _fault_of(file: Path, _time: int, _size: int) -> str:
-    """Returns what is wrong with a mesh file, in words; nothing if it can be read."""
-    return _CHECKS[file.suffix.lower()](file) if file.is_file() else "it is no file"
-
-
-def _obj_fault(file: Path) -> str:
-    """Returns what is wrong with an OBJ file, in words; nothing if it can be read."""
+def _facts_of_version(file: Path, _time: int, size: int) -> _MeshFacts:
+    suffix = file.suffix.lower()
+    if not file.is_file():
+        return _MeshFacts("it is no file" if suffix in _CHECKS else "")
     content = file.read_bytes()
+    is_pointer = content.startswith(_POINTER)
+    match suffix:
+        case ".obj":
+            is_readable = any(len(_words(face[1])) > 2 for face in _FACE.finditer(content))
+        case ".stl":
+            is_readable = size == 84 + 50 * _triangle_count(content)
+        case _:
+            is_readable = suffix == ".dae" and not is_pointer
+    fault = _CHECKS[suffix](content) if suffix in _CHECKS else ""
+    return _MeshFacts(fault, is_readable, is_pointer)
+
+
+def _triangle_count(content: bytes) -> int:
+    """Returns the number of triangles that the header of a binary STL file tells."""
+    return int.from_bytes(content[80:84], "little")
+
+
+def _obj_fault(content: bytes) -> str:
+    """Returns what is wrong with an OBJ file, in words; nothing if it can be read."""
     if fault := _line_fault(content):
         return fault
     lines = [(found.start(), _words(found[1])) for found in _FACE.finditer(content)]
@@ -176,10 +159,9 @@ def _vertex(word: bytes) -> int:
     return min(max(number, -_MAX_NUMBER), _MAX_NUMBER)
 
 
-def _stl_fault(file: Path) -> str:
+def _stl_fault(content: bytes) -> str:
     """Returns what is wrong with an STL file, in words; nothing if it can be read."""
-    size = file.stat().st_size
-    count = _triangle_count(file)
+    size, count = len(content), _triangle_count(content)
     expected = 84 + 50 * count
     if size >= 84 and expected != size and expected % (1 << 32) == size:
         return f"it counts {count:,} triangles in {size:,} bytes"
@@ -198,9 +180,8 @@ _PREFIXED = re.compile(
 _MAX_OFFSET = 64
 
 
-def collada_fault(file: Path) -> str:
+def _collada_fault(content: bytes) -> str:
     """Returns what would crash PyBullet in a COLLADA file, in words; nothing if it can be read."""
-    content = file.read_bytes()
     if b"<!DOCTYPE" in content:  # readers differ in what they take entities for
         return "<!DOCTYPE> is not supported"
     # PyBullet takes the text of an element up to a comment.
@@ -317,7 +298,7 @@ def _number(part: ET.Element, key: str) -> int:
     return int(_attribute(part, key)[:18])
 
 
-_CHECKS = {".obj": _obj_fault, ".dae": collada_fault, ".stl": _stl_fault}
+_CHECKS = {".obj": _obj_fault, ".dae": _collada_fault, ".stl": _stl_fault}
 
 
 # A text of numbers and white space.
@@ -365,11 +346,12 @@ def replace_meshes(model: Path, format: str, root: ET.Element) -> list[str]:
     for part in list(root.iter("mesh")):
         name = mesh_name(part, root)
         file = find_mesh(model, name) if name else None
-        if not name or (file is not None and is_readable(file)):
+        facts = _MeshFacts() if file is None else _facts_of(file)
+        if not name or facts.is_readable:
             continue
         fault = "it is not there"
         if file is not None:
-            if not is_pointer(file) and mesh_fault(file):
+            if facts.fault and not facts.is_pointer:
                 continue  # which is an error
             try:
                 status = file.stat()
@@ -377,7 +359,7 @@ def replace_meshes(model: Path, format: str, root: ET.Element) -> list[str]:
                 continue
             except (OSError, ValueError) as error:
                 fault = str(error)
-                if is_pointer(file):
+                if facts.is_pointer:
                     fault = f"{file} is a pointer of Git LFS; `git lfs pull` fetches the mesh"
         shape = parents.get(parents.get(part, root), root)  # <visual><geometry><mesh/>
         if format == "mjcf":  # PyBullet tells of what is not there

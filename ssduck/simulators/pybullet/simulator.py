@@ -24,6 +24,7 @@ from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.poses import compose
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import Body, CameraView, Kind, LinkPoses, MotorTarget, RayHits
+from ssduck.simulators.pybullet import scene_loader
 from ssduck.simulators.pybullet.bodies import (
     BodyDescription,
     UserShapes,
@@ -36,14 +37,7 @@ from ssduck.simulators.pybullet.bullet_file import SavedShapes
 from ssduck.simulators.pybullet.clients import all_handles_of, captured, handles_of, pybullet
 from ssduck.simulators.pybullet.given_bodies import GivenBodies, names_of
 from ssduck.simulators.pybullet.readings import LinkPosesReader, PyBulletContacts, cast_rays
-from ssduck.simulators.pybullet.scene_loader import (
-    LoadedBodies,
-    add_fixed_constraint,
-    fixed_constraints,
-    hold_joint,
-    set_motor,
-    settings_of,
-)
+from ssduck.simulators.pybullet.scene_loader import LoadedBodies
 from ssduck.simulators.scenes import Camera, Scene
 
 T = TypeVar("T")
@@ -264,7 +258,7 @@ class PyBulletSimulator:
     @_calls
     def settings(self) -> Scene:
         """Returns a scene without bodies: the gravity, the time step and the solver."""
-        return settings_of(self.client, self.loaded)
+        return scene_loader.settings_of(self.client, self.loaded)
 
     def begin_episode(self) -> None:
         self.episode += 1
@@ -359,26 +353,26 @@ class PyBulletSimulator:
             joint = body.joints[number]
             pybullet.resetJointState(body.handle, number, position, 0.0, self.client)
             if not self.is_external:
-                hold_joint(body.handle, joint, position, self.client)
+                scene_loader.hold_joint(body.handle, joint, position, self.client)
                 self.loaded.motor_positions.setdefault(body.handle, {})[joint.link] = position
         pybullet.performCollisionDetection(self.client)
 
     @_calls
     def drive(self, body: Body, motors: Mapping[int, MotorTarget]) -> None:
         for number, motor in motors.items():
-            set_motor(body.handle, body.joints[number].link, motor, self.client)
+            scene_loader.set_motor(body.handle, body.joints[number].link, motor, self.client)
 
     @_calls
     def has_constraint(self, body: Body, other: Body) -> bool:
-        return bool(fixed_constraints(self.client, body.handle, other.handle))
+        return bool(scene_loader.fixed_constraints(self.client, body.handle, other.handle))
 
     @_calls
     def add_constraint(self, body: Body, link: int, other: Body) -> None:
-        add_fixed_constraint(self.client, (body.handle, link - 1), other.handle)
+        scene_loader.add_fixed_constraint(self.client, (body.handle, link - 1), other.handle)
 
     @_calls
     def remove_constraint(self, body: Body, other: Body) -> None:
-        for number in fixed_constraints(self.client, body.handle, other.handle):
+        for number in scene_loader.fixed_constraints(self.client, body.handle, other.handle):
             pybullet.removeConstraint(number, self.client)
 
     @_calls
