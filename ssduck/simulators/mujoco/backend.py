@@ -69,15 +69,9 @@ def _mjcf_file(scene: Scene) -> Path | None:
     model = scene.bodies[0].model if len(scene.bodies) == 1 else None
     if not isinstance(model, Path) or model.suffix.lower() not in MODEL_FILES["mjcf"]:
         return None
-    plain = Scene(
-        name=scene.name,
-        path=scene.path,
-        description=scene.description,
-        camera=scene.camera,
-        sensors=scene.sensors,
-        simulator=scene.simulator,
-        bodies=(BodySpec(None, None, model),),
-    )
+    kept = ("name", "path", "description", "camera", "sensors", "simulator")
+    bodies = (BodySpec(None, None, model),)
+    plain = Scene(**{key: getattr(scene, key) for key in kept}, bodies=bodies)
     return model if scene == plain else None
 
 

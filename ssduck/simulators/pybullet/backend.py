@@ -29,9 +29,9 @@ def load(scene: Scene) -> PyBulletSimulator:
     """Starts a PyBullet simulation of a scene."""
     with new_client() as client:
         loaded = load_models(scene, client)
-        return PyBulletSimulator(
-            client, owned=True, names=loaded.names, kinds=loaded.kinds, loaded=loaded
-        )
+        kinds = {handle: spec.kind for handle, spec in loaded.origins.items() if spec.kind}
+        names = loaded.names
+        return PyBulletSimulator(client, owned=True, names=names, kinds=kinds, loaded=loaded)
 
 
 def environments(model: Any, count: int) -> NoReturn:

@@ -112,7 +112,6 @@ class BodyDescription:
 
     body: Body  # its links, joints and shapes
     com: Pose  # poses of the links' centres of mass in the link frames, (links, 3) and (links, 4)
-    exact: bool  # whether all shapes are those that PyBullet uses; else boxes stand in for some
     # The margin of each link; empty for a body that was not read.
     link_margins: tuple[LinkMargin, ...] = ()
 
@@ -233,7 +232,7 @@ class _BodyReader:
                 for shape in self._shapes[link]
             ),
         )
-        return BodyDescription(body, self.com, not body.has_stand_ins, link_margins)
+        return BodyDescription(body, self.com, link_margins)
 
     def _joint(self, info: tuple[Any, ...]) -> Joint:
         """Returns a joint, its axis in the frame of its link."""

@@ -113,8 +113,8 @@ class _Copier:
                     )
         self._copy_joints(original, handle)
         copy = replace(body, handle=handle, name=original.name)
-        com = com_poses_of(self.client, handle)
-        self.loaded.described[handle] = BodyDescription(copy, com, exact=True)
+        description = BodyDescription(copy, com_poses_of(self.client, handle))
+        self.loaded.described[handle] = description
 
     def _live(self, body: Body) -> PyBulletSimulator | None:
         """Returns the source if it still has a body."""

@@ -77,12 +77,10 @@ class _Writer:
         add_part(self.root, "compiler", angle="radian", meshdir=ASSETS)
         scene = self.simulator.settings()
         add_part(self.root, "option", timestep=scene.timestep, gravity=scene.gravity)
-        self.assets = add_part(self.root, "asset")
-        self.world = add_part(self.root, "worldbody")
+        tags = ("asset", "worldbody", "contact", "equality", "custom")
+        sections = (add_part(self.root, tag) for tag in tags)
+        self.assets, self.world, self.contact, self.equality, self.custom = sections
         add_part(self.world, "light", pos="0 0 5", dir="0 0 -1", directional="true")
-        self.contact = add_part(self.root, "contact")
-        self.equality = add_part(self.root, "equality")
-        self.custom = add_part(self.root, "custom")
         self.names: dict[str, set[str]] = {"body": set(), "joint": set()}
         self.links: dict[tuple[int, int], str] = {}
         self.positions: list[float] = []

@@ -19,12 +19,7 @@ from ssduck.errors import SceneError
 from ssduck.formatting import joined_names, short_repr
 from ssduck.simulators.model_xml import number_in, parse_tolerantly
 from ssduck.simulators.pybullet.bodies import MAX_JOINTS
-from ssduck.simulators.pybullet.model_repairs import (
-    free_continuous_joints,
-    join_numbers,
-    named_owner,
-    replace_meshes,
-)
+from ssduck.simulators.pybullet.model_repairs import named_owner, replace_meshes
 from ssduck.simulators.pybullet.sdf_frames import place_frames
 from ssduck.simulators.scene_bodies import BodySpec
 
@@ -179,6 +174,8 @@ _RULES: Mapping[str, Mapping[tuple[str, str], _Rule]] = MappingProxyType(
     }
 )
 
+# A text of numbers and white space.
+_NUMBERS = re.compile(r"[\s\d.eE+-]*\d[\s\d.eE+-]*")
 # The beginning of a word that C takes for a number.
 _BEGINNING = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)")
 # The greatest number of doubtful numbers, or of meshes, in a warning.
@@ -267,16 +264,21 @@ class ModelFile:
             root = parse_tolerantly(spec.model.read_bytes())
         except (ET.ParseError, OSError, ValueError) as error:
             raise SceneError(f"it cannot be read as XML: {error}") from error
-        join_numbers(root)
-        if spec.source == "sdf":
-            for part in root.iter():
-                # As in URDF, an attribute may stand for a text.
-                is_empty = not len(part) and not (part.text or "").strip()
-                if part.tag in _TEXTS and is_empty and part.get("value"):
-                    part.text = part.get("value")
+        is_sdf = spec.source == "sdf"
+        # PyBullet separates numbers at blanks, not at tabs and new lines.
+        for part in root.iter():
+            if part.text and _NUMBERS.fullmatch(part.text):
+                part.text = " ".join(part.text.split())
+            is_empty = not len(part) and not (part.text or "").strip()
+            if is_sdf and part.tag in _TEXTS and is_empty and part.get("value"):
+                part.text = part.get("value")  # as in URDF
+        if is_sdf:
             place_frames(root)
         elif spec.source == "urdf":
-            free_continuous_joints(root)
+            # PyBullet keeps ranges that URDF does not: such a joint turns as far as it likes.
+            for limit in root.iterfind("joint[@type='continuous']/limit"):
+                limit.attrib.pop("lower", None)
+                limit.attrib.pop("upper", None)
         left_out = replace_meshes(spec.model, spec.source, root)
         return cls(spec.model, spec.source, root, left_out)
 

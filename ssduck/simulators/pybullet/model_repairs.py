@@ -1,8 +1,7 @@
 """Finds mesh files that would crash PyBullet, and writes model files as it is to read them.
 
-Measured with PyBullet 3.2.7. It separates numbers at blanks, not at tabs and new lines. It knows
-OBJ, COLLADA and binary STL files; a file of another kind is an error, an STL file in text, or what
-has no faces, a shape without a surface.
+Measured with PyBullet 3.2.7. It knows OBJ, COLLADA and binary STL files; a file of another kind is
+an error, an STL file in text, or what has no faces, a shape without a surface.
 """
 
 from __future__ import annotations
@@ -301,29 +300,10 @@ def _number(part: ET.Element, key: str) -> int:
 _CHECKS = {".obj": _obj_fault, ".dae": _collada_fault, ".stl": _stl_fault}
 
 
-# A text of numbers and white space.
-_NUMBERS = re.compile(r"[\s\d.eE+-]*\d[\s\d.eE+-]*")
 # The attributes of <compiler> in MJCF files that name a folder, by the element of the files.
 _FOLDERS = {"mesh": "meshdir", "texture": "texturedir"}
 # The elements that name a file which PyBullet reads.
 _WITH_FILES = (*_FOLDERS, "cdf")
-
-
-def join_numbers(root: ET.Element) -> None:
-    """Separates the numbers in texts of elements by blanks."""
-    for part in root.iter():
-        if part.text and _NUMBERS.fullmatch(part.text):
-            part.text = " ".join(part.text.split())
-
-
-def free_continuous_joints(root: ET.Element) -> None:
-    """Removes the ranges of the continuous joints of a URDF file.
-
-    PyBullet keeps them, and URDF does not: a joint from 0 to 0 turns as far as it likes.
-    """
-    for limit in root.iterfind("joint[@type='continuous']/limit"):
-        limit.attrib.pop("lower", None)
-        limit.attrib.pop("upper", None)
 
 
 def named_owner(part: ET.Element, parents: Mapping[ET.Element, ET.Element]) -> str:

@@ -16,7 +16,7 @@ from ssduck.errors import SceneError, nearest, warn
 from ssduck.formatting import joined_names
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.poses import compose
-from ssduck.simulators.interface import SCALAR_JOINTS, Joint, Kind, MotorTarget
+from ssduck.simulators.interface import SCALAR_JOINTS, Joint, MotorTarget
 from ssduck.simulators.kinematics import check_joints, position_nearest_zero
 from ssduck.simulators.naming import body_name, name_by_file, unique_name
 from ssduck.simulators.pybullet.bodies import BodyDescription, joint_of, wxyz, xyzw
@@ -215,14 +215,11 @@ class LoadedBodies:
     """Knowledge about the bodies that ssduck loaded into a client, by PyBullet body number."""
 
     names: dict[int, str] = field(default_factory=dict)  # the names in the scene
-    kinds: dict[int, Kind] = field(default_factory=dict)  # the kinds in the scene
     origins: dict[int, BodySpec] = field(default_factory=dict)  # the entries in the scene
     # The positions that motors hold, by link.
     motor_positions: dict[int, dict[int, float]] = field(default_factory=dict)
     # The descriptions of bodies, if known already.
     described: dict[int, BodyDescription] = field(default_factory=dict)
-    disabled: set[int] = field(default_factory=set)  # bodies that begin without collisions
-    hidden: set[int] = field(default_factory=set)  # bodies that begin hidden
     # What PyBullet ignores, skips or reads otherwise in model files, in words.
     doubts: dict[Path, tuple[str, ...]] = field(default_factory=dict)
     time: float = 0.0  # the initial simulated time, s
@@ -332,12 +329,6 @@ def load_body(spec: BodySpec, place: str, loaded: LoadedBodies, client: int) -> 
     check_joints(spec, [joint for of_body in joints for joint in of_body], place)
     for handle, own_joints in zip(handles, joints, strict=True):
         loaded.origins[handle] = spec
-        if spec.kind:
-            loaded.kinds[handle] = spec.kind
-        if not spec.enabled:
-            loaded.disabled.add(handle)
-        if not spec.visible:
-            loaded.hidden.add(handle)
         motors: dict[int, float] = {}
         for joint in own_joints:
             if joint.type in SCALAR_JOINTS:

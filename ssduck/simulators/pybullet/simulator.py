@@ -152,7 +152,8 @@ class PyBulletSimulator:
             names = name_bodies(changed, self._given.names)
             new |= {handle: self._describe_body(handle, names[handle], saved) for handle in changed}
         self._check_shapes(description.body for description in new.values())
-        if boxed := [each.body.name for each in new.values() if not each.exact]:
+        read = [description.body for handle, description in new.items() if handle not in order]
+        if boxed := [body.name for body in read if body.has_stand_ins]:
             warn(
                 f"{joined_names(boxed)}: PyBullet does not give back all shapes (a height field is "
                 "such a shape); bounding boxes are used instead, which have exact = false in the "
@@ -166,11 +167,9 @@ class PyBulletSimulator:
         self._tags = self._read_tags(lambda _: handles)
         self._given.end()
         self._is_described = True
-        for handle in self.loaded.disabled:
-            self.enable(self._descriptions[handle].body, on=False)
-        for handle in self.loaded.hidden:
-            self.show(self._descriptions[handle].body, on=False)
-        self.loaded.disabled, self.loaded.hidden = set(), set()
+        for handle, spec in self.loaded.origins.items():
+            self.enable(self._descriptions[handle].body, spec.enabled)
+            self.show(self._descriptions[handle].body, spec.visible)
         return [description.body for description in new.values()], gone
 
     @_calls
