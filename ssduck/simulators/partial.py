@@ -36,7 +36,7 @@ def _refusing(message: str) -> Callable[..., Any]:
 
 
 class PartialSimulator:
-    """The methods of `Simulator` that ticks do not need; most raise `UnsupportedError`.
+    """The methods of `Simulator` that ticks do not need; each raises `UnsupportedError`.
 
     A simulator derives from it and overrides the methods that it supports.
 
@@ -63,13 +63,6 @@ class PartialSimulator:
     def has_moved_on(self, sample: Sequence[Any]) -> bool:  # noqa: ARG002
         """Returns False: nothing changes between two ticks."""
         return False
-
-    def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
-        """Returns the masses of the links as they were described, kg."""
-        return [body.masses for body in bodies]
-
-    def close(self) -> None:
-        """Does nothing: it holds no resources."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +98,9 @@ class StaticSimulator(PartialSimulator):
     def read_joints(self, bodies: Sequence[Body]) -> Array:
         return np.concatenate([np.zeros((0, 3)), *(self.joints[body] for body in bodies)])
 
+    def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
+        return [body.masses for body in bodies]
+
     def read_margins(self, bodies: Sequence[Body]) -> list[list[float]] | Margins:
         return [body.margins for body in bodies] if self.margins is None else self.margins
 
@@ -124,3 +120,6 @@ class StaticSimulator(PartialSimulator):
         "sensors perceive nothing in {0.description}: no simulation casts their rays"
     )
     render = segment = _refusing("{0.description} has no picture: no simulator draws it")
+
+    def close(self) -> None:
+        """Does nothing: it holds no resources."""

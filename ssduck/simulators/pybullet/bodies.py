@@ -96,6 +96,7 @@ _JOINT_TYPES = {
 # The body types of getDynamicsInfo; model files make multi-bodies.
 _MULTI_BODY = 2
 _SOFT_BODY = 3
+_ORIGIN = np.zeros(3)
 # Numbers that differ by less are equal as single floats.
 _FLOAT32_TOLERANCE = 1e-6
 # PyBullet's box of a link without shapes is smaller: its diagonal is 2 mm times sqrt(3).
@@ -193,11 +194,8 @@ class _BodyReader:
     def __init__(
         self, client: int, handle: int, name: str, saved: SavedShapes, user_shapes: UserShapes
     ) -> None:
-        self.client = client
-        self.handle = handle
-        self.name = name
-        self._saved_file = saved
-        self._user_shapes = user_shapes
+        self.client, self.handle, self.name = client, handle, name
+        self._saved_file, self._user_shapes = saved, user_shapes
         self.link_name = pybullet.getBodyInfo(handle, client)[0].decode(errors="replace")
         count = pybullet.getNumJoints(handle, client)
         if count > MAX_JOINTS:
@@ -209,6 +207,10 @@ class _BodyReader:
         self._dynamics = [pybullet.getDynamicsInfo(handle, i, client) for i in range(-1, count)]
         self.type = self._dynamics[0][10]
         self.com = _com_poses(self._dynamics)
+        self._visuals: Sequence[tuple[Any, ...]] = pybullet.getVisualShapeData(
+            handle, physicsClientId=client
+        )
+        self._capsule_links = {v[1] + 1 for v in self._visuals if v[2] == pybullet.GEOM_CAPSULE}
 
     def read(self, kind: Kind | None) -> BodyDescription:
         joints = tuple(map(self._joint, self._joint_infos))
@@ -315,20 +317,19 @@ class _BodyReader:
     def _saved_shapes(self, link: int) -> Shapes:
         """Returns the shapes of a link as PyBullet saves them; None if it does not."""
         saved = None if self.type == _SOFT_BODY else self._saved_file.shapes_of(self.handle, link)
-        if saved is None:
-            return None
-        com = self._com_in_link(link)
-        shapes = []
-        for geometry, *pose_in_com in saved:
-            position, orientation = compose(*com, *(part[None] for part in pose_in_com))
-            shapes.append(PlacedGeometry(link, geometry, position[0], orientation[0]))
-        return shapes
+        return None if saved is None else [self._placed(link, *shape) for shape in saved]
+
+    def _placed(
+        self, link: int, geometry: Geometry, position: Array = _ORIGIN, turn: Array = IDENTITY
+    ) -> PlacedGeometry:
+        """Places a geometry that is at a pose in the frame of the centre of mass of a link."""
+        com = self.com[0][[link]], self.com[1][[link]]
+        (place,), (orientation,) = compose(*com, position[None], turn[None])
+        return PlacedGeometry(link, geometry, place, orientation)
 
     def _entry_shapes(self, link: int, index: int, entry: tuple[Any, ...]) -> Shapes:
         """Returns the shapes of an entry, in general one; None if PyBullet lacks them."""
-        com = self._com_in_link(link)
-        local = np.array([entry[5]]), wxyz(np.array([entry[6]]))
-        position, orientation = compose(*com, *local)
+        pose = np.array(entry[5]), wxyz(np.array([entry[6]]))[0]
         primitive = primitive_of(entry[2], entry[3])
         pieces: tuple[Geometry, ...] = ()
         if primitive is not None:
@@ -336,16 +337,14 @@ class _BodyReader:
         elif entry[2] != pybullet.GEOM_MESH:
             return None
         elif (file := Path(entry[4].decode(errors="replace"))).is_file():
-            pieces = self._read_mesh(link, file, tuple(map(float, entry[3])), local)
+            pieces = self._read_mesh(link, file, tuple(map(float, entry[3])), pose)
         if pieces:
-            return [PlacedGeometry(link, piece, position[0], orientation[0]) for piece in pieces]
+            return [self._placed(link, piece, *pose) for piece in pieces]
         vertices = self._hull_vertices(link, index)
-        if not len(vertices):
-            return None
-        return [PlacedGeometry(link, Geometry.hull(vertices), com[0][0], com[1][0])]
+        return [self._placed(link, Geometry.hull(vertices))] if len(vertices) else None
 
     def _read_mesh(
-        self, link: int, file: Path, scale: tuple[float, ...], local: Pose
+        self, link: int, file: Path, scale: tuple[float, ...], pose: Pose
     ) -> tuple[Geometry, ...]:
         """Returns a mesh as its file has it: hulls, or the surface of a concave one; else nothing.
 
@@ -359,7 +358,7 @@ class _BodyReader:
         except ValueError:
             return ()
         corners = mesh.vertices[np.argmax(mesh.vertices @ _GENERIC_DIRECTIONS.T, axis=0)]
-        corners = corners @ rotation_matrices(local[1])[0].T + local[0]
+        corners = corners @ rotation_matrices(pose[1][None])[0].T + pose[0]
         vertices = self._hull_vertices(link)
         if len(vertices):
             gaps = np.linalg.norm(corners[:, None] - vertices[None], axis=2).min(axis=1)
@@ -374,21 +373,7 @@ class _BodyReader:
         )
         return np.array(vertices, dtype=np.float64).reshape(-1, 3)
 
-    def _com_in_link(self, link: int) -> Pose:
-        return self.com[0][[link]], self.com[1][[link]]
-
     # -- shapes that PyBullet does not return ------------------------------------------------
-
-    @cached_property
-    def _visuals(self) -> Sequence[tuple[Any, ...]]:
-        data: Sequence[tuple[Any, ...]] = pybullet.getVisualShapeData(
-            self.handle, physicsClientId=self.client
-        )
-        return data
-
-    @cached_property
-    def _capsule_links(self) -> set[int]:
-        return {entry[1] + 1 for entry in self._visuals if entry[2] == pybullet.GEOM_CAPSULE}
 
     def _visual_shapes(self, link: int) -> list[PlacedGeometry]:
         """Returns the visual shapes of a link; none if one is a mesh."""
@@ -410,8 +395,7 @@ class _BodyReader:
         world = low + corners * (high - low)
         # Row vectors times R are rotated by the inverse of R.
         local = (world - position) @ rotation_matrices(orientation)[0]
-        com = self._com_in_link(link)
-        return PlacedGeometry(link, Geometry.hull(local), com[0][0], com[1][0], exact=False)
+        return replace(self._placed(link, Geometry.hull(local)), exact=False)
 
     def _is_bare(self, link: int) -> bool:
         """Checks whether a link has no shapes: its box is a margin around a point."""
