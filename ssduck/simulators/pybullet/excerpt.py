@@ -234,7 +234,7 @@ class _Copier:
         copies = self.handles.items()
         handles = {body.handle: new for body, new in copies if self._live(body) is not None}
         handles[-1] = -1
-        for spec, on, to in introspection.constraints_of(self.source.client):
+        for _, spec, on, to in scene_loader.constraints_of(self.source.client):
             if on[0] in handles and to[0] in handles:
                 ends = [(handles[body], link) for body, link in (on, to)]
                 scene_loader.create_constraint(spec, ends[0], ends[1], self.client)

@@ -1,4 +1,4 @@
-"""Describes bodies and constraints of PyBullet or of a recording, for writers of model files."""
+"""Describes bodies of PyBullet or of a recording, for writers of model files."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -22,12 +22,7 @@ from ssduck.simulators.interface import SCALAR_JOINTS, Body, LinkPoses, VisualSh
 from ssduck.simulators.kinematics import moved_link_poses, position_nearest_zero
 from ssduck.simulators.pybullet.bodies import Pose, primitive_of, wxyz
 from ssduck.simulators.pybullet.clients import pybullet
-from ssduck.simulators.pybullet.scene_loader import CONSTRAINTS, constraint_infos
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
-from ssduck.simulators.scenes import ConstraintSpec
-
-# The body and the link at an end of a constraint, by PyBullet's numbers; -1, -1 is the world.
-ConstraintEnd: TypeAlias = tuple[int, int]
 
 _SOFT_BODY = 3
 # The elements of a model's contact parameters that are not written if they have PyBullet's
@@ -187,25 +182,3 @@ def visual_shapes(simulator: PyBulletSimulator, body: Body) -> list[VisualShape]
         return collision_visuals(body)
     stand_ins = [shape for shape in collision_visuals(body) if shape.link in lacking]
     return [shape for shape in shapes if shape.link not in lacking] + stand_ins
-
-
-def constraints_of(client: int) -> Iterator[tuple[ConstraintSpec, ConstraintEnd, ConstraintEnd]]:
-    """Yields the constraints of a client with the links that they connect; -1, -1 is the world."""
-    names = {number: name for name, number in CONSTRAINTS.items()}
-    for _, info in constraint_infos(client):
-        orientation, to_orientation = map(tuple, wxyz(np.array(info[8:10])).tolist())
-        spec = ConstraintSpec(
-            type=names[info[4]],
-            on="",
-            axis=info[5],
-            position=info[6],
-            orientation=orientation,
-            to_position=info[7],
-            to_orientation=to_orientation,
-            max_force=info[10],
-            gear_ratio=info[11],
-            gear_link=info[12],
-            gear_target=info[13],
-            erp=info[14],
-        )
-        yield spec, info[:2], info[2:4]

@@ -35,7 +35,8 @@ from ssduck.simulators.model_xml import (
     unique_names,
 )
 from ssduck.simulators.naming import unique_name
-from ssduck.simulators.pybullet.introspection import constraints_of, model_of, visual_shapes
+from ssduck.simulators.pybullet.introspection import model_of, visual_shapes
+from ssduck.simulators.pybullet.scene_loader import constraints_of
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 
 # MuJoCo refuses parts that move with less mass, kg, or less moment of inertia, kg m².
@@ -114,7 +115,7 @@ class _Writer:
     def add_constraints(self, originals: Sequence[BodyToCopy]) -> None:
         """Adds fixed constraints as welds."""
         by_handle = {original.body.handle: original for original in originals}
-        for spec, (on, link), (to, to_link) in constraints_of(self.simulator.client):
+        for _, spec, (on, link), (to, to_link) in constraints_of(self.simulator.client):
             if spec.type != "fixed":
                 self.note(by_handle[on].name, f"its {spec.type} constraint is left out")
                 continue

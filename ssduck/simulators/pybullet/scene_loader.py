@@ -433,13 +433,35 @@ def fixed_constraints(client: int, on: int, to: int) -> list[int]:
     """Returns the numbers of the fixed constraints between a body and the base of another."""
     return [
         number
-        for number, info in constraint_infos(client)
-        if (info[0], *info[2:5]) == (on, to, -1, pybullet.JOINT_FIXED)
+        for number, spec, (body, _), end in constraints_of(client)
+        if (spec.type, body, end) == ("fixed", on, (to, -1))
     ]
 
 
-def constraint_infos(client: int) -> Iterator[tuple[int, tuple[Any, ...]]]:
-    """Yields the numbers of the constraints of a client, and what PyBullet tells of each."""
+def constraints_of(client: int) -> Iterator[tuple[int, ConstraintSpec, Any, Any]]:
+    """Yields the constraints of a client: their numbers, what they are, and their two ends.
+
+    An end is a body and a link, by PyBullet's numbers; -1, -1 is the world.
+    """
+    names = {number: name for name, number in CONSTRAINTS.items()}
     for index in range(pybullet.getNumConstraints(client)):
         number = pybullet.getConstraintUniqueId(index, physicsClientId=client)
-        yield number, pybullet.getConstraintInfo(number, client)
+        info = pybullet.getConstraintInfo(number, client)
+        if info[4] not in names:
+            continue  # an anchor of a soft body
+        orientation, to_orientation = map(tuple, wxyz(np.array(info[8:10])).tolist())
+        spec = ConstraintSpec(
+            type=names[info[4]],
+            on="",
+            axis=info[5],
+            position=info[6],
+            orientation=orientation,
+            to_position=info[7],
+            to_orientation=to_orientation,
+            max_force=info[10],
+            gear_ratio=info[11],
+            gear_link=info[12],
+            gear_target=info[13],
+            erp=info[14],
+        )
+        yield number, spec, info[:2], info[2:4]

@@ -22,7 +22,8 @@ from ssduck.simulators.backends import BodyToCopy, TickToCopy
 from ssduck.simulators.interface import SCALAR_JOINTS, Body
 from ssduck.simulators.model_xml import add_part, obj_text, roll_pitch_yaw, unique_names
 from ssduck.simulators.naming import unique_name
-from ssduck.simulators.pybullet.introspection import BodyModel, Visual, constraints_of, model_of
+from ssduck.simulators.pybullet.introspection import BodyModel, Visual, model_of
+from ssduck.simulators.pybullet.scene_loader import constraints_of
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.scene_bodies import BodySpec, Primitive
 from ssduck.simulators.scenes import ConstraintSpec, Scene
@@ -70,7 +71,7 @@ def placed(spec: BodySpec, original: BodyToCopy, tick: TickToCopy) -> BodySpec:
 
 
 def _constraints(client: int, originals: Mapping[int, BodyToCopy]) -> Iterator[ConstraintSpec]:
-    for spec, (on, link), (to, to_link) in constraints_of(client):
+    for _, spec, (on, link), (to, to_link) in constraints_of(client):
         other = originals.get(to)
         yield replace(
             spec,
