@@ -131,7 +131,7 @@ BUDGETS = {
     "render": 1_150,
     "sandbox": 3_780,
     "shell": 500,
-    "simulators": 11_070,
+    "simulators": 11_060,
     "sql": 7_200,
     "view": 2_300,
     "world": 6_310,

@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -139,10 +138,12 @@ class ModelReader:
         self._link_names = [self._part_names.get(name, name) for name in self._root_names]
         self._geoms = _by_owner(model.geom_bodyid, colliding_geoms(model, disabled), model.nbody)
         self._margins = margins_of(model).listed
-        self._flex_shapes: dict[int, list[PlacedGeometry]] = defaultdict(list)
-        for body, flex, shape in flex_shapes(model, disabled):
-            margin = self._margins[model.ngeom + flex]
-            self._flex_shapes[body].append(replace(shape, margin=margin))
+        self._flex_shapes: dict[int, list[tuple[int, PlacedGeometry]]] = defaultdict(list)
+        for body, number, shape in flex_shapes(model, disabled):
+            placed = replace(shape, margin=self._margins[number])
+            self._flex_shapes[body].append((number, placed))
+        # The numbers of the geoms and flexes that the shapes of the described bodies are of.
+        self.parts: dict[Body, Indices] = {}
         self._joints = _by_owner(model.jnt_bodyid, np.arange(model.njnt), model.nbody)
         self._geometries: dict[int, Geometry] = {}
         self._unread = unread_parts(model)
@@ -164,7 +165,9 @@ class ModelReader:
         joints = tuple(self._joint(n, link - root) for link in links for n in self._joints[link])
         name, own_name = self._root_names[root], self._flex_names.get(root, self._root_names[root])
         kind: Kind = "kinbody" if root in self._flex_names else kind_by_joints(joints)
-        return Body(
+        flexes = [(link, *part) for link in links for part in self._flex_shapes[link]]
+        geoms = [(link, number) for link in links for number in self._geoms[link]]
+        body = Body(
             handle=root,
             name=self._names.get(name, self._names.get(root, own_name)),
             kind=self._kinds.get(own_name, self._kinds.get(name, self._kinds.get(root, kind))),
@@ -172,11 +175,14 @@ class ModelReader:
             links=(*(self._link(number, root) for number in links), *self._site_links(links)),
             joints=joints,
             shapes=(
-                *(self._shape(n, link - root) for link in links for n in self._geoms[link]),
-                *(replace(s, frame=n - root) for n in links for s in self._flex_shapes[n]),
+                *(self._shape(number, link - root) for link, number in geoms),
+                *(replace(shape, frame=link - root) for link, _, shape in flexes),
             ),
             unread=self._unread,
         )
+        numbers = [number for _, number in geoms] + [number for _, number, _ in flexes]
+        self.parts[body] = np.array(numbers, np.intp)
+        return body
 
     def _link(self, number: int, root: int) -> Link:
         model = self._model
@@ -279,21 +285,6 @@ def joint_numbers(model: Any, bodies: Sequence[Body]) -> Indices:
     links = [number for body in bodies for number in numbers_of(body)]
     numbers = [number for n in links for number in range(first[n], first[n] + count[n])]
     return np.array(numbers, dtype=np.intp)
-
-
-def parts_of(model: Any, body: Body, disabled: Indices | None = None) -> Indices:
-    """Returns the geoms and flexes that the shapes of a body are of, in their order.
-
-    Flexes are numbered after all geoms. See `colliding_geoms`.
-    """
-    links = np.array(numbers_of(body))
-    numbers = colliding_geoms(model, disabled)
-    owners = model.geom_bodyid[numbers]
-    chosen = numbers[np.isin(owners, links)]
-    order: Indices = chosen[np.argsort(model.geom_bodyid[chosen], kind="stable")]
-    flexes = [(owner, flex) for owner, flex, _ in flex_shapes(model, disabled) if owner in links]
-    after = [model.ngeom + flex for _, flex in sorted(flexes, key=itemgetter(0))]
-    return np.concatenate((order, np.array(after, np.intp)))
 
 
 def colliding_geoms(model: Any, disabled: Indices | None = None) -> Indices:

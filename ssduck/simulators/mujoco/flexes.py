@@ -14,6 +14,7 @@ from typing import Any, Self
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.poses import IDENTITY
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.mujoco.library import mujoco
 
@@ -123,7 +124,7 @@ def flex_shapes(
 ) -> Iterator[tuple[int, int, PlacedGeometry]]:
     """Yields the spheres about the vertices or nodes of flexes that collide.
 
-    Each with its body and the number of its flex; the margin is 0, the link that of a base.
+    Each with its body and the number of its flex after all geoms; the margin is 0, the link 0.
     """
     collides = (model.flex_contype | model.flex_conaffinity) != 0
     if disabled is not None:
@@ -135,7 +136,7 @@ def flex_shapes(
         part, bodies = ("node", flex.nodes) if len(flex.nodes) else ("vert", flex.bodies)
         places = getattr(model, f"flex_{part}")[_run(model, part, number)]
         sphere = Geometry.primitive("sphere", (float(model.flex_radius[number]), 0, 0))
-        turn = np.array([1.0, 0.0, 0.0, 0.0])
         for body, place in zip(bodies.tolist(), places, strict=True):
             if body >= 0:
-                yield body, number, PlacedGeometry(0, sphere, place.copy(), turn, 0.0, exact=False)
+                shape = PlacedGeometry(0, sphere, place.copy(), IDENTITY, exact=False)
+                yield body, model.ngeom + number, shape

@@ -36,7 +36,6 @@ from ssduck.simulators.mujoco.bodies import (
     link_masses,
     number_of,
     numbers_of,
-    parts_of,
 )
 from ssduck.simulators.mujoco.contacts import (
     ContactReader,
@@ -109,7 +108,7 @@ class MuJoCoSimulator(PartialSimulator):
         self._link_readers: list[LinkReader] = []
         self._ray_caster: RayCaster | None = None
         self._joint_rows: tuple[tuple[Body, ...], Array, Indices, Indices] | None = None
-        # The geoms and flexes of the shapes of bodies whose margins were read.
+        # The geoms and flexes that the shapes of the bodies are of.
         self._parts: dict[Body, Indices] = {}
         # What the margins followed from, and those of some bodies that were read then.
         self._margins: tuple[bytes, list[Body], list[list[float]] | Margins] | None = None
@@ -132,16 +131,19 @@ class MuJoCoSimulator(PartialSimulator):
         disabled = self._switches.disabled_geoms
         reader = ModelReader(model, self._names, self._kinds, self._only, disabled, self.part_names)
         before = {body.handle: body for body in self._bodies}
+        described = reader.bodies()
         bodies = [
             old if (old := before.get(body.handle)) and is_same(old, body) else body
-            for body in reader.bodies()
+            for body in described
         ]
         added = [body for body in bodies if before.get(body.handle) is not body]
         kept = set(bodies)
         gone = [body for body in self._bodies if body not in kept]
         self._described, self._bodies = (model, ModelContent(model)), bodies
         self._ray_caster = None
-        self._link_readers, self._joint_rows, self._parts, self._margins = [], None, {}, None
+        self._link_readers, self._joint_rows, self._margins = [], None, None
+        parts = [reader.parts[body] for body in described]
+        self._parts = dict(zip(bodies, parts, strict=True))
         inexact = (body.name for body in added if body.has_stand_ins and not body.bends)
         boxed = [name for name in inexact if name not in self._warned]
         if boxed:
@@ -257,17 +259,14 @@ class MuJoCoSimulator(PartialSimulator):
         content, known = margin_content(self.model), self._margins
         if known is not None and known[0] == content and known[1] == bodies:
             return known[2]
-        present = set(self._bodies)
-        for body in present.difference(self._parts):
-            self._parts[body] = parts_of(self.model, body, self._switches.disabled_geoms)
         margins = margins_of(self.model)
         of_bodies: list[list[float]] | Margins
-        if margins.classes is not None and present.issuperset(bodies):
+        if margins.classes is not None and self._parts.keys() >= set(bodies):
             parts = [self._parts[body] for body in bodies]
             of_bodies = margins.take(np.concatenate([np.zeros(0, np.intp), *parts]))
         else:
             of_bodies = [
-                margins.numbers[self._parts[body]].tolist() if body in present else body.margins
+                margins.numbers[self._parts[body]].tolist() if body in self._parts else body.margins
                 for body in bodies
             ]
         self._margins = content, list(bodies), of_bodies
