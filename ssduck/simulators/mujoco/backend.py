@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,7 @@ from ssduck.simulators.mujoco.saving import excerpt, write_model
 from ssduck.simulators.mujoco.scene_loader import load_bodies
 from ssduck.simulators.mujoco.simulator import MuJoCoSimulator
 from ssduck.simulators.recognition import MUJOCO, source_of
-from ssduck.simulators.scene_bodies import MODEL_FILES, BodySpec
+from ssduck.simulators.scene_bodies import MODEL_FILES
 from ssduck.simulators.scenes import Scene
 
 __all__ = ["attach", "environments", "excerpt", "load", "scene_of", "visual_shapes"]
@@ -70,8 +71,7 @@ def _mjcf_file(scene: Scene) -> Path | None:
     if not isinstance(model, Path) or model.suffix.lower() not in MODEL_FILES["mjcf"]:
         return None
     kept = ("name", "path", "description", "camera", "sensors", "simulator")
-    bodies = (BodySpec(None, None, model),)
-    plain = Scene(**{key: getattr(scene, key) for key in kept}, bodies=bodies)
+    plain = replace(mjcf_scene(model), **{key: getattr(scene, key) for key in kept})
     return model if scene == plain else None
 
 

@@ -13,7 +13,6 @@ import math
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -38,46 +37,29 @@ _AMBIENT, _DIFFUSE = 0.35, 0.65
 _FAILED: list[str] = []
 
 
-@dataclass(frozen=True, eq=False)
-class Viewpoint:
-    """A pinhole camera."""
-
-    position: Array  # (3,), in the world, m
-    forward: Array  # (3,), the unit vector along which it looks
-    up: Array  # (3,), a unit vector at a right angle to that
-    fov: float  # the vertical field of view, degrees
-
-    @classmethod
-    def of_camera(cls, camera: Camera) -> Viewpoint:
-        """Returns the viewpoint of a camera of a scene."""
-        eye = np.array(camera.eye, dtype=np.float64)
-        forward = _unit(np.array(camera.target) - eye)
-        across = np.cross(forward, [0.0, 0.0, 1.0])
-        if np.linalg.norm(across) < 1e-9:  # straight up or down
-            across = np.array([1.0, 0.0, 0.0])
-        return cls(eye, forward, _unit(np.cross(across, forward)), camera.fov)
-
-    @classmethod
-    def of_view(cls, view: CameraView) -> Viewpoint:
-        """Returns the viewpoint of a camera on a body."""
-        return cls(view.position, view.matrix[:, 0], view.matrix[:, 2], view.fov)
+def view_of(camera: Camera, width: int, height: int) -> CameraView:
+    """Returns the view of a camera of a scene."""
+    eye = np.array(camera.eye, dtype=np.float64)
+    forward = _unit(np.array(camera.target) - eye)
+    across = np.cross(forward, [0.0, 0.0, 1.0])
+    if np.linalg.norm(across) < 1e-9:  # straight up or down
+        across = np.array([1.0, 0.0, 0.0])
+    up = _unit(np.cross(across, forward))
+    matrix = np.column_stack((forward, np.cross(up, forward), up))
+    return CameraView(eye, matrix, camera.fov, width, height)
 
 
-def draw(
-    model: Any, data: Any, viewpoint: Viewpoint, size: tuple[int, int], *, shadow: bool
-) -> npt.NDArray[np.uint8]:
+def draw(model: Any, data: Any, view: CameraView, *, shadow: bool) -> npt.NDArray[np.uint8]:
     """Returns a colour picture, (height, width, 3)."""
-    with _renderer(model, data, viewpoint, size) as renderer:
+    with _renderer(model, data, view) as renderer:
         renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadow
         picture: npt.NDArray[np.uint8] = renderer.render().copy()
         return picture
 
 
-def segment(
-    model: Any, data: Any, viewpoint: Viewpoint, size: tuple[int, int]
-) -> tuple[Indices, Indices]:
+def segment(model: Any, data: Any, view: CameraView) -> tuple[Indices, Indices]:
     """Returns the root body and the number of the link in each pixel, (height, width); or -1."""
-    with _renderer(model, data, viewpoint, size) as renderer:
+    with _renderer(model, data, view) as renderer:
         renderer.enable_segmentation_rendering()
         numbers, types = np.moveaxis(renderer.render(), -1, 0)
         roots = np.append(entity_roots(model)[model.geom_bodyid], -1)
@@ -87,18 +69,17 @@ def segment(
 
 
 @contextmanager
-def _renderer(model: Any, data: Any, viewpoint: Viewpoint, size: tuple[int, int]) -> Iterator[Any]:
+def _renderer(model: Any, data: Any, view: CameraView) -> Iterator[Any]:
     """Yields a renderer of the scene; closes it at the end."""
     if _FAILED:
         raise UnsupportedError(_FAILED[0])
-    width, height = size
     limits = model.vis.global_
     before = limits.offwidth, limits.offheight
-    limits.offwidth, limits.offheight = max(before[0], width), max(before[1], height)
+    limits.offwidth, limits.offheight = max(before[0], view.width), max(before[1], view.height)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the library of windows warns where there is no screen
-            renderer = mujoco.Renderer(model, height, width)
+            renderer = mujoco.Renderer(model, view.height, view.width)
     except Exception as error:  # each library of OpenGL has its own
         message = (
             f"MuJoCo cannot draw: {error}; without a screen, set the environment variable "
@@ -111,32 +92,32 @@ def _renderer(model: Any, data: Any, viewpoint: Viewpoint, size: tuple[int, int]
         limits.offwidth, limits.offheight = before
     try:
         renderer.update_scene(data)
-        _place(renderer.scene, viewpoint)
-        _light(renderer.scene, viewpoint)
+        _place(renderer.scene, view)
+        _light(renderer.scene, view)
         yield renderer
     finally:
         renderer.close()
 
 
-def _place(scene: Any, viewpoint: Viewpoint) -> None:
-    """Puts the cameras of a scene at a viewpoint: one for each eye, which are the same."""
-    half = _NEAR * math.tan(math.radians(viewpoint.fov) / 2)
+def _place(scene: Any, view: CameraView) -> None:
+    """Gives the cameras of a scene a view: one for each eye, which are the same."""
+    half = _NEAR * math.tan(math.radians(view.fov) / 2)
     for camera in scene.camera:
-        camera.pos, camera.forward = viewpoint.position, viewpoint.forward
-        camera.up = viewpoint.up
+        camera.pos = view.position
+        camera.forward, camera.up = view.matrix[:, 0], view.matrix[:, 2]
         camera.orthographic = 0
         camera.frustum_center = camera.frustum_width = 0.0  # the width follows from the picture
         camera.frustum_bottom, camera.frustum_top = -half, half
         camera.frustum_near, camera.frustum_far = _NEAR, _FAR
 
 
-def _light(scene: Any, viewpoint: Viewpoint) -> None:
-    """Has the headlight shine from a viewpoint, and alone in a model without other lights."""
+def _light(scene: Any, view: CameraView) -> None:
+    """Has the headlight shine from the camera of a view, and alone in a model without other lights."""
     lights = scene.lights[: scene.nlight]
     is_alone = all(light.headlight for light in lights)
     for light in lights:
         if light.headlight:
-            light.pos, light.dir = viewpoint.position, viewpoint.forward
+            light.pos, light.dir = view.position, view.matrix[:, 0]
             if is_alone:
                 light.ambient = np.maximum(light.ambient, _AMBIENT)
                 light.diffuse = np.maximum(light.diffuse, _DIFFUSE)

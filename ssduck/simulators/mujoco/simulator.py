@@ -45,7 +45,7 @@ from ssduck.simulators.mujoco.contacts import (
 from ssduck.simulators.mujoco.flexes import entity_roots
 from ssduck.simulators.mujoco.library import copied_data, mujoco
 from ssduck.simulators.mujoco.readings import LinkReader, RayCaster
-from ssduck.simulators.mujoco.rendering import Viewpoint, draw, segment
+from ssduck.simulators.mujoco.rendering import draw, segment, view_of
 from ssduck.simulators.partial import PartialSimulator
 from ssduck.simulators.recognition import Source
 from ssduck.simulators.scenes import Camera
@@ -289,15 +289,13 @@ class MuJoCoSimulator(PartialSimulator):
     def render(
         self, camera: Camera, width: int, height: int, *, shadow: bool
     ) -> npt.NDArray[np.uint8]:
-        viewpoint = Viewpoint.of_camera(camera)
-        return draw(self.model, self._state, viewpoint, (width, height), shadow=shadow)
+        return draw(self.model, self._state, view_of(camera, width, height), shadow=shadow)
 
     def segment(self, camera: Camera, width: int, height: int) -> tuple[Indices, Indices]:
-        return segment(self.model, self._state, Viewpoint.of_camera(camera), (width, height))
+        return segment(self.model, self._state, view_of(camera, width, height))
 
     def photograph(self, view: CameraView) -> npt.NDArray[np.uint8]:
-        viewpoint, size = Viewpoint.of_view(view), (view.width, view.height)
-        return draw(self.model, self._state, viewpoint, size, shadow=False)
+        return draw(self.model, self._state, view, shadow=False)
 
     # -- changes --------------------------------------------------------------------------
 

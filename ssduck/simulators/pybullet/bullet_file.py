@@ -99,11 +99,17 @@ class SavedShapes:
         try:
             for tag, end in enumerate(ends, _FIRST_TAG):
                 pybullet.changeDynamics(*end, lateralFriction=float(tag), physicsClientId=client)
-            data = _save(client)
+            with tempfile.TemporaryDirectory(prefix="ssduck") as folder:
+                path = Path(folder) / "saved.bullet"
+                pybullet.saveBullet(str(path), client)
+                data = path.read_bytes()
+        except (pybullet.error, OSError):
+            return None
         finally:
             for end, friction in zip(ends, frictions, strict=True):
                 pybullet.changeDynamics(*end, lateralFriction=friction, physicsClientId=client)
-        if data is None:
+        # "-": addresses of 8 bytes; "v": little-endian.
+        if data[:6] != b"BULLET" or data[7:9] != b"-v":
             return None
         file = _BulletFile(data)
         by_tag = dict(file.colliders())
@@ -111,20 +117,6 @@ class SavedShapes:
             (float(tag), handle, link + 1) for tag, (handle, link) in enumerate(ends, _FIRST_TAG)
         )
         return file, {(handle, link): by_tag[tag] for tag, handle, link in links if tag in by_tag}
-
-
-def _save(client: int) -> bytes | None:
-    """Returns the content of a file that PyBullet saves; None if that fails."""
-    with tempfile.TemporaryDirectory(prefix="ssduck") as folder:
-        path = Path(folder) / "saved.bullet"
-        try:
-            pybullet.saveBullet(str(path), client)
-            data = path.read_bytes()
-        except (pybullet.error, OSError):
-            return None
-    # "-": addresses of 8 bytes; "v": little-endian.
-    is_supported = data[:6] == b"BULLET" and data[7:9] == b"-v"
-    return data if is_supported else None
 
 
 # A C structure of the file: its name, and the types and names of its fields.

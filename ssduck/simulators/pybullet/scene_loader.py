@@ -96,26 +96,6 @@ def _load_file(spec: BodySpec, client: int, doubts: list[str]) -> Sequence[int]:
     return handles
 
 
-def names_in_file(spec: BodySpec, handles: Sequence[int], client: int) -> list[str]:
-    """Returns the names that a model file gives to its bodies; not yet unique.
-
-    The file's own name is used where that of a URDF model disagrees with it, see `name_by_file`.
-    All bodies of an MJCF file have the name of its model. If there are several, each has its own
-    name where the file gives it one. PyBullet puts a base without a name before a body with joints
-    to the world.
-    """
-    own_names = ModelFile.read(spec).names() if len(handles) > 1 and spec.source == "mjcf" else ()
-    names = []
-    for handle in handles:
-        model = pybullet.getBodyInfo(handle, client)[1].decode(errors="replace")
-        own = (link for link in link_names(handle, client) if link in own_names)
-        name = next(own, model)
-        if spec.source == "urdf" and isinstance(spec.model, Path):
-            name = name_by_file(name, spec.model)
-        names.append(body_name(name) or f"body_{handle}")
-    return names
-
-
 def link_names(handle: int, client: int) -> list[str]:
     """Returns PyBullet's names of the links of a body, the base first."""
     links = range(pybullet.getNumJoints(handle, client))
@@ -287,16 +267,28 @@ def _check_poses(handle: int, place: str, client: int) -> None:
 def _names(
     scene: Scene, entries: Sequence[tuple[BodySpec, Sequence[int]]], client: int
 ) -> dict[int, str]:
-    """Returns the unique names of the bodies of a scene by body number; those of files give way."""
+    """Returns the unique names of the bodies of a scene by body number; those of files give way.
+
+    The file's own name is used where that of a URDF model disagrees with it, see `name_by_file`.
+    All bodies of an MJCF file have the name of its model. If there are several, each has its own
+    name where the file gives it one. PyBullet puts a base without a name before a body with joints
+    to the world.
+    """
     taken = {str(spec.name) for spec, _ in entries} | {sensor.name for sensor in scene.sensors}
     names = {}
     for spec, handles in entries:
         if spec.name is not None and len(handles) == 1:
             names[handles[0]] = spec.name
             continue
-        for handle, own_name in zip(handles, names_in_file(spec, handles, client), strict=True):
-            name = own_name if spec.name is None else f"{spec.name}_{own_name}"
-            names[handle] = unique_name(name, taken)
+        is_mjcf = len(handles) > 1 and spec.source == "mjcf"
+        in_file = ModelFile.read(spec).names() if is_mjcf else ()
+        for handle in handles:
+            model = pybullet.getBodyInfo(handle, client)[1].decode(errors="replace")
+            own = next((link for link in link_names(handle, client) if link in in_file), model)
+            if spec.source == "urdf" and isinstance(spec.model, Path):
+                own = name_by_file(own, spec.model)
+            name = body_name(own) or f"body_{handle}"
+            names[handle] = unique_name(f"{spec.name}_{name}" if spec.name else name, taken)
             taken.add(names[handle])
     return names
 
