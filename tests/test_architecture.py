@@ -131,7 +131,7 @@ BUDGETS = {
     "render": 1_150,
     "sandbox": 3_780,
     "shell": 500,
-    "simulators": 11_060,
+    "simulators": 11_020,
     "sql": 7_200,
     "view": 2_300,
     "world": 6_310,

@@ -112,7 +112,7 @@ def _place(scene: Any, view: CameraView) -> None:
 
 
 def _light(scene: Any, view: CameraView) -> None:
-    """Has the headlight shine from the camera of a view, and alone in a model without other lights."""
+    """Has the headlight shine from a camera, and alone in a model without other lights."""
     lights = scene.lights[: scene.nlight]
     is_alone = all(light.headlight for light in lights)
     for light in lights:
