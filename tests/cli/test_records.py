@@ -13,8 +13,9 @@ from tests.support.cases import sampled
 from tests.support.command_line import LINUX, answer, fails, ssduck_, start, written
 from tests.support.timing import HANGS
 
+pytestmark = pytest.mark.slow
 
-@pytest.mark.slow
+
 @sampled("output", ["run", "run.duckdb"], every=2)
 def test_a_scene_is_recorded_and_asked(here, output):
     written = answer("record", "two.toml", "--seconds", "0.5", "-o", output)
@@ -36,13 +37,11 @@ def test_a_scene_is_recorded_and_asked(here, output):
     assert re.fullmatch(r"two +1  \S+ +3 +0  0.1  entities", lines[3])
 
 
-@pytest.mark.slow
 def test_a_record_of_one_tick(here):
     written = answer("record", "two.toml", "--seconds", "0", "-o", "run")
     assert written == "1 tick of 'two', at 0 s: episode 0 in run\n"
 
 
-@pytest.mark.slow
 def test_a_record_is_exported(here):
     answer("record", "two.toml", "--seconds", "0.5", "-o", "run.duckdb")
     written = answer("export", "run.duckdb", "-o", "all")
@@ -80,7 +79,6 @@ RECORD_ERRORS = [
 ]
 
 
-@pytest.mark.slow
 @sampled(
     ("arguments", "code", "told"),
     RECORD_ERRORS,
@@ -94,7 +92,6 @@ def test_errors_of_records(here, arguments, code, told):
     assert not Path("out").exists()
 
 
-@pytest.mark.slow
 def test_a_folder_of_the_name_of_a_scene_is_not_taken_for_it(here):
     answer("record", "two.toml", "--seconds", "0.02", "-o", "kitchen")
     assert answer("query", "kitchen", "count(SELECT this FROM kitchen AS list);") == "37\n"
@@ -107,7 +104,6 @@ ENDS = [
 ]
 
 
-@pytest.mark.slow
 @LINUX
 @sampled(
     ("output", "number", "told"),
@@ -128,7 +124,6 @@ def test_an_interrupted_recording_is_whole(here, output, number, told):
     assert episode.ticks > 10
 
 
-@pytest.mark.slow
 def test_a_bar_on_a_terminal(here):
     terminal = {"FORCE_COLOR": "1", "COLUMNS": "60", "TERM": "xterm"}
     result = ssduck_("record", "two.toml", "--seconds", "0.2", "-o", "run", env=terminal)

@@ -19,6 +19,7 @@ from ssduck.errors import ArgumentError
 from ssduck.simulators.scenes import find_scene
 from tests.support.timing import HANGS
 
+pytestmark = pytest.mark.slow
 CELL_41 = """
 class interpeter_environment(ssRAVE.interpreter):
     # a new child class of the previous SelectScript interpreter for OpenRAVE
@@ -210,7 +211,6 @@ def run(session, *cells):
         exec(cell, session)  # noqa: S102
 
 
-@pytest.mark.slow
 def test_environment(session):
     """Cells 41 and 42; ssduck's own form gives the same bodies."""
     run(session, CELL_41, CELL_42)
@@ -226,7 +226,6 @@ def test_environment(session):
     session["env"].step()
 
 
-@pytest.mark.slow
 def test_map(session):
     """Cells 44 to 47. Ours is of what is selected; the tutorial's of all that is in its bounds."""
     run(session, CELL_41, CELL_44, CELL_45, CELL_46)
@@ -242,7 +241,6 @@ def test_map(session):
     assert near.cells.sum() > 200
 
 
-@pytest.mark.slow
 def test_the_module_of_grids(session):
     module = openrave.RaveCreateModule(session["env"], "OccupancyGridMap")
     assert openrave.RaveCreateModule(session["env"], "simulator") is None
@@ -273,7 +271,6 @@ def as_numbers(clause):
     return re.sub(r"(?<=[\[ ,])-?\d+\.?\d*(?:e-?\d+)?(?=[\],)])", "#", clause), [*map(float, found)]
 
 
-@pytest.mark.slow
 def test_prolog(session):
     """Cells 49 and 50: as `AS prolog`, but for volumes of 0.0, which are False there."""
     run(session, CELL_49, CELL_50)
@@ -299,7 +296,6 @@ ASKED = [
 ]
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(not shutil.which("swipl"), reason="SWI-Prolog is not installed")
 def test_swi_prolog_answers(session, tmp_path):
     run(session, CELL_49, CELL_50)

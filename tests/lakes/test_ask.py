@@ -1,6 +1,5 @@
 """A lake gives the answers that each episode gives by itself."""
 
-import json
 import math
 import multiprocessing
 import os
@@ -24,8 +23,8 @@ from ssduck.lakes.workers import answer_episodes, forget_readers
 from tests.lakes.conftest import EPISODES
 from tests.support.cases import sampled
 from tests.support.command_line import write_scene
-from tests.support.lake_episodes import REWARD, SUCCESS, record_episodes
-from tests.support.lake_questions import FURTHER, PROGRAMS, by_itself, scores, whole_answer_of
+from tests.support.lake_episodes import REWARD, SUCCESS
+from tests.support.lake_questions import FURTHER, PROGRAMS, scores, whole_answer_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::ssduck.errors.ProgramWarning")
 
@@ -299,27 +298,3 @@ def test_records_are_rows():
 def test_nan_stays():
     table = answer_table([row("NaN"), row("1.0")])
     assert math.isnan(table["answer"][0].as_py())
-
-
-@pytest.mark.long
-def test_sixty_episodes(tmp_path):
-    record_episodes(tmp_path / "record", 60, steps=10)
-    lake = ssduck.lake(tmp_path / "record")
-    for program in PROGRAMS.values():
-        wanted = [by_itself(tmp_path / "record", number, program) for number in range(60)]
-        values = [None if text is None else json.loads(text) for text, _ in wanted]
-        for processes in (1, 2):
-            answers = lake.ask(program, processes=processes)
-            assert answers["error"].to_pylist() == [error for _, error in wanted]
-            assert _values(answers) == values
-    rows = lake.score(SUCCESS, reward=REWARD, processes=2)
-    assert list(zip(rows["return"].to_pylist(), rows["success"].to_pylist(), strict=True)) == (
-        scores(tmp_path / "record")
-    )
-
-
-def _values(answers):
-    values = answers["answer"].to_pylist()
-    if answers["answer"].type == pa.string():
-        values = [None if value is None else json.loads(value) for value in values]
-    return values

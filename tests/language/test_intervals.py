@@ -10,8 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import ssduck
-from ssduck.errors import ArgumentError, EvaluationError, UnknownNameError, UnsupportedError
+from ssduck.errors import (
+    ArgumentError,
+    EvaluationError,
+    SelectScriptError,
+    UnknownNameError,
+    UnsupportedError,
+)
 from ssduck.interpreter.over_time import series
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS, changes_of, column_of, intervals_of
 from tests.support.bodies import client_of
@@ -247,7 +252,7 @@ def test_the_greatest_value(lab):
     times = _put(lab[2], [0.5, 0.7, 0.3, 0.7])
     first = [pytest.approx(times[1]), pytest.approx(0.7)]
     assert _evaluated(lab, "greatest(z(ball), -3.5 / 240);") == first
-    with pytest.raises(ssduck.SelectScriptError, match="greatest takes an expression of numbers"):
+    with pytest.raises(SelectScriptError, match="greatest takes an expression of numbers"):
         lab[0].eval("greatest(id(ball));")
 
 
@@ -295,6 +300,10 @@ def test_an_entity_that_was_not_there_ends_what_holds(lab):
         ("holds();", ArgumentError, "holds takes 1 to 2 arguments"),
         ("holds(z(ball) > 0, 'a');", ArgumentError, "number of seconds"),
         ("holds(z(ball) > 0, 99.0);", EvaluationError, "there is no tick at 99 s"),
+        ("lifted(ball);", SelectScriptError, "lifted"),
+        ("lifted(lab.bal, 0.1);", SelectScriptError, "'ball'"),
+        ("lifted(0.3, 0.1);", SelectScriptError, "lifted|entit"),
+        ("lifted(ball, 'high');", SelectScriptError, "high|text"),
         ("meets([1, 2], 3);", ArgumentError, r"an interval is \[start, end\]"),
         ("meets([2, 1], [1, 2]);", ArgumentError, r"an interval is \[start, end\]"),
     ],
@@ -360,6 +369,24 @@ def test_of_what_came_later_nothing_is_known_initially(lab):
     assert _evaluated(lab, "initially(z(late));") is None
     for program in ("previous(z(late));", "rate(z(late));", "at(0.0, position(late));"):
         assert _evaluated(lab, program) is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("rise", "expected"), [(0.0, False), (0.25 - 1e-9, False), (0.25, True), (0.5, True)]
+)
+def test_lifted_has_its_boundary_at_the_height(lab, rise, expected):
+    start = _evaluated(lab, "z(ball);")
+    _put(lab[2], [0.7, start + rise])  # only the first tick and the present one matter
+    rise = _evaluated(lab, "z(ball);") - start
+    assert _evaluated(lab, "lifted(ball, 0.25);") is (rise >= 0.25) is expected
+    program = "SELECT id FROM lab WHERE lifted(this, 0.25) AS list;"
+    assert _evaluated(lab, program) == ["ball"] * expected
+    assert _evaluated(lab, "lifted(ball, 0);")
+
+
+def test_help_has_lifted(unmoved):
+    assert "lifted(entity, height) -> bool" in unmoved[0].eval("help('lifted');")
 
 
 def test_initially_takes_one_argument(unmoved):

@@ -18,6 +18,7 @@ from tests.support.cases import sampled
 from tests.support.forged import part, rewrite_log, with_column, without_checksums
 from tests.support.rising_cups import write_rising_cups
 
+pytestmark = pytest.mark.slow
 KINDS = ("folder", "unfinished", "file.duckdb")
 # Columns of each table that a simulation measures.
 NUMBERS = {
@@ -65,7 +66,6 @@ CASES = [(kind, table) for kind in KINDS for table in NUMBERS]
 CASES.remove(("unfinished", "contacts"))
 
 
-@pytest.mark.slow
 @sampled(("record", "table"), CASES, indirect=["record"], every=6)
 def test_sql_reads_null(record, table):
     history = f"{table}_history"
@@ -102,7 +102,6 @@ PROGRAMS = (
 )
 
 
-@pytest.mark.slow
 @sampled("record", KINDS, indirect=True, every=2)
 def test_selectscript_answers_as_for_null(record, tmp_path):
     """The oracle is the same record with NULL in their place, as ssduck stores them."""
@@ -145,7 +144,6 @@ def _with_null(record):
         write_parquet(_null_in_entities(pq.ParquetFile(file).read()), file, write_statistics=False)
 
 
-@pytest.mark.slow
 @sampled("program", PROGRAMS, every=2)
 def test_lakes_answer_as_for_null(tmp_path, program):
     records = [write_rising_cups(tmp_path / name / "record", 2, 4) for name in ("nan", "null")]
@@ -171,7 +169,6 @@ def test_lakes_answer_as_for_null(tmp_path, program):
 DOORS = ("z > 1e9", "z IS NULL", "z < 1e9", "NOT z > -1e9", "z = 0")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("statistics", [False, True])
 def test_all_doors_answer_the_same(tmp_path, statistics):
     """NaN is NULL, whether a footer says of the column what other values it has, or nothing."""
@@ -202,7 +199,6 @@ def test_all_doors_answer_the_same(tmp_path, statistics):
                 assert ss.sql(count.format("entities_history")).fetchall() == wanted, condition
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("record", ["folder", "file.duckdb"], indirect=True)
 def test_limits_that_are_nan_are_null(record):
     if record.suffix:
@@ -223,7 +219,6 @@ def test_limits_that_are_nan_are_null(record):
     assert ssduck.check(record) == []
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("record", "table"), CASES, indirect=["record"])
 def test_a_record_that_ssduck_writes_has_null(record, table, tmp_path):
     store_nan(record, table)
@@ -237,7 +232,6 @@ def test_a_record_that_ssduck_writes_has_null(record, table, tmp_path):
         assert nulls > 0
 
 
-@pytest.mark.slow
 def test_macros_over_the_files_have_null(small_records, tmp_path):
     record = shutil.copytree(small_records / "folder", tmp_path / "folder")
     store_nan(record, "entities")
