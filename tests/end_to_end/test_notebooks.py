@@ -109,8 +109,7 @@ def test_a_world_is_a_picture(hall, tmp_path):
         assert len(np.unique(pixels(record.call_variable("hall")._repr_png_()))) > 10
 
 
-def test_an_attached_world_is_a_picture_as_long_as_its_client_lives():
-    client = pybullet.connect(pybullet.DIRECT)
+def test_an_attached_world_is_a_picture_as_long_as_its_client_lives(client):
     world = ssduck.World.attach(client)
     assert world._repr_png_().startswith(b"\x89PNG")
     pybullet.disconnect(client)

@@ -190,8 +190,7 @@ def test_what_is_no_dataset_is_an_error(record, tmp_path):
 
 
 @pytest.mark.slow
-def test_an_entity_that_comes_later_is_no_dataset(tmp_path):
-    client = pybullet.connect(pybullet.DIRECT)
+def test_an_entity_that_comes_later_is_no_dataset(client, tmp_path):
     with ssduck.Interpreter(recording=ALL) as ss:
         live_lab(ss, client)
         ss.export(tmp_path / "r")
@@ -295,9 +294,8 @@ def test_each_form_of_shapes_is_in_the_scene(forms, tmp_path):
 
 
 @pytest.mark.slow
-def test_entities_that_go_are_deleted_from_the_scene(tmp_path):
+def test_entities_that_go_are_deleted_from_the_scene(client, tmp_path):
     pytest.importorskip("foxglove_schemas_protobuf", reason="the extra mcap is not installed")
-    client = pybullet.connect(pybullet.DIRECT)
     with ssduck.Interpreter(recording=ALL) as ss:
         live_lab(ss, client)
         ss.export(tmp_path / "r")

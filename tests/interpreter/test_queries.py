@@ -297,9 +297,8 @@ def test_what_depends_on_no_row_is_evaluated_once(ss):
 
 
 @pytest.mark.long
-def test_order_holds_in_large_worlds():
+def test_order_holds_in_large_worlds(client):
     """Joins and the row of parameters may not disturb it, whatever plan DuckDB takes."""
-    client = pybullet.connect(pybullet.DIRECT)
     for number in range(3000):
         place = [number % 7, number % 11, number % 13]
         solid(client, pybullet.GEOM_SPHERE, 0, place, radius=0.1)
@@ -321,7 +320,6 @@ def test_order_holds_in_large_worlds():
         pairs = list(zip(found[::2], found[1::2], strict=True))
         assert pairs == sorted(pairs)
         assert len(pairs) > 100
-    pybullet.disconnect(client)
 
 
 def test_functions_get_copies(ss):

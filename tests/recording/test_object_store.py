@@ -95,9 +95,8 @@ def test_the_same_rows_and_answers(places):
 
 
 @pytest.mark.long
-def test_a_running_recording_is_read_with_its_log(server):
+def test_a_running_recording_is_read_with_its_log(client, server):
     place = "s3://lake/running"
-    client = pybullet.connect(pybullet.DIRECT)
     recording = ssduck.Recording(flush_every=0.02)
     with ssduck.Interpreter(recording=None) as ss:
         world = ss.add_variable("lab", ssduck.World.attach(client, names=lively(client)))
@@ -114,7 +113,6 @@ def test_a_running_recording_is_read_with_its_log(server):
             with ssduck.open(place) as there:
                 assert there.past("lab").ticks[-1] == last
             assert ssduck.episodes(place)[0].complete is False
-    pybullet.disconnect(client)
 
 
 def _logs(place):

@@ -56,8 +56,7 @@ def test_a_record_has_what_was_drawn(kitchen, name):
 
 
 @pytest.mark.slow
-def test_a_colour_that_is_not_finite_is_none(tmp_path):
-    client = pybullet.connect(pybullet.DIRECT)
+def test_a_colour_that_is_not_finite_is_none(client, tmp_path):
     shape = pybullet.createCollisionShape(
         pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
     )

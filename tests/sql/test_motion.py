@@ -88,9 +88,8 @@ def test_settled_at_its_boundary(lab, option, linear, angular):
 
 
 @pytest.mark.slow
-def test_a_robot_is_settled_when_each_link_is(tmp_path):
+def test_a_robot_is_settled_when_each_link_is(client, tmp_path):
     """Live, row by row, in raw SQL, over the ticks and in a record, against PyBullet's getter."""
-    client = pybullet.connect(pybullet.DIRECT)
     here = {"physicsClientId": client}
     box = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.1] * 3, **here)
     arm = create_linked_body(
@@ -118,7 +117,6 @@ def test_a_robot_is_settled_when_each_link_is(tmp_path):
         for asked in (ss, opened):
             assert asked.eval(now) == expected
             assert asked.sql(then).fetchall() == [(one,) for one in expected]
-    pybullet.disconnect(client)
 
 
 # -- grasps ----------------------------------------------------------------------------------------
@@ -209,8 +207,7 @@ def test_a_grasp_is_pressed_from_opposite_sides(angle):
 
 
 @pytest.mark.slow
-def test_a_thing_that_rests_is_not_grasped(tmp_path):
-    client = pybullet.connect(pybullet.DIRECT)
+def test_a_thing_that_rests_is_not_grasped(client, tmp_path):
     here = {"physicsClientId": client}
     table = solid(client, pybullet.GEOM_BOX, 0, halfExtents=[0.1] * 3)
     thing = solid(client, pybullet.GEOM_BOX, 1, [0, 0, 0.2], halfExtents=[0.1] * 3)

@@ -250,12 +250,11 @@ def test_a_simulation_that_exploded_is_told_of_and_nothing_else_is(
 
 
 def test_a_failed_read_leaves_the_last_tick_whole(client):
-    own = pybullet.connect(pybullet.DIRECT)
-    scene(own)
-    world = ssduck.World.attach(own)
+    scene(client)
+    world = ssduck.World.attach(client)
     world.request_tables(["links", "contacts"])
     before = columns(world, *STORED_TABLES)
-    pybullet.disconnect(own)
+    pybullet.disconnect(client)
     for act in (world.tick, world.step):
         with pytest.raises(SimulatorError, match="disconnected"):
             act()

@@ -138,8 +138,7 @@ def test_all_ticks_together_have_the_answers_of_each_tick(heap, kind):
 
 
 @pytest.mark.slow
-def test_each_tick_has_the_answers_that_it_had_live():
-    client = pybullet.connect(pybullet.DIRECT)
+def test_each_tick_has_the_answers_that_it_had_live(client):
     own = {"physicsClientId": client}
     pybullet.setGravity(0, 0, -9.81, **own)
     names = {}
@@ -175,7 +174,6 @@ def test_each_tick_has_the_answers_that_it_had_live():
         for place, rows in enumerate(past):
             assert repr([value for value, _ in rows[-60:]]) == repr([row[place] for row in live])
         assert {row[3] for row in live} == {True, False}
-    pybullet.disconnect(client)
 
 
 # -- work, by counts ----------------------------------------------------------------------------
@@ -236,9 +234,8 @@ def test_of_two_orders_one_is_compared(heap):
 
 
 @pytest.fixture
-def stool(tmp_path):
+def stool(client, tmp_path):
     """A stool with four legs that slides over a board, and a shelf that stands there."""
-    client = pybullet.connect(pybullet.DIRECT)
     own = {"physicsClientId": client}
     legs = "".join(
         collision('<box size="0.04 0.04 0.4"/>', xyz=(x, y, 0.2))
@@ -260,7 +257,6 @@ def stool(tmp_path):
             world["stool"].move([-1 + 0.01 * tick, 0, 0])
             world.step()
         yield ss
-    pybullet.disconnect(client)
 
 
 @pytest.mark.slow
@@ -290,8 +286,7 @@ def test_of_shapes_that_may_carry_one_is_decided_at_most_ticks(stool, monkeypatc
 
 
 @pytest.mark.slow
-def test_only_new_ticks_are_compared():
-    client = pybullet.connect(pybullet.DIRECT)
+def test_only_new_ticks_are_compared(client):
     names = {
         solid(client, pybullet.GEOM_SPHERE, 0, (0.3 * n, 0, 0), radius=0.1): name
         for n, name in enumerate(("p", "q"))
@@ -319,7 +314,6 @@ def test_only_new_ticks_are_compared():
         ss.record("sim", ssduck.Recording())
         world.step()
         assert len(ss.past("sim").record.answer_cache) == 0
-    pybullet.disconnect(client)
 
 
 @pytest.mark.slow

@@ -21,8 +21,7 @@ ANSWERS = {
 
 
 @pytest.mark.slow
-def test_it_is_another_entity(tmp_path):
-    client = pybullet.connect(pybullet.DIRECT)
+def test_it_is_another_entity(client, tmp_path):
     old = pybullet.createMultiBody(1, basePosition=[0, 0, 5], physicsClientId=client)
     with ssduck.Interpreter(recording=ssduck.Recording(tables=ALL)) as ss:
         lab = ss.add_variable("lab", ssduck.World.attach(client))
@@ -40,12 +39,10 @@ def test_it_is_another_entity(tmp_path):
                 assert {program: one.eval(program) for program in ANSWERS} == ANSWERS
                 with pytest.raises(ArgumentError, match=r"a number and nothing: .* at\(0\.5, z"):
                     one.eval("lifted(lab.body_0, 0.1);")
-    pybullet.disconnect(client)
 
 
 @pytest.mark.slow
-def test_a_body_that_came_later_is_told_of(tmp_path):
-    client = pybullet.connect(pybullet.DIRECT)
+def test_a_body_that_came_later_is_told_of(client, tmp_path):
     pybullet.createMultiBody(1, basePosition=[0, 0, 5], physicsClientId=client)
     with ssduck.Interpreter(recording=ssduck.Recording()) as ss:
         lab = ss.add_variable("lab", ssduck.World.attach(client))
@@ -65,7 +62,6 @@ def test_a_body_that_came_later_is_told_of(tmp_path):
         assert repr(lab).endswith("; World.attach(…, names=…) names body_0>")
         named = ssduck.World.attach(client, names={0: "cup", 1: "box"})
         assert "names=" not in repr(named)
-    pybullet.disconnect(client)
 
 
 # `z` is the relation; in its place comes a user's function that returns the height.

@@ -42,7 +42,7 @@ def recorder(path, end):
 
 @pytest.mark.long
 @POSIX
-def test_a_file_holds_what_was_flushed_and_the_next_run_is_an_episode(tmp_path):
+def test_a_file_holds_what_was_flushed_and_the_next_run_is_an_episode(client, tmp_path):
     path = tmp_path / "run.duckdb"
     for end, number in (("kill", 0), ("close", 1), ("kill", 2)):
         told, _ = recorder(path, end).communicate(timeout=HANGS)
@@ -55,7 +55,6 @@ def test_a_file_holds_what_was_flushed_and_the_next_run_is_an_episode(tmp_path):
     with ssduck.open(path, episode=0) as ss:
         count = len(rows(ss, "entities_history"))
     assert count == 11 * 37
-    client = pybullet.connect(pybullet.DIRECT)
     with ssduck.Interpreter(path) as ss:
         ss.add_variable("lab", ssduck.World.attach(client))
     pybullet.disconnect(client)

@@ -27,9 +27,8 @@ OF_SOME = ["on(lab{0.05}.table, lab{0.05}.cup);", "holds(z(lab.cup) > 5);", "SEL
 
 
 @pytest.fixture
-def lab():
+def lab(client):
     """A cup on a plate on a table."""
-    client = pybullet.connect(pybullet.DIRECT)
     pybullet.setGravity(0, 0, -9.81, physicsClientId=client)
     names = {}
     for name, sides, z, mass in (
@@ -42,7 +41,6 @@ def lab():
     with ssduck.Interpreter() as ss:
         ss.add_variable("lab", ssduck.World.attach(client, names=names))
         yield ss
-    pybullet.disconnect(client)
 
 
 def _told(ss, question):
