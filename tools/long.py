@@ -41,6 +41,7 @@ CHECKS = {
     "episodes": ("40", "--resets", "60"),
     "replay": ("20",),
     "check_live": ("200",),
+    "check_why": ("500",),
     "soak": ("50000",),
     "cleanup": ("1",),
 }

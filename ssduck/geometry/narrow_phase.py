@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from threading import RLock
@@ -45,6 +46,8 @@ MIN_FRACTION_INSIDE = 0.95
 FRACTION_ERROR = 0.01
 # The largest number of pairs of shapes whose boxes are compared in a loop, which is faster then.
 MAX_LOOPED_PAIRS = 16
+# A way to a distance ends at most so far beyond it, m, and takes at most so many steps.
+PRECISION, MAX_STEPS = 1e-8, 200
 
 
 class NarrowPhase:
@@ -205,6 +208,59 @@ class NarrowPhase:
                 self._signed_distances[key] = self._compute_signed_distance(*key)
             result = self._signed_distances[key]
         return result if result is None or i < j else result.swapped()
+
+    def gap(self, i: int, j: int) -> float | None:
+        """Returns the least distance of two shapes less their margins, m; infinite without any."""
+        with self._lock:
+            if not (self._are_known[i] and self._are_known[j]):
+                return None
+            best, most = math.inf, self._margins_of(i, j)
+            for bound, s, t in self._pairs(i, j):
+                if bound - most > best + ROUNDING:
+                    break
+                result = self.shapes.distance(s, t)
+                distance = 0.0 if result is None else max(0.0, result.distance)
+                best = min(best, distance - self.shapes.margin(s, t))
+            return best
+
+    def way_to(self, i: int, j: int, distance: float, *, has_margins: bool = False) -> Array | None:
+        """Returns the translation of j after which its signed distance from i is just another one.
+
+        It is the shortest one along the line of the nearest points, or of the deepest ones; None if
+        it is not found. No step can be too long: a distance changes by no more than the way.
+
+        Args:
+            i: an entity.
+            j: another entity.
+            distance: the distance, m; minus a depth where they are to be in each other.
+            has_margins: whether it is to be that less the margins of two shapes.
+        """
+        now = self._compute_signed_distance(i, j, has_margins=has_margins)
+        if now is None or now.normal is None:
+            return None
+        sign = 1.0 if now.distance > distance else -1.0
+        direction, way, found = sign * np.array(now.normal), 0.0, now
+        for _ in range(MAX_STEPS):
+            missing = sign * (found.distance - distance) + PRECISION
+            if missing <= PRECISION:
+                return direction * way
+            way += missing
+            moved = self._with_moved(i, j, direction * way)
+            of_moved = moved._compute_signed_distance(0, 1, has_margins=has_margins)  # noqa: SLF001
+            found = of_moved or now
+        return None
+
+    def _with_moved(self, i: int, j: int, way: Array) -> NarrowPhase:
+        """Returns the narrow phase of two entities alone, of which the second one is elsewhere."""
+        counts = [len(self._shapes[i]), len(self._shapes[j])]
+        shapes, owners = np.array(self._shapes[i] + self._shapes[j]), np.repeat([0, 1], counts)
+        ways, places = np.outer(owners, way), self.places
+        positions, boxes = places.positions[shapes], places.boxes[shapes]
+        moved = ShapePlaces(
+            positions + ways, places.orientations[shapes], boxes + np.hstack((ways, ways))
+        )
+        table = self.table.regrouped(shapes, owners)
+        return NarrowPhase(table, moved, [0, counts[0], sum(counts)], self.calls)
 
     def nearest_points(self, i: int, j: int) -> tuple[Point, Point] | None:
         """Returns the nearest points of i and j in the world; the deepest if they overlap."""
@@ -370,15 +426,20 @@ class NarrowPhase:
                 break
         return best if best <= limit else math.inf
 
-    def _compute_signed_distance(self, i: int, j: int) -> SignedDistance | None:
+    def _compute_signed_distance(
+        self, i: int, j: int, *, has_margins: bool = False
+    ) -> SignedDistance | None:
         if not (self._are_known[i] and self._are_known[j]):
             return None
         best: SignedDistance | None = None
+        most = self._margins_of(i, j) if has_margins else 0.0
         for bound, s, t in self._pairs(i, j):
             # All overlapping shapes are compared, for the deepest; the others up to the nearest.
-            if best is not None and bound > max(0.0, best.distance) + ROUNDING:
+            if best is not None and bound > max(0.0, best.distance + most) + ROUNDING:
                 break
             result = self.shapes.signed_distance(s, t)
+            if most:
+                result = replace(result, distance=result.distance - self.shapes.margin(s, t))
             if best is None or result.distance < best.distance:
                 best = result
         return best

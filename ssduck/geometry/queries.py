@@ -412,6 +412,14 @@ class ShapeQueries:
             return self._narrow.touches(i, j, max_distance)
         return self._contains_pair(pairs, i, j)
 
+    def gap(self, a: int, b: int) -> float | None:
+        """Returns the least distance of two of their shapes less both margins, m."""
+        return self._narrow.gap(*self._pair(a, b))
+
+    def way_to(self, a: int, b: int, distance: float, *, has_margins: bool) -> Array | None:
+        """Returns the translation of b to a signed distance from a; see `NarrowPhase.way_to`."""
+        return self._narrow.way_to(*self._pair(a, b), distance, has_margins=has_margins)
+
     def shapes_touching(self, a: int, b: int, max_distance: float) -> list[int]:
         """Returns the indices of a's shapes that touch a shape of b."""
         return self._narrow.shapes_touching(*self._pair(a, b), max_distance)

@@ -11,7 +11,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 from ssduck.errors import ArgumentError
-from ssduck.language.analysis import OF_MARGINS, TEMPORAL_OPERATORS
+from ssduck.language.analysis import OF_MARGINS, TEMPORAL_OPERATORS, free_aliases
 from ssduck.language.builtins import MARGIN_OF_TRUTH
 from ssduck.language.parser import parse
 from ssduck.language.tree import (
@@ -68,11 +68,13 @@ def _extreme(condition: Node, sign: str, operands: tuple[Node, ...]) -> Node:
 def _margin_of_relation(call: Call) -> Node | None:
     """Returns the margin of a relation; None if it has none."""
     relation = RELATIONS.get(call.name)
-    text = None if relation is None else relation.margin_of(len(call.arguments))
-    if relation is None or text is None:
+    text = "" if relation is None else relation.margin_of(len(call.arguments))
+    if relation is None or not text:
         return None
-    names = (parameter.name for parameter in relation.parameters)
-    values = dict(zip(names, call.arguments, strict=False))
+    if [p.type for p in relation.parameters[:2]] == ["entity", "entity"] and free_aliases(call):
+        text = f"CASE WHEN a != b THEN {text} ELSE -1e999 END"  # none is of an entity with itself
+    values = {p.name: _parsed(p.default) for p in relation.parameters if p.default}
+    values |= zip((p.name for p in relation.parameters), call.arguments, strict=False)
 
     def argument(part: Node) -> Node | None:
         return values.get(part.name) if isinstance(part, Name) else None

@@ -17,7 +17,7 @@ COLOURS = {True: "#1a7f37", False: "#cf222e", None: "#6e7781"}
 class Move:
     """A translation of an entity after which a condition has the other value.
 
-    It is the smallest one where the shapes between which the distance is least are convex there.
+    It is the shortest one along an axis, or along the line of the nearest or the deepest points.
     """
 
     entity: str  # the name of the entity

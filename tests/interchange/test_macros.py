@@ -26,10 +26,19 @@ VALUES = {
 }
 # The relations that need shapes or joints.
 SHAPES = {
-    *("penetration", "clearance", "touching", "nearestPoints", "on", "onTop", "supports"),
+    *(
+        "penetration",
+        "clearance",
+        "touching",
+        "contactGap",
+        "nearestPoints",
+        "on",
+        "onTop",
+        "supports",
+    ),
     *("restsOn", "inside", "contains", "enclosed", "nextTo", "solidVolume"),
 }
-JOINTS = {"joint", "isOpen", "isClosed"}
+JOINTS = {"joint", "openness", "isOpen", "isClosed"}
 PAIRED = {"collides", "collision", "near"}
 CONTACTS = {"inContact", "hasContact", "contactForce", "grasped", "force", "torque"}
 SENSINGS = {"isSensing", "sensingAmount", "sensingEnvIDs"}

@@ -22,11 +22,20 @@ OTHERS = [
     "inSphere(this, [1, 1, 1], 1.2)",
     "upright(this, 1e-5)",
 ]
+OF_JOINTS = ["isOpen(this)", "isClosed(this)"]  # see the test of these
 
 
 @pytest.fixture(scope="module")
 def kitchen():
     with ssduck.load("kitchen") as ss:
+        ss.run(0.5)
+        yield ss
+
+
+@pytest.fixture(scope="module", params=["kitchen", "hall"])
+def scene(request):
+    with ssduck.load(request.param) as ss:
+        ss.add_variable("scene", ss[request.param])
         ss.run(0.5)
         yield ss
 
@@ -38,18 +47,20 @@ def check(holds, margin):
 
 @pytest.mark.filterwarnings("ignore:.*shapes of .* overlap")
 @pytest.mark.parametrize("name", OF_PAIRS)
-def test_the_margin_of_a_relation_of_pairs_has_the_sign_of_the_relation(kitchen, name):
+def test_the_margin_of_a_relation_of_pairs_has_the_sign_of_the_relation(scene, name):
     relation = RELATIONS[name]
-    call = f"{name}(a.this, b.this{', 0.1' if relation.required_count > 2 else ''})"
-    rows = kitchen.eval(
-        f"SELECT {call} AS holds, robustness({call}) AS margin, a.name AS a, b.name AS b "
-        "FROM a=kitchen, b=kitchen WHERE a.id != b.id AND NOT isSensor(a.this) "
-        "AND NOT isSensor(b.this);"
-    )
-    assert len(rows) > 500
-    assert {row["holds"] for row in rows} >= {False}
-    for row in rows:
-        check(row["holds"], row["margin"])
+    for options in {"", ", 0.1"} if len(relation.parameters) > 2 else {""}:
+        if not options and relation.required_count > 2:
+            continue
+        call = f"{name}(a.this, b.this{options})"
+        rows = scene.eval(
+            f"SELECT {call} AS holds, robustness({call}) AS margin FROM a=scene, b=scene "
+            "WHERE NOT isSensor(a.this) AND NOT isSensor(b.this);"
+        )
+        assert len(rows) > 500
+        assert {row["holds"] for row in rows} >= {False}
+        for row in rows:
+            check(row["holds"], row["margin"])
 
 
 @pytest.mark.parametrize("condition", OTHERS)
@@ -63,8 +74,98 @@ def test_the_margin_of_a_relation_of_one_entity_has_its_sign(kitchen, condition)
         check(row["holds"], row["margin"])
 
 
+def test_the_margin_of_a_position_below_or_above_is_the_way_to_where_it_is_not(kitchen):
+    world = kitchen["kitchen"]
+    rows = kitchen.eval(
+        "SELECT a.name AS a, b.name AS b, below(a.this, b.this) AS below "
+        "FROM a=kitchen, b=kitchen "
+        "WHERE isKinbody(a.this) AND isKinbody(b.this) "
+        "AND (below(a.this, b.this) OR above(a.this, b.this));"
+    )
+    for row in rows[::3]:
+        name = "below" if row["below"] else "above"
+        kitchen.add_variable("a", world[row["a"]])
+        kitchen.add_variable("b", world[row["b"]])
+        margin, pose = kitchen.eval(f"[robustness({name}(a, b)), pose(b)];")
+        for share, flips in ((0.999, {False}), (1.001, {False, True})):
+            answers = set()
+            for place in range(6):
+                moved = [*pose]
+                moved[4 + place % 3] += (1 if place < 3 else -1) * share * margin
+                with ssduck.Interpreter() as ss:
+                    other = ss.add_variable("k", world.what_if({row["b"]: moved}))
+                    ss.add_variable("a", other[row["a"]])
+                    ss.add_variable("b", other[row["b"]])
+                    answers.add(not ss.eval(f"{name}(a, b);"))
+            assert answers == flips, row
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.01])
+def test_the_gap_of_two_balls_is_their_distance_less_radii_and_margins(margin):
+    geom = f"<geom size='.1' margin='{margin}'/>"
+    model = mujoco.MjModel.from_xml_string(
+        f"<mujoco><worldbody><body name='a'><freejoint/>{geom}</body>"
+        f"<body name='b' pos='0 0 .5'><freejoint/>{geom}</body></worldbody></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    with ssduck.Interpreter() as ss:
+        sim = ss.add_variable("sim", ssduck.World.attach((model, data)))
+        for name in "ab":
+            ss.add_variable(name, sim[name])
+        added = ss.eval("clearance(a, b) - contactGap(a, b);")
+        assert added == pytest.approx(margin and 2 * margin)
+        assert ss.eval("contactGap(a, b);") == pytest.approx(0.3 - added)
+        assert ss.eval("robustness(touching(a, b));") == pytest.approx(0.001 + added - 0.3)
+        assert ss.eval("robustness(touching(a, b, 0.5));") == pytest.approx(0.5 + added - 0.3)
+
+
+def test_the_margin_of_an_open_joint_is_that_of_its_share():
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body name='door'><joint name='hinge' type='hinge' limited='true' "
+        "range='0 80'/><geom size='.1'/></body><body name='box'><geom size='.1'/></body>"
+        "</worldbody></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    with ssduck.Interpreter() as ss:
+        sim = ss.add_variable("sim", ssduck.World.attach((model, data)))
+        for share in (0.0, 0.02, 0.3, 0.5, 0.8, 1.0):
+            data.joint("hinge").qpos[0] = share * model.joint("hinge").range[1]
+            mujoco.mj_forward(model, data)
+            sim.tick()
+            assert ss.eval("openness(sim.door, 'hinge');") == pytest.approx(share)
+            for text, margin in (
+                ("isOpen(sim.door)", share - 0.5),
+                ("isOpen(sim.door, 'hinge')", share - 0.5),
+                ("isOpen(sim.door, 'hinge', 0.7)", share - 0.7),
+                ("isClosed(sim.door)", 0.05 - share),
+                ("isClosed(sim.door, 'hinge', 0.4)", 0.4 - share),
+            ):
+                found = ss.eval(f"robustness({text});")
+                assert found == pytest.approx(margin, abs=1e-8)
+                check(ss.eval(f"{text};"), found)
+        assert ss.eval("openness(sim.box);") == -math.inf
+        for condition in ("isOpen(sim.box)", "isClosed(sim.box)"):
+            assert ss.eval(f"[{condition}, robustness({condition})];") == [False, -math.inf]
+
+
+def test_a_region_of_a_site_has_no_margin():
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body name='tray' euler='0 0 45'><geom size='.1'/>"
+        "<site name='zone' type='box' size='1 .1 1'/></body><body name='ball' pos='.5 -.4 0'>"
+        "<freejoint/><geom size='.1'/></body></worldbody></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("sim", ssduck.World.attach((model, data)))
+        text = "within(sim.tray.zone, sim.ball)"
+        assert ss.eval(f"[{text}, robustness({text})];") == [False, -math.inf]
+
+
 def test_each_margin_is_checked():
-    checked = {*OF_PAIRS, *(condition.partition("(")[0] for condition in OTHERS)}
+    conditions = OTHERS + OF_JOINTS
+    checked = {*OF_PAIRS, *(condition.partition("(")[0] for condition in conditions)}
     having = {relation.name for relation in RELATIONS.values() if relation.margin}
     assert not having - checked, "add a condition of it to OTHERS"
     assert {"above", "collides", "contains", "near", "overlaps", "within"} <= having

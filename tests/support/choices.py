@@ -122,7 +122,17 @@ WILD = {
     "real": ("1e308", "1e-308", "9007199254740992.0", "0.0"),
 }
 COMPARISONS = ("==", "<", ">=", "!=", ">", "<=")
-REAL_RELATIONS = ("z", "x", "y", "aabbVolume", "volume", "speed", "angularSpeed", "tilt")
+REAL_RELATIONS = (
+    "z",
+    "x",
+    "y",
+    "aabbVolume",
+    "volume",
+    "speed",
+    "angularSpeed",
+    "tilt",
+    "openness",
+)
 FLAG_RELATIONS = ("isRobot", "isKinbody", "isSensor", "isOpen", "isClosed", "upright", "settled")
 PAIR_RELATIONS = ("above", "within", "below", "isSensing")
 

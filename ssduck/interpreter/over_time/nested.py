@@ -171,7 +171,7 @@ class Ticks:
         frame: Frame,
         given: Mapping[str, Column] | None = None,
     ) -> None:
-        self._expressions, self._record, self._frame = expressions, record, frame
+        self._expressions, self.record, self._frame = expressions, record, frame
         self._given = given or {}
         numbers, times = record.ticks_until_now()
         are_last = are_last_of_their_times(times)
@@ -186,7 +186,7 @@ class Ticks:
 
     def place_of(self, call: Call, frame: Frame) -> int:
         """Returns the place of the tick of an operator that is in no other one."""
-        moment = common_moment(self._record.world, (), frame.own_elements())
+        moment = common_moment(self.record.world, (), frame.own_elements())
         if moment is not None:
             return int(np.searchsorted(self.numbers, moment.tick))
         return 0 if TEMPORAL_FUNCTIONS[call.name].looks_ahead else len(self.times) - 1
@@ -270,7 +270,7 @@ class Ticks:
     def _series(self, node: Node) -> Column:
         """Returns the values of a part that one query has at all ticks."""
         series = self._expressions.series_of(self._expressions.leaf(node), self._frame)
-        _, values = series.at(past_of(self._record, None))
+        _, values = series.at(past_of(self.record, None))
         if values.dtype == np.object_:
             column = Column.of_objects(values.tolist())
         else:

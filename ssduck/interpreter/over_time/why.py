@@ -15,6 +15,8 @@ import numpy as np
 
 from ssduck.adapters.display import on_one_line
 from ssduck.errors import ArgumentError, LimitError, SelectScriptError
+from ssduck.geometry.arrays import Array
+from ssduck.geometry.narrow_phase import PRECISION
 from ssduck.interpreter.over_time.functions import TemporalFunction, expressions_of, operator_of
 from ssduck.interpreter.over_time.nested import NestedExpressions, Ticks, window_of
 from ssduck.language.aggregates import over_rows
@@ -41,11 +43,22 @@ from ssduck.language.tree import (
 from ssduck.logic.margins import margin_of
 from ssduck.logic.why import Move, Why
 from ssduck.recording.replay.record import Record
+from ssduck.schema import MARGINS
 from ssduck.sql.name_resolution import ResolvedQuery
-from ssduck.world.handles import Handle
+from ssduck.sql.relations.registry import RELATIONS
+from ssduck.world.handles import Handle, RecordedTick
 
 _COMPARISONS = ("<", "<=", ">", ">=", "==", "!=")
 _AXES = {"x": 0, "y": 1, "z": 2}
+# What a distance at a limit is, whose sign is negative where shapes are in each other.
+_SIGNS = {
+    "near": 1.0,
+    "touching": 1.0,
+    "clearance": 1.0,
+    "distance": 1.0,
+    "collides": -1.0,
+    "penetration": -1.0,
+}
 # Relations of two entities for which the points between which the distance is least tell more.
 _DISTANCES = ("near", "touching", "clearance", "collides", "penetration")
 
@@ -260,13 +273,10 @@ class Explainer:
             case Binary(operator=sign, left=left, right=right) if sign in _COMPARISONS:
                 sides = [side for side in (left, right) if not _is_number(side)]
                 told = (f"{self._written(s)} is {on_one_line(self._value(s))}" for s in sides)
-                whole = replace(whole, detail="; ".join(told))
-                return self._with_coordinate(whole, node)
+                return self._with_move(replace(whole, detail="; ".join(told)), node)
             case Call(name=name, arguments=(Node() as a, Node() as b, *_)) if name in _DISTANCES:
-                found = self._value_of_call("nearestPoints", a, b)
-                if found is not None:  # they have shapes
-                    points = tuple(map(tuple, found))
-                    return replace(whole, points=points, move=self._move_between(whole, b, points))
+                points, move = self._points(a, b), self._move_of_relation(node)
+                return replace(whole, points=points, move=move)
         return whole
 
     def _entities(self, node: Node) -> dict[str, None]:
@@ -288,33 +298,72 @@ class Explainer:
             call = Call(span, "at", (time, call), span)
         return self.frame.value(call)
 
-    def _move_between(
-        self, whole: Why, b: Node, points: tuple[tuple[float, ...], ...]
-    ) -> Move | None:
-        """Returns the translation of an entity along the line of the nearest points."""
-        if whole.margin is None or not points:
-            return None
-        way = np.array(points[1]) - np.array(points[0])
-        length = float(np.linalg.norm(way))
-        if length == 0.0:
-            return None
-        return self._move(b, way / length * whole.margin)
+    def _points(self, a: Node, b: Node) -> tuple[tuple[float, ...], ...]:
+        """Returns the nearest points of two entities; none if they have no shapes."""
+        return tuple(map(tuple, self._value_of_call("nearestPoints", a, b) or ()))
 
-    def _with_coordinate(self, whole: Why, node: Binary) -> Why:
-        """Returns a comparison with the way that a coordinate of an entity lacks, if it has one."""
+    def _with_move(self, whole: Why, node: Binary) -> Why:
+        """Returns a comparison of a coordinate or a distance with the move that flips it."""
         match self._called(node.left), self._called(node.right):
-            case Call(name=axis, arguments=(entity,)), number if axis in _AXES:
-                sign = -1.0 if node.operator in (">", ">=") else 1.0
-            case number, Call(name=axis, arguments=(entity,)) if axis in _AXES:
-                sign = 1.0 if node.operator in (">", ">=") else -1.0
+            case (Call() as call, number) if _is_constant(number):
+                at_zero = (">", "<=")
+            case (number, Call() as call) if _is_constant(number):
+                at_zero = ("<", ">=")
             case _:
                 return whole
-        if whole.margin is None or not _is_number(number):
+        limit = self._value(number)
+        if node.operator in ("==", "!=") or not isinstance(limit, int | float):
             return whole
-        way = np.eye(3)[_AXES[axis]] * sign * whole.margin
+        if call.name not in _AXES:  # no distance is less than 0
+            is_free = limit or node.operator in at_zero
+            move = self._move_to(call, limit) if is_free else None
+            return (
+                whole
+                if move is None
+                else replace(whole, move=move, points=self._points(*call.arguments[:2]))
+            )
+        place = self._value(call)
+        if place is None:
+            return whole
+        (entity,) = call.arguments
+        way = np.eye(3)[_AXES[call.name]] * _beyond(limit - place)
         start = self._value_of_call("position", entity)
         points = (tuple(start), tuple((start + way).tolist()))
-        return replace(whole, points=points, move=self._move(entity, way))
+        return replace(whole, points=points, move=_move(self._entity(entity), way))
+
+    def _move_of_relation(self, call: Call) -> Move | None:
+        """Returns the translation that flips a relation of the distance of two entities."""
+        if len(call.arguments) > 2:
+            return self._move_to(call, self._value(call.arguments[2]))
+        defaults = [parameter.default for parameter in RELATIONS[call.name].parameters[2:]]
+        return self._move_to(call, float(defaults[0])) if defaults else None
+
+    def _move_to(self, call: Call, limit: float) -> Move | None:
+        """Returns the translation of the second of two entities just beyond a limit, m."""
+        sign = _SIGNS.get(call.name)
+        if sign is None or not limit >= 0.0:  # below it, none of them changes
+            return None
+        a, b = map(self._entity, call.arguments[:2])
+        if a is None or b is None or a.id == b.id:
+            return None
+        if call.name == "distance":
+            between = np.array(b.position) - np.array(a.position)
+            length = float(np.linalg.norm(between))
+            return _move(b, between / length * _beyond(limit - length)) if length else None
+        with b.state.pinned(("shapes", MARGINS)):
+            shapes = b.state.snapshot.shapes_and_sites().of((a.id, b.id))
+        has_margins = call.name == "touching"
+        return _move(b, shapes.way_to(a.id, b.id, sign * limit, has_margins=has_margins))
+
+    def _entity(self, node: Node) -> Handle | None:
+        """Returns an entity at the tick; None for another value."""
+        value = self.frame.value(node)
+        if not isinstance(value, Handle):
+            return None
+        if self.ticks is None:
+            return value
+        tick = int(self.ticks.numbers[self.place])
+        return value.pinned(RecordedTick(self.ticks.record, tick))
 
     def _called(self, node: Node) -> Node:
         """Returns a column of a source's entity, `a.z`, as the call that it is."""
@@ -322,12 +371,13 @@ class Explainer:
             return node.call(node.key)
         return node
 
-    def _move(self, entity: Node, translation: Any) -> Move | None:
-        handle = self.frame.value(entity)
-        if not isinstance(handle, Handle):
-            return None
-        x, y, z = (translation + 0.0).tolist()  # no -0.0
-        return Move(handle.name, (x, y, z))
+
+def _move(entity: Handle | None, way: Array | None) -> Move | None:
+    """Returns the translation of an entity; None if there is none."""
+    if entity is None or way is None:
+        return None
+    x, y, z = (way + 0.0).tolist()  # no -0.0
+    return Move(entity.name, (x, y, z))
 
 
 def _extreme(
@@ -393,6 +443,15 @@ def _nearness(values: list[Any], margins: list[float | None]) -> tuple[bool, int
 def _is_of_truth(margin: Node) -> bool:
     """Checks whether a margin is no number: more or less than any."""
     return isinstance(margin, Call) and margin.name == MARGIN_OF_TRUTH
+
+
+def _beyond(way: float) -> float:
+    """Returns a way that ends just beyond where it would end."""
+    return way + math.copysign(PRECISION, way)
+
+
+def _is_constant(node: Node) -> bool:
+    return _is_number(node) or isinstance(node, Name)
 
 
 def _is_number(node: Node) -> bool:

@@ -204,6 +204,8 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         "centre: what is below its surface is below it. That of a tilted plane is infinite: "
         "nothing is below it.",
         candidate_pairs=CandidatePairs(BELOW),
+        margin=f"min([{_BESIDE_X}, {_BESIDE_Y}, CASE WHEN aabb(a)[5] > 1e300 THEN aabb(a)[4] "
+        "WHEN aabb(a)[4] < -1e300 THEN aabb(a)[5] ELSE (aabb(a)[4] + aabb(a)[5]) / 2 END - z(b)])",
     ),
     Relation(
         "within",
@@ -214,7 +216,9 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         "site, as it is turned; edges excluded. In raw SQL, a site is an error: write inBox with "
         "the site as the frame.",
         candidate_pairs=CandidatePairs(INSIDE),
-        margin=f"min([{_BESIDE_X}, {_BESIDE_Y}, z(b) - aabb(a)[4], aabb(a)[5] - z(b)])",
+        # The kinds after 'sensor' are 'site' alone, whose regions have no margin.
+        margin="CASE WHEN type(a) > 'sensor' THEN IF(within(a, b); 1e999; -1e999) "
+        f"ELSE min([{_BESIDE_X}, {_BESIDE_Y}, z(b) - aabb(a)[4], aabb(a)[5] - z(b)]) END",
         link_formula=f"CASE WHEN a.kind = 'site' THEN error('{_SITE_IN_SQL}')::BOOLEAN "
         f"ELSE {_IN_BOX} END",
         site_formula=_in_region(),

@@ -72,14 +72,13 @@ MOTION_RELATIONS: tuple[Relation, ...] = (
     ),
     Relation(
         "upright",
-        (*ENTITY, Parameter("angle", "double", "the greatest tilt, rad", optional=True)),
+        (*ENTITY, Parameter("angle", "double", "the greatest tilt, rad", True, f"{UPRIGHT}")),
         "boolean",
         f"{_TILT} <= {UPRIGHT}",
         "Checks if the z axis of the entity's link frame is at most an angle from the world's z "
         f"axis, {UPRIGHT} rad (11 degrees) by default. A negative angle is an error.",
         options=(if_from_0_up("upright", f"{_TILT} <= angle", angle="an angle, rad"),),
-        margin=f"{UPRIGHT} - tilt(object)",
-        margin_with_options="angle - tilt(object)",
+        margin="angle - tilt(object)",
     ),
     Relation(
         "settled",
@@ -129,26 +128,31 @@ _SHARE = (
 )
 
 
-def _share_relation(name: str, default: float, condition: str, about: str) -> Relation:
+_MOST_OPEN, _OPEN_SHARE = (
+    f'"joints most_open"({_ENTITY_KEY})',
+    f'"joints openness"({_ENTITY_KEY}, joint)',
+)
+_JOINT = Parameter("joint", "string", "the name of a joint with limits", optional=True)
+
+
+def _share_relation(name: str, default: float, condition: str, margin: str, about: str) -> Relation:
     """Checks whether joints are open, or closed, by a share of their range."""
-    most_open, openness = (
-        f'"joints most_open"({_ENTITY_KEY})',
-        f'"joints openness"({_ENTITY_KEY}, joint)',
-    )
     return Relation(
         name,
         (
             *ENTITY,
-            Parameter("joint", "string", "the name of a joint with limits", optional=True),
-            Parameter("share", "double", "a share of its range, from 0 to 1", optional=True),
+            _JOINT,
+            Parameter("share", "double", "a share of its range, from 0 to 1", True, str(default)),
         ),
         "boolean",
-        condition.format(most_open, default),
+        condition.format(_MOST_OPEN, default),
         f"{about} {_OPENNESS} An entity without such joints is neither open nor closed. {_MISSING}",
         options=(
-            condition.format(openness, default),
-            condition.format(openness, _SHARE.format(name)),
+            condition.format(_OPEN_SHARE, default),
+            condition.format(_OPEN_SHARE, _SHARE.format(name)),
         ),
+        margin=margin.format("openness(object)"),
+        margin_with_options=margin.format("openness(object, joint)"),
         python_table="joints",
         may_fail=True,
     )
@@ -173,17 +177,31 @@ JOINT_RELATIONS: tuple[Relation, ...] = (
         python_table="joints",
         may_fail=True,
     ),
+    Relation(
+        "openness",
+        (*ENTITY, _JOINT),
+        "double",
+        _MOST_OPEN,
+        f"Returns by how much of its range a joint of the entity is open, from 0 to 1; without a "
+        f"joint, that of the one that is open farthest, minus infinity if none has limits. "
+        f"{_OPENNESS} {_MISSING}",
+        options=(_OPEN_SHARE,),
+        python_table="joints",
+        may_fail=True,
+    ),
     _share_relation(
         "isOpen",
         OPEN,
         f"{{}} >= {{}} - {OPENNESS_TOLERANCE}",
+        f"{{}} - share + {OPENNESS_TOLERANCE}",
         "Checks if a joint of the entity, or any of its joints with limits, is open by at least "
         "a share, 0.5 by default. A share outside 0 to 1 is an error.",
     ),
     _share_relation(
         "isClosed",
         CLOSED,
-        f"{{}} BETWEEN -1e300 AND {{}} + {OPENNESS_TOLERANCE}",
+        f"{{0}} BETWEEN -1e300 AND {{1}} + {OPENNESS_TOLERANCE}",
+        f"min([{{0}} + 1e300, share + {OPENNESS_TOLERANCE} - {{0}}])",
         "Checks if a joint of the entity, or each of its joints with limits, is open by at most "
         "a share, 0.05 by default. A share outside 0 to 1 is an error.",
     ),

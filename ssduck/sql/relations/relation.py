@@ -44,6 +44,7 @@ class Parameter:
     type: ValueType
     meaning: str
     optional: bool = False
+    default: str = ""  # what its margin has in place of an optional number that is not given
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,7 @@ class Relation:
     # What to fetch before it is evaluated that its formula does not show.
     further_inputs: frozenset[str] = frozenset()
     # Of a condition, its margin in SelectScript: more than 0 where it holds, less where it does
-    # not; and that with all optional parameters given.
+    # not; and that with optional parameters given, if it is another one.
     margin: str = ""
     margin_with_options: str = ""
     may_fail: bool = False  # whether there are entities for which it is an error
@@ -128,11 +129,11 @@ class Relation:
         """The least number of arguments."""
         return sum(not parameter.optional for parameter in self.parameters)
 
-    def margin_of(self, count: int) -> str | None:
-        """Returns its margin in SelectScript, of a number of arguments; None if it has none."""
-        is_short = count == self.required_count
-        whole = count == len(self.parameters)
-        return (self.margin if is_short else self.margin_with_options if whole else "") or None
+    def margin_of(self, count: int) -> str:
+        """Returns its margin in SelectScript, of a number of arguments; empty if it has none."""
+        given = self.parameters[self.required_count : count]
+        margin = (given and self.margin_with_options) or self.margin
+        return margin if all(parameter.name in margin for parameter in given) else ""
 
     def result_type(self, count: int) -> ValueType:
         """Returns the type of its result, by the number of arguments."""

@@ -93,12 +93,11 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
         "default. A body at rest penetrates its support by about 1e-5 m, or stays away from it "
         "by the margins of the simulator: use inContact or touching for rest, and collides(a, "
         "b, 1e-3) for intrusion. A negative depth is an error.",
-        parameters=(*A_B, Parameter("depth", "double", "a depth, m", optional=True)),
+        parameters=(*A_B, Parameter("depth", "double", "a depth, m", True, DEEP)),
         options=GeometryQuery(ShapeQueries.collides, ("depth",), bound=_CHECKED_DEPTH),
         is_symmetric=True,
         candidate_pairs=CandidatePairs(COLLIDING, DEEP, "depth"),
-        margin=f"penetration(a, b) - clearance(a, b) - {DEEP}",
-        margin_with_options="penetration(a, b) - clearance(a, b) - depth",
+        margin="penetration(a, b) - clearance(a, b) - depth",
     ),
     shape_relation(
         "penetration",
@@ -128,6 +127,17 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
         is_symmetric=True,
     ),
     shape_relation(
+        "contactGap",
+        "double",
+        GeometryQuery(
+            ShapeQueries.gap, bound=None, otherwise=ZERO, pairs=EVERY_PAIR, uses_margins=True
+        ),
+        "Returns the smallest distance between two shapes of a and b less the collision margins of "
+        "both: touching(a, b, eps) is contactGap(a, b) <= eps.",
+        unit="m",
+        is_symmetric=True,
+    ),
+    shape_relation(
         "touching",
         "boolean",
         GeometryQuery(
@@ -143,10 +153,11 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
         "margins (the column margin of the table shapes), 2 mm for two hulls in PyBullet. "
         "near(a, b, d) ignores margins. With a negative eps, so much of the margins does not "
         "count.",
-        parameters=(*A_B, Parameter("eps", "double", "a distance, m", optional=True)),
+        parameters=(*A_B, Parameter("eps", "double", "a distance, m", True, "0.001")),
         options=GeometryQuery(ShapeQueries.touching, ("eps",), bound=f"(eps) + {MARGINS}"),
         is_symmetric=True,
         candidate_pairs=CandidatePairs(TOUCHING, "0.001", "eps"),
+        margin="eps - contactGap(a, b)",
     ),
     shape_relation(
         "near",
