@@ -12,6 +12,7 @@ from ssduck.columns.arrays import Array
 from ssduck.errors import ArgumentError, SelectScriptError
 from ssduck.formatting import joined_names, short_repr
 from ssduck.geometry.arrays import Flags
+from ssduck.gym.judge import is_decided_later
 from ssduck.gym.terms import CONDITIONS, Reward, Term, Terms, WhereNaN, compiled
 from ssduck.language.tree import Name, Node
 from ssduck.world.batches.batch_world import BatchWorld
@@ -81,6 +82,11 @@ class BatchTerms:
         }
         trees = {key: program.statements[0] for key, program in programs.items()}
         nodes = [self._expanded(term, trees) for term in self.terms]
+        # What is not decided yet does not hold.
+        self._decided_later = [
+            term.is_condition and is_decided_later(node)
+            for term, node in zip(self.terms, nodes, strict=True)
+        ]
         for term, node in zip(self.terms, nodes, strict=True):
             try:
                 interpreter.over_batch([node], self._world, programs[term.key])
@@ -99,9 +105,11 @@ class BatchTerms:
         world, nan = self._world, self.terms.nan
         answers = self._expressions.answers()
         values, failed = [], np.zeros(world.count, np.bool_)
-        for term, answer in zip(self.terms, answers, strict=True):
+        for term, answer, is_later in zip(self.terms, answers, self._decided_later, strict=True):
             own, unknown = _typed(term, answer.values, answer.unknown)
-            if unknown.any():
+            if is_later:
+                own &= ~unknown
+            elif unknown.any():
                 if nan == "error":
                     raise self._unknown_error(term, unknown)
                 fill = 0.0 if nan == "failure" or term.is_condition else nan

@@ -85,7 +85,7 @@ class Judge:
         texts = [self._expanded(term) for term in terms]
         # What is not decided yet does not hold.
         self._texts = [
-            f"({text}) OR False" if term.is_condition and _is_decided_later(tree) else text
+            f"({text}) OR False" if term.is_condition and is_decided_later(tree) else text
             for term, text, tree in zip(terms, texts, map(self._tree, texts), strict=True)
         ]
         # Each was compiled by itself, so that none is more than an expression.
@@ -515,7 +515,7 @@ def _check_margins(term: Term, text: str, tree: Node) -> None:
             )
 
 
-def _is_decided_later(node: Node) -> bool:
+def is_decided_later(node: Node) -> bool:
     """Checks whether a condition looks ahead, and may hold: `always` without an end does not."""
     is_endless = isinstance(node, Call) and node.name == "always" and len(node.arguments) < 3
     return _looks_ahead(node) and not is_endless

@@ -358,7 +358,8 @@ class Execution(Namespace):
             return form.make(series, age)
 
         series = partial(self.series, node, frame)
-        folds = is_fold(node) and self.temporal.reader is None and self.folds.takes(node, frame)
+        is_kept = is_fold(node, at_first=True) and self.temporal.reader is None
+        folds = is_kept and self.folds.takes(node, frame)
         with self.worlds_pinned(node, is_settled=not (folds and self.folds.need_no_tables(node))):
             if not folds:
                 return of_record(series())

@@ -1,14 +1,17 @@
-"""The operators of temporal logic that look back, tick by tick.
+"""The operators of temporal logic, tick by tick: those that look ahead at the first tick only.
 
 All of them are one: `once(c)` is `heldSince(True, c)`, and `historically(c)` is `NOT once(NOT c)`.
 With x(i) = max(start(i), min(value(i), x(i - 1))), the margin of `heldSince` without a window, that
 of a window which ends with tick j is the least of the largest start in the window, the values after
 j, and x(j); see `ssduck.logic.traces`.
+
+At the first tick of an episode that goes on, those that look ahead are one, too: `eventually(c)` is
+`until(True, c)`, and `always(c)` is `NOT eventually(NOT c)`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -42,17 +45,16 @@ class HeldSince:
             return _NEVER
         return min((self.starts[0][0], self.x_at_end, *(tick[1] for tick in self.later)))
 
-    @classmethod
-    def of(cls, window: Window, times: Array, values: Array, starts: Array) -> HeldSince:
-        """Returns the state after n ticks, from the arrays of their times, values and starts."""
-        x = scanned(values, starts)
+    def after(self, times: Array, values: Array, starts: Array) -> HeldSince:
+        """Returns the state after the n ticks of an episode, the first ones; see `step`."""
+        window, x = self.window, scanned(values, starts)
         is_endless = np.isinf(window.end)
         first = times[-1] - (window.start if is_endless else window.end) + TIME_TOLERANCE
         place = max(int(np.searchsorted(times, first, side="right")) - 1, 0)
-        state = cls(window)
+        state = self
         if is_endless and place:
             largest = float(starts[:place].max())
-            state = cls(window, x_at_end=float(x[place - 1]), starts=((largest, np.inf),))
+            state = HeldSince(window, x_at_end=float(x[place - 1]), starts=((largest, np.inf),))
         columns = (column[place:].tolist() for column in (times, values, starts, x))
         for tick in zip(*columns, strict=True):
             state = state._with(*tick)
@@ -81,3 +83,45 @@ class HeldSince:
         while gone < len(starts) - 1 and starts[gone][1] <= begin:
             gone += 1
         return HeldSince(self.window, x, later[count:], x_at_end, tuple(starts[gone:]))
+
+
+@dataclass(frozen=True)
+class UntilFromFirst:
+    """The state of `until` at the first tick of an episode, of one bound of its margin."""
+
+    window: Window
+    is_upper: bool  # whether it is the upper bound, by the ticks to come
+    first: float | None = None  # the time of the first tick, s
+    time: float = 0.0  # that of the last one
+    held: float = np.inf  # the least value of the condition at all ticks
+    # The margin by the last tick until the window begins, which counts from then on, and by others.
+    at_begin: float = _NEVER
+    later: float = _NEVER
+
+    @property
+    def margin(self) -> float:
+        """The margin of the operator."""
+        assert self.first is not None
+        found, now = self.later, self.time + TIME_TOLERANCE
+        if self.first + self.window.start <= now:
+            found = max(found, self.at_begin)
+        may_come = self.is_upper and self.first + self.window.end > now
+        return max(found, self.held) if may_come else found
+
+    def after(self, times: Array, values: Array, starts: Array) -> UntilFromFirst:
+        """Returns the state after the n ticks of an episode; see `step`."""
+        state = self
+        for tick in zip(times.tolist(), values.tolist(), starts.tolist(), strict=True):
+            state = state.step(*tick)
+        return state
+
+    def step(self, time: float, value: float, start: float) -> UntilFromFirst:
+        """Returns the state with one more tick; `start` is the goal."""
+        first = time if self.first is None else self.first
+        held, x = min(self.held, value), min(self.held, start)
+        if time <= first + self.window.start + TIME_TOLERANCE:
+            return replace(self, first=first, time=time, held=held, at_begin=x)
+        later = max(self.later, self.at_begin)
+        if time <= first + self.window.end + TIME_TOLERANCE:
+            later = max(later, x)
+        return replace(self, time=time, held=held, at_begin=_NEVER, later=later)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ssduck
-from ssduck.errors import ArgumentError, ProgramWarning
+from ssduck.errors import ArgumentError, ProgramWarning, UnsupportedError
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS
 from tests.batches.conftest import simulations
 from tests.support.cases import generated
@@ -31,6 +31,11 @@ TERMS = [
     "historically(near(sim.ball, sim.cube, 0.2), 0, 0.008)",
     "heldSince(z(sim.ball) < 0.38, once(inContact(sim.ball, sim.table)), 0.002)",
     "heldFor(heldFor(z(sim.ball) < 0.37) > 0.004)",
+    "always(z(sim.ball) < 0.38, 0.001, 0.014) OR False",
+    "eventually(once(z(sim.ball) < 0.37, 0, 0.004), 0.003) OR False",
+    "until(z(sim.ball) > 0.3, z(sim.ball) > 0.4, 0.002, 0.02) OR False",
+    "IF(always(z(sim.ball) > 0.3 OR NOT inContact(sim.ball, sim.table), 0, 0.02); 1; 0)",
+    "robustness(always(z(sim.ball) < 0.38, 0, 0.01))",
     "robustness(once(z(sim.ball) > 0.36, 0.002, 0.01))",
     "robustness(historically(z(sim.ball) > 0.36 AND z(sim.cube) < 1))",
 ]
@@ -41,7 +46,7 @@ def test_each_fold_is_compared():
     folds = {
         name
         for name, form in TEMPORAL_FUNCTIONS.items()
-        if form.fold is not None or (form.operator and not form.looks_ahead and not form.of_margins)
+        if form.fold is not None or (form.operator and not form.of_margins)
     }
     assert {term.partition("(")[0] for term in TERMS} >= folds
 
@@ -98,6 +103,27 @@ def test_they_are_those_of_recorded_worlds(both):
                 world.tick()
         sim.reset(ended)
         sim.tick(states)
+
+
+def test_a_term_that_is_not_decided_does_not_hold(both):
+    ss, sim, model, states, _ = both
+    judge = ss.terms(success="eventually(z(sim.ball) > 0.6)")
+    for step in range(6):
+        for data in states:
+            data.time, data.qpos[9] = 0.002 * step, 0.7 if step == 3 else 0.5
+            mujoco.mj_forward(model, data)
+        sim.tick(states)
+        assert judge().success.tolist() == [step >= 3] * COUNT
+        if step < 3:
+            with pytest.raises(ArgumentError, match="it is not decided yet"):
+                ss.eval("eventually(z(sim.ball) > 0.6);")
+
+
+def test_what_looks_ahead_of_each_tick_is_an_error(both):
+    ss, sim, _, states, _ = both
+    sim.tick(states)
+    with pytest.raises(UnsupportedError, match="eventually inside always needs later ticks"):
+        ss.eval("always(z(sim.ball) > 0.3 IMPLIES eventually(z(sim.ball) < 0.2, 0, 1));")
 
 
 def test_they_need_the_time(both):

@@ -103,6 +103,10 @@ def test_a_simulation_that_goes_on_tells_at_each_tick_what_its_record_tells(seed
         for window in WINDOWS
     ]
     looking_ahead = [Formula(draw.choice(AHEAD), (formula(draw, 2),), w) for w in WINDOWS[:3]]
+    at_first = [
+        Formula("until", tuple(formula(draw, n, ahead=False) for n in (0, 1)), window)
+        for window in WINDOWS
+    ] + [Formula(name, (formula(draw, 1, ahead=False),), w) for name in AHEAD for w in WINDOWS]
     with ssduck.Interpreter() as ss, ssduck.Interpreter(recording=None) as unrecorded:
         sim = ss.add_variable("sim", ssduck.World.attach((scene.model, scene.data)))
         other = unrecorded.add_variable("sim", ssduck.World.attach((scene.model, scene.data)))
@@ -118,6 +122,13 @@ def test_a_simulation_that_goes_on_tells_at_each_tick_what_its_record_tells(seed
                 assert margin > 0 if expected else margin < 0, one.text
             for one in looking_ahead:
                 assert ss.eval(f"{one.text};") == scene.expected(one, 0), one.text
+            for one in at_first:
+                expected = scene.expected(one, 0)
+                margin = ss.eval(f"robustness({one.text});")
+                for each in (ss, unrecorded):
+                    assert each.eval(f"{one.text};") == expected, one.text
+                    assert each.eval(f"robustness({one.text});") == margin
+                assert margin is None or (margin > 0) is expected, one.text
             scene.move()
             sim.tick()
             other.tick()

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ssduck.logic import traces
-from ssduck.logic.stepwise import HeldSince
+from ssduck.logic.stepwise import HeldSince, UntilFromFirst
 from ssduck.logic.traces import Trace, Window
 from tests.support.cases import generated
 from tests.support.temporal_logic import Formula, value
@@ -101,12 +101,30 @@ def test_a_tick_more_changes_a_state_as_all_ticks_make_it(steps, window, known, 
     known = min(known, len(times))
     state = HeldSince(window)
     if known:
-        state = HeldSince.of(window, times[:known], values[:known], starts[:known])
+        state = state.after(times[:known], values[:known], starts[:known])
         assert state.margin == expected[known - 1]
     ticks = zip(times.tolist(), values.tolist(), starts.tolist(), strict=True)
     for tick, (time, held, start) in list(enumerate(ticks))[known:]:
         state = state.step(time, held, start)
         assert state.margin == expected[tick]
+
+
+@settings(max_examples=generated(100), deadline=None)
+@given(STEPS, windows(), st.integers(0, 12), st.data())
+def test_until_at_the_first_tick_is_known_tick_by_tick(steps, window, known, data):
+    times = times_of(steps)
+    values, goals = (np.array(data.draw(numbers(len(times))), float) for _ in range(2))
+    known = min(known, len(times))
+    states = [UntilFromFirst(window, is_upper=is_upper) for is_upper in (False, True)]
+    states = [state.after(times[:known], values[:known], goals[:known]) for state in states]
+    ticks = zip(times.tolist(), values.tolist(), goals.tolist(), strict=True)
+    for tick, (time, held, goal) in list(enumerate(ticks))[known:]:
+        states = [state.step(time, held, goal) for state in states]
+        so_far = (
+            Trace.of(times[: tick + 1], part[: tick + 1], is_open=True) for part in (values, goals)
+        )
+        expected = traces.until(*so_far, window)
+        assert [state.margin for state in states] == [expected.low[0], expected.high[0]]
 
 
 def test_several_episodes_are_each_by_itself():

@@ -21,7 +21,12 @@ from ssduck.interpreter.batches.columns import ENV
 from ssduck.interpreter.batches.expressions import Answers, CompiledExpressions, Engine, meaning_of
 from ssduck.interpreter.batches.folds import ArrayFold, fold_of
 from ssduck.interpreter.execution import Execution
-from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, expressions_of, parts_of
+from ssduck.interpreter.over_time.functions import (
+    TEMPORAL_FUNCTIONS,
+    expressions_of,
+    operator_of,
+    parts_of,
+)
 from ssduck.language.analysis import calls_of, variables_of
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import Call, Name, Node, Placeholder, TimeIndex
@@ -88,6 +93,14 @@ class BatchExpressions:
                 f"{call.name}(…) of another time needs a record, and a batch keeps none",
                 span=call.span,
             )
+        for part in (part for inner in expressions_of(call) for part in inner.walk()):
+            form = operator_of(part)
+            if form is not None and form.looks_ahead:
+                raise UnsupportedError(
+                    f"{form.name} inside {call.name} needs later ticks, and a batch keeps none of "
+                    "them: ask it by itself, or write what looks back, such as once",
+                    span=part.span,
+                )
         fold, key = fold_of(call, Frame(self._execution)), node_key(call)
         if key not in self._folds:
             inner = BatchExpressions(self._execution, self._engine, expressions_of(call))
@@ -384,7 +397,8 @@ def without_unknown(answers: Answers, what: str) -> Array:
         numbers = joined_names([str(number) for number in np.flatnonzero(unknown)], 5)
         raise ArgumentError(
             f"{what} is unknown in {int(unknown.sum())} environments ({numbers}): a "
-            "number that it reads is NaN there; ss.terms(…, nan=…) says what it is then"
+            "number that it reads is NaN there, and ss.terms(…, nan=…) says what it is then; or it "
+            "is not decided yet, and does not hold so far if OR False follows"
         )
     if values.dtype.kind in "fiu":
         condition = unknown if values.ndim == 1 else unknown[:, None]

@@ -36,8 +36,9 @@ class ArrayFold:
 def fold_of(call: Call, frame: Frame) -> ArrayFold:
     """Returns a function of time without a state."""
     name, form = call.name, TEMPORAL_FUNCTIONS[call.name]
-    if form.operator is not None and not form.looks_ahead:
-        held = LookingBack(window_of(call, frame), form)
+    if form.operator is not None:
+        kind = FromFirst if form.looks_ahead else LookingBack
+        held = kind(window_of(call, frame), form)
         return ArrayFold(held.step, held.answers)
     match name:
         case "since" | "heldFor":
@@ -52,10 +53,10 @@ def fold_of(call: Call, frame: Frame) -> ArrayFold:
         case "least" | "greatest":
             extreme = _Extreme(np.less if name == "least" else np.greater)
             return ArrayFold(extreme.step, extreme.answers)
-    needs = "later ticks" if form.looks_ahead else "all past ticks"
     raise UnsupportedError(
-        f"{name} needs {needs}, and a batch keeps none of them: heldFor, since, initially, lifted, "
-        "previous, rate, least, greatest, once, historically and heldSince keep what they need",
+        f"{name} needs all past ticks, and a batch keeps none of them: heldFor, since, initially, "
+        "lifted, previous, rate, least, greatest and the operators of temporal logic keep what "
+        "they need",
         span=call.span,
     )
 
@@ -172,15 +173,75 @@ class _Tick:
     is_there: Flags
 
 
-class LookingBack:
+class _Operator:
+    """An operator of temporal logic in each of n environments."""
+
+    def __init__(self, window: Window, form: TemporalFunction) -> None:
+        self._window, self._form = window, form
+        self._sign = -1.0 if form.takes_least else 1.0
+
+    def _bounds(self, answers: Answers) -> Array:
+        """Returns the bounds of the margins of a condition, (2, n)."""
+        values = answers.values
+        margins = values if self._form.of_margins else np.where(values.astype(np.bool_), 1.0, -1.0)
+        margins = self._sign * margins.astype(np.float64)
+        low, high = (np.where(answers.unknown, end, margins) for end in (-np.inf, np.inf))
+        return np.stack((low, high))
+
+    def _answers(self, margins: Array) -> Answers:
+        bounds = self._sign * margins
+        low, high = bounds if self._form.of_margins else bounds > 0.0
+        return Answers(low, low != high)
+
+
+class FromFirst(_Operator):
+    """An operator that looks ahead from the first tick; see `UntilFromFirst` of `ssduck.logic`."""
+
+    # The times of the first and of the last tick, and the bounds of `held`, `at_begin` and `later`.
+    _BLANK = np.array([[np.nan], [np.nan], [np.inf], [np.inf], *[[-np.inf]] * 4])
+    _before = _state = _BLANK  # at the tick before, which has an earlier time, and at the last one
+
+    def step(self, times: Array, values: Sequence[Answers], are_first: Flags) -> None:
+        """Adds a tick; see `ArrayFold`."""
+        bounds = [self._bounds(answers) for answers in values]
+        values_now = bounds[0] if len(bounds) == 2 else np.inf
+        before = np.where(times == self._state[1], self._before, self._state)
+        before = self._before = np.where(are_first, self._BLANK, before)
+        first = np.where(np.isnan(before[0]), times, before[0])
+        x = np.minimum(bounds[-1], before[2:4])
+        begin, end = self._ends(first)
+        later = np.maximum(before[4:6], np.where(times <= end, x, -np.inf))
+        at_begin = np.where(times <= begin, x, -np.inf)
+        later = np.where(times <= begin, before[6:], np.maximum(before[6:], later))
+        self._state = np.stack(
+            [first, times, *np.minimum(before[2:4], values_now), *at_begin, *later]
+        )
+
+    def _ends(self, first: Array) -> tuple[Array, Array]:
+        """Returns the times at which the windows begin and end."""
+        window, start = self._window, first + TIME_TOLERANCE
+        return start + window.start, start + window.end
+
+    def answers(self) -> Answers:
+        """Returns the values of the operator."""
+        first, now, *bounds = self._state
+        held, at_begin, later = np.array(bounds).reshape(3, 2, -1)
+        window = self._window
+        found = np.where(first + window.start <= now + TIME_TOLERANCE, at_begin, -np.inf)
+        found = np.maximum(found, later)
+        may_come = first + window.end > now + TIME_TOLERANCE
+        found[1] = np.where(may_come, np.maximum(found[1], held[1]), found[1])
+        return self._answers(found)
+
+
+class LookingBack(_Operator):
     """An operator of temporal logic at earlier ticks, in each of n environments.
 
     It is computed as in `ssduck.logic.stepwise`.
     """
 
     def __init__(self, window: Window, form: TemporalFunction) -> None:
-        self._window, self._form = window, form
-        self._sign = -1.0 if form.takes_least else 1.0
+        super().__init__(window, form)
         self._ticks: list[_Tick] = []
         self._largest: Array | None = None  # of starts that have left `_ticks`, (2, n)
 
@@ -204,13 +265,6 @@ class LookingBack:
         largest = never if self._largest is None else self._largest
         self._largest = np.where(are_first, never, largest)
         self._drop(times)
-
-    def _bounds(self, answers: Answers) -> Array:
-        values = answers.values
-        margins = values if self._form.of_margins else np.where(values.astype(np.bool_), 1.0, -1.0)
-        margins = self._sign * margins.astype(np.float64)
-        low, high = (np.where(answers.unknown, end, margins) for end in (-np.inf, np.inf))
-        return np.stack((low, high))
 
     def _drop(self, times: Array) -> None:
         """Drops the ticks at which no window looks any more, but for the largest start."""
@@ -246,8 +300,3 @@ class LookingBack:
             result = np.where(looks, np.maximum(result, tick.starts), result)
             following = np.where(tick.is_there, tick.times, following)
         return self._answers(np.minimum(np.minimum(result, held), x))
-
-    def _answers(self, margins: Array) -> Answers:
-        bounds = self._sign * margins
-        low, high = bounds if self._form.of_margins else bounds > 0.0
-        return Answers(low, low != high)

@@ -95,7 +95,7 @@ class JudgedFolds:
 
     def _is_fold(self, call: Call) -> bool:
         """Checks whether the value at a tick follows from that at the tick before."""
-        if not is_fold(call):
+        if not is_fold(call, at_first=True):
             return False
         names = {part.name for part in call.walk() if isinstance(part, Name)}
         for expression in expressions_of(call):

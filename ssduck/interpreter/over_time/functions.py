@@ -30,7 +30,7 @@ from ssduck.language.tree import (
     Unary,
 )
 from ssduck.logic import traces
-from ssduck.logic.stepwise import HeldSince
+from ssduck.logic.stepwise import HeldSince, UntilFromFirst
 from ssduck.logic.traces import Trace, Window
 
 # Parts of a program that are computed from values alone, if their own parts are.
@@ -101,14 +101,15 @@ def operator_of(node: Node) -> TemporalFunction | None:
     return form if form is not None and form.operator is not None else None
 
 
-def is_fold(call: Call) -> bool:
+def is_fold(call: Call, *, at_first: bool = False) -> bool:
     """Checks whether the value of a call at a tick follows from that at the tick before.
 
-    That is so of a function of all ticks without an age, and of an operator that looks back.
+    That is so of a function of all ticks without an age, and of an operator that looks back; and of
+    one that looks ahead, if it is at the first tick.
     """
     form = TEMPORAL_FUNCTIONS[call.name]
     if form.operator is not None:
-        return not form.looks_ahead
+        return at_first or not form.looks_ahead
     return form.fold is not None and len(call.arguments) == 1
 
 
@@ -279,11 +280,11 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not math.isnan(value)
 
 
-def looking_back(name: str, window: Window, traces_of: Callable[[], Sequence[Trace]]) -> Fold:
-    """Returns the fold that an operator of conditions at earlier ticks is.
+def fold_of_operator(name: str, window: Window, traces_of: Callable[[], Sequence[Trace]]) -> Fold:
+    """Returns the fold that an operator is which looks back, or ahead from the first tick.
 
-    A state has two bounds of the margin, which differ if something is unknown. The margin of a
-    truth value is 1 or -1.
+    A state has two bounds of the margin, which differ if something is unknown, or undecided. The
+    margin of a truth value is 1 or -1.
 
     Args:
         name: the name of the operator.
@@ -292,26 +293,27 @@ def looking_back(name: str, window: Window, traces_of: Callable[[], Sequence[Tra
     """
     form = TEMPORAL_FUNCTIONS[name]
     sign = -1.0 if form.takes_least else 1.0
+    blank: list[Any] = [HeldSince(window)] * 2
+    if form.looks_ahead:
+        blank = [UntilFromFirst(window, is_upper=is_upper) for is_upper in (False, True)]
 
     def bounds(value: Any) -> list[tuple[float, float]]:
         values = value if form.conditions == 2 and value is not None else (value,) * form.conditions
         margins = [_bounds_of(one, sign, of_margins=form.of_margins) for one in values]
         return list(zip(*(margins if form.conditions == 2 else [_HOLDS, *margins]), strict=True))
 
-    def begin(_: TickSeries) -> list[HeldSince]:
+    def begin(_: TickSeries) -> list[Any]:
         traces = traces_of()
-        return [
-            HeldSince.of(window, traces[0].times, held, start)
-            for held, start in zip(*_arrays_of(traces, sign), strict=True)
-        ]
+        columns = zip(*_arrays_of(traces, sign), strict=True)
+        return [one.after(traces[0].times, *both) for one, both in zip(blank, columns, strict=True)]
 
-    def first(time: float, value: Any) -> list[HeldSince]:
-        return [HeldSince(window).step(time, *bound) for bound in bounds(value)]
+    def first(time: float, value: Any) -> list[Any]:
+        return step(blank, time, value)
 
-    def step(state: list[HeldSince], time: float, value: Any) -> list[HeldSince]:
+    def step(state: Sequence[Any], time: float, value: Any) -> list[Any]:
         return [one.step(time, *bound) for one, bound in zip(state, bounds(value), strict=True)]
 
-    def value(state: list[HeldSince], _: float) -> Any:
+    def value(state: Sequence[Any], _: float) -> Any:
         bounds = [sign * one.margin for one in state]
         low, high = bounds if form.of_margins else [margin > 0.0 for margin in bounds]
         return low if low == high else None

@@ -41,6 +41,7 @@ from ssduck.language.evaluator import EvaluationScope, Frame
 from ssduck.language.tree import Call, ListLiteral, Literal, Name, Node, Query, Source, TimeIndex
 from ssduck.language.value_keys import ATOMS, node_key
 from ssduck.recording.replay.record import Record
+from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.recording.spec import no_ticks_message
 from ssduck.schema import MASSES
 from ssduck.sql.relations.registry import RELATIONS
@@ -106,9 +107,13 @@ class LiveFolds:
         self._folded: dict[str, _Folded] = {}
 
     def takes(self, call: Call, frame: Frame) -> bool:
-        """Checks whether the state of a call can be kept: it depends on no row around it."""
+        """Checks whether the state of a call can be kept: it depends on no row around it.
+
+        A finished record decides what looks ahead, and is no state.
+        """
         has_rows = any(isinstance(element, Handle) for element in frame.elements.values())
-        if frame.local or frame.placeholders or has_rows:
+        is_replay = not is_fold(call) and isinstance(self._world_of(call), ReplayedWorld)
+        if frame.local or frame.placeholders or has_rows or is_replay:
             return False
         if call not in self._are_simple:
             expressions = expressions_of(call)

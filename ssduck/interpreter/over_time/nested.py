@@ -26,7 +26,7 @@ from ssduck.interpreter.over_time.functions import (
     TEMPORAL_FUNCTIONS,
     Fold,
     expressions_of,
-    looking_back,
+    fold_of_operator,
     operator_of,
 )
 from ssduck.interpreter.over_time.series import (
@@ -128,9 +128,9 @@ class NestedExpressions:
         return low if low == high else None
 
     def fold(self, call: Call, frame: Frame, record_of: Callable[[], Record]) -> Fold:
-        """Returns the fold that an operator is which looks back."""
+        """Returns the fold that an operator is; see `fold_of_operator`."""
         window = window_of(call, frame)
-        return looking_back(
+        return fold_of_operator(
             call.name, window, lambda: Ticks(self, record_of(), frame).conditions(call)
         )
 

@@ -326,10 +326,10 @@ class Explainer:
         if place is None:
             return whole
         (entity,) = call.arguments
-        way = np.eye(3)[_AXES[call.name]] * _beyond(limit - place)
+        axis, way = np.eye(3)[_AXES[call.name]], limit - place
         start = self._value_of_call("position", entity)
-        points = (tuple(start), tuple((start + way).tolist()))
-        return replace(whole, points=points, move=_move(self._entity(entity), way))
+        points = (tuple(start), tuple((start + axis * way).tolist()))
+        return replace(whole, points=points, move=_move(self._entity(entity), axis * _beyond(way)))
 
     def _move_of_relation(self, call: Call) -> Move | None:
         """Returns the translation that flips a relation of the distance of two entities."""
