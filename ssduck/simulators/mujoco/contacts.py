@@ -23,35 +23,11 @@ from ssduck.simulators.mujoco.library import copied_data, mujoco
 
 # Of the numbers of a wrench, those that are forces; the others are moments.
 _FORCE_AXES = 3
+# The arrays that have a row for each contact.
+_ROWS = ("bodies", "distances", "addresses", "dims", "frames", "middles", "frictions")
 _PYRAMIDAL = int(mujoco.mjtCone.mjCONE_PYRAMIDAL)
 # The flag that lets bodies sleep; 0 before MuJoCo 3.4.
 _SLEEP = int(getattr(mujoco.mjtEnableBit, "mjENBL_SLEEP", 0))
-
-
-@dataclass(frozen=True, eq=False)
-class StepContacts:
-    """The arrays of the contacts of a step, (n, …), copied from MuJoCo's; forces of constraints."""
-
-    bodies: Indices  # (n, 2); -1 for none
-    distances: Array
-    addresses: Indices
-    dims: Indices
-    frames: Array
-    middles: Array
-    frictions: Array
-    efc_forces: Array
-
-    def only(self, are_chosen: Flags) -> Self:
-        """Returns some of them."""
-        values = {name: array for name, array in vars(self).items() if name != "efc_forces"}
-        return replace(self, **{name: array[are_chosen] for name, array in values.items()})
-
-    def followed_by(self, other: Self) -> Self:
-        """Returns these and those of another step."""
-        addresses = np.where(other.addresses < 0, -1, other.addresses + len(self.efc_forces))
-        later = replace(other, addresses=addresses)
-        columns = zip(vars(self).values(), vars(later).values(), strict=True)
-        return type(self)(*map(np.concatenate, columns))
 
 
 class ContactReader:
@@ -69,15 +45,11 @@ class ContactReader:
         # (bodies + 1,), the first body of the entity of each body; that of -1 is -1.
         self.roots = np.append(entity_roots(model), -1)
         self._flexes = flexes_of(model)
-        self._known: tuple[tuple[bytes, ...], StepContacts] | None = None
+        self._known: tuple[tuple[bytes, ...], MuJoCoContacts] | None = None
 
     def read(self, data: Any, only: Collection[int] | None = None) -> MuJoCoContacts:
         """Returns the contacts of the last step of data; those of some root bodies, or of all."""
-        contacts, is_pyramidal = self._read(data), bool(self._model.opt.cone == _PYRAMIDAL)
-        return MuJoCoContacts(contacts, self.roots, only, is_pyramidal)
-
-    def _read(self, data: Any) -> StepContacts:
-        model, listed = self._model, self._listed(data)
+        model, listed = self._model, self._listed(data, only)
         if not (model.opt.enableflags & _SLEEP):
             return listed
         is_asleep = np.append(data.tree_asleep >= 0, False)
@@ -97,12 +69,12 @@ class ContactReader:
                 mujoco.mj_forward(model, copied)
             finally:
                 model.opt.enableflags = flags
-            known = self._listed(copied)
-            self._known = key, known.only(~is_awake[known.bodies].any(axis=1))
-        awake = listed.only(is_awake[listed.bodies].any(axis=1))
+            known = self._listed(copied, only)
+            self._known = key, known.chosen(~is_awake[known.bodies].any(axis=1))
+        awake = listed.chosen(is_awake[listed.bodies].any(axis=1))
         return awake.followed_by(self._known[1])
 
-    def _listed(self, data: Any) -> StepContacts:
+    def _listed(self, data: Any, only: Collection[int] | None) -> MuJoCoContacts:
         """Returns the contacts that MuJoCo lists."""
         contact = data.contact
         bodies: Indices = self._bodies.take(contact.geom)
@@ -115,7 +87,10 @@ class ContactReader:
                     rows = (flexes == flex.number).nonzero()[0]
                     parts = contact.pos[rows], elements[rows], vertices[rows]
                     bodies[rows, side] = flex.nearest(data, *parts)
-        return StepContacts(
+        return MuJoCoContacts(
+            self.roots,
+            only,
+            bool(self._model.opt.cone == _PYRAMIDAL),
             bodies,
             contact.dist.copy(),
             contact.efc_address.copy(),
@@ -136,17 +111,39 @@ class MuJoCoContacts:
     allow, count if they press. A contact has one point, where its forces act on both sides.
     """
 
-    contacts: StepContacts  # the arrays of the contacts
     roots: Indices  # the first body of the entity of each body; see `ContactReader`
     # The root bodies whose contacts count; None for all. There may be contacts of others from the
     # step before they were left out.
     only: Collection[int] | None
     is_pyramidal: bool  # whether the friction cones of the step were pyramids
+    # MuJoCo's arrays of the contacts, (n, …); the forces of all constraints.
+    bodies: Indices  # (n, 2); -1 for none
+    distances: Array
+    addresses: Indices
+    dims: Indices
+    frames: Array
+    middles: Array
+    frictions: Array
+    efc_forces: Array
+
+    def chosen(self, are_chosen: Flags) -> Self:
+        """Returns some of them."""
+        return replace(self, **{name: getattr(self, name)[are_chosen] for name in _ROWS})
+
+    def followed_by(self, other: Self) -> Self:
+        """Returns these and those of another step."""
+        addresses = np.where(other.addresses < 0, -1, other.addresses + len(self.efc_forces))
+        later = replace(other, addresses=addresses)
+        joined: dict[str, Any] = {
+            name: np.concatenate((getattr(self, name), getattr(later, name)))
+            for name in (*_ROWS, "efc_forces")
+        }
+        return replace(self, **joined)
 
     @cached_property
     def _roots(self) -> Indices:
         """The root bodies of each contact, (n, 2)."""
-        roots: Indices = self.roots.take(self.contacts.bodies)
+        roots: Indices = self.roots.take(self.bodies)
         return roots
 
     def between(self, a: int, b: int, *, pressing: bool) -> tuple[Indices, Indices]:
@@ -155,16 +152,16 @@ class MuJoCoContacts:
         rows = (is_a & is_b[:, ::-1]).any(axis=1).nonzero()[0]
         are_kept = self._wrenches(rows)[:, 0] > 0.0
         if not pressing:
-            are_kept |= self.contacts.distances.take(rows) <= 0.0
+            are_kept |= self.distances.take(rows) <= 0.0
         roots = self._roots.take(rows[are_kept], axis=0)
-        return roots, self.contacts.bodies.take(rows[are_kept], axis=0) - roots
+        return roots, self.bodies.take(rows[are_kept], axis=0) - roots
 
     def all(self) -> ContactPoints:
         return self._all
 
     @cached_property
     def has_moments(self) -> bool:
-        if self.contacts.dims.max(initial=0) <= _FORCE_AXES:
+        if self.dims.max(initial=0) <= _FORCE_AXES:
             return False
         return bool(self._every_wrench[(self._roots >= 0).all(axis=1), _FORCE_AXES:].any())
 
@@ -176,13 +173,13 @@ class MuJoCoContacts:
     def _all(self) -> ContactPoints:
         roots, forces = self._roots, self._every_wrench[:, :_FORCE_AXES]
         are_kept = (roots >= 0).all(axis=1)
-        are_kept &= (self.contacts.distances <= 0.0) | (forces[:, 0] > 0.0)
+        are_kept &= (self.distances <= 0.0) | (forces[:, 0] > 0.0)
         if self.only is not None:
             are_kept &= np.isin(roots, list(self.only)).all(axis=1)
         if not are_kept.any():
             return ContactPoints.none()
-        frames, depths = self.contacts.frames.reshape(-1, 3, 3), -self.contacts.distances
-        middles, bodies = self.contacts.middles, self.contacts.bodies
+        frames, depths = self.frames.reshape(-1, 3, 3), -self.distances
+        middles, bodies = self.middles, self.bodies
         if not are_kept.all():
             forces, roots, bodies = forces[are_kept], roots[are_kept], bodies[are_kept]
             frames, depths, middles = frames[are_kept], depths[are_kept], middles[are_kept]
@@ -198,8 +195,8 @@ class MuJoCoContacts:
 
     def _wrenches(self, rows: Indices) -> Array:
         """Returns the wrenches of contacts in their frames, (n, 6), as `mj_contactForce` does."""
-        addresses = self.contacts.addresses.take(rows).astype(np.intp)
-        dims = self.contacts.dims.take(rows)
+        addresses = self.addresses.take(rows).astype(np.intp)
+        dims = self.dims.take(rows)
         forces = np.zeros((len(rows), 6))
         is_active = addresses >= 0
         if not is_active.any():
@@ -211,15 +208,15 @@ class MuJoCoContacts:
             chosen = every if is_uniform else np.flatnonzero(is_active & (dims == dim))
             first = addresses[chosen]
             if not self.is_pyramidal or dim == 1:
-                forces[chosen, :dim] = self.contacts.efc_forces[first[:, None] + np.arange(dim)]
+                forces[chosen, :dim] = self.efc_forces[first[:, None] + np.arange(dim)]
                 continue
             # A pyramid has two edges for each axis of friction; their forces add up to the normal
             # one.
-            edges = self.contacts.efc_forces[first[:, None] + np.arange(2 * (dim - 1))]
+            edges = self.efc_forces[first[:, None] + np.arange(2 * (dim - 1))]
             edges = edges.reshape(len(chosen), dim - 1, 2)
             forces[chosen, 0] = edges.sum(axis=(1, 2))
             differences = edges[:, :, 0] - edges[:, :, 1]
-            frictions = self.contacts.frictions[rows[chosen], : dim - 1]
+            frictions = self.frictions[rows[chosen], : dim - 1]
             forces[chosen, 1:dim] = differences * frictions
         return forces
 
