@@ -131,7 +131,7 @@ BUDGETS = {
     "render": 1_150,
     "sandbox": 3_780,
     "shell": 500,
-    "simulators": 11_020,
+    "simulators": 11_030,
     "sql": 7_220,
     "view": 2_300,
     "world": 6_310,

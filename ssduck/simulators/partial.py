@@ -23,14 +23,14 @@ def unsupported(action: str, instead: str = "") -> Callable[..., Any]:
         instead: what the user can do instead, for the end of the message.
     """
     advice = f"; {instead}" if instead else ""
-    return _refusing(f"{{0.__class__.__name__}} cannot {action}{advice}")
+    return _refusing(lambda simulator: f"{type(simulator).__name__} cannot {action}{advice}")
 
 
-def _refusing(message: str) -> Callable[..., Any]:
-    """Returns a method that raises `UnsupportedError`; {0} in its message is the simulator."""
+def _refusing(message: Callable[[Any], str]) -> Callable[..., Any]:
+    """Returns a method that raises `UnsupportedError`, with the message for its simulator."""
 
     def refuse(self: object, *_: Any, **__: Any) -> NoReturn:
-        raise UnsupportedError(message.format(self))
+        raise UnsupportedError(message(self))
 
     return refuse
 
@@ -108,18 +108,24 @@ class StaticSimulator(PartialSimulator):
         return self.contacts
 
     step = _refusing(
-        "{0.description} is not simulated: it cannot be stepped; step the world that it was taken "
-        "from"
+        lambda it: (
+            f"{it.description} is not simulated: it cannot be stepped; step the world that "
+            "it was taken from"
+        )
     )
     begin_episode = set_clock = place = set_joints = drive = enable = show = remove = _refusing(
-        "{0.description} does not change: ask what if, "
-        "world.what_if({{name: pose}}, joints={{name: {{joint: value}}}})"
+        lambda it: (
+            f"{it.description} does not change: ask what if, "
+            "world.what_if({name: pose}, joints={name: {joint: value}})"
+        )
     )
     has_constraint = add_constraint = remove_constraint = place
     cast_rays = photograph = _refusing(
-        "sensors perceive nothing in {0.description}: no simulation casts their rays"
+        lambda it: f"sensors perceive nothing in {it.description}: no simulation casts their rays"
     )
-    render = segment = _refusing("{0.description} has no picture: no simulator draws it")
+    render = segment = _refusing(
+        lambda it: f"{it.description} has no picture: no simulator draws it"
+    )
 
     def close(self) -> None:
         """Does nothing: it holds no resources."""

@@ -11,6 +11,7 @@ import tomllib
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -178,9 +179,10 @@ class Scene:
     def entries(self) -> list[tuple[BodySpec, str]]:
         """The floor and the bodies, with what errors put before their keys."""
         # A model by itself has no entry in a scene's file.
-        place = "" if self.path.suffix.lower() in MODEL_SUFFIXES else f"{self.path}: body[%d]."
-        bodies = [(spec, place and place % n) for n, spec in enumerate(self.bodies)]
-        return [(self.floor, ""), *bodies] if self.floor else bodies
+        is_model = self.path.suffix.lower() in MODEL_SUFFIXES
+        places = ("" if is_model else f"{self.path}: body[{n}]." for n in count())
+        floor = [(self.floor, "")] if self.floor else []
+        return [*floor, *zip(self.bodies, places, strict=False)]
 
     @property
     def model_file(self) -> Path | None:
