@@ -103,7 +103,7 @@ class Execution(Namespace):
         self._program_texts: list[str] = []
         self._stamp: tuple[object, ...] = ()
         self._override_cache: WeakKeyDictionary[Program, Program] = WeakKeyDictionary()
-        # Statements as they are written, by what they stand for.
+        # Statements as they are written, by what they stand for, if that is another one.
         self._written: WeakKeyDictionary[Node, Node] = WeakKeyDictionary()
         # The stamp of the names for which a statement has no probable mistake.
         self._sound: WeakKeyDictionary[Node, object] = WeakKeyDictionary()
@@ -179,7 +179,8 @@ class Execution(Namespace):
         if overridden is None:
             overridden = with_overrides(program, self.overrides) if self.overrides else program
             nodes = tuple(map(self.expanded, overridden.statements))
-            self._written.update(zip(nodes, overridden.statements, strict=True))
+            pairs = zip(nodes, overridden.statements, strict=True)
+            self._written.update(pair for pair in pairs if pair[0] is not pair[1])
             overridden = replace(overridden, statements=nodes)
             self._override_cache[program] = overridden
         return overridden

@@ -9,8 +9,9 @@ import pytest
 
 import ssduck
 from ssduck.errors import ArgumentError
-from ssduck.interpreter.lint.foregone import conclusions
+from ssduck.interpreter.lint.foregone import RANGES, conclusions
 from ssduck.language.parser import parse
+from ssduck.sql.relations.registry import RELATIONS
 from tests.support.warned import told
 
 NEVER = [
@@ -108,6 +109,41 @@ def test_a_function_of_the_same_name_has_other_values(ss):
         ss.add_function("distance", lambda *_: -1.0)
     assert told(ss.eval, "distance(sim.cup, sim.tray) < 0;") == []
     ss.del_function("distance")
+
+
+RUN = {
+    2: "SELECT {}(a.this, b.this) FROM a=kitchen, b=kitchen WHERE a.id != b.id AS list;",
+    1: "SELECT {}(this) FROM kitchen AS list;",
+}
+
+
+@pytest.mark.parametrize("name", sorted(RANGES))
+def test_values_are_in_the_ranges(falling, name):
+    """Of relations in a scene in which things fall, of functions for numbers that they take."""
+    low, high = RANGES[name]
+    if name in RELATIONS:
+        program = RUN[RELATIONS[name].required_count].format(name)
+        if name == "sensingAmount":
+            program = program.replace("a.id != b.id", "isSensor(a.this)")
+        values = falling.eval(program)
+    elif name == "heldFor":
+        values = falling.eval("changes(heldFor(z(kitchen.can) < 1.19))")
+        values = [value for _, value in values]
+    else:
+        lists = {"norm": "[{}, 1]", "stddev": "[{}, 1]", "count": "[{}]", "atan2": "{}, 1 - {}"}
+        given = lists.get(name, "abs({})" if name == "sqrt" else "{}")
+        numbers = [-1.0, -0.3, 0.0, 0.7, 1.0]
+        values = [falling.eval(f"{name}({given.replace('{}', str(x))});") for x in numbers]
+    assert len(set(values)) > 1 or name == "count"
+    assert all(low - 1e-9 <= value <= high + 1e-9 for value in values if value is not None)
+
+
+@pytest.fixture(scope="module")
+def falling():
+    with ssduck.load("kitchen", recording=ssduck.Recording()) as ss:
+        ss.call_variable("kitchen")["can"].move([0.42, -0.1, 1.2])
+        ss.run(0.3)
+        yield ss
 
 
 class Made:
