@@ -311,7 +311,7 @@ class Explainer:
                 at_zero = ("<", ">=")
             case _:
                 return whole
-        limit = self._value(number)
+        limit = self.frame.value(number)
         if node.operator in ("==", "!=") or not isinstance(limit, int | float):
             return whole
         if call.name not in _AXES:  # no distance is less than 0
@@ -325,11 +325,13 @@ class Explainer:
         place = self._value(call)
         if place is None:
             return whole
-        (entity,) = call.arguments
+        entity = self._entity(call.arguments[0])
+        if entity is None:
+            return whole
         axis, way = np.eye(3)[_AXES[call.name]], limit - place
-        start = self._value_of_call("position", entity)
-        points = (tuple(start), tuple((start + axis * way).tolist()))
-        return replace(whole, points=points, move=_move(self._entity(entity), axis * _beyond(way)))
+        start = np.array(entity.position)
+        points = (tuple(start.tolist()), tuple((start + axis * way).tolist()))
+        return replace(whole, points=points, move=_move(entity, axis * _beyond(way)))
 
     def _move_of_relation(self, call: Call) -> Move | None:
         """Returns the translation that flips a relation of the distance of two entities."""
