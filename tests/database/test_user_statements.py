@@ -1,6 +1,7 @@
 """Raw SQL: its plans are kept, and every spelling of a relation has the rows of its macro."""
 
 import math
+from random import Random
 
 import pybullet
 import pytest
@@ -333,6 +334,104 @@ def test_errors_are_those_of_the_macro(ss, sql):
         with pytest.raises(SqlError) as found:
             ss.sql(sql)
         assert found.value.message == expected.value.message
+
+
+# -- EXISTS: it takes the pairs of the tick -------------------------------------------------------
+
+# The sources and conditions of subqueries over b, around which is a.
+INNER = (
+    "entities b",
+    "sim.entities AS b",
+    '(FROM entities) "B"',
+    "entities b JOIN entities c ON c.id = b.id",
+    "entities c, entities b",
+    "entities b LEFT JOIN entities c ON c.z > b.z",
+)
+CONDITIONS = (
+    "b.z > 0.05",
+    "a.id <> b.id",
+    "a.id < b.id",
+    "b.z < A.z OR b.x > 0.2",
+    "b.name <> a.name",
+    "b.kind = 'kinbody'",
+    "z > 0.05",
+    "b.z IS NOT NULL",
+    "NOT (b.z > a.z)",
+    "b.x + b.y > a.x",
+    "b.id IN (SELECT id FROM entities WHERE z > 0)",
+    "a.kind = b.kind",
+    "b.vx IS NULL",
+)
+IN_EXISTS = ("collides", "near", "touching", "supports", "onTop", "contains", "above")
+SELECTED = ("SELECT 1 ", "SELECT * ", "SELECT b.id, 'a' ", "SELECT a.name ", "", "SELECT count(*) ")
+OUTER = (
+    "SELECT a.name FROM entities a WHERE {e}",
+    "SELECT * EXCLUDE (tick, time) FROM sim.entities AS a WHERE NOT {e}",
+    "SELECT a.name, {e} AS found FROM entities a",
+    "SELECT a.name FROM entities a WHERE a.z > 0.05 AND ({e} OR a.z > 0.2)",
+    "SELECT CASE WHEN {e} THEN a.name ELSE 'none' END FROM entities a",
+    "SELECT c.name, a.name FROM entities c LEFT JOIN entities a ON a.z > c.z + 0.1 WHERE NOT {e}",
+    "SELECT c.name, a.name, {e} FROM entities c LEFT JOIN entities a ON a.z > c.z + 0.1",
+    "WITH a AS (SELECT * FROM entities WHERE z > 0.05) SELECT name FROM a WHERE {e}",
+    "SELECT name FROM (FROM entities WHERE z < 0.2) a WHERE NOT {e}",
+    "SELECT count(*) FILTER (WHERE a.z > 0.1) FROM entities a WHERE {e}",
+    "SELECT {e} AS found, count(*), sum(a.id) FROM entities a GROUP BY ALL",
+    "FROM entities a SELECT a.name WHERE {e} AND EXISTS (FROM entities d WHERE d.z > a.z)",
+)
+
+
+def statement(choices):
+    """Returns a random statement with an EXISTS."""
+    name = choices.choice(IN_EXISTS)
+    pair = choices.choice(["a, b", "b, a"])
+    call = f'{choices.choice(["", "sim."])}"{name}"({pair}{SEARCHED[name]})'
+    parts = [call, *choices.sample(CONDITIONS, choices.choice([0, 0, 1, 1, 2]))]
+    choices.shuffle(parts)
+    parts = [f"({part})" for part in parts]
+    sources = choices.choice(INNER)
+    if "entities c" in sources:  # a column without a table would be ambiguous
+        parts = [part for part in parts if part != "(z > 0.05)"]
+    selected = choices.choice(SELECTED)
+    exists = f"exists( {selected}FROM {sources} WHERE {' AND '.join(parts)} )"
+    return choices.choice(OUTER).format(e=exists)
+
+
+@pytest.mark.slow
+@sampled("seed", range(4), every=2)
+def test_exists_has_the_rows_of_the_macro(ss, seed):
+    choices = Random(seed)  # noqa: S311
+    for _ in range(generated(12)):
+        sql = statement(choices)
+        expected = rows(row_by_row(ss, sql))
+        assert rows(ss.sql(sql)) == expected, sql
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "subquery",
+    [
+        "SELECT count(*) FROM entities b WHERE {r}",
+        "SELECT 1 FROM entities b WHERE {r} LIMIT 0",
+        "SELECT DISTINCT b.kind FROM entities b WHERE {r}",
+        "SELECT b.kind FROM entities b WHERE {r} GROUP BY b.kind HAVING count(*) > 1",
+        "SELECT unnest([]) FROM entities b WHERE {r}",
+        "SELECT 1 FROM entities b WHERE {r} UNION ALL SELECT 1 WHERE false",
+        "SELECT 1 FROM entities b WHERE z > 0.05 AND a.id < b.id AND {r}",
+        "SELECT 1 FROM entities b WHERE {r} AND b.z > k.z",
+        "SELECT 1 FROM entities b WHERE {r} AND (k.z, b.id) IN (SELECT z, id FROM entities)",
+        "SELECT 1 FROM entities b WHERE {r} AND collides(b, a)",
+        "SELECT 1 FROM entities b WHERE {r} OR b.z > 0.1",
+        "SELECT 1 FROM entities b WHERE NOT {r}",
+        "SELECT 1 FROM entities b JOIN entities a ON a.id = b.id WHERE {r}",
+        "FROM entities b SELECT b.id WHERE {r}",
+        "WITH n AS (SELECT 1) SELECT 1 FROM entities b, n WHERE {r}",
+    ],
+)
+def test_other_subqueries_have_the_rows_of_the_macro(ss, subquery):
+    exists = subquery.format(r="collides(a, b)")
+    sql = f"SELECT a.name, k.name FROM entities a, entities k WHERE EXISTS ({exists})"
+    expected = rows(row_by_row(ss, sql))
+    assert [rows(ss.sql(sql)) for _ in range(RUNS)] == [expected] * RUNS
 
 
 # -- plans that are kept -------------------------------------------------------------------------
