@@ -39,17 +39,17 @@ def off_a_capsule(p, n):
 
 # name, PyBullet's shape, area, how far a point in its frame is off the surface
 SHAPES = [
-    ("box", {"shapeType": pybullet.GEOM_BOX, "halfExtents": [0.2, 0.3, 0.4]}, 8 * 0.26, off_a_box),
-    ("ball", {"shapeType": pybullet.GEOM_SPHERE, "radius": 0.25}, 4 * math.pi * 0.0625, off_a_ball),
+    ("box", {"kind": pybullet.GEOM_BOX, "halfExtents": [0.2, 0.3, 0.4]}, 8 * 0.26, off_a_box),
+    ("ball", {"kind": pybullet.GEOM_SPHERE, "radius": 0.25}, 4 * math.pi * 0.0625, off_a_ball),
     (
         "cylinder",
-        {"shapeType": pybullet.GEOM_CYLINDER, "radius": 0.2, "height": 0.7},
+        {"kind": pybullet.GEOM_CYLINDER, "radius": 0.2, "height": 0.7},
         2 * math.pi * 0.2 * 0.9,
         off_a_cylinder,
     ),
     (
         "capsule",
-        {"shapeType": pybullet.GEOM_CAPSULE, "radius": 0.15, "height": 0.6},
+        {"kind": pybullet.GEOM_CAPSULE, "radius": 0.15, "height": 0.6},
         2 * math.pi * 0.15 * 0.9,
         off_a_capsule,
     ),
@@ -62,9 +62,7 @@ def shapes():
     client = pybullet.connect(pybullet.DIRECT)
     names = {}
     for name, shape, _, _ in SHAPES:
-        number = pybullet.createCollisionShape(**shape, physicsClientId=client)
-        body = pybullet.createMultiBody(1.0, number, -1, PLACE, TURN, physicsClientId=client)
-        names[body] = name
+        names[solid(client, mass=1.0, place=PLACE, turn=TURN, **shape)] = name
     names[solid(client, pybullet.GEOM_PLANE, 0.0)] = "floor"
     with ssduck.Interpreter() as ss:
         ss.add_variable("world", ssduck.World.attach(client, names=names))

@@ -14,7 +14,7 @@ from ssduck.geometry.proofs.footprints import OUTSIDE, OVER, ground_boxes, over_
 from ssduck.geometry.proofs.verdicts import UNDECIDED
 from ssduck.geometry.solids import solid_of
 from ssduck.schema import ID_FACTOR
-from tests.support.bodies import create_linked_body
+from tests.support.bodies import create_linked_body, solid
 from tests.support.cases import sampled
 from tests.support.pairs import geometry
 from tests.support.solids import box as solid_box
@@ -27,35 +27,28 @@ def turned(rng):
     return (quaternion / np.linalg.norm(quaternion)).tolist()
 
 
-def shape(client, kind, rng):
+def shape(kind, rng):
     """A shape of a kind, of random size."""
     a, b, c = rng.uniform(0.05, 0.25, 3).tolist()
     if kind == "hull":
         points = rng.normal(size=(12, 3)) * 0.15
-        return pybullet.createCollisionShape(
-            pybullet.GEOM_MESH, vertices=points.tolist(), physicsClientId=client
-        )
-    made = {
-        "box": {"shapeType": pybullet.GEOM_BOX, "halfExtents": [a, b, c]},
-        "sphere": {"shapeType": pybullet.GEOM_SPHERE, "radius": a},
-        "capsule": {"shapeType": pybullet.GEOM_CAPSULE, "radius": a, "height": b},
-        "cylinder": {"shapeType": pybullet.GEOM_CYLINDER, "radius": a, "height": b},
-        "plane": {"shapeType": pybullet.GEOM_PLANE},
+        return {"kind": pybullet.GEOM_MESH, "vertices": points.tolist()}
+    return {
+        "box": {"kind": pybullet.GEOM_BOX, "halfExtents": [a, b, c]},
+        "sphere": {"kind": pybullet.GEOM_SPHERE, "radius": a},
+        "capsule": {"kind": pybullet.GEOM_CAPSULE, "radius": a, "height": b},
+        "cylinder": {"kind": pybullet.GEOM_CYLINDER, "radius": a, "height": b},
+        "plane": {"kind": pybullet.GEOM_PLANE},
     }[kind]
-    return pybullet.createCollisionShape(**made, physicsClientId=client)
 
 
 def fill(client, kinds, seed, side=1.6):
     """A body of each kind, anywhere in a cube, turned at random."""
     rng = np.random.default_rng(seed)
     for kind in kinds:
-        pybullet.createMultiBody(
-            1,
-            shape(client, kind, rng),
-            basePosition=rng.uniform(0, side, 3).tolist(),
-            baseOrientation=[0, 0, 0, 1] if kind == "plane" else turned(rng),
-            physicsClientId=client,
-        )
+        made, place = shape(kind, rng), rng.uniform(0, side, 3).tolist()
+        turn = [0, 0, 0, 1] if kind == "plane" else turned(rng)
+        solid(client, mass=1, place=place, turn=turn, **made)
 
 
 MIXED = ["box"] * 10 + ["sphere"] * 4 + ["capsule"] * 4 + ["cylinder"] * 4 + ["hull"] * 6
@@ -159,10 +152,7 @@ def found(client):
 
 
 def box(client, place, half, turn=(0, 0, 0, 1)):
-    shape = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=half, physicsClientId=client
-    )
-    pybullet.createMultiBody(1, shape, -1, place, turn, physicsClientId=client)
+    solid(client, pybullet.GEOM_BOX, 1, place, turn, halfExtents=half)
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import SelectScriptError, StateError
+from tests.support.bodies import solid
 from tests.support.cases import sampled
 from tests.support.urdf import box_obj, collision, link, robot
 
@@ -16,23 +17,23 @@ FACES = [0, 1, 3, 0, 3, 2, 4, 7, 5, 4, 6, 7, 0, 5, 1, 0, 4, 5]
 FACES += [2, 3, 7, 2, 7, 6, 0, 2, 6, 0, 6, 4, 1, 5, 7, 1, 7, 3]
 # Of each kind how it is made at a size, and half its height there.
 MADE = {
-    "box": (lambda s: {"shapeType": pybullet.GEOM_BOX, "halfExtents": [s / 2] * 3}, 0.5),
-    "sphere": (lambda s: {"shapeType": pybullet.GEOM_SPHERE, "radius": s / 2}, 0.5),
+    "box": (lambda s: {"kind": pybullet.GEOM_BOX, "halfExtents": [s / 2] * 3}, 0.5),
+    "sphere": (lambda s: {"kind": pybullet.GEOM_SPHERE, "radius": s / 2}, 0.5),
     "cylinder": (
-        lambda s: {"shapeType": pybullet.GEOM_CYLINDER, "radius": s / 2, "height": s},
+        lambda s: {"kind": pybullet.GEOM_CYLINDER, "radius": s / 2, "height": s},
         0.5,
     ),
     "capsule": (
-        lambda s: {"shapeType": pybullet.GEOM_CAPSULE, "radius": s / 2, "height": s / 2},
+        lambda s: {"kind": pybullet.GEOM_CAPSULE, "radius": s / 2, "height": s / 2},
         0.75,
     ),
     "hull": (
-        lambda s: {"shapeType": pybullet.GEOM_MESH, "vertices": CUBE, "meshScale": [s] * 3},
+        lambda s: {"kind": pybullet.GEOM_MESH, "vertices": CUBE, "meshScale": [s] * 3},
         0.5,
     ),
     "hull off its centre": (
         lambda s: {
-            "shapeType": pybullet.GEOM_MESH,
+            "kind": pybullet.GEOM_MESH,
             "vertices": (np.array(CUBE) * s).tolist(),
             "collisionFramePosition": [0, 0, s / 4],
         },
@@ -71,10 +72,7 @@ class Yard:
         if kind in FILES and FILES[kind][0]:
             body = self._load(kind, size, place, mass)
         else:
-            shape = pybullet.createCollisionShape(
-                **self._made(kind, size), physicsClientId=self.client
-            )
-            body = pybullet.createMultiBody(mass, shape, -1, place, physicsClientId=self.client)
+            body = solid(self.client, mass=mass, place=place, **self._made(kind, size))
         if margin is not None:
             pybullet.changeDynamics(body, -1, collisionMargin=margin, physicsClientId=self.client)
         if kind == "height field":
@@ -86,10 +84,10 @@ class Yard:
 
     def _made(self, kind, size):
         if kind == "plane":
-            return {"shapeType": pybullet.GEOM_PLANE}
+            return {"kind": pybullet.GEOM_PLANE}
         if kind == "height field":
             return {
-                "shapeType": pybullet.GEOM_HEIGHTFIELD,
+                "kind": pybullet.GEOM_HEIGHTFIELD,
                 "meshScale": [size / 4, size / 5, 1],
                 "heightfieldData": [0.0] * 30,
                 "numHeightfieldRows": FIELD["rows"],
@@ -97,7 +95,7 @@ class Yard:
             }
         if kind == "made file mesh":
             own = {"fileName": self.cube, "meshScale": [size] * 3}
-            return {"shapeType": pybullet.GEOM_MESH} | own | CONCAVE
+            return {"kind": pybullet.GEOM_MESH} | own | CONCAVE
         if kind.startswith("made mesh"):
             hull = kind.replace("made mesh", "hull")
             return MADE[hull][0](size) | {"indices": FACES} | CONCAVE

@@ -6,6 +6,7 @@ import pytest
 
 import ssduck
 from ssduck.geometry.poses import compose, cross, multiply, rotate, rotation_matrices
+from tests.support.bodies import solid
 from tests.support.urdf import box_obj, collision, joint, link, robot
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*PyBullet does not give back")
@@ -31,23 +32,21 @@ def heap(client, write):
         joint("turn", "revolute", "base", "arm", xyz=(0.3, 0, 0.1), rpy=(0.5, 0, 0), limit=limit),
     )
     kinds = [
-        {"shapeType": pybullet.GEOM_BOX, "halfExtents": [0.2, 0.1, 0.15]},
-        {"shapeType": pybullet.GEOM_SPHERE, "radius": 0.15},
-        {"shapeType": pybullet.GEOM_CYLINDER, "radius": 0.15, "height": 0.3},
-        {"shapeType": pybullet.GEOM_CAPSULE, "radius": 0.1, "height": 0.3},
-        {"shapeType": pybullet.GEOM_MESH, "vertices": random.normal(size=(9, 3)) * 0.15},
+        {"kind": pybullet.GEOM_BOX, "halfExtents": [0.2, 0.1, 0.15]},
+        {"kind": pybullet.GEOM_SPHERE, "radius": 0.15},
+        {"kind": pybullet.GEOM_CYLINDER, "radius": 0.15, "height": 0.3},
+        {"kind": pybullet.GEOM_CAPSULE, "radius": 0.1, "height": 0.3},
+        {"kind": pybullet.GEOM_MESH, "vertices": random.normal(size=(9, 3)) * 0.15},
     ]
-    names = {pybullet.createMultiBody(0, pybullet.createCollisionShape(
-        pybullet.GEOM_PLANE, **own), **own): "ground"}  # fmt: skip
+    names = {solid(client, pybullet.GEOM_PLANE): "ground"}
 
     def turned():
         turn = random.normal(size=4)
         return (turn / np.linalg.norm(turn)).tolist()
 
     for n, kind in enumerate(kinds * 2):
-        shape = pybullet.createCollisionShape(**kind, **own)
         place = (*random.uniform(-0.2, 0.2, 2), 0.3 + 0.25 * n)
-        names[pybullet.createMultiBody(1, shape, -1, place, turned(), **own)] = f"e{n}"
+        names[solid(client, mass=1, place=place, turn=turned(), **kind)] = f"e{n}"
     for name, text in (("ring", robot(link("ring", shapes=ring))), ("arm", arm)):
         path = write(f"{name}.urdf", text)
         body = pybullet.loadURDF(str(path), (0, 0, 3.0 + len(names) / 9), turned(), **own)

@@ -8,6 +8,7 @@ import pytest
 import ssduck
 from ssduck.errors import EvaluationError, UnsupportedError
 from ssduck.schema import RECORDABLE
+from tests.support.bodies import solid
 from tools import replay
 
 
@@ -107,11 +108,9 @@ def outcome(ss, program):
 
 @pytest.mark.slow
 def test_programs_of_two_ticks_end_alike_live_and_opened(tmp_path, client):
-    box = {"halfExtents": [0.5, 0.5, 0.1], "physicsClientId": client}
-    shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, **box)
     pybullet.setGravity(0, 0, -9.81, client)
     bodies = [
-        pybullet.createMultiBody(mass, shape, basePosition=[0, 0, z], physicsClientId=client)
+        solid(client, pybullet.GEOM_BOX, mass, [0, 0, z], halfExtents=[0.5, 0.5, 0.1])
         for mass, z in ((0, 0.0), (1, 0.3), (1, 0.8))
     ]
     names = dict(zip(bodies, ("board", "low", "high"), strict=True))

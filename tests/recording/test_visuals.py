@@ -9,6 +9,7 @@ from ssduck.simulators.backends import drawn_shapes
 from ssduck.simulators.scenes import Camera
 from ssduck.world.pictures import framing_camera
 from ssduck.world.world import World
+from tests.support.bodies import solid
 
 
 def drawn(world):
@@ -57,10 +58,7 @@ def test_a_record_has_what_was_drawn(kitchen, name):
 
 @pytest.mark.slow
 def test_a_colour_that_is_not_finite_is_none(client, tmp_path):
-    shape = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
-    )
-    body = pybullet.createMultiBody(1, shape, physicsClientId=client)
+    body = solid(client, pybullet.GEOM_BOX, 1, halfExtents=[0.1] * 3)
     pybullet.changeVisualShape(body, -1, rgbaColor=(np.nan, 0, 0, 1), physicsClientId=client)
     with ssduck.Interpreter(tmp_path / "run.duckdb") as ss:
         ss.add_variable("lab", ssduck.World.attach(client, names={body: "box"}))

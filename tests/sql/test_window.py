@@ -18,6 +18,7 @@ from ssduck.recording.stores.history_sql import near_pair_rows
 from ssduck.recording.stores.memory import _near_pair
 from ssduck.schema import POSE
 from ssduck.sql.relations.relation import BOX
+from tests.support.bodies import solid
 from tests.support.cases import sampled
 
 
@@ -26,16 +27,9 @@ def comings():
     """A ball that falls past a board; another one that is there from the 20th to the 40th tick."""
     client = pybullet.connect(pybullet.DIRECT)
     pybullet.setGravity(0, 0, -9.81, client)
-    shape = {
-        "board": {"shapeType": pybullet.GEOM_BOX, "halfExtents": [0.5, 0.5, 0.05]},
-        "ball": {"shapeType": pybullet.GEOM_SPHERE, "radius": 0.1},
-    }
-
-    def body(kind, mass, place):
-        made = pybullet.createCollisionShape(**shape[kind], physicsClientId=client)
-        return int(pybullet.createMultiBody(mass, made, basePosition=place, physicsClientId=client))
-
-    names = {body("board", 0, [0, 0, 0.5]): "board", body("ball", 1, [0.7, 0, 0.8]): "ball"}
+    board = solid(client, pybullet.GEOM_BOX, 0, [0, 0, 0.5], halfExtents=[0.5, 0.5, 0.05])
+    ball = solid(client, pybullet.GEOM_SPHERE, 1, [0.7, 0, 0.8], radius=0.1)
+    names = {board: "board", ball: "ball"}
     world = ssduck.World.attach(client, names=names)
     with ssduck.Interpreter() as ss:
         ss.add_variable("lab", world)
@@ -43,7 +37,7 @@ def comings():
             ss.add_variable(name, world[name])
         for tick in range(60):
             if tick == 20:
-                guest = body("ball", 0, [0.75, 0.1, 0.6])
+                guest = solid(client, pybullet.GEOM_SPHERE, 0, [0.75, 0.1, 0.6], radius=0.1)
                 world.tick()
                 ss.add_variable("guest", next(e for e in world if e.name not in names.values()))
             if tick == 40:

@@ -36,7 +36,7 @@ def client_of(world):
     return world.simulator.client
 
 
-def solid(client, kind, mass=0.0, place=(0.0, 0.0, 0.0), **size):
+def solid(client, kind, mass=0.0, place=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0, 1.0), **size):
     """Creates a body of one shape, of PyBullet's kind and sizes; returns its number."""
     shape = pybullet.createCollisionShape(kind, physicsClientId=client, **size)
-    return pybullet.createMultiBody(mass, shape, -1, place, physicsClientId=client)
+    return pybullet.createMultiBody(mass, shape, -1, place, turn, physicsClientId=client)

@@ -5,6 +5,7 @@ import pytest
 
 import ssduck
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
+from tests.support.bodies import solid
 
 pybullet = pytest.importorskip("pybullet")
 
@@ -31,8 +32,7 @@ class Boxes:
         self.ss.add_variable("sim", self.world)
 
     def add(self, kind, position, mass=0.0, **size):
-        shape = pybullet.createCollisionShape(kind, physicsClientId=self.client, **size)
-        pybullet.createMultiBody(mass, shape, basePosition=position, physicsClientId=self.client)
+        solid(self.client, kind, mass, position, **size)
 
     def __enter__(self):
         return self

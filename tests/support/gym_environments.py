@@ -4,6 +4,7 @@ import gymnasium
 import numpy as np
 import pytest
 
+from tests.support.bodies import solid
 from tests.support.of_model import OfModel
 
 pybullet = pytest.importorskip("pybullet")
@@ -78,12 +79,7 @@ class Drop(gymnasium.Env):
         pybullet.resetSimulation(physicsClientId=client)
         pybullet.setGravity(0, 0, -9.81, client)
         for mass, half, height in ((0, (5, 5, 0.5), -0.5), (1, (0.1, 0.1, 0.1), 0.5)):
-            shape = pybullet.createCollisionShape(
-                pybullet.GEOM_BOX, halfExtents=half, physicsClientId=client
-            )
-            self.cube = pybullet.createMultiBody(
-                mass, shape, basePosition=(0, 0, height), physicsClientId=client
-            )
+            self.cube = solid(client, pybullet.GEOM_BOX, mass, (0, 0, height), halfExtents=half)
         return self._observation(), {}
 
     def _observation(self):

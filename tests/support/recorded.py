@@ -11,7 +11,7 @@ import pytest
 import ssduck
 from ssduck import Recording
 from ssduck.schema import RECORDABLE
-from tests.support.bodies import create_linked_body
+from tests.support.bodies import create_linked_body, solid
 
 pybullet = pytest.importorskip("pybullet")
 
@@ -50,20 +50,16 @@ def nobody():
 
 def sphere(client, place, radius=0.1):
     """A ball that falls; its number."""
-    shape = pybullet.createCollisionShape(
-        pybullet.GEOM_SPHERE, radius=radius, physicsClientId=client
-    )
-    return pybullet.createMultiBody(1, shape, basePosition=place, physicsClientId=client)
+    return solid(client, pybullet.GEOM_SPHERE, 1, place, radius=radius)
 
 
 def lively(client, names=()):
     """A world of a board, balls that fall on it and an arm of two links; it changes on its way."""
     pybullet.setGravity(0, 0, -9.81, client)
     box = {"physicsClientId": client}
-    board = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[2, 2, 0.05], **box)
     arm = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.05, 0.05, 0.3], **box)
     bodies = {
-        "board": pybullet.createMultiBody(0, board, basePosition=[0, 0, -0.05], **box),
+        "board": solid(client, pybullet.GEOM_BOX, 0, [0, 0, -0.05], halfExtents=[2, 2, 0.05]),
         "ball": sphere(client, [0.5, 0, 0.3]),
         "other": sphere(client, [-0.5, 0, 0.2]),
         "arm": create_linked_body(

@@ -3,6 +3,7 @@
 import pytest
 
 import ssduck
+from tests.support.bodies import solid
 
 pybullet = pytest.importorskip("pybullet")
 
@@ -18,10 +19,7 @@ class Stage:
         self.interpreters_to_close = []
 
     def add(self, name, kind, position=(0, 0, 0), turn=(0, 0, 0, 1), mass=0.0, **size):
-        shape = pybullet.createCollisionShape(kind, physicsClientId=self.client, **size)
-        body = pybullet.createMultiBody(
-            mass, shape, basePosition=position, baseOrientation=turn, physicsClientId=self.client
-        )
+        body = solid(self.client, kind, mass, position, turn, **size)
         self.names[body] = name
         return body
 

@@ -5,6 +5,7 @@ import time
 import pytest
 
 import ssduck
+from tests.support.bodies import solid
 from tests.support.timing import HANGS
 
 pybullet = pytest.importorskip("pybullet")
@@ -13,8 +14,7 @@ pybullet = pytest.importorskip("pybullet")
 def falling(client, height=10.0):
     """A ball that falls; nothing below it."""
     pybullet.setGravity(0, 0, -10, physicsClientId=client)
-    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
-    ball = pybullet.createMultiBody(1, shape, basePosition=[0, 0, height], physicsClientId=client)
+    ball = solid(client, pybullet.GEOM_SPHERE, 1, [0, 0, height], radius=0.1)
     return ssduck.World.attach(client, names={ball: "ball"})
 
 

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
 from tests.support import pairs
+from tests.support.bodies import solid
 from tests.support.cases import sampled
 from tests.support.narrow_cases import ORIGIN, OVER, floor, shape, two
 from tests.support.pairs import Shape, ell
@@ -111,13 +112,9 @@ def test_gaps_agree_with_pybullet(client, kinds):
         a, b, _ = one.geometry.size
         halves = [length / 2 for length in one.geometry.size]
         number = getattr(pybullet, f"GEOM_{one.kind.upper()}")
-        made = pybullet.createCollisionShape(
-            number, radius=a, height=b, halfExtents=halves, physicsClientId=client
-        )
         turn = np.roll(one.quaternion, -1)
-        return pybullet.createMultiBody(
-            0, made, basePosition=one.position, baseOrientation=turn, physicsClientId=client
-        )
+        size = {"radius": a, "height": b, "halfExtents": halves}
+        return solid(client, number, 0, one.position, turn, **size)
 
     random = np.random.default_rng(1)
     compared = 0

@@ -69,16 +69,15 @@ def heap(tmp_path_factory):
         (folder / f"{name}.urdf").write_text(text)
         names[pybullet.loadURDF(str(folder / f"{name}.urdf"), (0, 0, height), **own)] = name
     kinds = {
-        "box": {"shapeType": pybullet.GEOM_BOX, "halfExtents": [0.06, 0.05, 0.04]},
-        "ball": {"shapeType": pybullet.GEOM_SPHERE, "radius": 0.06},
-        "can": {"shapeType": pybullet.GEOM_CYLINDER, "radius": 0.05, "height": 0.1},
-        "pill": {"shapeType": pybullet.GEOM_CAPSULE, "radius": 0.04, "height": 0.1},
-        "stone": {"shapeType": pybullet.GEOM_MESH, "vertices": chance.normal(size=(9, 3)) * 0.05},
+        "box": {"kind": pybullet.GEOM_BOX, "halfExtents": [0.06, 0.05, 0.04]},
+        "ball": {"kind": pybullet.GEOM_SPHERE, "radius": 0.06},
+        "can": {"kind": pybullet.GEOM_CYLINDER, "radius": 0.05, "height": 0.1},
+        "pill": {"kind": pybullet.GEOM_CAPSULE, "radius": 0.04, "height": 0.1},
+        "stone": {"kind": pybullet.GEOM_MESH, "vertices": chance.normal(size=(9, 3)) * 0.05},
     }
     for n, (name, kind) in enumerate(kinds.items()):
-        shape = pybullet.createCollisionShape(**kind, **own)
         place = (*chance.uniform(-0.25, 0.25, 2), 0.55 + 0.12 * n)
-        names[pybullet.createMultiBody(1, shape, -1, place, **own)] = name
+        names[solid(client, mass=1, place=place, **kind)] = name
     world = ssduck.World.attach(client, names=names)
     with ssduck.Interpreter(recording=ssduck.Recording(every=40)) as ss:
         ss.add_variable("sim", world)
@@ -141,18 +140,9 @@ def test_all_ticks_together_have_the_answers_of_each_tick(heap, kind):
 def test_each_tick_has_the_answers_that_it_had_live(client):
     own = {"physicsClientId": client}
     pybullet.setGravity(0, 0, -9.81, **own)
-    names = {}
-    for n, (name, shape) in enumerate(
-        {
-            "board": pybullet.createCollisionShape(
-                pybullet.GEOM_BOX, halfExtents=[0.5, 0.5, 0.05], **own
-            ),
-            "can": pybullet.createCollisionShape(
-                pybullet.GEOM_CYLINDER, radius=0.1, height=0.2, **own
-            ),
-        }.items()
-    ):
-        names[pybullet.createMultiBody(n, shape, -1, (0, 0, 0.3 * n), **own)] = name
+    board = solid(client, pybullet.GEOM_BOX, 0, halfExtents=[0.5, 0.5, 0.05])
+    can = solid(client, pybullet.GEOM_CYLINDER, 1, (0, 0, 0.3), radius=0.1, height=0.2)
+    names = {board: "board", can: "can"}
     world = ssduck.World.attach(client, names=names)
     asked = ("clearance(board, can)", "clearance(can, board)", "penetration(can, board)")
     asked = (*asked, "on(board, can)", "supports(board, can)", "restsOn(board, can)")
