@@ -333,6 +333,15 @@ def test_a_picture_highlights_what_is_selected(kitchen, robots, program, languag
 
 
 @pytest.mark.slow
+def test_a_picture_of_a_why_highlights_what_its_parts_are_of(kitchen):
+    """The query has no row; its parts are of the can, which is named, and of the table."""
+    why = "WHY SELECT obj FROM kitchen WHERE id = 'can' AND near(kitchen.table, this, 0.1);"
+    picture = np.asarray(picture_of(create_server(kitchen), why))
+    both = "SELECT obj FROM kitchen WHERE id IN ['can', 'table'] AS image(240, 180);"
+    assert np.array_equal(picture, np.asarray(kitchen.eval(both)))
+
+
+@pytest.mark.slow
 def test_a_result_that_is_a_picture_is_returned(kitchen):
     program = "SELECT obj FROM kitchen AS occupancygrid(0.24, 0.1);"
     expected = kitchen.eval(program)._repr_png_()
