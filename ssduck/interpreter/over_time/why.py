@@ -6,8 +6,9 @@ Of a nested query it is the row that holds best, or comes nearest, that tells wh
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial, reduce
 from itertools import zip_longest
 from typing import Any
 
@@ -207,7 +208,7 @@ class Explainer:
         if unfit := _unfit(query, is_member=member is not None):
             return replace(whole, detail=f"WHY tells no more, as the SELECT has {unfit}")
         resolved, _ = self.resolved(query, self.frame)
-        row = self._nearest_row(resolved, member)
+        row = self._nearest_row(resolved, member, holds=whole.value is True)
         if row is None:
             is_lacking = "" if member is None else f" is {on_one_line(self._value(member))}"
             return replace(whole, detail=f"no row of FROM{is_lacking}")
@@ -220,7 +221,9 @@ class Explainer:
         details = [*names, *filter(None, [part.detail])]
         return replace(whole, parts=(replace(part, detail="; ".join(details)),))
 
-    def _nearest_row(self, resolved: ResolvedQuery, member: Node | None) -> Explainer | None:
+    def _nearest_row(
+        self, resolved: ResolvedQuery, member: Node | None, *, holds: bool
+    ) -> Explainer | None:
         """Returns what explains in the row that holds best, or comes nearest; None of no rows.
 
         Of rows that fail, these are the ones with the fewest failing conditions without a margin,
@@ -229,23 +232,30 @@ class Explainer:
         """
         query, frame = resolved.query, self.frame
         span, names = query.span, aliases_of(query)
-        where = None
+        wanted: list[Node] = []
         if member is not None:
             members = {**frame.placeholders, "member": self._value(member)}
             frame = replace(frame, placeholders=members)
             one = ListLiteral(span, (Placeholder(span, "member"),))
-            where = Binary(span, "IN", resolved.columns[0].node, one)
+            wanted.append(Binary(span, "IN", resolved.columns[0].node, one))
         elements = [This(span, name if len(names) > 1 else None) for name in names]
         conditions = list(conjuncts(query.where))
 
-        def rows(*parts: Node) -> list[list[Any]]:
+        # One row in which these hold is nearer than all in which one does not; distances between
+        # the others need not be known.
+        sure = [part for part in conditions if holds or _is_of_truth(margin_of(part))]
+
+        def rows(*parts: Node, kept: Sequence[Node] = ()) -> list[list[Any]]:
             values = enumerate([*elements, *parts])
             items = [Call(span, "to", (item, Literal(span, str(n))), span) for n, item in values]
+            filters = [*wanted, *kept]
+            where = reduce(partial(Binary, span, "AND"), filters) if filters else None
             plain = Query(span, tuple(items), query.sources, where)
             return [list(row.values()) for row in frame.value(plain)]
 
         try:
-            found = rows(*conditions, *map(margin_of, conditions))
+            parts = [*conditions, *map(margin_of, conditions)]
+            found = (sure and rows(*parts, kept=sure)) or rows(*parts)
         except LimitError:
             raise
         except SelectScriptError:  # one compares no numbers, or is wrong where another fails
@@ -444,6 +454,8 @@ def _nearness(values: list[Any], margins: list[float | None]) -> tuple[bool, int
 
 def _is_of_truth(margin: Node) -> bool:
     """Checks whether a margin is no number: more or less than any."""
+    while isinstance(margin, Unary):
+        margin = margin.operand
     return isinstance(margin, Call) and margin.name == MARGIN_OF_TRUTH
 
 
