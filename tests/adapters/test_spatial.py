@@ -13,7 +13,7 @@ from ssduck.adapters.marks import OUTLINE, Marks
 from ssduck.errors import ArgumentError, LimitError, ProgramWarning, UnknownNameError
 from ssduck.schema import LINK_FACTOR
 from ssduck.simulators.scenes import Camera
-from tests.support.bodies import solid
+from tests.support.bodies import create_linked_body, solid
 
 TURN = pybullet.getQuaternionFromEuler([0.3, -0.7, 1.1])
 PLACE = [0.5, -0.25, 1.0]
@@ -281,23 +281,13 @@ def test_segmentation_is_by_ids(ss):
 def row():
     """A base and two links side by side, with y to the right of the picture, and a ball above."""
     client = pybullet.connect(pybullet.DIRECT)
-    box, ball = (
-        pybullet.createCollisionShape(kind, **size, physicsClientId=client)
-        for kind, size in (
-            (pybullet.GEOM_BOX, {"halfExtents": [0.2] * 3}),
-            (pybullet.GEOM_SPHERE, {"radius": 0.2}),
-        )
+    box = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[0.2] * 3, physicsClientId=client
     )
-    three = pybullet.createMultiBody(
-        0, box, -1, [0, -1, 0],
-        linkMasses=[1, 1], linkCollisionShapeIndices=[box, box], linkVisualShapeIndices=[-1, -1],
-        linkPositions=[[0, 1, 0], [0, 1, 0]], linkOrientations=[[0, 0, 0, 1]] * 2,
-        linkInertialFramePositions=[[0] * 3] * 2,
-        linkInertialFrameOrientations=[[0, 0, 0, 1]] * 2,
-        linkParentIndices=[0, 1], linkJointTypes=[pybullet.JOINT_FIXED] * 2,
-        linkJointAxis=[[0, 0, 1]] * 2, physicsClientId=client,
-    )  # fmt: skip
-    above = pybullet.createMultiBody(0, ball, -1, [0, 0, 1], physicsClientId=client)
+    three = create_linked_body(
+        client, 0, box, basePosition=[0, -1, 0], linkPositions=[[0, 1, 0], [0, 1, 0]]
+    )
+    above = solid(client, pybullet.GEOM_SPHERE, 0, [0, 0, 1], radius=0.2)
     with ssduck.Interpreter(recording=None) as ss:
         world = ssduck.World.attach(client, names={three: "three", above: "ball"})
         world.camera = Camera(eye=(4.0, 0.0, 0.0), target=(0.0, 0.0, 0.0), fov=50.0)

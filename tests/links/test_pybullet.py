@@ -9,6 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import ssduck
+from tests.support.bodies import create_linked_body
 from tests.support.cases import sampled
 from tests.support.cell import STEPS
 
@@ -124,14 +125,15 @@ def chain():
         pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half, physicsClientId=client)
         for half in ([0.2, 0.1, 0.1], [0.1, 0.3, 0.05], [0.05, 0.05, 0.4], [0.15, 0.15, 0.15])
     ]
-    body = pybullet.createMultiBody(
-        1, shapes[0], linkMasses=[1, 1], linkCollisionShapeIndices=shapes[1:3],
-        linkVisualShapeIndices=[-1, -1], linkPositions=[[0.5, 0, 0], [0, 0.6, 0]],
-        linkOrientations=[[0, 0, 0, 1]] * 2, linkInertialFramePositions=[[0, 0, 0]] * 2,
-        linkInertialFrameOrientations=[[0, 0, 0, 1]] * 2, linkParentIndices=[0, 1],
-        linkJointTypes=[pybullet.JOINT_REVOLUTE] * 2, linkJointAxis=[[0, 0, 1], [1, 0, 0]],
-        physicsClientId=client,
-    )  # fmt: skip
+    body = create_linked_body(
+        client,
+        1,
+        shapes[0],
+        linkCollisionShapeIndices=shapes[1:3],
+        linkPositions=[[0.5, 0, 0], [0, 0.6, 0]],
+        linkJointTypes=[pybullet.JOINT_REVOLUTE] * 2,
+        linkJointAxis=[[0, 0, 1], [1, 0, 0]],
+    )
     box = pybullet.createMultiBody(1, shapes[3], physicsClientId=client)
     world = ssduck.World.attach(client, names={body: "chain", box: "box"})
     with ssduck.Interpreter(recording=None) as ss:

@@ -23,6 +23,7 @@ from ssduck.simulators.pybullet.bodies import describe
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.scenes import find_scene
 from tests.support.arm import ARM, HIGH, LOW, POSE, TWIST, unsettle
+from tests.support.bodies import create_linked_body
 from tests.support.cases import sampled
 from tests.support.spy import Spy
 from tests.support.stage import Stage
@@ -237,20 +238,16 @@ def test_axes_of_any_length(client, axis):
     shape = pybullet.createCollisionShape(
         pybullet.GEOM_BOX, halfExtents=[0.1, 0.2, 0.3], physicsClientId=client
     )
-    pybullet.createMultiBody(
+    create_linked_body(
+        client,
         1,
         shape,
-        linkMasses=[1, 1],
-        linkCollisionShapeIndices=[shape] * 2,
-        linkVisualShapeIndices=[-1] * 2,
         linkPositions=[[0.1, 0.2, 0.3]] * 2,
         linkOrientations=[[0.1, 0.1, 0.7, 0.7]] * 2,
         linkInertialFramePositions=[[0.1, 0, 0.2]] * 2,
         linkInertialFrameOrientations=[[0, 0.6, 0, 0.8]] * 2,
-        linkParentIndices=[0, 1],
         linkJointTypes=[pybullet.JOINT_PRISMATIC, pybullet.JOINT_REVOLUTE],
         linkJointAxis=[axis] * 2,
-        physicsClientId=client,
     )
     world = ssduck.World.attach(client)
     (body,) = world
