@@ -126,9 +126,7 @@ CALLS = {
     "World.segmentation(height)": ("pixels", False, lambda t, v: t.sim.segmentation(2, v)),
     "World.segmentation(links)": ("flag", False, lambda t, v: t.sim.segmentation(2, 2, links=v)),
     "World.entity(id)": ("id", False, lambda t, v: t.sim.entity(v)),
-    "World.what_if(poses)": (
-        "pose", False, lambda t, v: t.sim.what_if({"ball": v})
-    ),
+    "World.what_if(poses)": ("pose", False, lambda t, v: t.sim.what_if({"ball": v})),
     "World.what_if(joints)": ("joints", False, lambda t, v: t.sim.what_if(joints={"arm": v})),
     "World.add_sensor(position)": (
         "place", False, lambda t, v: t.sim.remove_sensor(_eye(t, position=v))
@@ -141,24 +139,16 @@ CALLS = {
         "setting", False, lambda t, v: t.sim.remove_sensor(_eye(t, max_range=v))
     ),
     "World.CloneSelf(options)": ("count", False, lambda t, v: t.sim.CloneSelf(v).close()),
-    "World.attach(names)": (
-        "text", True, lambda t, v: ssduck.World.attach(t.client, names={0: v})
-    ),
-    "World.attach(kinds)": (
-        "text", True, lambda t, v: ssduck.World.attach(t.client, kinds={0: v})
-    ),
+    "World.attach(names)": ("text", True, lambda t, v: ssduck.World.attach(t.client, names={0: v})),
+    "World.attach(kinds)": ("text", True, lambda t, v: ssduck.World.attach(t.client, kinds={0: v})),
     "Entity.move(position)": ("place", True, lambda t, v: t.ball.move(v)),
-    "Entity.move(orientation)": (
-        "turn", True, lambda t, v: t.ball.move(orientation=v)
-    ),
+    "Entity.move(orientation)": ("turn", True, lambda t, v: t.ball.move(orientation=v)),
     "Entity.move(wxyz)": ("turn", True, lambda t, v: t.ball.move(wxyz=v)),
     "Entity.move(xyzw)": ("turn", True, lambda t, v: t.ball.move(xyzw=v)),
     "Entity.move(joints)": ("joints", True, lambda t, v: t.arm.move(joints=v)),
     "Entity.drive(positions)": ("joints", True, lambda t, v: t.arm.drive(v)),
     "Entity.drive(velocities)": ("by joint", True, lambda t, v: t.arm.drive(velocities=v)),
-    "Entity.drive(efforts)": (
-        "by joint", True, lambda t, v: t.arm.drive({"slide": 0}, efforts=v)
-    ),
+    "Entity.drive(efforts)": ("by joint", True, lambda t, v: t.arm.drive({"slide": 0}, efforts=v)),
     "Entity.hold(touching)": ("one", False, lambda t, v: t.held(v)),
     "Entity.enabled": ("flag", False, lambda t, v: setattr(t.ball, "enabled", v)),
     "Entity.visible": ("flag", False, lambda t, v: setattr(t.ball, "visible", v)),
@@ -168,16 +158,12 @@ CALLS = {
     "Entity.SetDOFValues(dofindices)": (
         "index", False, lambda t, v: t.arm.SetDOFValues([0.1], [v])
     ),
-    "Entity.SetTransform(transform)": (
-        "pose", False, lambda t, v: t.ball.SetTransform(v)
-    ),
+    "Entity.SetTransform(transform)": ("pose", False, lambda t, v: t.ball.SetTransform(v)),
     "Sensor.power(on)": ("flag", False, lambda t, v: t.eye.power(v)),
     "Interpreter(row_by_row)": (
         "flag", False, lambda _, v: ssduck.Interpreter(row_by_row=v).close()
     ),
-    "Interpreter(strict)": (
-        "flag", False, lambda _, v: ssduck.Interpreter(strict=v).close()
-    ),
+    "Interpreter(strict)": ("flag", False, lambda _, v: ssduck.Interpreter(strict=v).close()),
     "Interpreter.strict": ("flag", False, lambda t, v: setattr(t.ss, "strict", v)),
     "Interpreter.run(seconds)": ("seconds", False, lambda t, v: t.ss.run(v)),
     "Interpreter.run(realtime)": ("speed", False, lambda t, v: t.ss.run(0, realtime=v)),

@@ -128,17 +128,6 @@ def test_what_if_is_moving_the_body_and_asking_again_in_the_kitchen(kitchen, dat
     assert_same(told(maybe), guess)
 
 
-@pytest.mark.slow
-def test_each_entity_of_the_kitchen_by_itself(kitchen):
-    for name in [entity.name for entity in kitchen if entity.kind != "sensor"]:
-        pose = kitchen[name].pose
-        there = [0.1, -0.7, 0.5, 0.5, -1.0, 4.0, 2.0]
-        guess = told(kitchen.what_if({name: there}))
-        move(kitchen, {name: there}, {})
-        assert_same(guess, told(kitchen))
-        move(kitchen, {name: pose}, {})
-
-
 LIMIT = '<limit lower="-1.5" upper="2" effort="5" velocity="2"/>'
 TYPES = ("revolute", "prismatic", "continuous", "fixed", "spherical")
 
