@@ -117,16 +117,6 @@ def test_it_is_one_query(kitchen):
 
 
 @pytest.mark.slow
-def test_row_by_row_is_the_same(kitchen):
-    with ssduck.Interpreter(row_by_row=True) as ss:
-        ss.add_variable("kitchen", kitchen.call_variable("kitchen"))
-        few = QUERY.replace("WHERE", "WHERE a.this == table AND")
-        for each in (ss, kitchen):
-            each.eval("table = SELECT obj FROM kitchen WHERE id(this) == 'table' AS value;")
-        assert ss.eval(few) == kitchen.eval(few) != []
-
-
-@pytest.mark.slow
 @needs_swipl
 def test_swi_prolog_answers_as_printed(kitchen, tmp_path):
     clauses = kitchen.eval(QUERY)

@@ -4,7 +4,6 @@ import csv
 import io
 import json
 import sys
-import warnings
 
 import pytest
 
@@ -13,6 +12,7 @@ from ssduck.adapters.formats import FORMATS, print_value, text_of
 from ssduck.adapters.result import TableView
 from ssduck.errors import ArgumentError, ProgramWarning, UnknownNameError, warn
 from tests.support.stage import Stage
+from tests.support.warned import told
 
 HOSTILE = "cup\x1b[2J\x9b31m\u202e\r"
 ESCAPED = "cup\\u001b[2J\\u009b31m\\u202e\\u000d"
@@ -34,10 +34,7 @@ def test_errors(error):
 
 
 def test_warnings():
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        warn(f"no {HOSTILE}", ProgramWarning)
-    assert str(caught[0].message) == f"no {ESCAPED}"
+    assert told(warn, f"no {HOSTILE}", ProgramWarning) == [f"no {ESCAPED}"]
 
 
 def test_a_scene_and_a_record(tmp_path):
