@@ -1,4 +1,4 @@
-"""Writes the records that `tests/recording/test_opening.py` opens.
+"""Writes the records that `tests/recording/test_stored_records.py` opens.
 
 `python -m tools.write_records FILE.tar.xz` records a small world in a folder and in a DuckDB file,
 and copies the folder while its last rows are still in the log. What PyBullet itself says of each

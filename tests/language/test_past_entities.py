@@ -4,12 +4,13 @@ import math
 import warnings
 from itertools import pairwise
 
+import mujoco
+import numpy as np
 import pytest
 
 import ssduck
 from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError
-
-mujoco = pytest.importorskip("mujoco")
+from ssduck.interpreter.over_time import evaluator
 
 XML = """
 <mujoco>
@@ -305,3 +306,113 @@ def test_dropped_ticks_are_told_of_once_where_they_are_asked_for(program, is_mor
     assert len(messages) == is_more
     assert all(f"the past begins at {first:g} s" in message for message in messages)
     assert all("ss.record('sim', ssduck.Recording(seconds=0.1))" in m for m in messages)
+
+
+# -- rows: functions of time of all entities are read at once, with the same values ---------------
+
+COUNT, TICKS = 12, 20
+BODIES = "".join(
+    f'<body name="b{n}" pos="{n} 0 {1 + n / 8}"><freejoint/><geom size=".05" mass="1"/></body>'
+    for n in range(COUNT)
+)
+MANY = f"""
+<mujoco>
+  <option timestep="0.01"/>
+  <worldbody>
+    <body name="arm" pos="0 3 1"><joint name="hinge" axis="0 1 0"/><geom pos=".2 0 0" size=".05"/></body>
+    <body name="leg" pos="0 5 1"><joint name="hip" axis="0 1 0"/><geom pos=".2 0 0" size=".05"/></body>
+    {BODIES}
+  </worldbody>
+</mujoco>
+"""
+
+
+class ManyFall:
+    """Bodies that fall with speeds of their own, and their heights at each tick by MuJoCo."""
+
+    def __init__(self):
+        self.model = mujoco.MjModel.from_xml_string(MANY)
+        data = mujoco.MjData(self.model)
+        data.qvel[2:] = np.linspace(-1, 3, self.model.nv - 2)
+        mujoco.mj_forward(self.model, data)
+        tables = ssduck.Recording(tables=("entities", "links", "joints"))
+        self.ss = ssduck.Interpreter(recording=tables)
+        world = self.ss.add_variable("sim", ssduck.World.attach(self.model, data))
+        self.z, self.hip = [data.xpos[1:, 2].copy()], [float(data.qpos[1])]
+        for _ in range(TICKS):
+            mujoco.mj_step(self.model, data)
+            mujoco.mj_forward(self.model, data)
+            world.tick()
+            self.z.append(data.xpos[1:, 2].copy())
+            self.hip.append(float(data.qpos[1]))
+
+
+@pytest.fixture(scope="module")
+def many():
+    result = ManyFall()
+    with result.ss:
+        yield result
+
+
+def before(many, steps):
+    """How much each body has risen since so many steps ago, m."""
+    return many.z[-1] - many.z[-1 - steps]
+
+
+VALUES = [
+    ("z(this) - previous(z(this))", lambda many: before(many, 1)),
+    ("rate(z(this))", lambda many: before(many, 1) / 0.01),
+    ("z(this) - initially(z(this))", lambda many: before(many, TICKS)),
+    ("z(this) - at(0.15, z(this))", lambda many: before(many, 5)),
+    ("greatest(z(this))[1]", lambda many: np.max(many.z, axis=0)),
+    ("initially(distance(this, sim.b3))", None),
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("column", "expected"), VALUES)
+@pytest.mark.parametrize("most", [0, evaluator.MOST_ROWS], ids=["each", "all"])
+def test_the_values_are_those_of_each_entity(many, monkeypatch, most, column, expected):
+    monkeypatch.setattr(evaluator, "MOST_ROWS", most)
+    values = many.ss.eval(f"SELECT {column} FROM sim AS list;")
+    if expected is None:
+        places = many.ss.eval("SELECT position(this) AS p FROM sim{0.0};")
+        places = np.array([row["p"] for row in places])
+        other = places[2 + 3]
+        assert values == pytest.approx(np.linalg.norm(places - other, axis=1), abs=1e-12)
+    else:
+        assert values == pytest.approx(expected(many), abs=1e-9)
+
+
+@pytest.mark.slow
+def test_an_expression_that_fails_for_others_is_read_for_each(many):
+    """Only the two of the condition have joints, and each has another one."""
+    rows = many.ss.eval(
+        "SELECT id, initially(joint(this, IF(id == 'arm'; 'hinge'; 'hip'))) AS q FROM sim "
+        "WHERE id IN ['arm', 'leg'];"
+    )
+    assert [row["q"] for row in rows] == pytest.approx([0.0, many.hip[0]])
+    moved = "SELECT joint(this, 'hip') - initially(joint(this, 'hip')) FROM {} AS list;"
+    of_two = moved.format("[sim.leg, sim.leg]")
+    assert many.ss.eval(of_two) == pytest.approx([many.hip[-1] - many.hip[0]] * 2)
+
+
+@pytest.mark.slow
+def test_an_entity_that_came_later_has_no_value(client):
+    pybullet = pytest.importorskip("pybullet")
+    from tests.support.bodies import solid
+
+    def made(z):
+        return solid(client, pybullet.GEOM_SPHERE, 1, [0, 0, z], radius=0.1)
+
+    names = {made(z): f"b{z}" for z in (1, 2, 3)}
+    with ssduck.Interpreter() as ss:
+        world = ss.add_variable("sim", ssduck.World.attach(client, names=names))
+        pybullet.removeBody(1, physicsClientId=client)
+        world.tick()
+        number = made(5)
+        world.tick()
+        pybullet.resetBasePositionAndOrientation(number, [0, 0, 6], [0, 0, 0, 1], client)
+        world.tick()
+        found = ss.eval("SELECT initially(z(this)), previous(z(this)) FROM sim AS list;")
+    assert found == [1.0, 1.0, 3.0, 3.0, None, 5.0]
