@@ -46,6 +46,7 @@ class Why:
     entities: tuple[str, ...] = ()  # the full names of the entities and links that it is of
     move: Move | None = None  # what would change it; None if that is not known
     parts: tuple[Why, ...] = ()
+    complete: bool = True  # whether later ticks, behind the end of a record, could not change it
 
     @property
     def mark(self) -> str:
@@ -65,6 +66,7 @@ class Why:
                 "points": [list(point) for point in part.points],
                 "entities": list(part.entities),
                 "move": None if part.move is None else str(part.move),
+                "complete": part.complete,
             }
             for depth, part in self.walk()
         ]

@@ -215,10 +215,19 @@ def test_a_finished_record_is_decided_and_a_replay_sees_no_later_tick(moved, tmp
     wanted = [
         Formula("always", (Formula("z(sim.ball) > z(sim.box)"),)),
         Formula("eventually", (Formula("x(sim.box) <= 0.4"),), (0.03, 0.1)),
+        Formula("always", (Formula("z(sim.ball) > -1.0"),)),
+        Formula("eventually", (Formula("z(sim.ball) > 1.0"),), (0, 1)),
     ]
+    scene.signals |= {
+        "z(sim.ball) > -1.0": [True] * len(scene.times),
+        "z(sim.ball) > 1.0": [False] * len(scene.times),
+    }
     with ssduck.open(tmp_path / "run") as other:
         for one in wanted:
-            assert other.eval(f"{one.text};") == scene.expected(one, 0, is_open=False)
+            verdict = scene.expected(one, 0, is_open=False)
+            assert other.eval(f"{one.text};") == verdict
+            why = other.why(f"{one.text};")
+            assert (why.value, why.complete) == (verdict, scene.expected(one, 0) is not None)
             other["sim"].seek(scene.times[2])
             early = Scene(0)
             early.times = scene.times[:3]

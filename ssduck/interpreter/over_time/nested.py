@@ -8,6 +8,7 @@ ticks. What functions of time and operators make of these are arrays, too.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -181,8 +182,9 @@ class Ticks:
         # Whether more ticks may come: not where a finished record ends.
         self.is_open = is_live or is_behind
         self.has_unknown = False  # whether a part that was read is unknown at a tick
-        # The columns of expressions, by their keys.
+        # The columns of expressions, by their keys, and those of them that queries have.
         self._columns: dict[str, Column] = {}
+        self._read: dict[str, Column] = {}
 
     def place_of(self, call: Call, frame: Frame) -> int:
         """Returns the place of the tick of an operator that is in no other one."""
@@ -190,6 +192,12 @@ class Ticks:
         if moment is not None:
             return int(np.searchsorted(self.numbers, moment.tick))
         return 0 if TEMPORAL_FUNCTIONS[call.name].looks_ahead else len(self.times) - 1
+
+    def is_decided(self, call: Call, place: int) -> bool:
+        """Checks whether ticks after the last one could not change an operator at a tick."""
+        going_on = copy(self)
+        going_on.is_open, going_on._columns = True, dict(self._read)  # noqa: SLF001  # a copy of its own
+        return bool(going_on.trace(call).is_known[place])
 
     def conditions(self, call: Call) -> list[Trace]:
         """Returns the conditions of an operator, or their margins, at each tick."""
@@ -275,6 +283,7 @@ class Ticks:
             column = Column.of_objects(values.tolist())
         else:
             column = Column(np.ma.getdata(values), np.ma.getmaskarray(values))
+        self._read[node_key(node)] = column
         self.has_unknown = self.has_unknown or bool(column.unknown.any())
         return column
 

@@ -192,7 +192,10 @@ class Explainer:
             parts += [] if other is None else [self._at(ticks, other).why(conditions[0])]
         if decisive is not None:
             parts.append(self._at(ticks, decisive).why(conditions[-1]))
-        return self._made(call, parts=tuple(parts))
+        whole = self._made(call, parts=tuple(parts))
+        if whole.value is None or ticks.is_decided(call, place):
+            return whole
+        return replace(whole, complete=False, detail="so far: the record ends before it is decided")
 
     def _at(self, ticks: Ticks, place: int) -> Explainer:
         return replace(self, ticks=ticks, place=place)
