@@ -210,12 +210,20 @@ def test_bodies_of_an_elastic_scene_lose_no_energy(write, elastic):
 # -- the manual -------------------------------------------------------------------------------
 
 
+STANDING_CUP = """
+<robot name="cup"><link name="cup">
+  <inertial><origin xyz="0 0 0.05"/><mass value="0.2"/>
+    <inertia ixx="0.0002" iyy="0.0002" izz="0.0001" ixy="0" ixz="0" iyz="0"/></inertial>
+  <collision><origin xyz="0 0 0.05"/><geometry><cylinder radius="0.04" length="0.1"/></geometry></collision>
+</link></robot>
+"""
+
+
 @pytest.mark.slow
 def test_the_manuals_example_is_a_scene(write):
     page = (ROOT / "docs" / "reference" / "scenes.md").read_text(encoding="utf-8")
-    toml, files = re.findall(r"^```toml\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
-    (model,) = re.findall(r"^```xml\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
-    write("cup.urdf", model)
+    (toml,) = re.findall(r"^```toml\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    write("cup.urdf", STANDING_CUP)
     with ssduck.load(write("room.toml", toml)) as ss:
         room = ss.call_variable("room").step(240)
         assert [e.name for e in room] == ["watcher", "floor", "crate", "cup", "ball"]
@@ -225,6 +233,8 @@ def test_the_manuals_example_is_a_scene(write):
         assert room["watcher"].ranges == pytest.approx([0.16], abs=0.01)  # from it to the cup
     write("shelves.sdf", sdf_of(sdf_model("shelf"), sdf_model("shelf"), sdf_model("end board")))
     write("arms.xml", mjcf_of(mjcf_body("arm"), mjcf_body("tool")))
+    files = "[[body]]\nsdf = 'shelves.sdf'\nposition = [2, 0, 0]\n"
+    files += "[[body]]\nname = 'left'\nmjcf = 'arms.xml'\n"
     with ssduck.load(write("files.toml", files)) as ss:
         names = [e.name for e in ss.call_variable("files")]
         assert names == ["shelf", "shelf_2", "end_board", "left_arm", "left_tool"]

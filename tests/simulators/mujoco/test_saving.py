@@ -381,6 +381,10 @@ def test_drawers_agree(tmp_path, slide, turn):
         file, warned = saved(ss["room"], tmp_path / "saved")
         assert warned == ["one, other: its motors are left out: friction brakes its joints instead"]
         ss.add_variable("m", ssduck.World.load(read_scene(file)))
+        for asked in ("one", "one, 'slide'", "one, 'turn'"):
+            shares = [ss.eval(f"openness({world}.{asked});") for world in ("room", "m")]
+            assert shares[0] == pytest.approx(shares[1], abs=1e-9)
+            assert 0.0 <= shares[0] <= 1.0
         for relation in ("isOpen", "isClosed"):
             for joint in ("slide", "turn"):
                 for share in ("", ", 0.3", ", 0.9"):
