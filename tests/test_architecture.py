@@ -124,7 +124,7 @@ BUDGETS = {
     "interchange": 3_000,
     "interpreter": 15_900,
     "lakes": 2_910,
-    "language": 6_170,
+    "language": 6_210,
     "logic": 590,
     "mcp": 600,
     "recording": 9_010,

@@ -85,7 +85,7 @@ class Judge:
         texts = [self._expanded(term) for term in terms]
         # What is not decided yet does not hold.
         self._texts = [
-            f"({text}) OR False" if term.is_condition and is_decided_later(tree) else text
+            f"IF({text}\n; True; False)" if term.is_condition and is_decided_later(tree) else text
             for term, text, tree in zip(terms, texts, map(self._tree, texts), strict=True)
         ]
         # Each was compiled by itself, so that none is more than an expression.

@@ -45,6 +45,10 @@ TEMPORAL_OPERATORS = {
 }
 # In front of the name of such an operator whose conditions are given by their margins.
 OF_MARGINS = "robustness of "
+# In front of the names of functions that make margins.
+MARGIN = "margin of "
+# In front of the name of a placeholder for the value of such an operator.
+VERDICT = "verdict of "
 # Calls whose argument is evaluated at each recorded tick (ssduck.interpreter.over_time.functions).
 OVER_TIME = frozenset(
     (

@@ -34,6 +34,7 @@ from ssduck.language.operators import (
     counted,
     indexed,
     is_short_circuit,
+    is_verdict,
     truth,
     unary,
 )
@@ -228,7 +229,7 @@ class ExpressionCompiler:
     def condition(self, node: Node) -> Callable[[Frame], bool]:
         """Returns the node as a condition: a function of a frame that returns True or False."""
         thunk = self.thunk(node)
-        if is_short_circuit(node):
+        if is_short_circuit(node) and not is_verdict(node):
             return thunk  # it returns True or False
 
         def holds(frame: Frame) -> bool:

@@ -17,9 +17,18 @@ from ssduck.formatting import (
     short_repr,
     type_in_words,
 )
-from ssduck.language.analysis import written_name
+from ssduck.language.analysis import MARGIN, OF_MARGINS, TEMPORAL_OPERATORS, VERDICT, written_name
 from ssduck.language.sql_suggestions import suggestion_for_name
-from ssduck.language.tree import Binary, Call, ListLiteral, Literal, Node, OperatorChain, Unary
+from ssduck.language.tree import (
+    Binary,
+    Call,
+    ListLiteral,
+    Literal,
+    Node,
+    OperatorChain,
+    Placeholder,
+    Unary,
+)
 
 # The limits of results: larger ones are mistakes, and their computation cannot be interrupted.
 MAX_BITS = 1_000_000
@@ -298,11 +307,11 @@ class OperandCompiler(Protocol):
 
 def unary(compiler: OperandCompiler, node: Unary) -> Thunk:
     """Compiles `-x`, `+x`, `NOT x` or `x IS NULL`."""
-    if node.operator == "NOT" and compiler.is_relation(node.operand):
-        relation = compiler.thunk(node.operand)
+    if node.operator == "NOT" and (compiler.is_relation(node.operand) or is_verdict(node.operand)):
+        operand = compiler.thunk(node.operand)
 
         def negated(frame: Frame) -> bool | None:
-            value = relation(frame)
+            value = operand(frame)
             return None if value is None else not truth(value, node.operand)  # of what is unknown
 
         return negated
@@ -312,6 +321,10 @@ def unary(compiler: OperandCompiler, node: Unary) -> Thunk:
     sign, inner = node.operator, compiler.thunk(node.operand)
     if sign == "IS NULL":
         return lambda frame: inner(frame) is None
+    if is_verdict(node):
+        return lambda frame: (
+            None if (value := inner(frame)) is None else apply_unary(sign, value, node.span)
+        )
     return lambda frame: apply_unary(sign, inner(frame), node.span)
 
 
@@ -337,8 +350,12 @@ def binary(compiler: OperandCompiler, node: Binary) -> Thunk:
         return growing
     left, right = _operand(compiler, node.left), _operand(compiler, node.right)
 
+    may_be_unknown = is_verdict(node)
+
     def operation(frame: Frame) -> Any:
         a, b = left(frame), right(frame)
+        if may_be_unknown and a is None:
+            return None
         try:
             return operate(a, b)
         except Exception:  # noqa: BLE001  # `apply` raises the right error
@@ -414,20 +431,39 @@ def is_short_circuit(node: Node) -> bool:
     return False
 
 
+def is_verdict(node: Node) -> bool:
+    """Checks whether a part is made of operators of temporal logic, or of margins.
+
+    It is nothing where these are: a condition that is not decided holds no more than its opposite.
+    """
+    match node:
+        case Call(name=name):
+            return name in TEMPORAL_OPERATORS or name.startswith((OF_MARGINS, MARGIN))
+        case Placeholder(name=name):
+            return name.startswith(VERDICT)
+        case Unary(operator="NOT" | "-", operand=operand) | Binary(operator="/", left=operand):
+            return is_verdict(operand)
+    return is_short_circuit(node) and any(map(is_verdict, node.children()))
+
+
 def _short_circuit(
     compiler: OperandCompiler, sign: str, operands: tuple[Node, ...]
-) -> Callable[[Frame], bool]:
+) -> Callable[[Frame], bool | None]:
     """Compiles AND or OR: evaluation stops at the first operand that decides."""
     decides = sign == "OR"
-    parts = [(compiler.thunk(operand), operand) for operand in operands]
+    parts = [(compiler.thunk(one), one, is_verdict(one)) for one in operands]
 
-    def holds(frame: Frame) -> bool:
-        for part, operand in parts:
+    def holds(frame: Frame) -> bool | None:
+        is_known = True
+        for part, operand, may_be_unknown in parts:
             value = part(frame)
+            if value is None and may_be_unknown:
+                is_known = False
+                continue
             if value is not True and value is not False:
                 value = truth(value, operand)
             if value is decides:
                 return decides
-        return not decides
+        return not decides if is_known else None
 
     return holds

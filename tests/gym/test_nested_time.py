@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 
+import gymnasium
+import numpy as np
 import pytest
 
 import ssduck
 from ssduck.errors import ArgumentError
-from ssduck.gym import QueryWrapper, score
+from ssduck.gym import QueryWrapper, VectorQueryWrapper, score
 from tests.support.cases import sampled
 from tests.support.of_model import OfModel
 
@@ -149,4 +151,25 @@ def test_the_greatest_of_what_is_nan_is_nan():
     env.unwrapped.step = lost
     with pytest.warns(UserWarning, match="no number"), pytest.raises(ArgumentError, match="is NaN"):
         env.step(env.action_space.low)
+    env.close()
+
+
+@pytest.mark.parametrize("vector", [False, True])
+def test_the_opposite_of_what_is_not_decided_does_not_hold(vector):
+    texts = {
+        "success": "NOT eventually(z(sim.ball) < 0.2)",
+        "failure": "NOT always(z(sim.ball) > 0.99)",
+    }
+    env = Fall()
+    if vector:
+        env = VectorQueryWrapper(gymnasium.vector.SyncVectorEnv([lambda: env] * 1), **texts)
+    else:
+        env = QueryWrapper(env, **texts, forward=False)
+    env.reset(seed=0)
+    flags = []
+    for _ in range(8):
+        info = env.step(np.zeros(env.action_space.shape, np.float32))[-1]["ssduck"]
+        flags.append((bool(np.all(info["success"])), bool(np.all(info["failure"]))))
+    assert flags[0] == (False, False)
+    assert flags[-1] == (False, True)
     env.close()

@@ -253,6 +253,32 @@ def test_mistakes_are_told_of(moved, text, message):
         moved[0].eval(f"{text};")
 
 
+@pytest.mark.parametrize(
+    ("text", "decided"),
+    [
+        ("NOT always({high})", True),
+        ("NOT eventually(NOT {high})", False),  # which is always({high})
+        ("NOT until({high}, {high}, 0.06)", True),
+        ("always({high}) IMPLIES False", True),
+        ("NOT (always({high}) AND True)", True),
+        ("NOT (always({high}) OR False) OR False", True),
+        ("robustness(NOT always({high}))", None),
+        ("robustness(scale(always({high}), 2))", None),
+    ],
+)
+def test_the_opposite_of_what_is_not_decided_is_not_decided_either(text, decided):
+    scene = Scene(0)
+    with ssduck.Interpreter() as ss:
+        world = ss.add_variable("sim", ssduck.World.attach(scene.model, scene.data))
+        for height, expected in ((0.3, None), (0.4, None), (0.0, decided)):
+            scene.data.qpos[2] = height
+            scene.data.time += 0.02
+            mujoco.mj_kinematics(scene.model, scene.data)
+            world.tick()
+            value = ss.eval(text.format(high="z(sim.ball) > 0.25") + ";")
+            assert value is expected
+
+
 def test_implies_is_looser_than_or_and_right_associative():
     with ssduck.Interpreter() as ss:
         for a in (True, False):

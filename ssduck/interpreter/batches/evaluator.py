@@ -27,7 +27,7 @@ from ssduck.interpreter.over_time.functions import (
     operator_of,
     parts_of,
 )
-from ssduck.language.analysis import calls_of, variables_of
+from ssduck.language.analysis import VERDICT, calls_of, variables_of
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import Call, Name, Node, Placeholder, TimeIndex
 from ssduck.language.value_keys import node_key
@@ -102,6 +102,7 @@ class BatchExpressions:
                     span=part.span,
                 )
         fold, key = fold_of(call, Frame(self._execution)), node_key(call)
+        key = VERDICT + key if operator_of(call) else key
         if key not in self._folds:
             inner = BatchExpressions(self._execution, self._engine, expressions_of(call))
             kept = self._folds[key] = _KeptFold(call.name, fold, inner, self._world)
