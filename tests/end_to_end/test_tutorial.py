@@ -13,6 +13,7 @@ import pytest
 
 import ssduck
 from ssduck.simulators.scenes import find_scene
+from tests.support.environments import by_name
 
 # (cell, program, result)
 CELLS = [
@@ -207,17 +208,6 @@ def tutorial(request):
         yield ss
 
 
-def plain(value: Any) -> Any:
-    """Handles as their names, at any depth."""
-    if isinstance(value, ssduck.Entity):
-        return value.name
-    if isinstance(value, list):
-        return [plain(item) for item in value]
-    if isinstance(value, dict):
-        return {key: plain(item) for key, item in value.items()}
-    return value
-
-
 def assert_alike(found: Any, expected: Any) -> None:
     """Equal, numbers to 1e-4 relative or 1e-9 absolute."""
     if isinstance(expected, float):
@@ -237,7 +227,7 @@ def assert_alike(found: Any, expected: Any) -> None:
 
 def test_cells_in_order(tutorial):
     for cell, program, expected in CELLS:
-        found = plain(tutorial.eval(tutorial.compile(program)))
+        found = by_name(tutorial.eval(tutorial.compile(program)))
         try:
             assert_alike(found, expected)
         except AssertionError as error:

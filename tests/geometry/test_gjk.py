@@ -16,7 +16,7 @@ from ssduck.geometry.tick_shapes import PairPredicate
 from ssduck.schema import ID_FACTOR
 from tests.support import pairs
 from tests.support.cases import generated, sampled
-from tests.support.pairs import Shape
+from tests.support.narrow_cases import shape
 from tests.support.solids import STRAIGHT, box, capsule, cylinder, mesh_of, narrow, plane, sphere
 
 CONVEX = ("sphere", "box", "cylinder", "capsule", "ellipsoid", "hull", "flat")
@@ -60,17 +60,12 @@ FAR = [(0, 0, 0), (1e4, -1e4, 1e4)]
 DEPTHS = [-1e-3, -1e-5, -2e-6, 0, 0.5e-6, 0.9e-6, 1.1e-6, 2e-6, 1e-5, 1e-4, 1e-2, 0.3, 1]  # fmt: skip
 
 
-def at(geometry, position, turn=STRAIGHT):
-    turn = np.array(turn, float)
-    return Shape(geometry.type, geometry, np.array(position, float), turn / np.linalg.norm(turn))
-
-
 @pytest.mark.slow
 @sampled("depth", DEPTHS, every=6)
 def test_stacked(depth):
     """Parallel faces that touch, or are hardly in each other, also 10 km away."""
     two = [
-        (at(a, far), at(b, np.array(far) + [*off, 1 - depth], turn))
+        (shape(a, far), shape(b, np.array(far) + [*off, 1 - depth], turn))
         for a, b in itertools.combinations_with_replacement(STACKED.values(), 2)
         for (i, off), (j, turn), (k, far) in itertools.product(*map(enumerate, (OFF, TURNS, FAR)))
         if (i + j + k) % 2 == 0 or generated(1) > 1
@@ -101,7 +96,7 @@ def test_sizes_from_a_millimetre_to_a_kilometre(seed):
         far = random.normal(size=3) * random.choice([0, 1e4])
         turned = [random.normal(size=4) for _ in range(2)]
         place = far + way / np.linalg.norm(way) * apart
-        two.append((at(first, far, turned[0]), at(second, place, turned[1])))
+        two.append((shape(first, far, turned[0]), shape(second, place, turned[1])))
     left = undecided(two, (-MIN_DEPTH, 0.0, 1e-3, 1.0))
     assert (np.abs(left) > 1e-6).sum() <= 3
 

@@ -7,6 +7,7 @@ from ssduck import Recording
 from ssduck.errors import SelectScriptError, UnknownNameError, UnsupportedError
 from ssduck.interpreter.mirrors import Mirror
 from ssduck.limits import Limits
+from tests.support.environments import by_name
 
 PROGRAMS = [
     "always(z(kitchen.cup_905a) > 0);",
@@ -46,20 +47,11 @@ def pair():
         mirror.close()
 
 
-def plain(value):
-    """Returns rows with names in place of handles, which belong to their world."""
-    if isinstance(value, list):
-        return [plain(part) for part in value]
-    if isinstance(value, dict):
-        return {key: plain(part) for key, part in value.items()}
-    return getattr(value, "name", value)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_a_mirror_answers_programs_as_the_world(pair, program):
     ss, mirror = pair
-    assert plain(mirror.interpreter.eval(program)) == plain(ss.eval(program))
+    assert by_name(mirror.interpreter.eval(program)) == by_name(ss.eval(program))
 
 
 @pytest.mark.parametrize("statement", STATEMENTS)

@@ -9,6 +9,7 @@ from ssduck.database.connection import Connection
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.scalar_select import RepeatedSelect
 from tests.support.cases import sampled
+from tests.support.recorded import answer
 
 PILE = """
 <mujoco>
@@ -171,9 +172,9 @@ def test_after_a_change_the_value_is_that_of_a_new_plan(lab, monkeypatch, change
     assert [type(value) for value in before] == [bool, float, float]
 
     def outcomes():
-        yield outcome(lab.ss, program)
+        yield answer(lab.ss, program)
         lab.world.tick()
-        yield outcome(lab.ss, program)
+        yield answer(lab.ss, program)
 
     change(lab)
     kept = list(outcomes())
@@ -181,13 +182,6 @@ def test_after_a_change_the_value_is_that_of_a_new_plan(lab, monkeypatch, change
         patch.setattr(RepeatedSelect, "rows", lambda *_: None)
         planned = list(outcomes())
     assert kept[1] == planned[0] == planned[1]
-
-
-def outcome(ss, program):
-    try:
-        return repr(ss.eval(program))
-    except SelectScriptError as error:
-        return str(error)
 
 
 class _Loud(ssduck.Interpreter):

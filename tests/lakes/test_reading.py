@@ -16,7 +16,7 @@ from ssduck.recording.stores.episode_batch import BatchedFile
 from ssduck.recording.stores.files import write_parquet
 from ssduck.recording.stores.parquet import _options as options
 from tests.support.cases import sampled
-from tests.support.forged import with_column
+from tests.support.forged import flip_bit, with_column
 from tests.support.lake_questions import whole_answer_of
 from tests.support.rising_cups import write_rising_cups
 
@@ -139,9 +139,8 @@ def file_of(record, table, number=CHANGED):
 
 def flip(file, place):
     """Flips a bit at a part of the length of a file, which keeps its time."""
-    status, content = file.stat(), bytearray(file.read_bytes())
-    content[int(place * len(content))] ^= 4
-    file.write_bytes(content)
+    status = file.stat()
+    flip_bit(file, place)
     os.utime(file, ns=(status.st_atime_ns, status.st_mtime_ns))
 
 

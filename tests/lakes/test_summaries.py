@@ -12,6 +12,7 @@ import pytest
 import ssduck
 from ssduck.recording.stores.files import json_text
 from tests.lakes.conftest import EPISODES
+from tests.support.forged import flip_bit
 from tests.support.lake_questions import PROGRAMS
 
 QUESTION = PROGRAMS["last tick"]
@@ -54,12 +55,6 @@ def edited(**values):
     return change
 
 
-def flipped(file):
-    content = bytearray(file.read_bytes())
-    content[len(content) // 2] ^= 4
-    file.write_bytes(content)
-
-
 def other(file):
     shutil.copy(str(file).replace("episode=1", "episode=2"), file)
 
@@ -75,7 +70,7 @@ WRONG = {
     "missing": lambda file: file.unlink(),
     "empty": lambda file: file.write_bytes(b""),
     "truncated": lambda file: file.write_bytes(file.read_bytes()[:-200]),
-    "flipped": flipped,
+    "flipped": flip_bit,
     "of another episode": other,
     "of another key": edited(key="0" * 16),
     "no files": edited(files={}),
@@ -134,7 +129,7 @@ def test_a_forged_summary_changes_no_answer(folder, recorded, forgery):
 def test_a_part_that_changed_after_its_summary_is_noticed(folder, keeps_time):
     part = folder / "entities/world=sim/episode=1/part-000000.parquet"
     times = part.stat()
-    flipped(part)
+    flip_bit(part)
     if keeps_time:
         os.utime(part, ns=(times.st_atime_ns, times.st_mtime_ns))
     rows = ssduck.lake(folder).ask(QUESTION, processes=1).to_pylist()

@@ -2,7 +2,6 @@
 
 import shutil
 import threading
-import time
 from collections import Counter
 from itertools import count
 from pathlib import Path
@@ -21,6 +20,7 @@ from tests.support.bodies import create_linked_body
 from tests.support.cases import sampled
 from tests.support.recorded import end_part, sphere
 from tests.support.timing import HANGS
+from tests.support.triggering import until
 
 BALLS = 3
 # So long that no tick is stored by time in a test.
@@ -66,13 +66,6 @@ def _log(run):
 
 def _parts(run):
     return sorted(file.name for file in run.glob("ticks/world=lab/episode=0/*"))
-
-
-def _until(is_so):
-    began = time.monotonic()
-    while not is_so():
-        assert time.monotonic() < began + HANGS
-        time.sleep(0.01)
 
 
 def _started(ss, world, run, **options):
@@ -176,7 +169,7 @@ def test_a_world_that_stands_still_is_stored(world, tmp_path):
     with ssduck.Interpreter(recording=None) as ss:
         recorder = _started(ss, world, run, flush_every=0.1)
         _tick(recorder, world)
-        _until(lambda: recorder.flush_at is None and not recorder._writer.is_busy)
+        until(lambda: recorder.flush_at is None and not recorder._writer.is_busy)
         with ssduck.open(run) as copy:
             assert copy.past("lab").ticks == [1, 2]
 

@@ -14,6 +14,7 @@ from ssduck.recording.stores.descriptions import read_description
 from ssduck.recording.stores.parquet import ParquetStore
 from tests.support.cases import sampled
 from tests.support.command_line import answer, ssduck_
+from tests.support.forged import flip_bit
 from tests.support.recorded import POSIX, python
 from tools import flip
 
@@ -31,13 +32,6 @@ def records(tmp_path_factory, archive):
 def run(records, tmp_path):
     """A folder of five parts, which is closed."""
     return flip.copy_of(records / "run", tmp_path)
-
-
-def flip_bit(file, position):
-    """Flips a bit of a file, at a part of its length."""
-    content = bytearray(file.read_bytes())
-    content[int(position * len(content))] ^= 4
-    file.write_bytes(content)
 
 
 @pytest.fixture(scope="module")

@@ -23,6 +23,13 @@ TICKS = 4
 DATA = Path(__file__).parents[1] / "data"
 
 
+def flip_bit(file, position=0.5):
+    """Flips a bit of a file, at a part of its length."""
+    content = bytearray(file.read_bytes())
+    content[int(position * len(content))] ^= 4
+    file.write_bytes(content)
+
+
 def make_records(place):
     """Makes `folder`, `unfinished`, which has a log only, and `file.duckdb` in a place."""
     client = pybullet.connect(pybullet.DIRECT)
