@@ -240,20 +240,17 @@ def test_time_is_up_for_forms_too(kitchen, registry):
     assert len(made) <= 1  # of 37 groups
 
 
-@pytest.mark.parametrize("name", ["list", "dict", "value"])
-def test_ssducks_own_forms_stay(registry, name):
-    with pytest.raises(ArgumentError, match=f"AS {name} is one of ssduck's own"):
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        *((name, f"AS {name} is one of ssduck's own") for name in ("list", "dict", "value")),
+        ("two words", "cannot be a form's name"),
+        (len, r"@ssduck\.adapter\(\)"),  # a decorator without brackets
+    ],
+)
+def test_what_is_no_name_of_a_form(registry, name, told):
+    with pytest.raises(ArgumentError, match=told):
         ssduck.adapter(name)(len)
-
-
-def test_a_decorator_without_brackets(registry):
-    with pytest.raises(ArgumentError, match=r"@ssduck\.adapter\(\)"):
-        ssduck.adapter(len)
-
-
-def test_a_name_that_no_program_could_say(registry):
-    with pytest.raises(ArgumentError, match="cannot be a form's name"):
-        ssduck.adapter("two words")(len)
 
 
 def test_forms_of_packages(kitchen, registry, monkeypatch):

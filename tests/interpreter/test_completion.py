@@ -68,13 +68,6 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize(("text", "first", "missing"), CASES)
-def test_selectscript(ss, text, first, missing):
-    names = [each.text for each in at(ss, text)]
-    assert names[: len(first)] == first
-    assert missing not in names
-
-
 SQL_CASES = [
     ("SELECT zm| FROM entities", ["zmax", "zmin"], "entities"),
     ("SELECT e.zm| FROM entities e", ["zmax", "zmin"], "entities"),
@@ -100,9 +93,12 @@ SQL_CASES = [
 ]
 
 
-@pytest.mark.parametrize(("text", "first", "missing"), SQL_CASES)
-def test_sql(ss, text, first, missing):
-    names = [each.text for each in at(ss, text, "sql")]
+@pytest.mark.parametrize(
+    ("language", "text", "first", "missing"),
+    [*(("selectscript", *case) for case in CASES), *(("sql", *case) for case in SQL_CASES)],
+)
+def test_what_completes_first(ss, language, text, first, missing):
+    names = [each.text for each in at(ss, text, language)]
     assert names[: len(first)] == first
     assert missing not in names
 

@@ -1,12 +1,11 @@
 """Ctrl-C ends whatever an interpreter does within seconds, and the next program runs."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys
 import threading
 import time
+from itertools import count
 
 import pytest
 
@@ -53,19 +52,23 @@ def kitchen():
         yield ss
 
 
-def is_interrupted(ss, call, question="SELECT id, z FROM kitchen AS list;") -> None:
-    """Asserts that Ctrl-C ends a call, and that the interpreter answers as before.
+def is_interrupted(ss, call, question="SELECT id, z FROM kitchen AS list;"):
+    """Asserts that Ctrl-C ends a call that is made again and again, and the answers are as before.
 
     It is pressed again if nothing happens: Python drops a KeyboardInterrupt that is raised while it
-    collects garbage. So a call must last until it is interrupted, and not end by itself.
+    collects garbage.
     """
     ended = threading.Event()
 
-    def press() -> None:
+    def press():
         while not ended.wait(BEFORE):
             pressed.append(time.monotonic())
             os.kill(os.getpid(), signal.SIGINT)
             ended.wait(WITHIN / 2)
+
+    def again_and_again():
+        while True:
+            call()
 
     pressed = []
     before = ss.eval(question)
@@ -73,7 +76,7 @@ def is_interrupted(ss, call, question="SELECT id, z FROM kitchen AS list;") -> N
     presser.start()
     try:
         with pytest.raises(KeyboardInterrupt):
-            call()
+            again_and_again()
     finally:
         ended.set()
         presser.join()
@@ -84,11 +87,7 @@ def is_interrupted(ss, call, question="SELECT id, z FROM kitchen AS list;") -> N
 
 @sampled("name", PROGRAMS, every=len(PROGRAMS))
 def test_programs(kitchen, name):
-    def again_and_again():
-        while True:
-            kitchen.eval(PROGRAMS[name])
-
-    is_interrupted(kitchen, again_and_again)
+    is_interrupted(kitchen, lambda: kitchen.eval(PROGRAMS[name]))
 
 
 @pytest.mark.parametrize("name", STATEMENTS)
@@ -98,20 +97,13 @@ def test_statements(kitchen, name):
 
 @pytest.mark.parametrize("form", ["image(640, 480)", "environment", "mesh"])
 def test_result_forms(kitchen, form):
-    def again_and_again():
-        while True:
-            kitchen.eval(f"{ALL_ENTITIES} {form};")
-
-    is_interrupted(kitchen, again_and_again)
+    is_interrupted(kitchen, lambda: kitchen.eval(f"{ALL_ENTITIES} {form};"))
 
 
 def test_exporting(kitchen, tmp_path):
-    def again_and_again():
-        for number in range(1, 10_000):
-            kitchen.export(tmp_path / str(number))
-
-    kitchen.export(tmp_path / "0")
-    is_interrupted(kitchen, again_and_again)
+    numbers = count()
+    kitchen.export(tmp_path / str(next(numbers)))
+    is_interrupted(kitchen, lambda: kitchen.export(tmp_path / str(next(numbers))))
     found = [
         episode
         for path in tmp_path.iterdir()
@@ -125,20 +117,15 @@ def test_exporting(kitchen, tmp_path):
 def test_opening(kitchen, tmp_path):
     kitchen.export(tmp_path / "run")
 
-    def again_and_again():
-        while True:
-            with ssduck.open(tmp_path / "run") as ss:
-                ss.eval("SELECT id FROM kitchen{} WHERE z > 1 AS list;")
+    def open_and_ask():
+        with ssduck.open(tmp_path / "run") as ss:
+            ss.eval("SELECT id FROM kitchen{} WHERE z > 1 AS list;")
 
-    is_interrupted(kitchen, again_and_again)
+    is_interrupted(kitchen, open_and_ask)
 
 
 def test_loading(kitchen):
-    def again_and_again():
-        while True:
-            ssduck.load("kitchen").close()
-
-    is_interrupted(kitchen, again_and_again)
+    is_interrupted(kitchen, lambda: ssduck.load("kitchen").close())
 
 
 def test_importing(tmp_path, monkeypatch):
@@ -171,12 +158,11 @@ def test_rays_of_mujoco(tmp_path):
             "lidar", on=world["b90"], name="scanner", max_range=30, layers=60
         )
 
-        def again_and_again():
-            while True:
-                world.step()
-                assert len(scanner.ranges) == 21_600
+        def scan():
+            world.step()
+            assert len(scanner.ranges) == 21_600
 
-        is_interrupted(ss, again_and_again, "SELECT id FROM field AS list;")
+        is_interrupted(ss, scan, "SELECT id FROM field AS list;")
 
 
 def test_recording(tmp_path):
@@ -184,12 +170,7 @@ def test_recording(tmp_path):
     with ssduck.load("kitchen") as ss:
         world = ss.call_variable("kitchen")
         recording = ss.record_to(tmp_path / "run", recording=ssduck.Recording(flush_every=0.02))
-
-        def again_and_again():
-            while True:
-                world.step()
-
-        is_interrupted(ss, again_and_again, "SELECT id FROM kitchen AS list;")
+        is_interrupted(ss, world.step, "SELECT id FROM kitchen AS list;")
         world.step()
         recording.close()
         time_at_end = world.time

@@ -194,21 +194,21 @@ def test_bad_names_of_variables_and_functions(ss, name):
         ss.add_function(name, len)
 
 
-@pytest.mark.parametrize("name", ["select", "From", "this", "TRUE", "and"])
-def test_words_of_the_language_are_no_names(ss, name):
-    with pytest.raises(ArgumentError, match="a word of the language"):
-        ss.add_variable(name, 1)
+WORDS = ["select", "From", "this", "TRUE", "and"]
+KEPT = ["help", "to", "print", "eval", "clear", "var"]
 
 
-@pytest.mark.parametrize("name", ["help", "to", "print", "eval", "clear", "var"])
-def test_functions_of_the_language_stay(ss, name):
-    with pytest.raises(ArgumentError, match="choose another name"):
-        ss.add_function(name, len)
-
-
-def test_what_is_no_function_is_refused(ss):
-    with pytest.raises(ArgumentError, match="is no function"):
-        ss.add_function("three", 3)
+@pytest.mark.parametrize(
+    ("add", "name", "value", "told"),
+    [
+        *(("add_variable", name, 1, "a word of the language") for name in WORDS),
+        *(("add_function", name, len, "choose another name") for name in KEPT),
+        ("add_function", "three", 3, "is no function"),
+    ],
+)
+def test_what_cannot_be_added(ss, add, name, value, told):
+    with pytest.raises(ArgumentError, match=told):
+        getattr(ss, add)(name, value)
 
 
 # (sql, words)
