@@ -6,17 +6,17 @@ import datetime as dt
 import math
 import sys
 import warnings
-from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Sequence
+from abc import abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import partial
-from itertools import chain, zip_longest
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
 from ssduck.errors import printable
-from ssduck.formatting import short_repr
+from ssduck.formatting import count_of, short_repr
 from ssduck.logic.why import Why
 
 if TYPE_CHECKING:
@@ -70,20 +70,19 @@ class DisplayTable:
         """The number of rows, if some are left out or there are none; otherwise empty."""
         shown = len(self.rows)
         if self.omitted:
-            total = shown + self.omitted
-            return f"{total} row{'' if total == 1 else 's'} ({shown} shown)"
+            return f"{count_of(shown + self.omitted, 'row')} ({shown} shown)"
         return "(no rows)" if self.columns and not shown else ""
 
-    def texts(self) -> list[list[str]]:
+    def texts(self, text: Callable[[Any], str]) -> list[list[str]]:
         """Returns the texts of the cells; a row of · replaces those left out."""
-        lines = [[on_one_line(value) for value in row] for row in self.rows]
+        lines = [[*map(text, row)] for row in self.rows]
         if self.omitted:
             count = max([len(self.columns), *map(len, lines)])
             lines.insert((len(lines) + 1) // 2, [ROW_MARK] * count)
         return lines
 
 
-class RowsOfColumns(ABC):
+class RowsOfColumns(Sized, Iterable[tuple[Any, ...]]):
     """Rows whose columns have names and types, as `ss.sql` returns them."""
 
     @property
@@ -103,14 +102,6 @@ class RowsOfColumns(ABC):
     @abstractmethod
     def part(self, start: int, count: int) -> list[tuple[Any, ...]]:
         """Returns at most `count` rows from an index on, as tuples."""
-
-    @abstractmethod
-    def __len__(self) -> int:
-        """Returns the number of rows."""
-
-    @abstractmethod
-    def __iter__(self) -> Iterator[tuple[Any, ...]]:
-        """Iterates over all rows, as tuples."""
 
 
 def display_table(value: Any, max_rows: int | None = None) -> DisplayTable:
@@ -361,23 +352,15 @@ def print_table(table: DisplayTable) -> None:
         sys.stdout.writelines(f"{line}\n" for line in table_lines(table))
 
 
-def table_lines(table: DisplayTable, width: int | None = None) -> Iterable[str]:
+def table_lines(table: DisplayTable, width: int | None = None) -> list[str]:
     """Returns the lines of a table with a note on its rows, or of a plain list of values."""
     if table.is_list:
-        lines: Iterable[str] = _value_lines(table)
+        lines = [text for (text,) in table.texts(on_lines)]
     elif width is not None:
         return fitted_table(table).lines(width)
     else:
         lines = text_lines(table)
-    return chain(lines, [table.row_note] if table.row_note else [])
-
-
-def _value_lines(table: DisplayTable) -> list[str]:
-    """Returns the texts of plain values, which may have several lines each."""
-    lines = [on_lines(row[0]) for row in table.rows]
-    if table.omitted:
-        lines.insert((len(lines) + 1) // 2, ROW_MARK)
-    return lines
+    return [*lines, table.row_note] if table.row_note else lines
 
 
 def fitted_table(table: DisplayTable) -> FittedTable:
@@ -386,7 +369,7 @@ def fitted_table(table: DisplayTable) -> FittedTable:
 
     head_lines = (table.columns, table.types) if table.types else (table.columns,)
     heads = list(zip(*(map(on_one_line, names) for names in head_lines), strict=True))
-    lines = table.texts()
+    lines = table.texts(on_one_line)
     cells = list(zip_longest(*lines, fillvalue="")) or [()] * len(heads)
     if not table.named:
         heads = [()] * len(cells)
@@ -394,27 +377,9 @@ def fitted_table(table: DisplayTable) -> FittedTable:
     return FittedTable([TextColumn(*part) for part in parts], table.row_note)
 
 
-def text_lines(table: DisplayTable) -> Iterator[str]:
-    """Yields the lines of a table at full width, for files and other programs."""
-    from rich.cells import cell_len
-
-    lines = table.texts()
-    if not (table.columns or lines):
-        return
-    if table.named:
-        lines.insert(0, [on_one_line(name) for name in table.columns])
-    widths = [max(map(cell_len, cells)) for cells in zip_longest(*lines, fillvalue="")]
-    if table.named:
-        lines.insert(1, ["-" * width for width in widths])
-    numeric = are_numeric(table)
-    for line in lines:
-        padded = (
-            " " * (width - cell_len(text)) + text
-            if right
-            else text + " " * (width - cell_len(text))
-            for text, width, right in zip(line, widths, numeric, strict=False)
-        )
-        yield "  ".join(padded).rstrip()
+def text_lines(table: DisplayTable) -> list[str]:
+    """Returns the lines of a table at full width, for files and other programs."""
+    return fitted_table(replace(table, types=())).plain_lines()
 
 
 def are_numeric(table: DisplayTable) -> list[bool]:

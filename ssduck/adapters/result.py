@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +15,6 @@ import pyarrow.compute as pc
 
 from ssduck import validation
 from ssduck.adapters.display import (
-    ROW_MARK,
     RowsOfColumns,
     fitted_table,
     on_lines,
@@ -23,6 +22,7 @@ from ssduck.adapters.display import (
     table_lines,
     terminal_width,
 )
+from ssduck.adapters.optional import library
 from ssduck.adapters.text_table import FittedTable
 from ssduck.errors import ArgumentError, EvaluationError
 from ssduck.formatting import count_of, error_text, short_repr
@@ -70,7 +70,7 @@ _FAMILIES = (
 )
 
 
-class TupleRows(Protocol):
+class TupleRows(Sized, Protocol):
     """Rows that are tuples already, of which an Arrow table is made when it is needed."""
 
     @property
@@ -88,9 +88,6 @@ class TupleRows(Protocol):
     @property
     def table(self) -> pa.Table:
         """The rows as an Arrow table."""
-
-    def __len__(self) -> int:
-        """Returns the number of rows."""
 
 
 class Result(RowsOfColumns):
@@ -132,8 +129,7 @@ class Result(RowsOfColumns):
 
     def fetchall(self) -> list[tuple[Any, ...]]:
         """Returns the rows not fetched yet, as tuples."""
-        start, self._fetched = self._fetched, len(self)
-        return self._slice(start, len(self))
+        return self.fetchmany(len(self))
 
     def fetchmany(self, size: int = 1) -> list[tuple[Any, ...]]:
         """Returns the next rows, at most `size`, as tuples.
@@ -159,9 +155,6 @@ class Result(RowsOfColumns):
         """
         start = validation.integer(start, "part: start", minimum=0)
         count = validation.integer(count, "part: count", minimum=0)
-        return self._slice(start, count)
-
-    def _slice(self, start: int, count: int) -> list[tuple[Any, ...]]:
         if not isinstance(self._rows, pa.Table):
             return self._rows.rows[start : start + count]
         columns = [python_values(column) for column in self._table.slice(start, count).columns]
@@ -178,8 +171,6 @@ class Result(RowsOfColumns):
             UnsupportedError: pandas is not installed; the message says how to install it.
             EvaluationError: Python cannot hold a date or a time.
         """
-        from ssduck.adapters.optional import library
-
         library("pandas", "pandas")
         self._check_times()
         with _python_dates():
@@ -196,8 +187,6 @@ class Result(RowsOfColumns):
             UnsupportedError: polars is not installed; the message says how to install it.
             EvaluationError: polars cannot hold the time 24:00.
         """
-        from ssduck.adapters.optional import library
-
         self._check_times()
         return cast("pl.DataFrame", library("polars", "polars").from_arrow(self._table))
 
@@ -400,10 +389,7 @@ class TableView:
         names = [*map(_escaped, table.columns)] if table.named else []
         types = [f"<br><small>{_escaped(type)}</small>" for type in table.types]
         head = _html_row("th", [*map("".join, zip(names, types, strict=True))] if types else names)
-        rows = [_html_row("td", map(_escaped, row)) for row in table.rows]
-        if table.omitted:
-            count = max([len(table.columns), *map(len, table.rows)])
-            rows.insert((len(rows) + 1) // 2, _html_row("td", [ROW_MARK] * count))
+        rows = [_html_row("td", row) for row in table.texts(_escaped)]
         note = f"<p>{self._note}</p>" if self._note else ""
         html_table = f"<table><thead>{head}</thead><tbody>{''.join(rows)}</tbody></table>"
         # A wide table scrolls instead of widening the notebook.
@@ -415,8 +401,7 @@ class TableView:
         table = self._table
         if not (table.omitted and table.named):
             return table.row_note
-        count = len(table.columns)
-        return f"{table.row_note}, {count} column{'' if count == 1 else 's'}"
+        return f"{table.row_note}, {count_of(len(table.columns), 'column')}"
 
     def __rich__(self) -> FittedTable:
         return fitted_table(self._table)

@@ -12,9 +12,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import zip_longest
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from rich.cells import cell_len
+from rich.cells import cell_len, set_cell_size
+
+from ssduck.formatting import count_of
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderResult
@@ -70,6 +72,28 @@ class _Layout:
     folds: bool = False  # whether wide cells are folded; otherwise they are elided
     omitted: int = 0  # the number of columns left out
 
+    def lines(self, gap: str) -> tuple[list[str], list[str]]:
+        """Returns the lines of the head and those of the rows."""
+        heads = zip(*(column.head for column in self.columns), strict=True)
+        rows = zip(*(column.cells for column in self.columns), strict=True)
+        head, body = (
+            [line for row in part for line in self._row(row, gap)] for part in (heads, rows)
+        )
+        return head, body
+
+    def _row(self, texts: Sequence[str], gap: str) -> Iterator[str]:
+        """Yields the lines of a row, several if cells are folded."""
+        cells = [
+            _folded(text, width) if self.folds else [elided(text, width)]
+            for text, width in zip(texts, self.widths, strict=True)
+        ]
+        for parts in zip_longest(*cells, fillvalue=""):
+            padded = []
+            for part, width, column in zip(parts, self.widths, self.columns, strict=True):
+                padding = " " * (width - _width(part))
+                padded.append(padding + part if column.numeric else part + padding)
+            yield gap.join(padded).rstrip()
+
 
 class FittedTable:
     """A table that fits a rich console or a given width."""
@@ -97,23 +121,26 @@ class FittedTable:
         widest = max(map(_width, self.lines(options.max_width)), default=0)
         return Measurement(widest, widest)
 
+    def plain_lines(self) -> list[str]:
+        """Returns the lines at full width and without the note, for files and other programs."""
+        layout = _Layout(self._columns, [column.natural_width for column in self._columns])
+        head, body = layout.lines("  ")
+        rule = ["  ".join("-" * width for width in layout.widths)] if head else []
+        return [*head, *rule, *body]
+
     def _parts(self, width: int) -> tuple[list[str], list[str]]:
         """Returns the lines of the head, with its rule, and the lines below."""
         width = max(width, 1)
         layout = _layout(self._columns, width)
-        names = zip(*(column.head for column in layout.columns), strict=True)
-        head = [line for texts in names for line in _lines(layout, texts)]
-        if head:
-            head.append("─" * _total(layout.widths))
-        rows = zip(*(column.cells for column in layout.columns), strict=True)
-        body = [line for texts in rows for line in _lines(layout, texts)]
-        return head, [*body, *self._notes(layout, width)]
+        head, body = layout.lines(GAP)
+        rule = ["─" * _total(layout.widths)] if head else []
+        return [*head, *rule], [*body, *self._notes(layout, width)]
 
     def _notes(self, layout: _Layout, width: int) -> list[str]:
         notes = [self._note] if self._note else []
         if layout.omitted:
-            count, rows = len(self._columns), len(self._columns[0].cells)
-            notes = notes or [f"{rows} row{'' if rows == 1 else 's'}"]
+            count = len(self._columns)
+            notes = notes or [count_of(len(self._columns[0].cells), "row")]
             notes.append(f"{count} columns ({count - layout.omitted} shown)")
         joined = ", ".join(notes)
         if _width(joined) <= width:
@@ -129,13 +156,8 @@ def elided(text: str, width: int) -> str:
     """
     if _width(text) <= width:
         return text
-    letters, width_so_far = [], _width(MARK)
-    for letter in text:
-        width_so_far += _width(letter)
-        if width_so_far > width:
-            break
-        letters.append(letter)
-    return "".join(letters) + MARK
+    kept = set_cell_size(text, width - 1)  # a space is in place of half a wide letter
+    return (kept if text.startswith(kept) else kept[:-1]) + MARK
 
 
 def _width(text: str) -> int:
@@ -165,34 +187,26 @@ def _outermost(
     columns: Sequence[TextColumn], natural: Sequence[int], min_elided: Sequence[int], width: int
 ) -> _Layout:
     """Keeps as many columns on both sides as fit, with a column of marks between them."""
-    rows = len(columns[0].cells)
-    mark = TextColumn((MARK,) * len(columns[0].head), [MARK] * rows, numeric=False)
-    room_beside_mark = width - len(GAP) - mark.natural_width
-    if min_elided[0] > room_beside_mark:  # not even one column fits
-        if room_beside_mark < 1:
-            return _Layout(columns[:1], [width], omitted=len(columns) - 1)
-        return _Layout(
-            [columns[0], mark], [room_beside_mark, mark.natural_width], omitted=len(columns) - 1
-        )
+    room_beside_mark = width - len(GAP) - len(MARK)
+    if room_beside_mark < 1:
+        return _Layout(columns[:1], [width], omitted=len(columns) - 1)
+    least = [min(min_elided[0], room_beside_mark), *min_elided[1:]]
+
+    def kept(values: Sequence[Any], mark: Any, sides: tuple[int, int]) -> list[Any]:
+        return [*values[: sides[0]], mark, *values[len(values) - sides[1] :]]
+
     left, right = 1, 0
-    used = min_elided[0]
-    # A column of the shorter side is added first; if it is too wide, one of the other side.
-    while True:
-        sides = (min_elided[left], min_elided[len(columns) - 1 - right])
-        order = (1, 0) if right < left else (0, 1)
-        fitting = [side for side in order if used + len(GAP) + sides[side] <= room_beside_mark]
-        if not fitting or left + right == len(columns) - 1:
+    while left + right < len(columns) - 1:
+        # A column of the shorter side is added first; if it is too wide, one of the other side.
+        wider = [(left + 1, right), (left, right + 1)][:: -1 if right < left else 1]
+        fitting = [sides for sides in wider if _total(kept(least, 1, sides)) <= width]
+        if not fitting:
             break
-        used += len(GAP) + sides[fitting[0]]
-        left, right = (left, right + 1) if fitting[0] else (left + 1, right)
-    end = len(columns) - right
-    chosen = [*columns[:left], *columns[end:]]
-    widths = _spread(
-        [*min_elided[:left], *min_elided[end:]], [*natural[:left], *natural[end:]], room_beside_mark
-    )
-    chosen.insert(left, mark)
-    widths.insert(left, mark.natural_width)
-    return _Layout(chosen, widths, omitted=end - left)
+        left, right = fitting[0]
+    sides = left, right
+    mark = TextColumn((MARK,) * len(columns[0].head), [MARK] * len(columns[0].cells), numeric=False)
+    widths = _spread(kept(least, 1, sides), kept(natural, 1, sides), width)
+    return _Layout(kept(columns, mark, sides), widths, omitted=len(columns) - left - right)
 
 
 def _total(widths: Sequence[int]) -> int:
@@ -210,28 +224,6 @@ def _spread(least: Sequence[int], natural: Sequence[int], width: int) -> list[in
         widths[chosen] += 1
         room -= 1
     return widths
-
-
-# -- lines ------------------------------------------------------------------------------------
-
-
-def _lines(layout: _Layout, texts: Sequence[str]) -> Iterator[str]:
-    """Yields the lines of a row, several if cells are folded."""
-    cells = [
-        _folded(text, width) if layout.folds else [elided(text, width)]
-        for text, width in zip(texts, layout.widths, strict=True)
-    ]
-    for parts in zip_longest(*cells, fillvalue=""):
-        padded = [
-            _padded(part, width, right=column.numeric)
-            for part, width, column in zip(parts, layout.widths, layout.columns, strict=True)
-        ]
-        yield GAP.join(padded).rstrip()
-
-
-def _padded(text: str, width: int, *, right: bool) -> str:
-    padding = " " * (width - _width(text))
-    return padding + text if right else text + padding
 
 
 def _folded(text: str, width: int) -> list[str]:
