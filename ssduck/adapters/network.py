@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
@@ -30,37 +30,33 @@ class _Network:
 
     def node(self, entity: Handle) -> str:
         """Returns the name of the node of an entity, which it adds if necessary."""
-        known = self.entities.setdefault(entity.full_name, entity)
-        if known is not entity and known != entity:
+        name = entity.full_name
+        if self.entities.setdefault(name, entity) != entity:
             raise ArgumentError(
-                f"two worlds have an entity {entity.full_name!r}; a graph needs entities "
-                "of one world"
+                f"two worlds have an entity {name!r}; a graph needs entities of one world"
             )
-        self.nodes.setdefault(entity.full_name, {})
-        return entity.full_name
+        self.nodes.setdefault(name, {})
+        return name
 
-    def describe(self, entity: Handle, attributes: Mapping[str, Any]) -> None:
-        """Adds attributes to the node of an entity."""
-        name = self.node(entity)
-        _set_attributes(self.nodes[name], attributes, name, "name the columns by to(…, 'name')")
-
-    def connect(self, a: Handle, b: Handle, key: Key, attributes: Mapping[str, Any]) -> None:
-        """Adds an edge, or adds attributes to an existing one."""
-        start, end = self.node(a), self.node(b)
-        edge = self.edges.setdefault((start, end, key), {})
-        remedy = "AS graph(multi=True) makes an edge a row"
-        _set_attributes(edge, attributes, f"the edge from {start} to {end}", remedy)
-
-
-def _set_attributes(
-    attributes: dict[str, Any], new: Mapping[str, Any], owner: str, remedy: str
-) -> None:
-    for key, value in new.items():
-        if attributes.setdefault(key, value) != value:
-            raise ArgumentError(
-                f"{owner} would have two values of {key!r}: {short_repr(attributes[key])} and "
-                f"{short_repr(value)}; {remedy}"
+    def add(self, entities: Sequence[Handle], key: Key, attributes: Mapping[str, Any]) -> None:
+        """Adds attributes to the edge between two entities, or to the node of a single one."""
+        names = [self.node(entity) for entity in entities]
+        if len(names) == 1:
+            known, owner = self.nodes[names[0]], names[0]
+            remedy = "name the columns by to(…, 'name')"
+        else:
+            start, end = names
+            known, owner = (
+                self.edges.setdefault((start, end, key), {}),
+                f"the edge from {start} to {end}",
             )
+            remedy = "AS graph(multi=True) makes an edge a row"
+        for name, value in attributes.items():
+            if known.setdefault(name, value) != value:
+                raise ArgumentError(
+                    f"{owner} would have two values of {name!r}: {short_repr(known[name])} and "
+                    f"{short_repr(value)}; {remedy}"
+                )
 
 
 # -- the network of a query -------------------------------------------------------------------
@@ -108,41 +104,30 @@ def _network(selection: Selection, *, multi: bool) -> _Network:
 
 def _add_clause(network: _Network, clause: Clause, key: Key) -> None:
     """Adds a clause: an edge between two entities, or an attribute of a single one."""
-    entities = [value for value in clause.arguments if isinstance(value, Handle)]
-    relation, result = clause.relation, clause.result
-    if isinstance(result, Handle):
-        entities, result = [*entities, result], True
+    values = (*clause.arguments, clause.result)
+    entities = [value for value in values if isinstance(value, Handle)]
+    result = True if isinstance(clause.result, Handle) else plain_value(clause.result)
     for entity in entities:
         network.node(entity)
-    match entities:
-        case (a, b):
-            if result is not False and result is not None:
-                network.connect(a, b, key, {relation: plain_value(result)})
-        case (only,):
-            network.describe(only, {relation: plain_value(result)})
-        case _:
-            raise ArgumentError(
-                f"{relation} has {len(entities)} entities; an edge has two, and a node one"
-            )
+    if len(entities) not in (1, 2):
+        raise ArgumentError(
+            f"{clause.relation} has {len(entities)} entities; an edge has two, and a node one"
+        )
+    if len(entities) == 1 or (result is not False and result is not None):
+        network.add(entities, key, {clause.relation: result})
 
 
 def _add_row(network: _Network, names: tuple[str, ...], row: tuple[Any, ...], key: Key) -> None:
     """Adds a row: an edge between its first two entities, with the other columns as attributes."""
-    entity_columns = [column for column, value in enumerate(row) if isinstance(value, Handle)][:2]
-    other_columns = [column for column in range(len(row)) if column not in entity_columns]
-    attributes = {
-        name: plain_value(row[column])
-        for name, column in zip(
-            checked_names([names[p] for p in other_columns]), other_columns, strict=True
-        )
-    }
-    match [row[column] for column in entity_columns]:
-        case (a, b):
-            network.connect(a, b, key, attributes)
-        case (only,):
-            network.describe(only, attributes)
-        case _ if None not in row:  # None stands for a missing entity
-            raise ArgumentError(f"a row has no entity: {short_repr(row)}")
+    ends = [column for column, value in enumerate(row) if isinstance(value, Handle)][:2]
+    others = [column for column in range(len(row)) if column not in ends]
+    checked = checked_names([names[column] for column in others])
+    if ends:
+        values = (plain_value(row[column]) for column in others)
+        attributes = dict(zip(checked, values, strict=True))
+        network.add([row[column] for column in ends], key, attributes)
+    elif None not in row:  # None stands for a missing entity
+        raise ArgumentError(f"a row has no entity: {short_repr(row)}")
 
 
 # -- forms ------------------------------------------------------------------------------------
@@ -162,24 +147,17 @@ def _graph(selection: Selection, multi: bool = False) -> Any:
     network = _network(selection, multi=multi)
     graph: Any = EntityMultiGraph() if multi else EntityGraph()
     for name, attributes in network.nodes.items():
+        entity = network.entities[name]
+        described = {key: getattr(entity, key) for key in _OF_NODES}
         # Selected values take precedence: the query's id is a name.
-        graph.add_nodes_from([(name, _entity_attributes(network.entities[name]) | attributes)])
+        graph.add_nodes_from([(name, {"name": name} | described | attributes)])
     for (a, b, key), attributes in network.edges.items():
         graph.add_edges_from([(a, b, key, attributes) if multi else (a, b, attributes)])
     return graph
 
 
-def _entity_attributes(entity: Handle) -> dict[str, Any]:
-    """Returns the attributes of every node: metres, and quaternions w, x, y, z."""
-    return {
-        "name": entity.full_name,
-        "kind": entity.kind,
-        "id": entity.id,
-        "position": entity.position,
-        "orientation": entity.orientation,
-    }
-
-
+# The attributes of every node, beside its name: metres, and quaternions w, x, y, z.
+_OF_NODES = ("kind", "id", "position", "orientation")
 _SHAPES = {"robot": "box", "kinbody": "ellipse", "sensor": "diamond", "link": "ellipse"}
 
 
@@ -205,12 +183,12 @@ def _labels(attributes: Mapping[str, Any]) -> list[str]:
     ]
 
 
-_ESCAPES = {"\\": "\\\\", '"': '\\"', "\n": "\\n", "\r": "\\r"}
+_ESCAPES = str.maketrans({"\\": "\\\\", '"': '\\"', "\n": "\\n", "\r": "\\r"})
 
 
 def _quoted(text: str) -> str:
     r"""Returns a text in quotes for Graphviz, with backslashes, quotes and line ends escaped."""
-    return '"' + "".join(_ESCAPES.get(letter, letter) for letter in text) + '"'
+    return f'"{text.translate(_ESCAPES)}"'
 
 
 NETWORK = (_graph, _dot)
