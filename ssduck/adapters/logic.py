@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, TypeAlias
 
 from ssduck import validation
@@ -55,38 +56,32 @@ def _item_with_arguments(item: Node, query: Query) -> Node:
     span = item.span
     match item:
         case Call(name="to", arguments=(value, name)):
-            arguments = _arguments(value, query)
-            if arguments is None:
-                arguments = _mentioned_sources(value, query)
+            pass
         case Call(name=relation) | Name(name=relation) if relation != "to":
-            arguments, value, name = _arguments(item, query), item, Literal(span, relation)
-            assert arguments is not None
+            value, name = item, Literal(span, relation)
         case _:
             raise ArgumentError(
                 "this column is no relation, so the clause has no name; give it one by "
                 "to(…, 'name')",
                 span=span,
             )
-    return Call(span, "to", (ListLiteral(span, (*arguments, value)), name), span)
+    arguments = (*_arguments(value, query), value)
+    return Call(span, "to", (ListLiteral(span, arguments), name), span)
 
 
-def _arguments(value: Node, query: Query) -> tuple[Node, ...] | None:
-    """Returns the arguments of a relation, None for other expressions; a bare name has `this`."""
+def _arguments(value: Node, query: Query) -> tuple[Node, ...]:
+    """Returns the arguments of a relation; of another expression, the sources that it mentions.
+
+    A bare name and an expression over a single source have `this`.
+    """
     match value:
         case Call(arguments=arguments):
             return arguments
-        case Name(span=span) if len(query.sources) <= 1:
-            return (This(span, None),)
-        case Name(span=span, name=name):
+        case Name(span=span, name=name) if len(query.sources) > 1:
             raise ArgumentError(
                 f"with several sources, name the argument: {name}(a.this)", span=span
             )
-    return None
-
-
-def _mentioned_sources(value: Node, query: Query) -> tuple[Node, ...]:
-    """Returns the sources that an expression mentions, in order; a single source always."""
-    if len(query.sources) == 1:
+    if isinstance(value, Name) or len(query.sources) == 1:
         return (This(value.span, None),)
     mentioned = free_aliases(value)
     return tuple(This(value.span, a) for a in aliases_of(query) if a in mentioned)
@@ -95,10 +90,10 @@ def _mentioned_sources(value: Node, query: Query) -> tuple[Node, ...]:
 Term: TypeAlias = Callable[[Any], str]
 
 
-def _clause_texts(selected: Iterable[Clause], functor: Term, term: Term) -> list[str]:
+def _clause_texts(selection: Selection, functor: Term, term: Term) -> list[str]:
     """Returns the texts of clauses that hold, sorted and without repetitions."""
     texts: set[str] = set()
-    for clause in selected:
+    for clause in clauses(selection):
         result = plain_value(clause.result)
         if result is False or result is None:
             continue
@@ -121,7 +116,7 @@ def _not_a_term(value: Any) -> ArgumentError:
 @form("prolog", select=with_arguments)
 def _prolog(selection: Selection) -> list[str]:
     """The selected relations as Prolog clauses: a sorted list of texts, without the final dot."""
-    return _clause_texts(clauses(selection), _atom, _term)
+    return _clause_texts(selection, _atom, _term)
 
 
 def _term(value: Any) -> str:
@@ -147,13 +142,13 @@ def _float(value: float) -> str:
     return number + ("" if "." in number else ".0") + exponent + power
 
 
-_PLAIN_ATOM = re.compile(r"[a-z][A-Za-z0-9_]*")
+_CONSTANT = re.compile(r"[a-z][A-Za-z0-9_]*")
 _ESCAPED = {"\\": "\\\\", "'": "\\'", "\n": "\\n", "\t": "\\t"}
 
 
 def _atom(text: str) -> str:
     """Returns a text as an atom, quoted if necessary."""
-    if _PLAIN_ATOM.fullmatch(text):
+    if _CONSTANT.fullmatch(text):
         return text
     return f"'{''.join(map(_in_quotes, text))}'"
 
@@ -183,11 +178,8 @@ _INTEGERS = range(-(2**31), 2**31)
 def _asp(selection: Selection, scale: float | None = None) -> list[str]:
     if scale is not None:
         validation.number_above_0(scale, "scale must be a number above 0")
-
-    def term(value: Any) -> str:
-        return _asp_term(value, scale)
-
-    return [f"{fact}." for fact in _clause_texts(clauses(selection), _predicate, term)]
+    term = partial(_asp_term, scale=scale)
+    return [f"{fact}." for fact in _clause_texts(selection, _predicate, term)]
 
 
 def _asp_term(value: Any, scale: float | None) -> str:
@@ -201,7 +193,8 @@ def _asp_term(value: Any, scale: float | None) -> str:
         case str():
             return value if _CONSTANT.fullmatch(value) and value != "not" else _string(value)
         case list():
-            return _tuple([_asp_term(part, scale) for part in value])
+            terms = [_asp_term(part, scale) for part in value]
+            return f"({terms[0]},)" if len(terms) == 1 else f"({','.join(terms)})"
     raise _not_a_term(value)
 
 
@@ -210,13 +203,6 @@ def _scaled(value: float, scale: float) -> int:
     if not math.isfinite(scaled) or round(scaled) not in _INTEGERS:
         raise ArgumentError(f"{value!r} times {scale!r} is no integer of 32 bits")
     return round(scaled)
-
-
-def _tuple(terms: Sequence[str]) -> str:
-    return f"({terms[0]},)" if len(terms) == 1 else f"({','.join(terms)})"
-
-
-_CONSTANT = re.compile(r"[a-z][A-Za-z0-9_]*")
 
 
 def _predicate(name: str) -> str:
