@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import io
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -191,34 +192,33 @@ _SHADE = 0.5
 _SMALLEST = 1e-6
 
 
-class View:
-    """A picture of a box in space, seen from the front, the right and slightly above.
+class _View:
+    """A picture of the box of points in space, seen from the front, the right and slightly above.
 
     Args:
-        low: the lower corner, (3,), m.
-        high: the upper corner, (3,), m.
+        points: (n, 3), m; without any, the picture is empty.
     """
 
-    def __init__(self, low: Array, high: Array) -> None:
-        self._low, self._high = low, np.maximum(high, low + _SMALLEST)
+    def __init__(self, points: Array) -> None:
+        self._low = points.min(axis=0) if len(points) else np.zeros(3)
+        high = points.max(axis=0) if len(points) else np.ones(3)
+        self._high = np.maximum(high, self._low + _SMALLEST)
         a, e = math.radians(_AZIMUTH), math.radians(_ELEVATION)
         right = np.array([-math.sin(a), math.cos(a), 0.0])
         self.toward = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
         self._plane = np.stack((right, np.cross(self.toward, right)), axis=1)
-        corners = self._corners() @ self._plane
+        bounds = zip(self._low, self._high, strict=True)
+        corners = np.array(list(itertools.product(*bounds))) @ self._plane
         self._first = corners.min(axis=0)
         extent = np.ptp(corners, axis=0)
         self._scale = _SIZE / float(extent.max())
         self._height = float(extent[1]) * self._scale
         size = (extent * self._scale).astype(int) + 2 * _EDGE
-        self.image = Image.new("RGB", (int(size[0]), int(size[1])), WHITE)
-        self.draw = ImageDraw.Draw(self.image)
-
-    def _corners(self) -> Array:
-        bounds = np.stack((self._low, self._high))
-        return np.array(
-            [[bounds[i, 0], bounds[j, 1], bounds[k, 2]] for i, j, k in np.ndindex(2, 2, 2)]
-        )
+        self._image = Image.new("RGB", (int(size[0]), int(size[1])), WHITE)
+        self._draw = ImageDraw.Draw(self._image)
+        if len(points):
+            self._draw_axes()
+        self.canvas = np.array(self._image)
 
     def pixels(self, points: Array) -> Array:
         """Returns the places of points (…, 3) in the picture, (…, 2)."""
@@ -227,7 +227,7 @@ class View:
         placed: Array = flat + _EDGE
         return placed
 
-    def axes(self) -> None:
+    def _draw_axes(self) -> None:
         """Draws the floor, the walls behind, and the axes with their ticks."""
         (x0, y0, z0), (x1, y1, z1) = self._low, self._high
         floor = [(x0, y0, z0), (x1, y0, z0), (x1, y1, z0), (x0, y1, z0), (x0, y0, z0)]
@@ -251,61 +251,50 @@ class View:
             point = first.copy()
             point[axis] = value
             x, y = self.pixels(point)
-            self.draw.line((x, y, x + offset[0], y + offset[1]), fill=INK)
+            self._draw.line((x, y, x + offset[0], y + offset[1]), fill=INK)
             text = (x + 1.4 * offset[0], y + 1.4 * offset[1])
-            self.draw.text(text, f"{value:g}", fill=INK, font=font(), anchor=anchor)
+            self._draw.text(text, f"{value:g}", fill=INK, font=font(), anchor=anchor)
         x, y = self.pixels(last if axis == 2 else (first + last) / 2)
         middle = {0: (x - 26, y + 24), 1: (x + 22, y + 20), 2: (x, y - 14)}[axis]
         centred = {0: "rt", 1: "lt", 2: "mm"}[axis]
-        self.draw.text(middle, label, fill=INK, font=font(), anchor=centred)
+        self._draw.text(middle, label, fill=INK, font=font(), anchor=centred)
 
-    def _line(
-        self, points: Sequence[Sequence[float]] | Sequence[Array], colour: tuple[int, int, int]
-    ) -> None:
-        self.draw.line([(x, y) for x, y in self.pixels(np.array(points)).tolist()], fill=colour)
+    def _line(self, points: Any, colour: Colour) -> None:
+        self._draw.line([(x, y) for x, y in self.pixels(np.array(points)).tolist()], fill=colour)
 
     def with_legend(self, names: Sequence[str]) -> Image.Image:
-        """Returns the picture with the names of the colours at its right."""
-        side = beside(legend(names), None, self.image.height)
-        width = self.image.width + _GAP + side.width
-        whole = Image.new("RGB", (width, max(self.image.height, side.height + 2 * _GAP)), WHITE)
-        whole.paste(self.image)
-        whole.paste(side, (self.image.width, _GAP))
+        """Returns the canvas with the names of the colours at its right."""
+        height, width, _ = self.canvas.shape
+        side = beside(legend(names), None, height)
+        size = width + _GAP + side.width, max(height, side.height + 2 * _GAP)
+        whole = Image.new("RGB", size, WHITE)
+        whole.paste(Image.fromarray(self.canvas))
+        whole.paste(side, (width, _GAP))
         return whole
 
 
 def draw_points(points: Array, owners: Indices, names: Sequence[str]) -> Image.Image:
     """Returns a picture of points, with a colour for each owner."""
-    if not len(points):
-        points, owners = np.zeros((0, 3)), np.zeros(0, dtype=np.intp)
-        return View(np.zeros(3), np.ones(3)).with_legend(names)
-    view = View(points.min(axis=0), points.max(axis=0))
-    view.axes()
+    view = _View(points)
     order = np.argsort(points @ view.toward)  # the nearest points are drawn last
     columns, rows = view.pixels(points[order]).astype(int).T
-    canvas = np.array(view.image)
     colours = np.array(COLOURS, dtype=np.uint8)[owners[order] % len(COLOURS)]
     for right in (0, 1):
-        canvas[rows, columns + right] = colours
-    view.image = Image.fromarray(canvas)
+        view.canvas[rows, columns + right] = colours
     return view.with_legend(names)
 
 
 def draw_triangles(triangles: Array, owners: Indices, names: Sequence[str]) -> Image.Image:
     """Returns a picture of triangles, (n, 3, 3), m; the rest is as for `draw_points`."""
-    if not len(triangles):
-        return View(np.zeros(3), np.ones(3)).with_legend(names)
-    view = View(triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1)))
-    view.axes()
+    view = _View(triangles.reshape(-1, 3))
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     lengths = np.linalg.norm(normals, axis=1)
     light = view.toward + np.array([0.2, 0.0, 0.5])
     shares = np.abs(normals @ (light / np.linalg.norm(light)))
     shares /= np.where(lengths > 0.0, lengths, 1.0)
     shades = (_SHADE + (1.0 - _SHADE) * shares)[:, None] * np.array(COLOURS)[owners % len(COLOURS)]
-    canvas = np.array(view.image)
-    _fill(canvas, view.pixels(triangles), triangles @ view.toward, shades.astype(np.uint8))
-    view.image = Image.fromarray(canvas)
+    depths = triangles @ view.toward
+    _fill(view.canvas, view.pixels(triangles), depths, shades.astype(np.uint8))
     return view.with_legend(names)
 
 
