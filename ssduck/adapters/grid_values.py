@@ -167,6 +167,10 @@ class Grid:
         shares = np.clip(values / largest, 0.0, 1.0) if largest > 0.0 else np.zeros(values.shape)
         return Image.fromarray(_colours(shares))
 
+    @property
+    def _labels(self) -> tuple[str, str]:
+        return f"{self.axes[0].lower()} [m]", f"{self.axes[1].lower()} [m]"
+
     # The name and the unit of the values.
     _LABEL: ClassVar[str] = "value"
 
@@ -190,15 +194,14 @@ class Grid:
         area = area.resize((area.width * factor, area.height * factor), Image.Resampling.NEAREST)
         values, (lower, upper) = self._flat(), self.bounds
         bounds = lower[:2], upper[:2]
-        labels = f"{self.axes[0].lower()} [m]", f"{self.axes[1].lower()} [m]"
         if values.dtype == np.bool_:
             shades = [(shade, shade, shade) for shade in (_OCCUPIED, _FREE)]
             entries = list(zip(shades, (self._LABEL, "free"), strict=True))
-            return chart(area, bounds, labels, entries=entries)
+            return chart(area, bounds, self._labels, entries=entries)
         colours = [(r, g, b) for r, g, b in _colours(np.linspace(0.0, 1.0, 256)).tolist()]
         is_whole = values.dtype.kind in "iu"
         scale = ColourScale(self._LABEL, float(values.max(initial=0.0)), colours, is_whole)
-        return chart(area, bounds, labels, scale=scale)
+        return chart(area, bounds, self._labels, scale=scale)
 
     def _repr_png_(self) -> bytes:
         """Returns `chart()` as a PNG picture for notebooks."""
@@ -229,8 +232,7 @@ class Grid:
             cmap="Greys" if is_boolean else "YlOrRd",
             interpolation="nearest",
         )
-        ax.set_xlabel(f"{self.axes[0].lower()} [m]")
-        ax.set_ylabel(f"{self.axes[1].lower()} [m]")
+        ax.set(xlabel=self._labels[0], ylabel=self._labels[1])
         if is_boolean:
             from matplotlib.patches import Patch
 
@@ -266,7 +268,36 @@ class OccupancyGrid(Grid):
         Returns:
             The path of the YAML file.
         """
-        return _save_map(Path(path), self.cells, self.origin, self.resolution, self.z)
+        import yaml
+        from PIL import Image
+
+        path = Path(path)
+        path = path if path.suffix else path.with_suffix(".yaml")
+        picture = path.with_suffix(".pgm")
+        if picture == path:
+            raise ArgumentError(
+                f"{path} is the name of the picture; name the YAML file, map.yaml say"
+            )
+        pixels = np.where(self.cells.T[::-1], OCCUPIED, FREE).astype(np.uint8)
+        values = {
+            "image": picture.name,
+            "resolution": self.resolution,
+            "origin": [*self.origin, 0.0],
+            "negate": 0,
+            "occupied_thresh": OCCUPIED_THRESH,
+            "free_thresh": FREE_THRESH,
+            "z": list(self.z) if isinstance(self.z, tuple) else self.z,
+        }
+        try:
+            str(path).encode()  # fails before anything is written if the name cannot be encoded
+            Image.fromarray(pixels).save(picture, "PPM")
+            with path.open("w", encoding="utf-8", newline="\n") as file:
+                yaml.safe_dump(
+                    values, file, sort_keys=False, default_flow_style=None, width=math.inf
+                )
+        except (OSError, ValueError) as error:  # a null character is a ValueError
+            raise ArgumentError(f"{path} cannot be written: {error_text(error)}") from error
+        return path
 
     @classmethod
     def load(cls, path: str | Path, *, unknown: bool | None = None) -> OccupancyGrid:
@@ -283,7 +314,7 @@ class OccupancyGrid(Grid):
         """
         if unknown is not None:
             unknown = validation.boolean(unknown, "load: unknown")
-        return cls(*_load_map(Path(path), unknown=unknown))
+        return _load_map(cls, Path(path), unknown)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -345,45 +376,7 @@ OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
 _REQUIRED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 
 
-def _save_map(
-    path: Path,
-    cells: npt.NDArray[np.bool_],
-    origin: tuple[float, ...],
-    resolution: float,
-    z: float | tuple[float, float],
-) -> Path:
-    """Writes both files and returns the path of the YAML file."""
-    import yaml
-    from PIL import Image
-
-    path = path if path.suffix else path.with_suffix(".yaml")
-    picture = path.with_suffix(".pgm")
-    if picture == path:
-        raise ArgumentError(f"{path} is the name of the picture; name the YAML file, map.yaml say")
-    pixels = np.where(cells.T[::-1], OCCUPIED, FREE).astype(np.uint8)
-    values = {
-        "image": picture.name,
-        "resolution": resolution,
-        "origin": [*origin, 0.0],
-        "negate": 0,
-        "occupied_thresh": OCCUPIED_THRESH,
-        "free_thresh": FREE_THRESH,
-        "z": list(z) if isinstance(z, tuple) else z,
-    }
-    try:
-        str(path).encode()  # fails before anything is written if the name cannot be encoded
-        Image.fromarray(pixels).save(picture, "PPM")
-        with path.open("w", encoding="utf-8", newline="\n") as file:
-            yaml.safe_dump(values, file, sort_keys=False, default_flow_style=None, width=math.inf)
-    except (OSError, ValueError) as error:  # a null character is a ValueError
-        raise ArgumentError(f"{path} cannot be written: {error_text(error)}") from error
-    return path
-
-
-def _load_map(
-    path: Path, *, unknown: bool | None
-) -> tuple[npt.NDArray[np.bool_], tuple[float, ...], float, float | tuple[float, float]]:
-    """Returns the cells, the origin, the resolution and the height (0 if the file has none)."""
+def _load_map(kind: type[OccupancyGrid], path: Path, unknown: bool | None) -> OccupancyGrid:
     from PIL import Image
 
     values = _map_values(path)
@@ -414,7 +407,7 @@ def _load_map(
             f"{path}: {unknown_count} cells are unknown; load(path, unknown=True) counts them as "
             "occupied, unknown=False for free"
         )
-    return (~free if unknown else occupied), (x, y), resolution, z  # type: ignore[return-value]
+    return kind(~free if unknown else occupied, (x, y), resolution, z)  # type: ignore[arg-type]
 
 
 def _map_values(path: Path) -> dict[str, Any]:

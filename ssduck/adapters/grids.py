@@ -55,9 +55,7 @@ def _occupancy(
     low, high = (validation.number(height, "z_pos") for height in heights)
     if low > high:
         raise ArgumentError(f"z_pos: the lowest height {low:g} is above the highest, {high:g}")
-    size = validation.length(grid_size, "the size of a cell")
-    placed = shapes_of(selection)
-    return _occupied_cells(placed, _raster(selection, bounds, placed, size), (low, high))
+    return _occupied_cells(selection, (low, high), grid_size, bounds)
 
 
 @form(
@@ -68,15 +66,17 @@ def _occupancy(
     tables=SHAPES,
 )
 def _roomba_grid(selection: Selection, z_pos: Any = 0.22, grid_size: Any = 0.025) -> OccupancyGrid:
-    z, size = validation.number(z_pos, "z_pos"), validation.length(grid_size, "the size of a cell")
-    placed = shapes_of(selection)
+    z = validation.number(z_pos, "z_pos")
     # The tutorial requests one cell more than the bounds have.
-    return _occupied_cells(placed, _raster(selection, None, placed, size, more=1), (z, z))
+    return _occupied_cells(selection, (z, z), grid_size, None, more=1)
 
 
 def _occupied_cells(
-    placed: PlacedSolids, raster: Raster, heights: tuple[float, float]
+    selection: Selection, heights: tuple[float, float], grid_size: Any, bounds: Any, more: int = 0
 ) -> OccupancyGrid:
+    size = validation.length(grid_size, "the size of a cell")
+    placed = shapes_of(selection)
+    raster = _raster(selection, bounds, placed, size, more)
     cells = Rasterizer(placed).cells(raster, *heights)
     z = heights[0] if heights[0] == heights[1] else heights
     return OccupancyGrid(cells, raster.origin, raster.size, z)
