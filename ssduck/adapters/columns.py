@@ -72,7 +72,7 @@ def plain_value(value: Any) -> Any:
 
 def _type_of(values: list[Any], name: str) -> pa.DataType:
     present = [value for value in values if value is not None]
-    kinds = set(map(type, present))
+    kinds = dict.fromkeys(map(type, present)).keys()  # in order
     if not kinds:
         return pa.null()
     if kinds == {int}:
@@ -80,7 +80,7 @@ def _type_of(values: list[Any], name: str) -> pa.DataType:
     if kinds == {int, float}:
         return _mixed_numbers(present, name)
     if len(kinds) > 1:
-        a, b = (next(v for v in present if type(v) is kind) for kind in _first_two_types(present))
+        a, b = (next(v for v in present if type(v) is kind) for kind in list(kinds)[:2])
         raise ArgumentError(
             f"the column {name!r} holds {type_in_words(a)} ({short_repr(a)}) and "
             f"{type_in_words(b)} ({short_repr(b)}); "
@@ -103,11 +103,6 @@ def _type_of(values: list[Any], name: str) -> pa.DataType:
 
 
 _PLAIN = {bool: pa.bool_(), float: pa.float64(), str: pa.string(), bytes: pa.binary()}
-
-
-def _first_two_types(values: list[Any]) -> list[type]:
-    """Returns the first two types of values."""
-    return list(dict.fromkeys(map(type, values)))[:2]
 
 
 def _integers(values: list[int], name: str) -> pa.DataType:

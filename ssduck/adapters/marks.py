@@ -126,6 +126,8 @@ def _seen(info: EntityInfo, link: int) -> Mark:
 def _render_highlighted(
     world: World, marks: set[Mark], width: int, height: int
 ) -> npt.NDArray[np.uint8]:
+    from scipy.ndimage import binary_dilation
+
     whole = [id for id, link in marks if link < 0]
     parts = [link_id(id, link) for id, link in marks if link >= 0]
     with world.lock:
@@ -135,12 +137,5 @@ def _render_highlighted(
     grey = picture @ (0.299, 0.587, 0.114)
     faded = (1.0 - _FADE) * grey[:, :, None] + _FADE * 255.0
     pixels = np.where(is_highlighted[:, :, None], picture, faded)
-    pixels[_outline(is_highlighted)] = OUTLINE
+    pixels[binary_dilation(is_highlighted, iterations=_WIDTH) & ~is_highlighted] = OUTLINE
     return pixels.round().astype(np.uint8)
-
-
-def _outline(is_highlighted: npt.NDArray[np.bool_]) -> Any:
-    """Returns the pixels around those of the highlighted bodies."""
-    from scipy.ndimage import binary_dilation
-
-    return binary_dilation(is_highlighted, iterations=_WIDTH) & ~is_highlighted

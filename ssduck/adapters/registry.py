@@ -140,16 +140,12 @@ def _exact_spelling(name: str, known: Collection[str]) -> str:
 
 def tables_read_by(names: Iterable[str]) -> frozenset[str]:
     """Returns the tables, beside `entities`, that forms read; unknown names count as none."""
-    tables: frozenset[str] = frozenset()
+    forms: set[Adapter] = set()
     for name in names:
-        all_adapters = [_ADAPTERS[name]] if name in _ADAPTERS else _in_any_case(name)
-        tables = tables.union(*(form.tables for form in all_adapters))
-    return tables
-
-
-def _in_any_case(name: str) -> list[Adapter]:
-    folded = name.casefold()
-    return [form for known, form in _ADAPTERS.items() if known.casefold() == folded]
+        folded = name.casefold()
+        same = {form for known, form in _ADAPTERS.items() if known.casefold() == folded}
+        forms |= {_ADAPTERS[name]} if name in _ADAPTERS else same
+    return frozenset(table for form in forms for table in form.tables)
 
 
 def all_adapters() -> list[Adapter]:
