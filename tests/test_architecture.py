@@ -114,7 +114,7 @@ def test_kinds_of_worlds_override_nothing_private():
 # takes out elsewhere: a budget is lowered when a package has become smaller, and not raised.
 BUDGETS = {
     "": 2_300,
-    "adapters": 4_650,
+    "adapters": 4_530,
     "cli": 1_365,
     "columns": 1_300,
     "database": 6_580,
