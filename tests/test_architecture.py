@@ -125,7 +125,7 @@ BUDGETS = {
     "interpreter": 15_900,
     "lakes": 2_910,
     "language": 6_210,
-    "logic": 590,
+    "logic": 615,
     "mcp": 600,
     "recording": 9_010,
     "render": 1_150,

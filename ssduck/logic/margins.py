@@ -56,6 +56,30 @@ def margin_of(condition: Node) -> Node:
     return Call(span, MARGIN_OF_TRUTH, (condition,), span)
 
 
+def check_margin(margin: Node) -> None:
+    """Checks that a margin is of conditions: that of a number or a text would be infinite."""
+    for part in margin.walk():
+        if isinstance(part, Call) and part.name == MARGIN_OF_TRUTH and _is_value(part.arguments[0]):
+            raise ArgumentError(
+                "robustness takes a condition, and this is a value: compare it, as in "
+                "robustness(z(cup) > 0.9)",
+                span=part.span,
+            )
+
+
+def _is_value(node: Node) -> bool:
+    match node:
+        case Literal(value=value):
+            return not isinstance(value, bool)
+        case Unary(operator=sign) | Binary(operator=sign) | OperatorChain(operators=(sign, *_)):
+            return sign in ("+", "-", "*", "/", "%")
+        case Call(name=name):
+            result = RELATIONS[name].result if name in RELATIONS else "boolean"
+            is_value = result not in ("boolean", "entity")
+            return is_value or name in ("robustness", "heldFor", "rate")
+    return isinstance(node, ListLiteral)
+
+
 def _extreme(condition: Node, sign: str, operands: tuple[Node, ...]) -> Node:
     """Returns the least margin of the operands of AND, or the largest of those of OR.
 

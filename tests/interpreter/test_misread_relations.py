@@ -39,7 +39,6 @@ def ss(world):
         ("inside(sim.bin, sim.ball) OR False;", "inside"),
         ("heldFor(inside(sim.bin, sim.ball));", "inside"),
         ("historically(distance(sim.bin, sim.ball), 0, 1);", "distance"),
-        ("robustness(clearance(sim.bin, sim.ball));", "clearance"),
         ("SELECT id FROM sim WHERE distance(this, sim.ball);", "distance"),
         ("SELECT id FROM sim WHERE NOT clearance(this, sim.ball);", "clearance"),
     ],

@@ -254,6 +254,11 @@ def test_the_margin_of_what_is_unknown_is_nothing():
         ("robustness(lifted(1))", "lifted takes 2"),
         ("robustness(scale(1 < 2, 0))", "scale takes a number above 0"),
         ("robustness(scale(1 < 2, -1))", "scale takes a number above 0"),
+        ("robustness(z(cup))", "robustness takes a condition"),
+        ("robustness(once(1 < 2 AND -z(cup)))", "robustness takes a condition"),
+        ("robustness(robustness(z(cup) > 1))", "robustness takes a condition"),
+        ("robustness(heldFor(z(cup) > 1))", "robustness takes a condition"),
+        ("robustness('high')", "robustness takes a condition"),
     ],
 )
 def test_mistakes_are_told_of(call, message):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from ssduck.interpreter.over_time.functions import never_called
 from ssduck.language.builtins import Function
 from ssduck.language.tree import Binary, Call, Node
-from ssduck.logic.margins import margin_of
+from ssduck.logic.margins import check_margin, margin_of
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,9 @@ def _lifted(call: Call) -> Node:
 
 
 def _robustness(call: Call) -> Node:
-    return margin_of(call.arguments[0])
+    margin = margin_of(call.arguments[0])
+    check_margin(margin)
+    return margin
 
 
 EXPANSIONS: dict[str, Expansion] = {
