@@ -295,7 +295,10 @@ def test_what_is_wrong_is_an_error_and_writes_nothing(tmp_path, entities, poses,
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"world": "two words"}, "cannot be a world's name"),
+        *(
+            ({"world": name}, "cannot have the name|cannot be a world's name")
+            for name in ("memory", "Main", "pg_catalog", "two words", "")
+        ),
         ({"tags": {"a": [1]}}, "a tag is a text"),
         ({"velocities": POSES}, r"velocities: the shape is \(5, 2, 7\)"),
     ],
@@ -372,13 +375,6 @@ def test_a_column_of_lists_is_no_column_of_numbers(tmp_path):
     rows = [{"time": [0.0], "name": "a", "x": 0.0, "y": 0.0, "z": 0.0}]
     with pytest.raises(ArgumentError, match="'time' has other values than numbers"):
         ssduck.write_record(tmp_path / "r", {"a": {"sphere": 0.1}}, pa.Table.from_pylist(rows))
-
-
-@pytest.mark.parametrize("name", ["memory", "Main", "pg_catalog", "a b", ""])
-def test_a_world_that_could_not_be_opened_is_not_written(tmp_path, name):
-    with pytest.raises(ArgumentError, match=r"cannot have the name|cannot be a world's name"):
-        ssduck.write_record(tmp_path / "r", ["cup"], np.zeros((1, 1, 3)), [0.0], world=name)
-    assert not (tmp_path / "r").exists()
 
 
 def test_a_folder_whose_name_is_too_long_leaves_none(tmp_path):
