@@ -14,9 +14,10 @@ from ssduck.interpreter.mirrors import Mirror
 from ssduck.limits import Limits
 from ssduck.sandbox import SandboxedInterpreter, opening
 from ssduck.simulators.scenes import find_scene
-from tests.interpreter.test_mirrors import PROGRAMS, STATEMENTS, plain
+from tests.interpreter.test_mirrors import PROGRAMS, STATEMENTS
 from tests.simulators.mujoco.test_pair_margins import CASES, MODEL, PAIR, THINGS
 from tests.simulators.mujoco.test_pair_margins import pressed as presses
+from tests.support.environments import by_name
 
 EXIT = "__import__('os')._exit(0)"
 
@@ -42,7 +43,7 @@ def pair(zygote):
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_programs_ask_a_world_of_this_process(pair, program):
     ss, box = pair
-    assert plain(box.eval(program)) == plain(ss.eval(program))
+    assert by_name(box.eval(program)) == by_name(ss.eval(program))
 
 
 @pytest.mark.slow
@@ -181,7 +182,7 @@ def test_what_sensors_perceive_is_asked_of_the_simulation(zygote):
         with pytest.raises(UnsupportedError, match="once for each question"):
             box.ask("worker.python", "[worker.call('sensed', 'kitchen') for _ in range(2)]")
         query = "SELECT a.this, b.this FROM a=kitchen, b=kitchen WHERE isSensing(a.this, b.this);"
-        assert plain(box.eval(query)) == plain(ss.eval(query)) != []
+        assert by_name(box.eval(query)) == by_name(ss.eval(query)) != []
         statement = "SELECT sensor, entity FROM sensings ORDER BY ALL"
         assert box.sql(statement).fetchall() == ss.sql(statement).fetchall()
 
