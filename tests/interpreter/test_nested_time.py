@@ -135,6 +135,26 @@ def test_a_simulation_that_goes_on_tells_at_each_tick_what_its_record_tells(seed
             scene.note()
 
 
+def test_a_margin_is_known_where_what_is_to_come_cannot_change_it():
+    scene = Scene(0)
+    text = "eventually(z(sim.ball) > 0.5 OR always(z(sim.ball) > 2), 0, 0.1)"
+    heights = []
+    with ssduck.Interpreter() as ss:
+        sim = ss.add_variable("sim", ssduck.World.attach((scene.model, scene.data)))
+        for _ in range(TICKS):
+            if scene.data.time <= 0.1 + 1e-9:
+                heights.append(scene.data.body("ball").xpos[2])
+            is_over = scene.data.time > 0.1 - 1e-9
+            # `always` is never decided: its margin is at most z - 2, which is less.
+            expected = max(heights) - 0.5 if is_over else None
+            assert ss.eval(f"robustness({text});") == expected
+            inner = f"historically(NOT {text}, 0, 0)"  # at the last tick
+            margin = ss.eval(f"SELECT robustness({inner}) AS m FROM sim{{0.0}} LIMIT 1 AS list;")
+            assert margin == [None if expected is None else -expected]
+            scene.move()
+            sim.tick()
+
+
 @pytest.fixture
 def moved():
     scene = Scene(0)

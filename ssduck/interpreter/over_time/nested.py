@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -36,12 +37,13 @@ from ssduck.interpreter.over_time.series import (
     are_last_of_their_times,
     is_true,
 )
-from ssduck.language.analysis import IMPURE, OVER_TIME, calls_of, free_aliases, mentions
+from ssduck.language.analysis import IMPURE, OF_MARGINS, OVER_TIME, calls_of, free_aliases, mentions
 from ssduck.language.builtins import BUILTINS
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import (
     Binary,
     Call,
+    ListLiteral,
     Literal,
     Name,
     Node,
@@ -203,16 +205,23 @@ class Ticks:
         """Returns the conditions of an operator, or their margins, at each tick."""
         if not TEMPORAL_FUNCTIONS[call.name].of_margins:
             return [self.trace(part) for part in expressions_of(call)]
-        columns = [self.column(part) for part in expressions_of(call)]
-        return [
-            Trace.of(
-                self.times,
-                np.where(column.unknown, 0.0, column.values).astype(np.float64),
-                column.unknown,
-                is_open=self.is_open,
-            )
-            for column in columns
-        ]
+        return [self._margins(part) for part in expressions_of(call)]
+
+    def _margins(self, node: Node) -> Trace:
+        """Returns margins; those of what looks ahead have the bounds of what is to come."""
+        if any((form := operator_of(part)) and form.looks_ahead for part in node.walk()):
+            match node:
+                case Call(name=name) if name.startswith(OF_MARGINS):
+                    return self.trace(node)
+                case Unary(operator="-", operand=operand):
+                    return ~self._margins(operand)
+                case Call(name="margin of AND", arguments=(ListLiteral(items=items),)):
+                    return reduce(Trace.__and__, map(self._margins, items))
+                case Call(name="margin of OR", arguments=(ListLiteral(items=items),)):
+                    return reduce(Trace.__or__, map(self._margins, items))
+        column = self.column(node)
+        margins = np.where(column.unknown, 0.0, column.values).astype(np.float64)
+        return Trace.of(self.times, margins, column.unknown, is_open=self.is_open)
 
     # -- truth ------------------------------------------------------------------------------
 
