@@ -243,7 +243,7 @@ class NarrowPhase:
         for _ in range(MAX_STEPS):
             missing = sign * (found.distance - distance) + PRECISION
             if missing <= PRECISION:
-                return direction * way
+                return direction * way if way else None
             way += missing
             moved = self._with_moved(i, j, direction * way)
             of_moved = moved._compute_signed_distance(0, 1, has_margins=has_margins)  # noqa: SLF001
