@@ -47,6 +47,7 @@ from ssduck.language.sql_readings import SqlReader
 from ssduck.language.tree import Call, Node, Placeholder, Program, Query
 from ssduck.language.value_history import LazyList
 from ssduck.limits import Limits, UsageMeter
+from ssduck.logic.margins import is_value
 from ssduck.logic.why import Why
 from ssduck.recording.replay.past import Past, common_moment, pin_to_common_tick
 from ssduck.recording.replay.record import Record
@@ -289,7 +290,7 @@ class Execution(Namespace):
 
         with self.rehearsal(program) as frame:
             nodes = self.read(program).statements
-            if not nodes:
+            if not nodes or is_value(nodes[-1]):
                 raise ArgumentError("WHY takes a condition, such as WHY on(table, cup);")
             resolved = self.planner.resolved_parts
             return Explainer(program.text, frame, self.nested, record_of, resolved).why(nodes[-1])

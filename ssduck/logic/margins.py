@@ -59,7 +59,7 @@ def margin_of(condition: Node) -> Node:
 def check_margin(margin: Node) -> None:
     """Checks that a margin is of conditions: that of a number or a text would be infinite."""
     for part in margin.walk():
-        if isinstance(part, Call) and part.name == MARGIN_OF_TRUTH and _is_value(part.arguments[0]):
+        if isinstance(part, Call) and part.name == MARGIN_OF_TRUTH and is_value(part.arguments[0]):
             raise ArgumentError(
                 "robustness takes a condition, and this is a value: compare it, as in "
                 "robustness(z(cup) > 0.9)",
@@ -67,7 +67,8 @@ def check_margin(margin: Node) -> None:
             )
 
 
-def _is_value(node: Node) -> bool:
+def is_value(node: Node) -> bool:
+    """Checks whether a part is a number, a text or a list, and no condition."""
     match node:
         case Literal(value=value):
             return not isinstance(value, bool)

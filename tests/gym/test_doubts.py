@@ -26,6 +26,7 @@ TOO_LONG = [
 LONG_ENOUGH = [
     "eventually(z(sim.ball) < 0.9, 0.5, 20)",
     "always(z(sim.ball) > 0.1, 0, 1)",
+    "NOT always(z(sim.ball) > 0.1, 0, 2)",
     "once(z(sim.ball) > 0.1, 0, 3)",
     "historically(z(sim.ball) > 0.1, 1)",
     "heldFor(z(sim.ball) > 0.1) >= 1",

@@ -259,4 +259,7 @@ def test_what_is_no_condition_is_told_of(kitchen):
         kitchen.eval("WHY SELECT name FROM kitchen;")
     with pytest.raises(ArgumentError, match="this one has groups"):
         kitchen.eval("WHY SELECT max(z) FROM kitchen WHERE z > 1;")
+    for text in ("3", "'a'", "z(cup) + 1", "z(cup)", "[1, 2]"):
+        with pytest.raises(ArgumentError, match="WHY takes a condition"):
+            kitchen.eval(f"WHY {text};")
     assert kitchen.eval("why = 2; why + 1;") == 3

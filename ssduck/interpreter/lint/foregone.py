@@ -136,8 +136,12 @@ def beyond(statement: Node, text: str, longest: float) -> Iterator[str]:
         text: its text.
         longest: the duration of an episode at most, s.
     """
+    negated = (p for p in statement.walk() if isinstance(p, Unary) and p.operator == "NOT")
+    # What is decided when it does not hold: NOT always(c, 0, 10) may hold in an episode of 5 s.
+    denied = {id(inner) for part in negated for inner in part.walk()}
     for part in statement.walk():
-        if isinstance(part, Call) and part.name in TEMPORAL_OPERATORS:
+        is_decided = id(part) in denied and getattr(part, "name", "") == "always"
+        if isinstance(part, Call) and part.name in TEMPORAL_OPERATORS and not is_decided:
             window = list(map(_constant, part.arguments[TEMPORAL_OPERATORS[part.name] :]))
             # Until its window is over, `always` is undecided, and does not hold.
             bounds = window if part.name == "always" else window[:1]
