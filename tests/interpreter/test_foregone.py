@@ -117,6 +117,7 @@ RUN = {
 }
 
 
+@pytest.mark.filterwarnings("ignore:.*overlap, and inside")
 @pytest.mark.parametrize("name", sorted(RANGES))
 def test_values_are_in_the_ranges(falling, name):
     """Of relations in a scene in which things fall, of functions for numbers that they take."""
