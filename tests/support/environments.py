@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import ssduck
+from ssduck.sandbox.references import EntityReference
 from ssduck.sql.relations.registry import RELATIONS
 
 pybullet = pytest.importorskip("pybullet")
@@ -51,7 +52,7 @@ TWO = sorted(name for name, count in told_relations() if count == 2)
 
 def by_name(value):
     """A value with names for entities, which are of different worlds."""
-    if isinstance(value, ssduck.Entity):
+    if isinstance(value, ssduck.Entity | EntityReference):
         return value.name
     if isinstance(value, list | tuple):
         return [by_name(part) for part in value]

@@ -399,7 +399,7 @@ def without_unknown(answers: Answers, what: str) -> Array:
         raise ArgumentError(
             f"{what} is unknown in {int(unknown.sum())} environments ({numbers}): a "
             "number that it reads is NaN there, and ss.terms(…, nan=…) says what it is then; or it "
-            "is not decided yet, and does not hold so far if OR False follows"
+            "is not decided yet, and does not hold so far in IF(…; TRUE; FALSE)"
         )
     if values.dtype.kind in "fiu":
         condition = unknown if values.ndim == 1 else unknown[:, None]
