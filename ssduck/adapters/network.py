@@ -46,10 +46,8 @@ class _Network:
             remedy = "name the columns by to(…, 'name')"
         else:
             start, end = names
-            known, owner = (
-                self.edges.setdefault((start, end, key), {}),
-                f"the edge from {start} to {end}",
-            )
+            known = self.edges.setdefault((start, end, key), {})
+            owner = f"the edge from {start} to {end}"
             remedy = "AS graph(multi=True) makes an edge a row"
         for name, value in attributes.items():
             if known.setdefault(name, value) != value:

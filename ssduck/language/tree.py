@@ -386,18 +386,21 @@ class OperandRow:
 
 
 def conjuncts(node: Node | None) -> Iterator[Node]:
-    """Yields the parts of a condition that AND joins, in order; the whole if they are too many.
+    """Returns the parts of a condition that AND joins, in order; the whole if they are too many.
 
     >>> from ssduck.language.parser import parse
     >>> [part.outline() for part in conjuncts(parse("a AND b AND c;").statements[0])]
     ["Name('a')", "Name('b')", "Name('c')"]
     """
+    return iter(()) if node is None else joined(node, "AND", MAX_CHAIN)
+
+
+def joined(node: Node, sign: str, most: float) -> Iterator[Node]:
+    """Yields what an operator such as OR joins, in order; a chain of more than `most` is whole."""
     match node:
-        case Binary(operator="AND", left=left, right=right):
-            yield from conjuncts(left)
-            yield from conjuncts(right)
-        case OperatorChain(operators=("AND", *_), operands=operands) if len(operands) <= MAX_CHAIN:
-            for operand in operands:
-                yield from conjuncts(operand)
-        case Node():
-            yield node
+        case Binary(operator=own) | OperatorChain(operators=(own, *_)) if own == sign:
+            if len(operands := tuple(node.children())) <= most:
+                for operand in operands:
+                    yield from joined(operand, sign, most)
+                return
+    yield node

@@ -76,8 +76,8 @@ def is_value(node: Node) -> bool:
             return sign in ("+", "-", "*", "/", "%")
         case Call(name=name):
             result = RELATIONS[name].result if name in RELATIONS else "boolean"
-            is_value = result not in ("boolean", "entity")
-            return is_value or name in ("robustness", "heldFor", "rate")
+            is_number = name in ("robustness", "heldFor", "rate")
+            return is_number or result not in ("boolean", "entity")
     return isinstance(node, ListLiteral)
 
 

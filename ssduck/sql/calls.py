@@ -186,9 +186,9 @@ def _point(sql: ExpressionScope, parameter: Parameter, node: Node) -> SqlValue |
     sql_type = sql.context.constant_type(node)
     element = sql_type.element
     is_point = sql_type.length == 3 and element is not None and element.is_number
-    return (
-        sql.context.constant("point", node, POINT) if is_point or sql_type.type == "array" else None
-    )
+    if not is_point and sql_type.type != "array":
+        return None
+    return sql.context.constant("point", node, POINT)
 
 
 def _argument_error(

@@ -18,7 +18,8 @@ from ssduck import validation
 from ssduck.errors import ArgumentError, SelectScriptError
 from ssduck.interpreter.lint.columns import COMPARISONS
 from ssduck.interpreter.lint.scope import Check, Scope
-from ssduck.language.analysis import OVER_TIME, TEMPORAL_OPERATORS, is_impure
+from ssduck.interpreter.over_time.functions import operator_of
+from ssduck.language.analysis import OVER_TIME, is_impure
 from ssduck.language.builtins import BUILTINS
 from ssduck.language.operators import apply
 from ssduck.language.tree import (
@@ -30,6 +31,7 @@ from ssduck.language.tree import (
     OperatorChain,
     Query,
     Unary,
+    joined,
 )
 from ssduck.language.value_keys import node_key
 from ssduck.sql.relations.registry import RELATIONS
@@ -140,18 +142,19 @@ def beyond(statement: Node, text: str, longest: float) -> Iterator[str]:
     # What is decided when it does not hold: NOT always(c, 0, 10) may hold in an episode of 5 s.
     denied = {id(inner) for part in negated for inner in part.walk()}
     for part in statement.walk():
-        is_decided = id(part) in denied and getattr(part, "name", "") == "always"
-        if isinstance(part, Call) and part.name in TEMPORAL_OPERATORS and not is_decided:
-            window = list(map(_constant, part.arguments[TEMPORAL_OPERATORS[part.name] :]))
-            # Until its window is over, `always` is undecided, and does not hold.
-            bounds = window if part.name == "always" else window[:1]
-            most = longest + _slack(longest)
-            far = [bound for bound in bounds if validation.is_number(bound) and bound > most]
-            if far:
-                word = "always" if part.name == "historically" else "never"
-                when = "ahead" if part.name in ("always", "eventually", "until") else "ago"
-                told = f"it asks for what is {far[0]:g} s {when}"
-                yield f"{_written(part, text)} {word} holds: {told}"
+        if not isinstance(part, Call) or (form := operator_of(part)) is None:
+            continue
+        window = list(map(_constant, part.arguments[form.conditions :]))
+        # Until its window is over, `always` is undecided, and does not hold.
+        is_always = form.looks_ahead and form.takes_least
+        bounds = window if is_always else window[:1]
+        most = longest + _slack(longest)
+        far = [bound for bound in bounds if validation.is_number(bound) and bound > most]
+        if far and not (is_always and id(part) in denied):
+            word = "never" if form.looks_ahead or not form.takes_least else "always"
+            when = "ahead" if form.looks_ahead else "ago"
+            told = f"it asks for what is {far[0]:g} s {when}"
+            yield f"{_written(part, text)} {word} holds: {told}"
     for one in conclusions(statement, longest):
         yield f"{_written(one.node, text)} {one.told(text)}"
 
@@ -189,17 +192,11 @@ def _parts(node: Node) -> tuple[Node, ...]:
     match node:
         case Unary(operator="NOT", operand=operand):
             return (operand,)
-        case Binary(operator=sign, left=left, right=right) if sign in _JOINING:
-            return (*_operands(left, sign), *_operands(right, sign))
-        case OperatorChain(operators=signs, operands=operands) if _JOINING.issuperset(signs):
-            return operands
+        case Binary(operator=sign) | OperatorChain(operators=(sign, *_)) if sign in _JOINING:
+            return tuple(joined(node, sign, math.inf))
         case Call(name="scale", arguments=(condition, _)):
             return (condition,)
     return ()
-
-
-def _operands(node: Node, sign: str) -> tuple[Node, ...]:
-    return _parts(node) if isinstance(node, Binary) and node.operator == sign else (node,)
 
 
 def _is_comparison(node: Node) -> bool:

@@ -6,7 +6,7 @@ Of a nested query it is the row that holds best, or comes nearest, that tells wh
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial, reduce
 from itertools import zip_longest
@@ -40,6 +40,7 @@ from ssduck.language.tree import (
     This,
     Unary,
     conjuncts,
+    joined,
 )
 from ssduck.logic.margins import margin_of
 from ssduck.logic.why import Move, Why
@@ -60,8 +61,8 @@ _SIGNS = {
     "collides": -1.0,
     "penetration": -1.0,
 }
-# Relations of two entities for which the points between which the distance is least tell more.
-_DISTANCES = ("near", "touching", "clearance", "collides", "penetration")
+# Those for which the points between which the distance is least tell more.
+_OF_SHAPES = _SIGNS.keys() - {"distance"}
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ class Explainer:
                 Binary(operator="AND" | "OR" as sign)
                 | OperatorChain(operators=("AND" | "OR" as sign, *_))
             ):
-                return self._of_parts(node, tuple(_operands(node, sign)))
+                return self._of_parts(node, tuple(joined(node, sign, math.inf)))
             case Binary(operator="IN", left=member, right=Query() as query):
                 return self._of_rows(node, query, member)
             case Binary(operator="!=", left=ListLiteral(items=()), right=Query() as query):
@@ -287,7 +288,7 @@ class Explainer:
                 sides = [side for side in (left, right) if not _is_number(side)]
                 told = (f"{self._written(s)} is {on_one_line(self._value(s))}" for s in sides)
                 return self._with_move(replace(whole, detail="; ".join(told)), node)
-            case Call(name=name, arguments=(Node() as a, Node() as b, *_)) if name in _DISTANCES:
+            case Call(name=name, arguments=(Node() as a, Node() as b, *_)) if name in _OF_SHAPES:
                 points, move = self._points(a, b), self._move_of_relation(node)
                 return replace(whole, points=points, move=move)
         return whole
@@ -302,18 +303,13 @@ class Explainer:
             names |= self._entities(part)
         return names
 
-    def _value_of_call(self, name: str, *arguments: Node) -> Any:
-        """Returns the value of a function of entities at the tick."""
-        span = arguments[0].span
-        call = Call(span, name, arguments, span)
-        if self.ticks is not None:  # only at that tick
-            time = Literal(span, float(self.ticks.times[self.place]))
-            call = Call(span, "at", (time, call), span)
-        return self.frame.value(call)
-
     def _points(self, a: Node, b: Node) -> tuple[tuple[float, ...], ...]:
-        """Returns the nearest points of two entities; none if they have no shapes."""
-        return tuple(map(tuple, self._value_of_call("nearestPoints", a, b) or ()))
+        """Returns the nearest points of two entities at the tick; none if they have no shapes."""
+        call = Call(a.span, "nearestPoints", (a, b), a.span)
+        if self.ticks is not None:  # only at that tick
+            time = Literal(a.span, float(self.ticks.times[self.place]))
+            call = Call(a.span, "at", (time, call), a.span)
+        return tuple(map(tuple, self.frame.value(call) or ()))
 
     def _with_move(self, whole: Why, node: Binary) -> Why:
         """Returns a comparison of a coordinate or a distance with the move that flips it."""
@@ -330,16 +326,11 @@ class Explainer:
         if call.name not in _AXES:  # no distance is less than 0
             is_free = limit or node.operator in at_zero
             move = self._move_to(call, limit) if is_free else None
-            return (
-                whole
-                if move is None
-                else replace(whole, move=move, points=self._points(*call.arguments[:2]))
-            )
-        place = self._value(call)
-        if place is None:
-            return whole
-        entity = self._entity(call.arguments[0])
-        if entity is None:
+            if move is None:
+                return whole
+            return replace(whole, move=move, points=self._points(*call.arguments[:2]))
+        place, entity = self._value(call), self._entity(call.arguments[0])
+        if place is None or entity is None:
             return whole
         axis, way = np.eye(3)[_AXES[call.name]], limit - place
         start = np.array(entity.position)
@@ -410,19 +401,6 @@ def _extreme(
     except SelectScriptError:  # it compares no numbers
         values = truth
     return first + int(np.argmin(values) if takes_least else np.argmax(values))
-
-
-def _operands(node: Node, sign: str) -> Iterator[Node]:
-    """Yields what AND, or OR, joins."""
-    match node:
-        case Binary(operator=own, left=left, right=right) if own == sign:
-            yield from _operands(left, sign)
-            yield from _operands(right, sign)
-        case OperatorChain(operators=(own, *_), operands=operands) if own == sign:
-            for operand in operands:
-                yield from _operands(operand, sign)
-        case _:
-            yield node
 
 
 def _unfit(query: Query, *, is_member: bool) -> str:
