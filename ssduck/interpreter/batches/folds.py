@@ -160,17 +160,43 @@ def _chosen(are_chosen: Flags, new: Answers, old: Answers) -> Answers:
     )
 
 
-@dataclass(eq=False)
-class _Tick:
-    """A tick that an operator may still look at."""
+class _Ticks:
+    """The ticks that an operator may still look at, the first one first, of n environments."""
 
-    times: Array  # (n,), s
-    held: Array  # the bounds of the margin of the condition that is to hold, (2, n)
-    starts: Array  # the bounds of that of its start, (2, n)
-    x: Array  # the margin without a window, (2, n)
-    x_before: Array  # that of the tick before, (2, n)
-    # Where it is a tick of the present episode, and no later one has its time, (n,).
-    is_there: Flags
+    def __init__(self, count: int) -> None:
+        bounds = (np.float64, (2, count))
+        kind = [
+            ("times", np.float64, (count,)),  # s
+            ("held", *bounds),  # the bounds of the margin of the condition that is to hold
+            ("starts", *bounds),  # the bounds of that of its start
+            ("x", *bounds),  # the margin without a window
+            # Where it is a tick of the present episode, and no later one has its time.
+            ("is_there", np.bool_, (count,)),
+        ]
+        self._names = [name for name, *_ in kind]
+        self._room = np.zeros(16, kind)
+        self._first = self._end = 0
+
+    def __len__(self) -> int:
+        return self._end - self._first
+
+    def __getitem__(self, name: str) -> Array:
+        """Returns a column of the k ticks, (k, n) or (k, 2, n)."""
+        return self._room[name][self._first : self._end]
+
+    def add(self, *values: Array | bool) -> None:
+        """Adds a tick, with a value of each column."""
+        if self._end == len(self._room):
+            kept = self._room[self._first :]
+            self._room = np.concatenate((kept, np.zeros_like(kept), np.zeros(1, kept.dtype)))
+            self._first, self._end = 0, len(kept)
+        for name, value in zip(self._names, values, strict=True):
+            self._room[name][self._end] = value
+        self._end += 1
+
+    def drop_first(self) -> None:
+        """Drops the first tick."""
+        self._first += 1
 
 
 class _Operator:
@@ -240,10 +266,12 @@ class LookingBack(_Operator):
     It is computed as in `ssduck.logic.stepwise`.
     """
 
+    _x_before: Array  # the margin without a window at the tick before the last one, (2, n)
+
     def __init__(self, window: Window, form: TemporalFunction) -> None:
         super().__init__(window, form)
-        self._ticks: list[_Tick] = []
-        self._largest: Array | None = None  # of starts that have left `_ticks`, (2, n)
+        self._ticks = _Ticks(0)
+        self._largest = np.zeros((2, 0))  # of starts that have left the ticks
 
     def step(self, times: Array, values: Sequence[Answers], are_first: Flags) -> None:
         """Adds a tick; see `ArrayFold`."""
@@ -251,52 +279,60 @@ class LookingBack(_Operator):
         starts = bounds[-1]
         held = bounds[0] if len(bounds) == 2 else np.full_like(starts, np.inf)
         never = np.full_like(starts, -np.inf)
-        before = never
-        if self._ticks:
-            last = self._ticks[-1]
-            is_again = last.is_there & (times == last.times)
-            before = np.where(are_first, never, np.where(is_again, last.x_before, last.x))
-            last.is_there = last.is_there & ~is_again
-        for tick in self._ticks:
-            tick.is_there = tick.is_there & ~are_first
-        x = np.maximum(starts, np.minimum(held, before))
-        here = np.ones(len(times), np.bool_)
-        self._ticks.append(_Tick(times, held, starts, x, before, here))
-        largest = never if self._largest is None else self._largest
-        self._largest = np.where(are_first, never, largest)
+        before, ticks = never, self._ticks
+        if len(ticks):
+            is_there = ticks["is_there"]
+            is_again = is_there[-1] & (times == ticks["times"][-1])
+            before = np.where(are_first, never, np.where(is_again, self._x_before, ticks["x"][-1]))
+            is_there[-1] &= ~is_again
+            if are_first.any():
+                is_there &= ~are_first
+        else:
+            ticks = self._ticks = _Ticks(len(times))
+            self._largest = never
+        ticks.add(times, held, starts, np.maximum(starts, np.minimum(held, before)), True)
+        self._x_before = before
+        self._largest = np.where(are_first, never, self._largest)
         self._drop(times)
 
     def _drop(self, times: Array) -> None:
         """Drops the ticks at which no window looks any more, but for the largest start."""
-        end = times - self._window.start + TIME_TOLERANCE
-        begin = times - self._window.end + TIME_TOLERANCE
-        while len(self._ticks) > 1:
-            first, second = self._ticks[:2]
-            is_behind = second.times <= (end if np.isinf(self._window.end) else begin)
-            if not (is_behind | ~first.is_there).all():
+        begin, end = self._ends(times)
+        is_endless, ticks = np.isinf(self._window.end), self._ticks
+        while len(ticks) > 1:
+            is_behind = ticks["times"][1] <= (end if is_endless else begin)
+            is_there = ticks["is_there"][0]
+            if not (is_behind | ~is_there).all():
                 break
-            assert self._largest is not None
-            starts = np.where(first.is_there, first.starts, -np.inf)
-            if np.isinf(self._window.end):
+            if is_endless:
+                starts = np.where(is_there, ticks["starts"][0], -np.inf)
                 self._largest = np.maximum(self._largest, starts)
-            del self._ticks[0]
+            ticks.drop_first()
+
+    def _ends(self, now: Array) -> tuple[Array, Array]:
+        """Returns the times at which the windows begin and end."""
+        window, time = self._window, now + TIME_TOLERANCE
+        return time - window.end, time - window.start
 
     def answers(self) -> Answers:
         """Returns the values of the operator."""
-        assert self._largest is not None
-        now = self._ticks[-1].times
-        end = now - self._window.start + TIME_TOLERANCE
-        begin = now - self._window.end + TIME_TOLERANCE
-        result, x = self._largest, np.full_like(self._largest, -np.inf)
+        ticks = self._ticks
+        times, is_there = ticks["times"], ticks["is_there"]
+        begin, end = self._ends(times[-1])
+        is_later = is_there & (times > end)
+        is_in = is_there & ~is_later
         held = np.full_like(self._largest, np.inf)
-        following, has_end = np.full(len(now), np.inf), np.zeros(len(now), np.bool_)
-        for tick in reversed(self._ticks):
-            is_later = tick.is_there & (tick.times > end)
-            held = np.where(is_later, np.minimum(held, tick.held), held)
-            is_in = tick.is_there & ~is_later
-            x = np.where(is_in & ~has_end, tick.x, x)
-            has_end |= is_in
-            looks = is_in & (following > begin)
-            result = np.where(looks, np.maximum(result, tick.starts), result)
-            following = np.where(tick.is_there, tick.times, following)
-        return self._answers(np.minimum(np.minimum(result, held), x))
+        if is_later.any():
+            held = np.min(ticks["held"], axis=0, where=is_later[:, None], initial=np.inf)
+        # That of the last tick in the window.
+        last = len(times) - 1 - np.argmax(is_in[::-1], axis=0)
+        x = np.take_along_axis(ticks["x"], last[None, None], axis=0)[0]
+        x = np.where(is_in.any(axis=0), x, -np.inf)
+        # A tick counts until the next one comes.
+        ends = np.full_like(times, np.inf)
+        known = np.where(is_there, times, np.inf)
+        ends[:-1] = np.minimum.accumulate(known[::-1])[::-1][1:]
+        looks = is_in & (ends > begin)
+        starts = np.max(ticks["starts"], axis=0, where=looks[:, None], initial=-np.inf)
+        largest = np.maximum(self._largest, starts)
+        return self._answers(np.minimum(np.minimum(largest, held), x))
