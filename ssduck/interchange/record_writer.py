@@ -25,7 +25,7 @@ from ssduck.recording.buffers import MAX_BUFFERED_ROWS
 from ssduck.recording.episode import Episode, Tags, given_tags
 from ssduck.recording.paths import expand_path
 from ssduck.recording.spec import Recording
-from ssduck.recording.stores.parquet import PART_TICKS, ParquetStore
+from ssduck.recording.stores.parquet import ParquetStore
 from ssduck.schema import FRAMES, LINK_FACTOR, MAX_LINKS, RECORDED
 from ssduck.simulators.interface import Body, Link, LinkPoses
 from ssduck.simulators.scene_bodies import PRIMITIVES
@@ -363,7 +363,7 @@ class RecordWriter:
     def write(self, batch: PoseBatch) -> None:
         """Writes a batch, part by part."""
         assert self._store is not None
-        most = max(min(PART_TICKS, MAX_BUFFERED_ROWS // max(len(self.frames), 1)), 1)
+        most = max(MAX_BUFFERED_ROWS // max(len(self.frames), 1), 1)
         for start in range(0, len(batch.times), most):
             part = _slice_of(batch, start, start + most)
             self._store.append(self._rows.tables(part, self._ticks + 1))

@@ -133,6 +133,8 @@ _MAGIC = b"PAR1"
 _TAIL = 4 + len(_MAGIC)
 # The number of bytes of a file that are summed at a time: they stay in the cache of a processor.
 _PIECE = 1 << 18
+# A reader of few ticks leaves out the groups of rows that have none of them.
+ROWS_OF_A_GROUP = 1 << 14
 _KEY = b"ssduck checksums"
 _DIGITS = rb"[0-9a-f]{8}"
 _FOOTER_SUMS = re.compile(rb"crc32 of data (%s), of footer (%s)" % (_DIGITS, _DIGITS))
@@ -155,7 +157,7 @@ def write_parquet(rows: pa.Table, place: Path, **options: Any) -> int:
     """Writes rows, with their metadata, to a Parquet file with checksums, all or nothing."""
     sink = pa.BufferOutputStream()
     with pq.ParquetWriter(sink, rows.schema, write_page_checksum=True, **options) as writer:
-        writer.write_table(rows)
+        writer.write_table(rows, row_group_size=ROWS_OF_A_GROUP)
         sums = b"crc32 of data %s, of footer %s" % (_NONE, _NONE)
         writer.add_key_value_metadata({_KEY: sums})
     content = memoryview(sink.getvalue())

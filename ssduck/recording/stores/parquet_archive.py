@@ -231,10 +231,26 @@ def _rows_of_ticks(file: Path, types: pa.Schema, first: int, last: int) -> pa.Ta
     """Returns the rows of a part at the ticks from first to last."""
     try:
         part = pq.ParquetFile(parquet_source(file))
-        rows = part.read(columns=types.names, use_threads=False)  # to wake threads up takes longer
+        groups = _groups_with(part, first, last)
+        # To wake threads up takes longer.
+        rows = part.read_row_groups(groups, columns=types.names, use_threads=False)
     except (pa.ArrowException, OSError) as error:
         raise unreadable(file, error) from error
     return _between(rows.select(types.names).cast(types), first, last)
+
+
+def _groups_with(part: pq.ParquetFile, first: int, last: int) -> list[int]:
+    """Returns the numbers of the groups of rows that may have ticks from first to last."""
+    place = part.schema_arrow.get_field_index("tick")
+    ranges = (
+        part.metadata.row_group(number).column(place).statistics
+        for number in range(part.num_row_groups)
+    )
+    return [
+        number
+        for number, ticks in enumerate(ranges)
+        if ticks is None or not ticks.has_min_max or (ticks.min <= last and ticks.max >= first)
+    ]
 
 
 def _between(rows: pa.Table, first: int, last: int) -> pa.Table:
