@@ -309,3 +309,39 @@ def test_implies_is_looser_than_or_and_right_associative():
                     assert ss.eval("a OR b IMPLIES c AND a;") is ((not (a or b)) or (c and a))
         with pytest.raises(SelectScriptError):
             ss.eval("a IMPLIES;")
+
+
+def test_a_part_that_is_an_error_is_one_at_the_ticks_that_need_it():
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body name='ball' pos='0 0 1'><freejoint/><geom size='.05'/></body>"
+        "<body name='door' pos='1 0 0'><joint name='hinge'/><geom size='.1'/></body>"
+        "</worldbody></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    by_zero = "historically(z(sim.ball) > -5 OR once(1 / (z(sim.ball) - z(sim.ball)) > 2));"
+    # The ball is so high only at first; then, the hinge, which has no range, is looked at.
+    by_hinge = "historically(z(sim.ball) > 0.9 IMPLIES once(isOpen(sim.door, 'hinge')));"
+    recording = ssduck.Recording(tables=("entities", "joints"))
+    with (
+        ssduck.Interpreter(recording=recording) as ss,
+        ssduck.Interpreter(recording=None) as unrecorded,
+    ):
+        worlds = [
+            each.add_variable("sim", ssduck.World.attach((model, data)))
+            for each in (ss, unrecorded)
+        ]
+        worlds[1].begin_episode()
+        for number in range(8):
+            for each in (ss, unrecorded):
+                assert each.eval(by_zero) is True
+                if each is unrecorded or number != 3:  # of that tick, the record tells
+                    with pytest.raises(SelectScriptError, match="has no range"):
+                        each.eval(by_hinge)
+            data.qpos[2] -= 0.05
+            data.time += 0.01
+            mujoco.mj_kinematics(model, data)
+            for world in worlds:
+                world.tick()
+        text = f"SELECT {by_zero[:-1]} AS holds FROM sim{{}} WHERE name = 'ball' AS list;"
+        assert ss.eval(text) == [True] * 9

@@ -44,6 +44,7 @@ from ssduck.recording.replay.record import Record
 from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.recording.spec import no_ticks_message
 from ssduck.schema import MASSES
+from ssduck.simulators.kinematics import JointError
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.world.handles import Handle
 from ssduck.world.layout import TableLayout
@@ -313,6 +314,7 @@ class LiveFolds:
             raise
         except SelectScriptError as error:
             is_missing = isinstance(error, UnknownNameError | RemovedEntityError)
+            is_missing &= not isinstance(error, JointError)  # no later tick has another joint
             failure, age = error, 0
             reach = 1 if is_missing else fold.reach
             state = stepped(False if fold.is_of_condition else None)

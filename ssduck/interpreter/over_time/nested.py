@@ -195,11 +195,11 @@ class Ticks:
             return int(np.searchsorted(self.numbers, moment.tick))
         return 0 if TEMPORAL_FUNCTIONS[call.name].looks_ahead else len(self.times) - 1
 
-    def is_decided(self, call: Call, place: int) -> bool:
+    def is_decided(self, operator: Node, place: int) -> bool:
         """Checks whether ticks after the last one could not change an operator at a tick."""
         going_on = copy(self)
         going_on.is_open, going_on._columns = True, dict(self._read)  # noqa: SLF001  # a copy of its own
-        return bool(going_on.trace(call).is_known[place])
+        return bool(going_on.trace(operator).is_known[place])
 
     def conditions(self, call: Call) -> list[Trace]:
         """Returns the conditions of an operator, or their margins, at each tick."""
@@ -253,7 +253,10 @@ class Ticks:
         return is_nested(node) or mentions(node, self._given) or len(_compared_numbers(node)) == 1
 
     def _joined(self, sign: str, trace: Trace, other: Node) -> Trace:
-        return trace & self.trace(other) if sign == "AND" else trace | self.trace(other)
+        # What decides at no tick is not evaluated: it may be an error, as at a single tick.
+        if sign == "AND":
+            return trace & self.trace(other) if trace.high.any() else trace
+        return trace if trace.low.all() else trace | self.trace(other)
 
     # -- values -----------------------------------------------------------------------------
 
