@@ -20,7 +20,7 @@ from ssduck.columns.compiler import (
     LeftToDuckDBError,
     joined,
 )
-from ssduck.language.builtins import EXTREMES_OF_MARGINS, MARGIN_OF_TRUTH
+from ssduck.language.builtins import EXTREMES_OF_MARGINS, MARGIN_OF_TRUTH, UNIT_OF_SCALE
 from ssduck.language.tree import (
     Binary,
     Call,
@@ -168,6 +168,13 @@ class TreeCompiler:
         if name == MARGIN_OF_TRUTH:
             infinity = Literal(arguments[0].span, float("inf"))
             return self._if(arguments[0], infinity, Unary(infinity.span, "-", infinity))
+        if name == UNIT_OF_SCALE:  # what is not above 0 is left to others, as a quotient by 0 is
+            unit = self._double(arguments[0])
+            is_above = self._binary(">", unit, self.of(Literal(arguments[0].span, 0)))
+            divisor = self._applied("double", "double", is_above)
+            return joined(
+                "double", self.operations.quotient(unit.compute, divisor.compute), unit, divisor
+            )
         if name == "int" and self.of(arguments[0]).kind == "boolean":
             return self._applied("integer", "integer", self.of(arguments[0]))
         parts = [self._double(argument) for argument in arguments]

@@ -292,8 +292,11 @@ class Execution(Namespace):
             nodes = self.read(program).statements
             if not nodes or is_value(nodes[-1]):
                 raise ArgumentError("WHY takes a condition, such as WHY on(table, cup);")
-            resolved = self.planner.resolved_parts
-            return Explainer(program.text, frame, self.nested, record_of, resolved).why(nodes[-1])
+            resolved, written = self.planner.resolved_parts, self._written.get(nodes[-1], nodes[-1])
+            explainer = Explainer(
+                program.text, frame, self.nested, record_of, resolved, self.expanded
+            )
+            return explainer.why(written)
 
     def sql_of(self, program: Program, dialect: str) -> str:
         """Returns the SQL of the query that ends a program, in a dialect."""

@@ -13,7 +13,7 @@ from types import FunctionType
 from typing import Any
 
 from ssduck.errors import ArgumentError, FunctionError, LimitError, SelectScriptError
-from ssduck.formatting import argument_in_words, error_text, first_line
+from ssduck.formatting import argument_in_words, error_text, first_line, short_repr
 from ssduck.language.analysis import BINARY_NAMES
 from ssduck.language.operators import apply, apply_unary, check_size
 from ssduck.language.value_keys import ATOMS, NUMPYS, equality_key, python_key, tuple_or_vector
@@ -314,6 +314,16 @@ EXTREMES = {"least": "min", "greatest": "max"}
 # that they are; nothing where a part is nothing, of which `min` and `max` tell as of a mistake.
 EXTREMES_OF_MARGINS = {"margin of AND": "min", "margin of OR": "max"}
 MARGIN_OF_TRUTH = "margin of truth"
+# The second argument of `scale`, which is to be above 0.
+UNIT_OF_SCALE = "unit of scale"
+
+
+def _unit_of_scale(unit: Any) -> float:
+    if not (isinstance(unit, int | float) and unit > 0.0):
+        message = "the unit is a number above 0, by which the margin is divided"
+        raise ArgumentError(f"{message}, not {short_repr(unit)}")
+    return unit
+
 
 BUILTINS: dict[str, Function] = {
     function.name: function
@@ -325,3 +335,4 @@ for _name, _margin in (
     (MARGIN_OF_TRUTH, lambda holds: holds if holds is None else math.inf if holds else -math.inf),
 ):
     BUILTINS[_name] = Function(_name, _margin, "", 1, 1, builtin=True)
+BUILTINS[UNIT_OF_SCALE] = Function("scale", _unit_of_scale, "", 1, 1, builtin=True)

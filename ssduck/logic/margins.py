@@ -12,7 +12,7 @@ from functools import lru_cache
 
 from ssduck.errors import ArgumentError
 from ssduck.language.analysis import OF_MARGINS, TEMPORAL_OPERATORS, free_aliases
-from ssduck.language.builtins import MARGIN_OF_TRUTH
+from ssduck.language.builtins import MARGIN_OF_TRUTH, UNIT_OF_SCALE
 from ssduck.language.parser import parse
 from ssduck.language.tree import (
     Binary,
@@ -41,12 +41,9 @@ def margin_of(condition: Node) -> Node:
             return Binary(span, "-", right, left)
         case Binary(operator=">" | ">=", left=left, right=right):
             return Binary(span, "-", left, right)
-        case Call(name="scale", arguments=(_, Literal(value=0) | Unary(operator="-"))):
-            raise ArgumentError(
-                "scale takes a number above 0, by which the margin is divided", span=span
-            )
         case Call(name="scale", arguments=(inner, unit)):
-            return Binary(span, "/", margin_of(inner), unit)
+            checked = Call(unit.span, UNIT_OF_SCALE, (unit,), unit.span)
+            return Binary(span, "/", margin_of(inner), checked)
         case Call(name=name, arguments=arguments) if name in TEMPORAL_OPERATORS:
             count = TEMPORAL_OPERATORS[name]
             margins = (*map(margin_of, arguments[:count]), *arguments[count:])

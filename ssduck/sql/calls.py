@@ -275,6 +275,12 @@ def _builtin(context: StatementContext, name: str, values: list[SqlValue]) -> Sq
             margin = exp.case().when(value.sql, literal(float("inf")))
             margin = margin.when(exp.not_(wrapped(copied(value.sql))), literal(-float("inf")))
             return SqlValue(margin, DOUBLE, domain=FloatDomain.INFINITE)
+        case "unit of scale", [value] if value.sql_type.is_number and not value.may_exceed_double:
+            context.note_possible_failure()
+            unit = double_of(value)
+            is_above = exp.GT(this=wrapped(unit), expression=literal(0.0))
+            sql = exp.case().when(is_above, copied(unit)).else_(failure(DOUBLE))
+            return SqlValue(sql, DOUBLE, is_non_negative=True)
     return None
 
 

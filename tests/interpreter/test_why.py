@@ -240,6 +240,38 @@ def test_texts_of_strangers_control_no_terminal():
     assert "\x1b" not in why._repr_html_()
 
 
+def test_scaled_and_lifted_conditions_are_told_as_they_are_written(kitchen):
+    kitchen.add_variable("unit", 0.1)
+    z, start = kitchen.eval("[z(cup), initially(z(cup))];")
+    whole = kitchen.why("scale(z(cup) > 0.9, unit) AND NOT lifted(cup, 0.3);")
+    scaled, raised = whole.parts[0], whole.parts[1].parts[0]
+    assert (scaled.text, raised.text) == ("scale(z(cup) > 0.9, unit)", "lifted(cup, 0.3)")
+    assert scaled.margin == pytest.approx((z - 0.9) / 0.1)
+    assert scaled.detail.startswith("z(cup) is ")
+    assert raised.margin == pytest.approx(z - start - 0.3)
+    assert raised.detail == f"cup has risen by {z - start:.6g} m"
+    assert whole.margin == pytest.approx(min(scaled.margin, -raised.margin))
+    for part in (scaled, raised):
+        world = kitchen["kitchen"].what_if({"cup_905a": [1, 0, 0, 0, *_moved(kitchen, part.move)]})
+        with ssduck.Interpreter() as ss:
+            cup = ss.add_variable("moved", world)["cup_905a"]
+            limit = {scaled.text: 0.9, raised.text: start + 0.3}[part.text]
+            assert (cup.position[2] > limit) is not part.value
+
+
+def test_rows_of_lifted_bodies_and_ticks_of_scaled_margins_are_told(kitchen):
+    text = "SELECT name FROM kitchen WHERE isKinbody(this) AND lifted(this, -0.1)"
+    assert kitchen.why(f"{text};").parts[0].value is True
+    (part,) = kitchen.why("historically(scale(z(cup) > 0.9, 2));").parts
+    rows = kitchen.eval("SELECT time, z AS z FROM kitchen{} WHERE name = 'cup_905a';")
+    lowest = min(rows, key=lambda row: row["z"])
+    assert (part.time, part.margin) == (lowest["time"], (lowest["z"] - 0.9) / 2)
+
+
+def _moved(kitchen, move):
+    return [a + b for a, b in zip(kitchen["cup"].position, move.translation, strict=True)]
+
+
 def test_points_show_what_a_coordinate_lacks(kitchen):
     x, y, z = kitchen["cup"].position
     why = kitchen.why("2 >= y(cup);")

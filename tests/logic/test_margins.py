@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import mujoco
+import numpy as np
 import pytest
 
 import ssduck
@@ -18,6 +19,7 @@ OF_PAIRS = sorted(
 )
 OTHERS = [
     "inBox(this, [0, 0, 0], [2, 3, 1.5])",
+    "inBox(this, [-2, -0.5, -0.5], [0.5, 2, 1], viewer)",
     "fitsBox(this, [0, 0, 0], [3, 3, 2])",
     "inSphere(this, [1, 1, 1], 1.2)",
     "upright(this, 1e-5)",
@@ -28,6 +30,7 @@ OF_JOINTS = ["isOpen(this)", "isClosed(this)"]  # see the test of these
 @pytest.fixture(scope="module")
 def kitchen():
     with ssduck.load("kitchen") as ss:
+        ss.add_variable("viewer", ss["kitchen"]["chair_12d0"])
         ss.run(0.5)
         yield ss
 
@@ -36,6 +39,7 @@ def kitchen():
 def scene(request):
     with ssduck.load(request.param) as ss:
         ss.add_variable("scene", ss[request.param])
+        ss.add_variable("viewer", next(iter(ss[request.param])))
         ss.run(0.5)
         yield ss
 
@@ -49,9 +53,8 @@ def check(holds, margin):
 @pytest.mark.parametrize("name", OF_PAIRS)
 def test_the_margin_of_a_relation_of_pairs_has_the_sign_of_the_relation(scene, name):
     relation = RELATIONS[name]
-    for options in {"", ", 0.1"} if len(relation.parameters) > 2 else {""}:
-        if not options and relation.required_count > 2:
-            continue
+    third = [", viewer" if p.type == "entity" else ", 0.1" for p in relation.parameters[2:]]
+    for options in {*third, *([] if relation.required_count > 2 else [""])}:
         call = f"{name}(a.this, b.this{options})"
         rows = scene.eval(
             f"SELECT {call} AS holds, robustness({call}) AS margin FROM a=scene, b=scene "
@@ -98,6 +101,21 @@ def test_the_margin_of_a_position_below_or_above_is_the_way_to_where_it_is_not(k
                     ss.add_variable("b", other[row["b"]])
                     answers.add(not ss.eval(f"{name}(a, b);"))
             assert answers == flips, row
+
+
+def test_a_position_in_a_frame_is_that_of_the_rotation_of_the_frame(kitchen):
+    rows = kitchen.eval(
+        "SELECT positionIn(a.this, b.this) AS whole, positionIn(a.this, b.this, viewer) AS way, "
+        "position(a.this) AS a, pose(b.this) AS b FROM a=kitchen, b=kitchen;"
+    )
+    origin = np.array(kitchen["viewer"].position)
+    assert len(rows) > 500
+    for row in rows:
+        axes, matrix = np.array(row["b"]), np.zeros(9)
+        mujoco.mju_quat2Mat(matrix, axes[:4])
+        inverse = matrix.reshape(3, 3).T
+        assert row["whole"] == pytest.approx(inverse @ (row["a"] - axes[4:]), abs=1e-12)
+        assert row["way"] == pytest.approx(inverse @ (row["a"] - origin), abs=1e-12)
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.01])
@@ -252,8 +270,14 @@ def test_the_margin_of_what_is_unknown_is_nothing():
     [
         ("robustness()", "robustness takes 1"),
         ("robustness(lifted(1))", "lifted takes 2"),
-        ("robustness(scale(1 < 2, 0))", "scale takes a number above 0"),
-        ("robustness(scale(1 < 2, -1))", "scale takes a number above 0"),
+        ("robustness(scale(1 < 2, 0))", "scale: the unit is a number above 0"),
+        ("robustness(scale(1 < 2, -1))", "scale: the unit is a number above 0"),
+        ("robustness(scale(1 < 2, unit))", "scale: the unit is a number above 0.*not -0.1"),
+        ("WHY scale(1 < 2, unit)", "scale: the unit is a number above 0.*not -0.1"),
+        (
+            "SELECT robustness(scale(this < 2, unit)) FROM [1, 2]",
+            "scale: the unit is a number above 0.*not -0.1",
+        ),
         ("robustness(z(cup))", "robustness takes a condition"),
         ("robustness(once(1 < 2 AND -z(cup)))", "robustness takes a condition"),
         ("robustness(robustness(z(cup) > 1))", "robustness takes a condition"),
@@ -262,5 +286,7 @@ def test_the_margin_of_what_is_unknown_is_nothing():
     ],
 )
 def test_mistakes_are_told_of(call, message):
-    with ssduck.Interpreter() as ss, pytest.raises(ArgumentError, match=message):
-        ss.eval(f"{call};")
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("unit", -0.1)
+        with pytest.raises(ArgumentError, match=message):
+            ss.eval(f"{call};")

@@ -22,7 +22,7 @@ from ssduck.interpreter.over_time.functions import TemporalFunction, expressions
 from ssduck.interpreter.over_time.nested import NestedExpressions, Ticks, window_of
 from ssduck.language.aggregates import over_rows
 from ssduck.language.analysis import aliases_of
-from ssduck.language.builtins import MARGIN_OF_TRUTH
+from ssduck.language.builtins import MARGIN_OF_TRUTH, UNIT_OF_SCALE
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import (
     AdapterClause,
@@ -42,7 +42,6 @@ from ssduck.language.tree import (
     conjuncts,
     joined,
 )
-from ssduck.logic.margins import margin_of
 from ssduck.logic.why import Move, Why
 from ssduck.recording.replay.record import Record
 from ssduck.schema import MARGINS
@@ -75,6 +74,8 @@ class Explainer:
     record_of: Callable[[Call, Frame], Record]  # returns the record that an operator reads
     # Resolves the names in a query.
     resolved: Callable[[Query, Frame], tuple[ResolvedQuery, Any]]
+    # Puts expressions in place of `lifted`, `scale` and other functions that stand for them.
+    expanded: Callable[[Node], Node]
     ticks: Ticks | None = None  # the recorded ticks; None for the present one
     place: int = 0  # the place of a tick among them
 
@@ -90,6 +91,10 @@ class Explainer:
                 | OperatorChain(operators=("AND" | "OR" as sign, *_))
             ):
                 return self._of_parts(node, tuple(joined(node, sign, math.inf)))
+            case Call(name="scale", arguments=(condition, unit)):
+                self._value(Call(unit.span, UNIT_OF_SCALE, (unit,), unit.span))  # may be an error
+                inner = self.why(condition)
+                return replace(inner, text=self._written(node), margin=self._margin(node))
             case Binary(operator="IN", left=member, right=Query() as query):
                 return self._of_rows(node, query, member)
             case Binary(operator="!=", left=ListLiteral(items=()), right=Query() as query):
@@ -150,6 +155,7 @@ class Explainer:
 
     def _value(self, node: Node) -> Any:
         """Returns the value of a part; None if it is unknown."""
+        node = self.expanded(node)
         if self.ticks is None:
             return self.frame.value(node)
         column = self.ticks.column(node)
@@ -157,17 +163,20 @@ class Explainer:
         return None if column.unknown[self.place] else value
 
     def _margin(self, condition: Node) -> float | None:
-        expression = margin_of(condition)
-        if _is_of_truth(expression):
-            return None
         try:
-            margin = self._value(expression)
+            expression = self._margin_of(condition)
+            margin: Any = None if _is_of_truth(expression) else self._value(expression)
         except LimitError:
             raise
         except SelectScriptError:  # it compares no numbers
             return None
         is_number = isinstance(margin, int | float) and math.isfinite(margin)
         return float(margin) if is_number else None
+
+    def _margin_of(self, condition: Node) -> Node:
+        """Returns the margin of a condition; an error if that has a value in place of one."""
+        span = condition.span
+        return self.expanded(Call(span, "robustness", (condition,), span))
 
     # -- operators of time --------------------------------------------------------------------
 
@@ -185,21 +194,38 @@ class Explainer:
         first, last = (int(end[place]) for end in ends)
         conditions = expressions_of(call)
         # The last condition decides where it is best, or worst for those that take the least.
-        decisive = _extreme(ticks, conditions[-1], first, last, takes_least=form.takes_least)
+        decisive = self._extreme(ticks, conditions[-1], first, last, takes_least=form.takes_least)
         parts = []
         if len(conditions) == 2 and decisive is not None:
             start, end = (place, decisive - 1) if form.looks_ahead else (decisive + 1, place)
-            other = _extreme(ticks, conditions[0], start, end, takes_least=True)
+            other = self._extreme(ticks, conditions[0], start, end, takes_least=True)
             parts += [] if other is None else [self._at(ticks, other).why(conditions[0])]
         if decisive is not None:
             parts.append(self._at(ticks, decisive).why(conditions[-1]))
         whole = self._made(call, parts=tuple(parts))
-        if whole.value is None or ticks.is_decided(call, place):
+        if whole.value is None or ticks.is_decided(self.expanded(call), place):
             return whole
         return replace(whole, complete=False, detail="so far: the record ends before it is decided")
 
     def _at(self, ticks: Ticks, place: int) -> Explainer:
         return replace(self, ticks=ticks, place=place)
+
+    def _extreme(
+        self, ticks: Ticks, condition: Node, first: int, last: int, *, takes_least: bool
+    ) -> int | None:
+        """Returns the first of ticks from one to another with the extreme margin; None of none."""
+        if last < first:
+            return None
+        trace = ticks.trace(self.expanded(condition))
+        truth = np.where(trace.low[first : last + 1], 1.0, -1.0)
+        try:
+            margins = ticks.column(self._margin_of(condition))
+            numbers = np.where(margins.unknown, np.nan, margins.values)[first : last + 1]
+            numbers = numbers.astype(float)
+            values = np.where(np.isfinite(numbers), numbers, truth * np.inf)
+        except SelectScriptError:  # it compares no numbers
+            values = truth
+        return first + int(np.argmin(values) if takes_least else np.argmax(values))
 
     # -- nested queries -------------------------------------------------------------------------
 
@@ -245,20 +271,24 @@ class Explainer:
         elements = [This(span, name if len(names) > 1 else None) for name in names]
         conditions = list(conjuncts(query.where))
 
-        # One row in which these hold is nearer than all in which one does not; distances between
-        # the others need not be known.
-        sure = [part for part in conditions if holds or _is_of_truth(margin_of(part))]
-
         def rows(*parts: Node, kept: Sequence[Node] = ()) -> list[list[Any]]:
             values = enumerate([*elements, *parts])
             items = [Call(span, "to", (item, Literal(span, str(n))), span) for n, item in values]
             filters = [*wanted, *kept]
             where = reduce(partial(Binary, span, "AND"), filters) if filters else None
             plain = Query(span, tuple(items), query.sources, where)
-            return [list(row.values()) for row in frame.value(plain)]
+            return [list(row.values()) for row in frame.value(self.expanded(plain))]
 
         try:
-            parts = [*conditions, *map(margin_of, conditions)]
+            margins = list(map(self._margin_of, conditions))
+            # One row in which these hold is nearer than all in which one does not; distances
+            # between the others need not be known.
+            sure = [
+                part
+                for part, m in zip(conditions, margins, strict=True)
+                if holds or _is_of_truth(m)
+            ]
+            parts = [*conditions, *margins]
             found = (sure and rows(*parts, kept=sure)) or rows(*parts)
         except LimitError:
             raise
@@ -288,10 +318,20 @@ class Explainer:
                 sides = [side for side in (left, right) if not _is_number(side)]
                 told = (f"{self._written(s)} is {on_one_line(self._value(s))}" for s in sides)
                 return self._with_move(replace(whole, detail="; ".join(told)), node)
+            case Call(name="lifted", arguments=(entity, _)):
+                return self._of_rise(whole, node, entity)
             case Call(name=name, arguments=(Node() as a, Node() as b, *_)) if name in _OF_SHAPES:
                 points, move = self._points(a, b), self._move_of_relation(node)
                 return replace(whole, points=points, move=move)
         return whole
+
+    def _of_rise(self, whole: Why, lifted: Call, place: Node) -> Why:
+        """Returns `lifted` with how far an entity has risen, and how much higher it would hold."""
+        comparison, entity = self.expanded(lifted), self._entity(place)
+        assert isinstance(comparison, Binary)
+        rise, height = self._value(comparison.left), self._value(comparison.right)
+        detail = f"{self._written(place)} has risen by {on_one_line(rise)} m"
+        return self._along(replace(whole, detail=detail), entity, 2, rise, height)
 
     def _entities(self, node: Node) -> dict[str, None]:
         """Returns the full names of the entities that a part without nested queries names."""
@@ -329,10 +369,16 @@ class Explainer:
             if move is None:
                 return whole
             return replace(whole, move=move, points=self._points(*call.arguments[:2]))
-        place, entity = self._value(call), self._entity(call.arguments[0])
+        entity = self._entity(call.arguments[0])
+        return self._along(whole, entity, _AXES[call.name], self._value(call), limit)
+
+    def _along(
+        self, whole: Why, entity: Handle | None, number: int, place: float | None, limit: float
+    ) -> Why:
+        """Returns a condition with the move of an entity along an axis from a place to a limit."""
         if place is None or entity is None:
             return whole
-        axis, way = np.eye(3)[_AXES[call.name]], limit - place
+        axis, way = np.eye(3)[number], limit - place
         start = np.array(entity.position)
         points = (tuple(start.tolist()), tuple((start + axis * way).tolist()))
         return replace(whole, points=points, move=_move(entity, axis * _beyond(way)))
@@ -384,23 +430,6 @@ def _move(entity: Handle | None, way: Array | None) -> Move | None:
         return None
     x, y, z = (way + 0.0).tolist()  # no -0.0
     return Move(entity.name, (x, y, z))
-
-
-def _extreme(
-    ticks: Ticks, condition: Node, first: int, last: int, *, takes_least: bool
-) -> int | None:
-    """Returns the first of the ticks from one to another with the extreme margin; None of none."""
-    if last < first:
-        return None
-    trace = ticks.trace(condition)
-    truth = np.where(trace.low[first : last + 1], 1.0, -1.0)
-    try:
-        margins = ticks.column(margin_of(condition))
-        numbers = np.where(margins.unknown, np.nan, margins.values)[first : last + 1].astype(float)
-        values = np.where(np.isfinite(numbers), numbers, truth * np.inf)
-    except SelectScriptError:  # it compares no numbers
-        values = truth
-    return first + int(np.argmin(values) if takes_least else np.argmax(values))
 
 
 def _unfit(query: Query, *, is_member: bool) -> str:

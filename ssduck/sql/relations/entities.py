@@ -256,7 +256,17 @@ def _in_box(x: str, y: str, z: str) -> str:
     )
 
 
-def _viewer_relation(name: str, condition: str, about: str) -> Relation:
+def _listed(*parts: str) -> str:
+    return f"[{', '.join(parts)}]"
+
+
+def _to_faces(*position: str) -> str:
+    """Returns the margin of a position in a box, in SelectScript."""
+    ways = (f"{p} - min[{axis}], max[{axis}] - {p}" for axis, p in enumerate(position))
+    return f"min({_listed(*ways)})"
+
+
+def _viewer_relation(name: str, condition: str, about: str, margin: str) -> Relation:
     """Returns a relation of the direction from a to b, as a viewer sees it."""
     forward, left, _ = in_frame("viewer", "b", origin="a")
     formula = condition.format(forward=forward, left=left)
@@ -268,21 +278,42 @@ def _viewer_relation(name: str, condition: str, about: str) -> Relation:
         f"{about}, as seen by the viewer. The direction from a to b is compared along the "
         "viewer's x axis (forward) and y axis (left): the larger component decides, or that along "
         "x if both are equal.",
+        margin=margin.format(*(f"positionIn(b, viewer, a)[{axis}]" for axis in (0, 1))),
     )
 
 
 REGION_RELATIONS: tuple[Relation, ...] = (
-    _viewer_relation("leftOf", "{left} > abs({forward})", "Checks if b is left of a"),
-    _viewer_relation("rightOf", "-{left} > abs({forward})", "Checks if b is right of a"),
+    Relation(
+        "positionIn",
+        (
+            *ENTITY,
+            Parameter("frame", "entity", "the entity along whose axes the position is"),
+            Parameter("origin", "entity", "the entity from which it is counted", optional=True),
+        ),
+        "list",
+        _listed(*in_frame("frame", "object")),
+        "Returns the position [x, y, z] of the entity in the frame of another one; with an origin, "
+        "the way from this to the entity, along the axes of the frame.",
+        options=(_listed(*in_frame("frame", "object", "origin")),),
+        unit="m",
+    ),
+    _viewer_relation(
+        "leftOf", "{left} > abs({forward})", "Checks if b is left of a", "{1} - abs({0})"
+    ),
+    _viewer_relation(
+        "rightOf", "-{left} > abs({forward})", "Checks if b is right of a", "-{1} - abs({0})"
+    ),
     _viewer_relation(
         "behind",
         "{forward} > 0 AND {forward} >= abs({left})",
         "Checks if b is behind a, farther away",
+        "{0} - abs({1})",
     ),
     _viewer_relation(
         "inFrontOf",
         "{forward} < 0 AND -{forward} >= abs({left})",
         "Checks if b is in front of a, nearer",
+        "-{0} - abs({1})",
     ),
     Relation(
         "inBox",
@@ -297,8 +328,8 @@ REGION_RELATIONS: tuple[Relation, ...] = (
         "with the axes of the world, or of the frame of another entity, where its corners are "
         "then, too. Nothing is in a box whose lower corner is above its upper one along an axis.",
         options=(_in_box(*in_frame("frame", "object")),),
-        margin="min([x(object) - min[0], max[0] - x(object), y(object) - min[1], "
-        "max[1] - y(object), z(object) - min[2], max[2] - z(object)])",
+        margin=_to_faces("x(object)", "y(object)", "z(object)"),
+        margin_with_options=_to_faces(*(f"positionIn(object, frame)[{axis}]" for axis in range(3))),
     ),
     Relation(
         "fitsBox",
