@@ -54,11 +54,7 @@ def warn_of_length(interpreter: Interpreter, terms: Terms, longest: float) -> No
     for term in terms:
         tree = compiled(interpreter, term.key, term.text).tree
         for told in beyond(tree.statements[0], tree.text, longest):
-            warn(
-                f"{term.key}: {told}, and an episode lasts {longest:g} s: ask for less, or give it "
-                "more steps",
-                ProgramWarning,
-            )
+            warn(f"{term.key}: {told}", ProgramWarning)
 
 
 class FirstTicks:

@@ -27,6 +27,7 @@ LONG_ENOUGH = [
     "eventually(z(sim.ball) < 0.9, 0.5, 20)",
     "always(z(sim.ball) > 0.1, 0, 1)",
     "NOT always(z(sim.ball) > 0.1, 0, 2)",
+    "NOT always(z(sim.ball) > 0.1) OR z(sim.ball) < 0.9",
     "once(z(sim.ball) > 0.1, 0, 3)",
     "historically(z(sim.ball) > 0.1, 1)",
     "heldFor(z(sim.ball) > 0.1) >= 1",
@@ -87,6 +88,17 @@ def test_what_needs_more_time_than_an_episode_is_told_of_once(kind, success, why
     assert success.removeprefix("NOT ").removeprefix("int(")[:30] in message
     assert why in message
     assert "an episode lasts 1 s" in message
+
+
+def test_what_is_decided_at_no_step_is_told_of():
+    success = "always(z(sim.ball) > 0.1) AND z(sim.ball) < 9"
+    ((message,), later) = told(
+        lambda: QueryWrapper(seconds(Stepped(), 1), success, forward=False),
+        lambda env: play(env, holds=False),
+    )
+    assert message.startswith("success: always(z(sim.ball) > 0.1) holds at no step")
+    assert "write historically" in message
+    assert later == []
 
 
 @pytest.mark.parametrize("success", LONG_ENOUGH)

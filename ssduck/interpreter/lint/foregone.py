@@ -131,13 +131,14 @@ def _told(one: Foregone, scope: Scope) -> Iterator[SelectScriptError]:
 
 
 def beyond(statement: Node, text: str, longest: float) -> Iterator[str]:
-    """Yields what is told of conditions that ask for more time than an episode has.
+    """Yields what is told of conditions that ask, at a step, for more time than an episode has.
 
     Args:
         statement: the statement, as it is written, of which nothing else is told.
         text: its text.
         longest: the duration of an episode at most, s.
     """
+    lasts = f", and an episode lasts {longest:g} s: ask for less, or give it more steps"
     negated = (p for p in statement.walk() if isinstance(p, Unary) and p.operator == "NOT")
     # What is decided when it does not hold: NOT always(c, 0, 10) may hold in an episode of 5 s.
     denied = {id(inner) for part in negated for inner in part.walk()}
@@ -147,16 +148,21 @@ def beyond(statement: Node, text: str, longest: float) -> Iterator[str]:
         window = list(map(_constant, part.arguments[form.conditions :]))
         # Until its window is over, `always` is undecided, and does not hold.
         is_always = form.looks_ahead and form.takes_least
+        if is_always and id(part) in denied:
+            continue
+        if is_always and len(window) < 2:
+            told = "what is to come may end it: write historically in place of always"
+            yield f"{_written(part, text)} holds at no step, as {told}"
         bounds = window if is_always else window[:1]
         most = longest + _slack(longest)
         far = [bound for bound in bounds if validation.is_number(bound) and bound > most]
-        if far and not (is_always and id(part) in denied):
+        if far:
             word = "never" if form.looks_ahead or not form.takes_least else "always"
             when = "ahead" if form.looks_ahead else "ago"
             told = f"it asks for what is {far[0]:g} s {when}"
-            yield f"{_written(part, text)} {word} holds: {told}"
+            yield f"{_written(part, text)} {word} holds: {told}{lasts}"
     for one in conclusions(statement, longest):
-        yield f"{_written(one.node, text)} {one.told(text)}"
+        yield f"{_written(one.node, text)} {one.told(text)}{lasts}"
 
 
 def conclusions(statement: Node, longest: float = math.inf) -> Iterator[Foregone]:
