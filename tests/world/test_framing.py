@@ -13,13 +13,6 @@ pybullet = pytest.importorskip("pybullet")
 data = pytest.importorskip("pybullet_data")
 
 
-@pytest.fixture
-def client():
-    number = pybullet.connect(pybullet.DIRECT)
-    yield number
-    pybullet.disconnect(number)
-
-
 def box(client, half, position, mass=0.0):
     return solid(client, pybullet.GEOM_BOX, mass, position, halfExtents=half)
 

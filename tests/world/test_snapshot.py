@@ -5,7 +5,6 @@ import warnings
 from functools import reduce
 from importlib import import_module
 
-import numpy as np
 import pybullet
 import pytest
 
@@ -13,10 +12,8 @@ import ssduck
 from ssduck.errors import SimulatorError
 from ssduck.schema import FRAMES, HISTORIES, MODELS, RECORDED, STORED_TABLES, TABLES
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
-from ssduck.world.live_tables import LiveTable
 from tests.support.spy import Spy
 from tests.support.stage import Stage
-from tests.support.urdf import joint, link, robot
 
 
 def scene(client):
@@ -106,22 +103,6 @@ def test_all_tables_of_a_query_are_of_one_moment(attached, client):
             assert len(set(ticks)) == 1
 
 
-LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
-
-
-def test_velocities_of_links_are_those_of_the_body(client, write):
-    model = robot(link("a"), link("b"), joint("j", "revolute", "a", "b", limit=LIMIT))
-    pybullet.loadURDF(str(write("two.urdf", model)), physicsClientId=client)
-    pybullet.resetBaseVelocity(0, [1, 2, 3], [0, 0, 0], client)
-    world = ssduck.World.attach(client)
-    assert world["model"].velocity == pytest.approx([1, 2, 3, 0, 0, 0])
-    world.request_tables(["links"])
-    rows = columns(world, "links")[0]
-    assert [[row[axis] for axis in ("vx", "vy", "vz")] for row in rows] == pytest.approx(
-        np.array([[1, 2, 3]] * 2)
-    )
-
-
 @pytest.mark.slow
 def test_queries_see_whole_ticks_while_another_thread_steps(spied):
     """All rows of an answer are of one tick, and say what its time makes them."""
@@ -183,9 +164,10 @@ def test_poses_that_are_no_numbers_become_null_and_are_told_once(attached, clien
         ss.add_variable("lost", lost)
         assert ss.eval("SELECT id FROM sim WHERE above(lost, this) AS list;") == []
         assert ss.eval("SELECT id FROM sim WHERE distance(lost, this) >= 0 AS list;") == []
-    pybullet.resetBasePositionAndOrientation(0, [1, 2, 3], [0, 0, 0, 1], client)
-    attached.tick()
-    assert attached["body_0"].position == pytest.approx([1, 2, 3])
+        pybullet.resetBasePositionAndOrientation(0, [1, 2, 3], [0, 0, 0, 1], client)
+        attached.tick()
+        assert attached["body_0"].position == pytest.approx([1, 2, 3])
+        assert ss.sql("SELECT x FROM entities WHERE name = 'body_0'").fetchall() == [(1.0,)]
 
 
 @pytest.mark.parametrize("what", ["position", "orientation", "velocity"])
@@ -315,40 +297,6 @@ def test_a_query_holds_the_tick(attached):
             with pytest.raises(ssduck.SelectScriptError, match=r"a query on .* is running"):
                 act()
     attached.step()
-
-
-def test_equal_shapes_are_one_geometry(attached):
-    (shapes, geometries) = columns(attached, "shapes", "geometries")
-    assert len(shapes) == 3
-    assert len(geometries) == 1
-    assert geometries[0]["type"] == "box"
-    assert geometries[0]["size_x"] == pytest.approx(0.2)
-
-
-@pytest.mark.parametrize("name", TABLES)
-def test_tables_may_be_empty(name):
-    table = LiveTable(TABLES[name].columns)
-    assert table.arrow.num_rows == 0
-    assert table.arrow.column_names == list(TABLES[name].names)
-    table.fill(2, {})
-    table.publish_unknown()
-    assert table.arrow.num_rows == 2
-
-
-def test_unknown_numbers_come_and_go_in_a_table():
-    table = LiveTable(TABLES["ticks"].columns)
-    table.fill(1, {"tick": [1]})
-    table["time"][:] = np.nan
-    table.publish_unknown()
-    assert table.arrow["time"].to_pylist() == [None]
-    table["time"][:] = 2.5
-    table.publish_unknown()
-    assert table.arrow["time"].to_pylist() == [2.5]
-    whole = table.arrow
-    table["time"][:] = 3.5
-    table.publish_unknown()
-    assert table.arrow is whole
-    assert whole["time"].to_pylist() == [3.5]
 
 
 ALL = {**TABLES, **RECORDED}

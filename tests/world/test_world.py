@@ -135,15 +135,6 @@ def test_sensors_move_with_what_they_sit_on(kitchen):
 
 
 @pytest.mark.slow
-def test_steps_and_time(kitchen):
-    assert kitchen.time == 0.0
-    assert kitchen.step() is kitchen
-    assert kitchen.time == pytest.approx(1 / 240)
-    kitchen.step(239)
-    assert kitchen.time == pytest.approx(1.0, abs=1e-9)
-
-
-@pytest.mark.slow
 def test_pictures(kitchen):
     picture = kitchen.render(160, 120)
     assert picture.shape == (120, 160, 3)

@@ -73,19 +73,6 @@ def test_what_is_closed_in_itself_goes_on_alike(kitchen):
     assert farthest(kitchen, copy, CLOSED) < 1e-6
 
 
-@pytest.mark.long
-def test_after_steps_an_excerpt_begins_alike_and_goes_on_nearly_so(kitchen):
-    """Bodies of several shapes find their contacts anew, and no two runs of those agree."""
-    kitchen.step(240)
-    copy = kitchen.excerpt(kitchen)
-    assert copy.time == kitchen.time
-    assert farthest(kitchen, copy) < 1e-12
-    kitchen.step(480)
-    copy.step(480)
-    for entity in kitchen:
-        assert copy[entity.name].position == pytest.approx(entity.position, abs=1e-3)
-
-
 @pytest.mark.slow
 def test_it_holds_exactly_what_is_selected(kitchen):
     ss = ssduck.Interpreter()
