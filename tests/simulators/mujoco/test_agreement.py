@@ -1,4 +1,4 @@
-"""The same scenes in MuJoCo and in PyBullet: every relation and form has the same answers."""
+"""The same scenes in MuJoCo and in PyBullet: every relation has the same answers."""
 
 from __future__ import annotations
 
@@ -87,15 +87,15 @@ def test_nearest_points_agree(worlds):
 # What is compared by other tests, or belongs to a world and not to its scene.
 ELSEWHERE = {
     "nearestPoints": "test_nearest_points_agree",
-    "inContact": "test_same_answers.test_contacts_agree",
-    "hasContact": "test_same_answers.test_contacts_agree",
-    "contactForce": "test_same_answers.test_contacts_agree",
-    "grasped": "test_same_answers.test_contacts_agree",
-    "force": "test_same_answers.test_contacts_agree",
-    "torque": "test_same_answers.test_contacts_agree",
-    "isSensing": "test_same_answers.test_sensors_agree",
-    "sensingAmount": "test_same_answers.test_sensors_agree",
-    "sensingEnvIDs": "test_same_answers.test_sensors_agree",
+    "inContact": "test_same_contacts.test_contacts_agree",
+    "hasContact": "test_same_contacts.test_contacts_agree",
+    "contactForce": "test_same_contacts.test_contacts_agree",
+    "grasped": "test_same_contacts.test_contacts_agree",
+    "force": "test_same_contacts.test_contacts_agree",
+    "torque": "test_same_contacts.test_contacts_agree",
+    "isSensing": "test_rays_agree: by the rays that a simulator casts",
+    "sensingAmount": "test_rays_agree: by the rays that a simulator casts",
+    "sensingEnvIDs": "test_rays_agree: by the rays that a simulator casts",
     "contactGap": "it depends on the simulator's margins: tests/logic/test_margins",
     "isOpen": "test_saving.test_drawers_agree",
     "isClosed": "test_saving.test_drawers_agree",
