@@ -251,47 +251,6 @@ def test_an_environment_may_make_its_simulation_in_another_place(model, data):
         world.tick()
 
 
-@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
-def test_contacts_of_two_bodies_that_press(cone):
-    """Those are told that MuJoCo tells a force of, at the time of reading."""
-    model = mujoco.MjModel.from_xml_string(
-        f"""<mujoco><option cone="{cone}"/><worldbody>
-        <geom type="plane" size="0 0 1" condim="1"/>
-        <body pos="0 0 .1"><freejoint/><geom type="box" size=".1 .1 .1" margin=".02"/>
-          <body pos=".3 0 0"><joint axis="0 1 0"/><geom type="box" size=".1 .1 .1"/></body></body>
-        <body pos="0 0 .3"><freejoint/><geom type="box" size=".1 .1 .1" condim="6"/></body>
-        <body pos="3 0 .4"><freejoint/><geom size=".1"/></body>
-        </worldbody></mujoco>"""
-    )
-    data, force, seen = mujoco.MjData(model), np.zeros(6), set()
-    world = ssduck.World.attach(model, data)
-    for _ in range(40):
-        mujoco.mj_step(model, data, 5)
-        expected = {}
-        for row, contact in enumerate(data.contact):
-            mujoco.mj_contactForce(model, data, row, force)
-            bodies = model.geom_bodyid[contact.geom]
-            roots = model.body_rootid[bodies]
-            if force[0] > 0:
-                links = expected.setdefault(tuple(sorted(roots.tolist())), [])
-                links.append(sorted(zip(roots.tolist(), (bodies - roots).tolist(), strict=True)))
-        read = world.tick().simulator.read_contacts()
-        mujoco.mj_step(model, data, 3)  # it changes nothing that was read
-        points = read.all()
-        sides = zip(points.bodies.tolist(), points.links.tolist(), points.forces > 0, strict=True)
-        told = {}
-        for roots, links, is_pressing in sides:
-            if is_pressing:
-                told.setdefault(tuple(sorted(roots)), []).append(
-                    sorted(zip(roots, links, strict=True))
-                )
-        assert {pair: sorted(some) for pair, some in told.items()} == {
-            pair: sorted(some) for pair, some in expected.items()
-        }
-        seen.update(expected)
-    assert {(0, 1), (1, 3), (0, 4)} <= seen
-
-
 def _of_module(module):
     """Returns an object whose class says that it is of a module."""
     return type("Model", (), {"__module__": module})()
