@@ -186,18 +186,6 @@ def test_a_body_that_took_the_number_of_another(client, make):
     assert old.name == "box"
 
 
-def test_a_reset_simulation(client, make):
-    make()
-    world = ssduck.World.attach(client)
-    old = next(iter(world))
-    pybullet.resetSimulation(physicsClientId=client)
-    make((5, 0, 0))
-    world.tick()
-    (new,) = world
-    assert new.id != old.id
-    assert new.position == pytest.approx([5, 0, 0])
-
-
 @pytest.mark.parametrize("mass", [0.0, 1.0])
 def test_bodies_that_are_moved_behind_our_back(client, make, mass):
     """Even those that cannot move by themselves."""
@@ -231,25 +219,30 @@ def test_a_client_object_will_do():
     client.disconnect()
 
 
-@pytest.mark.parametrize("client", [99, "no client", None])
+@pytest.mark.parametrize("client", [99, "no client", None, "disconnected"])
 def test_what_is_no_client(client):
+    client = next_number() if client == "disconnected" else client
     with pytest.raises(SimulatorError, match="no connected PyBullet client"):
         ssduck.World.attach(client)
 
 
-def test_a_disconnected_client_is_no_client():
-    client = pybullet.connect(pybullet.DIRECT)
-    pybullet.disconnect(client)
-    with pytest.raises(SimulatorError, match="no connected PyBullet client"):
-        ssduck.World.attach(client)
-
-
-@pytest.mark.parametrize("argument", ["names", "kinds"])
-def test_numbers_that_no_body_has(client, make, argument):
-    make()
-    value = {"names": "x", "kinds": "robot"}[argument]
-    with pytest.raises(SelectScriptError, match="no body 7"):
-        ssduck.World.attach(client, **{argument: {7: value}})
+@pytest.mark.parametrize(
+    ("arguments", "error", "said"),
+    [
+        ({"names": {7: "x"}}, SelectScriptError, "no body 7"),
+        ({"kinds": {7: "robot"}}, SelectScriptError, "no body 7"),
+        ({"names": {0: "box", 1: "ball", 2: "box"}}, ArgumentError, "box"),
+        *(
+            ({"kinds": {0: kind}}, SelectScriptError, "neither 'robot' nor 'kinbody'")
+            for kind in ("sensor", "Robot", "", None)
+        ),
+    ],
+)
+def test_names_and_kinds_that_bodies_cannot_have(client, make, arguments, error, said):
+    for _ in range(3):
+        make()
+    with pytest.raises(error, match=said):
+        ssduck.World.attach(client, **arguments)
 
 
 def test_closing_leaves_the_users_client_connected(client, make):
@@ -258,18 +251,6 @@ def test_closing_leaves_the_users_client_connected(client, make):
         ss.add_variable("sim", ssduck.World.attach(client))
     assert pybullet.isConnected(client)
     assert pybullet.getNumBodies(client) == 1
-
-
-def test_time_counts_the_steps_of_the_world_and_of_its_owner(client, make):
-    make()
-    pybullet.setTimeStep(0.01, client)
-    world = ssduck.World.attach(client)
-    assert world.time == 0.0
-    world.step(50)
-    assert world.time == pytest.approx(0.5)
-    pybullet.stepSimulation(client)
-    world.tick()
-    assert world.time == pytest.approx(0.51)
 
 
 def test_names_are_of_the_bodies_that_were_there(client, make):
@@ -289,20 +270,6 @@ def test_names_are_made_unique_whatever_they_end_in(client, tmp_path):
         pybullet.loadURDF(str(file), physicsClientId=client)
     world = ssduck.World.attach(client)
     assert [e.name for e in world] == ["box", "box_2", "box_3", "box_4", "box_2_2"]
-
-
-def test_two_bodies_of_one_name_are_an_error(client, make):
-    bodies = [make() for _ in range(3)]
-    names = dict(zip(bodies, ("box", "ball", "box"), strict=True))
-    with pytest.raises(ArgumentError, match="box"):
-        ssduck.World.attach(client, names=names)
-
-
-@pytest.mark.parametrize("kind", ["sensor", "Robot", "", None])
-def test_kinds_that_there_are_not(client, make, kind):
-    body = make()
-    with pytest.raises(SelectScriptError, match="neither 'robot' nor 'kinbody'"):
-        ssduck.World.attach(client, kinds={body: kind})
 
 
 def test_a_moved_handle_of_a_removed_body_moves_no_other(client, make):
@@ -355,19 +322,6 @@ def test_a_world_leaves_nothing_behind_in_the_users_client(client, make):
     with pytest.raises(SimulatorError, match="the world is closed"):
         world.tick()
     assert len(ssduck.World.attach(client)) == 1
-
-
-def test_a_timestep_that_changes_on_the_way(client, make):
-    make()
-    pybullet.setTimeStep(0.01, client)
-    world = ssduck.World.attach(client)
-    world.step(10)
-    pybullet.setTimeStep(0.001, client)
-    assert world.time == pytest.approx(0.1, abs=1e-15)
-    assert world.step(10).time == pytest.approx(0.11, abs=1e-15)
-    pybullet.resetSimulation(physicsClientId=client)
-    pybullet.setTimeStep(0.01, client)
-    assert world.step(1).time == pytest.approx(0.12, abs=1e-15)
 
 
 def test_many_steps_do_not_add_up_errors(client):

@@ -24,7 +24,6 @@ from tests.support.models import sdf_link, sdf_model, sdf_of
 LIBRARY = Path(pybullet_data.getDataPath())
 TETRA = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.123456789012345, 0.2, 1.0]]
 SIDES = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]
-RADIUS = 0.03
 
 
 def exact_key(client, **how):

@@ -63,22 +63,13 @@ def test_a_changed_mass_is_seen_at_the_next_tick(sim, client, way, row_by_row):
     assert (ask(ss, "cube"), ask(ss, "arm")) == (1.0, pytest.approx(arm))
     change(client, 0, -1, 7.5)
     change(client, 1, 6, 3.0)
+    assert (ask(ss, "cube"), ask(ss, "arm")) == (1.0, pytest.approx(arm))  # of this tick
     last = sum(pybullet.getDynamicsInfo(1, link, client)[0] for link in range(-1, 7))
     sim.tick()
     assert (ask(ss, "cube"), ask(ss, "arm")) == (7.5, pytest.approx(last))
     change(client, 0, -1, 2.0)
     sim.step(3)
     assert ask(ss, "cube") == 2.0
-
-
-def test_it_is_one_mass_in_one_tick(sim, client):
-    ss = ssduck.Interpreter()
-    ss.add_variable("sim", sim)
-    assert sql(ss, "cube") == 1.0
-    change(client, 0, -1, 7.5)
-    assert (sql(ss, "cube"), sim["cube"].mass) == (1.0, 1.0)
-    sim.tick()
-    assert (sql(ss, "cube"), sim["cube"].mass) == (7.5, 7.5)
 
 
 def test_masses_of_bodies_that_come_and_go(sim, client):
@@ -109,20 +100,7 @@ def test_masses_of_a_world_that_ssduck_made():
 
 
 @pytest.mark.slow
-def test_a_soft_body_has_none(client):
-    pybullet.resetSimulation(pybullet.RESET_USE_DEFORMABLE_WORLD, client)
-    pybullet.loadSoftBody(f"{pybullet_data.getDataPath()}/bunny.obj", physicsClientId=client)
-    with (
-        pytest.warns(UserWarning, match="of a soft body, .* the mass is told as 0"),
-        pytest.warns(UserWarning, match="a velocity that is no number"),
-    ):
-        world = ssduck.World.attach(client)
-    (name,) = [entity.name for entity in world]
-    assert world[name].mass == 0.0
-
-
-@pytest.mark.slow
-def test_the_velocity_of_a_soft_body_is_unknown(client):
+def test_a_soft_body_has_no_mass_and_no_known_velocity(client):
     """PyBullet tells numbers for it that are no velocity."""
     pybullet.resetSimulation(pybullet.RESET_USE_DEFORMABLE_WORLD, client)
     pybullet.setGravity(0, 0, -9.81, client)
@@ -140,7 +118,7 @@ def test_the_velocity_of_a_soft_body_is_unknown(client):
         physicsClientId=client,
     )
     with (
-        pytest.warns(UserWarning, match="the velocity is unknown"),
+        pytest.warns(UserWarning, match="velocity is unknown .* the mass is told as 0"),
         pytest.warns(UserWarning, match="cloth: .* a velocity that is no number"),
     ):
         world = ssduck.World.attach(client, names={cloth: "cloth", ball: "ball"})
@@ -149,24 +127,11 @@ def test_the_velocity_of_a_soft_body_is_unknown(client):
         for _ in range(10):
             pybullet.stepSimulation(client)
             world.tick()
+        assert ss.eval("mass(sim.cloth)") == 0.0
         assert ss.eval("speed(sim.cloth)") is None
         assert ss.eval("settled(sim.cloth)") is None
         assert ss.eval("rate(z(sim.cloth))") == pytest.approx(-9.81 * 10 / 240, abs=0.05)
         assert ss.eval("speed(sim.ball)") == pytest.approx(9.81 * 10 / 240, rel=1e-2)
-
-
-@pytest.mark.slow
-def test_records_have_the_mass_that_a_body_came_with(sim, client):
-    """As the manual says: it is stored once, not with each tick."""
-    ss = ssduck.Interpreter()
-    ss.add_variable("sim", sim)
-    sim.tick()
-    change(client, 0, -1, 7.5)
-    sim.tick()
-    assert sql(ss, "cube") == 7.5
-    past = "SELECT DISTINCT mass FROM sim.entities_history WHERE name = 'cube'"
-    with pytest.warns(UserWarning, match="sim: cube: the mass was changed"):
-        assert ss.sql(past).fetchall() == [(1.0,)]
 
 
 def of_handle(ss, past):

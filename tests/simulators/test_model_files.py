@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
 import pybullet
-import pybullet_data
 import pytest
 
 import ssduck
@@ -20,7 +18,6 @@ from tests.support.bodies import client_of
 from tests.support.cases import sampled
 from tests.support.models import mjcf_body, mjcf_of, sdf_link, sdf_model, sdf_of
 
-LIBRARY = Path(pybullet_data.getDataPath())
 POSITION, TURN = [1.0, 2.0, 3.0], [0.5, 0.5, 0.5, 0.5]  # w, x, y, z: x to y, y to z, z to x
 POSE = f"position = {POSITION}\norientation = {TURN}\n"
 HINGE = (

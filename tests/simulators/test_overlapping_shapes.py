@@ -49,23 +49,13 @@ def answer_and_told(ss):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("apart", [0.1, 0.05, 0.19])
+@pytest.mark.parametrize("apart", [0.1, 0.05, 0.19, 0.2, 0.3])
 def test_overlaps_that_count_twice_are_told_of_once(client, apart):
     with ssduck.Interpreter() as ss:
         ss.add_variable("sim", attached(client, apart))
         answer, messages = answer_and_told(ss)
-        share = (0.2 - apart) / 0.4
+        share = max(0.0, (0.2 - apart) / 0.4)
         assert abs(answer - true_share(client)) <= share + 1e-3
         assert len(messages) == (share > 0.05)
         assert all(f"{share:.0%} of their volume twice" in message for message in messages)
         assert answer_and_told(ss) == (answer, [])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("apart", [0.2, 0.3])
-def test_shapes_side_by_side_are_not_told_of(client, apart):
-    with ssduck.Interpreter() as ss:
-        ss.add_variable("sim", attached(client, apart))
-        answer, messages = answer_and_told(ss)
-        assert answer == pytest.approx(true_share(client), abs=1e-3)
-        assert messages == []

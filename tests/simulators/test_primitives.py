@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pybullet
 import pytest
 
@@ -81,18 +79,6 @@ def test_a_primitive_is_what_pybullet_makes(load, client, name):
         theirs = pybullet.getAABB(body, -1, client)
         assert low == pytest.approx(theirs[0], abs=2.1e-3)  # PyBullet's boxes are padded
         assert high == pytest.approx(theirs[1], abs=2.1e-3)
-
-
-@pytest.mark.slow
-def test_the_aabb_of_each_primitive(load):
-    """Centred at its frame, with its axis along z."""
-    _, world = load("\n".join(f'[[body]]\nname = "{n}"\n{BODIES[n][0]}' for n in BODIES))
-    half = {"crate": (0.2, 0.1, 0.15), "ball": (0.15,) * 3, "can": (0.1, 0.1, 0.15)}
-    half |= {"pill": (0.1, 0.1, 0.25), "wall": (1, 0.05, 0.3)}
-    for name, (x, y, z) in half.items():
-        low, high = world[name].aabb
-        assert low == pytest.approx([-x, -y, -z], abs=1e-9)
-        assert high == pytest.approx([x, y, z], abs=1e-9)
 
 
 def test_material_and_velocity_arrive_in_pybullet(load):
@@ -201,41 +187,6 @@ def test_an_excerpt_of_primitives_goes_on_as_the_original(load):
     for one, other in zip(world.step(100), copy.step(100), strict=True):
         assert other.name == one.name
         assert other.pose == pytest.approx(one.pose, abs=1e-3)  # it finds its contacts anew
-
-
-@pytest.mark.slow
-def test_a_saved_excerpt_has_the_same_primitives(load, tmp_path):
-    ss, world = load(STACK)
-    world.step(30)
-    copy = ss.eval("SELECT this FROM room WHERE id != 'ball' AS environment;")
-    copy.save(tmp_path / "saved")
-    scene = read_scene(tmp_path / "saved" / "scene.toml")
-    before = read_scene(tmp_path / "room.toml")
-    assert [body.name for body in scene.bodies] == ["floor", "crate"]
-    assert scene.bodies[0] == replace(before.floor, kind="kinbody")
-    assert scene.bodies[1].model == before.bodies[0].model
-    assert scene.bodies[1].position == pytest.approx(world["crate"].position, abs=1e-15)
-
-
-@pytest.mark.slow
-def test_sensors_and_constraints_on_primitives(load):
-    text = STACK + (
-        '[[sensor]]\nname = "eye"\ntype = "range_finder"\non = "crate"\nmax_range = 3\n'
-        'position = [0.21, 0, 0]\n[[constraint]]\ntype = "fixed"\non = "crate"\n'
-        "to_position = [0, 0, 1]\n"
-    )
-    _, world = load(text)
-    assert [entity.name for entity in world] == ["eye", "floor", "crate", "ball"]
-    assert world.step(240)["crate"].position[2] == pytest.approx(1, abs=0.05)
-
-
-@pytest.mark.slow
-def test_a_hidden_and_a_disabled_primitive(load):
-    text = 'floor = true\n[[body]]\nname = "ghost"\nbox = [1, 1, 1]\nenabled = false\nvisible = false\n'
-    _, world = load(text)
-    assert not world["ghost"].enabled
-    assert not world["ghost"].visible
-    assert world.step(240)["ghost"].position[2] < -3
 
 
 BODY = '[[body]]\nname = "a"\n'

@@ -9,7 +9,6 @@ import sys
 from pathlib import Path
 
 import pybullet
-import pybullet_data
 import pytest
 
 import ssduck
@@ -19,7 +18,8 @@ from tests.support.models import mjcf_body, mjcf_of, sdf_model, sdf_of
 from tests.support.urdf import collision, joint, link, robot
 
 ROOT = Path(__file__).resolve().parents[2]
-LIBRARY = Path(pybullet_data.getDataPath())
+
+
 LIMIT = '<limit lower="{}" upper="{}" effort="5" velocity="2"/>'
 CUP = robot(link("cup", shapes=collision('<box size="0.1 0.1 0.1"/>')), name="cup")
 ARM = robot(

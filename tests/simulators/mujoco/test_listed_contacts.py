@@ -29,7 +29,8 @@ SCENE = """
   </worldbody>
 </mujoco>
 """
-NAMES = ("floor", "plate", "bowl", "arm", "lower", "upper")
+
+
 LINKS = ("arm.lower", "arm.upper")
 ALL = ssduck.Recording(tables=("entities", "links", "contacts"))
 
