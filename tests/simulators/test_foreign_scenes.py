@@ -153,29 +153,6 @@ def test_what_pybullet_would_read_beyond_is_an_error(tmp_path, name):
         ssduck.load(tmp_path / "s.urdf", simulator="pybullet")
 
 
-def test_a_long_comment_is_read_over(tmp_path):
-    (tmp_path / "m.obj").write_text(f"#{'-' * 3000}\n{CUBE}")
-    (tmp_path / "s.urdf").write_text(mesh("m.obj"))
-    with ssduck.load(tmp_path / "s.urdf", simulator="pybullet") as ss:
-        assert len(ss.worlds[0]) == 1
-
-
-def test_faces_of_two_corners_are_left_out(tmp_path):
-    (tmp_path / "m.obj").write_text(f"f \nf 1\nf 1 99\n{CUBE}")
-    (tmp_path / "s.urdf").write_text(mesh("m.obj"))
-    with ssduck.load(tmp_path / "s.urdf", simulator="pybullet") as ss:
-        (body,) = ss.worlds[0]
-        assert body.aabb[1] == pytest.approx([1.0, 1.0, 1.0], abs=0.01)
-
-
-def test_faces_may_precede_vertices_of_their_own_object(tmp_path):
-    line = "o " + "a" * (PIECE - 3)
-    (tmp_path / "m.obj").write_text(f"{line}\nf 1 2 9\n{FAR}{CUBE}")
-    (tmp_path / "s.urdf").write_text(mesh("m.obj"))
-    with ssduck.load(tmp_path / "s.urdf", simulator="pybullet") as ss:
-        assert len(ss.worlds[0]) == 1
-
-
 # (before a part that a comment hides from XML, the part, behind it)
 HIDDEN = {
     "s.urdf": (
@@ -213,47 +190,6 @@ def test_a_comment_hides_nothing_from_the_check(tmp_path, name):
             ssduck.load(tmp_path / name, simulator="pybullet")
 
 
-def test_a_long_element_is_an_error(tmp_path):
-    (tmp_path / "s.urdf").write_text(urdf(f'<box size="1 1 1" a="{"b" * 8191}"/>'))
-    with pytest.raises(SceneError, match=r"an element has 8,2.. bytes: .*would read another model"):
-        ssduck.load(tmp_path / "s.urdf", simulator="pybullet")
-
-
-def test_a_long_line_that_is_cut_between_its_parts_is_read(tmp_path):
-    start, end = urdf().split("<collision>")
-    padded = f"{start}{' ' * (8191 - len(start))}<collision>{end}"
-    (tmp_path / "s.urdf").write_text(padded)
-    with ssduck.load(tmp_path / "s.urdf", simulator="pybullet") as ss:
-        assert len(ss.worlds[0]) == 1
-
-
-# (the file, its text): PyBullet prints these texts by C's printf.
-PRINTED = {
-    "a type": ("s.urdf", urdf().replace("</robot>", '<joint name="j" type="%n"/></robot>')),
-    "a link": ("s.urdf", urdf().replace('"base"', '"%s%s%n"')),
-    "an attribute": ("s.urdf", urdf('<box size="1 1 1" a="%p"/>')),
-    "a mesh": ("s.urdf", mesh("%n.obj")),
-    "a type of a geom": ("s.xml", mjcf('type="%p.%p"')),
-    "a uri": ("s.sdf", sdf("<mesh><uri>%s.obj</uri></mesh>")),
-    "a model": ("s.sdf", sdf("<sphere><radius>1</radius></sphere>").replace('"m"', '"%n"')),
-}
-
-
-@pytest.mark.parametrize("name", PRINTED)
-def test_a_text_is_no_format(tmp_path, name):
-    file, text = PRINTED[name]
-    (tmp_path / file).write_text(text)
-    with pytest.raises(SceneError, match="has a %, which PyBullet takes for a format"):
-        ssduck.load(tmp_path / file, simulator="pybullet")
-
-
-def test_a_percent_that_is_not_printed_may_be_there(tmp_path):
-    text = urdf().replace("</robot>", "<!-- 100 % --><description>100 % new</description></robot>")
-    (tmp_path / "s.urdf").write_text(text)
-    with ssduck.load(tmp_path / "s.urdf", simulator="pybullet") as ss:
-        assert len(ss.worlds[0]) == 1
-
-
 def test_a_count_of_triangles_that_overflows(tmp_path):
     count = (2**32 + 900) // 50
     size = (84 + 50 * count) % 2**32
@@ -263,39 +199,84 @@ def test_a_count_of_triangles_that_overflows(tmp_path):
         ssduck.load(tmp_path / "s.urdf", simulator="pybullet")
 
 
-@pytest.mark.parametrize("inner", ["<plane/>", "0 <diffuse>1 1 1</diffuse>"])
-def test_an_element_is_no_text(tmp_path, inner):
-    text = sdf("<sphere><radius>1</radius></sphere>").replace(
-        "</link>", f"<pose>{inner}</pose></link>"
+def limited(attributes):
+    """A model whose joints have a limit by default."""
+    return (
+        '<mujoco><compiler angle="radian"/><default><joint limited="true" range="-1 1"/></default>'
+        f'<worldbody><body name="b"><joint name="j" type="hinge" axis="0 0 1" {attributes}/>'
+        '<geom type="sphere" size="1"/></body></worldbody></mujoco>'
     )
-    (tmp_path / "s.sdf").write_text(text)
-    with pytest.raises(SceneError, match=r"a <pose> has a <.*> where a text is due"):
-        ssduck.load(tmp_path / "s.sdf")
 
 
-def test_two_bodies_of_one_name(tmp_path):
-    text = '<mujoco><worldbody><body><body name="b"/><body name="b"/></body></worldbody></mujoco>'
-    (tmp_path / "s.xml").write_text(text)
-    with pytest.raises(SceneError, match="2 bodies have the name 'b'"):
-        ssduck.load(tmp_path / "s.xml", simulator="pybullet")
+SPHERE = sdf("<sphere><radius>1</radius></sphere>")
+# (the file, its text): PyBullet prints these texts by C's printf.
+PRINTED = {
+    "a type": ("s.urdf", urdf().replace("</robot>", '<joint name="j" type="%n"/></robot>')),
+    "a link": ("s.urdf", urdf().replace('"base"', '"%s%s%n"')),
+    "an attribute": ("s.urdf", urdf('<box size="1 1 1" a="%p"/>')),
+    "a mesh": ("s.urdf", mesh("%n.obj")),
+    "a type of a geom": ("s.xml", mjcf('type="%p.%p"')),
+    "a uri": ("s.sdf", sdf("<mesh><uri>%s.obj</uri></mesh>")),
+    "a model": ("s.sdf", SPHERE.replace('"m"', '"%n"')),
+}
+LONG = urdf(f'<box size="1 1 1" a="{"b" * 8191}"/>')
+TWICE = '<mujoco><worldbody><body><body name="b"/><body name="b"/></body></worldbody></mujoco>'
+# (the file, its text, words of the error)
+REFUSED = {
+    **{
+        f"% in {name}": (*printed, "has a %, which PyBullet takes for a format")
+        for name, printed in PRINTED.items()
+    },
+    **{
+        f"{inner} for a text": (
+            "s.sdf",
+            SPHERE.replace("</link>", f"<pose>{inner}</pose></link>"),
+            "a <pose> has a <.*> where a text is due",
+        )
+        for inner in ("<plane/>", "0 <diffuse>1 1 1</diffuse>")
+    },
+    "a long element": ("s.urdf", LONG, r"an element has 8,2.. bytes: .*would read another model"),
+    "two bodies of one name": ("s.xml", TWICE, "2 bodies have the name 'b'"),
+    "a limit without a range": ("s.xml", limited(""), "the limited joint 'j' has no range"),
+}
 
 
-@pytest.mark.parametrize(
-    ("joint", "is_right"),
-    [("", False), ('limited="false"', True), ('range="-1 1"', True)],
-)
-def test_a_limit_by_default_needs_a_range(tmp_path, joint, is_right):
-    text = (
-        '<mujoco><compiler angle="radian"/><default><joint limited="true" range="-1 1"/></default><worldbody><body name="b">'
-        f'<joint name="j" type="hinge" axis="0 0 1" {joint}/><geom type="sphere" size="1"/></body>'
-        "</worldbody></mujoco>"
-    )
-    (tmp_path / "s.xml").write_text(text)
-    if is_right:
-        ssduck.load(tmp_path / "s.xml", simulator="pybullet").close()
-    else:
-        with pytest.raises(SceneError, match="the limited joint 'j' has no range"):
-            ssduck.load(tmp_path / "s.xml", simulator="pybullet")
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_pybullet_would_take_otherwise_is_an_error(tmp_path, name):
+    file, text, words = REFUSED[name]
+    (tmp_path / file).write_text(text)
+    with pytest.raises(SceneError, match=words):
+        ssduck.load(tmp_path / file, simulator="pybullet")
+
+
+BEFORE, BEHIND = urdf().split("<collision>")
+CUT = f"{BEFORE}{' ' * (8191 - len(BEFORE))}<collision>{BEHIND}"
+PERCENT = "<!-- 100 % --><description>100 % new</description></robot>"
+# (the file, its text, a mesh beside it)
+READ = {
+    "a long comment": ("s.urdf", mesh("m.obj"), f"#{'-' * 3000}\n{CUBE}"),
+    "faces of two corners": ("s.urdf", mesh("m.obj"), f"f \nf 1\nf 1 99\n{CUBE}"),
+    "faces before vertices of their own object": (
+        "s.urdf",
+        mesh("m.obj"),
+        f"o {'a' * (PIECE - 3)}\nf 1 2 9\n{FAR}{CUBE}",
+    ),
+    "a long line that is cut between its parts": ("s.urdf", CUT, ""),
+    "% that is not printed": ("s.urdf", urdf().replace("</robot>", PERCENT), ""),
+    "no limit": ("s.xml", limited('limited="false"'), ""),
+    "a range": ("s.xml", limited('range="-1 1"'), ""),
+}
+
+
+@pytest.mark.parametrize("name", READ)
+def test_what_is_right_is_read(tmp_path, name):
+    file, text, content = READ[name]
+    (tmp_path / file).write_text(text)
+    (tmp_path / "m.obj").write_text(content)
+    with ssduck.load(tmp_path / file, simulator="pybullet") as ss:
+        (body,) = ss.worlds[0]
+        if name == "faces of two corners":  # they are left out
+            assert body.aabb[1] == pytest.approx([1.0, 1.0, 1.0], abs=0.01)
 
 
 ACCESSOR = (
