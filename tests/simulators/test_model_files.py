@@ -9,6 +9,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pybullet
 import pytest
+from scipy.spatial.transform import Rotation
 
 import ssduck
 from ssduck.errors import SceneError
@@ -142,22 +143,15 @@ def test_a_pose_moves_the_whole_file(load, write, key, file, text):
     for one, other in zip(plain, moved, strict=True):
         x, y, z = one.position
         assert other.position == pytest.approx([z + 1, x + 2, y + 3], abs=1e-6)
-        expected = np.array(quaternion_product(TURN, one.orientation))
-        got = np.array(other.orientation)
-        assert min(abs(got - expected).max(), abs(got + expected).max()) < 1e-6
+        expected = rotation(TURN) * rotation(one.orientation)
+        assert (rotation(other.orientation) * expected.inv()).magnitude() < 1e-6
         for mine, theirs in zip(one.links, other.links, strict=True):
             x, y, z = mine.position
             assert theirs.position == pytest.approx([z + 1, x + 2, y + 3], abs=1e-6)
 
 
-def quaternion_product(p, q):
-    (a, b, c, d), (e, f, g, h) = p, q
-    return (
-        a * e - b * f - c * g - d * h,
-        a * f + b * e + c * h - d * g,
-        a * g - b * h + c * e + d * f,
-        a * h + b * g - c * f + d * e,
-    )
+def rotation(orientation):
+    return Rotation.from_quat(orientation, scalar_first=True)
 
 
 @pytest.mark.parametrize("word", ["1", "true", " true ", "0", "false"])
@@ -550,13 +544,13 @@ def test_no_damaged_file_crashes_the_process(tmp_path, format):
     assert len(done.stdout.split()) > 50
 
 
+NAMELESS = urdf.robot(urdf.link("a"), urdf.link("b"), urdf.joint("", "fixed", "a", "b"))
 ROOTS = sdf_of(sdf_model("two", sdf_link("a"), sdf_link("b")))
 # (text of the scene, files, key, words of the reason, nearest right names)
 MISTAKES = [
     ('[[body]]\nsdf = "b.sdf"', {}, "body[0].sdf", "there is no file 'b.sdf'", ()),
     ('[[body]]\nmjcf = "a.sdf"', {"a_sdf": SDF}, "body[0].mjcf", "in .mjcf or .xml", ("sdf",)),
     ('[[body]]\nsdf = "a.xml"', {"a_xml": MJCF}, "body[0].sdf", "end in .sdf", ("mjcf",)),
-    ('[[body]]\nsdf = "a.sdf"', {"a_sdf": "no XML"}, "body[0].sdf", "cannot be loaded", ()),
     ('[[body]]\nsdf = "a.sdf"', {"a_sdf": ROOTS}, "body[0].sdf", "2 links without a parent (a", ()),
     *(
         ('[[body]]\nsdf = "a.sdf"', {"a_sdf": text}, "body[0].sdf", words, ())
@@ -575,15 +569,12 @@ MISTAKES = [
             (MJCF.replace('size="0.2"', ""), "a <geom> of the type 'sphere' has no size"),
         ]
     ),
-    *(
-        ('[[body]]\nname = "u"\nurdf = "a.urdf"', {"a_urdf": text}, "body[0].urdf", words, ())
-        for text, words in [
-            (urdf.robot(urdf.link("a"), urdf.link("b")), "2 links without a parent (a, b)"),
-            (
-                urdf.robot(urdf.link("a"), urdf.link("b"), urdf.joint("", "fixed", "a", "b")),
-                "a <joint> has an empty",
-            ),
-        ]
+    (
+        '[[body]]\nname = "u"\nurdf = "a.urdf"',
+        {"a_urdf": NAMELESS},
+        "body[0].urdf",
+        "a <joint> has an empty",
+        (),
     ),
     (
         '[[body]]\nsdf = "a.sdf"',
@@ -593,7 +584,6 @@ MISTAKES = [
         (),
     ),
     ('[[body]]\nmjcf = "a.xml"', {"a_xml": mjcf_of()}, "body[0].mjcf", "no body is in it", ()),
-    ('[[body]]\nmjcf = "a.xml"', {"a_xml": "<mujoco"}, "body[0].mjcf", "cannot be loaded", ()),
     ('[[body]]\nsdf = "a.sdf"\nname = ""', {"a_sdf": SDF}, "body[0].name", "expected a text", ()),
     (
         '[[body]]\nsdf = "a.sdf"\nvelocity = [0, 0, 0, 0, 0, 0]',

@@ -405,23 +405,3 @@ def test_half_a_scene_is_not_left(kitchen, tmp_path, monkeypatch, kind):
         kitchen.save(folder)
     assert folder.exists() == (kind != "new")
     assert not list(folder.rglob("*"))
-
-
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ('[[constraint]]\ntype = "glue"\non = "a"', r"constraint\[0\].type: no such constraint"),
-        ('[[constraint]]\ntype = "fixed"\non = "b"', r"constraint\[0\].on: the scene has no body"),
-        (
-            '[[constraint]]\ntype = "fixed"\non = "a"\nlink = "x"',
-            r"constraint\[0\].on_link: 'a' has no link 'x'",
-        ),
-        ("[engine]\niterations = 0", "engine.iterations: 0 is less than 1"),
-        ("[engine]\nsubsteps = 1.5", "engine.substeps: 1.5 is no whole number"),
-    ],
-)
-def test_mistakes_in_what_scenes_say(write, text, told):
-    write("a.urdf", robot(link("base", shapes=collision('<sphere radius="0.1"/>'))))
-    path = write("s.toml", f'[[body]]\nname = "a"\nurdf = "a.urdf"\n{text}\n')
-    with pytest.raises(SceneError, match=told):
-        ssduck.load(path)
