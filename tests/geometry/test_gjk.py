@@ -134,6 +134,7 @@ NOWHERE = (math.nan, 0.0, 0.0)
 ELL = pairs.ell(1.0, 0.6, 0.8)
 PATCH = Geometry("mesh", (0, 0, 0), pairs.patch_vertices(1, 1, 1), pairs.PATCH)
 ALL = [box(0.5, 0.4, 0.3), sphere(0.3), capsule(0.2, 0.4), cylinder(0.3, 0.4), CUBE, ELL, PATCH]
+ALL += [Geometry.primitive("ellipsoid", (0.3, 0.2, 0.4))]
 ALL += [mesh_of(cylinder()), Geometry.hull([[0, 0, 0], [1, 0, 0], [0, 1, 0]]), plane((0, 0.6, 0.8))]
 APART = [0.0, 1e-3, 0.1, 0.25, 3.0, math.inf]
 

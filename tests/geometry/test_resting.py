@@ -7,7 +7,7 @@ import pybullet
 import pytest
 
 import ssduck
-from ssduck.errors import SelectScriptError, StateError
+from ssduck.errors import SelectScriptError
 from tests.support.bodies import solid
 from tests.support.cases import sampled
 from tests.support.urdf import box_obj, collision, link, robot
@@ -330,17 +330,6 @@ def test_tables_of_all_pairs_take_a_depth(hulls):
         count = "SELECT count(*) FROM colliding_pairs({})"
         for given, found in (("", 4), ("0.005", 4), ("depth := 0.05", 2), ("0.2", 0)):
             assert ss.sql(count.format(given)).fetchall() == [(found,)]
-
-
-def test_what_rests_can_be_held(yard):
-    under, over = yard.stack("hull", "hull", (0, 0))
-    world = settled(yard)
-    world[under].hold(world[over])
-    world[under].release(world[over])
-    x, y, z = world[over].position
-    world[over].move([x, y, z + 2e-3])
-    with pytest.raises(StateError, match="move them there first"):
-        world[under].hold(world[over])
 
 
 RECORDED = [

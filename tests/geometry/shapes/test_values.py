@@ -4,13 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
-import ssduck
 from ssduck.sql.relations.registry import RELATIONS
 from tests.support.cases import sampled
-from tests.support.shape_cases import EDGE, HOLDS, SHAPES, TURNED, approx
+from tests.support.shape_cases import EDGE, HOLDS, TURNED, approx
 from tests.support.stage import Stage, pairs_of
 
 # -- values, and the edges -----------------------------------------------------------------------
@@ -167,59 +164,6 @@ def test_a_relation_with_itself_is_false_and_symmetry_is_as_registered(pair, pos
             assert self_ is False
             if RELATIONS[name].is_symmetric:
                 assert there is back
-
-
-ASKED = (
-    "SELECT p.id, q.id, clearance(p, q), penetration(p, q), collides(p, q), touching(p, q, 0.01), "
-    'near(p, q, 0.3), nearestPoints(p, q), "on"(p, q) '
-    "FROM entities p, entities q ORDER BY ALL"
-)
-
-
-def twisted(turn, half):
-    """A quaternion, turned about the vertical by twice an angle."""
-    w, i, j, k = turn
-    c, s = math.cos(half), math.sin(half)
-    return c * w - s * k, c * i - s * j, c * j + s * i, c * k + s * w
-
-
-@pytest.mark.long
-@settings(max_examples=5, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(
-    seed=st.integers(0, 10**6),
-    shift=st.tuples(*[st.floats(-3, 3)] * 3),
-    angle=st.floats(-math.pi, math.pi),
-)
-def test_moving_the_world_changes_nothing(stage, seed, shift, angle):
-    """Turned about the vertical, so that what is on something stays on it."""
-    random = np.random.default_rng(seed)
-    world = stage.open()
-    while len(world) < 6:
-        kind, size = SHAPES[random.integers(len(SHAPES))]
-        stage.add(f"e{len(world)}", kind, **size)
-        world = stage.open()
-    cos, sin = math.cos(angle), math.sin(angle)
-    places = {e.name: random.uniform(-0.6, 0.6, 3) for e in world}
-    turns = {e.name: random.normal(size=4) for e in world}
-    found = []
-    for moved in (False, True):
-        poses = {}
-        for name, place in places.items():
-            turn = turns[name] / np.linalg.norm(turns[name])
-            if moved:
-                about = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
-                poses[name] = [*twisted(turn, angle / 2), *(about @ place + shift)]
-            else:
-                poses[name] = [*turn, *place]
-        with ssduck.Interpreter() as ss:
-            ss.add_variable("sim", world.what_if(poses))
-            found.append(ss.sql(ASKED).fetchall())
-    for one, other in zip(*found, strict=True):
-        for value, same in zip(one, other, strict=True):
-            if isinstance(value, bool | int):
-                assert value == same
-            elif isinstance(value, float):
-                assert value == pytest.approx(same, abs=1e-6)
 
 
 # -- where others look from ----------------------------------------------------------------------

@@ -53,19 +53,6 @@ def test_shapes_are_where_pybullet_has_them(client, write):
     ]
 
 
-def test_a_shapes_box_is_that_of_its_geometry(client, write):
-    """The rows of `shapes` and `geometries` together tell the boxes of `links`."""
-    pybullet.loadURDF(str(write("arm.urdf", ARM)), physicsClientId=client)
-    world = asked(ssduck.World.attach(client), "shapes", "links")
-    on = world.snapshot.tables["shapes"].arrow["link"].to_numpy()
-    lows, highs = rows(world, "shapes", LOW), rows(world, "shapes", HIGH)
-    for number in np.unique(on):
-        assert rows(world, "links", LOW)[number].tolist() == lows[on == number].min(axis=0).tolist()
-        assert (
-            rows(world, "links", HIGH)[number].tolist() == highs[on == number].max(axis=0).tolist()
-        )
-
-
 def shapes_of(world, name):
     """Of each shape of an entity: its type, and its box, (2, 3)."""
     arrow = world.snapshot.tables["shapes"].arrow
@@ -142,14 +129,6 @@ def test_meshes_of_a_link_are_hulls_or_surfaces_as_its_file_says(
     assert np.all(high - low > 0.3 * np.subtract(own_high, own_low))
 
 
-def test_files_in_the_library_have_the_hulls_that_are_in_them(client):
-    pybullet.loadURDF(str(LIBRARY / "duck_vhacd.urdf"), physicsClientId=client)
-    world = ssduck.World.attach(client, names={0: "duck"})
-    text = (LIBRARY / "duck_vhacd.obj").read_text()
-    objects = sum(line.startswith("o ") for line in text.splitlines())
-    assert [kind for kind, _ in shapes_of(asked(world, "shapes"), "duck")] == ["hull"] * objects
-
-
 def test_a_mesh_given_by_points_is_their_hull(client):
     corners = np.random.default_rng(4).normal(size=(30, 3))
     shape = pybullet.createCollisionShape(
@@ -215,13 +194,6 @@ def test_planes_are_endless(client, normal, corners):
 # -- shapes that PyBullet does not tell ----------------------------------------------------------
 
 
-def concave(client):
-    corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
-    return solid(
-        client, pybullet.GEOM_MESH, 0, [1, 0, 0], vertices=corners, indices=[0, 1, 2, 0, 1, 3]
-    )
-
-
 def heightfield(client):
     return solid(
         client,
@@ -263,15 +235,14 @@ def test_a_box_stands_in_for_a_shape_that_pybullet_does_not_tell(client, make, c
         world.step(2)  # it is said once
 
 
-@pytest.mark.parametrize("make", [concave, rigid_mesh])
-def test_what_pybullet_saves_needs_no_box(client, make):
-    handle = make(client)
+def test_what_pybullet_saves_needs_no_box(client):
+    handle = rigid_mesh(client)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         world = asked(ssduck.World.attach(client, names={handle: "strange"}), "shapes")
     low, high = (np.array(corner) for corner in pybullet.getAABB(handle, -1, client))
     found = shapes_of(world, "strange")
-    assert {kind for kind, _ in found} == {"mesh" if make is concave else "hull"}
+    assert {kind for kind, _ in found} == {"hull"}
     boxes = np.array([box for _, box in found])
     # PyBullet's own box is wider by a margin of at most 4 cm.
     for own, told in ((boxes[:, 0].min(axis=0), low), (-boxes[:, 1].max(axis=0), -high)):

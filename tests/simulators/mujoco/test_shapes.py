@@ -8,7 +8,6 @@ import trimesh
 
 import ssduck
 from ssduck.geometry.shapes import Geometry
-from ssduck.schema import ID_FACTOR
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -186,34 +185,6 @@ def test_the_clearance_of_ellipsoids_is_the_distance_that_mujoco_computes(eggs):
             assert 0.0 < row["p"] <= -expected + 1e-4, row
     assert apart > 20
     assert len(rows) - apart > 3
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("margin", [0.0, 1e-3, 0.05])
-def test_all_pairs_of_ellipsoids_at_once_are_those_one_by_one(eggs, margin):
-    """As they lie, and lifted until some only just touch."""
-    _, model, data = eggs
-    at_once, one_by_one = (ssduck.World.attach(model, data, names={0: "floor"}) for _ in range(2))
-    for world in (at_once, one_by_one):
-        world.request_tables(["shapes"])
-        world.tick()
-    many, single = at_once.snapshot.shapes(), one_by_one.snapshot.shapes()
-    numbers = [entity.id for entity in one_by_one]
-    pairs = [(a, b) for a in numbers for b in numbers if a != b]
-
-    def found(keys):
-        return sorted(divmod(number, ID_FACTOR) for number in keys)
-
-    assert found(many.all_touching(margin).numbers) == [
-        (a, b) for a, b in pairs if single.touching(a, b, margin)
-    ]
-    assert found(many.all_within(margin).numbers) == [
-        (a, b) for a, b in pairs if single.near(a, b, margin)
-    ]
-    assert found(many.all_colliding(margin).numbers) == [
-        (a, b) for a, b in pairs if single.collides(a, b, margin)
-    ]
-    assert found(many.all_on().numbers) == [(a, b) for a, b in pairs if single.on(a, b)]
 
 
 @pytest.mark.slow
