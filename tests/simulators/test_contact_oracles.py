@@ -11,6 +11,7 @@ import pybullet_data
 import pytest
 
 import ssduck
+from tests.support.mjcf import simulated
 
 ALL = ssduck.Recording(tables=("entities", "links", "contacts"))
 COLUMNS = 'a, link_a, b, link_b, ax, ay, az, bx, "by", bz, force, -depth'
@@ -161,8 +162,7 @@ def points_of_mujoco(model, data, handles):
 @pytest.mark.parametrize("text", MODELS.values(), ids=MODELS)
 def test_contacts_of_mujoco(text, steps):
     """They are asked for after another step, which changes nothing that a tick has read."""
-    model = mujoco.MjModel.from_xml_string(text)
-    data = mujoco.MjData(model)
+    model, data = simulated(text)
     with ssduck.Interpreter(recording=None) as ss:
         world = ss.add_variable("sim", ssduck.World.attach(model, data))
         query = f"SELECT {COLUMNS}, {VECTORS} FROM sim.contacts"
@@ -199,8 +199,7 @@ HAS_SLEEP = pytest.mark.skipif(
 
 
 def sleepy(ss, text):
-    model = mujoco.MjModel.from_xml_string(text)
-    data = mujoco.MjData(model)
+    model, data = simulated(text)
     return model, data, ss.add_variable("sim", ssduck.World.attach(model, data))
 
 
@@ -210,8 +209,7 @@ def sleepy(ss, text):
 def test_what_sleeps_keeps_its_contacts(forward):
     """MuJoCo's own sensors tell: they keep what they had when the bodies fell asleep."""
     with ssduck.Interpreter(recording=ALL) as ss:
-        model = mujoco.MjModel.from_xml_string(SLEEPY.format(sleep=""))
-        data = mujoco.MjData(model)
+        model, data = simulated(SLEEPY.format(sleep=""))
         world = ss.add_variable("sim", ssduck.World.attach(model, data, forward=forward))
         flags, slept = model.opt.enableflags, 0
         mujoco.mj_step(model, data, 3)

@@ -35,6 +35,18 @@ LAB = """
 """
 
 
+def simulated(text, steps=0):
+    """Returns the model of a text and its data, with all that follows from the state, after steps."""
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    for _ in range(steps):
+        mujoco.mj_step(model, data)
+    return model, data
+
+
 def random_state(model, data, seed):
     """Gives all joints and velocities of a simulation random values."""
     import mujoco

@@ -12,6 +12,7 @@ from ssduck.geometry.poses import rotation_matrices, unit_quaternions
 from ssduck.world import ctrl_c
 from ssduck.world.tick_geometry import TickPlaces
 from tests.support.gym_environments import PUSH
+from tests.support.mjcf import simulated
 
 RADIUS = 0.05
 HIGHEST = "SELECT zmax FROM lab.entities WHERE name = 'ball'"
@@ -19,8 +20,7 @@ HIGHEST = "SELECT zmax FROM lab.entities WHERE name = 'ball'"
 
 @pytest.fixture
 def lab():
-    model = mujoco.MjModel.from_xml_string(PUSH)
-    data = mujoco.MjData(model)
+    model, data = simulated(PUSH)
     data.qpos[3] = 1.0  # the ball falls
     mujoco.mj_forward(model, data)
     with ssduck.Interpreter() as ss:
@@ -139,39 +139,21 @@ SHAPES = """
 """
 
 
+BOX = """
+<mujoco><worldbody><geom name="fixed" type="box" size=".1 .1 .1" pos="2 0 0"/>
+  <body pos="0 0 1" quat=".5 .1 .7 .2"><freejoint/><geom type="box" size=".1 .2 .3" {}/></body>
+</worldbody></mujoco>
+"""
+POSES = ("", 'pos=".1 0 0"', 'quat=".6 .8 0 0"')
+COLUMNS = "x, y, z, qw, qx, qy, qz, xmin, ymin, zmin, xmax, ymax, zmax"
+
+
 @pytest.mark.slow
-def test_a_shape_is_where_the_table_has_it():
-    model = mujoco.MjModel.from_xml_string(SHAPES)
-    data = mujoco.MjData(model)
-    with ssduck.Interpreter(recording=None) as ss:
-        world = ss.add_variable("lab", ssduck.World.attach(model, data))
-        for _ in range(3):
-            mujoco.mj_step(model, data, 20)
-            world.tick()
-            columns = "x, y, z, qw, qx, qy, qz, xmin, ymin, zmin, xmax, ymax, zmax"
-            rows = ss.sql(f"SELECT {columns} FROM lab.shapes").fetchall()
-            snapshot = world.snapshot
-            places = TickPlaces(snapshot.layout, snapshot.body_groups)
-            one_by_one = [
-                (*chain(*places.pose(shape)), *places.box(shape)) for shape in range(len(rows))
-            ]
-            assert len(rows) == 6
-            assert one_by_one == rows
-            arrays = np.hstack((places.positions, places.orientations, places.boxes))
-            assert arrays.tolist() == list(map(list, rows))
-
-
-@pytest.mark.parametrize("pose", ["", 'pos=".1 0 0"', 'quat=".6 .8 0 0"'])
-def test_shapes_are_where_their_poses_in_links_have_them(pose):
-    """Those that are where their links are take these poses as they are."""
-    model = mujoco.MjModel.from_xml_string(
-        f"""<mujoco><worldbody><geom name="fixed" type="box" size=".1 .1 .1" pos="2 0 0"/>
-        <body pos="0 0 1" quat=".5 .1 .7 .2"><freejoint/>
-        <geom type="box" size=".1 .2 .3" {pose}/></body>
-        </worldbody></mujoco>"""
-    )
-    data = mujoco.MjData(model)
-    data.qvel[3:6] = 1.0, 2.0, 3.0
+@pytest.mark.parametrize("text", [SHAPES, *map(BOX.format, POSES)], ids=["", *POSES])
+def test_a_shape_is_where_mujoco_and_the_table_have_it(text):
+    """One by one and all at once; those that are where their links are take these poses as they are."""
+    model, data = simulated(text)
+    data.qvel[:] = np.linspace(1, 3, model.nv)
     with ssduck.Interpreter(recording=None) as ss:
         world = ss.add_variable("lab", ssduck.World.attach(model, data))
         for _ in range(3):
@@ -182,6 +164,11 @@ def test_shapes_are_where_their_poses_in_links_have_them(pose):
             assert places.positions == pytest.approx(data.geom_xpos, abs=1e-12)
             matrices = rotation_matrices(unit_quaternions(places.orientations)).reshape(-1, 9)
             assert matrices == pytest.approx(data.geom_xmat, abs=1e-12)
+            rows = ss.sql(f"SELECT {COLUMNS} FROM lab.shapes").fetchall()
+            each = range(len(rows))
+            assert [(*chain(*places.pose(n)), *places.box(n)) for n in each] == rows
+            arrays = np.hstack((places.positions, places.orientations, places.boxes))
+            assert arrays.tolist() == list(map(list, rows))
 
 
 UNIX = pytest.mark.skipif(not hasattr(signal, "SIGALRM"), reason="Windows has no such signal")

@@ -7,15 +7,14 @@ import pytest
 
 import ssduck
 from ssduck.errors import UnsupportedError
-from tests.support.mjcf import LAB, random_state
+from tests.support.mjcf import LAB, random_state, simulated
 
 mujoco = pytest.importorskip("mujoco")
 
 
 @pytest.fixture
 def lab():
-    model = mujoco.MjModel.from_xml_string(LAB)
-    data = mujoco.MjData(model)
+    model, data = simulated(LAB)
     data.qvel[:] = 0.3
     mujoco.mj_step(model, data, 100)
     return ssduck.World.attach(model, data), model, data

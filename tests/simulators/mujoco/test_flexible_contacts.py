@@ -6,6 +6,7 @@ import pytest
 
 import ssduck
 from tests.support.cases import sampled
+from tests.support.mjcf import simulated
 
 CLOTH = """
 <mujoco><option solver="CG"/><worldbody>
@@ -23,10 +24,7 @@ SENSORS = {"contact_sensor": {}, "range_finder": {"max_range": 1.0}}
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "options"), SENSORS.items())
 def test_no_sensor_is_in_contact_where_cloth_presses(kind, options):
-    model = mujoco.MjModel.from_xml_string(CLOTH)
-    data = mujoco.MjData(model)
-    for _ in range(200):
-        mujoco.mj_step(model, data)
+    model, data = simulated(CLOTH, 200)
     assert (data.contact.geom < 0).any()
     with ssduck.Interpreter(recording=None) as ss:
         world = ss.add_variable("sim", ssduck.World.attach(model, data))
@@ -36,14 +34,6 @@ def test_no_sensor_is_in_contact_where_cloth_presses(kind, options):
             mujoco.mj_step(model, data)
             world.tick()
             assert ss.eval(program) == [False]
-
-
-def settled(text, steps=200):
-    model = mujoco.MjModel.from_xml_string(text)
-    data = mujoco.MjData(model)
-    for _ in range(steps):
-        mujoco.mj_step(model, data)
-    return model, data
 
 
 def forces_of(model, data):
@@ -68,7 +58,7 @@ FLEXES = {
 @sampled("kind", FLEXES, every=4)
 def test_a_flex_is_one_entity_with_its_contacts(kind):
     try:
-        model, data = settled(FLEXES[kind])
+        model, data = simulated(FLEXES[kind], 200)
     except ValueError:
         pytest.skip("this version of MuJoCo has no such flex")
     with ssduck.Interpreter() as ss:
@@ -93,7 +83,7 @@ def test_a_flex_is_one_entity_with_its_contacts(kind):
 
 @pytest.mark.slow
 def test_a_flex_can_be_named_and_falls_as_mujoco_says():
-    model, data = settled(CLOTH, 1)
+    model, data = simulated(CLOTH, 1)
     with ssduck.Interpreter() as ss:
         world = ss.add_variable("sim", ssduck.World.attach(model, data, names={"cloth_0": "towel"}))
         assert ss.eval("inContact(sim.box, sim.towel);") is False
@@ -111,7 +101,7 @@ def test_a_flex_can_be_named_and_falls_as_mujoco_says():
 
 @pytest.mark.slow
 def test_a_flex_that_is_disabled_meets_nothing():
-    model, data = settled(CLOTH)
+    model, data = simulated(CLOTH, 200)
     with ssduck.Interpreter() as ss:
         world = ss.add_variable("sim", ssduck.World.attach(model, data))
         cloth = world["cloth"]

@@ -5,6 +5,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import RemovedEntityError, StateError, UnsupportedError
+from tests.support.mjcf import simulated
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -31,9 +32,7 @@ def yard(tmp_path):
 
 
 def attached(extra=""):
-    model = mujoco.MjModel.from_xml_string(YARD.format(extra))
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    model, data = simulated(YARD.format(extra))
     return ssduck.World.attach(model, data), model, data
 
 

@@ -5,6 +5,7 @@ import pytest
 
 import ssduck
 from tests.support.cases import generated
+from tests.support.mjcf import simulated
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -38,8 +39,7 @@ def scene(chance):
 def test_past_ticks_answer_as_they_did_live(seed):
     """MuJoCo's matrices are not those of its quaternions to the last bit."""
     chance = np.random.default_rng(seed)
-    model = mujoco.MjModel.from_xml_string(scene(chance))
-    data = mujoco.MjData(model)
+    model, data = simulated(scene(chance))
     calls = [f"{one}(sim.b{a}, sim.b{b})" for one in RELATIONS for a, b in PAIRS]
     with ssduck.Interpreter(recording=ssduck.Recording(tables=("entities", "links"))) as ss:
         world = ss.add_variable("sim", ssduck.World.attach(model, data))

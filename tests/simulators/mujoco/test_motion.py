@@ -7,7 +7,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import StateError, UnknownNameError, UnsupportedError
-from tests.support.mjcf import LAB, random_state
+from tests.support.mjcf import LAB, random_state, simulated
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -38,9 +38,7 @@ def chain():
 
 @pytest.fixture
 def lab():
-    model = mujoco.MjModel.from_xml_string(LAB)
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    model, data = simulated(LAB)
     return ssduck.World.attach(model, data), model, data
 
 

@@ -10,6 +10,7 @@ import pytest
 
 import ssduck
 from tests.support.cases import sampled
+from tests.support.mjcf import simulated
 
 MODEL = """
 <mujoco>{option}<worldbody>
@@ -19,6 +20,7 @@ MODEL = """
 </worldbody>{pair}</mujoco>
 """
 PAIR = '<contact><pair geom1="t" geom2="c" {}/></contact>'
+PAIRED = MODEL.format(option="", table="", cup="", ball="", pair=PAIR.format('margin=".1"'))
 OVERRIDE = '<option o_margin=".06"><flag override="enable"/></option>'
 CASES = {
     "pair": {"pair": PAIR.format('margin=".1"')},
@@ -56,8 +58,7 @@ def pressed(model, data, thing):
 @sampled("case", CASES, every=3)
 def test_they_hold_where_the_simulator_presses(case, way):
     parts = dict.fromkeys(("option", "table", "cup", "ball", "pair"), "") | CASES[case]
-    model = mujoco.MjModel.from_xml_string(MODEL.format(**parts))
-    data = mujoco.MjData(model)
+    model, data = simulated(MODEL.format(**parts))
     with ssduck.Interpreter(recording=None) as ss:
         world = ss.add_variable("s", ssduck.World.attach(model, data))
         seen = {thing: [] for thing in THINGS}
@@ -77,10 +78,7 @@ def test_they_hold_where_the_simulator_presses(case, way):
 
 @pytest.mark.slow
 def test_margins_that_change_count_from_the_next_tick():
-    model = mujoco.MjModel.from_xml_string(
-        MODEL.format(option="", table="", cup="", ball="", pair=PAIR.format('margin=".1"'))
-    )
-    data = mujoco.MjData(model)
+    model, data = simulated(PAIRED)
     data.qpos[2] = 0.25 + 0.09
     mujoco.mj_forward(model, data)
     with ssduck.Interpreter() as ss:
@@ -97,10 +95,7 @@ def test_margins_that_change_count_from_the_next_tick():
 
 @pytest.mark.slow
 def test_past_ticks_tell_that_they_have_a_margin_for_each_shape():
-    model = mujoco.MjModel.from_xml_string(
-        MODEL.format(option="", table="", cup="", ball="", pair=PAIR.format('margin=".1"'))
-    )
-    data = mujoco.MjData(model)
+    model, data = simulated(PAIRED)
     data.qpos[2] = data.qpos[9] = 0.25 + 0.08
     mujoco.mj_forward(model, data)
     with ssduck.Interpreter() as ss:

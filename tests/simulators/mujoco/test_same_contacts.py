@@ -4,6 +4,7 @@ import pytest
 
 import ssduck
 from tests.support.bodies import solid
+from tests.support.mjcf import simulated
 from tests.support.two_simulators import differences
 
 mujoco, pybullet = pytest.importorskip("mujoco"), pytest.importorskip("pybullet")
@@ -29,12 +30,8 @@ def stage_in_mujoco():
         f'<geom type="box" size="{a} {b} {c}" mass="{mass or 1}" friction="0.5"/></body>'
         for name, (a, b, c), (x, y, z), mass in STAGE
     )
-    model = mujoco.MjModel.from_xml_string(
-        f'<mujoco><option timestep="{STEP}"/><worldbody>{bodies}{CLAMP}</worldbody></mujoco>'
-    )
-    data = mujoco.MjData(model)
-    mujoco.mj_step(model, data, 480)
-    return model, data
+    option = f'<option timestep="{STEP}"/>'
+    return simulated(f"<mujoco>{option}<worldbody>{bodies}{CLAMP}</worldbody></mujoco>", 480)
 
 
 def stage_in_pybullet(client):

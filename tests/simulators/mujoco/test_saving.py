@@ -12,6 +12,7 @@ from ssduck.errors import SceneError, UnknownNameError, UnsupportedError
 from ssduck.simulators.scenes import read_scene
 from tests.support.bodies import solid
 from tests.support.cases import sampled
+from tests.support.mjcf import simulated
 from tests.support.solids import box as solid_box
 from tests.support.solids import mesh_of
 
@@ -198,9 +199,7 @@ def test_a_moved_fixed_body_is_saved_where_it_is(cell, tmp_path):
 
 def test_the_model_that_mujoco_read_last_can_be_saved(tmp_path):
     text = '<mujoco><worldbody><body name="{}" pos="0 0 1"><freejoint/><geom size=".1"/></body></worldbody></mujoco>'
-    model = mujoco.MjModel.from_xml_string(text.format("one"))
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    model, data = simulated(text.format("one"))
     world = ssduck.World.attach(model, data)
     world.step(10)
     mujoco.mj_forward(model, data)

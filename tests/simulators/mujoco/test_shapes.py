@@ -8,6 +8,7 @@ import trimesh
 
 import ssduck
 from ssduck.geometry.shapes import Geometry
+from tests.support.mjcf import simulated
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -18,10 +19,8 @@ FIELD = """<mujoco><asset><hfield name="hills" nrow="4" ncol="6" size="1.5 0.8 0
 
 @pytest.fixture(scope="module")
 def hills():
-    model = mujoco.MjModel.from_xml_string(FIELD)
+    model, data = simulated(FIELD)
     model.hfield_data[:] = np.random.default_rng(2).uniform(0, 1, 24)
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
     return ssduck.World.attach(model, data), model, data
 
 
@@ -127,9 +126,7 @@ def eggs():
         f'<geom type="{kind}" size="{numbers(rng.uniform(0.05, 0.3, SIZES[kind]))}"/></body>'
         for n, kind in enumerate(["ellipsoid"] * 5 + list(SIZES))
     )
-    model = mujoco.MjModel.from_xml_string(EGGS.format(bodies=bodies))
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    model, data = simulated(EGGS.format(bodies=bodies))
     with ssduck.Interpreter(recording=None) as ss:
         ss.add_variable("w", ssduck.World.attach(model, data, names={0: "floor"}))
         yield ss, model, data
@@ -201,12 +198,11 @@ def test_the_clearance_of_ellipsoids_is_the_distance_that_mujoco_computes(eggs):
 def test_an_egg_lies_on_a_table(lift, aside, expected):
     """Turned in any way, it reaches down by the root of n C n, with C of its half lengths."""
     rng, size = np.random.default_rng(8), np.array([0.05, 0.08, 0.12])
-    model = mujoco.MjModel.from_xml_string(
+    model, data = simulated(
         '<mujoco><worldbody><body name="table"><geom type="box" size=".5 .5 .1"/></body>'
         '<body name="egg"><freejoint/><geom type="ellipsoid" size=".05 .08 .12"/></body>'
         "</worldbody></mujoco>"
     )
-    data = mujoco.MjData(model)
     with ssduck.Interpreter(recording=None) as ss:
         world = ss.add_variable("w", ssduck.World.attach(model, data, forward=True))
         for _ in range(10):
@@ -257,12 +253,10 @@ def test_points_of_an_ellipsoid_are_spread_evenly_on_it(eggs):
 
 def test_signed_distance_fields_have_boxes_instead():
     """They need a plugin: a box that is called one is such a geom to ssduck."""
-    model = mujoco.MjModel.from_xml_string(
+    model, data = simulated(
         '<mujoco><worldbody><body name="egg" pos="0 0 1"><geom type="box" size=".1 .2 .3"/>'
         "</body></worldbody></mujoco>"
     )
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
     model.geom_type[0] = int(mujoco.mjtGeom.mjGEOM_SDF)
     with pytest.warns(UserWarning, match="egg: bounding boxes are used instead"):
         world = ssduck.World.attach(model, data)
@@ -275,12 +269,10 @@ def test_signed_distance_fields_have_boxes_instead():
 @pytest.mark.slow
 def test_a_recorded_ellipsoid_stays_one_and_pybullet_copies_a_hull(tmp_path):
     pytest.importorskip("pybullet")
-    model = mujoco.MjModel.from_xml_string(
+    model, data = simulated(
         '<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1"/><body name="egg" '
         'pos="0 0 1"><freejoint/><geom type="ellipsoid" size=".1 .2 .3"/></body></worldbody></mujoco>'
     )
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
     with ssduck.Interpreter(recording=None) as ss:
         ss.add_variable("w", ssduck.World.attach(model, data))
         ss.record_to(tmp_path / "record")

@@ -11,6 +11,7 @@ import ssduck
 from ssduck.schema import MASSES
 from ssduck.sql.relations.registry import RELATIONS
 from tests.support.cases import sampled
+from tests.support.mjcf import simulated
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -48,8 +49,7 @@ SITE = XML.format(zone=f'<site name="zone" type="box" size=".2 .15 .1" {FRAME}/>
 
 
 def world_of(xml):
-    model = mujoco.MjModel.from_xml_string(xml)
-    data = mujoco.MjData(model)
+    model, data = simulated(xml)
     ss = ssduck.Interpreter()
     ss.add_variable("lab", ssduck.World.attach(model, data))
     return ss, model, data

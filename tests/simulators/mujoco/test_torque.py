@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import ssduck
+from tests.support.mjcf import simulated
 
 # A bar that slides and turns on two balls.
 SCENE = """<mujoco><option cone="{cone}"/><worldbody>
@@ -18,10 +19,9 @@ SCENE = """<mujoco><option cone="{cone}"/><worldbody>
   </body></worldbody></mujoco>"""
 
 
-def simulated(cone, dim, margin):
+def sliding(cone, dim, margin):
     """A bar on the floor that slides and turns."""
-    model = mujoco.MjModel.from_xml_string(SCENE.format(cone=cone, dim=dim, margin=margin))
-    data = mujoco.MjData(model)
+    model, data = simulated(SCENE.format(cone=cone, dim=dim, margin=margin))
     data.qpos[2] += margin / 2 - 0.005
     data.qvel[:] = [0.5, 0.2, 0, 0.3, 0, 3, 1]
     mujoco.mj_step(model, data, 2)
@@ -45,7 +45,7 @@ def moments(model, data, place):
 @pytest.mark.parametrize("dim", [3, 4, 6])
 @pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
 def test_the_forces_act_where_mujoco_applies_them(cone, dim, margin):
-    model, data = simulated(cone, dim, margin)
+    model, data = sliding(cone, dim, margin)
     place = data.body("bar").xpos.copy()
     expected, others = moments(model, data, place)
     assert np.abs(expected).max() > 0.1
@@ -65,7 +65,7 @@ def test_the_forces_act_where_mujoco_applies_them(cone, dim, margin):
 @pytest.mark.slow
 @pytest.mark.parametrize(("dim", "told"), [(3, 0), (4, 1)])
 def test_moments_of_the_past_are_told_of(dim, told):
-    model, data = simulated("elliptic", dim, 0)
+    model, data = sliding("elliptic", dim, 0)
     with ssduck.Interpreter() as ss:
         lab = ss.add_variable("lab", ssduck.World.attach(model, data))
         data.qpos[2], data.qvel[:] = 5, 0  # nothing touches it any more
@@ -85,7 +85,7 @@ def test_moments_of_the_past_are_told_of(dim, told):
 
 @pytest.mark.slow
 def test_forces_alone_tell_of_no_moments():
-    model, data = simulated("elliptic", 6, 0)
+    model, data = sliding("elliptic", 6, 0)
     with ssduck.Interpreter() as ss, warnings.catch_warnings():
         warnings.simplefilter("error")
         ss.add_variable("lab", ssduck.World.attach(model, data))
