@@ -23,12 +23,6 @@ from ssduck.world import entity_registry
 from tests.support.urdf import collision, joint, link, robot
 
 
-@pytest.fixture
-def kitchen():
-    with ssduck.load("kitchen") as ss:
-        yield ss.call_variable("kitchen")
-
-
 def test_what_a_handle_tells(kitchen):
     cup = kitchen["cup_905a"]
     assert (cup.name, cup.kind, cup.world) == ("cup_905a", "kinbody", kitchen)
@@ -132,17 +126,6 @@ def test_sensors_move_with_what_they_sit_on(kitchen):
     assert laser.aabb == (laser.position, laser.position)
     with pytest.raises(SelectScriptError, match="is a sensor; move the body that it is mounted on"):
         laser.move([0, 0, 0])
-
-
-@pytest.mark.slow
-def test_pictures(kitchen):
-    picture = kitchen.render(160, 120)
-    assert picture.shape == (120, 160, 3)
-    assert picture.dtype == np.uint8
-    colours = len(np.unique(picture.reshape(-1, 3), axis=0))
-    assert colours > 100
-    above = kitchen.render(160, 120, Camera(eye=(0.0, 0.1, 9.0), target=(0.0, 0.0, 0.0)))
-    assert (above != picture).any()
 
 
 def test_openraves_spellings(kitchen):

@@ -4,16 +4,10 @@ import numpy as np
 import pytest
 
 import ssduck
+from tests.support.bodies import create_linked_body, solid
 from tests.support.environments import state
 
 pybullet = pytest.importorskip("pybullet")
-
-
-@pytest.fixture
-def kitchen():
-    ss = ssduck.load("kitchen")
-    yield ss.call_variable("kitchen")
-    ss.close()
 
 
 TILTED = pybullet.getQuaternionFromEuler([0.3, 0.2, 0.1])
@@ -27,30 +21,26 @@ def menagerie(client):
     return ssduck.World.attach(client, names={number: name for name, number in bodies.items()})
 
 
-def create_shape(client, kind, **size):
-    return pybullet.createCollisionShape(kind, physicsClientId=client, **size)
-
-
 def create_box(client):
-    return create_shape(client, pybullet.GEOM_BOX, halfExtents=[0.1, 0.2, 0.05])
+    half = [0.1, 0.2, 0.05]
+    return pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=half, physicsClientId=client
+    )
 
 
 def create_solids(client):
     """Creates bodies without links, one with other dynamics and one of another colour."""
     own = {"physicsClientId": client}
-    ground = create_shape(client, pybullet.GEOM_BOX, halfExtents=[20, 20, 0.1])
-    ball = create_shape(client, pybullet.GEOM_SPHERE, radius=0.1)
-    cylinder = create_shape(client, pybullet.GEOM_CYLINDER, radius=0.05, height=0.2)
-    capsule = create_shape(client, pybullet.GEOM_CAPSULE, radius=0.05, height=0.2)
     offset = {"baseInertialFramePosition": [0.02, 0, 0.01], "baseOrientation": TILTED}
-    lying = {"baseOrientation": pybullet.getQuaternionFromEuler([0.3, np.pi / 2, 0.1])}
-    create = pybullet.createMultiBody
+    lying = pybullet.getQuaternionFromEuler([0.3, np.pi / 2, 0.1])
+    rod = {"radius": 0.05, "height": 0.2}
+    box = create_box(client)
     bodies = {
-        "ground": create(0, ground, **own),
-        "box": create(2, create_box(client), basePosition=[0, 0, 0.5], **offset, **own),
-        "ball": create(1, ball, basePosition=[1, 0, 0.5], **own),
-        "cylinder": create(1, cylinder, basePosition=[2, 0, 0.3], **lying, **own),
-        "capsule": create(1, capsule, basePosition=[3, 0, 0.3], **own),
+        "ground": solid(client, pybullet.GEOM_BOX, halfExtents=[20, 20, 0.1]),
+        "box": pybullet.createMultiBody(2, box, basePosition=[0, 0, 0.5], **offset, **own),
+        "ball": solid(client, pybullet.GEOM_SPHERE, 1, [1, 0, 0.5], radius=0.1),
+        "cylinder": solid(client, pybullet.GEOM_CYLINDER, 1, [2, 0, 0.3], lying, **rod),
+        "capsule": solid(client, pybullet.GEOM_CAPSULE, 1, [3, 0, 0.3], **rod),
     }
     pybullet.changeDynamics(
         bodies["ball"],
@@ -69,15 +59,15 @@ def create_solids(client):
 def create_arm(client):
     """Creates a fixed body of three links; two of its joints move."""
     box = create_box(client)
-    ball = create_shape(client, pybullet.GEOM_SPHERE, radius=0.1)
+    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
     straight = [0, 0, 0, 1]
-    arm = pybullet.createMultiBody(
+    arm = create_linked_body(
+        client,
         0,
         box,
         basePosition=[8, 0, 3],
         linkMasses=[1, 0.5, 0.3],
         linkCollisionShapeIndices=[box, box, ball],
-        linkVisualShapeIndices=[-1] * 3,
         linkPositions=[[0.3, 0, 0], [0, 0.5, 0], [0, 0, 0.3]],
         linkOrientations=[TILTED, straight, straight],
         linkInertialFramePositions=[[0.05, 0, 0], [0, 0, 0], [0, 0, 0]],
@@ -85,7 +75,6 @@ def create_arm(client):
         linkParentIndices=[0, 1, 1],
         linkJointTypes=[pybullet.JOINT_REVOLUTE, pybullet.JOINT_PRISMATIC, pybullet.JOINT_FIXED],
         linkJointAxis=[[0, 0, 1], [1, 0, 0], [0, 0, 0]],
-        physicsClientId=client,
     )
     pybullet.resetJointState(arm, 0, 0.4, 0.2, client)
     pybullet.resetJointState(arm, 1, 0.05, -0.1, client)

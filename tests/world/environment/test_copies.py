@@ -65,15 +65,6 @@ def test_relations_agree(kitchen, chosen):
 
 
 @pytest.mark.slow
-def test_what_is_closed_in_itself_goes_on_alike(kitchen):
-    copy = kitchen.excerpt(CLOSED)
-    assert farthest(kitchen, copy, CLOSED) < 1e-12
-    kitchen.step(240)
-    copy.step(240)
-    assert farthest(kitchen, copy, CLOSED) < 1e-6
-
-
-@pytest.mark.slow
 def test_it_holds_exactly_what_is_selected(kitchen):
     ss = ssduck.Interpreter()
     ss.add_variable("kitchen", kitchen)
