@@ -80,6 +80,9 @@ ATTACKS = [
     ("many parts", about(parts={"models": 10**15}), "part-000001.parquet is missing"),
     ("a key of numbers", about(key=5), "'key' is to be a text"),
     ("a key of another", about(key="0" * 16), "is another part, or of another record"),
+    ("a tag of a list", about(tags={"a": [1]}), "is damaged: 'tags' is to be"),
+    ("a list of tags", about(tags=["a"]), "is damaged: 'tags' is to be"),
+    ("an id of a name", about(id="lab"), "is damaged: 'id' is to be"),
     ("another episode", about(episode=1), "describes episode 1 of 'lab'"),
     ("another world", about(world="../lab"), r"describes episode 0 of '\.\./lab'"),
     ("a folder as a part", lambda r: (part(r, "links").unlink(), part(r, "links").mkdir()), "is missing"),
@@ -90,7 +93,7 @@ ATTACKS = [
     ("another file", lambda r: pq.write_table(pa.table({"a": [1]}), part(r, "entities")),
      "is another part, or of another record"),
     ("no rows of ticks", rows("ticks", lambda t: t.slice(0, 0)), "ticks/.* is damaged: a part has no ticks"),
-    ("no models", rows("models/entities", lambda t: t.slice(0, 0)), "the entity 1 is unknown|links are not"),
+    ("no models", rows("models/entities", lambda t: t.slice(0, 0)), "a row is of an unknown entity"),
     ("a tick twice", column("ticks", "tick", lambda v: v[:1] * len(v)), "its ticks do not ascend"),
     ("ticks < 0", column("ticks", "tick", lambda v: [n - 1000 for n in v]), "is out of bounds"),
     ("a tick of 2**63 - 1", column("ticks", "tick", lambda v: [*v[:-1], 2**63 - 1]), "out of bounds"),
@@ -111,7 +114,7 @@ ATTACKS = [
         (f"{table} without {name}", rows(table, lambda t, n=name: t.drop_columns([n])),
          f"{table}/.*lacks the column '{name}'")
         for table, name in [
-            ("ticks", "time"), ("entities", "id"), ("entities", "qw"), ("links", "link"),
+            ("ticks", "time"), ("entities", "id"), ("entities", "qw"), ("entities", "run"), ("links", "link"),
             ("contacts", "a"), ("models/entities", "kind"), ("models/shapes", "geometry"),
             ("models/joints", "axis_x"), ("models/geometries", "vertices"),
         ]
