@@ -1,21 +1,17 @@
 """Rows tell which run they are of: relations in SQL answer for that one, or say that they cannot."""
 
-import shutil
-
 import pybullet
 import pytest
 
 import ssduck
 from ssduck import Recording
-from ssduck.errors import EvaluationError, RecordError, SelectScriptError, SqlError
+from ssduck.errors import EvaluationError, SelectScriptError, SqlError
 from ssduck.schema import RECORDABLE
 from tests.support.bodies import solid
-from tests.support.forged import rewrite, without_checksums
 
 ALL = Recording(tables=RECORDABLE)
 # Of episode 0 and 1: how far the centres of two balls of radius 0.5 are apart, and the gap.
 APART = (0.8, 1.3)
-GAPS = (0.0, 0.3)
 RADIUS = 0.5
 
 
@@ -90,24 +86,6 @@ def test_rows_of_another_episode_are_an_error(opened, folder, what):
         asked(opened, what, rows_of(folder, 0))
     with pytest.raises(SelectScriptError, match=r"belongs to the run|of another run"):
         asked(opened, what, rows_of(folder))
-
-
-@pytest.mark.slow
-def test_each_episode_answers_for_its_own_rows(folder):
-    for episode, gap in enumerate(GAPS):
-        with ssduck.open(folder, episode=episode) as ss:
-            told = asked(ss, "clearance(a, b), collides(a, b)", rows_of(folder, episode))
-            assert told == [(pytest.approx(gap), gap == 0.0)] * 2
-            with pytest.raises(EvaluationError, match="belongs to the run"):
-                asked(ss, "clearance(a, b)", rows_of(folder, 1 - episode))
-
-
-@pytest.mark.slow
-def test_another_world_answers_for_none_of_them(folder):
-    with ssduck.load("kitchen") as ss:
-        for what in ("clearance(a, b)", "collides(a, b)"):
-            with pytest.raises(EvaluationError, match="belongs to the run"):
-                asked(ss, what, rows_of(folder, 0))
 
 
 @pytest.fixture(scope="module")
@@ -208,14 +186,3 @@ def test_a_run_is_the_same_wherever_it_is_kept(tmp_path, client):
     assert len(runs) == 1
     ((run,),) = runs
     assert 0 < run < 2**53
-
-
-@pytest.mark.slow
-def test_a_record_that_does_not_tell_runs_is_an_error(folder, tmp_path):
-    other = tmp_path / "other"
-    shutil.copytree(folder, other)
-    without_checksums(other)
-    for file in other.glob("entities/**/*.parquet"):
-        rewrite(file, lambda rows: rows.drop_columns(["run"]))
-    with pytest.raises(RecordError, match="it lacks the column 'run'"):
-        ssduck.open(other)
