@@ -6,9 +6,8 @@ from pathlib import Path
 import pytest
 
 import ssduck
-from ssduck.errors import ArgumentError, RecordError, SqlError
+from ssduck.errors import ArgumentError, RecordError
 from ssduck.interchange.conversion import write_runs
-from ssduck.recording import folder_check
 from ssduck.recording.folder_episodes import runs_in
 from ssduck.recording.stores.files import write_atomically
 from tests.support.cases import sampled
@@ -40,17 +39,6 @@ def test_nothing_is_written_through_links_with_the_names_of_unfinished_files(
     write_runs([run], record / "a.mcap", "mcap")
     assert outside.read_text() == "mine"
     assert (record / "a.mcap").is_file()
-
-
-def test_a_repair_that_cannot_write_is_an_error_of_the_record(record, monkeypatch):
-    part(record, "ticks").write_bytes(b"torn")
-
-    def fails(file):
-        raise OSError(27, "File too large")
-
-    monkeypatch.setattr(folder_check, "set_aside", fails)
-    with pytest.raises(RecordError, match=f"{record} cannot be repaired: File too large"):
-        ssduck.check(record, repair=True)
 
 
 def test_a_link_to_nothing_is_set_aside(record):
@@ -121,13 +109,3 @@ def test_a_world_with_the_name_of_a_schema_of_duckdbs_is_refused_when_it_is_name
             ss.add_variable(name, room)
         ss.add_variable(f"{name}_2", room)
         assert ss.sql(f"SELECT count(*) > 1 FROM {name}_2.entities").fetchall() == [(True,)]
-
-
-@pytest.mark.slow
-def test_a_file_has_one_writer_in_a_process(tmp_path):
-    path = tmp_path / "run.duckdb"
-    with ssduck.Interpreter(path):
-        for use, error in ((ssduck.Interpreter, SqlError), (ssduck.open, RecordError)):
-            with pytest.raises(error, match="is open in this process: close it first"):
-                use(path)
-    ssduck.Interpreter(path).close()
