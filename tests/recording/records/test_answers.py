@@ -46,35 +46,6 @@ def test_tables_are_the_same_row_for_row(request, world, table, kind):
 
 
 @pytest.mark.slow
-def test_each_past_tick_is_the_same(tmp_path, client):
-    with ssduck.Interpreter(recording=None) as ss:
-        live_lab(ss, client, Recording(), ticks=12).request_tables(["shapes"])
-        ss.export(tmp_path / "run")
-        with ssduck.open(tmp_path / "run") as opened:
-            for time in ss.past("lab").times:
-                program = f"SELECT obj, tick, pose, velocity, aabb FROM lab{{{time!r}}} AS list;"
-                assert repr(opened.eval(program)) == repr(ss.eval(program))
-                program = (
-                    "SELECT id(a.this), id(b.this), distance(a.this, b.this) FROM "
-                    f"a=lab{{{time!r}}}, b=lab{{{time!r}}} WHERE near(a.this, b.this, 0.1) AS list;"
-                )
-                assert opened.eval(program) == ss.eval(program)
-
-
-@pytest.mark.slow
-def test_the_time_of_day_goes_along(tmp_path, client):
-    with ssduck.Interpreter() as ss:
-        world = ss.add_variable("lab", ssduck.World.attach(client))
-        world.step()
-        ss.export(tmp_path / "run")
-        wanted = rows(ss, "ticks_history")
-    with ssduck.open(tmp_path / "run") as opened:
-        assert rows(opened, "ticks") == wanted[1:]
-        opened.call_variable("lab").seek(0.0)
-        assert rows(opened, "ticks") == wanted[:1]
-
-
-@pytest.mark.slow
 def test_handles_of_a_record_tell_and_cannot_be_moved(kitchen):
     opened = kitchen[2]["folder"]
     world = opened.call_variable("kitchen")
