@@ -199,23 +199,6 @@ def test_the_timer_leaves_a_recorder_that_is_in_use(world, clock, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_log_becomes_a_part_when_it_is_long_enough(world, clock, tmp_path, monkeypatch):
-    monkeypatch.setattr(parquet, "PART_TICKS", 10)
-    run = tmp_path / "run"
-    with ssduck.Interpreter(recording=None) as ss:
-        recorder = _started(ss, world, run)
-        counts = []
-        for _ in range(8):
-            clock.now += 0.51
-            _tick(recorder, world, 3)
-            counts.append((len(_parts(run)), len(_log(run))))
-    # A flush at the tick after half a second: the first tick, and then three at a time.
-    assert counts == [(0, 1), (0, 2), (0, 3), (1, 0), (1, 1), (1, 2), (1, 3), (2, 0)]
-    with ssduck.open(run) as copy:
-        assert copy.past("lab").ticks == list(range(1, 26))
-
-
-@pytest.mark.slow
 def test_flushes_make_no_small_parts(world, clock, tmp_path, monkeypatch):
     """A flush at each tick: the record has full parts, and each row is written twice at most."""
     monkeypatch.setattr(parquet, "PART_TICKS", 10)
@@ -355,23 +338,6 @@ def test_a_damaged_log_is_noticed(world, clock, tmp_path, damage, told):
     damage(run / "log" / "world=lab" / "episode=0")
     with pytest.raises(RecordError, match=told):
         ssduck.open(run)
-
-
-@pytest.mark.slow
-def test_a_log_whose_part_is_complete_does_not_count(world, clock, tmp_path):
-    """A recorder that is killed after it wrote a part leaves the files of its rows."""
-    run = tmp_path / "run"
-    with ssduck.Interpreter(recording=None) as ss:
-        recorder = _started(ss, world, run)
-        clock.now += 0.6
-        _tick(recorder, world, 2)
-        left = shutil.copytree(run / "log", tmp_path / "log")
-    shutil.copytree(left, run / "log", dirs_exist_ok=True)
-    assert _log(run)
-    with ssduck.open(run) as copy:
-        assert copy.past("lab").ticks == [1, 2, 3]
-        rows = copy.sql("SELECT tick, count(*) FROM entities_history GROUP BY ALL").fetchall()
-        assert sorted(rows) == [(tick, BALLS) for tick in (1, 2, 3)]
 
 
 @pytest.mark.slow
