@@ -40,10 +40,6 @@ def test_entities_links_and_contacts_are_recorded_by_default(falling, tmp_path):
     kept = falling.sql("SELECT tick, force FROM contacts_history").fetchall()
     assert sorted(kept) == sorted(rows) != []
     assert falling.sql("SELECT count(*) FROM links_history").fetchall() == [(241 * 3,)]
-    falling.export(tmp_path / "run")
-    with ssduck.open(tmp_path / "run") as record:
-        kept = record.sql("SELECT tick, force FROM contacts_history").fetchall()
-        assert sorted(kept) == sorted(rows)
     world = falling.call_variable("lab")
     with ssduck.Interpreter(tmp_path / "run.duckdb") as file:
         file.add_variable("lab", world)

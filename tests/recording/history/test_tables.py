@@ -141,11 +141,13 @@ def test_old_ticks_are_dropped(falling, recording, least, most):
     [
         ({"tables": ("entitys",)}, "there is no table 'entitys'"),
         ({"tables": "entities"}, "tables is to be a list of names"),
+        ({"tables": 3}, "tables is to be a list of names"),
         ({"every": 0}, "every is to be a whole number above 0"),
         ({"every": 1.5}, "every is to be a whole number above 0"),
         ({"ticks": 0}, "ticks is to be a whole number above 0"),
         ({"max_bytes": 0}, "max_bytes is to be a whole number above 0"),
         ({"seconds": 0.0}, "seconds is to be a number above 0"),
+        ({"seconds": "1"}, "seconds is to be a number above 0"),
         ({"seconds": float("nan")}, "seconds is to be a number above 0"),
     ],
     ids=lambda value: str(value)[:30],
@@ -178,23 +180,6 @@ def test_nothing_is_kept_where_nothing_is_asked_for():
 
 
 @pytest.mark.slow
-def test_a_position_that_is_no_number_is_unknown_in_the_history():
-    client, bodies = _falling()
-    world = ssduck.World.attach(client, names={bodies[0]: "lost"})
-    with ssduck.Interpreter() as ss:
-        ss.add_variable("lab", world)
-        _step(ss, 2)
-        pybullet.resetBasePositionAndOrientation(
-            bodies[0], [float("nan"), 0, 0], [0, 0, 0, 1], client
-        )
-        with pytest.warns(UserWarning, match="lost"):
-            world.tick()
-        rows = ss.sql("SELECT tick, x FROM entities_history WHERE name = 'lost' ORDER BY 1")
-        assert [x is None for _, x in rows.fetchall()] == [False, False, False, True]
-    pybullet.disconnect(client)
-
-
-@pytest.mark.slow
 def test_a_world_that_is_recorded_lets_its_interpreter_go():
     client, _ = _falling()
     world = ssduck.World.attach(client)
@@ -220,6 +205,10 @@ def test_ticks_are_taken_while_another_thread_asks(falling):
                 "SELECT max(tick) - min(tick) + 1 - count(*) FROM ticks_history"
             ).fetchall()
             assert (counts, gaps) == ([], [(0,)])
+            past = falling.past("lab", -0.02)
+            entities = list(past)
+            assert len(entities) == 3 * len(past.ticks)
+            assert all(len(entity.position) == 3 for entity in entities[::7])
 
 
 @pytest.mark.long
