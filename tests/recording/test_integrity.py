@@ -88,20 +88,15 @@ def test_other_tools_can_verify_pages(run):
         pq.ParquetFile(file, page_checksum_verification=True).read()
 
 
-@pytest.mark.slow
-def test_an_episode_says_whether_it_is_complete(records):
-    for name in flip.RECORDS:
-        (episode,) = ssduck.episodes(records / name)
-        assert episode.complete is not name.startswith("unfinished")
-
-
 # -- check ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
-def test_whole_records_are_intact(records):
+def test_whole_records_are_intact_and_say_whether_they_are_complete(records):
     for name in flip.RECORDS:
         assert ssduck.check(records / name) == []
+        (episode,) = ssduck.episodes(records / name)
+        assert episode.complete is not name.startswith("unfinished")
 
 
 def _rows(run):
@@ -244,28 +239,6 @@ def test_the_command(run):
 
 
 # -- exports and beginnings ----------------------------------------------------------------------
-
-KILLED_EXPORT = """
-import os, ssduck
-from ssduck.recording.stores.parquet import ParquetStore
-with ssduck.load("kitchen") as ss:
-    ss.run(0.1, every=4)
-    ss.export({path!r})
-    ParquetStore.finish = lambda store: os._exit(9)
-    ss.export({path!r})
-"""
-
-
-@pytest.mark.slow
-def test_a_killed_export_is_no_episode(tmp_path):
-    path = tmp_path / "run"
-    python(KILLED_EXPORT.format(path=str(path)), code_expected=9)
-    assert [e.number for e in ssduck.episodes(path)] == [0]
-    with ssduck.open(path) as ss:
-        assert len(ss.past("kitchen").ticks) > 2
-        (count,) = ss.sql(COUNT).fetchone()
-    # Other tools see nothing of it either.
-    assert pq.read_table(path / "entities").num_rows == count
 
 
 FORKED = """
