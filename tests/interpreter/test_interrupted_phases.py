@@ -181,16 +181,3 @@ def test_recording(tmp_path):
     assert episode.complete
     assert count == last + 1 > 2
     assert stored == time_at_end
-
-
-def test_stepping():
-    with ssduck.load("kitchen") as ss:
-        world = ss.call_variable("kitchen")
-        timer = threading.Timer(BEFORE, os.kill, (os.getpid(), signal.SIGINT))
-        timer.start()
-        with pytest.raises(KeyboardInterrupt):
-            world.step(100_000)
-        timer.join()
-        steps = world.time * 240
-        assert 0 < steps < 100_000
-        assert ss.eval("SELECT max(z) > 0 FROM kitchen AS value;") is True

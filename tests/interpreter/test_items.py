@@ -129,17 +129,6 @@ def test_errors_of_sql_name_what_there_is(ss, sql, hint):
 
 
 @pytest.mark.slow
-def test_tables_that_are_shown_are_those_of_worlds_and_users(ss):
-    ss.sql("CREATE OR REPLACE TABLE mine AS SELECT 1 AS one")
-    shown = [name for (name,) in ss.sql("SHOW TABLES").fetchall()]
-    assert {"entities", "entities_history", "contacts", "mine"} <= set(shown)
-    assert not [name for name in shown if " " in name]
-    assert ("room", "entities") in [row[1:3] for row in ss.sql("show all tables;").fetchall()]
-    assert {row[1] for row in ss.sql("SHOW ALL TABLES").fetchall()} <= {"room", "main", "maybe"}
-    ss.sql("DROP TABLE mine")
-
-
-@pytest.mark.slow
 def test_explain_of_sql_logs_nothing(ss, caplog):
     plan = ss.sql('EXPLAIN SELECT "name" FROM entities WHERE "name" = \'can\'').fetchall()
     assert "name = 'can'" in plan[0][1]
@@ -204,11 +193,3 @@ def test_classes_list_what_their_objects_do(of):
     names = {name for name in dir(of) if not name.startswith("_")}
     assert names
     assert names.isdisjoint(of.INTERNAL_NAMES)
-
-
-def test_strict_is_a_flag(ss):
-    assert not ss.strict
-    ss.strict = True
-    assert ss.strict
-    with pytest.raises(ArgumentError):
-        ss.strict = "yes"

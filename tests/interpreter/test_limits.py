@@ -156,12 +156,6 @@ def test_depth_is_how_many_rows_a_path_may_have():
             interpreter.eval(program.format(6))
 
 
-def test_without_limits_files_may_be_read(tmp_path):
-    (tmp_path / "a.csv").write_text("a\n1\n")
-    with ssduck.Interpreter() as interpreter:
-        assert interpreter.sql("FROM read_csv($1)", [str(tmp_path / "a.csv")]).fetchall() == [(1,)]
-
-
 LOOKED_AT = [
     "SELECT a.this FROM a=n, b=n AS list;",
     "SELECT a.this FROM a=n, b=n WHERE a.this + b.this == -1 AS list;",

@@ -1,7 +1,6 @@
 """Everything that can be wrong with a program: one clear message, the place, the nearest name."""
 
 import numpy as np
-import pybullet
 import pytest
 
 import ssduck
@@ -11,7 +10,6 @@ from ssduck.errors import (
     EvaluationError,
     FunctionError,
     ParseError,
-    RemovedEntityError,
     SelectScriptError,
     SimulatorError,
     SourceSpan,
@@ -20,7 +18,6 @@ from ssduck.errors import (
     UnsupportedError,
     nearest,
 )
-from tests.support.bodies import solid
 from tests.support.marked import unmarked
 
 
@@ -229,45 +226,6 @@ def test_sql_mistakes(ss, sql, words):
         ss.sql(sql)
     assert caught.value.__cause__ is not None
     assert ss.sql("SELECT 1").fetchall() == [(1,)]
-
-
-@pytest.mark.slow
-def test_a_removed_body(client):
-    bodies = [solid(client, pybullet.GEOM_BOX, 1, halfExtents=[0.1] * 3) for _ in range(2)]
-    world = ssduck.World.attach(client, names={bodies[0]: "stays", bodies[1]: "goes"})
-    with ssduck.Interpreter() as ss:
-        ss.add_variable("sim", world)
-        ss.eval("goes = SELECT obj FROM sim WHERE id(this) == 'goes' AS value;")
-        ss.eval("both = SELECT obj FROM sim AS list;")
-        pybullet.removeBody(bodies[1], client)
-        world.tick()
-        for program, offending in (
-            ("SELECT id FROM sim WHERE above(goes, this);", "goes"),
-            ("z(goes);", "goes"),
-            ("SELECT z(this) FROM both;", None),
-        ):
-            with pytest.raises(
-                RemovedEntityError, match="'goes' is no longer in world 'sim'"
-            ) as caught:
-                ss.eval(program)
-            if offending:
-                span = caught.value.span
-                assert program[span.start : span.end] == offending
-        assert ss.eval("SELECT id FROM sim AS list;") == ["stays"]
-        with pytest.raises(UnknownNameError, match="no entity 'goes'"):
-            world["goes"]
-
-
-def test_a_disconnected_client(client):
-    """The last tick can still be asked; the next one cannot be taken, and says why."""
-    pybullet.createMultiBody(physicsClientId=client)
-    with ssduck.Interpreter() as ss:
-        world = ss.add_variable("sim", ssduck.World.attach(client))
-        pybullet.disconnect(client)
-        for act in (world.tick, world.step, lambda: world.render(8, 8)):
-            with pytest.raises(SimulatorError, match=f"PyBullet client {client} is disconnected"):
-                act()
-        assert len(ss.eval("SELECT id FROM sim AS list;")) == 1
 
 
 @pytest.mark.parametrize(

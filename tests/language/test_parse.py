@@ -271,13 +271,6 @@ def test_signs_and_indices_beside_each_other_are_not_nested(text):
     assert len(statement.items) == 30
 
 
-@pytest.mark.slow
-def test_a_long_flat_program_is_no_deep_one():
-    (statement,) = parse(" + ".join(["1"] * 2000) + ";").statements
-    assert len(statement.operands) == 2000
-    assert max(map(len, (statement.operators, statement.ends))) == 2000
-
-
 def test_the_same_text_is_parsed_once():
     assert parse("a + 1;") is parse("a + 1;")
 

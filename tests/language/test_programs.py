@@ -220,12 +220,6 @@ def test_mistakes_in_chains_have_their_place(ss):
     assert (caught.value.span.start, caught.value.span.end) == (0, 1 + 50 * 4 + 6)
 
 
-@sampled("text", ["(" * 70 + "1" + ")" * 70, "NOT " * 70 + "1", "- " * 70 + "1"], every=3)
-def test_nesting_has_a_limit(shared, text):
-    with pytest.raises(ParseError, match="nested deeper than 60 levels"):
-        shared.eval(text)
-
-
 # -- texts --------------------------------------------------------------------------------------
 
 TEXTS = {

@@ -31,16 +31,6 @@ def test_the_first_result_is_a_change(ss, sim):
     assert (low.interval, low.failures, low.error) == (0.1, 0, None)
 
 
-@pytest.mark.slow
-def test_the_tutorials_spellings(ss, sim):
-    got = []
-    ss.addTrigger("height", ss.compile(HEIGHT), 1, got.append)
-    ss.delTrigger("height")
-    sim.step(480)
-    assert got == [10.0]
-    assert ss.triggers() == []
-
-
 # steps of 1/240 s, interval, evaluations after the first, ticks
 EVALUATED = [
     (240, 0.1, 10, 10),  # exactly on simulated time

@@ -3,7 +3,6 @@
 import contextlib
 import warnings
 from collections import Counter
-from fractions import Fraction
 
 import numpy as np
 import pandas as pd
@@ -229,14 +228,6 @@ def test_a_result_belongs_to_the_callback(ss, sim):
 
 
 # -- errors --------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("interval", [1, np.float32(1), np.int64(1), Fraction(1)])
-def test_numbers_of_any_kind(ss, sim, interval):
-    ss.add_trigger("t", HEIGHT, interval, lambda _: None, debounce=interval)
-    sim.run(interval, every=np.int64(100), realtime=np.float32(1000))
-    assert state(ss, "t").evaluations == 2
-    assert type(state(ss, "t").interval) is float
 
 
 @sampled(

@@ -225,29 +225,6 @@ def test_together_as_one_by_one(added, actions):
     assert outcome([*added, *actions], together=True) == outcome([*added, *actions], together=False)
 
 
-@pytest.mark.long
-def test_all_programs_together_as_one_by_one():
-    actions = [("add", program, {}, 0, None) for program in PROGRAMS]
-    actions += [
-        ("step", 3),
-        ("bind", "limit", 0.5),
-        ("step", 2),
-        ("follow", "b0"),
-        ("step", 2),
-        ("remove_body", 2),
-        ("step", 2),
-        ("add_body", 0.5),
-        ("step", 20),
-        ("override", 0.5),
-        ("step", 3),
-        ("bind", "limit", 0),
-        ("step", 2),
-    ]
-    calls, states = outcome(actions, together=True)
-    assert (calls, states) == outcome(actions, together=False)
-    assert sum(call[0].startswith("t") for call in calls) > 200
-
-
 # -- what it costs -------------------------------------------------------------------------------
 
 
