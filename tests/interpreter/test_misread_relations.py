@@ -239,6 +239,7 @@ def test_what_is_below_the_surface_of_a_level_plane_is_below_it(planes, row_by_r
             assert known == expected_pairs
         level = "SELECT id FROM sim WHERE {}(sim.floor, this) AND mass > 0 AS list;"
         assert ss.eval(level.format("below")) == ["ball_0", "ball_1"]
+        assert ss.eval(level.format("within")) == ["ball_0", "ball_1"]
         assert ss.eval(level.format("above")) == ["ball_2", "ball_3"]
 
 

@@ -240,6 +240,17 @@ OTHERS = {
     "ReplayedWorld.seek_tick": "for scoring",
 }  # fmt: skip
 
+# Those whose messages name the step, the setting, the age, the joint or the pose.
+NAMED_OTHERWISE = {
+    "World.step(count)", "World.what_if(poses)", "World.what_if(joints)",
+    "World.add_sensor(settings)", "World.attach(kinds)", "Interpreter.export(start)",
+    "Interpreter.export(end)", "OccupancyGrid.at(point)",
+    *(f"Entity.move({argument})" for argument in ("wxyz", "xyzw", "joints")),
+    *(f"Entity.drive({argument})" for argument in ("positions", "velocities", "efforts")),
+    *(f"Entity.SetDOFValues({argument})" for argument in ("values", "dofindices")),
+    "Entity.SetTransform(transform)",
+}  # fmt: skip
+
 
 def _eye(t, **settings):
     return t.sim.add_sensor("range_finder", "ball", **{"max_range": 1.0, **settings})
@@ -300,6 +311,7 @@ def things(tmp_path_factory):
 def test_a_number_of_the_wrong_kind(things, name):
     kind, is_optional, call = CALLS[name]
     values = (OPTIONAL if is_optional else BAD)[kind]
+    argument = name.partition("(")[2].rstrip(")")
     things.held(1)
     before = things.state()
     for value in values:
@@ -308,6 +320,7 @@ def test_a_number_of_the_wrong_kind(things, name):
         kinds = TypeError | ValueError | LookupError | ArithmeticError | OSError
         assert isinstance(raised.value, kinds) or kind == "text", value
         assert len(str(raised.value)) < 1000
+        assert argument in str(raised.value) or name in NAMED_OTHERWISE
     assert things.state() == before
 
 

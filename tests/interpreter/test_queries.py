@@ -154,39 +154,6 @@ def test_programs(ss, program, expected):
         assert found == expected
 
 
-# (program, how many parts are left to Python)
-LEFT = [
-    (
-        "SELECT id FROM kitchen WHERE isRobot(this) AND above(table, this) OR z(this) + 1 > 2 * x(this);",
-        0,
-    ),
-    ("SELECT id, position, volume FROM kitchen ORDER BY volume DESC LIMIT 3;", 0),
-    (
-        "SELECT id FROM kitchen WHERE position(this)[0] > 0 AND 'c' in id(this) AND id(this) in ['can'];",
-        0,
-    ),
-    ("SELECT id(a.this) FROM a=kitchen, b=[1, 2] WHERE z(a.this) > b.this;", 0),
-    ("SELECT IF(isRobot(this); 1; 2) FROM kitchen;", 0),
-    ("SELECT obj, robot FROM kitchen;", 0),
-    ("SELECT id FROM kitchen WHERE tall(this) AND isRobot(this);", 1),
-    ("SELECT double(z(this)) FROM kitchen WHERE tall(this);", 2),
-    ("SELECT id FROM kitchen WHERE z(this) % 2 > 1;", 0),
-    ("SELECT id FROM kitchen GROUP BY type;", 1),
-    ("SELECT DISTINCT id FROM kitchen GROUP BY tall(this);", 3),
-    ("SELECT DISTINCT type FROM kitchen;", 0),
-    (
-        "SELECT type, max(z) + 1, avg(z), count(*) AS n FROM kitchen GROUP BY type HAVING n > 1 ORDER BY n;",
-        0,
-    ),
-    ("SELECT type, stddev(z) FROM kitchen GROUP BY type;", 2),
-]
-
-
-@pytest.mark.parametrize(("program", "count"), LEFT)
-def test_what_is_left_to_python(ss, program, count):
-    assert ss.explain(program).count("-- left to Python: ") == count
-
-
 def test_cheap_conditions_come_before_python(ss):
     """A function is called only for the rows that SQL leaves."""
     called = []

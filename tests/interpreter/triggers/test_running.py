@@ -14,7 +14,7 @@ import ssduck
 from ssduck.errors import ArgumentError, SimulatorError, UnknownNameError, UnsupportedError
 from ssduck.world import stepping
 from tests.support.cases import sampled
-from tests.support.triggering import HEIGHT, NAN, Times
+from tests.support.triggering import HEIGHT, Times
 
 # seconds, options, steps, ticks
 RUNS = [
@@ -53,12 +53,8 @@ def test_a_run_stops_where_triggers_are_due(ss, sim):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ({"seconds": -1}, "seconds: -1 is no time"),
-        ({"seconds": NAN}, "seconds: nan is no time"),
         ({"seconds": 1, "every": 0}, "every: 0 is no number of steps"),
-        ({"seconds": 1, "every": 1.5}, "every: 1.5 is no number of steps"),
         ({"seconds": 1, "realtime": 0}, "realtime: 0 is no speed"),
-        ({"seconds": 1, "realtime": NAN}, "realtime: nan is no speed"),
         ({"seconds": 1, "progress": "yes"}, "progress: 'yes' is not"),
     ],
 )
