@@ -103,15 +103,6 @@ def test_columns_come_before_what_is_told_of_every_entity(kitchen):
         assert graph.nodes["table"]["id"] == graph.nodes["table"]["name"] == "table"
 
 
-def test_a_graph_a_group(kitchen):
-    graphs = kitchen.eval("SELECT obj FROM kitchen GROUP BY type AS graph;")
-    assert {kind: len(graph) for kind, graph in graphs.items()} == {
-        "sensor": 8,
-        "robot": 4,
-        "kinbody": 25,
-    }
-
-
 def test_a_relation_that_gives_an_entity_is_an_edge_to_it(kitchen):
     kitchen.add_function("owner", lambda thing: kitchen.call_variable("kitchen")["table"])
     graph = kitchen.eval("SELECT owner FROM kitchen WHERE isRobot(this) AS graph;")

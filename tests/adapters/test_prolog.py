@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import ssduck
-from ssduck.adapters.logic import _asp_term, _atom, _float, _term
+from ssduck.adapters.logic import _asp_term, _atom, _term
 from ssduck.errors import ArgumentError, SelectScriptError, UnknownNameError
 from tests.support.cases import sampled
 from tests.support.timing import HANGS
@@ -298,10 +298,6 @@ def test_swi_prolog_reads_what_was_meant(tmp_path):
 
 # Built-in predicates, which a program does not define.
 RESERVED = {"is", "dynamic"}
-
-
-def test_floats_have_a_point():
-    assert _float(5e-324) == "5.0e-324"
 
 
 # -- clingo ------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ import trimesh
 import ssduck
 from ssduck.adapters import spatial
 from ssduck.adapters.marks import OUTLINE, Marks
-from ssduck.errors import ArgumentError, LimitError, ProgramWarning, UnknownNameError
+from ssduck.errors import ArgumentError, LimitError, ProgramWarning
 from ssduck.schema import LINK_FACTOR
 from ssduck.simulators.scenes import Camera
 from tests.support.bodies import create_linked_body, solid
@@ -190,11 +190,6 @@ def test_a_glb_that_cannot_be_written_leaves_what_was_there(shapes, tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_glb_may_be_forbidden(tmp_path):
-    with ssduck.Interpreter(limits=ssduck.Limits.strict()) as ss, pytest.raises(LimitError):
-        ss.eval(f"SELECT this FROM [1] AS glb('{tmp_path}/x.glb');")
-
-
 # -- pictures ------------------------------------------------------------------------------------
 
 
@@ -266,15 +261,6 @@ def test_what_is_no_longer_there_is_in_no_form_of_space(shapes):
             ):
                 ss.eval(f"SELECT to(box, 'gone') FROM [1] AS {form};")
     twin.close()
-
-
-def test_segmentation_is_by_ids(ss):
-    world = ss.call_variable("kitchen")
-    shown = world.segmentation(64, 48)
-    assert shown.shape == (48, 64)
-    names = {world.entity(id).name for id in set(shown.ravel().tolist()) - {0}}
-    assert {"table", "kitchen"} <= names
-    assert 0 in shown
 
 
 @pytest.fixture(scope="module")
@@ -375,16 +361,6 @@ def test_a_picture_of_a_recorded_tick():
         assert not np.array_equal(before, now)
         past = np.asarray(ss.eval(ROBOTS.format("kitchen{0.0}")))
         assert (np.abs(past.astype(int) - before).max(axis=2) > 8).mean() < 0.01
-
-
-@pytest.mark.slow
-def test_a_picture_of_a_what_if_world(ss):
-    world = ss.call_variable("kitchen")
-    ss.add_variable("moved", world.what_if({"roomba_625x": [1.0, 0.0, 0.0, 0.0, 1.0, -1.0, 0.17]}))
-    picture = ss.eval(ROBOTS.format("moved"))
-    assert not np.array_equal(np.asarray(picture), np.asarray(ss.eval(ROBOTS.format("kitchen"))))
-    with pytest.raises(UnknownNameError):
-        ss.eval(ROBOTS.format("movd"))
 
 
 @pytest.mark.slow

@@ -1,9 +1,7 @@
 """Rows as tables: AS table, arrow, df, polars, numpy, json, records, parquet; `Interpreter.show`."""
 
-import io
 import json
 import math
-import sys
 from decimal import Decimal
 
 import numpy as np
@@ -12,7 +10,6 @@ import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-import rich.console
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -20,7 +17,7 @@ import ssduck
 from ssduck.adapters.columns import array_of
 from ssduck.adapters.registry import find
 from ssduck.adapters.result import Result, TableView
-from ssduck.errors import ArgumentError, LimitError, UnsupportedError
+from ssduck.errors import ArgumentError, LimitError
 from tests.support.cases import sampled
 
 ROBOTS = "SELECT id, position, z, isRobot, obj FROM kitchen WHERE isRobot(this) AS"
@@ -395,16 +392,6 @@ def test_files_that_limits_forbid(tmp_path):
     assert not file.exists()
 
 
-@pytest.mark.parametrize(
-    ("form", "module", "extra"), [("df", "pandas", "pandas"), ("polars", "polars", "polars")]
-)
-def test_a_missing_library_is_told_with_its_extra(kitchen, monkeypatch, form, module, extra):
-    monkeypatch.setitem(sys.modules, module, None)
-    message = rf"AS {form}: {module} is not installed; pip install 'ssduck\[{extra}\]'"
-    with pytest.raises(UnsupportedError, match=message):
-        kitchen.eval(f"{ROBOTS} {form};")
-
-
 # -- shown -------------------------------------------------------------------------------------
 
 
@@ -447,15 +434,6 @@ def test_shown_in_a_notebook():
     assert "shown" not in TableView([{"n": n} for n in range(20)])._repr_html_()
 
 
-def test_shown_by_rich(kitchen):
-    out = io.StringIO()
-    console = rich.console.Console(file=out, width=100)
-    console.print(kitchen.show("SELECT id FROM kitchen;", 1), kitchen.eval(f"{ROBOTS} table;"))
-    assert "fridge_webcam" in out.getvalue()
-    assert "37 rows (1 shown)" in out.getvalue()
-    assert "roomba_625x" in out.getvalue()
-
-
 def test_showing_a_result_leaves_its_rows_to_be_fetched(kitchen):
     result = kitchen.eval(f"{ROBOTS} table;")
     result.fetchone()
@@ -495,13 +473,3 @@ def contents(frame):
         return frame.columns, frame.rows()
     result = Result(frame) if isinstance(frame, pa.Table) else frame
     return result.columns, result.fetchall()
-
-
-def test_two_columns_as_a_list_and_as_tables():
-    """The list is flat, as published; each row of a frame is a row."""
-    with ssduck.Interpreter() as ss:
-        text = "SELECT this, -this FROM [1, 2] AS"
-        assert ss.eval(f"{text} list;") == [1, -1, 2, -2]
-        assert contents(ss.eval(f"{text} df;"))[1] == [(1, -1), (2, -2)]
-        assert ss.eval(f"{text} table;").fetchall() == [(1, -1), (2, -2)]
-        assert ss.eval(f"{text} records;") == [(1, -1), (2, -2)]

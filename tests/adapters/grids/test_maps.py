@@ -7,7 +7,6 @@ import yaml
 from PIL import Image
 
 import ssduck
-from ssduck.adapters import grids as forms
 from ssduck.adapters.grid_values import OccupancyGrid
 from ssduck.errors import ArgumentError, SelectScriptError
 from ssduck.simulators.scenes import find_scene
@@ -137,69 +136,66 @@ def test_a_file_may_have_any_name(grid, tmp_path, name):
 # -- errors --------------------------------------------------------------------------------------
 
 
+# Of all bodies: (form, message)
+FORMS = [
+    ("map('low', 0.1)", "z_pos is a number, not 'low'"),
+    ("map(True, 0.1)", "z_pos is a number, not True"),
+    ("map([1, 2, 3], 0.1)", r"z_pos is a height or \[lowest, highest\]"),
+    ("map([2, 1], 0.1)", "the lowest height 2 is above the highest, 1"),
+    ("map(1e999, 0.1)", "z_pos is a finite number"),
+    ("map(0.2, 0)", "the size of a cell is above 0 m, not 0"),
+    ("map(0.2, -1)", "above 0 m, not -1"),
+    ("map(0.2, 0.1, 3)", r"bounds are two corners \[x, y\]"),
+    ("map(0.2, 0.1, [[0, 0], [1]])", r"bounds is two corners"),
+    ("map(0.2, 0.1, [[0, 0], [0, 1]])", "bounds: 0 is not below 0"),
+    ("map(0.2, 0.00001)", "more than 100,000,000; take larger cells, or bounds of a part"),
+    ("map(0.2)", "its usage: AS occupancygrid | map"),
+    ("voxelgrid(0.1, [[0, 0], [1, 1]])", r"two corners \[x, y, z\]"),
+    ("voxelgrid(0.001)", "more than 100,000,000"),
+    ("sensorgrid(0.2, 'fine')", "the size of a cell is a number"),
+    ("plane('XW', [0, 0], [1, 1, 1])", "axes are 'XY', 'XZ' or 'YZ', not 'XW'"),
+    ("plane('XY', [0], [1, 1, 1])", r"origin is \[first, second\]"),
+    ("plane('XY', [0, 0], [1, 1])", "size is .cells along first"),
+    ("plane('XY', [0, 0], [1.5, 1, 1])", "the numbers of cells must be whole"),
+    ("plane('XY', [0, 0], [1, 1, 0])", "above 0 m"),
+    ("plane('XY', [0, 0], [100000, 100000, 1])", "more than 100,000,000"),
+    ("map(0.2, 1e-320)", "inf x inf cells are more than 100,000,000"),
+    ("map(0.2, 1e-200)", "more than 100,000,000"),
+    ("plane('XY', [0, 0], [9, 9, 1], 0)", "blur is a whole number from 1 to 9, not 0"),
+    ("plane('XY', [0, 0], [9, 9, 1], 10)", "blur is a whole number from 1 to 9, not 10"),
+    ("plane('XY', [0, 0], [9000, 9000, 1], 9000)", "27,000 x 27,000 cells are more than"),
+]
+# (query, message)
+QUERIES = [
+    ("SELECT id FROM kitchen AS map(0.2, 0.1);", "no column holds an entity"),
+    ("SELECT obj FROM kitchen WHERE False AS map(0.2, 0.1);", "has shapes; give bounds"),
+    (
+        "SELECT obj FROM kitchen WHERE isSensor(this) AS map(0.2, 0.1);",
+        "has shapes; give bounds",
+    ),
+    (
+        "SELECT obj FROM kitchen WHERE isRobot(this) AS sensorgrid(0.2, 0.1);",
+        "no sensor is selected",
+    ),
+    ("SELECT obj FROM kitchen AS plane('XY', [-5,-5], [10,10,1]);", "no column has a number"),
+    (
+        "SELECT obj, id FROM kitchen AS plane('XY', [0, 0], [9, 9, 1]);",
+        "column 'id' cannot be summed",
+    ),
+    (
+        "SELECT mass(a.this) FROM a=kitchen, b=kitchen AS plane('XY', [0, 0], [9, 9, 1]);",
+        "no column holds an entity",
+    ),
+]
+
+
 @pytest.mark.parametrize(
-    ("form", "message"),
-    [
-        ("map('low', 0.1)", "z_pos is a number, not 'low'"),
-        ("map(True, 0.1)", "z_pos is a number, not True"),
-        ("map([1, 2, 3], 0.1)", r"z_pos is a height or \[lowest, highest\]"),
-        ("map([2, 1], 0.1)", "the lowest height 2 is above the highest, 1"),
-        ("map(1e999, 0.1)", "z_pos is a finite number"),
-        ("map(0.2, 0)", "the size of a cell is above 0 m, not 0"),
-        ("map(0.2, -1)", "above 0 m, not -1"),
-        ("map(0.2, 0.1, 3)", r"bounds are two corners \[x, y\]"),
-        ("map(0.2, 0.1, [[0, 0], [1]])", r"bounds is two corners"),
-        ("map(0.2, 0.1, [[0, 0], [0, 1]])", "bounds: 0 is not below 0"),
-        ("map(0.2, 0.00001)", "more than 100,000,000; take larger cells, or bounds of a part"),
-        ("map(0.2)", "its usage: AS occupancygrid | map"),
-        ("voxelgrid(0.1, [[0, 0], [1, 1]])", r"two corners \[x, y, z\]"),
-        ("voxelgrid(0.001)", "more than 100,000,000"),
-        ("sensorgrid(0.2, 'fine')", "the size of a cell is a number"),
-        ("plane('XW', [0, 0], [1, 1, 1])", "axes are 'XY', 'XZ' or 'YZ', not 'XW'"),
-        ("plane('XY', [0], [1, 1, 1])", r"origin is \[first, second\]"),
-        ("plane('XY', [0, 0], [1, 1])", "size is .cells along first"),
-        ("plane('XY', [0, 0], [1.5, 1, 1])", "the numbers of cells must be whole"),
-        ("plane('XY', [0, 0], [1, 1, 0])", "above 0 m"),
-        ("plane('XY', [0, 0], [100000, 100000, 1])", "more than 100,000,000"),
-        ("map(0.2, 1e-320)", "inf x inf cells are more than 100,000,000"),
-        ("map(0.2, 1e-200)", "more than 100,000,000"),
-        ("plane('XY', [0, 0], [9, 9, 1], 0)", "blur is a whole number from 1 to 9, not 0"),
-        ("plane('XY', [0, 0], [9, 9, 1], 10)", "blur is a whole number from 1 to 9, not 10"),
-        ("plane('XY', [0, 0], [9000, 9000, 1], 9000)", "27,000 x 27,000 cells are more than"),
-    ],
+    ("query", "message"), [*((f"{ALL} {form};", told) for form, told in FORMS), *QUERIES]
 )
-def test_what_cannot_be(kitchen, form, message):
+def test_what_cannot_be(kitchen, query, message):
     with pytest.raises(SelectScriptError, match=message.replace(" | ", r" \| ")) as caught:
-        kitchen.eval(f"{ALL} {form};")
-    assert caught.value.span is not None
-
-
-@pytest.mark.parametrize(
-    ("query", "message"),
-    [
-        ("SELECT id FROM kitchen AS map(0.2, 0.1);", "no column holds an entity"),
-        ("SELECT obj FROM kitchen WHERE False AS map(0.2, 0.1);", "has shapes; give bounds"),
-        (
-            "SELECT obj FROM kitchen WHERE isSensor(this) AS map(0.2, 0.1);",
-            "has shapes; give bounds",
-        ),
-        (
-            "SELECT obj FROM kitchen WHERE isRobot(this) AS sensorgrid(0.2, 0.1);",
-            "no sensor is selected",
-        ),
-        (
-            "SELECT obj, id FROM kitchen AS plane('XY', [0, 0], [9, 9, 1]);",
-            "column 'id' cannot be summed",
-        ),
-        (
-            "SELECT mass(a.this) FROM a=kitchen, b=kitchen AS plane('XY', [0, 0], [9, 9, 1]);",
-            "no column holds an entity",
-        ),
-    ],
-)
-def test_what_is_not_there(kitchen, query, message):
-    with pytest.raises(ArgumentError, match=message):
         kitchen.eval(query)
+    assert caught.value.span is not None
 
 
 def test_nothing_is_empty_where_bounds_are_given(kitchen):
@@ -235,26 +231,7 @@ def test_a_pose_that_is_no_number():
         assert boxes.eval("SELECT obj FROM sim WHERE id(this) == 'b' AS map(0, 0.1);").cells.all()
 
 
-def test_help_tells_the_forms():
-    with ssduck.Interpreter() as ss:
-        told = ss.help("AS")
-    for form in forms.GRIDS:
-        assert form.usage in told
-    assert "AS occupancygrid | map(z_pos, grid_size, bounds=None)" in told
-
-
 # -- records, evaluators, other ways in ----------------------------------------------------------
-
-
-@pytest.mark.slow
-@sampled("row_by_row", [False, True], every=2)
-def test_a_plane_without_numbers_is_an_error(row_by_row):
-    world = ssduck.World.load(find_scene("kitchen"))
-    with ssduck.Interpreter(row_by_row=row_by_row, recording=None) as ss:
-        ss.add_variable("kitchen", world)
-        with pytest.raises(ArgumentError, match="no column has a number to sum"):
-            ss.eval("SELECT obj FROM kitchen AS plane('XY', [-5,-5], [10,10,1]);")
-    world.close()
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import ssduck
 from ssduck.adapters.grid_values import OccupancyGrid, PlaneGrid, SensorGrid, VoxelGrid
-from ssduck.errors import ArgumentError, LimitError, UnsupportedError
+from ssduck.errors import ArgumentError, LimitError
 from ssduck.limits import UsageMeter
 from tests.support.cases import sampled
 from tests.support.grids import ALL, BALL, TINY, Boxes, centres
@@ -87,24 +87,6 @@ def test_bounds_are_those_of_the_selected_shapes_outward_to_a_centimetre(kitchen
     assert table.shape == (99, 175)
     assert table.z == 0.9
     assert table.cells[2:-2, 2:-2].all()
-
-
-def test_the_tutorials_maps(kitchen):
-    """Cells 44 to 47: bounds of all bodies to 1 cm, and one cell more than these have."""
-    grid = kitchen.eval(f"{ALL} roombaGrid;")
-    boxes = np.array([e.aabb for e in kitchen.call_variable("kitchen") if e.kind != "sensor"])
-    low, high = np.floor(boxes[:, 0].min(0) * 100) / 100, np.ceil(boxes[:, 1].max(0) * 100) / 100
-    assert grid.shape == tuple(int(n) + 1 for n in np.ceil((high - low)[:2] / 0.025))
-    assert (grid.z, grid.resolution) == (0.22, 0.025)
-    assert grid.origin == tuple(low[:2])
-    same = kitchen.eval(f"{ALL} map(0.22, 0.025);")
-    assert np.array_equal(same.cells, grid.cells[: same.shape[0], : same.shape[1]])
-    near = kitchen.eval(
-        "roomba = SELECT obj FROM kitchen WHERE id(this)=='roomba_625x' AS value;"
-        "SELECT obj FROM kitchen WHERE distance(roomba, this) <= 1.5 AS roombaGrid;"
-    )
-    assert 0 < near.cells.sum() < grid.cells.sum()
-    assert near.astype(float).dtype == float
 
 
 @pytest.mark.parametrize("off", [-TINY, 0.0, TINY])
@@ -190,17 +172,6 @@ def test_a_client_of_ones_own(nested):
         value = boxes.eval(f"SELECT ({query}) FROM [1] AS value;" if nested else f"{query};")
         assert value.cells.all()
         assert value.shape == (4, 4)
-
-
-@pytest.mark.slow
-def test_a_trigger_on_a_map():
-    with Boxes(others=[BALL | {"position": [2, 0, 2]}]) as boxes:
-        seen = []
-        boxes.ss.add_trigger(
-            "map", "SELECT obj FROM sim AS map(1.0, 0.5, [[-1, -1], [3, 1]]);", 0.05, seen.append
-        )
-        boxes.world.step(240)
-        assert [bool(grid) for grid in seen][-2:] == [True, False]
 
 
 # -- the class -----------------------------------------------------------------------------------
@@ -305,25 +276,6 @@ def test_the_manuals_pictures_are_up_to_date(pictures):
 
 
 @pytest.mark.slow
-def test_the_pictures_show_what_they_should(pictures, tmp_path):
-    """Pixels are counted by colours, and are as many a cell as the cells are drawn wide."""
-    with ssduck.load("kitchen") as ss:
-        bounds = "bounds=[[-1.75, -2.5], [2.45, 2.7]]"
-        maps = [ss.eval(f"{ALL} map({z}, 0.02, {bounds});") for z in ("0.22", "[0.2, 1.0]")]
-        roomba = ss.eval(f"{ALL} roombaGrid;")
-    dark = (pictures["occupancygrid"] == 40).all(axis=2)
-    key = 2 * 10 * 10  # the legends have swatches of that colour
-    assert dark.sum() - key == 4 * sum(grid.cells.sum() for grid in maps)
-    assert (pictures["roombagrid"] == 40).all(axis=2).sum() > 4 * roomba.cells.sum()
-    seen = pictures["sensorgrid"]
-    assert (seen == 40).all(axis=2).sum() > 20_000
-    assert (seen == [74, 0, 60]).all(axis=2).sum() > 0  # where most sensors see
-    for name in ("forms-image", "forms-environment", "forms-points", "forms-mesh"):
-        assert 0.02 < (pictures[name] != 255).any(axis=2).mean() < 0.9
-    assert len(np.unique(pictures["voxelgrid"].reshape(-1, 3), axis=0)) > 20
-
-
-@pytest.mark.slow
 def test_plot(grid):
     matplotlib = pytest.importorskip("matplotlib")
     matplotlib.use("Agg")
@@ -334,14 +286,6 @@ def test_plot(grid):
     sums = PlaneGrid(np.eye(2), (0.0, 0.0), 1.0, "XZ")
     assert sums.plot(ax) is ax
     assert ax.get_ylabel() == "z [m]"
-
-
-def test_plot_without_matplotlib(grid, monkeypatch):
-    for name in [name for name in sys.modules if name.startswith("matplotlib")]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(UnsupportedError, match=r"pip install 'ssduck\[plot\]'"):
-        grid.plot()
 
 
 LARGE = [

@@ -198,11 +198,3 @@ def test_cells_have_their_lower_edges(place, cell):
         grid = boxes.eval("SELECT obj, [2, 3.5], 1 FROM sim AS plane('XY', [0, 0], [3, 2, 1]);")
         assert np.argwhere(grid).tolist() == ([cell] if cell else [])
         assert grid.cells.sum() == (6.5 if cell else 0)
-
-
-def test_sums_of_groups(kitchen):
-    groups = kitchen.eval(
-        "SELECT obj, mass FROM kitchen GROUP BY type AS plane('XY', [-5,-5], [10,10,1]);"
-    )
-    whole = kitchen.eval("SELECT obj, mass FROM kitchen AS plane('XY', [-5,-5], [10,10,1]);")
-    assert sum(grid.cells for grid in groups.values()) == pytest.approx(whole.cells)
