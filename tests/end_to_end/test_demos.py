@@ -98,6 +98,7 @@ def test_a_scene_is_asked_too(tmp_path):
     result = ssduck_("demo", "hall", "--out", str(tmp_path), "--no-sql")
     assert result.exit_code == 0
     assert "rover" in result.stdout
+    assert "as SQL" not in result.stdout
     assert [path.name for path in tmp_path.iterdir()] == ["hall.png"]
 
 

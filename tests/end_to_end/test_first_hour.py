@@ -148,18 +148,6 @@ def test_the_finger_touched_the_cube(hour):
     assert max(force for _, force in rows) == greatest > 1.0
 
 
-def test_the_finger_is_found_by_its_name(hour):
-    loop, ss = hour
-    ((first, greatest),) = ss.sql("""
-        SELECT min(time), max(force) FROM contacts_history c
-        JOIN links_model l ON c.a = l.entity AND c.link_a = l.link
-        JOIN entities_model e ON c.b = e.id
-        WHERE l.name = 'panda_leftfinger' AND e.name = 'cube'
-    """).fetchall()
-    assert first == pytest.approx(min(loop.finger) * STEP, abs=1e-12)
-    assert greatest == max(max(forces) for forces in loop.finger.values())
-
-
 @pytest.mark.slow
 def test_questions_about_the_finger_as_a_value(hour):
     """In SelectScript and in raw SQL: when, with what force, and where it was."""

@@ -4,10 +4,7 @@ The cells are as they are printed, but that Python 2's `print` and numpy's old n
 and that a plugin's path is its name.
 """
 
-import json
 import re
-import shutil
-import subprocess
 import types
 
 import numpy as np
@@ -17,7 +14,6 @@ import ssduck
 from ssduck import openrave
 from ssduck.errors import ArgumentError
 from ssduck.simulators.scenes import find_scene
-from tests.support.timing import HANGS
 
 pytestmark = pytest.mark.slow
 CELL_41 = """
@@ -286,35 +282,3 @@ def test_prolog(session):
     ]
     without = [clause for clause in own if not clause.endswith(",0.0)")]
     assert sorted(map(as_numbers, clauses)) == sorted(map(as_numbers, without))
-
-
-# Cells 52 to 54: what is asked, and how much is found; the answers of the first as printed.
-ASKED = [
-    ("X", "above(table, X)", 7),
-    ("Obj-V", "volume(Obj, V), V > 1.0", 1),
-    ("P", "position(_, P)", 29),
-]
-
-
-@pytest.mark.skipif(not shutil.which("swipl"), reason="SWI-Prolog is not installed")
-def test_swi_prolog_answers(session, tmp_path):
-    run(session, CELL_49, CELL_50)
-    file = tmp_path / "kitchen.pl"
-    file.write_text("".join(f"{clause}.\n" for clause in session["clauses"]))
-    found = []
-    for variable, goal, count in ASKED:
-        ask = (
-            f"use_module(library(http/json)), findall(T, ({goal}, term_to_atom({variable}, T)), L),"
-            " json_write(current_output, L), halt"
-        )
-        command = ["swipl", "-q", "-g", ask, "-t", "halt(1)", str(file)]
-        answers = json.loads(
-            subprocess.run(command, capture_output=True, check=True, timeout=HANGS).stdout
-        )
-        assert len(answers) == count
-        found.append(answers)
-    cups, plates = ("58a2", "905a", "b6af", "d441"), ("496f", "835a", "fa76")
-    assert found[0] == [*(f"cup_{c}" for c in cups), *(f"plate_{p}" for p in plates)]
-    name, _, volume = found[1][0].partition("-")
-    assert (name, float(volume)) == ("kitchen", pytest.approx(5.32756277229, rel=1e-4))
-    assert json.loads(found[2][0]) == pytest.approx([0.42, 1.3, 0.892], abs=1e-6)

@@ -53,29 +53,6 @@ def test_demo_of_queries(kitchen):
     assert kitchen.eval("SELECT obj FROM kitchen WHERE on(this, table) AS list;") == own
 
 
-def test_demo_of_cleaning_up(kitchen):
-    """demo1: all of it in one program."""
-    kitchen.addVariable("robot", kitchen.call_variable("kitchen")["barrett_4918"])
-    expr = "sink = SELECT obj FROM kitchen WHERE id(this) == 'sink' AS value;"
-    expr += "table = SELECT obj FROM kitchen WHERE id(this) == 'table' as value;"
-    expr += (
-        "cleanUp = SELECT obj FROM kitchen "
-        "WHERE on(table, this) AND distance(robot, this) < 1.3 AS list;"
-    )
-    with pytest.warns(UserWarning, match="'on'"):
-        kitchen.addFunction("on", on)
-    found = kitchen.eval(kitchen.compile(expr))
-    kitchen.delFunction("on")
-    robot, table = kitchen.callVariable("robot"), kitchen.callVariable("table")
-    assert found == kitchen.callVariable("cleanUp")
-    assert found == [
-        entity
-        for entity in kitchen.eval("SELECT obj FROM kitchen AS list;")
-        if on(table, entity)
-        and sum((a - b) ** 2 for a, b in zip(robot.position, entity.position, strict=True)) < 1.3**2
-    ]
-
-
 class Extended(ssduck.Interpreter):
     """demo3 and demo4: a dialect with forms of its own, by the published methods."""
 
