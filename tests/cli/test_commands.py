@@ -107,14 +107,6 @@ def test_demo_of_another_scene(here):
         assert picture.format == "JPEG"
 
 
-@pytest.mark.slow
-def test_demo_without_sql_and_picture(here):
-    before = sorted(here.iterdir())
-    written = answer("demo", "two.toml", "--no-sql", "--no-picture")
-    assert "as SQL" not in written
-    assert sorted(here.iterdir()) == before
-
-
 COLOURS = [
     ({}, False),
     ({"FORCE_COLOR": "1"}, True),

@@ -10,13 +10,12 @@ import pytest
 
 import ssduck
 from examples.cleanup import cleaner as cleaner_module
-from examples.cleanup.cleaner import ARM, FALLS, GRIP, Cleaner, Failed
-from examples.cleanup.driving import MAX_ACCELERATION, MAX_VELOCITY, legs, timed
+from examples.cleanup.cleaner import ARM, FALLS, Cleaner, Failed
+from examples.cleanup.driving import MAX_ACCELERATION, MAX_VELOCITY, timed
 from examples.cleanup.kinematics import KinematicChain
 from examples.cleanup.obstacles import Obstacles, walls_of
 from examples.cleanup.planning import length, plan, shortened
 from examples.cleanup.program import clean
-from examples.cleanup.spaces import wrapped
 from ssduck.demos.cleanup import ALLOWED
 from ssduck.simulators.scenes import find_scene
 from ssduck.world.world import World
@@ -71,35 +70,6 @@ def test_frames_are_those_of_a_what_if_world(chain, barrett):
         assert frame[:, :3, 3] == pytest.approx(
             np.array([link.position for link in there.links]), abs=1e-9
         )
-
-
-def test_reaching_what_is_in_reach(chain, barrett):
-    base, now = chain.state(barrett)
-    arm, hand = chain.columns(ARM), chain.link("arm7")
-    shoulder = base[:3, 3] + [-0.1, 0.0, 0.28]
-    goal = [*(shoulder + [0.3, 0.3, 0.0]), 0.0, 0.0, -1.0]
-    starts = postures(chain, 32, 2)
-    bases = np.tile(base, (32, 1, 1))
-    found, solved = chain.solve(bases, starts, arm, hand, GRIP, np.tile(goal, (32, 1)))
-    assert solved.sum() >= 8
-    frames = chain.frames(bases, found)[solved, hand]
-    assert frames[:, :3, 3] + frames[:, :3, :3] @ GRIP == pytest.approx(
-        np.tile(goal[:3], (solved.sum(), 1)), abs=1e-3
-    )
-    assert frames[:, 2, 2] == pytest.approx(-1.0, abs=1e-5)
-    assert (found[:, arm] >= chain.lower[arm]).all()
-    assert (found[:, arm] <= chain.upper[arm]).all()
-    others = np.setdiff1d(np.arange(len(now)), arm)
-    assert (found[:, others] == starts[:, others]).all()
-
-
-def test_what_is_out_of_reach_is_not_solved(chain, barrett):
-    base, _ = chain.state(barrett)
-    goals = np.tile([*(base[:3, 3] + [1.5, 0.0, 0.3]), 0.0, 0.0, -1.0], (16, 1))
-    starts = postures(chain, 16, 3)
-    arm, hand = chain.columns(ARM), chain.link("arm7")
-    _, solved = chain.solve(np.tile(base, (16, 1, 1)), starts, arm, hand, GRIP, goals)
-    assert not solved.any()
 
 
 # -- keeping clear -------------------------------------------------------------------------------
@@ -200,19 +170,6 @@ def test_a_path_through_a_gap(seed):
     assert length(plane, one) < 1.2 * (2 * np.hypot(0.7, 1.5) + 0.2)
 
 
-def test_what_is_straight_ahead_is_not_searched_for():
-    plane = Plane(3.6)
-    path = plan(plane, np.array([-0.8, 0.0]), np.array([0.8, 0.0]), np.random.default_rng(1), 9, 1)
-    assert length(plane, path) == pytest.approx(1.6)
-    assert len(plane.looked_at) == 3
-
-
-@pytest.mark.parametrize("end", [(0.0, 0.0), (0.8, 0.0)])
-def test_no_path_is_none(end):
-    rng = np.random.default_rng(1)
-    assert plan(Plane(0.0), np.array([-0.8, 0.0]), np.array(end), rng, 50, 0.3) is None
-
-
 # -- moving --------------------------------------------------------------------------------------
 
 
@@ -229,32 +186,6 @@ def test_a_path_in_time_is_no_faster_than_allowed():
     changes = np.abs(np.diff(speeds) / np.diff(middle))
     assert changes.max() < 1.5 * MAX_ACCELERATION
     assert speeds[58:61].min() < 0.4 * MAX_VELOCITY  # it slows down for the corner
-
-
-def test_a_path_that_stays_takes_no_time():
-    clock, path = timed(np.zeros((4, 7)))
-    assert clock.tolist() == [0.0]
-    assert path.shape == (1, 7)
-
-
-def test_legs_end_where_turning_and_rolling_change():
-    ahead = [(x, 0.0, 0.0) for x in np.linspace(0, 1, 9)]
-    turn = [(1.0, 0.0, a) for a in np.linspace(0, 3.0, 9)[1:]]
-    back = [(1.0 + r * np.cos(3.0), r * np.sin(3.0), 3.0) for r in np.linspace(0, -0.5, 5)[1:]]
-    on = [(*p[:2], 3.0) for p in back[-2::-1]]
-    found = legs(np.array([*ahead, *turn, *back, *on]))
-    # A turn of more than 2.5 rad is two.
-    assert [turns for _, turns in found] == [False, True, True, False, False]
-    assert found[0][0] == pytest.approx(ahead[-1])
-    assert found[2][0] == pytest.approx(turn[-1])
-    assert found[3][0] == pytest.approx(back[-1])
-
-
-@pytest.mark.parametrize(
-    ("angle", "same"), [(0.5, 0.5), (np.pi + 0.5, 0.5 - np.pi), (-7.0, 2 * np.pi - 7.0)]
-)
-def test_wrapped(angle, same):
-    assert wrapped(angle) == pytest.approx(same)
 
 
 # -- the whole -----------------------------------------------------------------------------------
