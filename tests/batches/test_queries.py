@@ -2,7 +2,6 @@
 
 from itertools import chain
 
-import mujoco
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,7 +10,7 @@ from hypothesis import strategies as st
 import ssduck
 from ssduck.errors import LimitError, SelectScriptError, UnsupportedError
 from ssduck.interpreter.batches.queries import BatchQuery
-from tests.batches.conftest import simulations
+from tests.batches.conftest import each, simulations
 from tests.support.cases import generated
 
 PAIRS = "FROM a=sim, b=sim"
@@ -57,7 +56,7 @@ AT_ONCE = [
 
 
 class Worlds:
-    """A batch of 64 environments, and one world that takes the state of each of them in turn.
+    """A batch of 64 environments, and the answers of a world at the state of each of them.
 
     All bodies of a third of the environments are at the same places; one diverged, where asked.
     """
@@ -69,31 +68,18 @@ class Worlds:
         if diverged:
             self.states[5].xpos[2] = np.nan
         goal = np.linspace(0.3, 0.4, count)[:, None] * np.ones(3)
-        self.ss, self.single = (ssduck.Interpreter(recording=None) for _ in range(2))
-        self.sim = self.ss.add_variable("sim", ssduck.World.batch(self.model, count))
-        self.sim.tick(self.states)
-        self.data = mujoco.MjData(self.model)
-        mujoco.mj_forward(self.model, self.data)
-        self.single.add_variable("sim", ssduck.World.attach(self.model, self.data))
+        self.parameters = {"env": range(count), "goal": goal.tolist(), "low": [0.37] * count}
+        self.ss = ssduck.Interpreter(recording=None)
+        self.ss.add_variable("sim", ssduck.World.batch(self.model, count)).tick(self.states)
         self.ss.add_variable("goal", goal)
-        for ss in (self.ss, self.single):
-            ss.add_variable("low", 0.37)
-        self.parameters = {"env": list(range(count)), "goal": goal.tolist()}
+        self.ss.add_variable("low", 0.37)
 
     def each(self, text):
-        """Returns the answers of the world at each state."""
-        answers = []
-        for number, data in enumerate(self.states):
-            mujoco.mj_copyData(self.data, self.model, data)
-            self.single["sim"].tick()
-            for name, values in self.parameters.items():
-                self.single.add_variable(name, values[number])
-            answers.append(self.single.eval(text))
-        return answers
+        return each(self.model, self.states, text, self.parameters)
 
     def close(self):
         self.ss.close()
-        self.single.close()
+        self.states.close()
 
 
 @pytest.fixture(scope="module")

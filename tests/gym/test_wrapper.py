@@ -1,6 +1,5 @@
 """`QueryWrapper`: success, failure, reward and episodes by queries on the simulation."""
 
-import itertools
 import re
 
 import gymnasium
@@ -63,29 +62,6 @@ def test_agrees_with_the_environment(wrap):
             assert not terminated
             successes.append(info["success"])
     assert {True, False} == set(successes)
-
-
-@pytest.mark.slow
-def test_parts_are_summed_and_named(wrap):
-    parts = {"far": "-distance(sim.pusher, sim.ball)", "done": "10 * int(success)"}
-    env = wrap(Push(), success="x(sim.ball) > 0.001", reward=parts)
-    seen = list(episode(env, 0, 60))
-    for reward, _, info in seen:
-        assert reward == sum(info["parts"].values())
-        assert info["parts"]["done"] == 10 * info["success"]
-    assert {info["success"] for _, _, info in seen} == {True, False}
-
-
-def test_an_episode_ends_when_a_condition_holds(wrap):
-    env = wrap(
-        Push(),
-        success="x(sim.ball) > 0.02",
-        failure="z(sim.ball) < 0",
-        stop_when="success OR failure",
-    )
-    steps = list(episode(env, 0, 200))
-    assert [terminated for _, terminated, _ in steps] == [False] * (len(steps) - 1) + [True]
-    assert steps[-1][2] == {"success": True, "failure": False}
 
 
 @pytest.mark.slow
@@ -358,30 +334,6 @@ def test_an_entity_that_is_gone_is_an_error(wrap):
         env.step(0)
 
 
-def make_push(most=5):
-    return QueryWrapper(
-        Push(most=most), success="x(sim.ball) > goal[0]", reward=REWARD, variables=GOAL
-    )
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["SyncVectorEnv", "AsyncVectorEnv"])
-def test_vector_environments(kind):
-    envs = getattr(gymnasium.vector, kind)([make_push, make_push])
-    try:
-        envs.reset(seed=3)
-        single = [make_push(), make_push()]
-        for number, env in enumerate(single):
-            env.reset(seed=3 + number)
-        for _ in range(4):
-            _, rewards, _, _, infos = envs.step(np.ones((2, 1), np.float32))
-            expected = [env.step(np.ones(1, np.float32))[1] for env in single]
-            assert list(rewards) == expected
-            assert list(infos["ssduck"]["success"]) == [False, False]
-    finally:
-        envs.close()
-
-
 def make_held():
     held = "heldFor(on(sim.table, sim.ball))"
     return QueryWrapper(Push(most=4), success=f"{held} >= 0.015", reward=held)
@@ -412,11 +364,6 @@ def test_the_checker_of_gymnasium(wrap):
     # It says that there is a wrapper.
     with pytest.warns(UserWarning, match="different from the unwrapped version"):
         check_env(env, skip_render_check=True)
-
-
-def test_a_wrapper_of_a_wrapper(wrap):
-    env = wrap(gymnasium.wrappers.TimeLimit(Push(), 3), success="x(sim.ball) > 0.02")
-    assert len(list(itertools.islice(episode(env, 0, 10), 10))) == 3
 
 
 @pytest.mark.slow
