@@ -298,15 +298,6 @@ def test_what_functions_tell_apart_is_no_state_twice(values):
     assert keys.exact([values[0]]) == keys.exact([values[0]])
 
 
-def test_equal_values_have_one_key():
-    keys = ValueKeys()
-    state, other = [[1, 2], []], [[1, 2.0], []]
-    keys.exact([state])
-    assert keys.of((state,), ("a",)) == keys.of((other,), ("a",)) == keys.of(([*state],), ("a",))
-    assert keys.of((state,), ("a",)) != keys.of((state,), ("b",))
-    assert keys.of((state, 1), ("a", "b")) == keys.of((other, True), ("a", "b"))
-
-
 class Mute:
     """Nobody knows what it tells apart."""
 

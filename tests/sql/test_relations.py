@@ -174,18 +174,6 @@ def test_random_scenes_agree_with_a_loop(relation):
     pybullet.disconnect(client)
 
 
-@pytest.mark.slow
-def test_planes_are_solid_below_and_endless(stage):
-    """What is not above a ground plane is below its surface, and within its box."""
-    stage.add("ground", pybullet.GEOM_PLANE)
-    for name, height in (("under", -1.0), ("at", 0.0), ("over", 2.0)):
-        stage.sphere(name, (500, 0, height), radius=0.1, mass=1)
-    ss, _ = stage.interpreters(sim=stage.open())
-    assert ss.eval("SELECT id FROM sim WHERE above(ground, this) AS list;") == ["at", "over"]
-    assert ss.eval("SELECT id FROM sim WHERE below(ground, this) AS list;") == ["under"]
-    assert ss.eval("SELECT id FROM sim WHERE within(ground, this) AS list;") == ["under"]
-
-
 # -- the registry -------------------------------------------------------------------------------
 
 

@@ -3,12 +3,10 @@
 import warnings
 from pathlib import Path
 
-import pybullet
 import pytest
 
 import ssduck
 from ssduck.errors import ProgramWarning, SelectScriptError, UnknownNameError
-from tests.support.bodies import solid
 
 ROOM = Path(__file__).resolve().parents[2] / "data" / "room.toml"
 
@@ -88,20 +86,6 @@ def test_records_suggest_it_too(ss, door, tmp_path):
         with pytest.raises(SelectScriptError, match="did you mean 'can'"):
             DOORS[door](opened)
         opened.sql("SELECT id FROM entities WHERE name = 'can'")
-
-
-@pytest.mark.slow
-def test_worlds_of_ones_own(client):
-    body = solid(client, pybullet.GEOM_BOX, 0, halfExtents=[0.1] * 3)
-    with ssduck.Interpreter(strict=True) as ss:
-        ss.add_variable("own", ssduck.World.attach(client, names={body: "crate"}))
-        for run, text in ((ss.eval, "SELECT z FROM own WHERE id = '{}'"), (ss.sql, _RAW)):
-            run(text.format("crate"))
-            with pytest.raises(UnknownNameError, match="did you mean 'crate'"):
-                run(text.format("crat"))
-
-
-_RAW = "SELECT z FROM own.entities WHERE name = '{}'"
 
 
 def test_a_removed_entity_is_known(ss):
