@@ -21,14 +21,6 @@ NINE = {
 PAIRS = "FROM a=kitchen, b=kitchen WHERE NOT (isSensor(a.this) OR isSensor(b.this))"
 
 
-@pytest.fixture(scope="module")
-def kitchen(shared_kitchen):
-    with ssduck.Interpreter() as ss:
-        ss.add_variable("kitchen", shared_kitchen)
-        ss.eval("table = SELECT obj FROM kitchen WHERE id(this) == 'table' AS value;")
-        yield ss
-
-
 def test_a_relation_that_is_false_is_no_edge(kitchen):
     graph = kitchen.eval(f"SELECT above(a.this, b.this) {PAIRS} AS graph;")
     assert isinstance(graph, nx.DiGraph)

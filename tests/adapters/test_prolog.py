@@ -37,13 +37,6 @@ QUERY = "SELECT  above(a.this, b.this),                    \
          AS prolog;"
 
 
-@pytest.fixture(scope="module")
-def kitchen(shared_kitchen):
-    with ssduck.Interpreter() as ss:
-        ss.add_variable("kitchen", shared_kitchen)
-        yield ss
-
-
 @pytest.fixture(params=[False, True], ids=["as SQL", "row by row"])
 def plain(request):
     with ssduck.Interpreter(row_by_row=request.param) as ss:

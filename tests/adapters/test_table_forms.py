@@ -28,13 +28,6 @@ PLAIN = ssduck.Interpreter()  # for many examples
 TABLES = ["table", "arrow", "df", "polars"]
 
 
-@pytest.fixture(scope="module")
-def kitchen(shared_kitchen):
-    with ssduck.Interpreter() as ss:
-        ss.add_variable("kitchen", shared_kitchen)
-        yield ss
-
-
 @pytest.fixture
 def values():
     """Evaluates a query of the rows of a variable."""
