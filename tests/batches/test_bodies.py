@@ -135,10 +135,3 @@ def test_wrong_states_are_errors(batch, state, error, message):
         sim.tick(**state)
     assert message in str(raised.value)
     assert np.array_equal(ss.eval("position(sim.cube);"), before)
-
-
-def test_contacts_are_not_known(batch):
-    ss, sim, _ = batch
-    sim.tick(poses={"cube": poses()})
-    with pytest.raises(ssduck.SelectScriptError, match="contacts"):
-        ss.eval("inContact(sim.cube, sim.shelf);")

@@ -14,7 +14,6 @@ from ssduck.errors import (
     ArgumentError,
     ProgramWarning,
     SelectScriptError,
-    UnknownNameError,
     UnsupportedError,
 )
 from ssduck.interpreter.batches.evaluator import BatchExpressions
@@ -271,15 +270,6 @@ def test_an_environment_is_a_world(batch):
             assert one.eval(text) == each(model, states, text)[5]
     with pytest.raises(ArgumentError, match=f"from 0 to {COUNT - 1}"):
         sim.environment(COUNT)
-
-
-def test_wrong_names_have_the_nearest_right_one(batch):
-    ss = batch[0]
-    with pytest.raises(UnknownNameError) as raised:
-        ss.eval("z(sim.cubr);")
-    assert "cube" in str(raised.value)
-    with pytest.raises(UnknownNameError, match="ouching"):
-        ss.eval("tuching(sim.cube, sim.table);")
 
 
 TICKS = [

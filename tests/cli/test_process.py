@@ -19,14 +19,6 @@ from tests.support.command_line import LINUX, run, start
 from tests.support.timing import HANGS
 
 
-@pytest.mark.slow
-def test_an_error_is_no_traceback(here):
-    code, out, err = run("query", "two.toml", "SELECT abov FROM two;")
-    assert (code, out) == (1, "")
-    assert err.startswith("error: ")
-    assert "Traceback" not in err
-
-
 @pytest.mark.long
 def test_integers_of_any_length_and_a_locale_that_has_no_umlauts(here):
     env = {"PYTHONIOENCODING": "ascii"}

@@ -143,11 +143,6 @@ def test_what_is_no_item(ss):
             ss[name] = 1
 
 
-def test_a_world_is_bound_as_an_item(ss):
-    ss["maybe"] = ss["room"].what_if()
-    assert ss.sql("SELECT count(*) FROM maybe.entities").fetchall() == [(6,)]
-
-
 def test_repr_says_what_is_there(ss):
     assert repr(ss) == "<Interpreter: worlds room (6 entities, t=0 s)>"
     for number in range(10):

@@ -13,10 +13,8 @@ from ssduck.errors import (
     SelectScriptError,
     SimulatorError,
     SourceSpan,
-    SqlError,
     UnknownNameError,
     UnsupportedError,
-    nearest,
 )
 from tests.support.marked import unmarked
 
@@ -39,6 +37,7 @@ def ss(shared_kitchen):
 # (program with the offending text marked, kind, words of the message … and of its suggestions)
 MISTAKES = [
     ("x = 1; y = «unknwn» + 1;", UnknownNameError, "no variable 'unknwn'"),
+    ("clear(); «nothing_of_that_name»;", UnknownNameError, "no variable"),
     ("SELECT id FROM «kitchn»;", UnknownNameError, "no variable 'kitchn' … 'kitchen'"),
     ("«id» == 'can';", UnknownNameError, "write id(this)"),
     (
@@ -171,18 +170,6 @@ def test_what_is_no_program(ss, program):
         ss.eval(program)
 
 
-def test_a_failed_program_changes_no_variable(ss):
-    ss.add_variable("kept", 1)
-    with pytest.raises(UnknownNameError):
-        ss.eval("kept = 2; added = 3; kept = nothing_of_that_name;")
-    assert ss.call_variable("kept") == 1
-    with pytest.raises(UnknownNameError):
-        ss.call_variable("added")
-    with pytest.raises(UnknownNameError):
-        ss.eval("clear(); nothing_of_that_name;")
-    assert ss.call_variable("kept") == 1
-
-
 @pytest.mark.parametrize("name", ["not a name", "", "1a", "a;b"])
 def test_bad_names_of_variables_and_functions(ss, name):
     with pytest.raises(ArgumentError, match="letters, digits and _ only"):
@@ -206,43 +193,6 @@ KEPT = ["help", "to", "print", "eval", "clear", "var"]
 def test_what_cannot_be_added(ss, add, name, value, told):
     with pytest.raises(ArgumentError, match=told):
         getattr(ss, add)(name, value)
-
-
-# (sql, words)
-SQL_MISTAKES = [
-    ("SELECT nme FROM entities", "name"),
-    ("SELEC 1", "syntax error"),
-    ("FROM entitis", "entities"),
-    ("SELECT abov(a, b) FROM entities a, entities b", "above"),
-    ("SELECT above(a) FROM entities a", "above"),
-    ("SELECT 1; SELEC 2", "syntax error"),
-]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("sql", "words"), SQL_MISTAKES)
-def test_sql_mistakes(ss, sql, words):
-    with pytest.raises(SqlError, match=words) as caught:
-        ss.sql(sql)
-    assert caught.value.__cause__ is not None
-    assert ss.sql("SELECT 1").fetchall() == [(1,)]
-
-
-@pytest.mark.parametrize(
-    ("name", "known", "best"),
-    [
-        ("isrobot", ["isRobot", "isSensor"], "isRobot"),
-        ("kitchn", ["kitchen", "garage"], "kitchen"),
-        ("volum", ["volume", "aabbVolume"], "volume"),
-    ],
-)
-def test_nearest_names(name, known, best):
-    assert nearest(name, known)[0] == best
-
-
-def test_nothing_is_near_to_nonsense():
-    assert nearest("qqqq", ["isRobot", "volume"]) == ()
-    assert nearest(7, ["7", "isRobot"]) == ()
 
 
 @pytest.mark.parametrize(

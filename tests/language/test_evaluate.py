@@ -12,7 +12,6 @@ from ssduck.errors import (
     ArgumentError,
     EvaluationError,
     FunctionError,
-    SelectScriptError,
     UnknownNameError,
 )
 from ssduck.interpreter import query_runner as queries
@@ -494,15 +493,6 @@ def test_large_values_are_told_in_few_words(ss, program, kind, offending, words)
     ss.add_function("fail", fail)
     ss.add_function("odd", odd)
     fails(ss, program, kind, offending, words)
-
-
-@pytest.mark.slow
-def test_a_long_name_is_told_in_few_letters(ss):
-    ss.add_variable("long", "a" * 10**6)
-    for program in ("eval(long);", "eval('SELECT a.this FROM ' + long);"):
-        with pytest.raises(SelectScriptError, match="no variable 'aaa") as caught:
-            ss.eval(program)
-        assert len(caught.value.message) < 400
 
 
 @pytest.mark.parametrize("clause", ["LIMIT (10^30)", "LIMIT (10^5000)"])

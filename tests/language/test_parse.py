@@ -160,11 +160,6 @@ def test_all_clauses_of_a_query():
     assert [shown(argument) for argument in adapter.named] == ["three=3"]
 
 
-def test_star_selects_everything():
-    (query,) = parse("SELECT * FROM kitchen;").statements
-    assert query.items == ()
-
-
 def test_statements_in_order_and_empty_programs():
     assert [shown(node) for node in parse("a = 1; ; b; c").statements] == ["a=1", "b", "c"]
     assert parse("").statements == ()
@@ -269,10 +264,6 @@ def test_deep_nesting_is_an_error_and_no_crash(text):
 def test_signs_and_indices_beside_each_other_are_not_nested(text):
     (statement,) = parse(f"[{', '.join([text] * 30)}];").statements
     assert len(statement.items) == 30
-
-
-def test_the_same_text_is_parsed_once():
-    assert parse("a + 1;") is parse("a + 1;")
 
 
 @given(st.text(alphabet="ab1.'\"()[]{}=<>!+-*/%^;,# \n\tSELECTFROMhis", max_size=60))

@@ -239,9 +239,3 @@ def wrong_relation(result="boolean", names="ab", **query):
 def test_a_wrong_entry_of_shapes_is_an_error(entry, message):
     with pytest.raises(ValueError, match=message):
         wrong_relation(**entry)
-
-
-def test_help_lists_every_relation(pair):
-    ss, _ = pair
-    assert set(RELATIONS) <= set(ss.eval("help();"))
-    assert "setCollisionFilterGroupMask" in ss.help("isEnabled")

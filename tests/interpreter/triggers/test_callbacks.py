@@ -52,13 +52,6 @@ def test_a_callback_may_add_and_remove_triggers(ss, sim):
     assert got == ["doomed 1", "first", "second", "second"]
 
 
-def test_a_trigger_may_end_itself_at_once(ss, sim):
-    got = []
-    ss.add_trigger("once", HEIGHT, 0, lambda _: (got.append(1), ss.del_trigger("once")))
-    sim.step(5)
-    assert got == [1]
-
-
 @pytest.mark.parametrize("interval", [0, 1 / 240, 0.01])
 def test_stepping_in_a_callback_does_not_recurse(ss, sim, interval):
     """The steps are run; what became due meanwhile is evaluated after the next step."""
