@@ -129,17 +129,6 @@ def test_enclosed_is_walls_on_both_sides_along_two_axes(stage, write, name):
 
 
 @pytest.mark.slow
-def test_the_hull_of_a_table_is_not_its_inside(stage, write):
-    stage.urdf("table", write("table.urdf", of_boxes(*PROFILES["table"][0])))
-    stage.sphere("ball", (0, 0, -0.02), radius=0.05)
-    world = stage.open()
-    for ss in stage.interpreters(sim=world):
-        assert ss.eval("[contains(table, ball), enclosed(table, ball)];") == [True, False]
-        assert "enclosed" in ss.eval("help('contains');")
-        assert "enclosed" in ss.eval("help('inside');")
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("scale", [0.5, 0.9])
 def test_of_a_cup_in_a_box_only_one_is_in_the_other(stage, write, scale):
     """The larger one's centre is between the walls of the smaller one, too."""
@@ -480,14 +469,6 @@ def test_next_to_is_symmetric_and_near(stage):
     assert found < set(near)
     for held in ("supports", "contains", "enclosed", "restsOn"):
         assert not found & set(pairs_of(ss, f"{held}(p, q)"))
-
-
-@pytest.mark.slow
-def test_a_ground_has_nothing_beside_it(stage):
-    stage.add("ground", pybullet.GEOM_PLANE)
-    stage.box("a", (0, 0, 0.5))
-    for ss in stage.interpreters(sim=stage.open()):
-        assert pairs_of(ss, "nextTo(p, q)") == []
 
 
 @pytest.mark.slow
