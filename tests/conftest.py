@@ -1,4 +1,4 @@
-"""Fixtures of all tests: a PyBullet client, files written on the spot, the kitchen's facts.
+"""Fixtures of all tests: a PyBullet client, files written on the spot, the kitchen of many modules.
 
 The folders follow the packages of `ssduck`; `end_to_end` tests the whole, `support` holds what several
 files use. `python -m pytest` runs all but the `long` cases, in a process for each core; `-n 0` runs in
@@ -12,7 +12,6 @@ import os
 import shutil
 import signal
 import tempfile
-import tomllib
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -24,7 +23,6 @@ from tests.support.archive import Archive
 from tests.support.cases import factor, generated, mark_all_but_pairs
 from tests.support.times import Times
 
-DATA = Path(__file__).parent / "data"
 # A file system in memory, and the free bytes that tests may need in it.
 MEMORY = Path("/dev/shm")  # noqa: S108
 NEEDED = 4 << 30
@@ -204,12 +202,6 @@ def whole_state(world):
     ]
     handles = [(entity.name, entity.enabled) for entity in world]
     return world.snapshot.number, world.time, poses, joints, handles
-
-
-@pytest.fixture(scope="session")
-def kitchen_facts():
-    """What the tutorial's kitchen is measured to be."""
-    return tomllib.loads((DATA / "kitchen.toml").read_text(encoding="utf-8"))
 
 
 @pytest.fixture

@@ -133,21 +133,6 @@ def test_readme_runs_as_its_first_command_leaves_it(tmp_path, simulator, runs):
         run_bare("\n".join(shown), tmp_path, without=other)
 
 
-@pytest.mark.long
-def test_the_demonstration_runs_without_pybullet(tmp_path):
-    pytest.importorskip("mujoco")
-    answers = {
-        simulator: run_bare(
-            "from ssduck.cli import main; sys.argv[1:] = ['demo', '--no-picture']; main()",
-            tmp_path,
-            without=simulator,
-        ).rpartition("8 questions")[0]
-        for simulator in ("pybullet", "mujoco")
-    }
-    assert answers["pybullet"] == answers["mujoco"]
-    assert answers["mujoco"].count("answer") == 8
-
-
 MISSING = [
     ("ss.sql('SELECT 1').df()", "pandas"),
     ("ss.sql('SELECT 1').pl()", "polars"),
