@@ -47,6 +47,7 @@ from ssduck.errors import (
 )
 from ssduck.formatting import short_repr
 from ssduck.limits import Limits
+from ssduck.recording.background_writer import is_background_thread
 from ssduck.recording.opened_record import OpenedRecord
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.stores.history_sql import exact_path, quoted
@@ -454,7 +455,7 @@ def _finish(
     if os.getpid() != process:
         _LEFT_TO_PARENT.append(connections)
         return
-    if any(recorder.is_writer_thread for recorder in recorders):  # by garbage collection there
+    if recorders and is_background_thread():  # by garbage collection there
         threading.Thread(target=_finish, args=(connections, recorders, process)).start()
         return
     failed = None

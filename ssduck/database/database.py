@@ -30,7 +30,7 @@ from ssduck.database.raw_sql import BatchTable, RawSql
 from ssduck.database.schemas import Schemas, TickRanges
 from ssduck.database.statement_names import ReadData
 from ssduck.database.values import Converter
-from ssduck.database.worlds import PinnedWorlds, Recorders, WorldRegistry, check_is_live
+from ssduck.database.worlds import Recorders, WorldRegistry, check_is_live, pinned_worlds
 from ssduck.errors import ArgumentError, EvaluationError
 from ssduck.language.builtins import Function
 from ssduck.limits import Limits
@@ -128,7 +128,7 @@ class Database:
         worlds: Collection[World] | None = None,
         *,
         is_settled: bool = True,
-    ) -> PinnedWorlds:
+    ) -> AbstractContextManager[None]:
         """Pins all worlds at their tick while statements run.
 
         Args:
@@ -139,7 +139,7 @@ class Database:
         """
         serials = None if worlds is None else [world.serial for world in worlds]
         reads = ReadData(tables, serials)
-        return PinnedWorlds(self._lock, self._worlds, reads, is_settled=is_settled)
+        return pinned_worlds(self._lock, self._worlds, reads, is_settled=is_settled)
 
     def settle(self) -> None:
         """Writes the rows of pinned worlds that were deferred, for DuckDB to read."""

@@ -30,7 +30,7 @@ from ssduck.database.statement_names import (
     words_of,
 )
 from ssduck.database.user_statements import UserStatement, UserStatements
-from ssduck.database.worlds import PinnedWorlds, WorldRegistry
+from ssduck.database.worlds import WorldRegistry, pinned_worlds
 from ssduck.errors import LimitError, SqlError, UnsupportedError
 from ssduck.recording.stores.history_sql import quoted
 from ssduck.recording.stores.model_tables import RUN_SCHEMA
@@ -182,7 +182,7 @@ class RawSql:
                 return self._batch_rows(sql, query, parameters)
         statement = None if parameters else self._ready(sql)
         if statement is not None and statement.reads is not None:
-            with PinnedWorlds(self._lock, self._worlds, statement.reads, is_settled=False):
+            with pinned_worlds(self._lock, self._worlds, statement.reads, is_settled=False):
                 self._worlds.write_rows()
                 assert self._world_names is not None
                 return self.statements.rows(statement, None, self._world_names)
@@ -195,7 +195,7 @@ class RawSql:
         if known is not None:
             tables -= known.unread
         reads = ReadData(tables, self._read_worlds(words))
-        with PinnedWorlds(self._lock, self._worlds, reads):
+        with pinned_worlds(self._lock, self._worlds, reads):
             if self._names_all(sql, words):
                 self._describe(words, is_all=False)
                 try:
@@ -222,7 +222,7 @@ class RawSql:
         try:
             for name, table in tables.items():
                 self._connection.register(name, table)
-            with PinnedWorlds(self._lock, self._worlds, reads):
+            with pinned_worlds(self._lock, self._worlds, reads):
                 return self._connection.table(query.text, parameters)
         finally:
             for name in tables:

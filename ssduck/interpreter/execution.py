@@ -6,7 +6,7 @@ If a program fails, its variables are restored, and the error has the place.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
@@ -17,7 +17,6 @@ import numpy as np
 
 from ssduck import validation
 from ssduck.database.database import Database
-from ssduck.database.worlds import PinnedWorlds
 from ssduck.errors import (
     ArgumentError,
     EvaluationError,
@@ -462,7 +461,7 @@ class Execution(Namespace):
         """The use of the running program's limits."""
         return self.database.connection.meter
 
-    def worlds_pinned(self, *nodes: Node, is_settled: bool = True) -> PinnedWorlds:
+    def worlds_pinned(self, *nodes: Node, is_settled: bool = True) -> AbstractContextManager[None]:
         """Pins all worlds at their tick, and reads the tables of relations."""
         tables: frozenset[str] = frozenset().union(*map(self.tables_read, nodes))
         # Which worlds are read matters for their tables, and for stale ticks of users' clients.

@@ -1,17 +1,16 @@
 """Writes batches of rows to a store in a background thread while the simulation goes on.
 
-A world that ticks stores its rows in time by itself. A thread of the process sees to the others: it
-sleeps until the buffered rows of a recorder are due, and takes them if nothing uses the recorder.
+A world that ticks stores its rows in time by itself. A timer sees to the others: when the buffered
+rows of a recorder are due, it takes them if nothing uses the recorder.
 """
 
 from __future__ import annotations
 
-import os
 import threading
 import weakref
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, nullcontext
-from time import monotonic
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from time import monotonic, sleep
 from typing import Protocol, TypeAlias
 
 import pyarrow as pa
@@ -24,6 +23,13 @@ CommitLock: TypeAlias = AbstractContextManager[None]
 NO_LOCK: CommitLock = nullcontext()
 # Stores a batch, the rows of each table.
 StoreBatch: TypeAlias = Callable[[Mapping[str, pa.Table], CommitLock], None]
+# The names of the threads that store rows, and of the timers.
+_NAMES = ("ssduck stores", "ssduck flushes")
+
+
+def is_background_thread() -> bool:
+    """Checks whether the calling thread is one that stores rows in the background."""
+    return threading.current_thread().name in _NAMES
 
 
 class BufferedRows:
@@ -67,11 +73,6 @@ class BackgroundWriter:
         return self._count
 
     @property
-    def is_writer_thread(self) -> bool:
-        """Whether the calling thread is the background thread."""
-        return self._thread is threading.current_thread()
-
-    @property
     def is_busy(self) -> bool:
         """Whether the background thread is running."""
         return self._thread is not None
@@ -86,7 +87,7 @@ class BackgroundWriter:
 
     def start(self) -> None:
         """Stores all batches in the background; see `wait` and `pop_failure` for the outcome."""
-        self._thread = threading.Thread(target=self._run, name="ssduck stores")
+        self._thread = threading.Thread(target=self._run, name=_NAMES[0])
         try:
             self._thread.start()
         except RuntimeError:  # the interpreter is shutting down and starts no threads
@@ -137,8 +138,6 @@ class BackgroundWriter:
 
 # The time after which rows are taken that could not be taken when they were due, s.
 RETRY_INTERVAL = 0.02
-# The time after which the thread ends if nothing is buffered, s.
-_IDLE_SECONDS = 5.0
 
 
 class Flushable(Protocol):
@@ -152,72 +151,20 @@ class Flushable(Protocol):
         """Starts storing rows that are due; returns False if that is not possible now."""
 
 
-class _FlushTimer:
-    """The thread that stores rows of worlds that stand still, and the recorders of these."""
-
-    def __init__(self) -> None:
-        self._wakes = threading.Condition()
-        self._recorders: weakref.WeakSet[Flushable] = weakref.WeakSet()
-        self.thread: threading.Thread | None = None
-
-    def watch(self, recorder: Flushable) -> None:
-        """Stores the buffered rows of a recorder when they are due."""
-        with self._wakes:
-            self._recorders.add(recorder)
-            if self.thread is None:
-                self.thread = threading.Thread(target=self._run, name="ssduck flushes", daemon=True)
-                try:
-                    self.thread.start()
-                except RuntimeError:  # the interpreter is shutting down, and stores all rows
-                    self.thread = None
-            else:
-                self._wakes.notify()
-
-    def _run(self) -> None:
-        while (seconds := self._wait_time()) is not None:
-            with self._wakes:
-                self._wakes.wait(seconds)
-            if not threading.main_thread().is_alive():
-                return
-            self._flush()
-
-    def _flush(self) -> None:
-        """Starts storing the rows that are due; keeps no recorder alive afterwards."""
-        with self._wakes:
-            recorders = list(self._recorders)
-        for recorder in recorders:
-            recorder.try_to_flush()
-
-    def _wait_time(self) -> float | None:
-        """Returns the time until rows are due, s; None if the thread is to end."""
-        with self._wakes:
-            due = [r.flush_at for r in self._recorders if r.flush_at is not None]
-            if due:
-                return max(min(due) - monotonic(), RETRY_INTERVAL)
-            if not self._recorders:
-                self.thread = None
-                return None
-            return _IDLE_SECONDS
-
-
-_timer = _FlushTimer()
-
-
 def start_watching(recorder: Flushable) -> None:
-    """Stores the buffered rows of a recorder from now on whenever they are due."""
-    _timer.watch(recorder)
+    """Stores the buffered rows of a recorder when they are due, if its world stands still then."""
+    seconds = max((recorder.flush_at or 0.0) - monotonic(), RETRY_INTERVAL)
+    timer = threading.Timer(seconds, _flush, (weakref.ref(recorder),))
+    timer.name, timer.daemon = _NAMES[1], True
+    with suppress(RuntimeError):  # the interpreter is shutting down, and stores all rows
+        timer.start()
 
 
-def is_timer_thread() -> bool:
-    """Checks whether the calling thread is the one that stores rows when they are due."""
-    return _timer.thread is threading.current_thread()
-
-
-def _renew_in_child() -> None:
-    """Gives a forked process, which lacks the thread, a timer of its own."""
-    global _timer  # noqa: PLW0603
-    _timer = _FlushTimer()
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_renew_in_child)
+def _flush(reference: weakref.ref[Flushable]) -> None:
+    """Starts storing the rows that are due, unless a tick has done so meanwhile."""
+    while (recorder := reference()) is not None and threading.main_thread().is_alive():
+        due = recorder.flush_at
+        if due is None or due > monotonic() or recorder.try_to_flush():
+            return
+        del recorder  # it is not kept alive
+        sleep(RETRY_INTERVAL)

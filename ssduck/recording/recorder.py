@@ -134,11 +134,6 @@ class Recorder:
         """A lock under which no buffered row becomes a stored one; its holder holds the world."""
         return self._writer.lock
 
-    @property
-    def is_writer_thread(self) -> bool:
-        """Whether the calling thread is one that stores rows in the background."""
-        return self._writer.is_writer_thread or background_writer.is_timer_thread()
-
     def record(self, snapshot: Snapshot) -> None:
         """Records a tick if it is due; the caller holds its world."""
         self._tick_count += 1
