@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import threading
 import weakref
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from itertools import chain, count
 from pathlib import Path
 
@@ -423,21 +423,28 @@ def pinned_worlds(
         reads: the tables to read, from the simulators if need be, and of which worlds.
         is_settled: whether all columns are written, as DuckDB needs them.
     """
-    with lock, ExitStack() as stack:
+    ends: list[Callable[[], object]] = []
+    with lock:
         present = [
             (world, bound) for bound in registry.bound if (world := bound.reference()) is not None
         ]
-        # In the same order in all databases, so that there is no deadlock.
-        for world, _ in sorted(present, key=lambda item: item[0].serial):
-            is_read = reads.worlds is None or world.serial in reads.worlds
-            tables = reads.tables if is_read else ()
-            world.ticker.pin(tables, is_read=is_read, is_settled=is_settled)
-            stack.callback(world.ticker.unpin)
-        for _, bound in present:
-            history = bound.history
-            if history is not None and history.recorder is not None:
-                if is_settled:
-                    bound.settle_history()
-                stack.enter_context(history.recorder.read_lock)
-            registry.register(bound)
-        yield
+        if len(present) > 1:  # in the same order in all databases, so that there is no deadlock
+            present.sort(key=lambda item: item[0].serial)
+        try:
+            for world, _ in present:
+                is_read = reads.worlds is None or world.serial in reads.worlds
+                tables = reads.tables if is_read else ()
+                world.ticker.pin(tables, is_read=is_read, is_settled=is_settled)
+                ends.append(world.ticker.unpin)
+            for _, bound in present:
+                history = bound.history
+                if history is not None and history.recorder is not None:
+                    if is_settled:
+                        bound.settle_history()
+                    history.recorder.read_lock.acquire()
+                    ends.append(history.recorder.read_lock.release)
+                registry.register(bound)
+            yield
+        finally:
+            while ends:
+                ends.pop()()
