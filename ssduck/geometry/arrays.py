@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +11,8 @@ Array: TypeAlias = npt.NDArray[np.float64]
 Indices: TypeAlias = npt.NDArray[np.intp]
 Triangles: TypeAlias = npt.NDArray[np.int32]
 Flags: TypeAlias = npt.NDArray[np.bool_]
+
+T = TypeVar("T")
 
 # If the squares of numbers add up to less, sums of their products are finite.
 _MODERATE = 1e100
@@ -48,3 +50,23 @@ def padded_columns(rows: Array, count: int) -> Array:
     [[1.0, 3.0, 3.0], [2.0, 4.0, 4.0]]
     """
     return np.ascontiguousarray(rows[np.minimum(np.arange(count), len(rows) - 1)].T)
+
+
+def selected(record: T, places: Indices) -> T:
+    """Returns a dataclass of arrays (…, n) with some of their n columns; the rest stays."""
+    parts = (
+        part.take(places, axis=-1) if isinstance(part, np.ndarray) else part
+        for part in vars(record).values()
+    )
+    return type(record)(*parts)
+
+
+def ranges(starts: Indices, counts: Indices) -> tuple[Indices, Indices]:
+    """Returns the row and the value of each element of ranges `starts + [0, counts)`.
+
+    >>> [part.tolist() for part in ranges(np.array([5, 8]), np.array([2, 1]))]
+    [[0, 0, 1], [5, 6, 8]]
+    """
+    rows = np.repeat(np.arange(len(starts)), counts)
+    values = np.arange(len(rows)) + np.repeat(starts - np.cumsum(counts) + counts, counts)
+    return rows, values

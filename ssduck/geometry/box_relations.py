@@ -1,27 +1,23 @@
 """Finds all pairs of entities of a tick of which one's position lies in or over the other's box.
 
-Positions are sorted into strips along x, and by y in each strip. A strip is about as wide as a box,
-so a box spans two or three. In each of them, a binary search gives the positions whose y is within
-the box. A large box spans many strips, but all boxes together span few more than there are boxes.
+Positions are sorted into strips along x with as many of them each, and by y in each strip. A box
+spans two or three strips. In each, a binary search gives the positions whose y is within the box.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from typing import TypeAlias
 
 import numpy as np
 
-from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.arrays import Array, Flags, Indices, ranges
+from ssduck.geometry.broad_phase import Pairs, portions
 from ssduck.geometry.id_pairs import IdPairs, Ids
 
-# The places of the first and of the second entity of each pair.
-Pairs: TypeAlias = tuple[Indices, Indices]
 # Takes the boxes, (6, n), the positions, (3, n), and pairs.
 PairCondition: TypeAlias = Callable[[Array, Array, Indices, Indices], Flags]
-
-# The number of candidates that are compared at a time.
-_CANDIDATES_AT_ONCE = 500_000
 
 
 class BoxQueries:
@@ -92,9 +88,7 @@ def _is_inside(boxes: Array, positions: Array, first: Indices, second: Indices) 
     return result
 
 
-def positions_over_boxes(
-    low: Array, high: Array, positions: Array
-) -> Iterator[tuple[Indices, Indices]]:
+def positions_over_boxes(low: Array, high: Array, positions: Array) -> Iterator[Pairs]:
     """Yields the boxes and positions whose x and y are within the boxes, edges included, in parts.
 
     >>> low, high = np.array([[0.0], [0.0]]), np.array([[2.0], [1.0]])
@@ -107,62 +101,23 @@ def positions_over_boxes(
     points = np.flatnonzero(~np.isnan(positions).any(axis=0))
     if not len(boxes) or not len(points):
         return
-    strip_of = _strips(low[0, boxes], high[0, boxes], positions[0, points])
+    x, y = np.sort(positions[:, points])
+    begins, ends = np.searchsorted(x, low[0, boxes]), np.searchsorted(x, high[0, boxes], "right")
+    size = int(max((ends - begins).mean(), math.sqrt(len(points))))
     # By strip, then by y; in place of y its rank, so that both fit into one key.
-    by_y = np.argsort(positions[1, points], kind="stable")
-    heights, points = positions[1, points[by_y]], points[by_y]
-    keys = strip_of(positions[0, points]) * (len(points) + 1) + np.arange(len(points))
+    points = points[np.argsort(positions[1, points], kind="stable")]
+    keys = np.searchsorted(x, positions[0, points]) // size * (len(points) + 1)
+    keys += np.arange(len(points))
     order = np.argsort(keys)
     keys, points = keys[order], points[order]
-    first_strips, last_strips = strip_of(low[0, boxes]), strip_of(high[0, boxes])
-    counts = last_strips - first_strips + 1
-    searched, strips = _runs(first_strips, counts)
-    boxes = boxes[searched]
+    rows, strips = ranges(begins // size, np.maximum(-(-ends // size) - begins // size, 0))
     key = strips * (len(points) + 1)
-    starts = np.searchsorted(keys, key + np.searchsorted(heights, low[1], "left")[boxes])
-    ends = np.searchsorted(keys, key + np.searchsorted(heights, high[1], "right")[boxes])
-    lengths = ends - starts
-    for part in _portions(lengths):
-        rows, places = _runs(starts[part], lengths[part])
+    starts = np.searchsorted(keys, key + np.searchsorted(y, low[1, boxes])[rows])
+    ends = np.searchsorted(keys, key + np.searchsorted(y, high[1, boxes], "right")[rows])
+    boxes = boxes[rows]
+    for part in portions(ends - starts):
+        rows, places = ranges(starts[part], (ends - starts)[part])
         box, point = boxes[part][rows], points[places]
-        x = positions[0, point]
-        within = (x >= low[0, box]) & (x <= high[0, box])
+        at = positions[0, point]
+        within = (at >= low[0, box]) & (at <= high[0, box])
         yield box[within], point[within]
-
-
-def _strips(low: Array, high: Array, x: Array) -> Callable[[Array], Indices]:
-    """Returns the function from coordinates to the numbers of strips, which never decreases."""
-    finite = x[np.isfinite(x)]
-    start, end = (finite.min(), finite.max()) if len(finite) else (0.0, 0.0)
-    count = 4 * (len(low) + len(x))
-    with np.errstate(over="ignore"):
-        width = float(np.mean(np.clip(high, start, end) - np.clip(low, start, end)))
-        width = max(width, (end - start) / count)
-    if not (0.0 < width < np.inf):
-        return lambda coordinates: np.zeros(len(coordinates), np.int64)
-
-    def strip_of(coordinates: Array) -> Indices:
-        with np.errstate(over="ignore"):
-            numbers = np.floor((np.clip(coordinates, start, end) - start) / width)
-        return np.clip(numbers, 0, count).astype(np.int64)
-
-    return strip_of
-
-
-def _runs(starts: Indices, counts: Indices) -> tuple[Indices, Indices]:
-    """Returns the row and the value of each element of ranges `starts + [0, counts)`."""
-    rows = np.repeat(np.arange(len(starts)), counts)
-    ends = np.cumsum(counts)
-    values = np.arange(len(rows)) + np.repeat(starts - ends + counts, counts)
-    return rows, values
-
-
-def _portions(lengths: Indices) -> Iterator[slice]:
-    """Yields the parts of ranges that have about `_CANDIDATES_AT_ONCE` elements each."""
-    ends = np.cumsum(lengths)
-    start = 0
-    while start < len(lengths):
-        limit = (ends[start - 1] if start else 0) + _CANDIDATES_AT_ONCE
-        end = max(start + 1, int(np.searchsorted(ends, limit, "right")))
-        yield slice(start, end)
-        start = end

@@ -1,40 +1,28 @@
 """The broad phase: finds all pairs of boxes of a tick that overlap.
 
-The algorithm compares some tens of boxes with each other. It sorts more boxes into a uniform grid
-for each class of sizes. Boxes of a class have about the same extent, and a cell is as large as the
-largest of them, so that boxes that overlap begin in neighbouring cells. The empty cells between
-bodies that are very far apart are left out, so that cell numbers fit into 64 bits. Unbounded boxes,
-such as that of a ground plane, are compared with all others.
+The algorithm compares some tens of boxes with each other. It sorts more boxes into cells: strips
+along each axis but the last, with as many corners each. A box spans about two strips of each axis.
+In each cell, the boxes are sorted along the last axis, so that a binary search gives those that
+begin within a box. Only the order of corners counts: no size, and no distance, is too large.
+
+       | a    |      |     a: in the first two strips, and so is b; c is in the last two
+       | [---a--]    |     the pair a b is found in the first cell in which both are
+       |   [-b--] [-c|-]
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
-from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.arrays import Array, Flags, Indices, ranges
 
 Pairs: TypeAlias = tuple[Indices, Indices]
 Corners: TypeAlias = tuple[Array, Array]
-Cells: TypeAlias = npt.NDArray[np.int64]
 
-# The ratio of the largest to the smallest extent of a class.
-_SIZE_RATIO = 4.0
-# A cell exceeds the boxes in it by this fraction, which is more than the rounding errors.
-_MARGIN = 1e-6
-# The smallest cell: near the smallest float, the margin would be rounded away.
-_MIN_CELL = 1e-300
-# Boxes with corners beyond count as unbounded: differences of corners could overflow.
-_MAX_CORNER = 1e306
-# The bound of cell numbers.
-_MAX_CELL_NUMBER = 2**62
-# Above this number of cells along an axis, empty cells are left out; its cube is below the bound.
-_MAX_DENSE_CELLS = 2.0**20
 # The largest number of boxes that are all compared with each other.
 _MAX_COMPARED = 128
 # Whether the row is before the column.
@@ -43,9 +31,6 @@ _IS_FIRST = ~np.tri(_MAX_COMPARED, dtype=bool)
 _CANDIDATES_AT_ONCE = 250_000
 # The number of pairs of boxes of two sets that are compared at a time; up to twice as many result.
 PAIRS_AT_ONCE = 20_000
-# Rows of cells along z, by their steps along x and y: the rows ahead, and the rows behind.
-_AHEAD = ((0, 1), (1, -1), (1, 0), (1, 1))
-_BEHIND = ((0, -1), (-1, 1), (-1, 0), (-1, -1))
 
 
 def overlapping_pairs(boxes: Array, max_distance: float = 0.0) -> Pairs:
@@ -62,19 +47,8 @@ def overlapping_pairs(boxes: Array, max_distance: float = 0.0) -> Pairs:
             low, high = low - pad, high + pad
     if low.shape[1] <= _MAX_COMPARED:
         return _compared_pairs(low, high)
-    is_box: Flags = np.asarray((low <= high).all(axis=0))
-    is_bounded = ((low >= -_MAX_CORNER) & (high <= _MAX_CORNER)).all(axis=0)
-    is_unbounded: Flags = np.asarray(is_box & ~is_bounded)
-    parts = [
-        _pairs_of_unbounded(low, high, box, is_box, is_unbounded)
-        for box in np.flatnonzero(is_unbounded)
-    ]
-    bounded = np.flatnonzero(is_box & ~is_unbounded)
-    if len(bounded) > 1:
-        pairs = _grid_pairs(low[:, bounded], high[:, bounded])
-        parts += [(bounded[i], bounded[j]) for i, j in pairs]
-    if not parts:
-        return np.zeros(0, np.intp), np.zeros(0, np.intp)
+    none = np.zeros(0, np.intp)
+    parts = (none, none), *_pairs_in_cells(low, high)
     first, second = map(np.concatenate, zip(*parts, strict=True))
     return np.minimum(first, second), np.maximum(first, second)
 
@@ -94,112 +68,58 @@ def _compared_pairs(low: Array, high: Array) -> Pairs:
     return first, second
 
 
-def _pairs_of_unbounded(
-    low: Array, high: Array, box: np.intp, is_box: Flags, is_unbounded: Flags
-) -> Pairs:
-    """Returns the pairs of an unbounded box with bounded or later boxes that it overlaps."""
-    overlaps = (
-        is_box & (low <= high[:, box, None]).all(axis=0) & (high >= low[:, box, None]).all(axis=0)
-    )
-    overlaps[: box + 1] &= ~is_unbounded[: box + 1]
-    others = np.flatnonzero(overlaps)
-    return np.full(len(others), box), others
+def _pairs_in_cells(low: Array, high: Array) -> Iterator[Pairs]:
+    """Yields the pairs of boxes that overlap or touch, each once, in parts."""
+    is_box = np.flatnonzero((low <= high).all(axis=0))
+    low, high = low[:, is_box], high[:, is_box]
+    count = len(is_box)
+    boxes, firsts = np.arange(count), []
+    places: list[Indices] = []
+    for begin, end in zip(low[:-1], high[:-1], strict=True):
+        first, last = _strips(begin, end)
+        rows, strips = ranges(first[boxes], (last - first + 1)[boxes])
+        boxes, places = boxes[rows], [*(place[rows] for place in places), strips]
+        firsts.append(first)
+    order = np.argsort(low[-1], kind="stable")
+    ranks = np.argsort(order)
+    cells = sum(place * (count + 1) ** axis for axis, place in enumerate(places, 1))
+    by_cell = np.argsort(cells + ranks[boxes])
+    boxes, cells = boxes[by_cell], cells[by_cell]
+    ends = np.searchsorted(low[-1][order], high[-1], "right")[boxes]
+    ends = np.searchsorted(cells + ranks[boxes], cells + ends)
+    starts = np.arange(1, len(boxes) + 1)
+    for part in portions(ends - starts):
+        rows, others = ranges(starts[part], (ends - starts)[part])
+        i, j = boxes[part][rows], boxes[others]
+        is_new = np.ones(len(i), dtype=bool)
+        for first, place in zip(firsts, places, strict=True):
+            is_new &= place[by_cell[part]][rows] == np.maximum(first[i], first[j])
+        i, j = i[is_new], j[is_new]
+        for begin, end in zip(low[:-1], high[:-1], strict=True):
+            hits = np.flatnonzero((begin.take(i) <= end.take(j)) & (begin.take(j) <= end.take(i)))
+            i, j = i.take(hits), j.take(hits)
+        yield is_box[i], is_box[j]
 
 
-def _grid_pairs(low: Array, high: Array) -> Iterator[Pairs]:
-    """Returns the pairs of bounded boxes that overlap, one class of sizes after another."""
-    extents = np.maximum((high - low).max(axis=0), _MIN_CELL)
-    orders = (np.log(extents) - np.log(extents.max())) / np.log(_SIZE_RATIO)
-    classes = np.ceil(orders - 1e-9)
-    for size in np.unique(classes):
-        yield from _grid_pairs_of_class(low, high, classes, extents, size)
+def _strips(begin: Array, end: Array) -> Pairs:
+    """Returns the first and the last strip of each box along an axis."""
+    sorted_begins = np.sort(begin)
+    first = np.searchsorted(sorted_begins, begin, "right")
+    last = np.searchsorted(sorted_begins, end, "right")
+    # A box without end is in all cells, which are not more than the boxes.
+    size = max((last - first).mean(), math.sqrt(len(begin))) if len(begin) else 1
+    return first // int(size), last // int(size)
 
 
-def _grid_pairs_of_class(
-    low: Array, high: Array, classes: Array, extents: Array, size: float
-) -> Iterator[Pairs]:
-    """Returns the pairs of a box of a class with a box of the same or of a smaller class."""
-    members = np.flatnonzero(classes <= size)
-    numbers, widths = _cell_numbers(low[:, members], extents[members].max() * (1.0 + _MARGIN))
-    order = np.argsort(numbers, kind="stable")
-    members, numbers = members[order], numbers[order]
-    low, high = low[:, members], high[:, members]
-    in_class = classes[members] == size
-    larger, smaller = np.flatnonzero(in_class), np.flatnonzero(~in_class)
-    for targets in (larger, smaller) if len(smaller) else (larger,):
-        target_numbers = numbers[targets]
-        is_same_class = targets is larger
-        steps = ((0, 0), *_AHEAD, *(() if is_same_class else _BEHIND))
-        row_offsets = np.array(
-            [(across * widths[1] + along) * widths[2] for across, along in steps]
-        )
-        rows = numbers[larger] + row_offsets[:, None]
-        starts, ends = (
-            np.searchsorted(target_numbers, rows - 1),
-            np.searchsorted(target_numbers, rows + 1, "right"),
-        )
-        if is_same_class:  # of two boxes in one row, the later one is ahead
-            starts[0] = np.arange(1, len(larger) + 1)
-        repeated = np.tile(larger, len(steps))
-        for boxes, places in _run_pairs(repeated, starts.ravel(), (ends - starts).ravel()):
-            i, j = _overlapping(low, high, boxes, targets[places])
-            yield members[i], members[j]
-
-
-def _cell_numbers(low: Array, cell: float) -> tuple[Cells, list[int]]:
-    """Returns the cell number of each box, and the grid's width in cells along each axis."""
-    # Integers: as floats, the numbers of neighbours could be equal.
-    x, y, z = cells = [_cells_along(axis, cell) for axis in low]
-    # A cell around the grid keeps rows from running into each other.
-    widths = [int(axis.max()) + 3 for axis in cells]
-    if math.prod(widths) > _MAX_CELL_NUMBER:
-        return _cell_numbers(
-            low, 8.0 * cell
-        )  # boxes that overlap are neighbours in a coarser grid too
-    return ((x + 1) * widths[1] + y + 1) * widths[2] + z + 1, widths
-
-
-def _cells_along(low: Array, cell: float) -> Cells:
-    """Returns the cells of boxes along an axis; those of overlapping boxes differ by 1 at most."""
-    # Counted from a box that begins nearby, not from the origin: a count of n cells is then off
-    # by less than n * 2 ** -51, which is within a cell's margin for n up to 2 ** 31.
-    offsets = low - low.min()
-    if offsets.max() / _MAX_DENSE_CELLS <= cell:
-        cells: Cells = np.floor(offsets / cell).astype(np.int64)
-        return cells
-    # A gap of more than a cell separates the boxes before it from those after it: they form
-    # groups that are counted from their own first boxes, with an empty cell between them.
-    order = np.argsort(low)
-    ascending = low[order]
-    group_starts = np.append(0, np.flatnonzero(np.diff(ascending) > cell) + 1)
-    sizes = np.diff(group_starts, append=len(low))
-    cells_in_group = np.floor(
-        (ascending - np.repeat(ascending[group_starts], sizes)) / cell
-    ).astype(np.int64)
-    widths = cells_in_group[group_starts + sizes - 1] + 2
-    cells = np.zeros(len(low), np.int64)
-    cells[order] = cells_in_group + np.repeat(np.cumsum(widths) - widths, sizes)
-    return cells
-
-
-def _run_pairs(larger: Indices, starts: Indices, counts: Indices) -> Iterator[Pairs]:
-    """Returns pairs of each box with each place of its run, in parts that fit into memory."""
-    totals = np.cumsum(counts)
-    parts = np.searchsorted(totals, np.arange(0, totals[-1], _CANDIDATES_AT_ONCE), "right")
-    for begin, end in pairwise((*parts, len(totals))):
-        lengths = counts[begin:end]
-        shifts = starts[begin:end] - np.cumsum(lengths) + lengths
-        i = np.repeat(larger[begin:end], lengths)
-        yield i, np.arange(len(i)) + np.repeat(shifts, lengths)
-
-
-def _overlapping(low: Array, high: Array, i: Indices, j: Indices) -> Pairs:
-    """Returns the candidate pairs that overlap."""
-    for begin, end in zip(low, high, strict=True):
-        overlaps = (begin.take(i) <= end.take(j)) & (begin.take(j) <= end.take(i))
-        hits = np.flatnonzero(overlaps)
-        i, j = i.take(hits), j.take(hits)
-    return i, j
+def portions(lengths: Indices) -> Iterator[slice]:
+    """Yields the parts of ranges that have about `_CANDIDATES_AT_ONCE` elements each."""
+    ends = np.cumsum(lengths)
+    start = 0
+    while start < len(lengths):
+        limit = (ends[start - 1] if start else 0) + _CANDIDATES_AT_ONCE
+        end = max(start + 1, int(np.searchsorted(ends, limit, "right")))
+        yield slice(start, end)
+        start = end
 
 
 # -- boxes of two sets ---------------------------------------------------------------------------

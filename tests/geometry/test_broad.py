@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from ssduck.geometry import box_relations
 from ssduck.geometry import broad_phase as broad
 from ssduck.geometry.box_relations import BoxQueries
 from ssduck.geometry.broad_phase import overlapping_pairs
@@ -200,13 +199,6 @@ def test_many_candidates_are_compared_in_parts(monkeypatch):
     assert found(boxes) == brute(boxes)
 
 
-def test_with_too_many_cells_a_coarser_grid_finds_the_same(monkeypatch):
-    boxes = with_far(scene(200, 11), 2e3, 1e9)
-    monkeypatch.setattr(broad, "_MAX_CELL_NUMBER", 1000)
-    assert broad._cell_numbers(boxes[:3], 0.4)[0].max() < 1000
-    assert found(boxes) == brute(boxes)
-
-
 INF, HUGE = np.inf, 1e308
 
 
@@ -250,7 +242,7 @@ def boxes_and_positions(seed):
 @pytest.mark.slow
 @pytest.mark.parametrize("at_once", [3, 500_000])
 def test_the_pairs_are_those_of_all_comparisons(monkeypatch, at_once):
-    monkeypatch.setattr(box_relations, "_CANDIDATES_AT_ONCE", at_once)
+    monkeypatch.setattr(broad, "_CANDIDATES_AT_ONCE", at_once)
     found = 0
     for seed in range(30):
         boxes, positions = boxes_and_positions(seed)

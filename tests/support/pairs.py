@@ -19,7 +19,7 @@ from ssduck.geometry.mesh_distance import mesh_distance, mesh_penetration
 from ssduck.geometry.placed_solid import PlacedSolid
 from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD, decide_upward
 from ssduck.geometry.proofs.cores import ConvexCores, PlacedCores
-from ssduck.geometry.proofs.gjk import classify_gaps
+from ssduck.geometry.proofs.gjk import decide_gaps
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import SolidsOfShapes, solid_of
@@ -159,7 +159,7 @@ def gap(a, b, calls=None):
 
 
 def bodies(shapes):
-    """Places shapes for `classify_gaps`."""
+    """Places shapes for `decide_gaps`."""
     solids = [solid_of(one.geometry) for one in shapes]
     placed = [one.placed() for one in shapes]
     turns = np.array([one.matrix_rows for one in placed]).reshape(-1, 9).T
@@ -178,7 +178,7 @@ def verdicts(shape_pairs, bound):
     cores = bodies([shape for pair in shape_pairs for shape in pair])
     first = np.arange(0, 2 * len(shape_pairs), 2)
     return tuple(
-        classify_gaps(cores, one, other, bound)
+        decide_gaps(cores, one, other, np.full(len(one), bound)).verdicts
         for one, other in ((first, first + 1), (first + 1, first))
     )
 

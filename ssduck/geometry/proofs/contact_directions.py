@@ -25,7 +25,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from ssduck.geometry.arrays import Array, Flags, Indices, column_lengths, unit_columns
+from ssduck.geometry.arrays import Array, Flags, Indices, column_lengths, selected, unit_columns
 from ssduck.geometry.proofs.cores import PlacedCores
 from ssduck.geometry.proofs.gjk import tolerances
 from ssduck.geometry.proofs.verdicts import UNDECIDED, Decisions
@@ -98,81 +98,21 @@ def classes_of(heights: Array, stretch: Array, min_height: float) -> Indices:
 
 @dataclass(frozen=True, eq=False)
 class Triangles:
-    """Triangles of directions of several pairs.
+    """Triangles of directions of several pairs."""
 
-    Attributes:
-        owners: (n,), the pair of each.
-        classes: (n,), which directions may be in it.
-        numbers: (32, n), all other properties.
-    """
-
-    owners: Indices
-    classes: Indices
-    numbers: Array
-
-    @classmethod
-    def of(
-        cls,
-        owners: Indices,
-        classes: Indices,
-        corners: Array,
-        points: Array,
-        products: Array,
-        stretch: Array,
-    ) -> Triangles:
-        """Returns triangles, and bounds of the overlaps in them."""
-        bounds, facets = bounds_of(products, stretch)
-        vectors = np.concatenate((corners, points, products)).reshape(27, -1)
-        numbers = np.concatenate((vectors, facets, bounds[None], stretch[None]))
-        return cls(owners, classes, numbers)
-
-    @property
-    def corners(self) -> Array:
-        """The directions at the corners, (3, 3, n): (corner, axis, triangle)."""
-        return self.numbers[:9].reshape(3, 3, -1)
-
-    @property
-    def points(self) -> Array:
-        """The support points of the pair's difference in these directions, (3, 3, n)."""
-        return self.numbers[9:18].reshape(3, 3, -1)
-
-    @property
-    def products(self) -> Array:
-        """The products of points and directions, (3, 3, n): (point, corner, triangle)."""
-        return self.numbers[18:27].reshape(3, 3, -1)
-
-    @property
-    def facets(self) -> Array:
-        """The weights of the corners for the direction of the facet, (3, n); see `bounds_of`."""
-        return self.numbers[27:30]
-
-    @property
-    def bounds(self) -> Array:
-        """Lower bounds of the overlaps in the triangles, (n,), metres."""
-        bounds: Array = self.numbers[30]
-        return bounds
-
-    @property
-    def stretch(self) -> Array:
-        """The greatest sum of weights of corners whose combination has length 1, (n,)."""
-        stretch: Array = self.numbers[31]
-        return stretch
-
-    def select(self, places: Indices) -> Triangles:
-        """Returns the selected triangles."""
-        return Triangles(
-            self.owners[places],
-            self.classes[places],
-            self.numbers.take(places, axis=1),
-        )
+    owners: Indices  # (n,), the pair of each
+    classes: Indices  # (n,), which directions may be in it
+    corners: Array  # (3, 3, n), the directions at the corners: (corner, axis, triangle)
+    points: Array  # (3, 3, n), the support points of the pair's difference in these directions
+    products: Array  # (3, 3, n), of points and directions: (point, corner, triangle)
+    stretch: Array  # (n,), the greatest sum of weights of corners whose combination has length 1
+    bounds: Array  # (n,), lower bounds of the overlaps in the triangles, metres
+    facets: Array  # (3, n), the weights of the corners for the direction of the facet
 
     def joined(self, other: Triangles) -> Triangles:
         """Returns the triangles of both."""
-        return Triangles(
-            np.concatenate((self.owners, other.owners)),
-            np.concatenate((self.classes, other.classes)),
-            np.concatenate((self.numbers, other.numbers), axis=1),
-        )
+        parts = zip(vars(self).values(), vars(other).values(), strict=True)
+        return Triangles(*(np.concatenate(part, axis=-1) for part in parts))
 
 
 def bounds_of(products: Array, stretch: Array) -> tuple[Array, Array]:
@@ -257,18 +197,6 @@ class _Differences:
         room = contact_room(cores, first, second)
         return cls(cores, first, second, offsets, room, least, best)
 
-    def select(self, places: Indices) -> _Differences:
-        """Returns the selected pairs."""
-        return _Differences(
-            self.cores,
-            self.first[places],
-            self.second[places],
-            self.offsets.take(places, axis=1),
-            self.room[places],
-            self.least[places],
-            self.best.take(places, axis=1),
-        )
-
     def __len__(self) -> int:
         return len(self.first)
 
@@ -334,7 +262,7 @@ def _decide_pairs(pairs: _Differences, decisions: Decisions, mesh: Mesh, min_hei
     decisions.decide(is_above, NOT_UPWARD, above[is_above] / 2.0)
     left = np.flatnonzero(~is_above)
     if len(left):
-        found = _classified(pairs.select(left), points.take(left, axis=2), mesh, min_height)
+        found = _classified(selected(pairs, left), points.take(left, axis=2), mesh, min_height)
         decisions.decide(left, found.verdicts, found.room)
 
 
@@ -355,7 +283,7 @@ def _classified(pairs: _Differences, points: Array, mesh: Mesh, min_height: floa
         is_left = triangles.bounds <= pairs.limits[triangles.owners]
         is_open = _decide(decisions, pairs, triangles, is_left, least)
         if division == 0 and is_open.any():
-            _refine(pairs, triangles.select(np.flatnonzero(is_open[triangles.owners])))
+            _refine(pairs, selected(triangles, np.flatnonzero(is_open[triangles.owners])))
             is_left &= triangles.bounds <= pairs.limits[triangles.owners]
             is_open = _decide(decisions, pairs, triangles, is_left, least)
         if division == _MAX_DIVISIONS or not is_open.any():
@@ -364,8 +292,8 @@ def _classified(pairs: _Differences, points: Array, mesh: Mesh, min_height: floa
         # Those that contradict the best direction are divided.
         contradicted = np.where(pairs.best[2] >= min_height, OTHER_ONLY, UPWARD_ONLY)
         is_divided = is_left & (triangles.classes & contradicted[triangles.owners] > 0)
-        divided = _divided(triangles.select(np.flatnonzero(is_divided)), pairs, min_height)
-        triangles = triangles.select(np.flatnonzero(is_left & ~is_divided)).joined(divided)
+        divided = _divided(selected(triangles, np.flatnonzero(is_divided)), pairs, min_height)
+        triangles = selected(triangles, np.flatnonzero(is_left & ~is_divided)).joined(divided)
     return decisions
 
 
@@ -406,16 +334,15 @@ def _mesh_triangles(pairs: _Differences, points: Array, mesh: Mesh, least: Array
     faces, owners = np.divmod(left, size)
     at_corners = directions[:, corners[:, faces]].swapaxes(0, 1)
     points = points[:, corners[:, faces], owners].swapaxes(0, 1)
-    return Triangles.of(
-        owners, mesh.classes[faces], at_corners, points, products[..., left], stretch[left]
-    )
+    parts = mesh.classes[faces], at_corners, points, products[..., left], stretch[left]
+    return Triangles(owners, *parts, *bounds_of(*parts[-2:]))
 
 
 def _refine(pairs: _Differences, triangles: Triangles) -> None:
     """Finds lesser overlaps of pairs, in the facet of the least bound of each."""
     lowest = np.lexsort((triangles.bounds, triangles.owners))
     lowest = lowest[np.diff(triangles.owners[lowest], prepend=-1) > 0]
-    best = triangles.select(lowest)
+    best = selected(triangles, lowest)
     pairs.points(best.owners, facet_directions(best.corners, best.facets))
 
 
@@ -446,6 +373,6 @@ def _divided(triangles: Triangles, pairs: _Differences, min_height: float) -> Tr
     stretch = stretch_of(corners)
     classes = classes_of(corners[:, 2], stretch, min_height)
     owners = np.tile(triangles.owners, 4)
-    divided = Triangles.of(owners, classes, corners, points, products, stretch)
-    np.maximum(divided.bounds, np.tile(triangles.bounds, 4), out=divided.bounds)
-    return divided
+    bounds, facets = bounds_of(products, stretch)
+    bounds = np.maximum(bounds, np.tile(triangles.bounds, 4))
+    return Triangles(owners, classes, corners, points, products, stretch, bounds, facets)

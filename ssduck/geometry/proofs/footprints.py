@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.arrays import Array, Flags, Indices, ranges
 from ssduck.geometry.poses import rotate
 from ssduck.geometry.proofs.verdicts import UNDECIDED, Verdicts
 from ssduck.geometry.tick_shapes import TickShapes
@@ -116,9 +116,7 @@ def shapes_of(tick: TickShapes, starts: Indices, entities: Indices) -> tuple[Ind
     counts = starts[entities + 1] - starts[entities]
     if (counts == 1).all() and tick.table.has_points.all():
         return starts[entities], np.arange(len(entities))
-    owners = np.repeat(np.arange(len(entities)), counts)
-    offsets = np.arange(len(owners)) - np.repeat(np.cumsum(counts) - counts, counts)
-    shapes = starts[entities][owners] + offsets
+    owners, shapes = ranges(starts[entities], counts)
     has_points = tick.table.has_points[shapes]
     return shapes[has_points], owners[has_points]
 

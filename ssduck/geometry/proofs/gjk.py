@@ -30,9 +30,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ssduck.geometry.arrays import Array, Indices, column_lengths
+from ssduck.geometry.arrays import Array, Indices, column_lengths, selected
 from ssduck.geometry.proofs.cores import PlacedCores
-from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, Decisions, Verdicts
+from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, Decisions
 
 # Polytopes need few steps; the steps towards a cylinder's rim get smaller and smaller.
 MAX_STEPS = 40
@@ -60,10 +60,6 @@ class _Pairs:
     nearest: Array  # (3, n), a point of their hull
     upper_bound: Array  # (n,), its distance from the origin
 
-    def select(self, indices: Indices) -> _Pairs:
-        """Returns the selected pairs."""
-        return _Pairs(*(getattr(self, name).take(indices, axis=-1) for name in _FIELDS))
-
     def difference_points(self, bodies: PlacedCores, directions: Array) -> Array:
         """Returns the support points (3, n) of the differences in directions (3, n)."""
         count = len(self.first)
@@ -74,30 +70,20 @@ class _Pairs:
         return points_of_difference
 
 
-_FIELDS = tuple(_Pairs.__dataclass_fields__)
-
-
-def classify_gaps(
-    bodies: PlacedCores, first: Indices, second: Indices, bound: float | Array
-) -> Verdicts:
-    """Classifies the signed distances of convex shapes as BELOW a bound, ABOVE it, or UNDECIDED.
-
-    The signed distance is that of `ssduck.geometry.distance`: minus the depth of shapes that
-    overlap. A verdict allows for the errors of that module, so that both always agree.
-    """
-    return decide_gaps(bodies, first, second, bound).verdicts
-
-
 def decide_gaps(
     bodies: PlacedCores,
     first: Indices,
     second: Indices,
-    bound: float | Array,
+    bounds: Array,
     directions: Array | None = None,
 ) -> Decisions:
-    """Returns the same verdicts as `classify_gaps`, with the room of those that took one step."""
+    """Decides whether the signed distances of convex shapes are below bounds, each (n,), m.
+
+    The signed distance is that of `ssduck.geometry.distance`: minus the depth of shapes that
+    overlap. A verdict allows for the errors of that module, so that both always agree. It has the
+    room of those that took one step, which is first against the directions, (3, n), if any.
+    """
     decisions = Decisions.none(len(first))
-    bounds = np.broadcast_to(np.asarray(bound, dtype=np.float64), first.shape)
     for start in range(0, len(first), PAIRS_AT_ONCE):
         batch = slice(start, start + PAIRS_AT_ONCE)
         part = decisions.part(batch)
@@ -174,7 +160,7 @@ def _first_step(
         nearest=nearest,
         upper_bound=upper_bound,
     )
-    return pairs.select(np.flatnonzero(~(is_apart | is_below)))
+    return selected(pairs, np.flatnonzero(~(is_apart | is_below)))
 
 
 def _step(pairs: _Pairs, bodies: PlacedCores, decisions: Decisions) -> _Pairs:
@@ -187,7 +173,7 @@ def _step(pairs: _Pairs, bodies: PlacedCores, decisions: Decisions) -> _Pairs:
     decisions.decide(pairs.number[is_apart], ABOVE, room[is_apart])
     # A point that is as far away as its plane is the nearest one.
     remaining = np.flatnonzero(~is_apart & (height < pairs.upper_bound * pairs.upper_bound))
-    pairs, new = pairs.select(remaining), new[:, remaining]
+    pairs, new = selected(pairs, remaining), new[:, remaining]
     corners = np.concatenate((pairs.simplex, new[None]))
     simplex, nearest = _closest(pairs.simplex, new)
     upper_bound = column_lengths(nearest)
@@ -198,7 +184,7 @@ def _step(pairs: _Pairs, bodies: PlacedCores, decisions: Decisions) -> _Pairs:
     is_on_origin = (depth > 0.0) | (upper_bound <= 1e-13 * np.abs(corners).max(axis=(0, 1)))
     undecided = np.flatnonzero(~(is_below | is_on_origin) & (upper_bound < pairs.upper_bound))
     moved = replace(pairs, simplex=simplex, nearest=nearest, upper_bound=upper_bound)
-    return moved.select(undecided)
+    return selected(moved, undecided)
 
 
 def _closest(simplex: Array, new: Array) -> tuple[Array, Array]:

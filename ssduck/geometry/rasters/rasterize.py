@@ -22,7 +22,7 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.arrays import Array, Flags, Indices, ranges
 from ssduck.geometry.common_volume import clip_polygons
 from ssduck.geometry.rasters.raster import CELL_TOLERANCE, Raster, StripIntervals
 from ssduck.geometry.rasters.rasterize_round import Ellipsoid, RoundShape, round_parts
@@ -144,8 +144,8 @@ def _polygon_intervals(
     first, last = raster.overlapped_cells(left, right, min_overlap, 0)
     counts = np.maximum(last - first + 1, 0)
     for part in _batches(owners, counts):
-        strips = _concatenated_ranges(first[part], counts[part])
-        edges = np.repeat(np.arange(part.start, part.stop), counts[part])
+        edges, strips = ranges(first[part], counts[part])
+        edges += part.start
         if not len(strips):
             continue
         low, high = _y_ranges(raster, start[edges], end[edges], strips, min_overlap)
@@ -168,14 +168,6 @@ def _batches(owners: Indices, counts: Indices) -> Iterator[slice]:
     cuts = begins[np.flatnonzero(np.diff(batch, prepend=-1))].tolist()
     for first, stop in itertools.pairwise([*cuts, len(owners)]):
         yield slice(first, stop)
-
-
-def _concatenated_ranges(first: Indices, counts: Indices) -> Indices:
-    """Returns the concatenated ranges first, first + 1, …, each with its count."""
-    ends = np.cumsum(counts)
-    total = int(ends[-1]) if len(ends) else 0
-    indices: Indices = np.arange(total) + np.repeat(first - (ends - counts), counts)
-    return indices
 
 
 def _y_ranges(
@@ -217,7 +209,7 @@ def _fill_interior(raster: Raster, corners: Array, height: float, occupied: Flag
     first = np.clip(np.ceil((left - centre) / raster.size), 0, raster.shape[0]).astype(np.intp)
     stop = np.clip(np.ceil((right - centre) / raster.size), 0, raster.shape[0]).astype(np.intp)
     counts = np.maximum(stop - first, 0)
-    strips, edges = _concatenated_ranges(first, counts), np.repeat(rows, counts)
+    edges, strips = ranges(first, counts)
     if not len(strips):
         return
     begin, vectors = up[edges], down[edges] - up[edges]
