@@ -244,13 +244,15 @@ def test_scaled_and_lifted_conditions_are_told_as_they_are_written(kitchen):
     kitchen.add_variable("unit", 0.1)
     z, start = kitchen.eval("[z(cup), initially(z(cup))];")
     whole = kitchen.why("scale(z(cup) > 0.9, unit) AND NOT lifted(cup, 0.3);")
-    scaled, raised = whole.parts[0], whole.parts[1].parts[0]
-    assert (scaled.text, raised.text) == ("scale(z(cup) > 0.9, unit)", "lifted(cup, 0.3)")
-    assert scaled.margin == pytest.approx((z - 0.9) / 0.1)
+    scaled, raised = whole.parts[0].parts[0], whole.parts[1].parts[0]
+    texts = (whole.parts[0].text, scaled.text, raised.text)
+    assert texts == ("scale(z(cup) > 0.9, unit)", "z(cup) > 0.9", "lifted(cup, 0.3)")
+    assert whole.parts[0].margin == pytest.approx((z - 0.9) / 0.1)
+    assert scaled.margin == pytest.approx(z - 0.9)
     assert scaled.detail.startswith("z(cup) is ")
     assert raised.margin == pytest.approx(z - start - 0.3)
     assert raised.detail == f"cup has risen by {z - start:.6g} m"
-    assert whole.margin == pytest.approx(min(scaled.margin, -raised.margin))
+    assert whole.margin == pytest.approx(min(whole.parts[0].margin, -raised.margin))
     for part in (scaled, raised):
         world = kitchen["kitchen"].what_if({"cup_905a": [1, 0, 0, 0, *_moved(kitchen, part.move)]})
         with ssduck.Interpreter() as ss:

@@ -93,8 +93,7 @@ class Explainer:
                 return self._of_parts(node, tuple(joined(node, sign, math.inf)))
             case Call(name="scale", arguments=(condition, unit)):
                 self._value(Call(unit.span, UNIT_OF_SCALE, (unit,), unit.span))  # may be an error
-                inner = self.why(condition)
-                return replace(inner, text=self._written(node), margin=self._margin(node))
+                return self._of_parts(node, (condition,))
             case Binary(operator="IN", left=member, right=Query() as query):
                 return self._of_rows(node, query, member)
             case Binary(operator="!=", left=ListLiteral(items=()), right=Query() as query):
