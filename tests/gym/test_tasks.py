@@ -118,8 +118,8 @@ def test_a_task_runs(folder):
         ('scene = "push.xml"', 'scene = "pusch.xml"', r"scene: there is no file .*'push\.xml'"),
         ('joint = "push"', 'joint = "pus"', r"actions\[0\]\.joint: pusher has no joint 'pus'"),
         ("high = 1\n", "high = 99\n", r"actions\[0\]\.high: pusher: "),
-        ('"x(sim.ball) > goal"', "\"eval('1') == x(sim.ball)\"", "eval is switched off"),
         ("\nscene", "\nnan = 'fail'\nscene", r"nan: give 'error', 'failure' or a number"),
+        ('"x(sim.ball) > goal"', "\"eval('1') == x(sim.ball)\"", "eval is switched off"),
     ],
     every=2,
 )
