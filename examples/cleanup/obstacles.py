@@ -15,7 +15,7 @@ from examples.cleanup.kinematics import KinematicChain, poses
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.broad_phase import Pairs
 from ssduck.geometry.proofs.cores import ConvexCores, PlacedCores
-from ssduck.geometry.proofs.gjk import classify_gaps
+from ssduck.geometry.proofs.gjk import decide_gaps
 from ssduck.geometry.proofs.verdicts import ABOVE
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.geometry.solids import Solid, SolidsOfShapes, solid_of
@@ -194,7 +194,8 @@ class Obstacles:
             (self._near_walls(centres, tested, clearance), clearance),
             (self._near_itself(centres, tested, self_clearance), self_clearance or 0.0),
         ):
-            verdicts = classify_gaps(cores, first, second, bound)
+            bounds = np.full(len(first), bound)
+            verdicts = decide_gaps(cores, first, second, bounds).verdicts
             posture = (first - len(self.walls)) // len(self._links)
             is_clear[posture[verdicts != ABOVE]] = False
         return is_clear
