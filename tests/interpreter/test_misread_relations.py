@@ -40,6 +40,8 @@ def ss(world):
         ("heldFor(inside(sim.bin, sim.ball));", "inside"),
         ("historically(distance(sim.bin, sim.ball), 0, 1);", "distance"),
         ("SELECT id FROM sim WHERE distance(this, sim.ball);", "distance"),
+        ("once(z(sim.ball));", "z"),
+        ("NOT tilt(sim.ball);", "tilt"),
         ("SELECT id FROM sim WHERE NOT clearance(this, sim.ball);", "clearance"),
     ],
 )

@@ -46,7 +46,11 @@ from ssduck.world.handles import Handle
 _AS_CONDITION = {
     "inside": "it is the share of b inside of a, a number from 0 to 1: write contains(a, b) for "
     "nearly all of b, or inside(a, b) > 0.5; a is the container, b is what is in it",
-    "distance": "it is a number: write distance(a, b) < 0.1, say",
+    **{
+        name: f"it is a number: write {name}(…) < 0.1, say"
+        for name, relation in RELATIONS.items()
+        if relation.result == "double" and relation.unit in ("m", "rad") and name != "penetration"
+    },
     "clearance": "it is a number: write near(a, b, 0.1), or clearance(a, b) < 0.1",
 }
 # The functions over time whose value is a list of two.
