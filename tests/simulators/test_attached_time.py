@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import warnings
 
 import numpy as np
 import pybullet
@@ -21,6 +20,7 @@ from ssduck.errors import (
 )
 from tests.support.bodies import solid
 from tests.support.cases import sampled
+from tests.support.warned import heard
 
 STEP = 1 / 240
 # The ball bounces up and down through this height, m.
@@ -255,10 +255,7 @@ def test_an_argument_without_a_name_is_an_error_that_names_both(client, bouncing
 
 
 def late_start(act):
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        act()
-    return [str(w.message) for w in caught if "were not recorded" in str(w.message)]
+    return heard(act, "were not recorded")[1]
 
 
 @pytest.mark.slow

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
-
 import pybullet
 import pybullet_data
 import pytest
 
 import ssduck
+from tests.support.warned import heard
 
 TOLD = "closed concave mesh of room is around something"
 
@@ -37,10 +36,7 @@ def room(client):
 
 
 def told_by(ask):
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
-        ask()
-    return [str(warning.message) for warning in told if TOLD in str(warning.message)]
+    return heard(ask, TOLD)[1]
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ from tests.support.bodies import client_of
 from tests.support.command_line import ssduck_
 from tests.support.models import mjcf_body, mjcf_of, sdf_link, sdf_model, sdf_of
 from tests.support.urdf import box_obj, collision, joint, link, robot
+from tests.support.warned import heard
 
 BOX = '<box size="1 1 1"/>'
 LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
@@ -32,12 +33,11 @@ def load(write):
 
     def loaded(name, text, **options):
         path = text if isinstance(text, Path) else write(name, text)
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            opened.append(ssduck.load(path, simulator="pybullet", **options))
-        (loaded.world,) = opened[-1].worlds
+        ss, told = heard(lambda: ssduck.load(path, simulator="pybullet", **options))
+        opened.append(ss)
+        (loaded.world,) = ss.worlds
         (entity,) = loaded.world
-        return entity, [str(warning.message) for warning in caught]
+        return entity, told
 
     yield loaded
     for ss in opened:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 import pybullet
 import pytest
 
 import ssduck
+from tests.support.warned import heard
 
 TOLD = "shapes of compound overlap, and inside counts"
 
@@ -42,10 +41,7 @@ def true_share(client):
 
 
 def answer_and_told(ss):
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        answer = ss.eval("inside(sim.bin, sim.compound);")
-    return answer, [str(one.message) for one in caught if TOLD in str(one.message)]
+    return heard(lambda: ss.eval("inside(sim.bin, sim.compound);"), TOLD)
 
 
 @pytest.mark.slow

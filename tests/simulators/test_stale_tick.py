@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -14,6 +13,7 @@ import ssduck
 from ssduck import ProgramWarning
 from tests.support.bodies import solid
 from tests.support.urdf import joint, link, robot
+from tests.support.warned import heard
 
 QUERIES: list[tuple[str, Callable[[ssduck.Interpreter], Any]]] = [
     ("program", lambda ss: ss.eval("SELECT id, z FROM sim;")),
@@ -41,10 +41,7 @@ def sim(client):
 
 
 def warned(act):
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        act()
-    return [str(w.message) for w in caught if "has moved on" in str(w.message)]
+    return heard(act, "has moved on")[1]
 
 
 @pytest.mark.parametrize(("name", "query"), QUERIES, ids=[name for name, _ in QUERIES])

@@ -94,28 +94,26 @@ def in_mujoco(parts):
 
 
 def in_pybullet(parts, client, *, margins=False):
-    def collision(kind, size, vertices=None):
-        settings = {
-            "box": lambda: {"shapeType": pybullet.GEOM_BOX, "halfExtents": size},
-            "sphere": lambda: {"shapeType": pybullet.GEOM_SPHERE, "radius": size[0]},
-            "capsule": lambda: {
-                "shapeType": pybullet.GEOM_CAPSULE,
-                "radius": size[0],
-                "height": 2 * size[1],
-            },
-            "cylinder": lambda: {
-                "shapeType": pybullet.GEOM_CYLINDER,
-                "radius": size[0],
-                "height": 2 * size[1],
-            },
-            "mesh": lambda: {"shapeType": pybullet.GEOM_MESH, "vertices": vertices.tolist()},
-            "plane": lambda: {"shapeType": pybullet.GEOM_PLANE},
-        }[kind]()
-        return pybullet.createCollisionShape(**settings, physicsClientId=client)
+    def collision(kind, size=(), vertices=()):
+        match kind:
+            case "plane":
+                given = {}
+            case "mesh":
+                given = {"vertices": vertices}
+            case "box":
+                given = {"halfExtents": size}
+            case "sphere":
+                given = {"radius": size[0]}
+            case _:
+                given = {"radius": size[0], "height": 2 * size[1]}
+        number = getattr(pybullet, f"GEOM_{kind.upper()}")
+        return pybullet.createCollisionShape(number, **given, physicsClientId=client)
 
-    names = {pybullet.createMultiBody(0, collision("plane", ()), physicsClientId=client): "floor"}
+    names = {pybullet.createMultiBody(0, collision("plane"), physicsClientId=client): "floor"}
     for part in parts:
-        shape = collision(part.kind, part.size, part.vertices if part.kind == "mesh" else None)
+        shape = collision(
+            part.kind, part.size, part.vertices.tolist() if part.kind == "mesh" else ()
+        )
         w, *xyz = part.turn.tolist()
         handle = pybullet.createMultiBody(
             part.mass, shape, -1, part.position.tolist(), [*xyz, w], physicsClientId=client

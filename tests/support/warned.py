@@ -12,3 +12,11 @@ def told(ask, *arguments):
         ask(*arguments)
     assert all(one.category is ProgramWarning for one in caught)
     return [str(one.message) for one in caught]
+
+
+def heard(ask, words=""):
+    """Returns what a call returns, and the texts of its warnings that have some words."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        answer = ask()
+    return answer, [text for one in caught if words in (text := str(one.message))]

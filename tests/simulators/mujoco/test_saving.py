@@ -1,6 +1,5 @@
 """Worlds saved as MJCF: those of MuJoCo with all that they have, those of PyBullet for MuJoCo."""
 
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from tests.support.cases import sampled
 from tests.support.mjcf import simulated
 from tests.support.solids import box as solid_box
 from tests.support.solids import mesh_of
+from tests.support.warned import heard
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -280,10 +280,7 @@ def test_a_scene_names_its_simulator(tmp_path):
 
 def saved(world, folder):
     """Saves a PyBullet world for MuJoCo; returns the file and the warnings."""
-    with warnings.catch_warnings(record=True) as warned:
-        warnings.simplefilter("always")
-        file = world.save(folder, "mujoco")
-    return file, [str(one.message) for one in warned]
+    return heard(lambda: world.save(folder, "mujoco"))
 
 
 def joints_of(entity):
