@@ -31,11 +31,8 @@ LOW = 0.3
 def bouncing(client):
     """A ball that bounces on a floor, in a client that the test steps."""
     pybullet.setGravity(0, 0, -9.81, client)
-    floor = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[1, 1, 0.1], physicsClientId=client
-    )
     bodies = {
-        pybullet.createMultiBody(0, floor, physicsClientId=client): "floor",
+        solid(client, pybullet.GEOM_BOX, halfExtents=[1, 1, 0.1]): "floor",
         solid(client, pybullet.GEOM_SPHERE, 1, [0, 0, 1], radius=0.1): "ball",
     }
     for body in bodies:
@@ -324,7 +321,8 @@ def test_bodies_that_are_built_again_keep_their_names_in_the_next_episode(client
         assert [(entity.name, entity.kind) for entity in world] == first
     # In an episode a later body with the same number has the name of its model.
     built(client, 0.1, 0.2, 0.1)
-    assert [entity.name for entity in world.tick()] == ["body_0", "body_1", "body_2"]
+    later = [(entity.name, entity.kind) for entity in world.tick()]
+    assert later == [(f"body_{number}", "kinbody") for number in range(3)]
     built(client, 0.1, 0.2, 0.3)
     with pytest.warns(ProgramWarning, match="^goal: begin_episode found other bodies.*names="):
         world.begin_episode()

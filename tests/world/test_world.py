@@ -271,12 +271,13 @@ def test_a_removed_bodys_state_does_not_pass_on(client):
     for change in (
         lambda: setattr(old, "enabled", True),
         lambda: setattr(old, "visible", True),
-        lambda: old.move([0, 0, 0]),
+        lambda: old.move([1, 1, 1]),
+        lambda: old.move([1, 1, 1], [1, 0, 0, 0]),
     ):
         with pytest.raises(RemovedEntityError, match="no longer"):
             change()
     (new,) = world.tick()
-    assert (new.enabled, new.visible) == (True, True)
+    assert (new.enabled, new.visible, new.position) == (True, True, [0, 0, 0])
     assert not world.simulator.disabled
     assert not world.simulator.hidden
     assert not world.simulator._colours

@@ -271,8 +271,10 @@ LIMITS = [
 def test_limits_of_a_joint(client, write, kind, limit, limits):
     model = robot(link("a"), link("b"), joint("j", kind, "a", "b", limit=limit))
     pybullet.loadURDF(str(write("joint.urdf", model)), physicsClientId=client)
-    (only,) = ssduck.World.attach(client).snapshot.tables["joints"].arrow.to_pylist()
+    world = ssduck.World.attach(client)
+    (only,) = world.snapshot.tables["joints"].arrow.to_pylist()
     assert (only["lower"], only["upper"]) == limits
+    assert world["model"].kind == "robot"  # it has a joint that moves
 
 
 @pytest.mark.parametrize(
