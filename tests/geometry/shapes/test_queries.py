@@ -225,9 +225,10 @@ def test_of_several_worlds_sql_says_which(stage):
     rows = "SELECT p.name FROM {0}.entities p, {0}.entities q WHERE {1}collides(p, q)"
     assert len(ss.sql(rows.format("kitchen", "kitchen.")).fetchall()) == 2
     assert ss.sql(rows.format("maybe", "maybe.")).fetchall() == []
-    for name in ("collides(p, q)", "isBox(p)", "contactForce(p, q)", "solidVolume(p)"):
+    calls = ["collides(p, q)", "isBox(p)", "contactForce(p, q)", "solidVolume(p)"]
+    for call in [*calls, "isSensing(p, q)", "sensingAmount(p, q)", "sensingEnvIDs(p)"]:
         with pytest.raises(SqlError, match=r"write the name of the world before it"):
-            ss.sql(f"SELECT {name} FROM kitchen.entities p, kitchen.entities q")
+            ss.sql(f"SELECT {call} FROM kitchen.entities p, kitchen.entities q")
     # One that asks only for columns is for all.
     assert len(pairs_of(ss, "overlaps(p, q)")) == 2
     assert ss.eval("SELECT id FROM maybe WHERE clearance(this, this) == 0.0 AS list;") == ["a", "b"]

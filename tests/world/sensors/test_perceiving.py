@@ -8,7 +8,7 @@ import ssduck
 from ssduck.errors import ArgumentError, SelectScriptError
 from ssduck.simulators.pybullet import readings as pybullet_rays
 from ssduck.world.sensor_readings import Reading
-from tests.support.sensing import CAMERA, EXACT, LASER, Stage, evaluators
+from tests.support.sensing import CAMERA, EXACT, LASER, evaluators
 
 # -- what perceives what -------------------------------------------------------------------------
 
@@ -107,43 +107,10 @@ def test_programs_about_sensors(mast, program, expected, owned):
         assert ss.eval(program) == expected
 
 
-def test_help_tells_of_the_sensors_relations(mast):
+def test_a_number_is_no_sensor(mast):
     for ss in evaluators(mast.open()):
-        assert ss.help("isSensing").endswith("Usage: isSensing(s, e) -> bool")
-        assert ss.help("sensingAmount").endswith("Usage: sensingAmount(s, e) -> float")
-        assert ss.help("sensingEnvIDs").endswith("Usage: sensingEnvIDs(s) -> list")
-        with pytest.raises(ArgumentError, match="isSensing takes 2 arguments, not 1"):
-            ss.eval("SELECT id FROM sim WHERE isSensing(this) AS list;")
         with pytest.raises(ArgumentError, match="s must be a sensor, not a number"):
             ss.eval("SELECT id FROM sim WHERE isSensing(3, this) AS list;")
-
-
-@pytest.mark.slow
-def test_two_worlds_do_not_see_each_other(mast):
-    mast.box("wall", [0.5, 9, 9], [2, 0, 0])
-    world = mast.open()
-    world.add_sensor("range_finder", "mast", "eye", max_range=5)
-    other = Stage()
-    other.sphere("a", 0.1, [0, 0, 0])
-    other.box("b", [0.1, 0.1, 0.1], [9, 9, 9])
-    second = other.open()
-    try:
-        for ss in evaluators(world):
-            ss.add_variable("other", second)
-            program = "SELECT id(a.this), id(b.this) FROM a={}, b={} WHERE isSensing(a.this, b.this) OR sensingAmount(a.this, b.this) > 0 AS list;"
-            for names in (("sim", "other"), ("other", "sim")):
-                with pytest.raises(SelectScriptError, match="these entities are of two worlds"):
-                    ss.eval(program.format(*names))
-            assert ss.eval(program.format("other", "other")) == []
-            assert ss.eval(program.format("sim", "sim")) == ["eye", "wall"]
-            # A row does not tell which world it is of.
-            for relation in ("isSensing(a, b)", "sensingAmount(a, b)", "sensingEnvIDs(a)"):
-                with pytest.raises(SelectScriptError, match=r"one world.*world\.(sens|is)"):
-                    ss.sql(f"SELECT {relation} FROM entities a, entities b")
-            assert ss.sql("SELECT count(*) FROM sim.sensings").fetchone() == (1,)
-            assert ss.sql("SELECT count(*) FROM other.sensings").fetchone() == (0,)
-    finally:
-        pybullet.disconnect(other.client)
 
 
 def test_without_a_world_sql_says_so():
