@@ -399,7 +399,7 @@ _SHAPES = Table(
         _fixed("margin", "double", "distance at which the simulator already reports contact, m"),
         _fixed("exact", "boolean", EXACT),
     ),
-    ("world.snapshot.Snapshot._fill_shapes", "world.layout.BodyGroup.write_shapes"),
+    ("world.snapshot.Snapshot._lay_out", "world.layout.BodyGroup.write_shapes"),
     key=("entity", "shape"),
     entity_columns=("entity",),
     is_on_demand=True,
@@ -419,7 +419,7 @@ _GEOMETRIES = Table(
         _fixed("vertices", "points", "of hulls and meshes, m"),
         _fixed("faces", "triples", "of meshes: three vertex numbers each"),
     ),
-    ("world.snapshot.Snapshot._fill_shapes",),
+    ("world.snapshot.Snapshot._lay_out",),
     is_recordable=False,
     has_history=False,
 )

@@ -27,7 +27,6 @@ from ssduck.recording.background_writer import BackgroundWriter, BufferedRows
 from ssduck.recording.buffers import MAX_BUFFERED_ROWS, RowBuffer, TickBuffer, new_buffer
 from ssduck.recording.row_selection import RecordedRows
 from ssduck.recording.spec import RETENTION_PARTS, Recording, quarters_of
-from ssduck.recording.static_tables import IdProvider
 from ssduck.recording.stores.base import PairRequest, TickArchive, TickStore
 from ssduck.recording.stores.stored_columns import conformed
 from ssduck.schema import MASSES, OFTEN_UNKNOWN
@@ -107,7 +106,7 @@ class Recorder:
         self._rows: RecordedRows | None = None
         # Entities whose models are not stored yet, and what gives their ids.
         self._new_members: list[EntityInfo] = []
-        self._id_provider: IdProvider | None = None
+        self._snapshot: Snapshot | None = None
 
     @property
     def tables(self) -> Collection[str]:
@@ -430,14 +429,14 @@ class Recorder:
             if member.id not in self.members
         ]
         self._new_members += new
-        self._id_provider = snapshot
+        self._snapshot = snapshot
         self.members |= {member.id: member for member in new}
         return rows
 
     def _store_new_members(self) -> None:
         """Stores the models of new entities, before any row of theirs."""
         if self._new_members:
-            assert self._id_provider is not None
+            assert self._snapshot is not None
             self.wait()
-            self._store.add_members(self._new_members, self._id_provider)
+            self._store.add_members(self._new_members, self._snapshot)
             self._new_members = []

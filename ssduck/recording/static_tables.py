@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -13,31 +13,18 @@ import pyarrow as pa
 from ssduck.errors import RecordError
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.recording.recorded_visuals import visuals_of, visuals_text
-from ssduck.schema import MODELS, RECORDED, TABLES
+from ssduck.schema import MODELS, POSE, RECORDED, TABLES
 from ssduck.simulators.interface import Body, Joint, Link, VisualShape
 from ssduck.simulators.scenes import SensorSpec
 from ssduck.world.layout import EntityInfo
 from ssduck.world.live_tables import ARROW_TYPES
-
-
-class IdProvider(Protocol):
-    """Gives the numbers of a run and of its geometries: a snapshot of the world."""
-
-    @property
-    def run(self) -> int:
-        """The number of the run."""
-
-    def geometry_id(self, geometry: Geometry) -> int:
-        """Returns the number of a geometry."""
-
-    @property
-    def drawn(self) -> Callable[[Body], Sequence[VisualShape]] | None:
-        """Returns what a simulator draws of a body; None without a simulator."""
+from ssduck.world.rows import geometry_columns, joint_columns, link_columns, shape_columns
+from ssduck.world.snapshot import Snapshot
 
 
 def model_rows(
     members: Collection[EntityInfo],
-    id_provider: IdProvider,
+    snapshot: Snapshot,
     stored: Collection[int],
     *,
     with_visuals: bool = True,
@@ -46,50 +33,51 @@ def model_rows(
 
     Args:
         members: the entities.
-        id_provider: gives the numbers of their run and of their geometries.
+        snapshot: gives the numbers of their run and of their geometries.
         stored: the numbers of geometries that are stored already.
         with_visuals: whether they say what is drawn; the simulator of a record in memory does.
     """
-    rows: dict[str, list[tuple[Any, ...]]] = {table: [] for table in MODELS}
-    geometries: dict[int, Geometry] = {}
-    for member in members:
-        visuals = _visuals(member.body, id_provider) if with_visuals else None
-        for visual in visuals or ():
-            geometries[id_provider.geometry_id(visual.geometry)] = visual.geometry
-        text = None if visuals is None else visuals_text(visuals, id_provider.geometry_id)
-        rows["entities"].append((*_member_row(member), text, id_provider.run))
-        if member.body is None:
-            continue
-        for number, link in enumerate(member.body.links):
-            parent = link.parent if link.parent >= 0 else None
-            region = link.region
-            size = (None, 0.0, 0.0, 0.0) if region is None else (region.type, *region.size)
-            rows["links"].append((member.id, number, link.name, parent, link.mass, *size))
-        for number, joint in enumerate(member.body.joints):
-            limits = (joint.lower, joint.upper, joint.max_effort, joint.max_velocity)
-            place = (*joint.axis, *joint.anchor, joint.reference)
-            rows["joints"].append(
-                (member.id, number, joint.link, joint.name, joint.type, *limits, *place)
-            )
-        for number, shape in enumerate(member.body.shapes):
-            id = id_provider.geometry_id(shape.geometry)
-            geometries[id] = shape.geometry
-            pose = (*np.asarray(shape.position).tolist(), *np.asarray(shape.orientation).tolist())
-            details = (shape.margin, shape.exact)
-            rows["shapes"].append((member.id, shape.frame, number, id, *pose, *details))
-    rows["geometries"] = [
-        (id, g.type, *g.size, g.vertices.tolist(), g.faces.tolist())
-        for id, g in geometries.items()
-        if id not in stored
+    number_of = snapshot.geometry_id
+    visuals = [_visuals(m.body, snapshot) if with_visuals else None for m in members]
+    drawn = {number_of(v.geometry): v.geometry for of_body in visuals for v in of_body or ()}
+    texts = [None if of_body is None else visuals_text(of_body, number_of) for of_body in visuals]
+    rows = [
+        (*_member_row(member), text, snapshot.run)
+        for member, text in zip(members, texts, strict=True)
     ]
-    return {table: _table(table, tuples) for table, tuples in rows.items()}
+    bodies = [(member.id, member.body) for member in members if member.body is not None]
+    (_, links), (_, joints) = link_columns(bodies), joint_columns(bodies)
+    (_, shapes), geometries = shape_columns(bodies, number_of)
+    new = {id: one for id, one in (drawn | geometries).items() if id not in stored}
+    moving = [joint for _, body in bodies for joint in body.joints]
+    placed = [(*shape.position, *shape.orientation) for _, b in bodies for shape in b.shapes]
+    columns: dict[str, Mapping[str, Sequence[Any]]] = {
+        "entities": _by_column([column.name for column in MODELS["entities"].model], rows),
+        "links": links,
+        "joints": joints
+        | _by_column([f"axis_{axis}" for axis in "xyz"], [joint.axis for joint in moving])
+        | _by_column([f"anchor_{axis}" for axis in "xyz"], [joint.anchor for joint in moving])
+        | {"reference": [joint.reference for joint in moving]},
+        "shapes": shapes | _by_column(POSE, placed),
+        "geometries": geometry_columns(new)[1],
+    }
+    return {
+        name: pa.table(
+            {c.name: pa.array(columns[name][c.name], ARROW_TYPES[c.type]) for c in table.model}
+        )
+        for name, table in MODELS.items()
+    }
 
 
-def _visuals(body: Body | None, id_provider: IdProvider) -> Sequence[VisualShape] | None:
+def _by_column(names: Sequence[str], rows: Sequence[Sequence[Any]]) -> dict[str, Sequence[Any]]:
+    return {name: [row[place] for row in rows] for place, name in enumerate(names)}
+
+
+def _visuals(body: Body | None, snapshot: Snapshot) -> Sequence[VisualShape] | None:
     """Returns what is drawn of an entity; None if that is not known."""
-    if body is None or id_provider.drawn is None:
+    if body is None or snapshot.drawn is None:
         return None if body is None else body.visuals
-    return id_provider.drawn(body)
+    return snapshot.drawn(body)
 
 
 def _member_row(member: EntityInfo) -> tuple[Any, ...]:
@@ -99,16 +87,6 @@ def _member_row(member: EntityInfo) -> tuple[Any, ...]:
         return (*common, len(body.links), len(body.joints), body.movable, None, None, None)
     spec = None if sensor is None else json.dumps(asdict(sensor), sort_keys=True)
     return (*common, 0, 0, None, *member.mount, spec)
-
-
-def _table(table: str, rows: Sequence[tuple[Any, ...]]) -> pa.Table:
-    model = MODELS[table].model
-    columns = list(zip(*rows, strict=True)) or [()] * len(model)
-    arrays = [
-        pa.array(values, ARROW_TYPES[column.type])
-        for values, column in zip(columns, model, strict=True)
-    ]
-    return pa.table(arrays, names=[column.name for column in model])
 
 
 # -- from rows to entities --------------------------------------------------------------------

@@ -7,7 +7,7 @@ import math
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -25,31 +25,9 @@ if TYPE_CHECKING:
 NOTEBOOK_SIZE = (640, 480)
 
 
-class Renderable(Protocol):
-    """What this module needs of a world."""
-
-    camera: Camera
-
-    @property
-    def is_final(self) -> bool:
-        """Whether it has no simulation of its own."""
-
-    def posed(self) -> Any:
-        """Returns a world with a simulation: all bodies as they are."""
-
-    def render(self, width: int, height: int, camera: Camera) -> npt.NDArray[np.uint8]:
-        """Returns a picture."""
-
-    def close(self) -> None:
-        """Ends the simulation."""
-
-
-AnyWorld = TypeVar("AnyWorld", bound=Renderable)
-
-
 @contextmanager
-def renderable(world: AnyWorld) -> Iterator[AnyWorld]:
-    """Yields a world that can be rendered: itself or, if it has no simulation, a copy.
+def renderable(world: Any) -> Iterator[Any]:
+    """Yields a `World` that can be rendered: itself or, if it has no simulation, a copy.
 
     The entities of the copy have the names of the originals, but other ids.
     """
@@ -65,8 +43,8 @@ def renderable(world: AnyWorld) -> Iterator[AnyWorld]:
         copy.close()
 
 
-def png(world: Renderable) -> bytes:
-    """Returns a picture of a world by its camera as a PNG file."""
+def png(world: Any) -> bytes:
+    """Returns a picture of a `World` by its camera as a PNG file."""
     from PIL import Image
 
     with warnings.catch_warnings():

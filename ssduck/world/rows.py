@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -143,13 +143,11 @@ def joint_columns(bodies: Iterable[tuple[int, Body]]) -> Rows:
 
 def shape_columns(
     bodies: Iterable[tuple[int, Body]], geometry_id: Callable[[Geometry], int]
-) -> tuple[Rows, Rows]:
-    """Returns the rows of the shapes of bodies, and those of their distinct geometries."""
+) -> tuple[Rows, dict[int, Geometry]]:
+    """Returns the rows of the shapes of bodies, and their geometries by id."""
     shapes = [(id, n, shape) for id, body in bodies for n, shape in enumerate(body.shapes)]
     ids = [geometry_id(shape.geometry) for _, _, shape in shapes]
-    distinct = {id: s.geometry for id, (_, _, s) in zip(ids, shapes, strict=True)}
-    geometries = distinct.values()
-    of_shapes: dict[str, Sequence[Any]] = {
+    columns: dict[str, Sequence[Any]] = {
         "entity": [entity for entity, _, _ in shapes],
         "link": [shape.frame for _, _, shape in shapes],
         "shape": [number for _, number, _ in shapes],
@@ -157,11 +155,17 @@ def shape_columns(
         "margin": [shape.margin for _, _, shape in shapes],
         "exact": [shape.exact for _, _, shape in shapes],
     }
-    of_geometries: dict[str, Sequence[Any]] = {
-        "id": list(distinct),
-        "type": [geometry.type for geometry in geometries],
-        **{f"size_{axis}": [g.size[n] for g in geometries] for n, axis in enumerate("xyz")},
-        "vertices": [geometry.vertices.tolist() for geometry in geometries],
-        "faces": [geometry.faces.tolist() for geometry in geometries],
+    geometries = {id: shape.geometry for id, (_, _, shape) in zip(ids, shapes, strict=True)}
+    return (len(shapes), columns), geometries
+
+
+def geometry_columns(geometries: Mapping[int, Geometry]) -> Rows:
+    """Returns the rows of geometries, by their ids."""
+    distinct = geometries.values()
+    return len(geometries), {
+        "id": list(geometries),
+        "type": [geometry.type for geometry in distinct],
+        **{f"size_{axis}": [g.size[n] for g in distinct] for n, axis in enumerate("xyz")},
+        "vertices": [geometry.vertices.tolist() for geometry in distinct],
+        "faces": [geometry.faces.tolist() for geometry in distinct],
     }
-    return (len(shapes), of_shapes), (len(distinct), of_geometries)

@@ -188,29 +188,21 @@ class SensorReader:
         contacts: Contacts,
     ) -> Mapping[int, Reading]:
         """Returns the readings at a tick: new ones of some sensors, the last ones of the others."""
+        kept = {} if context.is_discontinuous else self.readings
         if context.is_discontinuous:
             self._discard_removed(context.layout)
         if not poses:
-            return {} if context.is_discontinuous else self.readings
+            return kept
         read_ids = {pose.info.id for pose in poses}
-        others = (
-            {}
-            if context.is_discontinuous
-            else {id: r for id, r in self.readings.items() if id not in read_ids}
-        )
-        contact_sensors = [pose.info for pose in poses if not has_rays(pose.info)]
-        # A diverging simulation has poses that are not numbers; their sensors see nothing.
-        ray_sensors = [
-            pose
-            for pose in poses
-            if has_rays(pose.info)
-            and np.isfinite(pose.position).all()
-            and np.isfinite(pose.matrix).all()
-        ]
-        by_contact = {
-            info.id: _contact_reading(info, context, contacts.all()) for info in contact_sensors
-        }
-        return {**others, **by_contact, **self._cast(simulator, context, ray_sensors)}
+        readings = {id: one for id, one in kept.items() if id not in read_ids}
+        with_rays = []
+        for pose in poses:
+            if not has_rays(pose.info):
+                readings[pose.info.id] = _contact_reading(pose.info, context, contacts.all())
+            # A diverging simulation has poses that are not numbers; their sensors see nothing.
+            elif np.isfinite(pose.position).all() and np.isfinite(pose.matrix).all():
+                with_rays.append(pose)
+        return readings | self._cast(simulator, context, with_rays)
 
     def _cast(
         self, simulator: Simulator, context: TickContext, sensors: Sequence[SensorPose]

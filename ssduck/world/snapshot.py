@@ -47,6 +47,7 @@ from ssduck.world.layout import EntityInfo, TableLayout
 from ssduck.world.live_tables import LiveTable
 from ssduck.world.rows import (
     contact_pairs,
+    geometry_columns,
     joint_columns,
     link_columns,
     shape_columns,
@@ -259,7 +260,9 @@ class Snapshot(TickGeometry):
         )
         self._live["links"].fill(*link_columns(layout.bodies))
         self._live["joints"].fill(*joint_columns(layout.bodies))
-        self._fill_shapes(layout.bodies)
+        shapes, geometries = shape_columns(layout.bodies, self.geometry_id)
+        self._live["shapes"].fill(*shapes)
+        self._live["geometries"].fill(*geometry_columns(geometries))
         self._live["contacts"].fill(0, {})
         self._live["sensings"].fill(0, {})
         self._live["ticks"].fill(1, {})
@@ -271,11 +274,6 @@ class Snapshot(TickGeometry):
             name: [body is not None and body not in absent for body in bodies]
             for name, absent in (("enabled", self.disabled), ("visible", self.hidden))
         }
-
-    def _fill_shapes(self, bodies: Sequence[tuple[int, Body]]) -> None:
-        shapes, geometries = shape_columns(bodies, self.geometry_id)
-        self._live["shapes"].fill(*shapes)
-        self._live["geometries"].fill(*geometries)
 
     def geometry_id(self, geometry: Geometry) -> int:
         """Returns the id of a geometry in the table of geometries, the same for equal ones."""

@@ -156,20 +156,17 @@ class Ticker(ABC):
             if self.snapshot.request_tables(tables):
                 self.take_requested()
 
-    @abstractmethod
-    def warn_of_stale_tick(self) -> None:
+    def warn_of_stale_tick(self) -> None:  # noqa: B027  # nothing may be simulated
         """Warns if a query is to read a tick that the user's simulation has left behind."""
 
-    @abstractmethod
-    def warn_of_unrecorded_start(self) -> None:
+    def warn_of_unrecorded_start(self) -> None:  # noqa: B027  # a record begins with its first tick
         """Warns, once, if the world had ticks of earlier times before it was recorded at all."""
 
     @abstractmethod
     def add_recorder(self, recorder: TickSink) -> None:
         """Records this tick and the following ones; there is a weak reference only."""
 
-    @abstractmethod
-    def remove_recorder(self, recorder: TickSink) -> None:
+    def remove_recorder(self, recorder: TickSink) -> None:  # noqa: B027  # there may be none
         """Removes a recorder, which gets no more ticks."""
 
     # -- ticks ------------------------------------------------------------------------------

@@ -42,20 +42,15 @@ class ReplayTicker(Ticker):
     def _begin_at_end(self) -> None:
         """Reads the times of the record, and goes to the last tick without restoring it."""
         self._tick = int(self.record.ticks.numbers[-1])
-        for name in ("_distinct_times", "_median_step"):
-            self.__dict__.pop(name, None)
+        self.__dict__.pop("_distinct_times", None)
 
     @cached_property
-    def _distinct_times(self) -> tuple[Array, npt.NDArray[np.int64]]:
-        """The times of the ticks, s, ascending, and the number of the first tick of each."""
+    def _distinct_times(self) -> tuple[Array, npt.NDArray[np.int64], float]:
+        """The times of the ticks, s, ascending, the first tick of each, and their median step."""
         ticks = self.record.ticks
         times, first = np.unique(ticks.times, return_index=True)
-        return times, ticks.numbers[first]
-
-    @cached_property
-    def _median_step(self) -> float:
-        steps = np.diff(self._distinct_times[0])
-        return float(np.median(steps)) if len(steps) else 0.0
+        step = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+        return times, ticks.numbers[first], step
 
     # -- the present tick -------------------------------------------------------------------
 
@@ -131,7 +126,7 @@ class ReplayTicker(Ticker):
     @property
     def timestep(self) -> float:
         """The median of the steps between recorded times, s."""
-        return self._median_step
+        return self._distinct_times[2]
 
     def removal_of(self, name: str) -> str:
         """Returns that an entity of a name is recorded at other ticks; "" if none is."""
@@ -143,18 +138,9 @@ class ReplayTicker(Ticker):
         if tables or self.is_restored:
             super().request_tables(READ.intersection(tables))
 
-    def warn_of_stale_tick(self) -> None:
-        """Does nothing: nothing is simulated."""
-
-    def warn_of_unrecorded_start(self) -> None:
-        """Does nothing: the record begins with its first tick."""
-
     def add_recorder(self, recorder: TickSink) -> NoReturn:
         """Raises `UnsupportedError`: there are no new ticks."""
         raise UnsupportedError(f"{self.name!r} is itself a record; {recorder} gets no ticks")
-
-    def remove_recorder(self, recorder: TickSink) -> None:
-        """Does nothing: there is none."""
 
     # -- other ticks --------------------------------------------------------------------------
 
@@ -167,7 +153,7 @@ class ReplayTicker(Ticker):
 
     def run(self, count: int, on_progress: Callable[[int], object] | None) -> None:
         """Goes on by a number of recorded times."""
-        times, first_ticks = self._distinct_times
+        times, first_ticks, _ = self._distinct_times
         index = int(np.searchsorted(times, self.time, side="right")) - 1 + count
         if index >= len(times):
             raise EvaluationError(f"what is recorded of {self.name!r} ends at {times[-1]:g} s")

@@ -19,9 +19,9 @@ import pyarrow as pa
 
 from ssduck.recording.background_writer import NO_LOCK, CommitLock
 from ssduck.recording.spec import Recording
-from ssduck.recording.static_tables import IdProvider
 from ssduck.schema import POSE
 from ssduck.world.layout import EntityInfo
+from ssduck.world.snapshot import Snapshot
 
 
 class VisibleRows(Protocol):
@@ -74,7 +74,7 @@ class TickStore(ABC):
     visible_rows: tuple[Mapping[str, VisibleRows], ...] = ()
 
     @abstractmethod
-    def add_members(self, members: Collection[EntityInfo], id_provider: IdProvider) -> None:
+    def add_members(self, members: Collection[EntityInfo], snapshot: Snapshot) -> None:
         """Stores the models of new entities, all or nothing, before any row of theirs."""
 
     @abstractmethod

@@ -21,7 +21,6 @@ from ssduck.recording.background_writer import NO_LOCK, CommitLock
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.episode import Tags
 from ssduck.recording.spec import RETENTION_PARTS, Recording, bytes_before_dropping, quarters_of
-from ssduck.recording.static_tables import IdProvider
 from ssduck.recording.stores.base import (
     BufferViews,
     PairRequest,
@@ -43,6 +42,7 @@ from ssduck.recording.stores.tick_index import checked_ticks
 from ssduck.schema import FRAMES, RECORDED, TABLES, recorded_tables
 from ssduck.simulators.scenes import Camera
 from ssduck.world.layout import EntityInfo
+from ssduck.world.snapshot import Snapshot
 
 SLOTS = RETENTION_PARTS + 2
 
@@ -105,9 +105,9 @@ class DuckDBStore(TickStore, TickArchive):
 
     # -- writing ------------------------------------------------------------------------------
 
-    def add_members(self, members: Collection[EntityInfo], id_provider: IdProvider) -> None:
+    def add_members(self, members: Collection[EntityInfo], snapshot: Snapshot) -> None:
         """Stores the models of entities, before any row of theirs."""
-        self._models.add_members(members, id_provider)
+        self._models.add_members(members, snapshot)
 
     def add(self, rows: Mapping[str, pa.Table], commit_lock: CommitLock = NO_LOCK) -> None:
         """Stores the rows of whole ticks, all or nothing; commits under the lock."""

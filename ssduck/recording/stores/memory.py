@@ -19,7 +19,6 @@ from ssduck.geometry.arrays import Array, Indices
 from ssduck.recording.background_writer import NO_LOCK, BufferedRows, CommitLock
 from ssduck.recording.buffers import buffer_schema
 from ssduck.recording.spec import Recording, bytes_before_dropping, quarters_of
-from ssduck.recording.static_tables import IdProvider
 from ssduck.recording.stores.base import (
     PAIR_COLUMNS,
     BufferViews,
@@ -38,6 +37,7 @@ from ssduck.recording.stores.model_tables import ModelTables
 from ssduck.schema import POSE, RECORDED, TABLES, recorded_tables
 from ssduck.world.layout import EntityInfo
 from ssduck.world.live_tables import new_version
+from ssduck.world.snapshot import Snapshot
 
 # A part with fewer rows is joined with the next one.
 _MIN_ROWS = 4096
@@ -74,9 +74,9 @@ class MemoryStore(TickStore, TickArchive):
 
     # -- writing ------------------------------------------------------------------------------
 
-    def add_members(self, members: Collection[EntityInfo], id_provider: IdProvider) -> None:
+    def add_members(self, members: Collection[EntityInfo], snapshot: Snapshot) -> None:
         """Stores the models of entities, before any row of theirs."""
-        self._models.add_members(members, id_provider, with_visuals=False)
+        self._models.add_members(members, snapshot, with_visuals=False)
 
     def add(self, rows: Mapping[str, pa.Table], commit_lock: CommitLock = NO_LOCK) -> None:
         """Keeps the rows of whole ticks, under the lock."""

@@ -18,13 +18,14 @@ from ssduck.recording.background_writer import NO_LOCK, CommitLock
 from ssduck.recording.episode import Tags, new_id
 from ssduck.recording.recorded_visuals import camera_text
 from ssduck.recording.spec import Recording, description_of
-from ssduck.recording.static_tables import IdProvider, model_rows
+from ssduck.recording.static_tables import model_rows
 from ssduck.recording.stores.base import StoreConnection
 from ssduck.recording.stores.history_sql import all_columns, create_table, quoted
 from ssduck.recording.stores.stored_columns import check_columns, types_of, with_nulls
 from ssduck.schema import MODELS, SQL_TYPES, ColumnType
 from ssduck.simulators.scenes import Camera
 from ssduck.world.layout import EntityInfo
+from ssduck.world.snapshot import Snapshot
 
 # The version of the format, and the table that has it.
 VERSION = 1
@@ -172,12 +173,12 @@ class ModelTables:
     def add_members(
         self,
         members: Collection[EntityInfo],
-        id_provider: IdProvider,
+        snapshot: Snapshot,
         *,
         with_visuals: bool = True,
     ) -> None:
         """Stores the models of entities (`ssduck.recording.stores.base.TickStore`)."""
-        models = model_rows(members, id_provider, self._geometries, with_visuals=with_visuals)
+        models = model_rows(members, snapshot, self._geometries, with_visuals=with_visuals)
         self.insert({self._model_place(table): rows for table, rows in models.items()})
         self._geometries |= set(models["geometries"]["id"].to_pylist())
 

@@ -27,7 +27,7 @@ from ssduck.recording.folder_episodes import (
 from ssduck.recording.paths import FORMAT, expand_path, part_name
 from ssduck.recording.recorded_visuals import camera_text
 from ssduck.recording.spec import Recording
-from ssduck.recording.static_tables import IdProvider, complete_rows, model_rows
+from ssduck.recording.static_tables import complete_rows, model_rows
 from ssduck.recording.stores.base import TickStore
 from ssduck.recording.stores.descriptions import EPISODE, change_description, check_description
 from ssduck.recording.stores.files import sync_folder, write_parquet
@@ -101,9 +101,9 @@ class ParquetStore(TickStore):
         # The CRC-32 of the files of the parts, by their names in the record.
         self._checksums: dict[str, int] = {}
 
-    def add_members(self, members: Collection[EntityInfo], id_provider: IdProvider) -> None:
+    def add_members(self, members: Collection[EntityInfo], snapshot: Snapshot) -> None:
         """Stores the models of entities as a part, all or nothing."""
-        models = model_rows(members, id_provider, self._geometries)
+        models = model_rows(members, snapshot, self._geometries)
         for table in sorted(models, key=lambda table: table == "entities"):
             self._write(f"models/{table}", self._model_count, models[table])
         for table, rows in models.items():
