@@ -23,7 +23,7 @@ import pyarrow as pa
 
 from ssduck import validation
 from ssduck.errors import ArgumentError, EvaluationError, UnsupportedError
-from ssduck.lakes.manifest import EpisodeEntry, from_bytes, to_bytes
+from ssduck.lakes.manifest import EpisodeEntry
 from ssduck.lakes.pool import end_at_once, pools
 from ssduck.lakes.questions import Question
 from ssduck.lakes.workers import Answer, answer_episodes
@@ -37,8 +37,8 @@ Answerer: TypeAlias = Callable[[Question, Sequence[Batch]], Answers]
 RETRIES = 3
 _RAY_HINT = "engine='ray' needs Ray: pip install 'ssduck[ray]'"
 _SPARK_HINT = "engine='spark' needs PySpark and Java 17 or newer: pip install 'ssduck[spark]'"
-_PARTS = "batch int, question binary, entries binary"
-_RESULTS = "batch int, place int, answer string, error string, doubts array<string>"
+# The columns of the batches for Spark, and of its results, as pickles.
+_PARTS, _RESULTS = "batch int, task binary", "batch int, answers binary"
 
 
 @dataclass(frozen=True)
@@ -187,34 +187,20 @@ def answer_on_spark(question: Question, batches: Sequence[Batch], session: Any) 
         for name, value in settings.items():
             builder = builder.config(name, value)
         session = builder.getOrCreate()
-    text = pickle.dumps(question)
-    rows = [(index, text, to_bytes(batch)) for index, batch in enumerate(batches)]
+    rows = [(index, pickle.dumps((question, batch))) for index, batch in enumerate(batches)]
     parts = session.createDataFrame(rows, _PARTS).repartition(len(batches), "batch")
-    answers: dict[int, dict[int, Answer]] = {}
     for row in parts.mapInArrow(_answer_parts, _RESULTS).collect():
-        answer = Answer(row["answer"], row["error"], tuple(row["doubts"]))
-        answers.setdefault(row["batch"], {})[row["place"]] = answer
-    for index in range(len(batches)):
-        of_batch = answers.pop(index)
-        yield index, [of_batch[place] for place in sorted(of_batch)]
+        yield row["batch"], pickle.loads(row["answers"])  # noqa: S301  # `_answer_parts` made it
 
 
 def _answer_parts(parts: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
     """Answers the batches of a partition: the function that `mapInArrow` runs."""
     for part in parts:
         for row in part.to_pylist():
-            question = pickle.loads(row["question"])  # noqa: S301  # the driver made it
-            answers = answer_episodes(question, from_bytes(row["entries"]))
-            texts, errors, doubts = zip(*answers, strict=True)
-            columns = [
-                pa.array([row["batch"]] * len(answers), pa.int32()),
-                pa.array(range(len(answers)), pa.int32()),
-                pa.array(texts, pa.string()),
-                pa.array(errors, pa.string()),
-                pa.array(doubts, pa.list_(pa.string())),
-            ]
-            names = ["batch", "place", "answer", "error", "doubts"]
-            yield pa.RecordBatch.from_arrays(columns, names=names)
+            question, entries = pickle.loads(row["task"])  # noqa: S301  # the driver made it
+            answers = pickle.dumps(answer_episodes(question, entries))
+            columns = pa.array([row["batch"]], pa.int32()), pa.array([answers], pa.binary())
+            yield pa.RecordBatch.from_arrays(columns, names=["batch", "answers"])
 
 
 def engine_of(

@@ -151,20 +151,6 @@ def _entry(row: dict[str, Any]) -> EpisodeEntry:
     )
 
 
-def to_bytes(entries: Sequence[EpisodeEntry]) -> bytes:
-    """Returns entries in Arrow's IPC format, to be passed to another process."""
-    sink = pa.BufferOutputStream()
-    table = table_of(entries)
-    with pa.ipc.new_stream(sink, table.schema) as writer:
-        writer.write_table(table)
-    return bytes(sink.getvalue())
-
-
-def from_bytes(content: bytes) -> list[EpisodeEntry]:
-    """Returns the entries that `to_bytes` wrote."""
-    return entries_of(pa.ipc.open_stream(pa.py_buffer(content)).read_all())
-
-
 def write_manifest(entries: Iterable[EpisodeEntry], file: Path) -> bool:
     """Writes a manifest, all or nothing; returns whether the folder can be written.
 

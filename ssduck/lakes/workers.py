@@ -42,61 +42,6 @@ from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.recording.stores.summaries import StoredFile, size_and_time
 from ssduck.schema import MODELS, RECORDABLE
 
-
-class EpisodeGroup:
-    """The episodes with the models, tables and entities of one of them."""
-
-    def __init__(self, entry: EpisodeEntry) -> None:
-        self.run = _run_of(entry)  # the episode
-        # The rows of each model.
-        self.models = {table: self.run.read(f"models/{table}") for table in MODELS}
-        self.number = run_of(self.models) or 0  # the number of its run
-        # The files of the episodes whose descriptions were read.
-        self._described: dict[tuple[str, str, int], tuple[StoredFile, ...]] = {}
-
-    def parts_of(self, entry: EpisodeEntry) -> dict[str, list[BatchedFile]]:
-        """Returns the files of an episode by table, whose description is that of the group."""
-        if self._described.get(entry.key) != entry.files:
-            run = _run_of(entry)
-            if _description(run) != _description(self.run):
-                raise RecordError(f"{run.about_file} describes another recording than its group's")
-            self._described[entry.key] = entry.files
-        return parts_of_entry(entry, self.run.tables)
-
-
-def _run_of(entry: EpisodeEntry) -> FolderRun:
-    return FolderRun(expand_path(entry.path), entry.world, entry.episode)
-
-
-def _description(run: FolderRun) -> tuple[object, ...]:
-    """Returns what the description of an episode has in common with others of its group."""
-    return run.world, run.tables, run.recording, run.description.get("camera")
-
-
-def parts_of_entry(entry: EpisodeEntry, tables: Collection[str]) -> dict[str, list[BatchedFile]]:
-    """Returns the files of the parts of an episode by table, in order, as its entry has them."""
-    place, sums = _resolved(entry.path), dict[str, dict[str, int]]()
-    for file in entry.files:
-        folder, _, name = file.name.rpartition("/")
-        sums.setdefault(folder, {})[name] = file.checksum
-    parts = {}
-    for table in tables:
-        folder = f"{table}/world={entry.world}/episode={entry.episode}"
-        own = sums.get(folder, {})
-        names = [part_name(number) for number in range(len(own))]
-        if not names or sorted(own) != names:
-            raise RecordError(f"{entry.path}/{folder} has other files than complete parts")
-        parts[table] = [BatchedFile(f"{place}/{folder}/{name}", own[name], table) for name in names]
-    return parts
-
-
-@lru_cache(maxsize=1024)
-def _resolved(path: str) -> str:
-    """Returns the path of a record without links."""
-    place = expand_path(path).resolve()
-    return str(place) if isinstance(place, ObjectPath) else place.as_posix()
-
-
 # What reading a damaged file may raise.
 UNREADABLE = (SelectScriptError, OSError, pa.ArrowException, KeyError, TypeError, ValueError)
 # The number of groups whose models and plans a process keeps.
@@ -112,24 +57,34 @@ class Answer(NamedTuple):
     doubts: tuple[str, ...] = ()
 
 
+def _run_of(entry: EpisodeEntry) -> FolderRun:
+    return FolderRun(expand_path(entry.path), entry.world, entry.episode)
+
+
+def _description(run: FolderRun) -> tuple[object, ...]:
+    """Returns what the description of an episode has in common with others of its group."""
+    return run.world, run.tables, run.recording, run.description.get("camera")
+
+
 class _Reader:
-    """Asks episodes of one group."""
+    """Asks episodes with the models, tables and entities of one of them."""
 
     def __init__(self, entry: EpisodeEntry, limits: Limits | None) -> None:
-        self._group = EpisodeGroup(entry)
-        run = self._group.run
-        self._tables = tuple(run.tables)
-        tables = [table for table in self._tables if table in RECORDABLE]
+        self._run = run = _run_of(entry)
+        tables = [table for table in run.tables if table in RECORDABLE]
+        models = {table: run.read(f"models/{table}") for table in MODELS}
         self._batch = BatchInterpreter(
             entry.world,
             Recording(**{**run.recording, "tables": tables}),
-            self._tables,
-            self._group.models,
-            self._group.number,
+            run.tables,
+            models,
+            run_of(models) or 0,
             limits,
             entry.path,
             camera_of(run.description),
         )
+        # The files of the episodes whose descriptions were read.
+        self._described: dict[tuple[str, str, int], tuple[StoredFile, ...]] = {}
         self._next_tick = 0
         self._answering: tuple[str, Answering] | None = None
 
@@ -170,7 +125,12 @@ class _Reader:
 
     def _read(self, entry: EpisodeEntry) -> BatchedEpisode:
         """Returns an episode of the group; its ticks come after those of all others."""
-        files = self._group.parts_of(entry)
+        if self._described.get(entry.key) != entry.files:
+            run = _run_of(entry)
+            if _description(run) != _description(self._run):
+                raise RecordError(f"{run.about_file} describes another recording than its group's")
+            self._described[entry.key] = entry.files
+        files = _parts_of(entry, self._run.tables)
         ticks_of_parts = [
             self._batch.parts.read(file).rows(["tick", "time", "wall_time"])
             for file in files["ticks"]
@@ -185,6 +145,30 @@ class _Reader:
     def close(self) -> None:
         """Closes the interpreter."""
         self._batch.close()
+
+
+def _parts_of(entry: EpisodeEntry, tables: Collection[str]) -> dict[str, list[BatchedFile]]:
+    """Returns the files of the parts of an episode by table, in order, as its entry has them."""
+    place, sums = _resolved(entry.path), dict[str, dict[str, int]]()
+    for file in entry.files:
+        folder, _, name = file.name.rpartition("/")
+        sums.setdefault(folder, {})[name] = file.checksum
+    parts = {}
+    for table in tables:
+        folder = f"{table}/world={entry.world}/episode={entry.episode}"
+        own = sums.get(folder, {})
+        names = [part_name(number) for number in range(len(own))]
+        if not names or sorted(own) != names:
+            raise RecordError(f"{entry.path}/{folder} has other files than complete parts")
+        parts[table] = [BatchedFile(f"{place}/{folder}/{name}", own[name], table) for name in names]
+    return parts
+
+
+@lru_cache(maxsize=1024)
+def _resolved(path: str) -> str:
+    """Returns the path of a record without links."""
+    place = expand_path(path).resolve()
+    return str(place) if isinstance(place, ObjectPath) else place.as_posix()
 
 
 # By the group, whether its files are objects of a store, and the limits. They answer one question

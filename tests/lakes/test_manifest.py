@@ -13,7 +13,7 @@ import ssduck
 from ssduck.errors import ArgumentError, RecordError
 from ssduck.lakes import workers
 from ssduck.lakes.lake import MANIFEST
-from ssduck.lakes.manifest import entries_of, from_bytes, table_of, to_bytes
+from ssduck.lakes.manifest import entries_of, table_of
 from ssduck.recording.stores.files import json_text
 from tests.lakes.conftest import EPISODES, STEPS
 from tests.support.cases import sampled
@@ -68,7 +68,7 @@ def test_duckdb_polars_and_pandas_read_it(recorded):
 
 def test_entries_survive_their_formats(recorded):
     entries = ssduck.lake(recorded)._entries
-    assert entries_of(table_of(entries)) == from_bytes(to_bytes(entries)) == entries
+    assert entries_of(table_of(entries)) == entries
 
 
 def test_written_read_and_rebuilt(folder, monkeypatch):
