@@ -35,11 +35,11 @@ from ssduck.errors import ArgumentError, EvaluationError
 from ssduck.language.builtins import Function
 from ssduck.limits import Limits
 from ssduck.recording.episode import Tags
-from ssduck.recording.folder_episodes import BegunEpisode
 from ssduck.recording.folder_recording import ParquetRecording, export
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.replay.record import Record
 from ssduck.recording.spec import Recording, check_names, no_ticks_message
+from ssduck.recording.stores.parquet import ParquetStore
 from ssduck.schema import HISTORIES, TABLES
 from ssduck.sql.types import Signature, SqlType
 from ssduck.world import ctrl_c
@@ -297,7 +297,7 @@ class Database:
         path: Path,
         names: tuple[str, ...] | None,
         time_range: tuple[float | None, float | None],
-        begun: list[BegunEpisode],
+        begun: list[ParquetStore],
         tags: Tags | None = None,
     ) -> Path:
         """Writes the record of a world to a folder as a new episode; returns its ticks' folder.

@@ -18,8 +18,7 @@ from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.program import CompiledProgram
 from ssduck.interpreter.triggers.registry import TriggerRegistry
 from ssduck.recording.episode import Tags, given_tags
-from ssduck.recording.folder_episodes import whole_record
-from ssduck.recording.folder_recording import ParquetRecording
+from ssduck.recording.folder_recording import ParquetRecording, whole_record
 from ssduck.recording.paths import episode_number, expand_path
 from ssduck.recording.replay.past import Past, past_of
 from ssduck.recording.spec import Recording, no_ticks_message

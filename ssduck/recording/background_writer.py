@@ -11,7 +11,7 @@ import weakref
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from time import monotonic, sleep
-from typing import Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 import pyarrow as pa
 
@@ -37,7 +37,11 @@ class BufferedRows:
 
     def __init__(self, columns: pa.Schema) -> None:
         self.empty = columns.empty_table()  # a table without rows that has the columns
-        self.parts: list[pa.Table] = []  # the parts, oldest first
+        self.replace([])
+
+    def replace(self, parts: list[pa.Table]) -> None:
+        """Replaces the parts."""
+        self.parts = parts  # the parts, oldest first
         # A number that changes whenever `arrow` becomes another object.
         self.version = new_version()
 
@@ -64,13 +68,12 @@ class BackgroundWriter:
         self.lock = threading.Condition(threading.RLock())
         # The rows that are not stored yet, by table.
         self.batches = {table: BufferedRows(columns) for table, columns in tables.items()}
-        self._count = 0
         self._thread: threading.Thread | None = None
         self._failure: BaseException | None = None
 
     def __len__(self) -> int:
         """Returns the number of batches that are not stored yet."""
-        return self._count
+        return len(self.batches["ticks"].parts)
 
     @property
     def is_busy(self) -> bool:
@@ -81,9 +84,7 @@ class BackgroundWriter:
         """Adds a batch; the background thread must not be running."""
         with self.lock:
             for table, batch in self.batches.items():
-                batch.parts.append(rows[table])
-                batch.version = new_version()
-            self._count += 1
+                batch.replace([*batch.parts, rows[table]])
 
     def start(self) -> None:
         """Stores all batches in the background; see `wait` and `pop_failure` for the outcome."""
@@ -95,7 +96,7 @@ class BackgroundWriter:
 
     def _run(self) -> None:
         try:
-            self.store(self._append)
+            self.store()
         except BaseException as error:  # noqa: BLE001  # raised by the next tick or flush
             self._failure = error
         finally:
@@ -103,20 +104,18 @@ class BackgroundWriter:
                 self._thread = None
                 self.lock.notify_all()
 
-    def store(self, store_batch: StoreBatch) -> None:
+    def store(self) -> None:
         """Stores all batches in this thread; a batch that fails and those after it stay here."""
-        while self._count:
+        while len(self):
             oldest = {table: batch.parts[0] for table, batch in self.batches.items()}
-            store_batch(oldest, self._commit())
+            self._append(oldest, self._commit())
 
     @contextmanager
     def _commit(self) -> Iterator[None]:
         with self.lock:
             yield
             for batch in self.batches.values():
-                del batch.parts[0]
-                batch.version = new_version()
-            self._count -= 1
+                batch.replace(batch.parts[1:])
 
     def wait(self, *, is_final: bool = False) -> None:
         """Waits until the background thread has ended.
@@ -140,19 +139,8 @@ class BackgroundWriter:
 RETRY_INTERVAL = 0.02
 
 
-class Flushable(Protocol):
-    """A recorder."""
-
-    # the time at which buffered rows are to be stored, s of `time.monotonic`; None if there are
-    # none
-    flush_at: float | None
-
-    def try_to_flush(self) -> bool:
-        """Starts storing rows that are due; returns False if that is not possible now."""
-
-
-def start_watching(recorder: Flushable) -> None:
-    """Stores the buffered rows of a recorder when they are due, if its world stands still then."""
+def start_watching(recorder: Any) -> None:
+    """Stores the rows of a `Recorder` when they are due, though its world stands still."""
     seconds = max((recorder.flush_at or 0.0) - monotonic(), RETRY_INTERVAL)
     timer = threading.Timer(seconds, _flush, (weakref.ref(recorder),))
     timer.name, timer.daemon = _NAMES[1], True
@@ -160,7 +148,7 @@ def start_watching(recorder: Flushable) -> None:
         timer.start()
 
 
-def _flush(reference: weakref.ref[Flushable]) -> None:
+def _flush(reference: weakref.ref[Any]) -> None:
     """Starts storing the rows that are due, unless a tick has done so meanwhile."""
     while (recorder := reference()) is not None and threading.main_thread().is_alive():
         due = recorder.flush_at

@@ -5,11 +5,11 @@ from __future__ import annotations
 import errno
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from ssduck.errors import RecordError
 from ssduck.formatting import short_repr
@@ -21,7 +21,6 @@ from ssduck.recording.stores.object_store import ObjectPath, remove_tree
 from ssduck.recording.stores.parquet_layout import LOG, PAIRS, FolderRun
 from ssduck.recording.stores.tick_index import INDEX
 from ssduck.schema import MODELS
-from ssduck.world import ctrl_c
 
 
 def folders_of(tables: Sequence[str]) -> tuple[str, ...]:
@@ -35,28 +34,6 @@ def remove_episode(run: FolderRun) -> None:
         remove_tree(run.place(name))
     (run.path / STEPS / f"{run.world}-{run.number}.json").unlink(missing_ok=True)
     run.about_file.unlink(missing_ok=True)
-
-
-class BegunEpisode(Protocol):
-    """An episode that was begun."""
-
-    def discard(self) -> None:
-        """Removes the files of the episode."""
-
-
-@contextmanager
-def whole_record(path: Path) -> Iterator[list[BegunEpisode]]:
-    """Lets episodes be added to a folder, all or none."""
-    made, begun = missing_folders(path), list[BegunEpisode]()
-    try:
-        yield begun
-    except BaseException:
-        with ctrl_c.deferred():
-            for episode in begun:
-                episode.discard()
-            if made is not None and path.exists():
-                remove_empty(path, made)
-        raise
 
 
 def missing_folders(path: Path) -> list[Path] | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
@@ -10,7 +12,7 @@ import pyarrow as pa
 
 from ssduck.errors import EvaluationError
 from ssduck.recording.episode import Episode, Tags, given_tags
-from ssduck.recording.folder_episodes import BegunEpisode
+from ssduck.recording.folder_episodes import missing_folders, remove_empty
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.replay.record import Record
 from ssduck.recording.spec import Recording, check_names, chosen_members
@@ -140,6 +142,21 @@ class ParquetRecording:
         self.close()
 
 
+@contextmanager
+def whole_record(path: Path) -> Iterator[list[ParquetStore]]:
+    """Lets episodes be added to a folder, all or none."""
+    made, begun = missing_folders(path), list[ParquetStore]()
+    try:
+        yield begun
+    except BaseException:
+        with ctrl_c.deferred():
+            for episode in begun:
+                episode.discard()
+            if made is not None and path.exists():
+                remove_empty(path, made)
+        raise
+
+
 # About so many rows of entities make a part: ten megabytes.
 PART_ROWS = 1 << 18
 
@@ -151,7 +168,7 @@ def export(
     path: Path,
     names: tuple[str, ...] | None,
     between: tuple[float | None, float | None],
-    begun: list[BegunEpisode],
+    begun: list[ParquetStore],
     tags: Tags | None = None,
     order: int = 0,
 ) -> Path:

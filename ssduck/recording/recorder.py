@@ -24,7 +24,7 @@ from ssduck.errors import RecordError, SimulatorError, warn
 from ssduck.formatting import joined_names
 from ssduck.recording import background_writer
 from ssduck.recording.background_writer import BackgroundWriter, BufferedRows
-from ssduck.recording.buffers import MAX_BUFFERED_ROWS, RowBuffer, TickBuffer, new_buffer
+from ssduck.recording.buffers import MAX_BUFFERED_ROWS, RowBuffer, TickBuffer
 from ssduck.recording.row_selection import RecordedRows
 from ssduck.recording.spec import RETENTION_PARTS, Recording, quarters_of
 from ssduck.recording.stores.base import PairRequest, TickArchive, TickStore
@@ -84,7 +84,7 @@ class Recorder:
         self.recording = recording
         self._max_ticks = max_ticks
         self._store = store
-        self._buffers = {table: new_buffer(table) for table in store.tables}
+        self._buffers = {table: RowBuffer(table) for table in store.tables}
         # The ticks whose rows are not in the buffers yet, the largest number of them, and that of
         # buffered ticks.
         self._pending: list[TickState] = []
@@ -266,7 +266,7 @@ class Recorder:
             return
         self._has_dropped_old = False
         if self._store.is_in_place:
-            self._writer.store(self._store.append)
+            self._writer.store()
             self._drop_old_ticks()
         else:
             self._writer.start()
@@ -334,7 +334,7 @@ class Recorder:
             self._store_new_members()
             self._empty_buffers()
             self._has_dropped_old = False
-            self._writer.store(self._store.append)
+            self._writer.store()
             self._drop_old_ticks()
             if error is not None:
                 raise error

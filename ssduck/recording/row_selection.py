@@ -29,25 +29,19 @@ _WRITERS: Mapping[str, Callable[[BodyGroup, LinkPoses, Array], None]] = {
 }
 # The groups of bodies that are read together, with their link poses at some ticks.
 _Groups: TypeAlias = Sequence[tuple[BodyGroup, LinkPoses]]
-# Columns of integers by name, (rows,), those of doubles without the time, (columns, rows), and the
-# place of each row's tick among the ticks, (rows,).
+# Columns of integers and booleans by name, (rows,), those of doubles without the time, (columns,
+# rows), and the place of each row's tick among the ticks, (rows,).
 _Columns: TypeAlias = tuple[Mapping[str, Indices], Array, Indices]
 
 
 @dataclass(frozen=True, eq=False)
 class _FixedRows:
-    """What is the same at each tick.
+    """What is the same at each tick."""
 
-    Attributes:
-        count: the number of rows of the table.
-        chosen: those that are recorded; None for all.
-        integers, booleans: the columns of these but the tick, by name.
-    """
-
-    count: int
-    chosen: Indices | None
-    integers: Mapping[str, npt.NDArray[Any]]
-    booleans: Mapping[str, npt.NDArray[Any]]
+    count: int  # the number of rows of the table
+    chosen: Indices | None  # those that are recorded; None for all
+    # the columns of these that have integers, but the tick, or booleans, by name
+    numbers: Mapping[str, npt.NDArray[Any]]
 
 
 class RecordedRows:
@@ -77,7 +71,7 @@ class RecordedRows:
                 "entity": np.concatenate([links.entities for links in parts]),
                 "link": np.concatenate([links.links for links in parts]),
             }
-            self._fixed[FRAMES] = _FixedRows(len(numbers["link"]), None, numbers, {})
+            self._fixed[FRAMES] = _FixedRows(len(numbers["link"]), None, numbers)
 
     def matches(self, snapshot: Snapshot) -> bool:
         """Checks whether the entities of a snapshot and their flags are the same."""
@@ -98,8 +92,10 @@ class RecordedRows:
         return _FixedRows(
             live.count,
             None if is_chosen.all() else rows,
-            {name: live[name][rows] for name in columns.integers[1:]},
-            {name: live.booleans(name)[rows] for name in columns.booleans},
+            {
+                **{name: live[name][rows] for name in columns.integers[1:]},
+                **{name: live.booleans(name)[rows] for name in columns.booleans},
+            },
         )
 
     # -- the rows of ticks ------------------------------------------------------------------
@@ -116,11 +112,8 @@ class RecordedRows:
         rows = {}
         for table in self._tables:
             integers, doubles, ticks = self._columns(table, states, groups)
-            fixed = self._fixed.get(table)
             rows[table] = TickRows(
-                {"tick": numbers[ticks], **integers},
-                np.vstack((times[ticks], doubles)),
-                {n: np.tile(v, len(states)) for n, v in fixed.booleans.items()} if fixed else {},
+                {"tick": numbers[ticks], **integers}, np.vstack((times[ticks], doubles))
             )
         return rows
 
@@ -131,7 +124,7 @@ class RecordedRows:
             fixed, block = self._fixed[table], self._block(table, states, groups)
             chosen = block if fixed.chosen is None else block.take(fixed.chosen, axis=1)
             return (
-                {name: np.tile(values, count) for name, values in fixed.integers.items()},
+                {name: np.tile(values, count) for name, values in fixed.numbers.items()},
                 chosen.swapaxes(1, 2).reshape(len(block), chosen.shape[1] * count),
                 np.arange(count).repeat(chosen.shape[1]),
             )

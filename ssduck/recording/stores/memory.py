@@ -36,7 +36,6 @@ from ssduck.recording.stores.history_sql import (
 from ssduck.recording.stores.model_tables import ModelTables
 from ssduck.schema import POSE, RECORDED, TABLES, recorded_tables
 from ssduck.world.layout import EntityInfo
-from ssduck.world.live_tables import new_version
 from ssduck.world.snapshot import Snapshot
 
 # A part with fewer rows is joined with the next one.
@@ -92,8 +91,7 @@ class MemoryStore(TickStore, TickArchive):
             for table, stored in self._stored.items():
                 new[table] = pa.concat_tables([stored.parts[-1], new[table]]).combine_chunks()
         for table, stored in self._stored.items():
-            stored.parts[len(stored.parts) - is_joined :] = [new[table]]
-            stored.version = new_version()
+            stored.replace([*stored.parts[: len(stored.parts) - is_joined], new[table]])
         if is_joined:
             first, start, _ = self._parts.pop()
         else:
@@ -113,8 +111,7 @@ class MemoryStore(TickStore, TickArchive):
         while len(self._parts) > 1 and (self._parts[1][0] <= tick or self.nbytes > self._max_bytes):
             del self._parts[0]
             for stored in self._stored.values():
-                del stored.parts[0]
-                stored.version = new_version()
+                stored.replace(stored.parts[1:])
         return self._parts[0][0]
 
     def begin_at(self, tick: int) -> None:
@@ -124,8 +121,7 @@ class MemoryStore(TickStore, TickArchive):
             rows = stored.parts[0]
             start = int(np.searchsorted(rows["tick"].to_numpy(), tick))
             if start:
-                stored.parts[0] = rows.slice(start)
-                stored.version = new_version()
+                stored.replace([rows.slice(start), *stored.parts[1:]])
 
     # -- reading ----------------------------------------------------------------------------
 
