@@ -10,6 +10,7 @@ import numpy as np
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.poses import rotation_matrices
 from ssduck.geometry.shapes import PlacedGeometry
+from ssduck.geometry.solids import CORNERS
 
 # A normal that deviates from an axis by less counts as parallel to it: 1e-6 m at 1 km.
 AXIS_TOLERANCE = 1e-9
@@ -121,7 +122,11 @@ class BoundingBoxes:
             boxes = np.zeros((6, len(self._groups)))
             np.minimum.reduceat(low, self._starts, axis=1, out=boxes[:3])
             np.maximum.reduceat(high, self._starts, axis=1, out=boxes[3:])
-        return boxes if len(self._groups) == self._count else self._fill_groups(boxes)
+        if len(self._groups) == self._count:
+            return boxes
+        all_boxes = self._empty.copy()
+        all_boxes[:, self._groups] = boxes
+        return all_boxes
 
     def over(self, positions: Array, matrices: Array) -> Array:
         """Returns the boxes (n, 6, groups) at n sets of poses, as `boxes` does of each."""
@@ -169,12 +174,6 @@ class BoundingBoxes:
             radii = radii + np.sqrt(sum(squares[1:], squares[0]))
         return low - radii, high + radii
 
-    def _fill_groups(self, boxes: Array) -> Array:
-        """Returns the boxes of all groups, with those of groups without shapes."""
-        all_boxes = self._empty.copy()
-        all_boxes[:, self._groups] = boxes
-        return all_boxes
-
 
 def _cores(pairs: Sequence[tuple[PlacedGeometry, int]]) -> list[_Core]:
     """Returns the cores of all shapes but planes."""
@@ -195,7 +194,7 @@ def _cores(pairs: Sequence[tuple[PlacedGeometry, int]]) -> list[_Core]:
                 axes = matrix.T * np.array([[a], [b], [c]])
                 cores.append(_Core(group, shape.frame, shape.position[None], axes=axes))
             case "box" | "hull" | "mesh" as kind:
-                corners = _CORNERS * (a, b, c) if kind == "box" else shape.geometry.vertices
+                corners = CORNERS * (a, b, c) if kind == "box" else shape.geometry.vertices
                 placed = corners @ matrix.T + shape.position
                 polyhedra.setdefault((group, shape.frame), []).append(placed)
     for (group, frame), sets in polyhedra.items():
@@ -203,7 +202,6 @@ def _cores(pairs: Sequence[tuple[PlacedGeometry, int]]) -> list[_Core]:
     return cores
 
 
-_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 _ENDS = np.array([[0.0, 0.0, -0.5], [0.0, 0.0, 0.5]])
 
 

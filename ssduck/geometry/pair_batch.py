@@ -39,8 +39,6 @@ QuestionKind: TypeAlias = Literal[
 MAX_ROUNDS = 16
 # In so many rounds at most, the shapes that carry at one tick are tried first at the others.
 MAX_CARRIED_ROUNDS = 4
-# Rows with at most so many pairs of shapes left are computed one by one.
-FEW_PAIRS = 3
 # A point that is farther inside is surely inside, m.
 _SURELY_INSIDE = 1e-9
 _NO_DIRECTION: Direction = (0.0, 0.0, 0.0)
@@ -230,21 +228,17 @@ class PairBatch:
                 return best
             row = self._rows[pairs[0]]
             end = int(np.searchsorted(self._rows[pairs], row, side="right"))
-            best[row], nearest = self._nearest(pairs[:end])
+            own, nearest = self._nearest(pairs[:end])
+            best[row] = min(best[row], own)
             pairs = pairs[end:]
             is_probe = places[pairs] == places[nearest]
             for pair in pairs[is_probe].tolist():
-                row = self._rows[pair]
-                best[row], normals[:, row] = self._distance(pair)
+                row, (distance, normal) = self._rows[pair], self._distance(pair)
+                if distance < best[row]:
+                    best[row], normals[:, row] = distance, normal
             pairs = pairs[~is_probe]
             rows = self._rows[pairs]
             pairs = self._nearer_than(best[rows], pairs, normals[:, rows])
-            counts = np.bincount(self._rows[pairs], minlength=self._count)[self._rows[pairs]]
-            is_few = (counts <= FEW_PAIRS) & (best[self._rows[pairs]] < math.inf)
-            for pair in pairs[is_few].tolist():
-                row = self._rows[pair]
-                best[row] = min(best[row], self._distance(pair)[0])
-            pairs = pairs[~is_few]
         for row, members in _groups(self._rows[pairs], pairs):
             best[row] = min(best[row], self._nearest(members)[0])
         return best

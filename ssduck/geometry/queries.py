@@ -74,8 +74,8 @@ class ShapeQueries:
         self._whole: ShapeQueries | None = None
         self._loaded: dict[tuple[int, bool], bool] = {}
         self._lock = RLock()
-        self._overlapping: dict[float, IdPairs] = {}
-        self._overlapping_with_margins: dict[float, IdPairs] = {}
+        # By the distance, and whether margins count.
+        self._overlapping: dict[tuple[float, bool], IdPairs] = {}
         # The number of pairs that were compared one by one, by predicate.
         self._pair_counts: Counter[PairPredicate] = Counter()
         self._own_pair_count = 0
@@ -145,12 +145,8 @@ class ShapeQueries:
         count = 1 + max(self._numbers.values(), default=0)
         link_ids, shapes = self._link_ids, np.arange(len(self._link_ids))
         found = np.unique(link_ids[is_of_link])
-        owners = np.concatenate(
-            (
-                table.entities[is_of_entity],
-                count + np.searchsorted(found, link_ids[is_of_link]),
-            )
-        )
+        of_links = count + np.searchsorted(found, link_ids[is_of_link])
+        owners = np.concatenate((table.entities[is_of_entity], of_links))
         shapes = np.concatenate((shapes[is_of_entity], shapes[is_of_link]))
         order = np.argsort(owners, kind="stable")
         owners, shapes = owners[order], shapes[order]
@@ -180,15 +176,8 @@ class ShapeQueries:
         are_regions = np.arange(count + len(regions)) >= count
         narrow = self._narrow.extended(table, poses)
         links, boxes = np.concatenate((self._links, links)), lambda: self._boxes
-        return ShapeQueries(
-            narrow,
-            self._numbers,
-            boxes,
-            self._ids,
-            links,
-            are_regions,
-            self._places,
-        )
+        given = narrow, self._numbers, boxes, self._ids
+        return ShapeQueries(*given, links, are_regions, self._places)
 
     def all_colliding(self, min_depth: float) -> IdPairs:
         """Returns the pairs that are deeper in each other than a depth, m.
@@ -244,26 +233,25 @@ class ShapeQueries:
 
     def all_meeting(self, max_distance: float) -> IdPairs:
         """Returns the pairs whose boxes are at most a distance apart along every axis, m."""
-        if max_distance not in self._overlapping:
-            self._overlapping[max_distance] = self._overlapping_boxes(self._boxes, max_distance)
-        return self._overlapping[max_distance]
+        return self._overlapping_boxes(max_distance, has_margins=False)
 
-    def _overlapping_boxes(self, boxes: Array, max_distance: float) -> IdPairs:
+    def all_reaching(self, max_distance: float) -> IdPairs:
+        """Returns the pairs whose boxes, grown by their largest margins, are that near."""
+        return self._overlapping_boxes(max_distance, has_margins=True)
+
+    def _overlapping_boxes(self, max_distance: float, *, has_margins: bool) -> IdPairs:
+        key = max_distance, has_margins
+        if key in self._overlapping:
+            return self._overlapping[key]
+        boxes = self._boxes_with_margins if has_margins else self._boxes
         first, second = overlapping_pairs(boxes, max_distance + BOX_TOLERANCE)
         if self._is_of_both:
             a, b = self._ids[first], self._ids[second]
             is_of_both = (a < LINK_FACTOR) != (b < LINK_FACTOR)
             wanted = is_of_both & (a % LINK_FACTOR != b % LINK_FACTOR)
             first, second = first[wanted], second[wanted]
-        return IdPairs.in_both_orders(self._ids, first, second)
-
-    def all_reaching(self, max_distance: float) -> IdPairs:
-        """Returns the pairs whose boxes, grown by their largest margins, are that near."""
-        if max_distance not in self._overlapping_with_margins:
-            self._overlapping_with_margins[max_distance] = self._overlapping_boxes(
-                self._boxes_with_margins, max_distance
-            )
-        return self._overlapping_with_margins[max_distance]
+        self._overlapping[key] = found = IdPairs.in_both_orders(self._ids, first, second)
+        return found
 
     def all_on(self) -> IdPairs:
         """Returns the pairs of which the second is on the first."""

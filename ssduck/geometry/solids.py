@@ -12,7 +12,8 @@ import math
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
+from itertools import compress
 from threading import RLock
 from typing import Any, Literal, TypeAlias
 
@@ -36,7 +37,7 @@ ELLIPSOID_DIVISIONS = 4
 # Sets of points that are thinner than this fraction of their length are flat.
 FLAT = 1e-9
 CACHED_SOLIDS = 1024
-_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,16 +218,8 @@ class PlacedSolids:
 
     def select(self, flags: Flags) -> PlacedSolids:
         """Returns the solids that are flagged."""
-        solids = [
-            solid for solid, is_selected in zip(self.solids, flags, strict=True) if is_selected
-        ]
-        return PlacedSolids(
-            solids,
-            self.positions[flags],
-            self.matrices[flags],
-            self.boxes[flags],
-            self.owners[flags],
-        )
+        parts = (part[flags] for part in (self.positions, self.matrices, self.boxes, self.owners))
+        return PlacedSolids(list(compress(self.solids, flags)), *parts)
 
     @classmethod
     def empty(cls) -> PlacedSolids:
@@ -341,7 +334,7 @@ def _ellipsoid(a: float, b: float, c: float) -> Solid:
 
 def _box(a: float, b: float, c: float) -> Solid:
     halves = np.array([a, b, c]) / 2
-    corners = _CORNERS * (a, b, c)
+    corners = CORNERS * (a, b, c)
     faces = [[0, 1, 3], [0, 3, 2], [4, 7, 5], [4, 6, 7], [0, 5, 1], [0, 4, 5]]
     faces += [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
     return Solid(
@@ -378,14 +371,13 @@ def hull_solid(points: Array) -> Solid:
     new_numbers[hull_vertices] = np.arange(len(hull_vertices))
     corners = points[hull_vertices]
     interior_point = corners.mean(axis=0)
-    planes = np.unique(hull.equations.round(12), axis=0)
     faces = _orient_outward(new_numbers[faces], corners, interior_point)
     low, high = corners.min(axis=0), corners.max(axis=0)
     centre = (low + high) / 2
     # qhull's planes before it merges them, which are exact up to rounding
     normals, offsets = hull.equations[:, :3], -hull.equations[:, 3]
-    if len(planes) < len(normals):
-        _, first = np.unique(hull.equations.round(12), axis=0, return_index=True)
+    _, first = np.unique(hull.equations.round(12), axis=0, return_index=True)
+    if len(first) < len(normals):
         normals, offsets = normals[first], offsets[first]
     return Solid(
         "hull",
@@ -422,7 +414,8 @@ def _flat_hull(points: Array, centroid: Array, axes: Array, rank: int) -> Solid:
         edges = np.roll(corners, -1, axis=0) - corners
         up = np.cross(axes[0], axes[1])
         sides = cross(edges, np.repeat(up[None], len(edges), axis=0))
-        normals = np.concatenate(([up, -up], _unit_vectors(sides)))
+        sides /= np.linalg.norm(sides, axis=1)[:, None]
+        normals = np.concatenate(([up, -up], sides))
     bounding_radius = float(np.linalg.norm(corners - centroid, axis=1).max())
     return Solid(
         "hull",
@@ -492,20 +485,17 @@ def _inscribed_polyhedron(semi_axes: Sequence[float]) -> Surface:
     return Surface(np.array(ball.vertices) * semi_axes, np.array(ball.faces, np.int32))
 
 
-_UNIT_BALL: list[Array] = []
-
-
+@cache
 def _unit_ball(count: int = 1000) -> Array:
     """Returns evenly distributed points whose hull has the volume of the unit ball."""
-    if not _UNIT_BALL:
-        from scipy.spatial import ConvexHull
+    from scipy.spatial import ConvexHull
 
-        index = np.arange(count) + 0.5
-        z, angle = 1.0 - 2.0 * index / count, math.pi * (1.0 + math.sqrt(5.0)) * index
-        ring = np.sqrt(1.0 - z * z)
-        points = np.stack((ring * np.cos(angle), ring * np.sin(angle), z), axis=1)
-        _UNIT_BALL.append(points * (4.0 / 3.0 * math.pi / ConvexHull(points).volume) ** (1.0 / 3.0))
-    return _UNIT_BALL[0]
+    index = np.arange(count) + 0.5
+    z, angle = 1.0 - 2.0 * index / count, math.pi * (1.0 + math.sqrt(5.0)) * index
+    ring = np.sqrt(1.0 - z * z)
+    points = np.stack((ring * np.cos(angle), ring * np.sin(angle), z), axis=1)
+    scaled: Array = points * (4.0 / 3.0 * math.pi / ConvexHull(points).volume) ** (1.0 / 3.0)
+    return scaled
 
 
 def _orient_outward(faces: Triangles, corners: Array, interior_point: Array) -> Triangles:
@@ -515,11 +505,6 @@ def _orient_outward(faces: Triangles, corners: Array, interior_point: Array) -> 
     oriented = faces.astype(np.int32)
     oriented[is_inward] = oriented[is_inward][:, ::-1]
     return oriented
-
-
-def _unit_vectors(vectors: Array) -> Array:
-    unit: Array = vectors / np.linalg.norm(vectors, axis=1)[:, None]
-    return unit
 
 
 def _point(values: Any) -> tuple[float, float, float]:

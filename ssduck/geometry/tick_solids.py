@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import TypeAlias, TypeVar
 
@@ -11,10 +12,7 @@ import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags
 from ssduck.geometry.placed_solid import PlacedSolid, Point, Quaternion
-from ssduck.geometry.poses import (
-    flat_rotation_matrices,
-    unit_quaternions,
-)
+from ssduck.geometry.poses import flat_rotation_matrices, unit_quaternions
 from ssduck.geometry.tick_shapes import ShapeTable, TickShapes, of_known_entities
 
 T = TypeVar("T")
@@ -37,29 +35,19 @@ class Found(dict[int, T]):
         return found
 
 
+@dataclass(frozen=True, eq=False)
 class ShapePlaces:
     """Where n shapes are in the world.
 
-    Args:
+    Attributes:
         positions: (n, 3).
         orientations: (n, 4), quaternions w, x, y, z of any length.
         boxes: (n, 6), lower corner, upper corner.
-
-    Attributes:
-        positions, orientations, boxes: see above.
     """
 
-    def __init__(self, positions: Array, orientations: Array, boxes: Array) -> None:
-        self.positions, self.orientations, self.boxes = positions, orientations, boxes
-
-    def pose(self, shape: int) -> tuple[list[float], list[float]]:
-        """Returns the position and the orientation of a shape."""
-        return self.positions[shape].tolist(), self.orientations[shape].tolist()
-
-    def box(self, shape: int) -> list[float]:
-        """Returns the box of a shape: lower corner, upper corner."""
-        box: list[float] = self.boxes[shape].tolist()
-        return box
+    positions: Array
+    orientations: Array
+    boxes: Array
 
 
 class TickSolids:
@@ -80,7 +68,7 @@ class TickSolids:
         self.table, self.places = table, places
         poses = Found(partial(_pose, places))
         self.are_known = Found(partial(_is_known, table, poses))
-        self.corners = Found(places.box)
+        self.corners: Found[list[float]] = Found(lambda shape: places.boxes[shape].tolist())
         self._placed = Found(partial(_placed, table, poses))
         self.centres = Found(partial(_centre, self._placed))
         self._ranks = Found(partial(_rank, table, poses))
@@ -144,7 +132,8 @@ _Pose: TypeAlias = tuple[Point, Quaternion]
 
 def _pose(places: ShapePlaces, shape: int) -> _Pose:
     """Returns the position of a shape, and its orientation with length 1."""
-    (x, y, z), (w, i, j, k) = places.pose(shape)
+    x, y, z = places.positions[shape].tolist()
+    w, i, j, k = places.orientations[shape].tolist()
     length = math.sqrt(w * w + i * i + j * j + k * k) or math.nan
     return (x, y, z), (w / length, i / length, j / length, k / length)
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -14,6 +15,31 @@ from ssduck.geometry.solids import Solid
 
 # The greatest error of computed points, m.
 _POINT_ERROR = 1e-10
+
+
+# Returns the least and the greatest y of a shape in strips from left to right, between two heights.
+_Bounds: TypeAlias = Callable[[Array, Array, float, float], tuple[Array, Array]]
+
+
+def _intervals(
+    raster: Raster,
+    centre: Array,
+    extents: Array,
+    low: float,
+    high: float,
+    bounds: _Bounds,
+    min_overlap: float = CELL_TOLERANCE,
+) -> StripIntervals | None:
+    """Returns the intervals of a shape with a box around its centre; None without any."""
+    start, end = centre - extents, centre + extents
+    if start[2] > high or end[2] < low or low > high:
+        return None
+    first, last = raster.overlapped_cells(start[:1], end[:1], min_overlap, 0)
+    strips = np.arange(first[0], last[0] + 1)
+    left = raster.origin[0] + strips * raster.size + min_overlap
+    bottom, top = bounds(left, left + raster.size - 2 * min_overlap, low, high)
+    is_reached = bottom <= top
+    return StripIntervals(strips[is_reached], bottom[is_reached], top[is_reached], min_overlap)
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,22 +60,14 @@ class RoundShape:
 
     def intervals(self, raster: Raster, low: float, high: float) -> StripIntervals | None:
         """Returns the occupied intervals of strips between two heights; None without any."""
+        if self.half < 0.0:
+            box = self.position, np.full(3, self.radius)
+            return _intervals(raster, *box, low, high, self._sphere_bounds)
         across = np.hypot(self.matrix[:, 0], self.matrix[:, 1])
         extents = self.radius * across + abs(self.matrix[:, 2]) * self.half
-        if self.half < 0.0:
-            extents = np.full(3, self.radius)
-        start, end = self.position - extents, self.position + extents
-        if start[2] > high or end[2] < low or low > high:
-            return None
         min_overlap = -CELL_TOLERANCE if self.half == 0.0 else CELL_TOLERANCE
-        first, last = raster.overlapped_cells(start[:1], end[:1], min_overlap, 0)
-        strips = np.arange(first[0], last[0] + 1)
-        left = raster.origin[0] + strips * raster.size + min_overlap
-        right = left + raster.size - 2 * min_overlap
-        bounds = self._sphere_bounds if self.half < 0.0 else self._cylinder_bounds
-        bottom, top = bounds(left, right, low, high)
-        is_reached = bottom <= top
-        return StripIntervals(strips[is_reached], bottom[is_reached], top[is_reached], min_overlap)
+        bounds = self._cylinder_bounds
+        return _intervals(raster, self.position, extents, low, high, bounds, min_overlap)
 
     def _sphere_bounds(
         self, left: Array, right: Array, low: float, high: float
@@ -149,22 +167,13 @@ class Ellipsoid:
     def intervals(self, raster: Raster, low: float, high: float) -> StripIntervals | None:
         """Returns the occupied intervals of strips between two heights; None without any."""
         extents = np.sqrt(np.diagonal(self.covariance))
-        start, end = self.position - extents, self.position + extents
-        if start[2] > high or end[2] < low or low > high:
-            return None
-        first, last = raster.overlapped_cells(start[:1], end[:1], CELL_TOLERANCE, 0)
-        strips = np.arange(first[0], last[0] + 1)
-        left = raster.origin[0] + strips * raster.size + CELL_TOLERANCE
-        right = left + raster.size - 2 * CELL_TOLERANCE
-        x, y, z = self.position
-        box = left - x, right - x, np.full(len(left), low - z), np.full(len(left), high - z)
-        top = self._greatest(*box)
+        return _intervals(raster, self.position, extents, low, high, self._bounds)
+
+    def _bounds(self, left: Array, right: Array, low: float, high: float) -> tuple[Array, Array]:
+        (x, y, z), count = self.position, len(left)
+        box = left - x, right - x, np.full(count, low - z), np.full(count, high - z)
         # The other end is that of the mirrored ellipsoid in the mirrored strip.
-        bottom = -self._greatest(-box[1], -box[0], -box[3], -box[2])
-        is_reached = bottom <= top
-        return StripIntervals(
-            strips[is_reached], y + bottom[is_reached], y + top[is_reached], CELL_TOLERANCE
-        )
+        return y - self._greatest(-box[1], -box[0], -box[3], -box[2]), y + self._greatest(*box)
 
     def _greatest(self, left: Array, right: Array, low: Array, high: Array) -> Array:
         """Returns the greatest y of points in rectangles of x and z, (n,); -inf if none."""
