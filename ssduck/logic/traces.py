@@ -137,6 +137,18 @@ def always(trace: Trace, window: Window = Window()) -> Trace:
 def until(trace: Trace, goal: Trace, window: Window = Window()) -> Trace:
     """Returns whether a goal holds at a tick of the window, and a condition at all before that."""
     first, last = window.ahead(trace.times, is_open=trace.is_open)
+    found = _until(trace, goal, first, last)
+    # A window that has not begun may begin with the last tick, if the next one comes after that.
+    may_begin = np.minimum(first, len(first) - 1)
+    if not trace.is_open or (may_begin == first).all():
+        return found
+    other = _until(trace, goal, may_begin, last)
+    low, high = np.minimum(found.low, other.low), np.maximum(found.high, other.high)
+    return Trace(trace.times, low, high, is_open=True)
+
+
+def _until(trace: Trace, goal: Trace, first: Indices, last: Indices) -> Trace:
+    """Returns `until` of the windows from one tick to another."""
     here = np.arange(len(first))
 
     def bound(values: Array, goals: Array) -> Array:

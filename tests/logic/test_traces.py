@@ -127,6 +127,20 @@ def test_until_at_the_first_tick_is_known_tick_by_tick(steps, window, known, dat
         assert [state.margin for state in states] == [expected.low[0], expected.high[0]]
 
 
+@settings(max_examples=generated(400), deadline=None)
+@given(STEPS, windows(), st.sampled_from(["until", "until", "always", "eventually"]), st.data())
+def test_what_is_decided_is_what_all_that_may_come_makes_it(steps, window, name, data):
+    times = times_of(steps)
+    count = data.draw(st.integers(1, len(times)))
+    truth = st.lists(st.booleans(), min_size=len(times), max_size=len(times))
+    drawn = [data.draw(truth) for _ in formula_of(name, window).parts]
+    whole = OPERATORS[name](*(Trace.of(times, np.array(one)) for one in drawn), window)
+    so_far = [Trace.of(times[:count], np.array(one[:count]), is_open=True) for one in drawn]
+    found = OPERATORS[name](*so_far, window)
+    assert (found.low <= whole.low[:count]).all()
+    assert (whole.low[:count] <= found.high).all()
+
+
 def test_several_episodes_are_each_by_itself():
     times = np.arange(20) * 0.1
     values, goals = np.random.default_rng(0).normal(size=(2, 5, 20))

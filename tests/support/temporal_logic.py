@@ -75,12 +75,16 @@ def value(
             return _all([at(parts[0], i) for i in _ahead(formula, tick, times, is_open=is_open)])
         case "until":
             condition, goal = parts
-            return _any(
-                [
-                    _all([at(goal, i), *(at(condition, j) for j in range(tick, i))])
-                    for i in _ahead(formula, tick, times, is_open=is_open)
-                ]
-            )
+            held = [
+                _all([at(goal, i), *(at(condition, j) for j in range(tick, i))])
+                for i in _ahead(formula, tick, times, is_open=is_open)
+            ]
+            last = len(times) - 1
+            if is_open and times[tick] + _bounds(formula)[0] > times[last] + _SLACK:
+                # Perhaps the next tick comes after the window has begun, and then it has this one.
+                before = (at(condition, j) for j in range(tick, last))
+                held.append(_all([None, at(goal, last), *before]))
+            return _any(held)
         case "once":
             return _any([at(parts[0], i) for i in _back(formula, tick, times)])
         case "historically":

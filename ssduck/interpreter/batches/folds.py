@@ -253,7 +253,9 @@ class FromFirst(_Operator):
         first, now, *bounds = self._state
         held, at_begin, later = np.array(bounds).reshape(3, 2, -1)
         window = self._window
-        found = np.where(first + window.start <= now + TIME_TOLERANCE, at_begin, -np.inf)
+        has_begun = first + window.start <= now + TIME_TOLERANCE
+        # If it has not, it may begin with this tick, if the next one comes after that.
+        found = np.stack((np.where(has_begun, at_begin[0], -np.inf), at_begin[1]))
         found = np.maximum(found, later)
         may_come = first + window.end > now + TIME_TOLERANCE
         found[1] = np.where(may_come, np.maximum(found[1], held[1]), found[1])
