@@ -39,7 +39,13 @@ def batch(client):
     pybullet.createMultiBody(0.1, ball, batchPositions=places, physicsClientId=client)
 
 
-SCENES = {scene.__name__: scene for scene in (duck_drop, pile, batch)}
+def robot(client):
+    """A robot that stands on its wheels, which are links."""
+    pybullet.loadURDF("plane.urdf", physicsClientId=client)
+    pybullet.loadURDF("r2d2.urdf", [0, 0, 0.48], physicsClientId=client)
+
+
+SCENES = {scene.__name__: scene for scene in (duck_drop, pile, batch, robot)}
 # The quick form has the first impacts.
 STEPS = [pytest.param(90), pytest.param(2000, marks=pytest.mark.long)]
 
@@ -82,6 +88,7 @@ def test_contacts_of_pybullet(client, scene, steps):
                 forces[row[0], row[2]] += row[10]
             pushes.append(forces[plane, ids[1]])
         assert apart or scene is not duck_drop  # some are pressed at a distance
+        assert any(row[3] for row in expected) is (scene is robot)  # of links beyond the base
         hardest = max(pushes)
         first = next(step for step, push in enumerate(pushes, 1) if push > 0)
         one = ", ".join(f"sim.{entity.name}" for entity in list(world)[:2])
@@ -89,6 +96,10 @@ def test_contacts_of_pybullet(client, scene, steps):
         assert next(time for time, holds in changes if holds) == pytest.approx(first / 240)
         time, force = ss.eval(f"greatest(contactForce({one}));")
         assert (time, force) == pytest.approx(((pushes.index(hardest) + 1) / 240, hardest))
+        pybullet.removeBody(1, client)
+        world.tick()
+        expected = sorted(points_of_pybullet(client, ids))
+        assert ss.sql(f"SELECT {COLUMNS}, {VECTORS} FROM sim.contacts").fetchall() == expected
 
 
 # -- MuJoCo ------------------------------------------------------------------------------------

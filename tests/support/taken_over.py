@@ -21,7 +21,6 @@ OPENED = {
     "memory": ("shmget",),
     "time": ("prctl",),
 }
-LAYERS = ("landlock", "seccomp", "limits")
 
 
 class HookedZygote(Zygote):

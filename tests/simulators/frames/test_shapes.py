@@ -1,4 +1,4 @@
-"""Shapes and contacts are PyBullet's."""
+"""Shapes are PyBullet's."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ssduck.formatting import MAX_NAMED
 from tests.support.arm import ARM, HIGH, LOW, POSE, unsettle
 from tests.support.bodies import solid
 from tests.support.framed import LIBRARY, asked, base_state, link_states, matrix, rows, same_turn
-from tests.support.urdf import box_obj, collision, joint, link, robot
+from tests.support.urdf import box_obj, collision, link, robot
 
 # -- shapes --------------------------------------------------------------------------------------
 
@@ -288,92 +288,3 @@ def test_rigid_bodies_of_primitives_are_exact(client):
     assert low == pytest.approx(np.array([1, 2, 3]) - half)
     assert high == pytest.approx(np.array([1, 2, 3]) + half)
     assert world["rigid"].velocity == pytest.approx([1, 2, 3, 4, 5, 6])
-
-
-# -- contacts ------------------------------------------------------------------------------------
-
-
-CONTACT = ["ax", "ay", "az", "bx", "by", "bz", "nx", "ny", "nz", "depth", "force"]
-
-
-def floor_under(client):
-    """A floor whose top is at 0."""
-    pybullet.setGravity(0, 0, -10, physicsClientId=client)
-    return solid(client, pybullet.GEOM_BOX, 0, [0, 0, -0.5], halfExtents=[50, 50, 0.5])
-
-
-def box_at(client, x, height):
-    """A box of 2 kg and 1 m, that high above 0."""
-    shape = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[0.5] * 3, physicsClientId=client
-    )
-    place = [x, 0, 0.5 + height]
-    return pybullet.createMultiBody(2.0, shape, basePosition=place, physicsClientId=client)
-
-
-def boxes_on_a_floor(client, heights):
-    """The floor, and boxes as high above it as given."""
-    floor_under(client)
-    for number, height in enumerate(heights):
-        box_at(client, 3 * number, height)
-
-
-@pytest.mark.parametrize("up", [1.0, -1.0], ids=["box first", "floor first"])
-def test_a_resting_box_presses_with_its_weight(client, up):
-    """Whichever of the two has the smaller id is a; the normal then points from b to a."""
-    if up > 0:
-        box_at(client, 0, 0.0)
-        floor_under(client)
-    else:
-        boxes_on_a_floor(client, [0.0])
-    world = ssduck.World.attach(client)
-    world.request_tables(["contacts"])
-    world.step(240)
-    found = rows(world, "contacts", ["a", "b", *CONTACT])
-    assert found[:, :2].tolist() == [[1, 2]] * 4
-    assert found[:, 8:11] == pytest.approx(np.tile([0, 0, up], (4, 1)), abs=1e-6)
-    assert found[:, 12].sum() == pytest.approx(2.0 * 10.0, rel=1e-3)
-    assert np.all(found[:, 11] >= 0)
-    assert np.all(found[:, 11] < 1e-3)
-    # The point on a is that on b, moved by the penetration against the normal.
-    assert found[:, 2:5] - found[:, 5:8] == pytest.approx(
-        -found[:, 11:12] * found[:, 8:11], abs=1e-9
-    )
-
-
-@pytest.mark.parametrize(
-    ("gap", "touches"), [(-1e-3, True), (-1e-5, True), (1e-5, False), (1e-3, False), (5e-3, False)]
-)
-def test_near_misses_are_no_contacts(client, gap, touches):
-    boxes_on_a_floor(client, [gap])
-    pybullet.performCollisionDetection(client)
-    world = asked(ssduck.World.attach(client), "contacts")
-    assert (world.snapshot.tables["contacts"].count > 0) == touches
-    if touches:
-        assert rows(world, "contacts", ["depth"]) == pytest.approx(-gap, abs=1e-6)
-
-
-def test_contacts_of_links(client, write):
-    """A robot's link on the floor: the number of the link is ssduck's, the base being 0."""
-    boxes_on_a_floor(client, [])
-    model = robot(
-        link("base", mass=0),
-        link("foot", shapes=collision('<box size="0.2 0.2 0.2"/>')),
-        joint("j", "fixed", "base", "foot", xyz=(0, 0, -1)),
-    )
-    path = str(write("leg.urdf", model))
-    pybullet.loadURDF(path, [0, 0, 1.099], physicsClientId=client)
-    pybullet.performCollisionDetection(client)
-    world = asked(ssduck.World.attach(client), "contacts")
-    links = set(map(tuple, rows(world, "contacts", ["a", "link_a", "b", "link_b"]).tolist()))
-    assert links == {(1, 0, 2, 1)}
-
-
-def test_a_removed_body_touches_nothing(client):
-    boxes_on_a_floor(client, [-1e-3, -1e-3])
-    pybullet.performCollisionDetection(client)
-    world = asked(ssduck.World.attach(client), "contacts")
-    assert set(rows(world, "contacts", ["b"])[:, 0].tolist()) == {2, 3}
-    pybullet.removeBody(1, client)
-    world.tick()
-    assert set(rows(world, "contacts", ["b"])[:, 0].tolist()) == {3}
