@@ -288,7 +288,7 @@ def is_in(shape, point, slack):
     return result.status == 0 and result.fun <= 3 * slack + 1e-7
 
 
-def convex_error(a, b, result: SignedDistance, *, full=True):
+def convex_error(a, b, result: SignedDistance):
     """Returns the deviation of a separation of convex shapes from proved bounds.
 
     Points in the shapes bound the distance from above, the direction bounds it from below; the
@@ -300,12 +300,11 @@ def convex_error(a, b, result: SignedDistance, *, full=True):
     normal = np.array(result.normal)
     error = max(abs(float(normal @ normal) - 1), _identity(result))
     error = max(error, abs(reach(b, normal) + reach(a, -normal) + result.distance))
-    if full:
-        # Near its minimum the depth of a round side hardly changes: its points are less exact.
-        slack = ROUND_POINT if result.distance < 1e-9 and {a.kind, b.kind} & SWEPT else 1e-5
-        is_inside = is_in(a, result.point_a, slack) and is_in(b, result.point_b, slack)
-        error = error if is_inside else math.inf
-    if result.distance < 0 and full and "plane" not in (a.kind, b.kind):
+    # Near its minimum the depth of a round side hardly changes: its points are less exact.
+    slack = ROUND_POINT if result.distance < 1e-9 and {a.kind, b.kind} & SWEPT else 1e-5
+    is_inside = is_in(a, result.point_a, slack) and is_in(b, result.point_b, slack)
+    error = error if is_inside else math.inf
+    if result.distance < 0 and "plane" not in (a.kind, b.kind):
         error = max(error, depth_error(a, b, result))
     return error
 
@@ -486,15 +485,15 @@ def mesh_error(a, b, result: SignedDistance):
     return max(error, abs(max(depths) + r + q + result.distance))
 
 
-def error_of(a, b, *, full=True):
+def error_of(a, b):
     """Returns the error of ssduck's result, and the result."""
     result = gap(a, b)
     if {a.kind, b.kind} & set(MESHES) and "plane" not in (a.kind, b.kind):
-        return (mesh_error(a, b, result) if full else _identity(result)), result
+        return mesh_error(a, b, result), result
     if {a.kind, b.kind} & set(MESHES):
         normal = np.array(result.normal)
         return abs(reach(b, normal) + reach(a, -normal) + result.distance), result
-    return convex_error(a, b, result, full=full), result
+    return convex_error(a, b, result), result
 
 
 def moved(shape, shift, turn):

@@ -6,7 +6,6 @@ from concurrent.futures import ThreadPoolExecutor
 
 import fcl
 import numpy as np
-import pybullet
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -14,7 +13,6 @@ from hypothesis import strategies as st
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
 from tests.support import pairs
-from tests.support.bodies import solid
 from tests.support.cases import sampled
 from tests.support.narrow_cases import ORIGIN, OVER, floor, shape, two
 from tests.support.pairs import Shape, ell
@@ -97,39 +95,6 @@ def test_formulas_agree_with_fcl(kinds):
         distance = fcl.distance(*objects, fcl.DistanceRequest(), fcl.DistanceResult())
         found = pairs.gap(a, b).distance
         assert max(0.0, found) == pytest.approx(max(0.0, distance), abs=2e-3)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "kinds",
-    [("box", "box"), ("sphere", "cylinder"), ("capsule", "box"), ("cylinder", "cylinder")],
-    ids=" ".join,
-)
-def test_gaps_agree_with_pybullet(client, kinds):
-    """Whose margins are up to 1 mm for each box and cylinder."""
-
-    def body(one):
-        a, b, _ = one.geometry.size
-        halves = [length / 2 for length in one.geometry.size]
-        number = getattr(pybullet, f"GEOM_{one.kind.upper()}")
-        turn = np.roll(one.quaternion, -1)
-        size = {"radius": a, "height": b, "halfExtents": halves}
-        return solid(client, number, 0, one.position, turn, **size)
-
-    random = np.random.default_rng(1)
-    compared = 0
-    for _ in range(60):
-        a, b = (
-            Shape(k, pairs.geometry(k, random, is_round=False), *pairs.pose(random, is_round=False))
-            for k in kinds
-        )
-        found = pairs.gap(a, b).distance
-        if found > 0.01:
-            bodies = body(a), body(b)
-            points = pybullet.getClosestPoints(*bodies, 10.0, physicsClientId=client)
-            assert found == pytest.approx(min(point[8] for point in points), abs=3e-3)
-            compared += 1
-    assert compared > 5
 
 
 # -- boundaries ----------------------------------------------------------------------------------
