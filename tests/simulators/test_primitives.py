@@ -199,7 +199,6 @@ MISTAKES = [
     (BOX + "scale = 1", "body[0].scale", "there is no such key", ()),
     (BOX + "sphere = 1", "body[0].sphere", "there is 'box' already", ()),
     (BOX + "urdf = 'cup.urdf'", "body[0].box", "there is 'urdf' already", ()),
-    ("[[body]]\nbox = [1, 1, 1]", "body[0].name", "missing", ()),
     (
         BODY + "box = 1",
         "body[0].box",
@@ -229,8 +228,6 @@ MISTAKES = [
     (BOX + "restitution = 1.1", "body[0].restitution", "1.1 is more than 1", ()),
     (BOX + "joints = { j = 1 }", "body[0].joints", "a body with 'box' has no such key", ()),
     (BOX + "hold = true", "body[0].hold", "a body with 'box' has no such key", ()),
-    (BOX + BOX, "body[1].name", "'a' is there already", ()),
-    (BOX + "fixed = true\nvelocity = [0, 0, 0, 0, 0, 1]", "body[0].velocity", "does not move", ()),
     ("floor = 1", "floor", "expected true, false or a table, found 1", ()),
     ("floor = [1]", "floor", "expected true, false or a table", ()),
     ("[floor]\nheigth = 1", "floor.heigth", "there is no such key", ("height",)),

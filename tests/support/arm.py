@@ -11,14 +11,8 @@ from tests.support.urdf import collision, joint, link, robot
 pybullet = pytest.importorskip("pybullet")
 
 POSE = ["x", "y", "z", "qw", "qx", "qy", "qz"]
-
-
 TWIST = ["vx", "vy", "vz", "wx", "wy", "wz"]
-
-
 LOW, HIGH = ["xmin", "ymin", "zmin"], ["xmax", "ymax", "zmax"]
-
-
 LIMIT = '<limit lower="{}" upper="{}" effort="{}" velocity="{}"/>'
 
 

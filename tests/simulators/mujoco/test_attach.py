@@ -262,6 +262,11 @@ WRONG = {
     "data alone": (lambda m, d: ((d,), {}), SimulatorError, "data without its model"),
     "a model on a device": (lambda m, d: ((_of_module("mujoco.mjx._src.types"), d), {}), SimulatorError, "mjx.get_data"),
     "an object of Warp": (lambda m, d: ((_of_module("mujoco_warp._src.types"),), {}), SimulatorError, "copy it to an MjData"),
+    "data of another model": (
+        lambda m, _: ((m, mujoco.MjData(mujoco.MjModel.from_xml_string("<mujoco/>"))), {}),
+        SimulatorError, "of another model: it has 1 bodies, the model 9",
+    ),
+    "a module": (lambda *_: ((types,), {}), SimulatorError, "unwrapped, physics or sim"),
     "no data": (lambda m, d: ((m, "data"), {}), SimulatorError, "it has no MuJoCo model and data"),
     "function of nothing": (lambda m, d: ((lambda: None,), {}), SimulatorError, "no MuJoCo model"),
     "name": (lambda m, d: ((m, d, {"bal": "x"}), {}), UnknownNameError, r"no body 'bal'.*ball"),
@@ -283,12 +288,6 @@ def test_wrong_arguments_are_told_at_once(model, data, case):
     with pytest.raises(error) as caught:
         ssduck.World.attach(*values, **named)
     assert re.search(text, str(caught.value))
-
-
-def test_data_of_another_model_is_told(model):
-    other = mujoco.MjModel.from_xml_string("<mujoco/>")
-    with pytest.raises(SimulatorError, match="of another model: it has 1 bodies, the model 9"):
-        ssduck.World.attach(model, mujoco.MjData(other))
 
 
 @pytest.mark.slow
@@ -363,11 +362,6 @@ def test_a_file_is_loaded_and_run(tmp_path):
         ssduck.load(path)
     with pytest.raises(UnsupportedError, match="MuJoCo loads scenes of URDF files"):
         ssduck.load("chaos", simulator="mujoco")
-
-
-def test_a_module_is_no_environment():
-    with pytest.raises(SimulatorError, match="unwrapped, physics or sim"):
-        ssduck.World.attach(types)
 
 
 @pytest.mark.slow
