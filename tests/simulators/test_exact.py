@@ -236,8 +236,14 @@ def rigid(client, kind, **how):
     ],
 )
 def test_rigid_bodies_are_read_too(client, kind, how, expected):
-    handle = rigid(client, kind, **how)
-    (shape,) = body_of(exact_key(client), handle).shapes
+    handle, turn = rigid(client, kind, **how), [0.1, 0.7, 0.5, 0.5]
+    pybullet.resetBasePositionAndOrientation(handle, [1, 2, 3], turn, client)
+    pybullet.resetBaseVelocity(handle, [1, 2, 3], [4, 5, 6], client)
+    world = exact_key(client)
+    (entity,) = world
+    assert entity.pose == pytest.approx([turn[3], *turn[:3], 1, 2, 3], abs=1e-6)
+    assert entity.velocity == pytest.approx([1, 2, 3, 4, 5, 6])
+    (shape,) = body_of(world, handle).shapes
     assert shape.geometry.type == expected[0]
     assert shape.geometry.size == pytest.approx(expected[1], abs=1e-7)
 

@@ -160,23 +160,6 @@ def test_a_mesh_given_by_points_is_their_hull(client):
     assert [kind for kind, _ in shapes_of(world, world.snapshot.entities[0].name)] == ["hull"]
 
 
-def test_several_shapes_on_one_link(client):
-    shape = pybullet.createCollisionShapeArray(
-        [pybullet.GEOM_BOX, pybullet.GEOM_SPHERE],
-        halfExtents=[[1, 1, 1], [0, 0, 0]],
-        radii=[0, 0.5],
-        collisionFramePositions=[[0, 0, 0], [1, 2, 3]],
-        physicsClientId=client,
-    )
-    pybullet.createMultiBody(1.0, shape, physicsClientId=client)
-    world = asked(ssduck.World.attach(client, names={0: "two"}), "shapes")
-    found = shapes_of(world, "two")
-    assert [(kind, box.tolist()) for kind, box in found] == [
-        ("box", [[-1, -1, -1], [1, 1, 1]]),
-        ("sphere", [[0.5, 1.5, 2.5], [1.5, 2.5, 3.5]]),
-    ]
-
-
 @pytest.mark.parametrize(
     ("normal", "corners"),
     [
@@ -265,26 +248,3 @@ def test_drawn_capsules_are_exact_where_they_are_the_shapes(client):
     world = ssduck.World.attach(client, names={0: "humanoid"})
     types = [kind for kind, _ in shapes_of(asked(world, "shapes"), "humanoid")]
     assert sorted(set(types)) == ["box", "capsule", "sphere"]
-
-
-def test_rigid_bodies_of_primitives_are_exact(client):
-    shape = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[0.1, 0.2, 0.3], physicsClientId=client
-    )
-    turn = Rotation.random(random_state=6)
-    handle = pybullet.createMultiBody(
-        2.0,
-        shape,
-        basePosition=[1, 2, 3],
-        baseOrientation=turn.as_quat(),
-        useMaximalCoordinates=True,
-        physicsClientId=client,
-    )
-    pybullet.resetBaseVelocity(handle, [1, 2, 3], [4, 5, 6], client)
-    world = asked(ssduck.World.attach(client, names={handle: "rigid"}), "shapes")
-    assert [kind for kind, _ in shapes_of(world, "rigid")] == ["box"]
-    half = np.abs(turn.as_matrix()) @ [0.1, 0.2, 0.3]
-    low, high = world["rigid"].aabb
-    assert low == pytest.approx(np.array([1, 2, 3]) - half)
-    assert high == pytest.approx(np.array([1, 2, 3]) + half)
-    assert world["rigid"].velocity == pytest.approx([1, 2, 3, 4, 5, 6])

@@ -7,7 +7,7 @@ import pytest
 
 import ssduck
 from ssduck.sql.relations.registry import RELATIONS
-from tests.support.two_simulators import TOLERANCE, differences, in_mujoco, in_pybullet, parts_of
+from tests.support.two_simulators import differences, in_mujoco, in_pybullet, parts_of
 
 mujoco, pybullet = pytest.importorskip("mujoco"), pytest.importorskip("pybullet")
 
@@ -67,26 +67,9 @@ def test_all_relations_of_pairs_agree(worlds, source):
     assert differences(ss, query) == []
 
 
-def test_nearest_points_agree(worlds):
-    """Of parallel faces many points are nearest: their distance is the clearance, then."""
-    ss, _, _ = worlds
-    query = (
-        "SELECT x(a) AS xa, x(b) AS xb, nearestPoints(a, b) AS points, clearance(a, b) AS gap "
-        "FROM a=SIM, b=SIM WHERE x(a) < x(b) ORDER BY x(a), x(b);"
-    )
-    compared = 0
-    for one, other in zip(*(ss.eval(query.replace("SIM", world)) for world in "pm"), strict=True):
-        p, q = np.array(one["points"]), np.array(other["points"])
-        if one["gap"] > 0.0:
-            for points in (p, q):
-                assert np.linalg.norm(points[0] - points[1]) == pytest.approx(one["gap"], abs=1e-6)
-            compared += np.allclose(p, q, atol=1e-5)
-    assert compared > 30
-
-
 # What is compared by other tests, or belongs to a world and not to its scene.
 ELSEWHERE = {
-    "nearestPoints": "test_nearest_points_agree",
+    "nearestPoints": "of parallel faces many points are nearest: tests/geometry",
     "inContact": "test_same_contacts.test_contacts_agree",
     "hasContact": "test_same_contacts.test_contacts_agree",
     "contactForce": "test_same_contacts.test_contacts_agree",
@@ -119,21 +102,6 @@ def test_all_relations_of_entities_agree(worlds):
     ss, _, _ = worlds
     selected = ", ".join(f"{relation} AS r{n}" for n, relation in enumerate(SINGLE))
     assert differences(ss, f"SELECT id(this) AS name, {selected} FROM SIM;") == []
-
-
-def test_what_if_agrees(worlds):
-    ss, _, _ = worlds
-    moved = {"arm": {"joint1": -0.4, "joint2": 0.6}}
-    pose = [0.5, 0.5, -0.5, 0.5, 0.1, -0.2, 0.8]
-    asked = [ss.call_variable(name).what_if({"box_5": pose}, moved) for name in "pm"]
-    for world in asked:
-        world.request_tables(["links", "shapes"])
-    places = (
-        world.snapshot.tables["links"].doubles("x", "zmax").T[:, [0, 1, 2, *range(13, 19)]]
-        for world in asked
-    )
-    assert np.array_equal(*map(np.shape, (found := list(places))))
-    assert found[0] == pytest.approx(found[1], abs=TOLERANCE)
 
 
 @pytest.mark.parametrize("seed", range(2))
