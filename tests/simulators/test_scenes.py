@@ -210,13 +210,8 @@ def test_bodies_of_an_elastic_scene_lose_no_energy(write, elastic):
 # -- the manual -------------------------------------------------------------------------------
 
 
-STANDING_CUP = """
-<robot name="cup"><link name="cup">
-  <inertial><origin xyz="0 0 0.05"/><mass value="0.2"/>
-    <inertia ixx="0.0002" iyy="0.0002" izz="0.0001" ixy="0" ixz="0" iyz="0"/></inertial>
-  <collision><origin xyz="0 0 0.05"/><geometry><cylinder radius="0.04" length="0.1"/></geometry></collision>
-</link></robot>
-"""
+SIDE = collision('<cylinder radius="0.04" length="0.1"/>', xyz=(0, 0, 0.05))
+STANDING_CUP = robot(link("cup", com=(0, 0, 0.05), mass=0.2, shapes=SIDE), name="cup")
 
 
 @pytest.mark.slow
@@ -630,14 +625,9 @@ def test_an_elastic_scene_changes_no_other_simulation():
     ],
 )
 def test_a_file_names_its_body_where_the_models_name_is_of_another(
-    tmp_path, simulator, model, file, name
+    write, simulator, model, file, name
 ):
-    path = tmp_path / file
-    path.parent.mkdir(exist_ok=True)
-    path.write_text(
-        f'<robot name="{model}"><link name="l"><inertial><mass value="1"/><inertia ixx="1" ixy="0"'
-        ' ixz="0" iyy="1" iyz="0" izz="1"/></inertial><collision><geometry><sphere radius="1"/>'
-        "</geometry></collision></link></robot>"
-    )
+    body = link("l", shapes=collision('<sphere radius="1"/>'))
+    path = write(file, robot(body, name=model))
     with ssduck.load(path, name="w", simulator=simulator) as ss:
         assert ss.eval("SELECT id FROM w AS list;") == [name]
