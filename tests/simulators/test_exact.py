@@ -196,16 +196,9 @@ def test_numbers_of_files_are_kept_as_they_are_written(client):
 # -- what createCollisionShape makes -------------------------------------------------------------
 
 
-def concave(client, scale=(1, 1, 1), **how):
-    shape = pybullet.createCollisionShape(
-        pybullet.GEOM_MESH,
-        vertices=TETRA,
-        indices=np.ravel(SIDES).tolist(),
-        meshScale=scale,
-        physicsClientId=client,
-        **how,
-    )
-    return pybullet.createMultiBody(0, shape, basePosition=[1, 2, 3], physicsClientId=client)
+def concave(client, scale=(1, 1, 1)):
+    mesh = {"vertices": TETRA, "indices": np.ravel(SIDES).tolist(), "meshScale": scale}
+    return solid(client, pybullet.GEOM_MESH, 0, [1, 2, 3], **mesh)
 
 
 @pytest.mark.parametrize("scale", [(1, 1, 1), (0.5, 2, 3)])
@@ -305,16 +298,16 @@ SCALE = [0.5, 0.4, 1.3]
 
 
 def field(client, orientation=(0, 0, 0, 1)):
-    shape = pybullet.createCollisionShape(
+    return solid(
+        client,
         pybullet.GEOM_HEIGHTFIELD,
+        0,
+        [1, 2, 3],
+        orientation,
         meshScale=SCALE,
         heightfieldData=HEIGHTS,
         numHeightfieldRows=5,
         numHeightfieldColumns=4,
-        physicsClientId=client,
-    )
-    return pybullet.createMultiBody(
-        0, shape, baseOrientation=orientation, basePosition=[1, 2, 3], physicsClientId=client
     )
 
 

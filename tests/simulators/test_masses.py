@@ -111,12 +111,7 @@ def test_a_soft_body_has_no_mass_and_no_known_velocity(client):
         useMassSpring=1,
         physicsClientId=client,
     )
-    ball = pybullet.createMultiBody(
-        1,
-        pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client),
-        basePosition=[0, 0, 9],
-        physicsClientId=client,
-    )
+    ball = solid(client, pybullet.GEOM_SPHERE, 1, [0, 0, 9], radius=0.1)
     with (
         pytest.warns(UserWarning, match="velocity is unknown .* the mass is told as 0"),
         pytest.warns(UserWarning, match="cloth: .* a velocity that is no number"),

@@ -7,6 +7,7 @@ import pybullet
 import pytest
 
 import ssduck
+from tests.support.bodies import solid
 from tests.support.warned import heard
 
 TOLD = "shapes of compound overlap, and inside counts"
@@ -15,7 +16,6 @@ TOLD = "shapes of compound overlap, and inside counts"
 def attached(client, apart):
     """Two boxes of 0.2 m so far apart along x, from 0.3 m on, at the wall of a box at 0.5 m."""
     here = {"physicsClientId": client}
-    bin_shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.5] * 3, **here)
     shape = pybullet.createCollisionShapeArray(
         shapeTypes=[pybullet.GEOM_BOX] * 2,
         halfExtents=[[0.1] * 3] * 2,
@@ -23,7 +23,7 @@ def attached(client, apart):
         **here,
     )
     names = {
-        pybullet.createMultiBody(0, bin_shape, **here): "bin",
+        solid(client, pybullet.GEOM_BOX, halfExtents=[0.5] * 3): "bin",
         pybullet.createMultiBody(1, shape, basePosition=[0.4, 0, 0], **here): "compound",
     }
     return ssduck.World.attach(client, names=names)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import ssduck
+from tests.support.bodies import create_linked_body
 
 mujoco, pybullet = pytest.importorskip("mujoco"), pytest.importorskip("pybullet")
 
@@ -122,14 +123,16 @@ def in_pybullet(parts, client, *, margins=False):
             pybullet.changeDynamics(handle, -1, collisionMargin=0.0, physicsClientId=client)
         names[handle] = part.name
     shapes = [collision("capsule", (0.05, 0.15)), collision("sphere", (0.12,))]
-    arm = pybullet.createMultiBody(
-        0, collision("box", (0.1, 0.1, 0.1)), -1, [0.2, -0.9, 0.6],
-        linkMasses=[1, 1], linkCollisionShapeIndices=shapes, linkVisualShapeIndices=[-1, -1],
-        linkPositions=[[0, 0, 0.2], [0, 0.1, 0.3]], linkOrientations=[[0, 0, 0, 1]] * 2,
-        linkInertialFramePositions=[[0, 0, 0]] * 2, linkInertialFrameOrientations=[[0, 0, 0, 1]] * 2,
-        linkParentIndices=[0, 1], linkJointAxis=[[1, 0, 0], [0, 1, 0]],
-        linkJointTypes=[pybullet.JOINT_REVOLUTE, pybullet.JOINT_PRISMATIC], physicsClientId=client,
-    )  # fmt: skip
+    arm = create_linked_body(
+        client,
+        0,
+        collision("box", (0.1, 0.1, 0.1)),
+        basePosition=[0.2, -0.9, 0.6],
+        linkCollisionShapeIndices=shapes,
+        linkPositions=[[0, 0, 0.2], [0, 0.1, 0.3]],
+        linkJointAxis=[[1, 0, 0], [0, 1, 0]],
+        linkJointTypes=[pybullet.JOINT_REVOLUTE, pybullet.JOINT_PRISMATIC],
+    )
     for joint, position in enumerate(POSITIONS.values()):
         pybullet.resetJointState(arm, joint, position, physicsClientId=client)
     return names | {arm: "arm"}

@@ -3,7 +3,7 @@
 import pytest
 
 import ssduck
-from tests.support.bodies import solid
+from tests.support.bodies import create_linked_body, solid
 from tests.support.mjcf import simulated
 from tests.support.two_simulators import differences
 
@@ -44,13 +44,15 @@ def stage_in_pybullet(client):
         )
         for height in (0.01, 0.02)
     ]
-    clamp = pybullet.createMultiBody(
-        0, plates[0], -1, [1, 0, 1], linkMasses=[1], linkCollisionShapeIndices=plates[1:],
-        linkVisualShapeIndices=[-1], linkPositions=[[0, 0, 0.14]], linkOrientations=[[0, 0, 0, 1]],
-        linkInertialFramePositions=[[0, 0, 0]], linkInertialFrameOrientations=[[0, 0, 0, 1]],
-        linkParentIndices=[0], linkJointAxis=[[0, 0, 1]],
-        linkJointTypes=[pybullet.JOINT_PRISMATIC], physicsClientId=client,
-    )  # fmt: skip
+    clamp = create_linked_body(
+        client,
+        0,
+        plates[0],
+        link_shape=plates[1],
+        basePosition=[1, 0, 1],
+        linkPositions=[[0, 0, 0.14]],
+        linkJointTypes=[pybullet.JOINT_PRISMATIC],
+    )
     pybullet.setJointMotorControl2(
         clamp, 0, pybullet.VELOCITY_CONTROL, force=0, physicsClientId=client
     )
