@@ -85,25 +85,6 @@ def test_scores(recorded):
     assert rows[0]["seed"] == 0
 
 
-@pytest.mark.long  # it takes seconds
-def test_processes_stream_and_resume(recorded, tmp_path):
-    lake = ssduck.lake(recorded)
-    program = PROGRAMS["least clearance"]
-    whole = lake.ask(program, processes=1)
-    assert whole.column_names == ["world", "episode", "path", "answer", "error"]
-    assert whole["episode"].to_pylist() == list(range(EPISODES))
-    kept = tmp_path / "kept"
-    first = next(lake.stream(program, batch=2, processes=2, resume=kept))
-    assert first["answer"].to_pylist() == whole["answer"].to_pylist()[:2]
-    begun = set(kept.iterdir())
-    assert begun
-    assert lake.ask(program, batch=2, processes=2, resume=kept).equals(whole)
-    assert {file: file.stat().st_mtime_ns for file in begun}.items() <= {
-        file: file.stat().st_mtime_ns for file in kept.iterdir()
-    }.items()
-    assert len(list(kept.iterdir())) == math.ceil(EPISODES / 2)
-
-
 def children():
     return {process.pid for process in multiprocessing.active_children()}
 
@@ -150,16 +131,6 @@ def test_processes_are_as_many_as_gain(monkeypatch, episodes, kept, expected):
     monkeypatch.setenv("SSDUCK_TEST", "the kept processes were started without it")
     assert pools.default_count(episodes) == (expected if kept is None else max(1, episodes // 140))
     forget_readers()
-
-
-@pytest.mark.slow
-def test_kept_answers_are_read_and_not_computed(recorded, tmp_path, monkeypatch):
-    lake, program = ssduck.lake(recorded), PROGRAMS["last tick"]
-    whole = lake.ask(program, processes=1, resume=tmp_path)
-    monkeypatch.setattr("ssduck.lakes.engines.answer_episodes", None)
-    assert lake.ask(program, processes=1, resume=tmp_path).equals(whole)
-    with pytest.raises(TypeError):
-        lake.ask(f"{program} ", processes=1, resume=tmp_path)
 
 
 @pytest.mark.slow
@@ -224,14 +195,6 @@ def test_a_condition_that_holds_for_no_episode_is_told(recorded, where, message)
     assert [warning.filename for warning in told] == [__file__]
     with pytest.warns(UserWarning, match=message):
         assert lake.set_tags({"seen": True}, where) == 0
-
-
-def test_where_selects(recorded):
-    lake = ssduck.lake(recorded)
-    answers = lake.ask(
-        "heldFor(z(sim.cup) > 0);", where="episode >= 3 AND error IS NULL", processes=1
-    )
-    assert answers["episode"].to_pylist() == [3, 4]
 
 
 def test_mistakes_are_errors_at_once(recorded):

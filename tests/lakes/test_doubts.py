@@ -30,15 +30,19 @@ def asked(ask, *arguments, **named):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("word", "program", "answer"), DOUBTS.values(), ids=DOUBTS)
-def test_a_doubt_is_told_once(recorded, word, program, answer):
+def test_a_doubt_is_told_once_and_refused_if_strict(recorded, word, program, answer):
     lake = ssduck.lake(recorded)
     with ssduck.open(recorded, "sim", 0) as ss:
         _, (wanted,) = asked(ss.eval, program)
     assert word in wanted
-    for _ in range(2):  # of the second question, too
+    for _ in range(2):  # of the second question, too, and after a strict one
         table, (doubt,) = asked(lake.ask, program, processes=1, batch=2)
         assert table["answer"].to_pylist() == [answer] * EPISODES
         assert doubt == f"{wanted}\n  first in episode 0 of sim in {recorded}"
+        table, (told,) = asked(lake.ask, program, strict=True, processes=1, batch=2)
+        assert told.startswith(f"no answer: {EPISODES} episodes failed, as the column 'error' says")
+        assert table["answer"].to_pylist() == [None] * EPISODES
+        assert all(word in error for error in table["error"].to_pylist())
 
 
 @pytest.mark.long
@@ -73,19 +77,6 @@ def test_kept_answers_keep_their_doubts(recorded, tmp_path, monkeypatch):
     assert asked(lake.ask, program, processes=1, resume=tmp_path) == before
     _, (doubt,) = asked(lake.ask, program, "episode >= 3", processes=1, resume=tmp_path)
     assert "first in episode 3 of sim" in doubt
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("word", "program", "answer"), DOUBTS.values(), ids=DOUBTS)
-def test_strict_questions_refuse_doubts(recorded, word, program, answer):
-    lake = ssduck.lake(recorded)
-    table, (told,) = asked(lake.ask, program, strict=True, processes=1, batch=2)
-    assert told.startswith(f"no answer: {EPISODES} episodes failed, as the column 'error' says")
-    assert table["answer"].to_pylist() == [None] * EPISODES
-    assert all(word in error for error in table["error"].to_pylist())
-    again, (doubt,) = asked(lake.ask, program, processes=1, batch=2)
-    assert again["answer"].to_pylist() == [answer] * EPISODES
-    assert word in doubt
 
 
 @pytest.mark.slow

@@ -36,12 +36,3 @@ def test_the_least_of_all_ticks(moving):
 def test_the_least_of_a_window(moving):
     found = values(moving, "least(clearance(sim.{0}, sim.{1}), -0.3);")
     assert found == values(moving, "least(clearance(sim.{0}, sim.{1}) + 0, -0.3);")
-
-
-@pytest.mark.long
-def test_the_order_does_not_matter_at_any_tick(moving):
-    one = values(moving, "changes(clearance(sim.{0}, sim.{1}) + 0);")
-    assert one == values(moving, "changes(clearance(sim.{1}, sim.{0}) + 0);")
-    present = values(moving, "clearance(sim.{0}, sim.{1});")
-    assert [changes[-1][1] for changes in one] == present
-    assert present == values(moving, "clearance(sim.{1}, sim.{0});")

@@ -56,16 +56,6 @@ def test_the_seed_of_an_episode_is_a_column(recorded):
     assert list(ask(recorded, where=f"seed = {seeds[3]}")) == [3]
 
 
-def test_duckdb_polars_and_pandas_read_it(recorded):
-    import duckdb
-    import polars as pl
-
-    episodes = ssduck.lake(recorded).episodes  # DuckDB reads it by its name
-    assert duckdb.sql("SELECT count(*) FROM episodes WHERE NOT success").fetchall() == [(EPISODES,)]
-    assert pl.from_arrow(episodes)["episode"].to_list() == list(range(EPISODES))
-    assert episodes.to_pandas()["ticks"].tolist() == [STEPS + 1] * EPISODES
-
-
 def test_entries_survive_their_formats(recorded):
     entries = ssduck.lake(recorded)._entries
     assert entries_of(table_of(entries)) == entries

@@ -173,16 +173,6 @@ def test_records_with_other_entities(mixed, program):
 
 
 @pytest.mark.slow
-def test_a_damaged_model_is_a_row_with_its_error(mixed):
-    lake = ssduck.lake(mixed)
-    file = mixed / "three/models/entities/world=lab/episode=0/part-000000.parquet"
-    file.write_bytes(file.read_bytes()[:-9])
-    rows = answered(lake, "z(lab.cup_0);")
-    assert [row[3] is None for row in rows] == [row[4] is not None for row in rows]
-    assert [row[2].endswith("three") for row in rows if row[4]] == [True]
-
-
-@pytest.mark.slow
 def test_a_damaged_episode_is_a_row_with_its_error(mixed):
     (mixed / "three/episodes/lab-0.json").write_text("{")
     for program in ("z(lab.cup_0);", "SELECT id, z FROM lab;"):

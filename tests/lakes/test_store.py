@@ -60,18 +60,6 @@ def test_tags_of_two_lakes_are_kept(address):
     assert tags_by_two_lakes(address) == [(1, 2), (1, 2)]
 
 
-@pytest.mark.long
-def test_damage_is_one_row(address):
-    lake = ssduck.lake(address)
-    place = ObjectPath(f"{address}/record/entities/world=sim/episode=2/part-000000.parquet")
-    content = bytearray(place.read_bytes())
-    content[700] ^= 4
-    place.write_bytes(content)
-    for asked in (lake, ssduck.lake(address)):
-        rows = asked.ask(PROGRAMS["last tick"], processes=1).to_pylist()
-        assert [row["episode"] for row in rows if row["error"]] == [2]
-
-
 @pytest.mark.slow
 def test_a_closed_episode_has_a_summary_in_the_store(address, recorded, monkeypatch):
     place = "s3://runs/closed"

@@ -3,7 +3,7 @@
 import json
 import os
 import shutil
-import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import pybullet
@@ -160,22 +160,20 @@ def test_tags_and_further_files_leave_a_summary_right(folder, computed):
 
 @pytest.mark.slow
 def test_several_recorders_at_once_and_one_that_is_not_closed(tmp_path, computed):
-    def run(name):
+    def run():
         client = pybullet.connect(pybullet.DIRECT)
         world = ssduck.World.attach(client, name="lab")
         with ssduck.Interpreter(recording=None) as ss:
             ss.add_variable("lab", world)
-            with ss.record_to(tmp_path / name) as recording:
+            with ss.record_to(tmp_path / "together") as recording:
                 world.step(5)
                 recording.flush()
                 world.step(3)
         pybullet.disconnect(client)
 
-    threads = [threading.Thread(target=run, args=("together",)) for _ in range(3)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    with ThreadPoolExecutor(3) as pool:
+        for recorder in [pool.submit(run) for _ in range(3)]:
+            recorder.result()
     assert [e.ticks for e in entries(tmp_path)] == [9] * 3
     assert computed == []
     file = tmp_path / "together/episodes/lab-1.json"
