@@ -92,69 +92,59 @@ def test_timestamps_of_a_long_episode_agree_although_they_have_32_bits(tmp_path)
     assert (len(found), found[-1][0]) == (count, (count - 1) / 30)
 
 
+def rows(**columns):
+    return {"rows": columns}
+
+
+def episode(**values):
+    return {"episodes": [EPISODE | values]}
+
+
+def features(**values):
+    return {"info": {"features": values}}
+
+
+TWICE = {"names": ["cup.x", "cup.y", "cup.z", "cup.z"]}
+SHORT = [[0.0, 0, 1], [0.0, 0], [0.0, 0, 1, 2], [0.0, 0, 1], [0.0, 0, 1]]
 WRONG = {
     "uneven timestamps": (
-        {"rows": {"timestamp": [0.0, 0.1, 5.0, 9.0, 10.0]}},
+        rows(timestamp=[0.0, 0.1, 5.0, 9.0, 10.0]),
         "timestamp 5 s at the frame 2, which at 10 frames per second is at 0.2 s",
     ),
-    "timestamps of another rate": (
-        {"info": {"fps": 50}},
-        "timestamp 0.1 s at the frame 1, which at 50 frames per second is at 0.02 s",
-    ),
-    "a timestamp is missing": (
-        {"rows": {"timestamp": [0.0, 0.1, None, 0.3, 0.4]}},
-        "timestamp nan",
-    ),
+    "timestamps of another rate": ({"info": {"fps": 50}}, "timestamp 0.1 s at the frame 1, which"),
+    "a timestamp is missing": (rows(timestamp=[0.0, 0.1, None, 0.3, 0.4]), "timestamp nan"),
     "timestamps against the frames": (
-        {"rows": {"timestamp": [0.4, 0.3, 0.2, 0.1, 0.0]}},
+        rows(timestamp=[0.4, 0.3, 0.2, 0.1, 0.0]),
         "timestamp 0.4 s at the frame 0",
     ),
-    "a frame twice": ({"rows": {"frame_index": [0, 1, 1, 2, 3]}}, "frame_index 1 where 2 is due"),
+    "a frame twice": (rows(frame_index=[0, 1, 1, 2, 3]), "frame_index 1 where 2 is due"),
     "a frame is missing": (
         {"rows": pa.table(ROWS).take([0, 1, 3, 4])},
         "frame_index 3 where 2 is due",
     ),
-    "a frame without a number": ({"rows": {"frame_index": [0, 1, None, 3, 4]}}, "where 2 is due"),
+    "a frame without a number": (rows(frame_index=[0, 1, None, 3, 4]), "where 2 is due"),
     "a number in two features": (
-        {"info": {"features": INFO["features"] | {"q": {"names": ["cup.x"]}}}},
+        features(**INFO["features"] | {"q": {"names": ["cup.x"]}}),
         "two numbers named 'cup.x', in the features p and q",
     ),
-    "a name twice": (
-        {"info": {"features": {"p": {"names": ["cup.x", "cup.y", "cup.z", "cup.z"]}}}},
-        "two numbers named 'cup.z', in the features p and p",
-    ),
-    "more numbers than names": (
-        {"rows": {"p": [[0.0, 0, 1, 7]] * COUNT}},
-        "has 4 numbers in a frame",
-    ),
-    "fewer numbers": ({"rows": {"p": [[0.0, 0]] * COUNT}}, "has 2 numbers in a frame, and 3 names"),
-    "now more, now fewer": (
-        {"rows": {"p": [[0.0, 0, 1], [0.0, 0], [0.0, 0, 1, 2], [0.0, 0, 1], [0.0, 0, 1]]}},
-        "numbers in a frame, and 3 names",
-    ),
-    "no numbers at a frame": ({"rows": {"p": [None, *ROWS["p"][1:]]}}, "has no numbers in a frame"),
-    "one number": ({"rows": {"p": [0.0] * COUNT}}, "has 1 numbers in a frame, and 3 names"),
-    "nested lists": ({"rows": {"p": NESTED}}, "it has to be a list of 3 numbers"),
-    "texts": ({"rows": {"p": [["1", "2", "3"]] * COUNT}}, "it has to be a list of 3 numbers"),
+    "a name twice": (features(p=TWICE), "two numbers named 'cup.z', in the features p and p"),
+    "more numbers than names": (rows(p=[[0.0, 0, 1, 7]] * COUNT), "has 4 numbers in a frame"),
+    "fewer numbers": (rows(p=[[0.0, 0]] * COUNT), "has 2 numbers in a frame, and 3 names"),
+    "now more, now fewer": (rows(p=SHORT), "numbers in a frame, and 3 names"),
+    "no numbers at a frame": (rows(p=[None, *ROWS["p"][1:]]), "has no numbers in a frame"),
+    "one number": (rows(p=[0.0] * COUNT), "has 1 numbers in a frame, and 3 names"),
+    "nested lists": (rows(p=NESTED), "it has to be a list of 3 numbers"),
+    "texts": (rows(p=[["1", "2", "3"]] * COUNT), "it has to be a list of 3 numbers"),
     "an episode twice": ({"episodes": [EPISODE] * 2}, "lists the episode 0 twice"),
-    "an episode without frames": (
-        {"episodes": [EPISODE | {"episode_index": 7}]},
-        "the episode 7 of",
-    ),
-    "half an episode": (
-        {"episodes": [EPISODE | {"episode_index": 0.5}]},
-        "whose episode_index is 0.5",
-    ),
+    "an episode without frames": (episode(episode_index=7), "the episode 7 of"),
+    "half an episode": (episode(episode_index=0.5), "whose episode_index is 0.5"),
     "a file of less than 0": (
-        {"episodes": [EPISODE | {"data/file_index": -1}]},
+        episode(**{"data/file_index": -1}),
         "whose data/file_index is -1",
     ),
-    "another length": ({"episodes": [EPISODE | {"length": 99}]}, "its length is 99"),
-    "a number as a task": (
-        {"episodes": [EPISODE | {"tasks": [5]}]},
-        "the task of the episode 0 is 5",
-    ),
-    "a text of tasks": ({"episodes": [EPISODE | {"tasks": "lift"}]}, "are 'lift', no list"),
+    "another length": (episode(length=99), "its length is 99"),
+    "a number as a task": (episode(tasks=[5]), "the task of the episode 0 is 5"),
+    "a text of tasks": (episode(tasks="lift"), "are 'lift', no list"),
 } | {
     f"fps {fps!r}": ({"info": {"fps": fps}}, "frames per second (fps in")
     for fps in (0, -10, float("nan"), float("inf"), 1e-310, 1e300, "50", True, None, [1])
