@@ -19,22 +19,6 @@ def fetched(select, max_rows=None):
         return rows, sizes, plain.execute(select).fetchall()
 
 
-@pytest.mark.parametrize(
-    "text", ["'row ' || n", "CASE WHEN n % 3 = 0 THEN 'row ' || n END", "NULL"]
-)
-def test_all_texts_are_counted(text):
-    rows, sizes, wanted = fetched(f"SELECT n, ({text})::VARCHAR FROM range({ROWS}) t(n)")
-    assert rows == wanted
-    letters = sum(len(value) for _, value in wanted if value is not None)
-    assert sum(sizes) == ROWS * (ROW + 2 * VALUE) + letters
-
-
-def test_values_of_other_types_are_counted():
-    rows, sizes, wanted = fetched("SELECT n::VARCHAR::BLOB FROM range(100) t(n)")
-    assert rows == wanted
-    assert sum(sizes) == 100 * (ROW + VALUE + TEXT) + sum(len(value) for (value,) in wanted)
-
-
 def test_no_more_rows_are_fetched_than_asked():
     rows, _, wanted = fetched(f"SELECT n || '' FROM range({ROWS}) t(n)", max_rows=7)
     assert rows == wanted[:7]
@@ -92,7 +76,11 @@ MANY = {
     "integers": "SELECT n::INTEGER, NULL::BOOLEAN FROM range(500) t(n)",
     "dates": "SELECT DATE '2026-01-01' + n::INTEGER, n FROM range(500) t(n)",
     "lists": "SELECT [n, n + 1], {'a': n} FROM range(500) t(n)",
-    "large": "SELECT n::HUGEINT * 100_000::HUGEINT FROM range(500) t(n)",
+    "large": "SELECT n::HUGEINT * 100_000::HUGEINT, n::HUGEINT << 64 FROM range(500) t(n)",
+    "odd": (
+        "SELECT chr(0) || n, -0.0::DOUBLE, 0.1::DECIMAL(5, 2), NULL::VARCHAR, "
+        "CASE WHEN n = 400 THEN true END FROM range(500) t(n)"
+    ),
 }
 BY_COLUMN = ("numbers", "texts", "nulls", "NaN", "integers")
 
@@ -105,11 +93,11 @@ def test_rows_are_those_of_duckdb(name, is_limited):
         wanted = plain.execute(sql).fetchall()
         result = plain.execute(sql)
         rows = RowLimits(10**6, sizes.append).rows(result) if is_limited else all_rows(result)
-    assert rows == wanted
-    assert [list(map(type, row)) for row in rows] == [list(map(type, r)) for r in wanted]
+    assert repr(rows) == repr(wanted)
     if is_limited:
         letters = sum(len(v) for row in wanted for v in row if isinstance(v, str))
-        assert sum(sizes) >= len(wanted) * (ROW + VALUE * len(wanted[0])) + letters
+        least = len(wanted) * (ROW + VALUE * len(wanted[0])) + letters
+        assert sum(sizes) == least if name in BY_COLUMN else sum(sizes) >= least
     elif name in BY_COLUMN:
         columns = columns_of(rows)
         assert list(zip(*(column.tolist() for column in columns), strict=True)) == wanted
@@ -134,28 +122,6 @@ def test_limits_end_an_answer_without_end(fetch):
             found(RowLimits(10**6, lambda size: charge(10 * size)))
         assert 5_001 <= found(RowLimits(5_001, lambda _: None)) < 20_000
         assert plain.execute("SELECT 1").fetchall() == [(1,)]
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "program",
-    [
-        PAIRS,
-        "SELECT name(a), z(b) FROM a=kitchen, b=kitchen WHERE z(a) >= 0 AS list;",
-        "SELECT id(a), max(z(b)) FROM a=kitchen, b=kitchen GROUP BY id(a), id(b) AS list;",
-    ],
-)
-def test_a_long_answer_that_is_asked_for_again_is_of_the_present_tick(program):
-    with ssduck.load("kitchen") as ss, ssduck.Interpreter(row_by_row=True) as loop:
-        world = ss["kitchen"]
-        loop.add_variable("kitchen", world)
-        answers = []
-        for _ in range(8):
-            world.step()
-            answers.append(ss.eval(program))
-            assert answers[-1] == loop.eval(program)
-        assert len(answers[0]) > 1_000
-        assert answers[-1] != answers[-2]
 
 
 @pytest.mark.slow

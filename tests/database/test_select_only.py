@@ -186,21 +186,6 @@ def test_a_statement_ends_in_time_and_memory(text, words):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("columns", ["range, 'a' || range AS a", "range, DATE '2026-01-01' AS a"])
-def test_many_rows_are_the_same_under_limits(columns):
-    """They are fetched in parts, as tuples or as an Arrow table."""
-    text = f"SELECT {columns} FROM range(10000)"
-    with (
-        ssduck.Interpreter() as free,
-        ssduck.Interpreter(limits=ssduck.Limits.strict(require=())) as strict,
-    ):
-        assert strict.sql(text).fetchall() == free.sql(text).fetchall()
-        assert strict.sql(text).arrow() == free.sql(text).arrow()
-        with pytest.raises(LimitError, match="more than 1000000 rows"):
-            strict.sql("SELECT range, 'a' AS a FROM range(1000001)")
-
-
-@pytest.mark.slow
 def test_duckdb_tells_of_texts_that_it_cannot_parse(strict):
     with pytest.raises(SqlError, match="syntax error"):
         strict.sql("SELEC 1")
