@@ -130,19 +130,6 @@ def test_a_users_own_views_and_macros_find_everything(run):
 
 
 @pytest.mark.slow
-def test_macros_follow_the_worlds(run):
-    touching = "SELECT count(*) FROM lab.entities a, lab.entities b WHERE {}clearance(a, b) < 5"
-    with ssduck.open(run) as ss:
-        (alone,) = ss.sql(touching.format("")).fetchall()
-        ss.sql("SELECT * FROM colliding_pairs()")
-        ss.add_variable("other", ss.call_variable("lab").what_if())
-        with pytest.raises(SqlError, match=r"world\.clearance"):
-            ss.sql(touching.format("")).fetchall()
-        assert ss.sql(touching.format("lab.")).fetchall() == [alone]
-        assert ss.sql("SELECT * FROM lab.colliding_pairs()").fetchall() == []
-
-
-@pytest.mark.slow
 def test_a_program_and_a_statement_agree_in_any_order(run):
     program = "SELECT id FROM lab{} WHERE above(box_0, this) AS list;"
     sql = "SELECT b.name FROM entities_history a, entities_history b WHERE above(a, b) "
