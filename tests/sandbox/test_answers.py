@@ -213,15 +213,21 @@ VALUES = [
     *([{"a": 1, "b": None}] * 20, [1, 2.5] * 20, [2**70] * 20, [{"a": 1}, {"b": 2}] * 10),
     *(dt.datetime(2020, 1, 2, 3, 4, 5, tzinfo=dt.UTC), dt.date(2020, 1, 2), Decimal("1.50")),
     *(dt.timedelta(1, 2, 3), (1, "a"), [{}] * 20, [[]] * 20, [True, False] * 10),
+    {number: number for number in range(-20_000, 20_000)},
 ]
+
+
+def crossed(value):
+    """What is left of a value that is written in one process and read in another."""
+    encoder = Encoder(Budget(), str)
+    text = encoder.text(value)
+    body = memoryview(bytearray(b"".join(encoder.parts)))
+    return Decoder(body, Budget(), world=str).value(text)
 
 
 @pytest.mark.parametrize("value", VALUES, ids=lambda value: repr(value)[:30])
 def test_values_cross(value):
-    encoder = Encoder(Budget(), str)
-    text = encoder.text(value)
-    body = memoryview(bytearray(b"".join(encoder.parts)))
-    found = Decoder(body, Budget(), world=str).value(text)
+    found = crossed(value)
     assert found == value
     assert type(found) is type(value)
     assert repr(found) == repr(value)
@@ -244,10 +250,7 @@ def test_values_cross(value):
     ids=repr,
 )
 def test_arrays_cross(array):
-    encoder = Encoder(Budget(), str)
-    text = encoder.text(array)
-    body = memoryview(bytearray(b"".join(encoder.parts)))
-    found = Decoder(body, Budget(), world=str).value(text)
+    found = crossed(array)
     assert (found.dtype, found.shape, type(found)) == (array.dtype, array.shape, type(array))
     assert np.array_equal(found, array)
 
@@ -332,29 +335,6 @@ def test_worlds_are_stepped_in_the_sandbox(zygote, here):
         number = kitchen.tick_number
         assert kitchen.tick().tick_number == number + 1
         assert ss.sql("SELECT count(DISTINCT tick) FROM entities_history").fetchone()[0] > 50
-
-
-@pytest.mark.slow
-def test_a_record_is_opened_in_the_sandbox(zygote, tmp_path):
-    with ssduck.load("kitchen") as live:
-        live.run(0.1)
-        live.export(tmp_path / "run")
-        own = live.sql("SELECT tick, name, z FROM entities_history ORDER BY ALL").fetchall()
-    with opening.open_record(tmp_path / "run", zygote=zygote) as ss:
-        found = ss.sql("SELECT tick, name, z FROM entities_history ORDER BY ALL").fetchall()
-        assert found == own
-        assert ss.eval("SELECT count(*) FROM kitchen{0.05} AS value;") == 37
-        past = ss.eval("SELECT this FROM kitchen{0.05} AS list;")[0]
-        assert past.tick is not None
-
-
-@pytest.mark.slow
-def test_a_duckdb_file_is_opened_in_the_sandbox(zygote, tmp_path):
-    with ssduck.load("kitchen", tmp_path / "run.duckdb") as live:
-        live.run(0.1)
-    with opening.open_record(tmp_path / "run.duckdb", zygote=zygote) as ss:
-        assert ss.eval("SELECT count(*) FROM kitchen AS value;") == 37
-        assert ss.sql("SELECT max(time) FROM entities_history").fetchone()[0] == pytest.approx(0.1)
 
 
 @pytest.mark.slow
