@@ -33,6 +33,26 @@ def terms():
     }
 
 
+def played(both, actions, *, resets=False, rtol=1e-12):
+    """Yields what two vectors give for actions, which is the same; what ends is reset, if asked."""
+    for action in actions:
+        found, expected = (envs.step(action) for envs in both)
+        for mine, other in zip(found[:4], expected[:4], strict=True):
+            assert np.allclose(mine, other, rtol=rtol, atol=rtol)
+        yield found, expected
+        done = found[2] | found[3]
+        if resets and done.any():
+            # gymnasium takes the mask out of the options.
+            first = [envs.reset(options={"reset_mask": done.copy()})[0] for envs in both]
+            assert np.array_equal(*first)
+    for envs in both:
+        envs.close()
+
+
+def number_ended(found):
+    return int((found[2] | found[3]).sum())
+
+
 @pytest.mark.slow
 @sampled(
     "mode", [AutoresetMode.SAME_STEP, AutoresetMode.DISABLED, AutoresetMode.NEXT_STEP], every=3
@@ -42,57 +62,37 @@ def test_it_is_that_of_each_by_itself(mode, terms):
     each = SyncVectorEnv(
         [lambda: QueryWrapper(make(), **terms, forward=False)] * COUNT, autoreset_mode=mode
     )
-    draw, ended = np.random.default_rng(0), 0
-    found, expected = wrapped.reset(seed=7), each.reset(seed=7)
-    assert np.array_equal(found[0], expected[0])
-    for _ in range(STEPS):
-        actions = draw.uniform(-2, 2, (COUNT, 1)).astype(np.float32)
-        found, expected = wrapped.step(actions), each.step(actions)
-        for mine, other in zip(found[:4], expected[:4], strict=True):
-            assert np.allclose(mine, other, rtol=1e-12)
-        done = found[2] | found[3]
-        ended += int(done.sum())
+    assert np.array_equal(wrapped.reset(seed=7)[0], each.reset(seed=7)[0])
+    actions = np.random.default_rng(0).uniform(-2, 2, (STEPS, COUNT, 1)).astype(np.float32)
+    ended, resets = 0, mode == AutoresetMode.DISABLED
+    for found, expected in played((wrapped, each), actions, resets=resets):
+        ended += number_ended(found)
         infos = expected[4]["ssduck"]
         if mode != AutoresetMode.SAME_STEP:
             assert found[4]["ssduck"]["success"].tolist() == infos["success"].tolist()
-        elif done.any():
-            number = int(np.flatnonzero(done)[0])
+        elif number_ended(found):
+            number = int(np.flatnonzero(found[2] | found[3])[0])
             last = found[4]["final_info"]["ssduck"]
             assert last["success"][number] == expected[4]["final_info"]["ssduck"]["success"][number]
-        if mode == AutoresetMode.DISABLED and done.any():
-            # gymnasium takes the mask out of the options.
-            found, expected = (e.reset(options={"reset_mask": done}) for e in (wrapped, each))
-            assert np.array_equal(found[0], expected[0])
     assert ended > 3
-    wrapped.close()
-    each.close()
 
 
 @pytest.mark.slow
 @sampled("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED], every=2)
 def test_environments_in_other_processes_are_judged_alike(mode, terms):
     terms = {name: term for name, term in terms.items() if name != "stop_when"}
-    options = {"autoreset_mode": mode}
     both = [
-        VectorQueryWrapper(kind([make] * 2, **options), **terms)
+        VectorQueryWrapper(kind([make] * 2, autoreset_mode=mode), **terms)
         for kind in (SyncVectorEnv, AsyncVectorEnv)
     ]
     for envs in both:
         envs.reset(seed=3)
-    ended = 0
-    for step in range(30):
-        here, there = [envs.step(np.full((2, 1), np.sin(step), np.float32)) for envs in both]
-        for mine, other in zip(here[:4], there[:4], strict=True):
-            assert np.array_equal(mine, other)
+    actions = [np.full((2, 1), np.sin(step), np.float32) for step in range(30)]
+    ended, resets = 0, mode == AutoresetMode.DISABLED
+    for here, there in played(both, actions, resets=resets, rtol=0):
         assert here[4]["ssduck"]["success"].tolist() == there[4]["ssduck"]["success"].tolist()
-        done = here[2] | here[3]
-        ended += int(done.sum())
-        if mode == AutoresetMode.DISABLED and done.any():
-            for envs in both:
-                envs.reset(options={"reset_mask": done.copy()})
+        ended += number_ended(here)
     assert ended
-    for envs in both:
-        envs.close()
 
 
 def test_environments_in_other_processes_without_data_are_an_error():
@@ -120,16 +120,8 @@ def test_states_in_arrays(terms):
     shown = VectorQueryWrapper(env, **terms, state=lambda e: e.unwrapped.state(), model=model)
     other = VectorQueryWrapper(vector(), **terms)
     assert np.array_equal(shown.reset(seed=3)[0], other.reset(seed=3)[0])
-    for _ in range(STEPS):
-        found, expected = (one.step(np.full((COUNT, 1), 0.4, np.float32)) for one in (shown, other))
-        for mine, wanted in zip(found[:4], expected[:4], strict=True):
-            assert np.allclose(mine, wanted)
-        done = found[2] | found[3]
-        if done.any():
-            shown.reset(options={"reset_mask": done})
-            other.reset(options={"reset_mask": done})
-    shown.close()
-    other.close()
+    actions = [np.full((COUNT, 1), 0.4, np.float32)] * STEPS
+    assert sum(number_ended(found) for found, _ in played((shown, other), actions, resets=True))
     same = SyncVectorEnv([make], autoreset_mode=AutoresetMode.SAME_STEP)
     with pytest.raises(ArgumentError, match="SAME_STEP"):
         VectorQueryWrapper(same, reward="1", state=lambda _: {}, model=model)

@@ -1,4 +1,4 @@
-"""Programs on the kitchen and their results; what goes to SQL and what is left to Python."""
+"""Programs on the kitchen and their results; what is evaluated, how often and in which order."""
 
 import numpy as np
 import pybullet
