@@ -323,19 +323,6 @@ def test_a_subclass_goes_through_the_rows(spelled, query, expected):
     assert spelled.eval(f"{query} AS pairs;") == expected
 
 
-def test_to_has_its_column_as_first_argument(spelled):
-    seen = {}
-
-    def keep(select, elements, names, where):
-        seen.update(column=select[0], names=names)
-        return elements.next()
-
-    spelled.pairs = keep
-    assert spelled.eval("SELECT to(double(e.this), 'twice') FROM e=[3] AS pairs;") == (3,)
-    inner = seen["column"][2][0]
-    assert (inner[1], spelled.eval(inner[2][0], (3,), seen["names"])) == ("double", 3)
-
-
 def test_other_forms_are_as_ever(spelled):
     assert spelled.eval("SELECT double FROM [1, 2] AS list;") == [2, 4]
     assert spelled.eval("SELECT double FROM [1, 2] AS as_list;") == [2, 4]

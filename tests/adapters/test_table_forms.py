@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 
 import ssduck
 from ssduck.adapters.columns import array_of
-from ssduck.adapters.registry import find
 from ssduck.adapters.result import Result, TableView
 from ssduck.errors import ArgumentError, LimitError
 from tests.support.cases import sampled
@@ -432,12 +431,6 @@ def test_showing_a_result_leaves_its_rows_to_be_fetched(kitchen):
     result.fetchone()
     str(result)
     assert len(result.fetchall()) == 3
-
-
-def test_results_stay_plain(kitchen):
-    """A list that shows itself would be no list to those who look at its type."""
-    assert type(kitchen.eval("SELECT id FROM kitchen;")) is list
-    assert find("parquet").writes
 
 
 @pytest.mark.parametrize("form", TABLES)

@@ -113,11 +113,6 @@ def test_at_the_first_reset():
     assert (reward, info["reward"]) == (-1.0, -1.0)
 
 
-def test_other_bodies_have_their_values():
-    reward, terminated, info = run(success="z(sim.b) > 2", reward="x(sim.b)")
-    assert (reward, terminated, info["success"]) == (1.0, False, False)
-
-
 TERMS = {
     "success": "z(sim.a) > 0.5",
     "reward": {"a": "z(sim.a) + 1", "b": "x(sim.b)"},

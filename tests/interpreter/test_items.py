@@ -33,14 +33,6 @@ def test_variables_are_items(ss):
     assert ss["n"] == 3
 
 
-@pytest.mark.parametrize(("name", "nearest"), [("romo", "room"), ("rom", "room"), ("", None)])
-def test_an_unknown_item_is_an_error_with_the_nearest_name(ss, name, nearest):
-    with pytest.raises(UnknownNameError) as caught:
-        ss[name]
-    assert isinstance(caught.value, LookupError)
-    assert nearest is None or nearest in caught.value.suggestions
-
-
 UNKNOWN = [
     ("kitchen;", "there is no variable 'kitchen'; the world is 'room'"),
     ("SELECT id FROM kitchen;", "there is no variable 'kitchen'; the world is 'room'"),

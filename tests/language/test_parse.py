@@ -230,16 +230,6 @@ def test_a_mistake_at_the_end_points_behind_the_text():
     assert "end of the text" in caught.value.message
 
 
-def test_the_mark_stands_under_the_mistake():
-    with pytest.raises(ParseError) as caught:
-        parse("a = 1;\n\tb = (2 + ;\nc = 3;")
-    assert str(caught.value).splitlines()[1:] == [
-        "  line 2, column 11",
-        "    \tb = (2 + ;",
-        "    \t         ^",
-    ]
-
-
 @pytest.mark.parametrize(
     "text",
     [
