@@ -31,7 +31,6 @@ from ssduck.recording.replay.record import Record
 from ssduck.recording.spec import no_ticks_message
 from ssduck.recording.stores.base import PairRequest
 from ssduck.schema import LINK_FACTOR
-from ssduck.simulators.contact_pairs import ContactPairs
 from ssduck.simulators.kinematics import JointError
 from ssduck.sql.pair_lookup import PairLookup
 from ssduck.sql.relations.common import RECORDED_NUMBERS_UDF
@@ -63,7 +62,10 @@ def add_user_function(
             value if convert is None else convert(value)
             for convert, value in zip(converters, arguments, strict=True)
         ]
-        return _exact_value(function(values), signature.result)
+        result = function(values)
+        if not is_exactly(result, signature.result):  # as 3 would be 3.0, and NaN NULL
+            raise ValueError("SQL does not preserve the value")
+        return result
 
     memo = Memo(call_with_list, by_identity=False)
 
@@ -115,13 +117,6 @@ def _bound(worlds: Mapping[str, BoundWorld], world: str) -> BoundWorld:
 def _record_of(bound: BoundWorld) -> Record:
     assert bound.history is not None
     return bound.history.record
-
-
-def _exact_value(value: Any, sql_type: SqlType) -> Any:
-    """Returns a value if SQL preserves it; SQL turns 3 into 3.0, and NaN into NULL."""
-    if not is_exactly(value, sql_type):
-        raise ValueError("SQL does not preserve the value")
-    return value
 
 
 def offer_geometry_functions(connection: Connection, worlds: Mapping[str, BoundWorld]) -> None:
@@ -195,15 +190,12 @@ def shape_functions(worlds: Mapping[str, BoundWorld]) -> dict[str, Callable[...,
         functions[name] = partial(_link_speed, worlds, columns)
     for relation in RELATIONS.values():
         if relation.of_contacts is not None:
-            functions[relation.name] = partial(_contact_value, worlds, relation.of_contacts)
+            functions[relation.name] = partial(_of_contacts, worlds, relation.of_contacts)
     return functions
 
 
 def _geometry_function(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Callable[..., Any]:
-    """Returns a function of shapes for SQL.
-
-    Its arguments are a world's name, the tick and the id of each entity, and further values.
-    """
+    """Returns a function of a world's name, the tick and the id of each entity, and more values."""
     id_count = 2 * udf.entities
 
     def call(world: str, *arguments: Any) -> Any:
@@ -236,10 +228,7 @@ def _geometry_function(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Ca
 
 
 def _pair_search(search: PairSearch, worlds: Mapping[str, BoundWorld]) -> Callable[..., Any]:
-    """Returns a function for SQL that finds all pairs of a world's current tick.
-
-    Its arguments are the world's name, the kind of the pairs, and further values.
-    """
+    """Returns a function of a world's name, the kind of pairs, and more values: all such pairs."""
 
     def call(world: str, kind: PairKind, *values: Any) -> list[int] | None:
         if None in values:
@@ -317,10 +306,7 @@ def _joint_value(
     world: str,
     *arguments: Any,
 ) -> float | None:
-    """Returns the value of a function of an entity's joints.
-
-    Its arguments are the tick, the id of the entity, and further values.
-    """
+    """Returns the value of a function of joints, of a tick, an entity's id and more values."""
     if None in arguments:
         return None
     tick, id, *more = arguments
@@ -336,15 +322,11 @@ def _link_speed(
     return _bound(worlds, world).fastest_link(tick, id, columns)
 
 
-def _contact_value(
-    worlds: Mapping[str, BoundWorld],
-    function: Callable[[ContactPairs, int, int], bool | float],
-    world: str,
-    a: int,
-    b: int,
+def _of_contacts(
+    worlds: Mapping[str, BoundWorld], function: Callable[..., bool | float], world: str, *ids: int
 ) -> bool | float:
     """Returns the value of a function of the contacts of two entities at a world's present tick."""
-    return function(worlds[world].contacts(), a, b)
+    return function(worlds[world].contacts(), *ids)
 
 
 def _lenient_joint_value(
@@ -376,10 +358,7 @@ def _pairs_over_ticks(
     kind: QuestionKind,
     *arguments: pa.ChunkedArray,
 ) -> pa.ListArray:
-    """Returns the answers to a question over ranges of ticks, given as columns.
-
-    Pairs for which a condition is False are left out.
-    """
+    """Returns the answers over ranges of ticks, given as columns, but those that are False."""
 
     def pairs_of(
         world: str, first: int, last: int, a: int, b: int, distance: float

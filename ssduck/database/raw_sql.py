@@ -229,23 +229,18 @@ class RawSql:
                 self._connection.unregister(name)
 
     def _read_worlds(self, words: StatementWords) -> list[int] | None:
-        """Returns the serial numbers of the worlds that a statement may read; None for all.
-
-        No query is stored that reads a batch, so that a statement that reads one names it.
-        """
+        """Returns the serial numbers of the worlds that a statement may read; None for all."""
         self._search_path_changes |= words.changes_search_path
         named = named_worlds(words, self._worlds.bound)
         if not (self._persistent or self._search_path_changes or words.stores_a_query):
             return named
         if not self._worlds.has_batches or self._has_users_queries:
             return None
+        # No query is stored that reads a batch, so that a statement that reads one names it.
         return [*self._worlds.single_worlds(), *named]
 
     def _confine(self, sql: str) -> None:
-        """Checks a user's statement, and switches files off before the first one.
-
-        Opening a record attaches its file, so files are switched off after that.
-        """
+        """Checks a user's statement; switches files off before the first one, after records."""
         limits = self._connection.meter.limits
         if not (limits.files or self._is_sealed):
             self.seal()

@@ -185,16 +185,13 @@ class RelationCall:
     def _exists_edits(
         self, search: PairSearch, exists: ExistsCondition, name: str
     ) -> Iterator[Edit]:
-        """Yields the changes of EXISTS to whether the entity around it is one of the pairs'.
-
-        The subquery gets a row of this entity of its own if it needs more than its id.
-        """
+        """Yields the changes of EXISTS to whether the entity around it is one of the pairs'."""
         place = self.join_place()
         assert place is not None
         outer = self._outer_place()
         entity, places = self.entities[outer], [1 - outer]
         joined = f" CROSS JOIN {self._pair_table(search, name)}"
-        if exists.reads_outer:
+        if exists.reads_outer:  # the subquery gets a row of the entity of its own
             joined += f" CROSS JOIN {quoted(self.schema)}.entities AS {quoted(entity.text)}"
             places.append(outer)
         column = f"{name} {'ab'[outer]}"
@@ -247,11 +244,7 @@ class RelationCall:
         yield self._paired(search, name, [1 - place])
 
     def _outer_table(self) -> tuple[exp.Table, int] | None:
-        """Returns the table on the right of an outer join, and which entity is its row.
-
-        None unless the call is a part of the join's condition that has to hold, and the other
-        entity is on the left.
-        """
+        """Returns the table on the right of an outer join on the call, and whose row is of it."""
         parent = self._position().parent
         if self.search is None or not (isinstance(parent, exp.Join) and is_one_sided(parent)):
             return None

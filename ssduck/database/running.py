@@ -106,10 +106,8 @@ class Deadlines:
                 self._condition.wait(None if wait == math.inf else min(wait, threading.TIMEOUT_MAX))
 
     def _look(self) -> float:
-        """Interrupts the statements that are late; returns the time until the next look, s.
-
-        It holds on to no statement afterwards: that would keep its connection open.
-        """
+        """Interrupts the statements that are late; returns the time until the next look, s."""
+        # It holds on to no statement afterwards: that would keep its connection open.
         now = time.monotonic()
         late = [interrupt for meter, interrupt in self._entries.values() if _deadline(meter) <= now]
         for interrupt in late:

@@ -329,10 +329,8 @@ def part_rows(table: Table, rows: str, entities: str, listed: str) -> str:
 
 
 def _link_columns(entities: str, kind: str) -> dict[str, str]:
-    """Returns the columns that only views of links and sites have, in SQL.
-
-    Subqueries that depend on no row run once, and a join could change the order of the rows.
-    """
+    """Returns the columns that only views of links and sites have, in SQL."""
+    # Subqueries that depend on no row run once, and a join could change the order of the rows.
 
     def is_not_among(condition: str) -> str:
         absent = f"SELECT tick, id FROM {entities} WHERE {condition} AND kind <> 'sensor'"  # noqa: S608
@@ -350,15 +348,12 @@ def _link_columns(entities: str, kind: str) -> dict[str, str]:
 
 
 def _live_rows(bound: BoundWorld, table: Table, reason: str | None = None) -> str:
-    """Returns the SELECT of a table's rows of the current tick.
-
-    With a reason, the statement fails with it. The condition makes DuckDB evaluate `error` even if
-    there are no rows.
-    """
+    """Returns the SELECT of a table's rows of the current tick, which fails with a reason."""
     rows = f"FROM {quoted(bound.live_view(table.source))}"
     if reason is None:
         return f"SELECT * {rows}"
     failing = f"SELECT error({exp.Literal.string(reason).sql('duckdb')}) AS reason"
+    # The condition makes DuckDB evaluate `error` even if there are no rows.
     unavailable = f"CROSS JOIN ({failing}) AS unavailable WHERE reason IS NULL"
     return f"SELECT * EXCLUDE (reason) {rows} {unavailable}"
 

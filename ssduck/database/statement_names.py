@@ -460,11 +460,7 @@ def _columns_of_conditions(select: exp.Select, call: exp.Expr) -> Iterator[exp.C
 def _reads_outer(
     columns: Iterable[exp.Column], scope: Scope, outer: Source, *, reads: bool
 ) -> bool | None:
-    """Checks whether columns are of the entity around a subquery; None if one may be of others.
-
-    If some are, that entity becomes a source of the subquery, so that columns without a table would
-    be ambiguous.
-    """
+    """Checks whether columns are of the entity around a subquery; None if one may be of others."""
     sources, reads_outer, has_bare = scope.sources, reads, False
     for column in columns:
         table, name = column.table.lower(), column.name.lower()
@@ -477,14 +473,12 @@ def _reads_outer(
             has_bare = True
         elif (table or name) not in sources:
             return None
+    # That entity becomes a source of the subquery: columns without a table would be ambiguous.
     return None if reads_outer and has_bare else reads_outer
 
 
 def _written(tokens: Sequence[Token], place: int) -> tuple[int, int, int, int] | None:
-    """Returns where the innermost EXISTS around a place is written; None if that is not known.
-
-    These are its start, that of its subquery, the subquery's FROM, and its end.
-    """
+    """Returns where EXISTS around a place, its subquery and its FROM start, and where it ends."""
     found = None
     opened: list[tuple[bool, int]] = []
     for number, (before, token) in enumerate(pairwise(tokens)):

@@ -236,10 +236,7 @@ class UserStatements:
             self._plans.deallocate(statement.name)
 
     def _query(self, statement: UserStatement, parameters: Parameters, names: WorldNames) -> str:
-        """Returns the query that runs in place of a user's: rewritten, if the types agree.
-
-        DuckDB names a column that has no name of its own after its expression.
-        """
+        """Returns the query that runs in place of a user's: rewritten, if the types agree."""
         text = statement.text
         if not mentions_relations(text):
             return text
@@ -444,15 +441,13 @@ def _are_distances(names: AbstractSet[str], parameters: Parameters) -> bool:
 
 
 def _numbers_of(parameters: Parameters) -> dict[str, int | float] | None:
-    """Returns the parameters by name or place; None if they are not all numbers.
-
-    DuckDB does not distinguish names by case.
-    """
+    """Returns the parameters by name or place; None if they are not all numbers."""
     values = _by_name(parameters)
     is_numeric = all(
         type(value) is float or (type(value) is int and abs(value) < 2**31)
         for value in values.values()
     )
+    # DuckDB does not distinguish names by case.
     has_names = len({name.lower() for name in values}) == len(values)
     return values if is_numeric and has_names else None
 

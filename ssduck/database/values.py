@@ -56,13 +56,11 @@ def common_sql_type(values: Sequence[Any], schema_of: SchemaOf) -> SqlType | Non
     """
     kinds = dict.fromkeys(map(type, values))
     return merged(
-        _type_of_class(kind, values if len(kinds) == 1 else _of_class(kind, values), schema_of)
+        _type_of_class(
+            kind, values if len(kinds) == 1 else [v for v in values if type(v) is kind], schema_of
+        )
         for kind in kinds
     )
-
-
-def _of_class(kind: type, values: Sequence[Any]) -> list[Any]:
-    return [value for value in values if type(value) is kind]
 
 
 def _type_of_class(kind: type, values: Sequence[Any], schema_of: SchemaOf) -> SqlType:

@@ -119,10 +119,7 @@ def _answers_of_pool(
 
 
 def _write_answers(question: Question, batch: Batch, folder: Path) -> Path:
-    """Answers a batch; returns the file of the answers.
-
-    Of a long message in a pipe, half may be there when the process is killed.
-    """
+    """Answers a batch; returns the file of the answers: a killed process leaves no half of one."""
     content = pickle.dumps(answer_episodes(question, batch))
     try:
         handle, name = mkstemp(dir=folder)

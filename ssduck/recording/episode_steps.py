@@ -30,14 +30,6 @@ VERSION = 1
 _MAX_TIME = 1e300
 
 
-def _is_list(value: Any) -> bool:
-    return isinstance(value, list)
-
-
-def _is_seed(value: Any) -> bool:
-    return value is None or type(value) is int
-
-
 def _is_numbers(value: Any) -> bool:
     return isinstance(value, list) and all(validation.is_number(number) for number in value)
 
@@ -68,13 +60,17 @@ def _are_actions(value: Any) -> bool:
 # What a file has of an episode.
 _DESCRIPTION = {
     "version": Value("a number", lambda value: type(value) is int and value >= 1),
-    "seed": Value("an integer or null", _is_seed, is_required=False),
+    "seed": Value(
+        "an integer or null", lambda value: value is None or type(value) is int, is_required=False
+    ),
     "terms": Value("an object", lambda value: isinstance(value, dict)),
     "times": Value("a list of finite times, in order", _are_times),
     "ticks": Value("a list of ticks, in order", _are_ticks),
     "variables": Value(
         "an object of lists",
-        lambda value: isinstance(value, dict) and all(map(_is_list, value.values())),
+        lambda value: (
+            isinstance(value, dict) and all(isinstance(one, list) for one in value.values())
+        ),
     ),
     "rewards": Value("a list of numbers", _is_numbers),
     "actions": Value("lists of equally many numbers, or null", _are_actions, is_required=False),

@@ -186,11 +186,8 @@ class Recorder:
             raise failure
 
     def _follow(self, snapshot: Snapshot, state: TickState) -> bool:
-        """Prepares to write the rows of a tick; returns whether rows before have unknown numbers.
-
-        The ticks whose rows are written together have the same entities, and the same poses of
-        those that cannot move.
-        """
+        """Prepares to write a tick's rows; returns whether rows before have unknown numbers."""
+        # Those written together have the same entities, and poses of those that cannot move.
         is_same = self._rows is not None and self._rows.matches(snapshot)
         if is_same and not (self._pending and self._pending[0].static is not state.static):
             return False
@@ -201,17 +198,14 @@ class Recorder:
         return is_unknown
 
     def _write_pending(self) -> bool:
-        """Writes the rows of ticks into the buffers; returns whether they have unknown numbers.
-
-        A tick whose rows cannot be made is not recorded; its error is raised later.
-        """
+        """Writes the rows of ticks into the buffers; returns whether they have unknown numbers."""
         states, self._pending = self._pending, []
         if not states:
             return False
         assert self._rows is not None
         try:
             rows = self._rows.of_ticks(states)
-        except Exception as error:  # noqa: BLE001  # `_raise_write_failure` raises it
+        except Exception as error:  # noqa: BLE001  # `_raise_write_failure` raises it later
             if len(states) == 1:
                 self._write_failure = self._write_failure or error
                 is_other = self.ticks.numbers != states[0].number

@@ -100,7 +100,8 @@ class MemoryStore(TickStore, TickArchive):
 
     def _is_joined(self, ticks: int, end: float, size: int) -> bool:
         """Checks whether further ticks are joined with the last part, as it is small."""
-        if not self._parts or max(map(_last_rows, self._stored.values())) > _MIN_ROWS:
+        last = [stored.parts[-1].num_rows for stored in self._stored.values() if self._parts]
+        if not last or max(last) > _MIN_ROWS:
             return False
         size += sum(stored.parts[-1].nbytes for stored in self._stored.values())
         ticks += self._stored["ticks"].parts[-1].num_rows
@@ -168,12 +169,6 @@ class MemoryStore(TickStore, TickArchive):
     def models(self) -> dict[str, str]:
         """Returns the SELECT of the view of each model, by the name of the view."""
         return self._models.views()
-
-
-def _last_rows(rows: BufferedRows) -> int:
-    """Returns the number of rows of the last part."""
-    count: int = rows.parts[-1].num_rows
-    return count
 
 
 def _near_pair(rows: pa.Table, request: PairRequest) -> pa.Table:
