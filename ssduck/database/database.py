@@ -26,7 +26,7 @@ from ssduck.database.functions import (
     shape_functions,
 )
 from ssduck.database.plans import PreparedPlans
-from ssduck.database.raw_sql import BatchTable, RawSql
+from ssduck.database.raw_sql import RawSql
 from ssduck.database.schemas import Schemas, TickRanges
 from ssduck.database.statement_names import ReadData
 from ssduck.database.values import Converter
@@ -56,6 +56,7 @@ class Database:
     Attributes:
         connection: the connection that runs the translator's statements.
         plans: the plans of prepared statements.
+        raw_sql: what users' statements may read.
     """
 
     def __init__(
@@ -79,7 +80,7 @@ class Database:
         self._worlds = WorldRegistry(
             self.connection, self.plans, self._schemas, self._recorders, by_schema, recording
         )
-        self._raw_sql = RawSql(
+        self.raw_sql = RawSql(
             self.connection, self.plans, persistent, self._worlds, self._schemas, self._lock
         )
         # The names of the frames that users have registered.
@@ -108,19 +109,7 @@ class Database:
     def user_rows(self, sql: str, parameters: Parameters) -> FetchedRows | pa.Table:
         """Returns all rows of a user's statement, for which the tables that it names are read."""
         with self._lock:
-            return self._raw_sql.rows(sql, parameters)
-
-    def read_batches(self, batch_table: BatchTable) -> None:
-        """Lets statements of users read batches, whose tables a function makes."""
-        self._raw_sql.batch_table = batch_table
-
-    def confine(self, memory: int) -> None:
-        """Switches files and settings off now, and limits DuckDB's memory, bytes."""
-        self._raw_sql.seal(memory)
-
-    def allow_record(self, folder: Path) -> None:
-        """Lets ssduck's views read the folder of a record when files are switched off."""
-        self._raw_sql.record_folders.append(folder.absolute())
+            return self.raw_sql.rows(sql, parameters)
 
     def pinned(
         self,
@@ -147,7 +136,7 @@ class Database:
 
     def add_function(self, signature: Signature, function: Function) -> None:
         """Registers a user's function with SQL; replaces one of that signature."""
-        self._raw_sql.statements.forget()
+        self.raw_sql.statements.forget()
         add_user_function(self.connection, signature, function, self._worlds.by_schema)
 
     def offer_function(
@@ -160,7 +149,7 @@ class Database:
 
     def withdraw_function(self, name: str) -> None:
         """Takes back what `offer_function` gave to raw SQL."""
-        self._raw_sql.statements.forget()
+        self.raw_sql.statements.forget()
         self.connection.withdraw_function(name)
 
     def register(self, name: str, table: pa.Table) -> None:
@@ -171,7 +160,7 @@ class Database:
                 raise ArgumentError(
                     f"register: there is a table {name!r} already; give the frame another name"
                 )
-            self._raw_sql.forget_names()
+            self.raw_sql.forget_names()
             self.connection.register(name, table)
             self._registered.add(name)
 

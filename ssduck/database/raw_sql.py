@@ -135,7 +135,7 @@ class RawSql:
 
     Attributes:
         statements: the queries that are known.
-        record_folders: the folders of records, which ssduck's own views read.
+        record_folders: the absolute paths of records that views read when files are off.
         batch_table: makes the tables of batches, once there is one.
     """
 

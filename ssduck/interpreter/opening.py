@@ -160,7 +160,7 @@ def opened_record(
     database = interpreter._database  # noqa: SLF001  # it reads the record
     try:
         if path.is_dir():
-            database.allow_record(path)
+            database.raw_sql.record_folders.append(path.absolute())
         runs = select_runs(recorded_runs(path, database), world, episode)
         if partial:
             runs = [partial_run(run) if isinstance(run, FolderRun) else run for run in runs]

@@ -203,7 +203,7 @@ class Worker:
                 ss = Interpreter(limits=allowed, **options)
             stack.callback(ss.close)
             # The wall holds without it, too.
-            ss._database.confine(self._walls.memory // _DUCKDB_SHARE)  # noqa: SLF001  # the one door
+            ss._database.raw_sql.seal(self._walls.memory // _DUCKDB_SHARE)  # noqa: SLF001  # the one door
             stack.pop_all()
         self._opened["ss"] = ss
 

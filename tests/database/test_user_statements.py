@@ -118,7 +118,7 @@ def row_by_row(ss, sql):
     ss.sql("SELECT e.mass, s.margin FROM sim.entities e, sim.shapes s LIMIT 1")
     ss.sql("SELECT count(*) FROM duckdb_functions()")  # makes all macros
     with ss._database.pinned({"shapes"}):
-        ss._database._raw_sql._describe(words_of(sql))
+        ss._database.raw_sql._describe(words_of(sql))
         return Result(ss._database.connection.table(sql, None))
 
 

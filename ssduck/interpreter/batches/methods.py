@@ -40,7 +40,7 @@ class Batches:
 
         if self.programs is None:
             self.programs = BatchPrograms(self._execution)
-            self._execution.database.read_batches(batch_table)
+            self._execution.database.raw_sql.batch_table = batch_table
         self.programs.forget()
 
     def export_batch(
