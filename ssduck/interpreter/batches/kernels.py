@@ -21,7 +21,7 @@ from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.pair_batch import PairQuestion
 from ssduck.geometry.tick_shapes import depth
 from ssduck.interpreter.batches.columns import EnvironmentColumns
-from ssduck.recording.replay.batch_queries import EntityShapes, LinkPosesOverTicks, PairSide
+from ssduck.recording.replay.batch_queries import EntityShapes, PairSide
 from ssduck.schema import LINK_FACTOR, entity_of
 from ssduck.simulators.contact_pairs import OPPOSING, are_at, are_of
 from ssduck.simulators.environments import NO_CONTACTS, EnvironmentContacts
@@ -100,24 +100,19 @@ class EnvironmentShapes:
     def _side(self, ids: Indices, rows: Indices) -> PairSide:
         """Returns one side of the pairs of some rows."""
         environments = self.environments[rows]
-        positions, orientations = np.zeros((len(rows), 3)), np.zeros((len(rows), 4))
+        poses = np.zeros((len(rows), 7))
         for id in np.unique(ids).tolist():
             self._add(id)
             chosen = np.flatnonzero(ids == id)
-            body, link = self._columns.body_of(id)
-            placed = self._columns.poses(body, link)
-            positions[chosen] = placed[0][environments[chosen]]
-            orientations[chosen] = placed[1][environments[chosen]]
-        base = LinkPosesOverTicks(positions, orientations)
-        return PairSide(ids.astype(np.int64), base, partial(self._link_poses, environments))
+            _, link = self._columns.body_of(id)
+            poses[chosen] = self._link_poses(environments, chosen, id, link)
+        return PairSide(ids.astype(np.int64), poses, partial(self._link_poses, environments))
 
-    def _link_poses(
-        self, environments: Indices, rows: Indices, id: int, link: int
-    ) -> LinkPosesOverTicks:
+    def _link_poses(self, environments: Indices, rows: Indices, id: int, link: int) -> Array:
+        """Returns the poses of a link in the environments of some rows, (rows, 7)."""
         body, _ = self._columns.body_of(id)
-        positions, orientations = self._columns.poses(body, link)
-        chosen = environments[rows]
-        return LinkPosesOverTicks(positions[chosen], orientations[chosen])
+        poses = self._columns.poses(body, link)
+        return np.hstack([part[environments[rows]] for part in poses])
 
     def _add(self, id: int) -> None:
         """Notes an entity, or a link as an entity of its own, of which the shapes are compared."""

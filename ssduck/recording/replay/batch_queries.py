@@ -21,10 +21,7 @@ from ssduck.geometry.broad_phase import Pairs
 from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.pair_batch import Answers, PairBatch, PairQuestion, QuestionKind
-from ssduck.geometry.poses import (
-    compose,
-    rotation_matrices,
-)
+from ssduck.geometry.poses import IDENTITY, compose, rotation_matrices
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import Solid, solid_of
@@ -55,22 +52,18 @@ class _ShapeModel:
 
 
 @dataclass(frozen=True, eq=False)
-class LinkPosesOverTicks:
-    """The poses of n links: positions (n, 3), m, and orientations (n, 4), w, x, y, z."""
-
-    positions: Array
-    orientations: Array
-
-
-@dataclass(frozen=True, eq=False)
 class PairSide:
     """The first or the second entity of each of n pairs."""
 
     ids: Ids  # (n,), the ids of the entities
-    base_poses: LinkPosesOverTicks  # the poses of their base links
-    # returns the poses of a link for rows of the pairs, by the rows, the id of the entity and the
-    # number of the link
-    link_poses: Callable[[Indices, int, int], LinkPosesOverTicks]
+    base_poses: Array  # (n, 7), the poses of their base links: x, y, z, m, qw, qx, qy, qz
+    # returns the poses of a link for rows of the pairs, (rows, 7), by the rows, the id of the
+    # entity and the number of the link
+    link_poses: Callable[[Indices, int, int], Array]
+
+    def poses_of(self, rows: Indices, id: int, link: int) -> Array:
+        """Returns the poses of the base or of another link for rows of the pairs, (rows, 7)."""
+        return self.link_poses(rows, id, link) if link else self.base_poses[rows]
 
 
 class EntityShapes:
@@ -186,11 +179,9 @@ class EntityShapes:
         ids = side.ids[rows]
         for id in _unique_ids(ids):
             members = np.flatnonzero(ids == id)
-            links = [
-                self._link_poses(side, rows[members], id, link)
-                for link in (0, *self._moving_links(id))
-            ]
-            poses = np.stack([np.hstack((p.positions, p.orientations)) for p in links], axis=1)
+            numbered = (0, *self._moving_links(id))
+            links = [side.poses_of(rows[members], id, link) for link in numbered]
+            poses = np.stack(links, axis=1)
             numbers[members] = [places.number(id, at_row) for at_row in poses]
         listed: list[int] = numbers.tolist()
         return listed
@@ -238,24 +229,16 @@ class EntityShapes:
             model = self._shape_model(id)
             members = np.flatnonzero(ids == id)
             for link in np.unique(model.links).tolist():
-                link_poses = self._link_poses(side, rows[members], id, link)
+                link_poses = side.poses_of(rows[members], id, link)
                 for shape in np.flatnonzero(model.links == link).tolist():
-                    placed = _compose_fixed(
+                    poses = _compose_fixed(
                         link_poses, model.positions[shape], model.orientations[shape]
                     )
                     solid = np.full(len(members), model.solid_indices[shape])
                     margins = np.full(len(members), model.margins[shape])
-                    poses = placed.positions, placed.orientations
                     parts.append((start + members, solid, margins, *poses))
         empty = np.zeros(0, dtype=np.intp)
         return [*parts, (empty, empty, np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)))]
-
-    def _link_poses(self, side: PairSide, rows: Indices, id: int, link: int) -> LinkPosesOverTicks:
-        if link == 0:
-            return LinkPosesOverTicks(
-                side.base_poses.positions[rows], side.base_poses.orientations[rows]
-            )
-        return side.link_poses(rows, id, link)
 
     def _shape_model(self, id: int) -> _ShapeModel:
         if id not in self._shape_models:
@@ -311,18 +294,14 @@ def _unique_ids(ids: Ids) -> list[int]:
     return distinct
 
 
-def _compose_fixed(
-    frames: LinkPosesOverTicks, position: Array, orientation: Array
-) -> LinkPosesOverTicks:
-    """Returns the poses of something at a pose, (3,) and (4,), in each of n frames."""
-    if not position.any() and np.array_equal(orientation, _IDENTITY):
-        return frames
-    count = len(frames.positions)
+def _compose_fixed(frames: Array, position: Array, orientation: Array) -> tuple[Array, Array]:
+    """Returns the positions and orientations of something at a pose in each of n frames, (n, 7)."""
+    placed = frames[:, :3], frames[:, 3:]
+    if not position.any() and np.array_equal(orientation, IDENTITY):
+        return placed
+    count = len(frames)
     inner = np.broadcast_to(position, (count, 3)), np.broadcast_to(orientation, (count, 4))
-    return LinkPosesOverTicks(*compose(frames.positions, frames.orientations, *inner))
-
-
-_IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
+    return compose(*placed, *inner)
 
 
 def _cross_pairs(first: Indices, counts: Indices, second: Indices, others: Indices) -> Pairs:

@@ -13,7 +13,7 @@ import pyarrow as pa
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.pair_batch import PairQuestion
 from ssduck.limits import UsageMeter
-from ssduck.recording.replay.batch_queries import Ids, LinkPosesOverTicks, PairSide
+from ssduck.recording.replay.batch_queries import Ids, PairSide
 from ssduck.recording.replay.progress import task
 from ssduck.recording.replay.record import Record, Ticks
 from ssduck.recording.stores.base import PairRequest
@@ -104,11 +104,7 @@ class PairQueries:
             turned = is_turned[:, np.newaxis]
             poses = [np.where(turned, *order) for order in (poses[::-1], poses)]
         link_poses = partial(self._record.link_poses, ticks)
-        first, second = (
-            PairSide(id, LinkPosesOverTicks(pose[:, :3], pose[:, 3:]), link_poses)
-            for id, pose in zip(ids, poses, strict=True)
-        )
-        return first, second
+        return PairSide(ids[0], poses[0], link_poses), PairSide(ids[1], poses[1], link_poses)
 
     def _computed(self, rows: pa.Table, selected: Indices, question: PairQuestion) -> Array:
         """Returns the answers for some rows of near pairs."""

@@ -24,7 +24,7 @@ from ssduck.geometry.queries import ShapeQueries
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.episode import Tags
 from ssduck.recording.recorder import MassChanges
-from ssduck.recording.replay.batch_queries import EntityShapes, LinkPosesOverTicks
+from ssduck.recording.replay.batch_queries import EntityShapes
 from ssduck.recording.replay.restore import PastWorld, RowCache, SnapshotRestorer, links_of
 from ssduck.recording.spec import Recording, longer_recording_message, not_recorded_message
 from ssduck.recording.stores.base import PairRequest
@@ -313,14 +313,12 @@ class Record:
             )
         return place
 
-    def link_poses(
-        self, ticks: npt.NDArray[np.int64], rows: Indices, id: int, link: int
-    ) -> LinkPosesOverTicks:
-        """Returns the poses of a link of an entity at the ticks of some rows."""
+    def link_poses(self, ticks: Ticks, rows: Indices, id: int, link: int) -> Array:
+        """Returns the poses of a link of an entity at the ticks of some rows, (rows, 7)."""
         poses = np.full((len(rows), 7), _NAN)
         for tick in np.unique(ticks[rows]).tolist():
             poses[ticks[rows] == tick] = self._pose(self._links_table, tick, id, link)
-        return LinkPosesOverTicks(poses[:, :3], poses[:, 3:])
+        return poses
 
     def _pose(self, table: str, tick: int, id: int, link: int) -> Array:
         """Returns the pose of a link of an entity at a tick, (7,); NaN if it is not there."""

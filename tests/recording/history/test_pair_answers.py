@@ -346,7 +346,7 @@ def test_answers_at_any_poses_are_those_of_each_pair(heap, poses, data):
     sides = [
         batch_queries.PairSide(
             np.full(count, id),
-            batch_queries.LinkPosesOverTicks(columns[:, n, :3], columns[:, n, 3:]),
+            columns[:, n],
             lambda *_: pytest.fail("these bodies have one link"),
         )
         for n, id in enumerate((a, b))
