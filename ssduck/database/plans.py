@@ -206,7 +206,7 @@ class _CurrentRows:
         table = self._table()
         arrow = table.arrow
         if table.version != self._version or self._rows is None:
-            columns = [_array_of(arrow.column(name)) for name in self._columns]
+            columns = [arrow.column(name).chunk(0) for name in self._columns]
             rows = pa.StructArray.from_arrays(columns, self._columns)
             self._rows = pa.ListArray.from_arrays(pa.array([0, len(rows)], pa.int32()), rows)
             self._version = table.version
@@ -225,11 +225,6 @@ def _is_kept(operator: Mapping[str, Any]) -> bool:
         inner = inner[0]["children"]
     is_single = operator["name"] != "UNNEST" or inner[0]["name"] == "DUMMY_SCAN"
     return is_single and not _is_scan(operator)
-
-
-def _array_of(column: pa.ChunkedArray) -> pa.Array:
-    """Returns a column as one array, without a copy if it is one."""
-    return column.chunk(0) if column.num_chunks == 1 else column.combine_chunks()
 
 
 def _read_of(source: RowSource, read: AbstractSet[str]) -> list[Column]:

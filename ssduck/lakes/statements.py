@@ -66,7 +66,8 @@ def statement(
     whole, failed = _read_episodes(entries)
     plans = _plans_of(whole, program, limits)
     if not plans:
-        raise ArgumentError(_no_episode(list(failed.values())))
+        reason = named_errors(list(failed.values())) if failed else "none was selected"
+        raise ArgumentError(f"there is no episode to ask: {reason}")
     parts: dict[str, exp.Expr] = {}
     answers: list[exp.Select] = []
     for place, (plan, chosen) in enumerate(plans):
@@ -78,13 +79,6 @@ def statement(
     for name, part in parts.items():
         whole_select = whole_select.with_(name, as_=part)
     return _text(whole_select, dialect)
-
-
-def _no_episode(failed: Sequence[EpisodeEntry]) -> str:
-    """Returns the message that no episode can be asked, as some have errors or none was chosen."""
-    if not failed:
-        return "there is no episode to ask: none was selected"
-    return f"there is no episode to ask: {named_errors(failed)}"
 
 
 _Entries: TypeAlias = dict[int, EpisodeEntry]

@@ -373,7 +373,8 @@ class Recorder:
         """
         self.settle()
         with self.read_lock:
-            return self._archive.near_pairs(request, self._buffered_rows("entities"))
+            parts = self._writer.batches["entities"].arrow, self._buffers["entities"].rows()
+            return self._archive.near_pairs(request, pa.concat_tables(parts))
 
     @property
     def _archive(self) -> TickArchive:
@@ -381,10 +382,6 @@ class Recorder:
         if not isinstance(self._store, TickArchive):
             raise RecordError("a folder that is being recorded is read by opening it")
         return self._store
-
-    def _buffered_rows(self, table: str) -> pa.Table:
-        """Returns the rows of a table that are not stored yet."""
-        return pa.concat_tables([self._writer.batches[table].arrow, self._buffers[table].rows()])
 
     def _is_storing_due(self, time: float) -> bool:
         """Checks whether the buffered ticks are enough, or a quarter of what is retained."""

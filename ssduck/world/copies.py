@@ -263,7 +263,8 @@ def write_scene(scene: Scene, folder: Path) -> Path:
 
     file = folder / FILE
     text = tomli_w.dumps(_document(scene, folder))
-    file.write_text(_ARRAY.sub(_on_one_line, text), encoding="utf-8")
+    on_one_line = _ARRAY.sub(lambda part: f"[{' '.join(part[1].split()).rstrip(',')}]", text)
+    file.write_text(on_one_line, encoding="utf-8")
     return file
 
 
@@ -318,7 +319,3 @@ def _sensor(sensor: SensorSpec) -> dict[str, Any]:
         values["powered"] = False
     values |= sensor.settings
     return {name: value for name, value in values.items() if value is not None}
-
-
-def _on_one_line(array: re.Match[str]) -> str:
-    return "[" + " ".join(array[1].split()).rstrip(",") + "]"

@@ -418,7 +418,11 @@ class BodyGroup:
         owners = [shape.frame for shape in self._shapes]
         links = self.link_count
         bare = sorted(set(range(links)) - set(owners))
-        points = [_centred(frame, self._regions.get(frame, _POINT)) for frame in bare]
+        # The box of a link without shapes contains its origin, or the region of a site.
+        points = [
+            PlacedGeometry(frame, self._regions.get(frame, _POINT), np.zeros(3), IDENTITY)
+            for frame in bare
+        ]
         count = links + len(self._mounts)
         groups = [*owners, *bare, *range(links, count)]
         return BoundingBoxes(self._shapes + points + self._mounts, groups, count)
@@ -431,11 +435,6 @@ class BodyGroup:
 # The columns of a row that follow from link poses.
 _COLUMNS = {name: place for place, name in enumerate((*POSE, *TWIST, *BOX))}
 _POINT = Geometry.primitive("sphere", (0, 0, 0))
-
-
-def _centred(frame: int, geometry: Geometry) -> PlacedGeometry:
-    """Returns what the box of a link without shapes contains: its origin, or a site's region."""
-    return PlacedGeometry(frame, geometry, np.zeros(3), IDENTITY)
 
 
 def _runs(starts: Sequence[int], counts: Sequence[int]) -> Indices:

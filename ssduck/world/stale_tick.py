@@ -64,7 +64,11 @@ class StaleTickCheck:
     def _bodies(self, snapshot: Snapshot) -> tuple[Body, ...]:
         layout = snapshot.layout
         if self._sample[0] is not layout:
-            self._sample = layout, _sample_of(layout.moving_bodies.bodies)
+            bodies = layout.moving_bodies.bodies
+            jointed = [body for body in bodies if body.joints]
+            others = [body for body in bodies if body.movable and not body.joints]
+            # Of the others, the last loaded.
+            self._sample = layout, (*jointed[:_SAMPLE], *others[-_SAMPLE:])
         return self._sample[1]
 
 
@@ -76,10 +80,3 @@ def _have_moved(bodies: tuple[Body, ...], simulator: Simulator, snapshot: Snapsh
             rows = np.concatenate([np.arange(len(poses.states))[group.runs[b]] for b in bodies])
             return not np.array_equal(now, poses.states[rows, :3], equal_nan=True)
     return False
-
-
-def _sample_of(bodies: tuple[Body, ...]) -> tuple[Body, ...]:
-    """Returns some bodies with joints, and some of the other movable ones, the last loaded."""
-    jointed = [body for body in bodies if body.joints]
-    others = [body for body in bodies if body.movable and not body.joints]
-    return (*jointed[:_SAMPLE], *others[-_SAMPLE:])

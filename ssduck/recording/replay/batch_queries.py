@@ -75,11 +75,6 @@ class EntityShapes:
         self._solid_indices: dict[str, int] = {}
         self._shape_models: dict[int, _ShapeModel] = {}
 
-    def _moving_links(self, id: int) -> range:
-        """Returns the numbers of the links of an entity without its base."""
-        body = self._members[id].body
-        return range(1, 1 if body is None else len(body.links))
-
     def _queries(self, places: _Places, calls: CallCounter) -> ShapeQueries:
         """Returns queries of the shapes of entities, by their numbers, at poses of their links."""
         models = [self._shape_model(id) for id in places.ids]
@@ -179,8 +174,9 @@ class EntityShapes:
         ids = side.ids[rows]
         for id in _unique_ids(ids):
             members = np.flatnonzero(ids == id)
-            numbered = (0, *self._moving_links(id))
-            links = [side.poses_of(rows[members], id, link) for link in numbered]
+            body = self._members[id].body
+            count = 1 if body is None else len(body.links)
+            links = [side.poses_of(rows[members], id, link) for link in range(count)]
             poses = np.stack(links, axis=1)
             numbers[members] = [places.number(id, at_row) for at_row in poses]
         listed: list[int] = numbers.tolist()
