@@ -37,6 +37,7 @@ from ssduck.schema import MODELS, RECORDED
 
 # What is added to the name of a damaged file.
 DAMAGED = ".damaged"
+_UNFINISHED = "is of an export that did not end"
 _LABEL = re.compile(rb'\{"episode": "([0-9a-f]+)", "table": ')
 
 
@@ -61,7 +62,6 @@ class Damage:
 class _RunDamage(Damage):
     """A damaged file of an episode."""
 
-    run: FolderRun | None = None
     part: int | None = None  # the number of the part of its tables
     log: int | None = None  # the number of files of the log before it
 
@@ -132,42 +132,36 @@ def partial_run(run: FolderRun) -> FolderRun:
 def damages_of(run: FolderRun) -> Iterator[_RunDamage]:
     """Yields the damaged and missing files of an episode; reads all bytes of all files."""
     episode = f"episode {run.number} of {run.world!r}"
-    problem: str | None
     try:
         tables = run.tables
     except RecordPermissionError:  # it may be intact
         raise
     except RecordError as error:
-        problem = _problem_of(error, run.about_file)
-        yield _RunDamage(run.about_file, problem, f"all of {episode}", run=run)
+        yield _RunDamage(run.about_file, _problem_of(error, run.about_file), f"all of {episode}")
         return
     if run.is_unfinished_export:
-        problem = "is of an export that did not end"
-        yield _RunDamage(run.about_file, problem, f"{episode}, which is not complete", run=run)
+        yield _RunDamage(run.about_file, _UNFINISHED, f"{episode}, which is not complete")
         return
     for number in run.numbers_to_check(is_model=False):
-        if number in run.removed_parts:
-            continue
-        for table in tables:
-            problem = run.problem(table, number)
-            if problem is not None:
-                file, loss = run.place(table) / part_name(number), _loss(run, number)
-                yield _RunDamage(file, problem, loss, run=run, part=number)
+        for table in tables if number not in run.removed_parts else ():
+            if (problem := run.problem(table, number)) is not None:
+                file = run.place(table) / part_name(number)
+                yield _RunDamage(file, problem, _loss(run, number), part=number)
     for number in run.numbers_to_check(is_model=True):
         for table in (f"models/{model}" for model in MODELS):
-            problem = run.problem(table, number)
-            if problem is not None:
-                file = run.place(table) / part_name(number)
-                yield _RunDamage(file, problem, f"all of {episode}", run=run)
+            if (problem := run.problem(table, number)) is not None:
+                yield _RunDamage(run.place(table) / part_name(number), problem, f"all of {episode}")
     yield from _log_damages(run)
-    index = index_file(run.place(INDEX))
-    problem = _parquet_problem(index, has_checksums=run.has_checksums)
-    if problem is not None:
-        yield _RunDamage(index, problem, "nothing: the parts have what it has", run=run)
-    pairs = run.place(PAIRS) / part_name(0)
-    problem = _parquet_problem(pairs, has_checksums=True)
-    if problem is not None:
-        yield _RunDamage(pairs, problem, "the table of pairs, for other tools", run=run)
+    index, pairs = _derived_files(run)
+    for file, has_checksums, loss in (
+        (index, run.has_checksums, "nothing: the parts have what it has"),
+        (pairs, True, "the table of pairs, for other tools"),
+    ):
+        if not file.is_file():
+            continue
+        problem = parquet_problem(file.read_bytes(), has_checksums=has_checksums)
+        if problem is not None:
+            yield _RunDamage(file, problem, loss)
 
 
 def _derived_files(run: FolderRun) -> tuple[Path, Path]:
@@ -180,15 +174,8 @@ def _log_damages(run: FolderRun) -> Iterator[_RunDamage]:
         problem = log_file_problem(file, run.key, has_checksums=run.has_checksums)
         if problem is not None:
             loss = "ticks from there to the end of the log"
-            yield _RunDamage(file, problem, loss, run=run, log=number)
+            yield _RunDamage(file, problem, loss, log=number)
             return
-
-
-def _parquet_problem(file: Path, *, has_checksums: bool) -> str | None:
-    """Returns what is wrong with a Parquet file that may be there."""
-    if not file.is_file():
-        return None
-    return parquet_problem(file.read_bytes(), has_checksums=has_checksums)
 
 
 def _loss(run: FolderRun, part: int) -> str:
@@ -214,8 +201,7 @@ def _repair_run(run: FolderRun, damages: Sequence[_RunDamage]) -> list[Damage]:
     if parts:  # the description comes first: an interrupted repair leaves no gap
         about = read_description(run.about_file)
         removed = sorted({*about.get("removed", ()), *parts})
-        content = about | {"removed": removed}
-        write_json(content, run.about_file)
+        write_json(about | {"removed": removed}, run.about_file)
         for part in parts:
             for table in run.tables:
                 set_aside(run.place(table) / part_name(part))
@@ -230,18 +216,17 @@ def _repair(run: FolderRun, damage: _RunDamage) -> bool:
         for file in log_files(run.place(LOG))[damage.log :]:
             set_aside(file)
         return True
-    if damage.file == run.about_file:
-        about = None if "export" in damage.problem else _description_of(run)
-        is_export = about is None and damage.file.exists() and "export" in damage.problem
-        if about is not None or is_export:
-            set_aside(damage.file)
-        if about is not None:
-            create_file(run.about_file, json_text(about))
-        return about is not None or is_export
     if damage.file in _derived_files(run):
         set_aside(damage.file)
         return True
-    return False
+    is_export = damage.problem == _UNFINISHED
+    about = _description_of(run) if damage.file == run.about_file and not is_export else None
+    if about is None and not is_export:
+        return False
+    set_aside(damage.file)
+    if about is not None:
+        create_file(run.about_file, json_text(about))
+    return True
 
 
 def set_aside(file: Path) -> None:
