@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any, TypeAlias
 
 import gymnasium
 import numpy as np
-import numpy.typing as npt
 from gymnasium.vector import (
     AsyncVectorEnv,
     AutoresetMode,
@@ -25,7 +23,7 @@ from ssduck.geometry.arrays import Flags
 from ssduck.gym.batch_terms import BatchJudgement, BatchTerms
 from ssduck.gym.doubts import FirstTicks, episode_seconds, warn_of_length
 from ssduck.gym.terms import Reward, WhereNaN
-from ssduck.gym.wrapper import INFO, check_open
+from ssduck.gym.wrapper import INFO, check_open, described, interpreter_of_terms
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.namespace import check_name
 from ssduck.limits import Limits
@@ -103,23 +101,24 @@ class VectorQueryWrapper(VectorWrapper[Any, Any, Any, Any, Any]):
         self._parts: list[_Prepared] = []
         if state is None and isinstance(env.unwrapped, AsyncVectorEnv):
             model = _model_in_process(env.unwrapped)
-            read = partial(_data_in_processes, env.unwrapped)
+            read = partial(env.unwrapped.get_attr, "data")
         elif state is None:
-            self._parts = _prepared(env)
-            model = self._parts[0].find()[0]
-            read = partial(_data_of, self._parts)
+            self._parts = parts = _prepared(env)
+            model = parts[0].find()[0]
+
+            def read() -> list[Any]:
+                return [part.find()[1] for part in parts]
+
         elif model is None:
             raise ArgumentError("VectorQueryWrapper: give the model of the states: model=…")
         if state is None:
-            state = partial(_forward_states if forward else _states, read)
+            state = partial(_states, read, forward=forward)
         if not self._parts:
             self._check_mode(stops=stop_when is not None or nan == "failure")
         self._state = state
         self._ended: Flags = np.zeros(env.num_envs, np.bool_)
         self._is_closed = self._has_told_of_models = False
-        self._interpreter = Interpreter(
-            recording=None, limits=limits and replace(limits, require=()), strict=True
-        )
+        self._interpreter = interpreter_of_terms(limits)
         try:
             self._batch: BatchWorld = World.batch(model, env.num_envs)
             self._interpreter.add_variable(world, self._batch)
@@ -170,7 +169,7 @@ class VectorQueryWrapper(VectorWrapper[Any, Any, Any, Any, Any]):
         are_reset = np.ones(self.num_envs, np.bool_) if mask is None else np.array(mask)
         self._ended &= ~are_reset
         judgement = self._judged(are_reset)
-        return observations, infos | {INFO: _described(judgement)}
+        return observations, infos | {INFO: described(judgement)}
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Steps all environments, and evaluates the terms."""
@@ -193,7 +192,7 @@ class VectorQueryWrapper(VectorWrapper[Any, Any, Any, Any, Any]):
         self._ended = np.asarray(terminated) | np.asarray(truncated)
         if self._mode == AutoresetMode.SAME_STEP and self._ended.any():
             self._judged(self._ended)  # the first ticks of the next episodes
-        return observations, rewards, terminated, truncated, infos | {INFO: _described(judgement)}
+        return observations, rewards, terminated, truncated, infos | {INFO: described(judgement)}
 
     def close(self, **kwargs: Any) -> None:
         """Closes the environments."""
@@ -221,7 +220,7 @@ class VectorQueryWrapper(VectorWrapper[Any, Any, Any, Any, Any]):
             reward = reward if rewards is None else rewards[number]
             terminated = bool(terminated or (stops is not None and stops[number]))
             if is_shown and (terminated or truncated):
-                info = info | {INFO: _described(judgement, number)}
+                info = info | {INFO: _of_one(judgement, number)}
             part.stepped = observation, reward, terminated, truncated, info
 
     def _judged(self, are_reset: Flags) -> BatchJudgement:
@@ -332,10 +331,6 @@ def _difference(a: Any, b: Any) -> str | None:
     return next((n for n in names if not np.array_equal(getattr(a, n), getattr(b, n))), None)
 
 
-def _data_of(parts: Sequence[_Prepared]) -> list[Any]:
-    return [part.find()[1] for part in parts]
-
-
 def _model_in_process(vector: AsyncVectorEnv) -> Any:
     """Returns the model of the environments of a vector that steps them in other processes."""
     # To ask for what is not there ends the processes.
@@ -347,16 +342,11 @@ def _model_in_process(vector: AsyncVectorEnv) -> Any:
     return vector.get_attr("model")[0]
 
 
-def _data_in_processes(vector: AsyncVectorEnv) -> list[Any]:
-    return list(vector.get_attr("data"))
-
-
-def _states(read: Callable[[], list[Any]], _: object) -> list[Any]:
-    return read()
-
-
-def _forward_states(read: Callable[[], list[Any]], _: object) -> dict[str, npt.NDArray[np.float64]]:
-    data = read()
+def _states(read: Callable[[], Sequence[Any]], _: object, *, forward: bool) -> Any:
+    """Returns the states of all environments; their joint positions, from which poses follow."""
+    data = list(read())
+    if not forward:
+        return data
     return {
         "qpos": np.stack([one.qpos for one in data]),
         "qvel": np.stack([one.qvel for one in data]),
@@ -364,18 +354,13 @@ def _forward_states(read: Callable[[], list[Any]], _: object) -> dict[str, npt.N
     }
 
 
-def _described(judgement: BatchJudgement, number: int | None = None) -> dict[str, Any]:
-    """Returns the values of the terms that there are, by name: all, or those of an environment."""
-    values = {
-        "success": judgement.success,
-        "failure": judgement.failure,
-        "reward": judgement.reward,
-        **{f"parts/{name}": value for name, value in judgement.parts.items()},
-    }
-    chosen = {
-        name: value if number is None else value[number].item()
-        for name, value in values.items()
-        if value is not None
-    }
-    parts = {name.removeprefix("parts/"): chosen.pop(name) for name in list(chosen) if "/" in name}
-    return chosen | ({"parts": parts} if parts else {})
+def _of_one(judgement: BatchJudgement, number: int) -> dict[str, Any]:
+    """Returns the values of the terms in an environment, by name."""
+
+    def one(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {name: one(part) for name, part in value.items()}
+        return value[number].item()
+
+    told: dict[str, Any] = one(described(judgement))
+    return told

@@ -14,6 +14,7 @@ import gymnasium
 from ssduck import validation
 from ssduck.errors import ArgumentError, ProgramWarning, SimulatorError, warn
 from ssduck.formatting import short_repr
+from ssduck.gym.batch_terms import BatchJudgement
 from ssduck.gym.doubts import FirstTicks, episode_seconds, time_limit, warn_of_length
 from ssduck.gym.judge import Judge
 from ssduck.gym.terms import Judgement, Reward, Terms, WhereNaN
@@ -135,7 +136,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         gymnasium.Wrapper.__init__(self, env)
         check_name(world, "a world")
         self._terms = Terms.of(success, failure, reward, stop_when, nan=nan)
-        self._variables = _checked_variables(variables, world)
+        self._variables = _checked_variables(variables)
         self._step_time = None if step_time is None else validation.seconds(step_time, "step_time")
         self._folder = None if record_to is None else expand_path(record_to).absolute()
         self._recording, self._forward, self._world = recording, bool(forward), world
@@ -146,9 +147,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         self._is_saved, self._is_closed = True, False
         # Whether the environment ended at the last step, and was not reset since.
         self._has_ended = False
-        self._interpreter = Interpreter(
-            recording=None, limits=limits and replace(limits, require=()), strict=True
-        )
+        self._interpreter = interpreter_of_terms(limits)
         try:
             self._client = self._attach()
             self._judge = Judge(
@@ -376,6 +375,12 @@ def _check_last_state(info: Mapping[str, Any]) -> None:
         )
 
 
+def interpreter_of_terms(limits: Limits | None) -> Interpreter:
+    """Returns an interpreter for terms, which run in this process."""
+    own = limits and replace(limits, require=())
+    return Interpreter(recording=None, limits=own, strict=True)
+
+
 def check_open(is_closed: bool, method: str) -> None:
     """Checks that an environment is open.
 
@@ -388,7 +393,7 @@ def check_open(is_closed: bool, method: str) -> None:
         )
 
 
-def described(judgement: Judgement) -> dict[str, Any]:
+def described(judgement: Judgement | BatchJudgement) -> dict[str, Any]:
     """Returns the values of the terms that there are, by name."""
     values = {
         "success": judgement.success,
@@ -401,15 +406,11 @@ def described(judgement: Judgement) -> dict[str, Any]:
     return described
 
 
-def _checked_variables(
-    variables: Mapping[str, VariableReader] | None, world: str
-) -> dict[str, VariableReader]:
+def _checked_variables(variables: Mapping[str, VariableReader] | None) -> dict[str, VariableReader]:
     """Returns the variables."""
     checked = validation.mapping(variables, "variables: give a dict of functions by name")
     for name, read in checked.items():
         check_name(name, "a variable")
-        if name == world:
-            raise ArgumentError(f"variables: {name!r} is the name of the world")
         if not callable(read):
             raise ArgumentError(
                 f"variables[{name!r}] is {short_repr(read)}: give a function of the environment, "
@@ -451,9 +452,7 @@ class ForwardCheck:
         limits: Limits | None,
     ) -> None:
         self._left, self._world = _CHECKED, world
-        self._interpreter = Interpreter(
-            recording=None, limits=limits and replace(limits, require=()), strict=True
-        )
+        self._interpreter = interpreter_of_terms(limits)
         with warnings.catch_warnings():  # those of the world were given before
             warnings.simplefilter("ignore")
             attached = World.attach(environment, forward=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from ssduck.adapters.marks import Mark
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.poses import rotation_matrices
 from ssduck.geometry.shapes import Geometry
+from ssduck.geometry.solids import solid_of
 from ssduck.simulators.backends import drawn_shapes
 from ssduck.view.frames import Frame
 from ssduck.world.world import World
@@ -112,44 +112,16 @@ class Stage:
 
     def bounds(self, matrices: Array) -> tuple[Array, Array]:
         """Returns the lower and upper corner, (3,) each, of the box of all finite shapes, m."""
-        radii = np.array([_radius(each) for each in self.geometries])
-        centres = np.einsum("nij,nj->ni", matrices[:, :3, :3], self._middles) + matrices[:, :3, 3]
-        # The largest shapes are walls and floors around the others.
-        kept = np.isfinite(centres).all(axis=1) & (radii > 0)
+        solids = [solid_of(each) for each in self.geometries]
+        radii = np.array([solid.bounding_radius for solid in solids])
+        middles = np.array([solid.centre for solid in solids]).reshape(-1, 3)
+        centres = np.einsum("nij,nj->ni", matrices[:, :3, :3], middles) + matrices[:, :3, 3]
+        kept = np.isfinite(centres).all(axis=1) & (radii > 0) & np.isfinite(radii)  # no planes
         if not kept.any():
             return np.array([-1.0, -1.0, 0.0]), np.array([1.0, 1.0, 1.0])
         low = (centres - radii[:, None])[kept].min(axis=0)
         high = (centres + radii[:, None])[kept].max(axis=0)
         return low, high
-
-    @cached_property
-    def _middles(self) -> Array:
-        return np.array([_middle(each) for each in self.geometries]).reshape(-1, 3)
-
-
-def _middle(geometry: Geometry) -> Array:
-    vertices = geometry.vertices
-    return (vertices.min(axis=0) + vertices.max(axis=0)) / 2 if len(vertices) else np.zeros(3)
-
-
-def _radius(geometry: Geometry) -> float:
-    """Returns the radius of a sphere around a geometry, 0 for a plane."""
-    a, b, c = geometry.size
-    match geometry.type:
-        case "plane":
-            return 0.0
-        case "box":
-            return float(np.linalg.norm((a, b, c))) / 2
-        case "sphere":
-            return float(a)
-        case "cylinder":
-            return float(np.hypot(a, b / 2))
-        case "capsule":
-            return float(a + b / 2)
-        case "ellipsoid":
-            return float(max(a, b, c))
-    vertices = geometry.vertices
-    return float(np.linalg.norm(vertices.max(axis=0) - vertices.min(axis=0))) / 2
 
 
 def _matrices(positions: Array, orientations: Array) -> Array:

@@ -19,8 +19,8 @@ from ssduck.interpreter.program import check_parameters
 from ssduck.limits import GRACE, LEAST_OPENING, Limits
 from ssduck.logic.why import Why
 from ssduck.sandbox.budget import InvalidAnswerError
-from ssduck.sandbox.effects import check_present
 from ssduck.sandbox.live_worlds import LiveWorlds
+from ssduck.sandbox.probes import check_present
 from ssduck.sandbox.processes import WorkerEndedError, WorkerProcess, Zygote, shared_zygote
 from ssduck.sandbox.references import RUN_SECONDS, NotInSandboxError, SandboxedWorld
 from ssduck.sandbox.seal import Walls

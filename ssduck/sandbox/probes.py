@@ -12,12 +12,13 @@ import resource
 import signal
 import socket
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from mmap import MAP_ANONYMOUS, MAP_PRIVATE, mmap
 from pathlib import Path
-from typing import Any
 
+from ssduck.errors import SandboxError
+from ssduck.limits import EFFECTS
 from ssduck.sandbox.kernel import PR_SET_PDEATHSIG, death_signal, prctl, system_call
 from ssduck.sandbox.seal import Walls
 from ssduck.sandbox.system_calls import number_of
@@ -39,6 +40,33 @@ def holes(walls: Walls) -> dict[str, list[str]]:
     }
 
 
+def check_present(
+    required: Collection[str], holes: Mapping[str, Sequence[str]], reasons: Sequence[str]
+) -> None:
+    """Checks that the required effects are there.
+
+    Args:
+        required: the names of the effects.
+        holes: what a worker could do although an effect forbids it, by the effect.
+        reasons: what the system lacks.
+
+    Raises:
+        SandboxError: one is missing; the message names it, what got through, and what to do.
+    """
+    missing = [name for name in EFFECTS if name in required and holes.get(name)]
+    if not missing:
+        return
+    told = "; ".join(
+        f"{name} (a program can {EFFECTS[name]}: {', '.join(holes[name])})" for name in missing
+    )
+    because = f"; {'; '.join(reasons)}" if reasons else ""
+    enough = [name for name in EFFECTS if name in required and name not in missing]
+    raise SandboxError(
+        f"the sandbox lacks on this system: {told}{because}; use Linux 6.2 or later on x86-64 or "
+        f"64-bit ARM, or say which effects are enough: require={enough}"
+    )
+
+
 def _gets_through(probe: Probe, walls: Walls) -> bool:
     try:
         probe(walls)
@@ -52,34 +80,19 @@ def _gets_through(probe: Probe, walls: Walls) -> bool:
 # -- files ------------------------------------------------------------------------------------
 
 
-def _open(path: Any, flags: int) -> None:
+def _open(path: Path, flags: int) -> None:
     os.close(os.open(path, flags, 0o600))
 
 
-def _read_outside(walls: Walls) -> None:
-    _open(walls.own_files[1], os.O_RDONLY)
-
-
-def _list_outside(walls: Walls) -> None:
-    list(Path(walls.folder).iterdir())
-
-
-def _write_readable(walls: Walls) -> None:
-    _open(walls.own_files[0], os.O_WRONLY)
-
-
-def _cut_readable(walls: Walls) -> None:
-    _open(walls.own_files[0], os.O_RDONLY | os.O_TRUNC)
+def _opening(place: int, flags: int) -> Probe:
+    """Returns a probe that opens one of the files by which probes try the wall."""
+    return lambda walls: _open(walls.own_files[place], flags)
 
 
 def _make_outside(walls: Walls) -> None:
     path = Path(walls.folder, "new")
     _open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL)
     path.unlink()
-
-
-def _change_mode(walls: Walls) -> None:
-    walls.own_files[0].chmod(0o600)
 
 
 def _link_outside(walls: Walls) -> None:
@@ -127,10 +140,6 @@ def _own_signals(_: Walls) -> None:
         os.close(writing)
 
 
-def _limit_parent(_: Walls) -> None:
-    resource.prlimit(os.getppid(), resource.RLIMIT_CORE)
-
-
 # -- memory and time --------------------------------------------------------------------------
 
 
@@ -150,19 +159,14 @@ def _raise_limit(limit: int) -> Probe:
     return probe
 
 
-def _outlive_parent(_: Walls) -> None:
-    if death_signal() == signal.SIGKILL:
-        prctl(PR_SET_PDEATHSIG, signal.SIGKILL)  # it is refused to change it
-
-
 _PROBES: dict[str, dict[str, Probe]] = {
     "files": {
-        "read a file": _read_outside,
-        "list a folder": _list_outside,
-        "write to a file": _write_readable,
-        "cut a file": _cut_readable,
+        "read a file": _opening(1, os.O_RDONLY),
+        "list a folder": lambda walls: list(Path(walls.folder).iterdir()),
+        "write to a file": _opening(0, os.O_WRONLY),
+        "cut a file": _opening(0, os.O_RDONLY | os.O_TRUNC),
         "make a file": _make_outside,
-        "change a file's mode": _change_mode,
+        "change a file's mode": lambda walls: walls.own_files[0].chmod(0o600),
         "link to a file": _link_outside,
     },
     "network": {
@@ -184,7 +188,9 @@ _PROBES: dict[str, dict[str, Probe]] = {
         "send one to a thread": _raw("tkill", os.getppid, 0),
         "queue one": _raw("rt_sigqueueinfo", os.getppid, 0, _QUEUED),
         "have the kernel send one": _own_signals,
-        "read another process's limits": _limit_parent,
+        "read another process's limits": (
+            lambda _: resource.prlimit(os.getppid(), resource.RLIMIT_CORE)
+        ),
     },
     "memory": {
         "take more memory": _take_memory,
@@ -193,6 +199,9 @@ _PROBES: dict[str, dict[str, Probe]] = {
     },
     "time": {
         "raise its limit of processor time": _raise_limit(resource.RLIMIT_CPU),
-        "outlive its host": _outlive_parent,
+        # It is refused to change the signal; one that is not there is a hole.
+        "outlive its host": (
+            lambda _: death_signal() == signal.SIGKILL and prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        ),
     },
 }

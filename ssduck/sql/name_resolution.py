@@ -78,9 +78,14 @@ class _Resolver:
             self._keys = frozenset(key for key, _ in only_type.fields)
         self._states = states(query).union(outer)
         self._bare: dict[str, bool] = {}
-        self._named_columns = dict(_named_columns(query))
-        # Those that AS names, as in SQL.
-        self._as_names = {name for name, node in _as_columns(query)}
+        self._named_columns: dict[str, Node] = {}  # the columns that `to` and AS name
+        self._as_names: set[str] = set()  # those that AS names, as in SQL
+        for node in query.items:
+            match node:
+                case Call(name="to", arguments=(value, Literal(value=str() as name))):
+                    self._named_columns[name] = value
+                    if node.name_span == node.span:  # `to` is called by its name
+                        self._as_names.add(name)
 
     def resolved(self) -> ResolvedQuery:
         query = self._query
@@ -296,20 +301,3 @@ def _has_entities(source_type: SourceType) -> bool:
     """Checks whether the elements of a source are entities."""
     element = source_type.sql_type
     return source_type.schema is not None or (element is not None and element.type == "entity")
-
-
-def _as_columns(query: Query) -> Iterator[tuple[str, Node]]:
-    """Yields the columns that AS names; those that `to` names are called by it."""
-    for node in query.items:
-        match node:
-            case Call(name="to", arguments=(value, Literal(value=str() as name))):
-                if node.name_span == node.span:
-                    yield name, value
-
-
-def _named_columns(query: Query) -> Iterator[tuple[str, Node]]:
-    """Yields the columns that have names of their own: what `to` and AS name."""
-    for node in query.items:
-        match node:
-            case Call(name="to", arguments=(value, Literal(value=str() as name))):
-                yield name, value

@@ -382,9 +382,7 @@ def _subquery(
     resolved = resolve_in(inner, query, aliases)
     where = resolved.query.where
     conditions = () if where is None else (inner.condition(where),)
-    items = tuple(
-        inner.context.nan_checked(inner.value(column.node)) for column in resolved.columns
-    )
+    items = _items(inner, resolved)
     order = ordered(inner, resolved.query.order)
     for entry in elements:
         order.extend(entry.position)
@@ -398,26 +396,22 @@ def _unrolled(
     aliases: Sequence[str],
     rows: Sequence[tuple[SqlValue, ...]],
 ) -> UnrolledRows:
-    unrolled = [_unrolled_row(outer, query, aliases, elements) for elements in rows]
-    return UnrolledRows(
-        tuple(row for row, _ in unrolled), any(may_fail for _, may_fail in unrolled)
-    )
+    before = outer.context.possible_failures
+    unrolled = []
+    for elements in rows:
+        inner = outer.inside()
+        _bind(inner, aliases, elements)
+        resolved = resolve_in(inner, query, aliases)
+        where = resolved.query.where
+        exists = exp.true() if where is None else inner.condition(where)
+        unrolled.append((exists, _items(inner, resolved)))
+    return UnrolledRows(tuple(unrolled), outer.context.possible_failures > before)
 
 
-def _unrolled_row(
-    outer: ExpressionScope, query: Query, aliases: Sequence[str], elements: Sequence[SqlValue]
-) -> tuple[tuple[exp.Expr, tuple[SqlValue, ...]], bool]:
-    """Returns a row, and whether what it selects could fail."""
-    inner = outer.inside()
-    _bind(inner, aliases, elements)
-    resolved = resolve_in(inner, query, aliases)
-    before = inner.context.possible_failures
-    where = resolved.query.where
-    exists = exp.true() if where is None else inner.condition(where)
-    items = tuple(
-        inner.context.nan_checked(inner.value(column.node)) for column in resolved.columns
-    )
-    return (exists, items), inner.context.possible_failures > before
+def _items(inner: ExpressionScope, resolved: ResolvedQuery) -> tuple[SqlValue, ...]:
+    """Returns the selected values of a nested query."""
+    values = (inner.value(column.node) for column in resolved.columns)
+    return tuple(map(inner.context.nan_checked, values))
 
 
 def resolve_in(inner: ExpressionScope, query: Query, aliases: Sequence[str]) -> ResolvedQuery:

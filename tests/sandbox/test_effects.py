@@ -9,8 +9,7 @@ import pytest
 from ssduck.errors import ArgumentError, SandboxError
 from ssduck.limits import EFFECTS, Limits
 from ssduck.sandbox import SandboxedInterpreter, landlock, seccomp
-from ssduck.sandbox.effects import check_present
-from ssduck.sandbox.probes import _PROBES
+from ssduck.sandbox.probes import _PROBES, check_present
 from ssduck.sandbox.processes import Zygote
 from ssduck.sandbox.seccomp import filter_program
 from ssduck.sandbox.system_calls import ALLOWED, MACHINES, number_of
