@@ -36,7 +36,6 @@ from ssduck.geometry.tick_shapes import (
     TickShapes,
 )
 
-_BELOW, _ABOVE = np.int8(BELOW), np.int8(ABOVE)
 # The greatest number of pairs for which FCL's proposals are faster than other rules.
 _MAX_PROPOSALS = 128
 
@@ -75,8 +74,7 @@ def matching_pairs(
     """Returns the pairs of entities for which a predicate holds."""
     among = predicate.candidates(tick) if among is None else comparable_pairs(tick, among)
     bounds = predicate.bounds(tick.table, *among)
-    by_axes = _by_axes if predicate.kind == "colliding" else _by_axes_if_sure
-    rules: tuple[Rule, ...] = (_by_planes, by_axes, _by_proposals, _by_spheres, _by_cores)
+    rules: tuple[Rule, ...] = (_by_planes, _by_axes, _by_proposals, _by_spheres, _by_cores)
     if predicate.kind != "colliding":  # a distance is not negative
         is_non_negative = bounds >= 0.0
         among, bounds = (
@@ -118,7 +116,7 @@ def _proven(
 ) -> Decisions:
     decisions = Decisions.none(len(first))
     pairs = np.arange(len(first))
-    for rule in (_by_spheres, _by_planes, _by_axes_if_sure):
+    for rule in (_by_spheres, _by_planes, _by_axes):
         found = rule(tick, first[pairs], second[pairs], bounds[pairs])
         decisions.decide(pairs, found.verdicts, found.room)
         pairs = pairs[found.verdicts == UNDECIDED]
@@ -291,19 +289,6 @@ def _by_planes(tick: TickShapes, first: Indices, second: Indices, bounds: Array)
 
 
 def _by_axes(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Decisions:
-    """Decides boxes exactly, by separating axes."""
-    decisions = Decisions.none(len(first))
-    indices = pairs_of_boxes(tick.table, first, second)
-    if not len(indices):
-        return decisions
-    boxes = first[indices], second[indices]
-    gaps = -box_depths(tick.placed_cores, *boxes) - bounds[indices]
-    room = np.abs(gaps) - tolerances(tick.placed_cores, *boxes)
-    decisions.decide(indices, np.where(gaps < 0.0, _BELOW, _ABOVE), np.maximum(room, 0.0))
-    return decisions
-
-
-def _by_axes_if_sure(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Decisions:
     """Decides boxes that overlap, and those that an axis separates by more than the bound."""
     decisions = Decisions.none(len(first))
     indices = pairs_of_boxes(tick.table, first, second)

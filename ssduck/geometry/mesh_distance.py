@@ -34,6 +34,7 @@ from ssduck.geometry.distance import (
 )
 from ssduck.geometry.placed_solid import PlacedSolid
 from ssduck.geometry.poses import cross
+from ssduck.geometry.ray_casting import crossings
 from ssduck.geometry.surfaces import Surface
 
 MAX_CONTACTS = 100_000
@@ -85,18 +86,8 @@ def _pierced_triangles(segment: PlacedSolid, mesh: PlacedSolid) -> list[int]:
     if len(ends) != 2:
         return []
     start, end = _to_local(mesh, _to_world(segment, ends))
-    corners = mesh.solid.surface.triangles
-    direction, offsets = end - start, start - corners[:, 0]
-    u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = cross(u, v)
-    heights, squared_lengths = normal @ direction, np.einsum("ij,ij->i", normal, normal)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        fraction = -np.einsum("ij,ij->i", normal, offsets) / heights
-        crossing_points = offsets + fraction[:, None] * direction
-        x = np.einsum("ij,ij->i", cross(crossing_points, v), normal) / squared_lengths
-        y = np.einsum("ij,ij->i", cross(u, crossing_points), normal) / squared_lengths
-        is_hit = (fraction >= 0) & (fraction <= 1) & (x >= 0) & (y >= 0) & (x + y <= 1)
-    return [int(face) for face in np.flatnonzero(is_hit)]
+    fractions = crossings(mesh.solid, start, (end - start)[None])[0]
+    return [int(face) for face in np.flatnonzero((fractions >= 0.0) & (fractions <= 1.0))]
 
 
 def _encloses(outer: PlacedSolid, inner: PlacedSolid) -> bool:

@@ -254,13 +254,11 @@ class NarrowPhase:
         """Returns the narrow phase of two entities alone, of which the second one is elsewhere."""
         counts = [len(self._shapes[i]), len(self._shapes[j])]
         shapes, owners = np.array(self._shapes[i] + self._shapes[j]), np.repeat([0, 1], counts)
-        ways, places = np.outer(owners, way), self.places
-        positions, boxes = places.positions[shapes], places.boxes[shapes]
-        moved = ShapePlaces(
-            positions + ways, places.orientations[shapes], boxes + np.hstack((ways, ways))
-        )
-        table = self.table.regrouped(shapes, owners)
-        return NarrowPhase(table, moved, [0, counts[0], sum(counts)], self.calls)
+        both = self.regrouped(shapes, owners, [0, counts[0], sum(counts)])
+        ways, places = np.outer(owners, way), both.places
+        boxes = places.boxes + np.hstack((ways, ways))
+        moved = ShapePlaces(places.positions + ways, places.orientations, boxes)
+        return NarrowPhase(both.table, moved, both.starts, self.calls)
 
     def nearest_points(self, i: int, j: int) -> tuple[Point, Point] | None:
         """Returns the nearest points of i and j in the world; the deepest if they overlap."""

@@ -97,14 +97,6 @@ def multiply(first: Array, second: Array) -> Array:
     return np.ascontiguousarray(product.T)
 
 
-def moved_point(
-    origin: Sequence[float], matrix: Sequence[Sequence[float]], point: Sequence[float]
-) -> list[float]:
-    """Returns a point of a frame where the frame is at an origin, turned by a matrix (3, 3)."""
-    x, y, z = point
-    return [at + (a * x + b * y + c * z) for at, (a, b, c) in zip(origin, matrix, strict=True)]
-
-
 # The first, the second, the third and the last term of w, x, y and z of a product.
 _TERMS_OF_FIRST = np.array([0, 0, 0, 0, 1, 1, 2, 3, 2, 2, 3, 1, 3, 3, 1, 2])
 _TERMS_OF_SECOND = np.array([0, 1, 2, 3, 1, 0, 0, 0, 2, 3, 1, 2, 3, 2, 3, 1])

@@ -218,8 +218,8 @@ class PlacedSolids:
 
     def select(self, flags: Flags) -> PlacedSolids:
         """Returns the solids that are flagged."""
-        parts = (part[flags] for part in (self.positions, self.matrices, self.boxes, self.owners))
-        return PlacedSolids(list(compress(self.solids, flags)), *parts)
+        arrays: tuple[Any, ...] = self.positions, self.matrices, self.boxes, self.owners
+        return PlacedSolids(list(compress(self.solids, flags)), *(each[flags] for each in arrays))
 
     @classmethod
     def empty(cls) -> PlacedSolids:

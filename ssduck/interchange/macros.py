@@ -338,16 +338,10 @@ def _files_of(run: FolderRun) -> dict[str, Sequence[Path]]:
 def _views(files: Mapping[str, Sequence[Path]]) -> Iterator[str]:
     """Yields the statements of the views of a record's tables."""
     for name, listed in files.items():
-        rows = rows_of_files(listed, _columns(name))
-        table = name.removeprefix("models/")
-        if name == table:
-            yield _view(table, _with_view_columns(table, rows))
-        else:
-            yield _view(MODELS[table].model_view, rows)
-    for name in files:
-        table = name.removeprefix("models/")
-        if (name == table and table in RECORDED) or (name != table and table in _OF_MODELS):
-            source = table if name == table else MODELS[table].model_view
+        rows, table = rows_of_files(listed, _columns(name)), name.removeprefix("models/")
+        source = MODELS[table].model_view if name != table else table
+        yield _view(source, rows if name != table else _with_view_columns(table, rows))
+        if table in (_OF_MODELS if name != table else RECORDED):
             columns = ", ".join(
                 f"{quoted(column)} AS {quoted(_PREFIX + column)}" for column in part_columns(name)
             )
