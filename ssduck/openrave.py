@@ -26,8 +26,7 @@ from ssduck.errors import ArgumentError, StateError, nearest
 from ssduck.formatting import short_repr
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.poses import quaternion_from_matrix, rotation_matrices
-from ssduck.geometry.rasters.raster import Raster
-from ssduck.geometry.rasters.rasterize import Rasterizer
+from ssduck.geometry.rasters import Raster, Rasterizer
 from ssduck.simulators.interface import SCALAR_JOINTS
 from ssduck.simulators.kinematics import parse_pose
 from ssduck.world.entities import Entity, JointState, KinBody, Robot, Sensor

@@ -16,8 +16,7 @@ from ssduck.errors import ArgumentError
 from ssduck.formatting import short_repr
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.poses import rotation_matrices
-from ssduck.geometry.rasters.raster import CELL_TOLERANCE, Raster
-from ssduck.geometry.rasters.rasterize import Rasterizer
+from ssduck.geometry.rasters import CELL_TOLERANCE, Raster, Rasterizer
 from ssduck.geometry.ray_casting import are_blocked
 from ssduck.geometry.solids import PlacedSolids
 from ssduck.language.tree import Call, Name, Query, This, UnresolvedName

@@ -4,7 +4,7 @@ The package knows nothing of simulators, worlds or queries. `shapes`, `poses`, `
 `mesh_files` hold the kinds of shapes, their poses, their boxes and their files. `broad_phase`
 finds the candidate pairs, and `narrow_phase` compares the shapes of a pair, one pair at a time. A
 `batch` compares all pairs of a tick by `proofs`. `queries` answers by the ids of entities.
-`rasterize` finds the cells of a `raster` that shapes occupy, and `ray_casting` finds the points
+`rasters` finds the cells that shapes occupy, and `ray_casting` finds the points
 that shapes hide.
 """
 
@@ -15,7 +15,7 @@ from ssduck.lazy import exports
 if TYPE_CHECKING:
     from ssduck.geometry.bounds import BoundingBoxes
     from ssduck.geometry.queries import ShapeQueries
-    from ssduck.geometry.rasters.rasterize import Rasterizer
+    from ssduck.geometry.rasters import Rasterizer
     from ssduck.geometry.ray_casting import are_blocked
     from ssduck.geometry.shapes import Geometry, PlacedGeometry
 
@@ -33,7 +33,7 @@ __getattr__, __dir__ = exports(
     {
         "ray_casting": ("are_blocked",),
         "queries": ("ShapeQueries",),
-        "rasters.rasterize": ("Rasterizer",),
+        "rasters": ("Rasterizer",),
         "bounds": ("BoundingBoxes",),
         "shapes": ("Geometry", "PlacedGeometry"),
     },

@@ -9,8 +9,7 @@ import trimesh
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from ssduck.geometry.rasters.raster import CELL_TOLERANCE, Raster
-from ssduck.geometry.rasters.rasterize import Rasterizer
+from ssduck.geometry.rasters import CELL_TOLERANCE, Raster, Rasterizer
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import PlacedSolids, solid_of
 from tests.support.cases import sampled
@@ -298,7 +297,7 @@ def test_bunches_change_nothing(monkeypatch):
     shapes = [(CONVEX["hull"], RNG.uniform(-0.5, 0.5, 3), Rotation.random(rng=k)) for k in range(9)]
     shapes += [(prism(ELL, 0.3), RNG.uniform(-0.5, 0.5, 3), Rotation.random(rng=9))]
     whole = Rasterizer(placed(*shapes)).cells(RASTER, -0.1, 0.1)
-    monkeypatch.setattr("ssduck.geometry.rasters.rasterize.PAIRS_AT_ONCE", 7)
+    monkeypatch.setattr("ssduck.geometry.rasters.PAIRS_AT_ONCE", 7)
     assert np.array_equal(Rasterizer(placed(*shapes)).cells(RASTER, -0.1, 0.1), whole)
     alone = [Rasterizer(placed(shape)).cells(RASTER, -0.1, 0.1) for shape in shapes]
     assert np.array_equal(np.any(alone, axis=0), whole)
