@@ -197,17 +197,7 @@ class NeighbourRelations:
 def _is_walled_in(
     a: Sequence[PlacedSolid], axes: Array, b: Sequence[PlacedSolid], centre: Array
 ) -> bool:
-    """Checks whether rays from a point hit some shapes on both sides along at least two axes.
-
-    A convex shape that contains the point is not hit. An axis along which b extends beyond a at
-    both ends does not count: a ring is no wall of the long stick in it.
-
-    Args:
-        a: the shapes that may be walls.
-        axes: three orthogonal unit vectors, a row each.
-        b: the shapes that may be walled in.
-        centre: the point, that of b.
-    """
+    """Checks whether rays from a point hit shapes on both sides along two axes or more."""
     directions = np.concatenate((axes, -axes))
     is_hit = np.zeros(len(directions), dtype=bool)
     for shape in a:
@@ -219,6 +209,8 @@ def _is_walled_in(
     has_walls = is_hit[:3] & is_hit[3:]
     if has_walls.sum() < MIN_WALLED_AXES:
         return False
+    # An axis along which b extends beyond a at both ends does not count: a ring is no wall of the
+    # long stick in it.
     has_walls &= ~(
         (_support_heights(b, directions) - _support_heights(a, directions)).reshape(2, 3)
         > MAX_PROTRUSION
@@ -256,12 +248,7 @@ def _is_in_sight(
     others: Sequence[PlacedSolid],
     nearest: SignedDistance,
 ) -> bool:
-    """Checks whether a horizontal ray from a or b hits the other before anything else.
-
-    The rays run along the horizontal parts of the lines through the nearest points and through the
-    centres. They start at the nearest points and at a grid over the common breadth and height of a
-    and b.
-    """
+    """Checks whether a horizontal ray from a or b hits the other before anything else."""
     return any(
         _is_clear(_line_starts(a, b, direction, nearest), direction, a, b, others)
         for direction in _horizontal_directions(a, b, nearest)

@@ -234,10 +234,13 @@ class Judge:
             if isinstance(error, ArgumentError) and (self._nan_sources() or self._were_nan):
                 values = [self._value_or_nan(text) for text in self._texts]
             if not values or not (self._nan_sources() or self._has_nan_past(values)):
-                self._evaluate_each()  # so that the error has the key of its term
+                for term, text in zip(self.terms, self._texts, strict=True):
+                    # The error gets the key of its term.
+                    self._value(term, compiled(self._interpreter, term.key, text))
                 raise
-        if self._held and self._nan_sources():
-            values = self._with_unknown(values)
+        if self._held and self._nan_sources():  # heldFor and holds of what is unknown now
+            unknown = {place for place, text in self._held if self._value_or_nan(text) is None}
+            values = [None if n in unknown else value for n, value in enumerate(values)]
         sources = ""
         if any(map(is_nan, values)):
             sources = self._nan_sources(values)
@@ -247,11 +250,6 @@ class Judge:
         if sources:
             return self.terms.judgement_of_nan(values, sources)
         return self.terms.judgement(values)
-
-    def _evaluate_each(self) -> None:
-        """Evaluates each term by itself."""
-        for term, text in zip(self.terms, self._texts, strict=True):
-            self._value(term, compiled(self._interpreter, term.key, text))
 
     def judgements(
         self, times: Sequence[float], variables: Sequence[Mapping[str, Any]]
@@ -280,11 +278,6 @@ class Judge:
             for name, used in elements
             for index in used
         }
-
-    def _with_unknown(self, values: Sequence[Any]) -> list[Any]:
-        """Returns values, None in place of those with heldFor or holds of what is unknown now."""
-        unknown = {number for number, text in self._held if self._value_or_nan(text) is None}
-        return [None if number in unknown else value for number, value in enumerate(values)]
 
     def _has_nan_past(self, values: Sequence[Any]) -> bool:
         """Checks whether what terms lack may be that of a past tick that was NaN."""

@@ -73,11 +73,7 @@ class SandboxedTaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.flo
         self.interpreter.close()
 
     def _checked(self, answer: Any, kinds: Sequence[type]) -> Any:
-        """Returns an observation, values of some types, and the info.
-
-        Raises:
-            LimitError: the process has been taken over, and they are something else.
-        """
+        """Returns an observation, values of some types, and the info."""
         try:
             observation, *values, info = answer
             numbers = np.array(observation, np.float64)

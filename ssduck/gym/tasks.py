@@ -117,11 +117,7 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
             raise ArgumentError("step: call reset first")
         for one, number in zip(self.task.actions, numbers, strict=True):
             target = min(max(number, one.low), one.high)  # the space rounds the ends of the range
-            entity = self._world[one.entity]
-            if one.control == "position":
-                entity.drive(positions={one.joint: target})
-            else:
-                entity.drive(velocities={one.joint: target})
+            _drive(self._world[one.entity], one, target)
         self._world.run(self.task.step_time, every=None)
         self._steps += 1
         judgement, observation = self._judged(is_first=False)
@@ -206,14 +202,17 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
         entity = self._entity(f"{key}.entity", action.entity)
         for end, target in (("low", action.low), ("high", action.high)):
             try:
-                if action.control == "position":
-                    entity.drive(positions={action.joint: target})
-                else:
-                    entity.drive(velocities={action.joint: target})
+                _drive(entity, action, target)
             except SelectScriptError as error:
                 place = f"{key}.{'joint' if isinstance(error, UnknownNameError) else end}"
                 message = f"{self.task.path}: {place}: {error.message}"
                 raise SceneError(message, suggestions=error.suggestions) from error
+
+
+def _drive(entity: Any, action: Action, target: float) -> None:
+    """Sets the target of the joint of an action."""
+    kind = "positions" if action.control == "position" else "velocities"
+    entity.drive(**{kind: {action.joint: target}})
 
 
 def make_task(path: str | Path, *, limits: Limits | None = None) -> TaskEnv | SandboxedTaskEnv:

@@ -302,10 +302,7 @@ def _features(motion: Motion, ticks: Indices, which: str) -> dict[str, Array]:
 
 
 def _outcomes(motion: Motion, ticks: Indices, fps: int, which: str) -> dict[str, Array]:
-    """Returns what is done in each frame before the last tick: action, reward and whether it ends.
-
-    A frame has the action of the step that it is in. The reward of a step is in its last frame.
-    """
+    """Returns the action of each frame's step, the reward, in its last frame, and the end."""
     steps = motion.steps
     if steps is None or not steps.actions:
         return {}

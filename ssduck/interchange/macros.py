@@ -282,10 +282,7 @@ def _without_lookups(tree: exp.Expr, name: str, entity: str) -> tuple[exp.Expr, 
 
 
 def _renamed(body: exp.Expr, names: Sequence[str]) -> tuple[exp.Expr, list[str]]:
-    """Returns a formula whose parameters have names that no column of a view has, and these.
-
-    DuckDB takes a parameter `a` for the column `a` of a view that the macro reads.
-    """
+    """Returns a formula whose parameters have names that no column of a view has, and these."""
     renamed = body.copy()
     for column in renamed.find_all(exp.Column):
         if column.table in names:

@@ -228,10 +228,7 @@ def _batch_of_table(frames: Frames, table: pa.Table, *, are_whole: bool) -> Pose
 
 
 def _ticks(table: pa.Table) -> tuple[Array, Indices]:
-    """Returns the times of a table's ticks, (ticks,), and the tick of each row.
-
-    The numbers of ticks tell them apart, if the table has them, and otherwise their times.
-    """
+    """Returns the times of a table's ticks, (ticks,), and the tick of each row, by its number."""
     times, key, unit = _column(table, "time"), "time", " s"
     numbers = times
     if "tick" in table.column_names:

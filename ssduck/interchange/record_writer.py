@@ -365,7 +365,7 @@ class RecordWriter:
         assert self._store is not None
         most = max(MAX_BUFFERED_ROWS // max(len(self.frames), 1), 1)
         for start in range(0, len(batch.times), most):
-            part = _slice_of(batch, start, start + most)
+            part = PoseBatch(*(each[start : start + most] for each in vars(batch).values()))
             self._store.append(self._rows.tables(part, self._ticks + 1))
             self._ticks += len(part.times)
             self.last = float(part.times[-1])
@@ -400,11 +400,6 @@ class RecordWriter:
     ) -> None:
         if kind is None or self._store is not None:
             self.close()
-
-
-def _slice_of(batch: PoseBatch, start: int, stop: int) -> PoseBatch:
-    part = slice(start, stop)
-    return PoseBatch(batch.times[part], batch.poses[part], batch.twists[part], batch.present[part])
 
 
 # -- rows -------------------------------------------------------------------------------------

@@ -110,12 +110,7 @@ def absolute(paths: Iterable[str | Path]) -> tuple[str, ...]:
 
 
 def _with_folder(path: Path) -> tuple[str, ...]:
-    """Returns a file, and what is in its folder, without hidden files and links.
-
-    Raises:
-        SceneError: the file is a link that leads elsewhere.
-        SandboxError: that is too much for one scene.
-    """
+    """Returns a file, and what is in its folder, without hidden files and links."""
     folder, file = path.parent.resolve(), path.resolve()
     if not file.is_relative_to(folder):
         raise SceneError(f"{path} is a link that leads out of its folder: give {file} itself")

@@ -113,10 +113,7 @@ class _Resolver:
             self._check_calls(child)
 
     def _aggregates_all_rows(self, columns: Sequence[SelectedValue]) -> bool:
-        """Checks whether SELECT has aggregates that can only be over all rows: `avg(z)`.
-
-        An aggregate of a number or a text of one row would be an error.
-        """
+        """Checks whether SELECT has aggregates that can only be over all rows: `avg(z)`."""
         if self._query.recursion is not None or is_grouped(self._query):
             return False
         aliases = {None, *(source_type.alias for source_type in self._source_types)}

@@ -159,8 +159,7 @@ class _Translator:
         if len(self.elements) == 2 and is_in_order_of_pairs and not in_sql:
             tables = [source.table.alias for source in self.elements]
             plan.lookup = pair_lookup(self.pairs[0].pairs, tables, result, self.columns)
-        select = select if limit is None else select.limit(limit)
-        self._finish(select if offset is None else select.offset(offset))
+        self._finish(select, limit, offset)
         return plan
 
     # -- sources ----------------------------------------------------------------------------
@@ -269,10 +268,7 @@ class _Translator:
         )
 
     def _pairs(self, node: Node) -> exp.Expr | None:
-        """Returns a condition on two sources that are one world, with all of its pairs joined.
-
-        Where another condition is about one of the two alone, pairs are asked about one by one.
-        """
+        """Returns a condition on two sources that are one world, with all of its pairs joined."""
         sides = sides_of(node)
         if sides is None:
             return None
@@ -284,6 +280,7 @@ class _Translator:
         worlds = {source_type.alias: source_type.schema for source_type in live}
         schemas = {worlds.get(str(side.alias)) for side in sides}
         aliases = {side.alias for side in sides}
+        # Where another condition is about one of the two alone, pairs are asked about one by one.
         others = [part for part in conjuncts(self.query.where) if part is not node]
         alone = any(len(free_aliases(part) & aliases) == 1 for part in others)
         if alone or len(schemas) > 1 or None in schemas:
@@ -437,9 +434,7 @@ class _Translator:
         plan.python_clauses = PythonClauses(self.selected)
         rows = self._rows(found.columns, conditions)
         select = found.select.from_(rows.subquery(found.alias), copy=False)
-        limit, offset = self._limits(left=False)
-        select = select if limit is None else select.limit(limit)
-        self._finish(select if offset is None else select.offset(offset))
+        self._finish(select, *self._limits(left=False))
         return True
 
     def _recursive(self) -> Plan:
@@ -497,8 +492,12 @@ class _Translator:
             select.append("joins", needed)
         return select
 
-    def _finish(self, select: exp.Select) -> None:
+    def _finish(
+        self, select: exp.Select, limit: int | None = None, offset: int | None = None
+    ) -> None:
         plan = self.result
+        select = select if limit is None else select.limit(limit)
+        select = select if offset is None else select.offset(offset)
         plan.select = select
         plan.may_fail = self.context.possible_failures > 0
         # Parts that turned out not to be SQL may have left parameters.

@@ -423,10 +423,7 @@ def _lines(world: World, rows: Sequence[list[Mark]]) -> Iterator[list[list[float
 
 
 def _boxes(world: World, rows: Sequence[list[Mark]]) -> Iterator[list[float]]:
-    """Yields the boxes of the bodies in a result, unless they are many.
-
-    A box is the number of its entity, its lower corner and its upper one, m.
-    """
+    """Yields the boxes of the bodies in a result, unless they are many: entity, low, high, m."""
     ids = dict.fromkeys(entity for row in rows for entity, _ in row)
     bodies = {info.id for info in world.snapshot.entities if info.body is not None}
     if len(ids) <= MAX_LINES:

@@ -135,10 +135,7 @@ def _asked(
     *arguments: Any,
     updates_copies: bool = True,
 ) -> dict[str, Any]:
-    """Returns what a method of `AnswersInside` says; another thread may stop the question.
-
-    The process may be taken over by a program, so that it may say anything.
-    """
+    """Returns what a method of `AnswersInside` says, which may be anything if it is taken over."""
     with stop.applies_to(sandbox):
         text = sandbox.ask(f"page answers.{method}", *arguments, updates_copies=updates_copies)
     try:
