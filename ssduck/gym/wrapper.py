@@ -282,10 +282,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
                 "MuJoCo model with its data, neither itself nor as physics or sim, and no PyBullet "
                 "client (_client, physics_client)"
             )
-        if client is None:
-            attached = World.attach(simulation, forward=self._forward)
-        else:
-            attached = World.attach(client, forward=self._forward)
+        attached = World.attach(simulation if client is None else client, forward=self._forward)
         self._interpreter.add_variable(self._world, attached)
         return client
 

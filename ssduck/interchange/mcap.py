@@ -51,16 +51,16 @@ def write_mcap(file: Path, motion: Motion) -> Path:
             f"episode {motion.run.number} of {motion.run.world!r} has a tick at {wrong[0]:g} s: "
             "times in an MCAP file are from 0 s to 292 years"
         )
-    write_with_folders(file, lambda place: _write(place, motion))
+
+    def write(place: Path) -> None:
+        with place.open("wb") as stream:
+            _write(stream, motion)
+
+    write_with_folders(file, write)
     return file
 
 
-def _write(place: Path, motion: Motion) -> None:
-    with place.open("wb") as stream:
-        _write_messages(stream, motion)
-
-
-def _write_messages(stream: Any, motion: Motion) -> None:
+def _write(stream: Any, motion: Motion) -> None:
     from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
     from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
     from mcap.writer import Writer

@@ -126,14 +126,12 @@ def _write_mp4(path: Path, pictures: Iterator[Picture], fps: float) -> None:
         assert process.stdin is not None
         assert process.stderr is not None
         try:
-            for picture in chain((first,), pictures):
-                process.stdin.write(picture.tobytes())
-            process.stdin.close()
-            said = process.stderr.read().decode(errors="replace").strip()
-        except BrokenPipeError:
-            said = process.stderr.read().decode(errors="replace").strip()
-            with suppress(OSError):
+            with suppress(BrokenPipeError):  # it has ended, and says why
+                for picture in chain((first,), pictures):
+                    process.stdin.write(picture.tobytes())
+            with suppress(BrokenPipeError):
                 process.stdin.close()
+            said = process.stderr.read().decode(errors="replace").strip()
         except BaseException:
             process.kill()
             with suppress(OSError):

@@ -108,11 +108,21 @@ def unnested(name: str, values: SqlValue) -> FromItem:
     if sql_type.type != "entity":
         value = SqlValue(column_of(name, "value"), sql_type, domain=values.domain)
         return FromItem(value, table.subquery(alias), position)
-    if sql_type.past:
-        return _unnested_past(table, sql_type, name, position)
-    entities = exp.table_(sql_type.table, db=sql_type.schema, alias="e")
-    joined = exp.select("e.*", "i.n").from_(table.subquery("i")).join(entities, using=["id"])
-    value = entity_value(sql_type.schema, name, sql_type.table)
+    source, keys = sql_type.table, ["id"]
+    value = entity_value(sql_type.schema, name, source)
+    if sql_type.past:  # by the key of a tick and an entity
+        assert sql_type.schema is not None
+        value, alias = (
+            past_value(sql_type.schema, name, source),
+            exp.to_identifier(name, quoted=True),
+        )
+        source, keys = TABLES[source].history_view, ["tick", "id"]
+        tick = exp.IntDiv(this=exp.column("id"), expression=exp.Literal.number(IDS))
+        id = exp.Mod(this=exp.column("id"), expression=exp.Literal.number(IDS))
+        parts = exp.alias_(tick, "tick"), exp.alias_(id, "id"), "n"
+        table = exp.select(*parts).from_(table.subquery("k"))
+    entities = exp.table_(source, db=sql_type.schema, alias="e")
+    joined = exp.select("e.*", "i.n").from_(table.subquery("i")).join(entities, using=keys)
     return FromItem(value, joined.subquery(alias), position)
 
 
@@ -207,26 +217,6 @@ class TickRange:
     last: exp.Expr
     tick: exp.Expr
     id: exp.Expr | None = None
-
-
-def _unnested_past(
-    keys: exp.Select, sql_type: SqlType, name: str, position: tuple[exp.Ordered, ...]
-) -> FromItem:
-    """Entities at recorded ticks, by their keys."""
-    assert sql_type.schema is not None
-    history = TABLES[sql_type.table].history_view
-    entities = exp.table_(history, db=sql_type.schema, alias="e")
-    ids = exp.Literal.number(IDS)
-    tick = exp.IntDiv(this=exp.column("id"), expression=ids)
-    id = exp.Mod(this=exp.column("id"), expression=ids.copy())
-    parts = exp.select(exp.alias_(tick, "tick"), exp.alias_(id, "id"), "n").from_(
-        keys.subquery("k")
-    )
-    joined = (
-        exp.select("e.*", "i.n").from_(parts.subquery("i")).join(entities, using=["tick", "id"])
-    )
-    table = joined.subquery(exp.to_identifier(name, quoted=True))
-    return FromItem(past_value(sql_type.schema, name, sql_type.table), table, position)
 
 
 @dataclass(frozen=True)

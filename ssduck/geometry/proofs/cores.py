@@ -51,12 +51,14 @@ class ConvexCores:
         self.is_thick: Flags = inscribed_radii > 0.0
         # The radius of the ball in the core: a part of a round solid's ball is around its core.
         self.core_ball_radius = inscribed_radii - self.radius
+        # The corners of hulls, and of the hulls of meshes, from the centres of the solids.
         hulls = {
-            n: _corners_from_centre(solid)
+            n: (solid.hull_corners if solid.type == "mesh" else solid.core) - solid.centre
             for n, solid in enumerate(of_each.distinct)
-            if _has_corners(solid)
+            if solid.type in ("hull", "mesh") and len(solid.core)
         }
-        sizes = {n: _padded_size(len(points)) for n, points in hulls.items()}
+        # They are padded to a power of two from 8 up, so that few sizes occur.
+        sizes = {n: 1 << max(3, (len(points) - 1).bit_length()) for n, points in hulls.items()}
         count = len(of_each.distinct)
         kinds, rows = np.full(count, -1), np.zeros(count, np.intp)
         # Of each kind: the corners of its hulls, (3, hulls, size).
@@ -74,17 +76,6 @@ def _half_extents(solid: Solid) -> Array:
         extents: Array = solid.core.max(axis=0)
         return extents
     return np.zeros(3)
-
-
-def _has_corners(solid: Solid) -> bool:
-    return solid.type in ("hull", "mesh") and len(solid.core) > 0
-
-
-def _corners_from_centre(solid: Solid) -> Array:
-    """Returns the corners of a hull or of a mesh's hull from the solid's centre, (n, 3)."""
-    points = solid.hull_corners if solid.type == "mesh" else solid.core
-    relative: Array = points - np.array(solid.centre)
-    return relative
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,8 +191,3 @@ def _hull_support_points(hulls: Array, rows: Indices, directions: Array) -> Arra
     farthest += rows * size
     support_points: Array = hulls.reshape(3, -1).take(farthest, axis=1)
     return support_points
-
-
-def _padded_size(count: int) -> int:
-    """Returns the padded number of points: a power of two from 8 up, so that few sizes occur."""
-    return 1 << max(3, (count - 1).bit_length())
