@@ -5,5 +5,5 @@ its callback. `conditions` compares results, and decides when it fires.
 
 Triggers that are due at the same tick are evaluated together (`tick_batch`) if their programs are
 formulas over the entities of a world (`formulas`): those that differ in constants alone are one
-expression over arrays (`groups`, `ssduck.columns`), which asks for shapes of live ticks (`shapes`).
+expression over arrays (`ssduck.columns`), which asks for shapes of live ticks (`shapes`).
 """

@@ -1,30 +1,35 @@
 """Finds the triggers whose programs are formulas over the rows of one world's entities.
 
 A *formula* is a query that is one `ArraySelect`, with nothing left to Python. Formulas that differ
-in their constants alone have the same *shape*; the constants are its *slots*.
+in their constants alone have the same *shape*, and are evaluated at once, as a *group*; the
+constants are its *slots*.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, field
 from functools import cached_property
 from operator import itemgetter
-from typing import Any
+from typing import Any, TypeAlias
 
+import numpy as np
 from sqlglot import exp
 
 from ssduck.adapters.base import Adapter
 from ssduck.adapters.tabular import VALUES
-from ssduck.columns.arrays import ArrayOperations
+from ssduck.columns.arrays import Array, ArrayOperations, ArrayValues
 from ssduck.columns.compiler import Expression, Kind, LeftToDuckDBError, literal_of
 from ssduck.columns.selects import ArraySelect
 from ssduck.database.values import to_sql
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.execution import Execution
-from ssduck.interpreter.output import as_clause_of
+from ssduck.interpreter.output import AsClause, as_clause_of
 from ssduck.interpreter.program import CompiledProgram
-from ssduck.interpreter.triggers.groups import TIME_COLUMNS, Formula, Planned, Slot, TableState
+from ssduck.interpreter.query_runner import PlannedQuery
+from ssduck.interpreter.triggers.shapes import LiveShapes
+from ssduck.language.clauses import Selected
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import Binary, Literal, Name, Node, Query, Unary
 from ssduck.language.value_keys import ATOMS
@@ -33,7 +38,221 @@ from ssduck.sql.plan import ParameterBinding, Plan
 from ssduck.sql.sql_values import with_values
 from ssduck.world.entities import Entity
 from ssduck.world.handles import Handle
+from ssduck.world.live_tables import LiveTable
+from ssduck.world.snapshot import Snapshot
 from ssduck.world.world import World
+
+# The columns that differ from tick to tick though nothing moves.
+TIME_COLUMNS = ("tick", "time")
+# A component of a quaternion changes by at most half the angle of a rotation.
+_QUATERNION = ("qw", "qx", "qy", "qz")
+
+
+class TableState:
+    """The numbers of tables at a tick, to compare later ticks with."""
+
+    def __init__(self, snapshot: Snapshot, tables: Iterable[str]) -> None:
+        # The version of each table, which changes with all that is no number, and its numbers.
+        self._copies: dict[str, tuple[int, Array, list[Array]]] = {}
+        for name in tables:
+            table = snapshot.tables[name]
+            integers = [column.copy() for column in _integers_of(table)]
+            self._copies[name] = table.version, table.block.copy(), integers
+
+    def is_same(self, snapshot: Snapshot, threshold: float) -> bool:
+        """Checks whether no number in the tables has changed by more than a threshold."""
+        return all(
+            version == snapshot.tables[name].version
+            and all(map(np.array_equal, integers, _integers_of(snapshot.tables[name])))
+            and _are_near(doubles, snapshot.tables[name], threshold)
+            for name, (version, doubles, integers) in self._copies.items()
+        )
+
+
+def _integers_of(table: LiveTable) -> list[Array]:
+    """Returns the columns of integers that are numbers in each row."""
+    others = {*table.names_of_doubles, *TIME_COLUMNS}
+    return [table[name] for name in table.names_of_numbers if name not in others]
+
+
+def _are_near(doubles: Array, table: LiveTable, threshold: float) -> bool:
+    """Checks whether no double has changed by more than a threshold."""
+    names = [name for name in table.names_of_doubles if name not in TIME_COLUMNS]
+    changing = table.block_rows(tuple(names))
+    now, before = table.block[changing], doubles[changing]
+    if not threshold:
+        return np.array_equal(now.view(np.int64), before.view(np.int64))
+    with np.errstate(invalid="ignore"):  # infinite boxes
+        change = np.abs(now - before)
+    change[now == before] = 0.0
+    change[[name in _QUATERNION for name in names]] *= 2.0
+    return bool((change <= threshold).all())
+
+
+_TYPES = {"double": np.float64, "decimal": np.float64, "integer": np.int64, "string": np.object_}
+
+
+Planned: TypeAlias = tuple[Query, PlannedQuery, AsClause, Frame]
+
+
+@dataclass(frozen=True)
+class Slot:
+    """A constant of a shape, or a number of an entity that is the value of a variable."""
+
+    kind: Kind  # the type of its values
+    value: Any  # the constant, or the entity
+    column: str | None = None  # the column of the entity; None for a constant
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """A key that slots of equal values share; 0.0 and -0.0 differ."""
+        return self.kind, self.column, self.value.id if self.column else repr(self.value)
+
+
+@dataclass(eq=False)
+class Formula:
+    """A query over the entities of one world, of which each row is decided by itself."""
+
+    world: World
+    select: ArraySelect  # its SELECT, with slots in place of constants
+    slots: Sequence[Slot]  # the constants
+    tables: frozenset[str]  # what is read from the simulator beside the entities
+    columns: frozenset[str | None]  # the columns that it reads
+    _planned: Planned
+    # The formulas that were last evaluated with it; None before that.
+    group: FormulaGroup | None = field(default=None, init=False)
+    place: int = field(default=0, init=False)  # its place among them
+
+    @cached_property
+    def shape(self) -> tuple[Any, ...]:
+        """What formulas that are evaluated at once have in common."""
+        return self.select.text, *((slot.kind, slot.column) for slot in self.slots)
+
+    def is_evaluated_at(self, tick: int) -> bool:
+        """Checks whether its rows are those of the tick of a number."""
+        return self.group is not None and self.group.number == tick
+
+    @property
+    def key(self) -> Any:
+        """What differs if a bit of its rows does."""
+        return None if self.group is None else self.group.key_of(self.place)
+
+    def value(self) -> Any:
+        """Returns the result of the program for the rows of its last evaluation."""
+        rows = [] if self.group is None else self.group.rows_of(self.place)
+        query, planned, form, frame = self._planned
+        execution = frame.scope
+
+        def run(_: Query, __: Frame, check: Callable[[Any], None]) -> Selected:
+            check(planned.columns)
+            return planned.output_rows(rows)
+
+        assert isinstance(execution, Execution)
+        with execution.lock:
+            execution.begin_program()
+            execution.meter.check_rows(len(rows))
+            return form.value(query, Frame(execution), run)
+
+
+def _bits(values: Array) -> tuple[Any, ...]:
+    """Returns a key of an array that tells 0.0 from -0.0."""
+    of_objects = values.dtype == np.object_
+    return values.dtype, values.shape, values.tolist() if of_objects else values.tobytes()
+
+
+class FormulaGroup:
+    """Formulas of one shape that are evaluated at the same ticks.
+
+    Attributes:
+        formulas: the formulas.
+        number: the number of the tick of the last evaluation; 0 before the first.
+    """
+
+    def __init__(self, formulas: Sequence[Formula], snapshot: Snapshot, shapes: LiveShapes) -> None:
+        self.formulas, self.number = tuple(formulas), 0
+        self._select, self._shapes = formulas[0].select, shapes
+        self._slots = [
+            _slot_reader(s, snapshot) for s in zip(*(f.slots for f in formulas), strict=True)
+        ]
+        self._reads_time = not formulas[0].columns.isdisjoint(TIME_COLUMNS)
+        # The columns of the rows of all formulas, those of the first one first; where the rows of
+        # each begin; and the keys of the columns, and of the rows of each.
+        self._columns: list[Array] = []
+        self._ends: list[int] = [0] * (len(formulas) + 1)
+        self._bits: list[Any] = []
+        self._keys: dict[int, Any] = {}
+        for place, formula in enumerate(formulas):
+            formula.group, formula.place = self, place
+
+    def rows_of(self, place: int) -> list[tuple[Any, ...]]:
+        """Returns the last rows of a formula as Python's values."""
+        columns = [column.tolist() for column in self._own(place)]
+        start, end = self._ends[place : place + 2]
+        return list(zip(*columns, strict=True)) if columns else [()] * (end - start)
+
+    def key_of(self, place: int) -> Any:
+        """Returns what differs if a bit of the last rows of a formula does."""
+        if place not in self._keys:
+            start, end = self._ends[place : place + 2]
+            self._keys[place] = end - start, *map(_bits, self._own(place))
+        return self._keys[place]
+
+    def _own(self, place: int) -> list[Array]:
+        return [column[slice(*self._ends[place : place + 2])] for column in self._columns]
+
+    def evaluate(self, snapshot: Snapshot, *, has_moved: bool) -> bool:
+        """Evaluates the formulas at a tick; returns whether their rows may have changed.
+
+        They are as they were if nothing that the formulas read has moved.
+        """
+        bits = self._bits
+        if has_moved or self._reads_time or not self.number:
+            self.number = 0
+            formulas, *columns = self._evaluated(snapshot.table("entities"))
+            bits = [*map(_bits, (formulas, *columns))]
+        has_changed = bits != self._bits
+        if has_changed:
+            ends = np.searchsorted(formulas, np.arange(len(self.formulas) + 1))
+            self._columns, self._ends, self._keys = columns, ends.tolist(), {}
+            self._bits = bits
+        self.number = snapshot.number
+        return has_changed
+
+    def _evaluated(self, table: LiveTable) -> list[Array]:
+        """Returns the place of the formula of each row, ascending, and the columns of the rows."""
+
+        def read(key: int | str) -> Array:
+            if isinstance(key, int):
+                return self._slots[key](table)
+            if key in table.names_of_numbers:
+                return table[key]
+            return np.array(table.values(key), np.object_ if key in ("name", "kind") else np.bool_)
+
+        values = ArrayValues(read, table.count, self._shapes)
+        mask = np.ones((1, table.count), np.bool_)
+        for condition in self._select.conditions:
+            mask = mask & condition(values)
+        values.active = mask
+        parts = [np.atleast_2d(part(values)) for part in self._select.columns]
+        shape = len(self.formulas), table.count
+        chosen = np.nonzero(np.broadcast_to(mask, shape))
+        columns = [np.broadcast_to(part, shape + part.shape[2:])[chosen] for part in parts]
+        return self._select.arranged([chosen[0], *columns])
+
+
+def _slot_reader(slots: Sequence[Slot], snapshot: Snapshot) -> Callable[[LiveTable], Array]:
+    """Returns what reads a slot of k formulas at a tick, (k, 1), or (1, 1) if all are equal."""
+    if len({slot.key for slot in slots}) == 1:
+        slots = slots[:1]
+    column = slots[0].column
+    if column is None:
+        constants: Array = np.array([[slot.value] for slot in slots], _TYPES[slots[0].kind])
+        return lambda _: constants
+    rows = np.array([[snapshot.rows[slot.value.id]] for slot in slots], np.intp)
+    return lambda table: table[column][rows]
+
+
+# -- from programs -----------------------------------------------------------------------------
 
 _KINDS: dict[str, Kind] = {
     **{c.name: c.type for c in TABLES["entities"].columns if c.type in ("double", "integer")},

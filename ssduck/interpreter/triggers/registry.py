@@ -347,10 +347,10 @@ class TriggerRegistry:
         trigger.dependencies = None
         # As read before the evaluation, so that a tick taken meanwhile is not missed.
         key = self._batches.key(trigger, worlds)
-        tick = None if dependencies is None else worlds[0].snapshot.number
+        ticks = [world.snapshot.number for world in worlds]
         result = self._eval(trigger.program)
         trigger.dependencies = dependencies
-        self._batches.note(trigger, worlds, key, tick)
+        self._batches.note(trigger, worlds, key, ticks)
         if batch is not None:
             batch.doubt()
         return trigger.deliverable(result, self._observe(trigger))

@@ -14,8 +14,14 @@ from ssduck.adapters.base import Adapter
 from ssduck.columns.compiler import LeftToDuckDBError
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.execution import Execution
-from ssduck.interpreter.triggers.formulas import FormulaPlanner, Meaning
-from ssduck.interpreter.triggers.groups import TIME_COLUMNS, Formula, FormulaGroup, TableState
+from ssduck.interpreter.triggers.formulas import (
+    TIME_COLUMNS,
+    Formula,
+    FormulaGroup,
+    FormulaPlanner,
+    Meaning,
+    TableState,
+)
 from ssduck.interpreter.triggers.shapes import LiveShapes
 from ssduck.interpreter.triggers.trigger import Trigger
 from ssduck.language.tree import Query
@@ -141,16 +147,9 @@ class TriggerBatches:
         trigger: Trigger,
         worlds: Sequence[World],
         key: tuple[Any, ...] | None,
-        tick: int | None,
+        ticks: Sequence[int],
     ) -> None:
-        """Notes what decided the result of a trigger that was evaluated by itself.
-
-        Args:
-            trigger: the trigger.
-            worlds: the worlds that its program reads.
-            key: what decided the meaning of its program.
-            tick: the number of the tick at which it was evaluated; None if it depends on more.
-        """
+        """Notes what decided the result of a trigger that was evaluated at ticks, by itself."""
         before = trigger.meaning
         is_settled = key is not None and before is not None and are_same(before.key, key)
         if is_settled and before is not None:
@@ -160,8 +159,8 @@ class TriggerBatches:
         if key is not None and not is_settled and self._planner is not None:
             trigger.meaning = Meaning(self._planner, trigger.program, trigger.names, key)
         # What changes at each evaluation is not worth the search for its tables.
-        if tick is not None and len(worlds) == 1 and (is_settled or trigger.config.threshold):
-            self.note_tables(trigger, worlds[0], tick)
+        if trigger.meaning is not None and (is_settled or trigger.config.threshold):
+            self.note_tables(trigger, worlds[0], ticks[0])
 
     def forget(self, trigger: Trigger) -> None:
         """Forgets what a program means."""
