@@ -8,18 +8,16 @@ import ssduck
 from ssduck.errors import SceneError, UnknownNameError
 from ssduck.simulators.pybullet.model_repairs import PIECE
 from tests.support.cases import sampled
+from tests.support.models import mjcf_body, mjcf_of, sdf_link, sdf_model, sdf_of
+from tests.support.urdf import collision, joint, link, robot
 
 CUBE = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1)) + (
     "f 1 2 3\nf 2 3 4\nf 5 6 7\nf 6 7 8\nf 1 2 5\nf 2 5 6\n"
 )
-INERTIA = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
 
 
 def urdf(geometry='<box size="1 1 1"/>', *, mass="1", more=""):
-    return (
-        f'<robot name="r"><link name="base"><inertial><mass value="{mass}"/>{INERTIA}</inertial>'
-        f"<collision><geometry>{geometry}</geometry></collision>{more}</link></robot>"
-    )
+    return robot(link("base", mass=mass, shapes=collision(geometry) + more), name="r")
 
 
 def mesh(name, scale="1 1 1"):
@@ -27,19 +25,11 @@ def mesh(name, scale="1 1 1"):
 
 
 def sdf(geometry, mass="1"):
-    return (
-        '<sdf version="1.6"><world name="w"><model name="m"><link name="l">'
-        f"<inertial><mass>{mass}</mass><inertia><ixx>1</ixx><ixy>0</ixy><ixz>0</ixz><iyy>1</iyy>"
-        f"<iyz>0</iyz><izz>1</izz></inertia></inertial><collision name='c'><geometry>{geometry}"
-        "</geometry></collision></link></model></world></sdf>"
-    )
+    return sdf_of(sdf_model("m", sdf_link(geometry=geometry, mass=mass)))
 
 
-def mjcf(geom, before=""):
-    return (
-        f'<mujoco>{before}<worldbody><body name="b"><joint type="free"/><geom {geom}/></body>'
-        "</worldbody></mujoco>"
-    )
+def mjcf(geom):
+    return mjcf_of(mjcf_body("b", parts=f"<geom {geom}/>"))
 
 
 # -- numbers, depth and meshes ------------------------------------------------------------------------
@@ -51,16 +41,9 @@ def deep(tag, count=100_000):
 
 def joints(first, second, *children):
     """Returns a model of three links and two joints; some crash PyBullet 3.2.7."""
-    link = f'<link name="{{}}"><inertial><mass value="1"/>{INERTIA}</inertial></link>'
     names = zip((first, second), children, strict=True)
-    return (
-        f"<robot name='r'>{''.join(map(link.format, 'abc'))}"
-        + "".join(
-            f'<joint name="{name}" type="fixed"><parent link="a"/><child link="{child}"/></joint>'
-            for name, child in names
-        )
-        + "</robot>"
-    )
+    parts = [joint(name, "fixed", "a", child) for name, child in names]
+    return robot(*map(link, "abc"), *parts, name="r")
 
 
 # (file, text, words of the error)
@@ -72,7 +55,7 @@ WRONG = [
       [("-1", "is negative"), ("nan", "is not a number"), ("inf", "is not finite")]),
     ("s.urdf", urdf('<sphere radius="-1"/>'), "<sphere radius> is negative"),
     ("s.urdf", urdf('<cylinder radius="1" length="nan"/>'), "<cylinder length> is not a number"),
-    ("s.urdf", urdf().replace('ixx="1"', 'ixx="nan"'), "<inertia ixx> is not a number"),
+    ("s.urdf", urdf().replace('ixx="0.1"', 'ixx="nan"'), "<inertia ixx> is not a number"),
     ("s.urdf", urdf(more='<visual><origin xyz="inf 0 0"/></visual>'), "<origin xyz> is not finite"),
     ("s.urdf", mesh("m.obj", "0 0 0"), "<mesh scale> is 0"),
     ("s.urdf", mesh("m.obj", "nan 1 1"), "<mesh scale> is not a number"),
@@ -156,7 +139,7 @@ def test_what_pybullet_would_read_beyond_is_an_error(tmp_path, name):
 # (before a part that a comment hides from XML, the part, behind it)
 HIDDEN = {
     "s.urdf": (
-        f'<robot name="r"><link name="a"><inertial><mass value="1"/>{INERTIA}</inertial>',
+        f'<robot name="r">{link("a").removesuffix("</link>")}',
         '<collision><geometry><mesh filename="../secret/m.obj"/></geometry></collision>',
         "</link></robot>",
     ),
