@@ -209,11 +209,6 @@ HAS_SLEEP = pytest.mark.skipif(
 )
 
 
-def sleepy(ss, text):
-    model, data = simulated(text)
-    return model, data, ss.add_variable("sim", ssduck.World.attach(model, data))
-
-
 @pytest.mark.slow
 @HAS_SLEEP
 @pytest.mark.parametrize("forward", [False, True])
@@ -252,7 +247,8 @@ def test_what_sleeps_keeps_its_contacts(forward):
 @HAS_SLEEP
 def test_what_begins_asleep_has_contacts_and_what_wakes_has_its_own():
     with ssduck.Interpreter(recording=None) as ss:
-        model, data, world = sleepy(ss, SLEEPY.format(sleep='sleep="init"'))
+        model, data = simulated(SLEEPY.format(sleep='sleep="init"'))
+        world = ss.add_variable("sim", ssduck.World.attach(model, data))
         mujoco.mj_step(model, data, 5)
         world.tick()
         assert data.tree_asleep[0] >= 0
