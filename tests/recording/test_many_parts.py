@@ -14,6 +14,7 @@ from ssduck.recording.stores import parquet, parquet_archive, parquet_layout, ti
 from ssduck.recording.stores.descriptions import read_description
 from ssduck.recording.stores.files import write_json, write_parquet
 from tests.support.bodies import solid
+from tests.support.forged import flip_bit
 
 PARTS = 10
 PLACE = "world=lab/episode={}"
@@ -90,16 +91,6 @@ def test_ticks_are_read_from_one_file(run, monkeypatch):
     assert pq.read_metadata(_index(run)).num_rows == len(ALL)
 
 
-def test_few_ticks_are_read_from_few_parts(run, monkeypatch):
-    with ssduck.open(run) as ss:
-        record = ss._database.records["lab"]
-        reads = Reads(monkeypatch)
-        assert record.fetch("entities", 7, 8)["tick"].to_pylist() == [7, 8]
-        assert reads.rows == ["part-000003.parquet"]
-        assert record.fetch("entities", 8, 9)["tick"].to_pylist() == [8, 9]
-        assert reads.rows[1:] == ["part-000003.parquet", "part-000004.parquet"]
-
-
 def test_parts_that_the_index_does_not_know(run, monkeypatch):
     """A recorder that is killed leaves an index of some of its parts."""
     rows = pq.read_table(_index(run))
@@ -147,17 +138,6 @@ def test_a_record_needs_no_index(run, change, monkeypatch):
     assert len(reads.ticks) == PARTS
 
 
-def test_few_parts_have_no_index(tmp_path, client, monkeypatch):
-    world = ssduck.World.attach(client, name="lab")
-    with ssduck.Interpreter(recording=None) as ss:
-        ss.add_variable("lab", world)
-        with ss.record_to(tmp_path / "run"):
-            world.step()
-    assert not list((tmp_path / "run" / "index").rglob("*.parquet"))
-    with ssduck.open(tmp_path / "run") as ss:
-        assert len(ss.past("lab").ticks) == 2
-
-
 @pytest.fixture
 def checks(monkeypatch):
     """The files that are checked; a record has many parts if it has two."""
@@ -174,12 +154,15 @@ def checks(monkeypatch):
     return read
 
 
-def test_a_part_is_checked_when_it_is_read(run, checks):
+def test_few_ticks_are_read_from_few_parts_which_are_checked_then(run, checks, monkeypatch):
     with ssduck.open(run) as ss:
         record = ss._database.records["lab"]
+        reads = Reads(monkeypatch)
         assert checks == []
-        record.fetch("entities", 7, 8)
-        record.fetch("entities", 7, 9)
+        assert record.fetch("entities", 7, 8)["tick"].to_pylist() == [7, 8]
+        assert reads.rows == ["part-000003.parquet"]
+        assert record.fetch("entities", 8, 9)["tick"].to_pylist() == [8, 9]
+        assert reads.rows[1:] == ["part-000003.parquet", "part-000004.parquet"]
         assert checks == ["entities 3", "entities 4"]
         ss.eval("SELECT id FROM lab{} AS list;")
         assert sorted(checks) == sorted(f"entities {part}" for part in range(PARTS))
@@ -217,9 +200,7 @@ def test_a_question_about_a_tick_checks_the_group_of_its_part(run, checks):
 def test_a_damaged_part_is_in_no_answer(run, checks):
     """An error at the ticks of its group, and of whatever reads all ticks."""
     file = run / "entities" / PLACE.format(1) / "part-000007.parquet"
-    content = bytearray(file.read_bytes())
-    content[len(content) // 3] ^= 4
-    file.write_bytes(content)
+    flip_bit(file, 1 / 3)
     with ssduck.open(run) as ss:
         times = ss.past("lab").times
         for _ in range(2):
