@@ -75,19 +75,20 @@ def flipped(file):
     return file
 
 
-@pytest.mark.parametrize("door", ["check", "repair"])
-def test_the_check_of_a_file_that_cannot_be_opened(file, door):
-    """It does not say that a check tells more."""
-    with pytest.raises(RecordError, match="nothing of it can be read: put a copy back") as caught:
-        DOORS[door](flipped(file))
-    assert str(caught.value).startswith(f"{file} is damaged")
-    assert "ssduck check" not in str(caught.value)
-
-
-def test_another_recording_into_a_damaged_file(file):
-    """It is not in use: a block is no lock."""
+def test_a_file_that_cannot_be_opened(file):
+    """No check tells more of it, and it is not in use: a block is no lock."""
+    flipped(file)
+    told = "nothing of it can be read: put a copy back"
+    for door in ("check", "repair"):
+        with pytest.raises(RecordError, match=told) as caught:
+            DOORS[door](file)
+        assert str(caught.value).startswith(f"{file} is damaged")
+        assert "ssduck check" not in str(caught.value)
+    done = ssduck_("check", "--repair", str(file))
+    assert done.exit_code == 1
+    assert told in done.stderr
     with pytest.raises(SqlError, match=r"is damaged.*block.*`ssduck check`") as caught:
-        ssduck.load("kitchen", flipped(file))
+        ssduck.load("kitchen", file)
     assert "in use" not in str(caught.value)
 
 
@@ -120,9 +121,3 @@ def test_a_file_in_use(door, recorded, tmp_path):
         process.communicate("\n")
     assert ssduck.check(file) == []
     assert len(ssduck.episodes(file)) == 3
-
-
-def test_the_command_line(file):
-    done = ssduck_("check", "--repair", str(flipped(file)))
-    assert done.exit_code == 1
-    assert "nothing of it can be read: put a copy back" in done.stderr

@@ -88,24 +88,17 @@ def test_a_file_may_have_the_name_of_its_world(tmp_path, file):
         assert "4" in answer("query", str(path), "--sql", count)
 
 
-@pytest.fixture(scope="module")
-def rooms(tmp_path_factory):
-    """A world, and an interpreter in memory and one on a file."""
-    path = tmp_path_factory.mktemp("rooms") / "run.duckdb"
+@pytest.mark.slow
+def test_a_world_with_the_name_of_a_schema_of_duckdbs_is_refused_when_it_is_named(tmp_path):
     with (
         ssduck.load(ROOM, recording=None) as room,
         ssduck.Interpreter() as in_memory,
-        ssduck.Interpreter(path) as on_file,
+        ssduck.Interpreter(tmp_path / "run.duckdb") as on_file,
     ):
-        yield room.call_variable("room"), (in_memory, on_file)
-
-
-@pytest.mark.slow
-@sampled("name", ["main", "MEMORY", "temp", "system", "information_schema", "pg_catalog"], every=3)
-def test_a_world_with_the_name_of_a_schema_of_duckdbs_is_refused_when_it_is_named(rooms, name):
-    room, places = rooms
-    for ss in places:
-        with pytest.raises(ArgumentError, match=r"DuckDB has a schema .*; choose another name"):
-            ss.add_variable(name, room)
-        ss.add_variable(f"{name}_2", room)
-        assert ss.sql(f"SELECT count(*) > 1 FROM {name}_2.entities").fetchall() == [(True,)]
+        for name in ("main", "MEMORY", "temp", "system", "information_schema", "pg_catalog"):
+            for ss in (in_memory, on_file):
+                with pytest.raises(ArgumentError, match=r"DuckDB has a schema .*; choose another"):
+                    ss.add_variable(name, room["room"])
+                ss.add_variable(f"{name}_2", room["room"])
+                many = f"SELECT count(*) > 1 FROM {name}_2.entities"
+                assert ss.sql(many).fetchall() == [(True,)]

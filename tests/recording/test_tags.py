@@ -40,13 +40,9 @@ def test_each_run_has_an_id_of_its_own_that_stays(scene, tmp_path):
 
 @pytest.mark.slow
 def test_tags_are_read_back_with_their_types(scene, tmp_path):
-    assert recorded(scene, tmp_path / "a", TAGS).tags == TAGS
-    assert [type(tag) for tag in recorded(scene, tmp_path / "a", TAGS).tags.values()] == [
-        str,
-        bool,
-        float,
-        int,
-    ]
+    tags = recorded(scene, tmp_path / "a", TAGS).tags
+    assert tags == TAGS
+    assert [*map(type, tags.values())] == [str, bool, float, int]
     assert recorded(scene, tmp_path / "a").tags == {}
 
 
