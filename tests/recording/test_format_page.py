@@ -10,7 +10,6 @@ import pybullet
 import pytest
 
 import ssduck
-from ssduck.errors import RecordError
 from ssduck.recording.stores.stored_columns import part_columns
 from ssduck.schema import MODELS, RECORDED
 from tests.support.bodies import solid
@@ -47,27 +46,6 @@ def test_the_example_has_all_columns_of_its_tables(written):
     for table in ("ticks", "entities", *(f"models/{name}" for name in MODELS)):
         (file,) = (written / table).rglob("*.parquet")
         assert set(pq.read_schema(file).names) == set(part_columns(table)), table
-
-
-@pytest.mark.slow
-def test_the_example_can_be_exported_upgraded_and_read_again(written, tmp_path):
-    with ssduck.open(written) as ss:
-        ss.export(tmp_path / "copy")
-        expected = ss.sql("SELECT * FROM entities_history ORDER BY ALL").fetchall()
-    with ssduck.open(tmp_path / "copy") as ss:
-        assert ss.sql("SELECT * FROM entities_history ORDER BY ALL").fetchall() == expected
-
-
-def test_a_wrong_label_is_noticed(written):
-    place = written / "entities" / "world=lab" / "episode=0" / "part-000000.parquet"
-    kept = place.read_bytes()
-    try:
-        other = written / "ticks" / "world=lab" / "episode=0" / "part-000000.parquet"
-        place.write_bytes(other.read_bytes())
-        with pytest.raises(RecordError, match="is another part, or of another record"):
-            ssduck.open(written)
-    finally:
-        place.write_bytes(kept)
 
 
 def test_the_page_names_all_tables_and_keys():

@@ -1,7 +1,5 @@
 """Full disks and killed processes leave whole records."""
 
-import os
-
 import pytest
 
 import ssduck
@@ -85,27 +83,6 @@ def test_a_full_disk_loses_nothing(tmp_path, kind):
     assert not list(tmp_path.rglob("*.unfinished"))
 
 
-EXPORT = """
-import resource, signal, sys, ssduck
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-with ssduck.load("kitchen") as ss:
-    ss.export(sys.argv[1])
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4_000, resource.RLIM_INFINITY))
-    try:
-        ss.export(sys.argv[1])
-    except ssduck.SelectScriptError as error:
-        print(type(error).__name__)
-"""
-
-
-@pytest.mark.long
-@POSIX
-def test_half_an_export_is_taken_back(tmp_path):
-    assert python(EXPORT, tmp_path / "run") == "RecordError\n"
-    assert [e.number for e in ssduck.episodes(tmp_path / "run")] == [0]
-    assert not list(tmp_path.rglob("episode=1"))
-
-
 # -- killed --------------------------------------------------------------------------------------
 
 
@@ -117,9 +94,6 @@ def test_killed_recorders_leave_whole_records(seed):
     run = kill.Run(kill.KINDS["both"], slack=5.0)  # the machine may be busy
     run.add(seed)
     assert run.faults == {}
-
-
-POSIX = pytest.mark.skipif(os.name != "posix", reason="SIGKILL")
 
 
 @pytest.fixture(scope="module")
