@@ -97,52 +97,34 @@ def stream(table, **options):
 
 
 NUMBERS = pa.table({"a": pa.array(range(1000))})
+BYTES = pa.array([b"x" * 16], pa.binary(16))
+TYPES, PLACES = pa.array([0], pa.int8()), pa.array([0], pa.int32())
+NO_TEXT = [None, pa.py_buffer(b"\0\0\0\0\2\0\0\0"), pa.py_buffer(b"\xff\xff")]
+# Columns of tables that no worker sends, and what is no table that one sends.
 FORGED = {
+    "a dictionary": lambda: pa.array(["x"] * 9).dictionary_encode(),
+    "repetitions": lambda: pa.RunEndEncodedArray.from_arrays(pa.array([2**30], pa.int32()), [1]),
+    "views": lambda: pa.array(["x" * 99], pa.string_view()),
+    "views of lists": lambda: pa.array([[1]], pa.list_view(pa.int8())),
+    "an extension": lambda: pa.ExtensionArray.from_storage(pa.uuid(), BYTES),
+    "an extension inside": lambda: pa.array([[b"x" * 16]], pa.list_(BYTES.type)).cast(
+        pa.list_(pa.uuid())
+    ),
+    "a union": lambda: pa.UnionArray.from_dense(TYPES, PLACES, [pa.array([1])]),
+    "texts that are none": lambda: pa.Array.from_buffers(pa.string(), 1, NO_TEXT),
     "compressed": lambda: stream(NUMBERS, compression="zstd"),
     "compressed otherwise": lambda: stream(NUMBERS, compression="lz4"),
-    "a dictionary": lambda: stream(pa.table({"a": pa.array(["x"] * 9).dictionary_encode()})),
-    "repetitions": lambda: stream(
-        pa.table({"a": pa.RunEndEncodedArray.from_arrays(pa.array([2**30], pa.int32()), [1])})
-    ),
-    "views": lambda: stream(pa.table({"a": pa.array(["x" * 99], pa.string_view())})),
-    "views of lists": lambda: stream(pa.table({"a": pa.array([[1]], pa.list_view(pa.int8()))})),
-    "an extension": lambda: stream(
-        pa.table(
-            {"a": pa.ExtensionArray.from_storage(pa.uuid(), pa.array([b"x" * 16], pa.binary(16)))}
-        )
-    ),
-    "an extension inside": lambda: stream(
-        pa.table({"a": pa.array([[b"x" * 16]], pa.list_(pa.binary(16))).cast(pa.list_(pa.uuid()))})
-    ),
-    "a union": lambda: stream(
-        pa.table(
-            {
-                "a": pa.UnionArray.from_dense(
-                    pa.array([0], pa.int8()), pa.array([0], pa.int32()), [pa.array([1])]
-                )
-            }
-        )
-    ),
     "no stream": lambda: memoryview(b"x" * 100),
     "nothing": lambda: memoryview(b""),
     "a half": lambda: stream(NUMBERS)[:-600],
-    "texts that are none": lambda: stream(
-        pa.table(
-            {
-                "a": pa.Array.from_buffers(
-                    pa.string(),
-                    1,
-                    [None, pa.py_buffer(b"\0\0\0\0\2\0\0\0"), pa.py_buffer(b"\xff\xff")],
-                )
-            }
-        )
-    ),
 }
 
 
 @pytest.mark.parametrize("name", FORGED)
 def test_forged_tables_are_refused(name):
     data = FORGED[name]()
+    if not isinstance(data, memoryview):
+        data = stream(pa.table({"a": data}))
     with pytest.raises(InvalidAnswerError):
         checked_table(data, Budget())
 
@@ -295,14 +277,6 @@ def test_graphs_whose_keys_are_alike_are_counted(kind):
     document = {"other": ["graph", "EntityMultiGraph", [{"list": nodes}, {"list": edges}]]}
     with pytest.raises(LimitError, match="answer takes"):
         decoded(document)
-
-
-def test_dicts_of_many_numbers_cross():
-    value = {number: number for number in range(-20_000, 20_000)}
-    encoder = Encoder(Budget(), str)
-    text = encoder.text(value)
-    body = memoryview(b"".join(encoder.parts))
-    assert Decoder(body, Budget(), world=str).value(text) == value
 
 
 @pytest.mark.parametrize("column", [["x" * 9_000_000 + "\U0001f986"], [{"a": None}] * 100_000])

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import ssduck
-from ssduck.errors import LimitError, SandboxError, SceneError, SelectScriptError
+from ssduck.errors import LimitError, SandboxError, SelectScriptError
 from ssduck.limits import Limits
 from ssduck.sandbox import SandboxedInterpreter, opening
 from ssduck.sandbox.seccomp import _CHECKED
@@ -306,9 +306,7 @@ def test_the_environment_has_no_secret(monkeypatch):
     code = """
 import json, os, sys
 from tests.support.taken_over import HookedZygote
-from ssduck.sandbox import SandboxedInterpreter, opening
-from ssduck.sandbox.seccomp import _CHECKED
-from ssduck.sandbox.system_calls import ALLOWED, MACHINES, number_of
+from ssduck.sandbox import SandboxedInterpreter
 zygote = HookedZygote()
 with SandboxedInterpreter(zygote=zygote) as ss:
     print(json.dumps(ss.ask("worker.python", "dict(__import__('os').environ)")))
@@ -348,16 +346,3 @@ def test_a_link_beside_a_record_leads_nowhere(zygote, tmp_path):
     (tmp_path / "run.duckdb.wal").symlink_to(tmp_path / "secret")
     with pytest.raises(SelectScriptError, match="is a symbolic link"):
         opening.open_record(tmp_path / "run.duckdb", zygote=zygote)
-
-
-@pytest.mark.slow
-def test_a_scene_of_a_file_outside_is_an_error(zygote, tmp_path):
-    (tmp_path / "secret.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    folder = tmp_path / "scene"
-    folder.mkdir()
-    (folder / "spy.urdf").write_text(
-        '<robot name="spy"><link name="base"><collision><geometry>'
-        '<mesh filename="../secret.obj"/></geometry></collision></link></robot>'
-    )
-    with pytest.raises(SceneError, match=r"secret\.obj.*its own folder only"):
-        opening.load(folder / "spy.urdf", zygote=zygote)
