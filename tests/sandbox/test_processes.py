@@ -24,6 +24,7 @@ from ssduck.lazy import ONE_THREAD
 from ssduck.limits import Limits
 from ssduck.sandbox import SandboxedInterpreter
 from ssduck.sandbox.processes import Zygote, shared_zygote
+from tests.support.triggering import until
 
 PAST_HANGING = 60.0
 
@@ -38,10 +39,7 @@ def is_running(pid):
 
 
 def wait_for_end(pids):
-    deadline = time.monotonic() + PAST_HANGING
-    while any(map(is_running, pids)):
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    until(lambda: not any(map(is_running, pids)))
 
 
 def children_of(pid):
@@ -131,10 +129,9 @@ def test_killed_hosts_leave_nothing(count, tmp_path):
             time.sleep(generator.random() * seconds)
             most = max(most, len(running_with(str(tmp_path))))
             os.kill(pid, signal.SIGKILL)
-            deadline = time.monotonic() + PAST_HANGING
-            while running_with(str(tmp_path)) != [hosts.pid] or any(tmp_path.iterdir()):
-                assert time.monotonic() < deadline, (number, list(tmp_path.iterdir()))
-                time.sleep(0.01)
+            until(
+                lambda: running_with(str(tmp_path)) == [hosts.pid] and not any(tmp_path.iterdir())
+            )
         hosts.stdin.close()
     assert most == 4  # where hosts were started from, a host, its zygote, and a worker
 
@@ -169,10 +166,7 @@ def test_all_processes_end_with_their_host(number, work):
         host.send_signal(number)
         host.wait(PAST_HANGING)
     wait_for_end([zygote, worker])
-    deadline = time.monotonic() + PAST_HANGING
-    while Path(folder).exists():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    until(lambda: not Path(folder).exists())
 
 
 @pytest.mark.slow
@@ -182,21 +176,16 @@ def test_a_command_forks_its_zygote_which_ends_with_it(number, tmp_path):
     command.append("SELECT sleep_ms(90000)")
     environment = {**os.environ, "TMPDIR": str(tmp_path)}
     with subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL) as host:
-        deadline = time.monotonic() + PAST_HANGING
-        while not (zygotes := children_of(host.pid)) or not (workers := children_of(zygotes[0])):
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
-        (zygote,), (worker,) = zygotes, workers
+        until(lambda: any(map(children_of, children_of(host.pid))))
+        (zygote,) = children_of(host.pid)
+        (worker,) = children_of(zygote)
         asked = [Path(f"/proc/{pid}/cmdline").read_bytes() for pid in (host.pid, zygote, worker)]
         assert len(set(asked)) == 1  # no program was executed
         assert os.getsid(zygote) == zygote
         host.send_signal(number)
         assert host.wait(PAST_HANGING) == (-9 if number == signal.SIGKILL else 130)
     wait_for_end([zygote, worker])
-    deadline = time.monotonic() + PAST_HANGING
-    while any(tmp_path.iterdir()):
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    until(lambda: not any(tmp_path.iterdir()))
 
 
 @pytest.mark.slow
@@ -245,16 +234,14 @@ def test_workers_end_with_their_zygote_and_the_next_question_has_another():
         worker = ss._worker._pid
         os.kill(zygote.pid, signal.SIGKILL)
         wait_for_end([worker])
-        while ss._worker.is_alive:
-            time.sleep(0.01)
+        until(lambda: not ss._worker.is_alive)
         with pytest.warns(UserWarning, match="has ended"), pytest.raises(SandboxError):
             ss.eval("1;")
     zygote.close()
     first = shared_zygote()
     with SandboxedInterpreter() as ss:
         os.kill(first.pid, signal.SIGKILL)
-        while ss._worker.is_alive:
-            time.sleep(0.01)
+        until(lambda: not ss._worker.is_alive)
         with pytest.warns(UserWarning, match="process of the sandbox has ended"):
             assert ss.eval("1 + 1;") == 2
     shared_zygote().close()
