@@ -71,13 +71,6 @@ def test_the_tick_has_the_number_of_the_tables(page, record):
         page.wait(f"document.getElementById('time').textContent.endsWith({json.dumps(label)})")
 
 
-def test_the_slider_goes_through_a_record(page, heights):
-    assert page.value("__ss.ticks") == len(heights)
-    for index in (len(heights) - 1, 3, len(heights) // 2):
-        page.value(f"__ss.seek({index}); 0")
-        page.wait(f"Math.abs(__ss.poseOf('{CUP}')[2] - {heights[index]}) < 1e-5")
-
-
 def test_scrubbing_asks_the_server_for_no_poses(page, heights):
     page.value("__ss.seek(0); 0")
     page.wait("__ss.local > 0")

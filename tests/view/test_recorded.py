@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import ssduck
-from ssduck.errors import SelectScriptError
 from ssduck.language.intervals import changes_of, column_of
 
 pytest.importorskip("websockets", reason="the extra view is not installed")
@@ -135,14 +134,6 @@ def _rounded(value):
     if isinstance(value, dict):
         return [_rounded(part) for part in value.values()]
     return round(value, 3) + 0.0 if isinstance(value, float) else value
-
-
-@pytest.mark.slow
-def test_a_scan_of_a_wrong_program_is_an_error(record):
-    with ssduck.open(record) as ss:
-        scan = Scan(ss, ss.worlds[0], "kitchen.frigde;", "selectscript")
-        with pytest.raises(SelectScriptError):
-            scan.advance(1.0)
 
 
 # -- over the socket --------------------------------------------------------------------------
