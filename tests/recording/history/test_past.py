@@ -60,12 +60,12 @@ PAST = [
     "SELECT z(ball) - z(a.this) FROM a=lab{0.2}, b=lab WHERE id(a.this) == id(b.this) AS list;",
     "SELECT (SELECT z(ball) FROM [1] WHERE tick(a.this) > 0 AS value), z(ball) "
     "FROM a=lab{0.0} WHERE id(a.this) == 'board' AS list;",
-    "SELECT tick(a.this) FROM a=lab{} WHERE (SELECT z(ball) FROM [1] WHERE tick(a.this) > 0 "
-    "AS value) > 0.99 AND id(a.this) == 'board' AS list;",
-    "SELECT tick(a.this), count(SELECT b.this FROM b=lab{} WHERE b.this == a.this AND "
-    "z(b.this) > z(ball) AS list) FROM a=lab{-0.01} AS list;",
     "SELECT tick(a.this), count(SELECT b.this FROM b=lab WHERE z(b.this) < z(a.this) AS list) "
     "FROM a=lab{0.0} AS list;",
+    "SELECT tick(a.this), count(SELECT b.this FROM b=lab{} WHERE b.this == a.this AND "
+    "z(b.this) > z(ball) AS list) FROM a=lab{-0.01} AS list;",
+    "SELECT tick(a.this) FROM a=lab{} WHERE (SELECT z(ball) FROM [1] WHERE tick(a.this) > 0 "
+    "AS value) > 0.99 AND id(a.this) == 'board' AS list;",
     "SELECT id(a.this), count(SELECT b.this FROM b=lab WHERE z(b.this) < z(ball) AS list) "
     "FROM a=lab{0.0} AS list;",
     *(
