@@ -142,12 +142,6 @@ def test_mistakes(ss, text, kind, words):
     assert ss.eval("1 + 1;") == 2
 
 
-def test_the_cause_of_a_functions_error_is_kept(ss):
-    with pytest.raises(FunctionError) as caught:
-        ss.eval("SELECT id FROM kitchen WHERE broken(this);")
-    assert isinstance(caught.value.__cause__, KeyError)
-
-
 def test_errors_are_the_builtin_ones_that_a_user_expects():
     assert issubclass(UnknownNameError, LookupError)
     assert issubclass(ParseError, ValueError)

@@ -88,13 +88,6 @@ def test_edges(pair, relation, position, holds):
     assert rows == [("b",)] * holds
 
 
-@pytest.mark.parametrize("relation", ["above", "below", "within"])
-def test_a_relation_of_an_entity_with_itself_is_false(pair, relation):
-    ss, _ = pair
-    assert ss.eval(f"SELECT id FROM sim WHERE {relation}(this, this) AS list;") == []
-    assert ss.sql(f"SELECT count(*) FROM entities e WHERE {relation}(e, e)").fetchone() == (0,)
-
-
 def test_values_of_an_entity(pair):
     ss, b = pair
     turn = np.array([0.5, -0.5, 0.5, 0.5])
