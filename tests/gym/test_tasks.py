@@ -118,7 +118,6 @@ def test_a_task_runs(folder):
         ('scene = "push.xml"', 'scene = "pusch.xml"', r"scene: there is no file .*'push\.xml'"),
         ('joint = "push"', 'joint = "pus"', r"actions\[0\]\.joint: pusher has no joint 'pus'"),
         ("high = 1\n", "high = 99\n", r"actions\[0\]\.high: pusher: "),
-        ("\nscene", "\nnan = 'fail'\nscene", r"nan: give 'error', 'failure' or a number"),
         ('"x(sim.ball) > goal"', "\"eval('1') == x(sim.ball)\"", "eval is switched off"),
     ],
     every=2,
@@ -303,3 +302,9 @@ def test_where_the_state_is_nan(folder, nan, expected):
     assert (info["ssduck"]["parts"]["high"], is_over) == expected
     assert observation.tolist() == [expected[0]] * 2
     env.close()
+
+
+def test_another_value_of_nan(folder):
+    (folder / "task.toml").write_text(f"nan = 'fail'\n{TASK}")
+    with pytest.raises(SceneError, match=r"task\.toml: nan: give 'error', 'failure' or a number"):
+        make_task(folder / "task.toml")
