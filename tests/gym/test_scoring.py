@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ssduck
-from ssduck.errors import RecordError, SelectScriptError
+from ssduck.errors import RecordError, SelectScriptError, UnknownNameError
 from ssduck.gym import QueryWrapper, score
 from tests.support.cases import generated, sampled
 from tests.support.gym_environments import Push
@@ -116,6 +116,11 @@ def test_without_a_reward_it_is_that_of_the_steps(few):
     assert first.total == stored["return"]
     assert stored["seed"] == 0
     assert stored["options"] == {"number": 0}
+
+
+def test_a_wrong_name_is_an_error(few):
+    with pytest.raises(UnknownNameError, match=r"success: .*'bal'.*'ball'"):
+        next(score(few, success="x(sim.bal) > 0"))
 
 
 @pytest.mark.slow
