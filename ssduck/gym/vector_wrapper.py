@@ -101,14 +101,11 @@ class VectorQueryWrapper(VectorWrapper[Any, Any, Any, Any, Any]):
         self._parts: list[_Prepared] = []
         if state is None and isinstance(env.unwrapped, AsyncVectorEnv):
             model = _model_in_process(env.unwrapped)
-            read = partial(env.unwrapped.get_attr, "data")
+            read: Callable[[], Sequence[Any]] = partial(env.unwrapped.get_attr, "data")
         elif state is None:
-            self._parts = parts = _prepared(env)
-            model = parts[0].find()[0]
-
-            def read() -> list[Any]:
-                return [part.find()[1] for part in parts]
-
+            self._parts = _prepared(env)
+            model = self._parts[0].find()[0]
+            read = partial(_data_of, self._parts)
         elif model is None:
             raise ArgumentError("VectorQueryWrapper: give the model of the states: model=…")
         if state is None:
@@ -329,6 +326,10 @@ def _difference(a: Any, b: Any) -> str | None:
     """Returns an array that differs between two models; None if none does that terms read."""
     names = () if a is b else _OF_MODEL
     return next((n for n in names if not np.array_equal(getattr(a, n), getattr(b, n))), None)
+
+
+def _data_of(parts: Sequence[_Prepared]) -> list[Any]:
+    return [part.find()[1] for part in parts]
 
 
 def _model_in_process(vector: AsyncVectorEnv) -> Any:

@@ -108,14 +108,12 @@ def unnested(name: str, values: SqlValue) -> FromItem:
     if sql_type.type != "entity":
         value = SqlValue(column_of(name, "value"), sql_type, domain=values.domain)
         return FromItem(value, table.subquery(alias), position)
-    source, keys = sql_type.table, ["id"]
-    value = entity_value(sql_type.schema, name, source)
+    keys: list[int | str | exp.Expr] = ["id"]
+    source: str = sql_type.table
+    value = entity_value(sql_type.schema, name, sql_type.table)
     if sql_type.past:  # by the key of a tick and an entity
-        assert sql_type.schema is not None
-        value, alias = (
-            past_value(sql_type.schema, name, source),
-            exp.to_identifier(name, quoted=True),
-        )
+        value = past_value(str(sql_type.schema), name, sql_type.table)
+        alias = exp.to_identifier(name, quoted=True)
         source, keys = TABLES[source].history_view, ["tick", "id"]
         tick = exp.IntDiv(this=exp.column("id"), expression=exp.Literal.number(IDS))
         id = exp.Mod(this=exp.column("id"), expression=exp.Literal.number(IDS))

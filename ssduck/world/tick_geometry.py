@@ -81,17 +81,17 @@ class TickPlaces(ShapePlaces):
         return ordered
 
     @cached_property
-    def positions(self) -> Array:  # type: ignore[override]  # computed when asked for
+    def positions(self) -> Array:  # computed when asked for
         """The positions, (n, 3)."""
         return self._in_order(0, axis=0)
 
     @cached_property
-    def orientations(self) -> Array:  # type: ignore[override]
+    def orientations(self) -> Array:
         """The orientations, (n, 4)."""
         return self._in_order(1, axis=0)
 
     @cached_property
-    def boxes(self) -> Array:  # type: ignore[override]
+    def boxes(self) -> Array:
         """The boxes, (n, 6): lower corner, upper corner."""
         return self._in_order(2, axis=1).T
 
