@@ -7,14 +7,13 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, SupportsFloat, TypeAlias
+from typing import TYPE_CHECKING, Any, SupportsFloat, TypeAlias
 
 import gymnasium
 
 from ssduck import validation
 from ssduck.errors import ArgumentError, ProgramWarning, SimulatorError, warn
 from ssduck.formatting import short_repr
-from ssduck.gym.batch_terms import BatchJudgement
 from ssduck.gym.doubts import FirstTicks, episode_seconds, time_limit, warn_of_length
 from ssduck.gym.judge import Judge
 from ssduck.gym.terms import Judgement, Reward, Terms, WhereNaN
@@ -27,6 +26,9 @@ from ssduck.recording.paths import expand_path
 from ssduck.recording.spec import Recording
 from ssduck.simulators.recognition import client_of, parts_of
 from ssduck.world.world import World
+
+if TYPE_CHECKING:
+    from ssduck.gym.batch_terms import BatchJudgement
 
 # The key of a step's `info`.
 INFO = "ssduck"
