@@ -323,12 +323,14 @@ class Meaning:
 
     def __init__(
         self,
-        planner: FormulaPlanner,
+        execution: Execution,
+        query_of: Callable[[Query, Adapter], Query],
         program: CompiledProgram,
         names: Iterable[str],
         key: tuple[Any, ...],
     ) -> None:
-        self._planner, self._program, self._names = planner, program, frozenset(names)
+        self._execution, self._query_of = execution, query_of
+        self._program, self._names = program, frozenset(names)
         self.key = key
         # The stamp of the names for which the key is known to be up to date.
         self.stamp: object = None
@@ -339,67 +341,44 @@ class Meaning:
     @cached_property
     def _is_fixed(self) -> bool:
         """Whether only variables of fixed values and the language's functions are read."""
-        names = self._planner.execution
+        names = self._execution
         is_users = any(names.is_users(names.resolved_name(name)) for name in self._names)
         return are_fixed(self.key[1:]) and not is_users
 
     @cached_property
     def formula(self) -> Formula | None:
         """The formula of the program; None if it is none."""
-        return self._planner.formula(self._program) if self._is_fixed else None
+        with self._execution.lock, suppress(SelectScriptError, LeftToDuckDBError):
+            planned = self._planned() if self._is_fixed else None
+            return None if planned is None else self._of_plan(planned)
+        return None  # evaluated by itself, it raises the error
 
     @cached_property
     def tables(self) -> frozenset[str] | None:
         """The tables on which alone its result depends; None if these are not known."""
-        is_fixed = self._is_fixed and not self._names.intersection(TIME_COLUMNS)
-        return self._planner.tables(self._program) if is_fixed else None
-
-
-def are_fixed(values: Sequence[Any]) -> bool:
-    """Checks whether no value can change without being replaced."""
-    return all(
-        type(value) in ATOMS or type(value) is object or isinstance(value, World | Handle)
-        for value in values
-    )
-
-
-class FormulaPlanner:
-    """Makes formulas of programs."""
-
-    def __init__(self, execution: Execution, query_of: Callable[[Query, Adapter], Query]) -> None:
-        self.execution = execution
-        self._query_of = query_of
-
-    def formula(self, program: CompiledProgram) -> Formula | None:
-        """Returns the formula that a program is; None if it is none."""
-        with self.execution.lock, suppress(SelectScriptError, LeftToDuckDBError):
-            planned = self._planned(program)
-            return None if planned is None else self._of_plan(planned)
-        return None  # evaluated by itself, it raises the error
-
-    def tables(self, program: CompiledProgram) -> frozenset[str] | None:
-        """Returns the tables on which alone a result depends; None if these are not known."""
-        with self.execution.lock, suppress(SelectScriptError):
-            planned = self._planned(program)
+        execution = self._execution
+        with execution.lock, suppress(SelectScriptError):
+            is_fixed = self._is_fixed and self._names.isdisjoint(TIME_COLUMNS)
+            planned = self._planned() if is_fixed else None
             if planned is None or not _is_of_tables(planned[1].plan):
                 return None
-            (query,) = self.execution.read(program.tree).statements
+            (query,) = execution.read(self._program.tree).statements
             is_nested = any(isinstance(part, Query) for part in query.walk() if part is not query)
-            return None if is_nested else self.execution.tables_read(query) | {"entities"}
+            return None if is_nested else execution.tables_read(query) | {"entities"}
         return None
 
-    def _planned(self, program: CompiledProgram) -> Planned | None:
+    def _planned(self) -> Planned | None:
         """Returns the query that a program is, planned; None if its result is no value of rows."""
-        tree = self.execution.read(program.tree)
+        tree = self._execution.read(self._program.tree)
         match tree.statements:
             case [Query(recursion=None) as query] if not tree.explain:
                 clause = query.adapter
                 if clause is not None and (clause.arguments or clause.named):
                     return None
-                frame = Frame(self.execution)
+                frame = Frame(self._execution)
                 form = as_clause_of(query, frame)
                 adapted = self._query_of(query, form.adapter)
-                planned = self.execution.planner.planned(adapted, frame)
+                planned = self._execution.planner.planned(adapted, frame)
                 if planned is not None and form.adapter in VALUES:
                     return adapted, planned, form, frame
         return None
@@ -411,7 +390,7 @@ class FormulaPlanner:
         is_left = plan.outputs is None or plan.may_fail or any(plan.deferred.values())
         value = sources[0].value if len(sources) == 1 else None
         world = frame.value(value) if isinstance(value, Name) else None
-        tables = self.execution.tables_read(query)
+        tables = self._execution.tables_read(query)
         if is_left or not isinstance(world, World) or not tables <= _TABLES:
             raise LeftToDuckDBError
         parameters: dict[str, Slot] = {}
@@ -430,6 +409,14 @@ class FormulaPlanner:
         operations = ArrayOperations(schema)
         select = ArraySelect(plan, schema, operations, slots.leaf, slotted, is_split=False)
         return Formula(world, select, slots.slots, tables, frozenset(slots.columns), planned)
+
+
+def are_fixed(values: Sequence[Any]) -> bool:
+    """Checks whether no value can change without being replaced."""
+    return all(
+        type(value) in ATOMS or type(value) is object or isinstance(value, World | Handle)
+        for value in values
+    )
 
 
 def _slot_of(binding: ParameterBinding, plan: Plan, world: World, frame: Frame) -> Any:

@@ -22,7 +22,7 @@ from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.program import CompiledProgram
 from ssduck.interpreter.triggers.conditions import TriggerConfig, When
 from ssduck.interpreter.triggers.formulas import are_fixed
-from ssduck.interpreter.triggers.tick_batch import TickBatch, TriggerBatches, are_same
+from ssduck.interpreter.triggers.tick_batch import TickBatch, TriggerBatches
 from ssduck.interpreter.triggers.trigger import Trigger, TriggerState, TriggerWarning
 from ssduck.world.world import World
 
@@ -368,14 +368,12 @@ class TriggerRegistry:
         """Returns the worlds that a program reads; all worlds if unknown or none."""
         known, stamp = trigger.worlds, stamp or self._names.stamp
         if known.stamp is not stamp:
-            key = (*self._names.meaning, *self._names.bound_values(trigger.variables))
-            if known.key is None or not are_same(known.key, key):
-                worlds: list[World] | None = None
-                with suppress(RecursionError):  # a list that contains itself
-                    worlds = self._names.worlds_of(trigger.program.tree.statements)
-                known.worlds = list(dict.fromkeys(worlds or ()))
-                known.key = key if are_fixed(key) else None
-            known.stamp = None if known.key is None else stamp
+            worlds: list[World] | None = None
+            with suppress(RecursionError):  # a list that contains itself
+                worlds = self._names.worlds_of(trigger.program.tree.statements)
+            known.worlds = list(dict.fromkeys(worlds or ()))
+            is_fixed = are_fixed(self._names.bound_values(trigger.variables))
+            known.stamp = stamp if is_fixed else None
         return known.worlds or self._names.worlds
 
     def _observe(self, trigger: Trigger) -> Sequence[World]:

@@ -18,7 +18,6 @@ from ssduck.interpreter.triggers.formulas import (
     TIME_COLUMNS,
     Formula,
     FormulaGroup,
-    FormulaPlanner,
     Meaning,
     TableState,
 )
@@ -115,8 +114,7 @@ class TriggerBatches:
     def __init__(
         self, execution: Execution, query_of: Callable[[Query, Adapter], Query] | None
     ) -> None:
-        self._execution = execution
-        self._planner = None if query_of is None else FormulaPlanner(execution, query_of)
+        self._execution, self._query_of = execution, query_of
         self._generation = 0
         self._shapes: WeakKeyDictionary[World, LiveShapes] = WeakKeyDictionary()
         self._last_due: WeakKeyDictionary[World, _DueFormulas] = WeakKeyDictionary()
@@ -156,8 +154,9 @@ class TriggerBatches:
             before.rows = before.state = None
         elif key is not None or before is not None:
             self.forget(trigger)
-        if key is not None and not is_settled and self._planner is not None:
-            trigger.meaning = Meaning(self._planner, trigger.program, trigger.names, key)
+        if key is not None and not is_settled and self._query_of is not None:
+            of_program = trigger.program, trigger.names, key
+            trigger.meaning = Meaning(self._execution, self._query_of, *of_program)
         # What changes at each evaluation is not worth the search for its tables.
         if trigger.meaning is not None and (is_settled or trigger.config.threshold):
             self.note_tables(trigger, worlds[0], ticks[0])
@@ -183,7 +182,7 @@ class TriggerBatches:
         It holds while it has the same objects: the entities of the world, the functions, and the
         variables that the program reads.
         """
-        if trigger.reads is None or len(worlds) != 1 or self._planner is None:
+        if trigger.reads is None or len(worlds) != 1 or self._query_of is None:
             return None
         names = self._execution
         values = names.bound_values(trigger.names)

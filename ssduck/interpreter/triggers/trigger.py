@@ -92,9 +92,8 @@ _CHANGING = IMPURE | {"getTime", "var"}
 class KnownWorlds:
     """The worlds that a program reads."""
 
-    stamp: object = None  # the stamp of the names for which they are known
-    # The values from which they follow; None if these are not known, or may change.
-    key: tuple[Any, ...] | None = None
+    # The stamp of the names for which they are known; None if values that decide them may change.
+    stamp: object = None
     worlds: Sequence[World] = ()  # the worlds; empty if they are not known
 
 
@@ -122,13 +121,15 @@ class Trigger:
         self.variables = tuple(
             sorted(frozenset().union(*map(variables_of, program.tree.statements)))
         )
-        # The worlds that it reads, with the values from which they follow.
+        # The worlds that it reads.
         self.worlds = KnownWorlds()
         # What its program meant when it was last evaluated by itself; None if that failed, or if it
         # is always evaluated by itself.
         self.meaning: Meaning | None = None
         self._busy = threading.Lock()
-        self._schedules: WeakKeyDictionary[World, Schedule] = WeakKeyDictionary()
+        # The times from which its interval counts, and at which it is due, by world, s.
+        self._starts: WeakKeyDictionary[World, float] = WeakKeyDictionary()
+        self._due: WeakKeyDictionary[World, float] = WeakKeyDictionary()
         self._debouncer = Debouncer(config)
         self._log = _Log(config.name)
         self._call: Callable[[Any], object] = _with_errors_logged(callback, self._log)
@@ -165,19 +166,21 @@ class Trigger:
             return math.inf
         if not self.config.interval:
             return -math.inf
-        return self._schedule(world).due
-
-    def _schedule(self, world: World) -> Schedule:
-        schedule = self._schedules.get(world)
-        if schedule is None:
-            schedule = self._schedules[world] = Schedule(world, self.config.interval)
-        return schedule
+        if world not in self._starts:
+            self.reschedule([world])
+        return self._due.get(world, -math.inf)
 
     def reschedule(self, worlds: Sequence[World]) -> None:
-        """Sets the next due time to the next multiple of the interval."""
-        if self.config.interval:  # without one, it is always due
-            for world in worlds:
-                self._schedule(world).reschedule(world)
+        """Sets the next due time to the next multiple of the interval, without drift.
+
+        An interval shorter than a step, 0 included, is due after every step.
+        """
+        interval = self.config.interval
+        for world in worlds if interval else ():
+            start, slack = self._starts.setdefault(world, world.time), world.ticker.slack
+            if interval > slack:
+                count = math.floor((world.time + slack - start) / interval) + 1
+                self._due[world] = start + count * interval
 
     def begin_anew(self) -> None:
         """Takes the next result for the first one, as that of another run or episode."""
@@ -186,9 +189,8 @@ class Trigger:
     def restart(self, world: World) -> None:
         """Counts its interval from now on in a world that it reads, where an episode begins."""
         self.begin_anew()
-        schedule = self._schedules.pop(world, None)
-        if schedule is not None:
-            self._schedule(world).due = world.time  # the first tick of an episode counts
+        if world in self._starts:
+            self._starts[world] = self._due[world] = world.time  # the first tick counts
 
     def resume(self, worlds: Sequence[World]) -> None:
         """Resumes the evaluations at the next multiple of the interval."""
@@ -283,26 +285,6 @@ class TriggerState:
     def interval(self) -> float:
         """The simulated time between two evaluations, s."""
         return self.config.interval
-
-
-class Schedule:
-    """The due times of a trigger in one world: every `interval` seconds, without drift.
-
-    An interval shorter than a step, 0 included, is due after every step.
-    """
-
-    def __init__(self, world: World, interval: float) -> None:
-        self._start = world.time
-        self._interval = interval
-        self.due = -math.inf
-        self.reschedule(world)
-
-    def reschedule(self, world: World) -> None:
-        """Sets the due time to the first multiple of the interval in the future."""
-        if self._interval > world.ticker.slack:
-            elapsed = world.time + world.ticker.slack - self._start
-            count = math.floor(elapsed / self._interval) + 1
-            self.due = self._start + count * self._interval
 
 
 def _names_read_by(program: Program) -> frozenset[str] | None:

@@ -211,3 +211,10 @@ def test_a_program_may_make_a_name_stand_for_another_world(ss, sim, other):
     assert state(ss, "t").evaluations == 1
     other.step(20)
     assert state(ss, "t").evaluations == 3
+
+
+def test_a_program_without_worlds_has_its_first_result():
+    got = []
+    with ssduck.Interpreter() as ss:
+        ss.add_trigger("t", "SELECT this FROM [1, 2] AS list;", 0.1, got.append)
+    assert got == [[1, 2]]
