@@ -56,7 +56,7 @@ class AsClause:
         meter = frame.scope.meter
         if self.adapter.writes and not meter.limits.files:
             raise LimitError(f"AS {self.name}: files are switched off here", span=self.span)
-        check = check_columns if self.adapter.needs == "columns" else _accept_columns
+        check = check_columns if self.adapter.needs == "columns" else accept_columns
         worlds = partial(_source_worlds, query, frame)
 
         def read(count: int | None) -> Rows:
@@ -151,10 +151,16 @@ def _together(selected: Selected) -> Rows:
         assert isinstance(selected, Rows)
         return selected
     groups = [_together(group) for group in selected.groups.values()]
-    names = (groups or [selected.empty])[0].names
-    if any(group.names != names for group in groups):
-        names = [name for group in groups for name in group.names]
-    return Rows([row for group in groups for row in group.values], names)
+    return joined_rows(groups or [selected.empty])
+
+
+def joined_rows(parts: Sequence[Rows]) -> Rows:
+    """Returns rows one after the other; the names of columns may differ from row to row."""
+    values = [row for part in parts for row in part.values]
+    if not any(isinstance(part.names, list) for part in parts):
+        return Rows(values, parts[0].names)
+    names = (p.names if isinstance(p.names, list) else [p.names] * len(p.values) for p in parts)
+    return Rows(values, [each for part in names for each in part])
 
 
 def _scalar(rows: Rows, query: Query) -> Any:
@@ -255,5 +261,5 @@ def _is_of_links(source: Node) -> bool:
     return isinstance(source, Call) and source.name in ("links", "sites")
 
 
-def _accept_columns(_: object) -> None:
+def accept_columns(_: object) -> None:
     """Accepts any columns, also two of one name."""

@@ -86,10 +86,6 @@ class EnvironmentColumns:
             raise LeftToDuckDBError
         return body, link_of(id) if id >= LINK_FACTOR else 0
 
-    def poses(self, body: Body, link: int) -> tuple[Array, Array]:
-        """Returns the positions (n, 3) and the orientations (n, 4) of a link."""
-        return self._world.environments.frames(body, link)
-
     def _boxes(self, id: int, body: Body, link: int) -> Array:
         """Returns the boxes of an entity or a link, (n, 6)."""
         shapes = [s for s in body.shapes if id < LINK_FACTOR or s.frame == link]

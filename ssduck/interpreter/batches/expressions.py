@@ -173,7 +173,7 @@ class Leaves:
         """Notes a value that is the same in all environments."""
         value = to_sql(value)
         is_list = isinstance(value, list)
-        if is_list and not _are_numbers(value):
+        if is_list and not (value and set(map(type, value)) <= {float, int}):
             raise LeftToDuckDBError
         array = np.array([[value]], dtype=np.float64 if is_list else None)
         self.note(key, "list" if is_list else kind_of(value), lambda _: array)
@@ -399,7 +399,3 @@ def _sql_parts(node: Node, planned: PlannedQuery) -> dict[Node, exp.Expr]:
         for part, output in parts.items()
         if output.sql_type.type in PLAIN
     }
-
-
-def _are_numbers(values: Sequence[Any]) -> bool:
-    return bool(values) and set(map(type, values)) <= {float, int}

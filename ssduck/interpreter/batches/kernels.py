@@ -111,7 +111,7 @@ class EnvironmentShapes:
     def _link_poses(self, environments: Indices, rows: Indices, id: int, link: int) -> Array:
         """Returns the poses of a link in the environments of some rows, (rows, 7)."""
         body, _ = self._columns.body_of(id)
-        poses = self._columns.poses(body, link)
+        poses = self._world.environments.frames(body, link)
         return np.hstack([part[environments[rows]] for part in poses])
 
     def _add(self, id: int) -> None:

@@ -15,7 +15,7 @@ from ssduck.world.batches.batch_world import BatchWorld
 
 if TYPE_CHECKING:
     from ssduck.interpreter.batches.evaluator import BatchExpressions
-    from ssduck.interpreter.batches.programs import BatchPrograms
+    from ssduck.interpreter.batches.queries import BatchPrograms
 
 
 class BatchTerms(Protocol):
@@ -36,7 +36,7 @@ class Batches:
     def begin(self) -> None:
         """Prepares for programs over batches, one of which was bound to a variable."""
         from ssduck.interpreter.batches.columns import batch_table
-        from ssduck.interpreter.batches.programs import BatchPrograms
+        from ssduck.interpreter.batches.queries import BatchPrograms
 
         if self.programs is None:
             self.programs = BatchPrograms(self._execution)

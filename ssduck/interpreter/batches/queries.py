@@ -1,10 +1,14 @@
-"""Queries over a batch: their rows are those of each environment, one after the other."""
+"""Runs programs over a batch: an expression, or a query.
+
+The rows of a query are those of each environment, one after the other.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeAlias
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -23,10 +27,13 @@ from ssduck.interpreter.batches.evaluator import (
 from ssduck.interpreter.batches.expressions import Engine, meaning_of
 from ssduck.interpreter.batches.rows import BatchRows
 from ssduck.interpreter.execution import Execution
-from ssduck.interpreter.output import AsClause, as_clause_of
+from ssduck.interpreter.output import AsClause, accept_columns, as_clause_of, joined_rows
+from ssduck.language.analysis import calls_of, variables_of
 from ssduck.language.clauses import Groups, Paths, Rows, Selected
 from ssduck.language.evaluator import Frame
-from ssduck.language.tree import Call, ListLiteral, Literal, Name, Node, Query
+from ssduck.language.tree import Call, ListLiteral, Literal, Name, Node, Program, Query
+from ssduck.world.batches.batch_world import BatchWorld
+from ssduck.world.handles import Handle
 
 
 class BatchQuery:
@@ -68,7 +75,7 @@ class BatchQuery:
     def _value_of_each(self, form: AsClause) -> Array:
         """Returns the result of a form for the rows of each environment, (n,)."""
         values = []
-        for own in self._selected(_accept_columns):
+        for own in self._selected(accept_columns):
             frame = Frame(self._execution)
             values.append(form.value(self._query, frame, lambda *_, own=own: own))
         return without_unknown(answers_of(values), "the query")
@@ -167,27 +174,14 @@ class BatchQuery:
 def _together(parts: Sequence[Rows | Groups]) -> Rows | Groups:
     """Returns the rows of all environments, those of a group by its key."""
     if not isinstance(parts[0], Groups):
-        return _joined([part for part in parts if isinstance(part, Rows)])
+        return joined_rows([part for part in parts if isinstance(part, Rows)])
     groups: dict[str, list[Rows]] = {}
     for part in parts:
         assert isinstance(part, Groups)
         for key, rows in part.groups.items():
             assert isinstance(rows, Rows)
             groups.setdefault(key, []).append(rows)
-    return Groups({key: _joined(rows) for key, rows in groups.items()}, parts[0].empty)
-
-
-def _joined(parts: Sequence[Rows]) -> Rows:
-    """Returns rows one after the other; the names of columns may differ from row to row."""
-    values = [row for part in parts for row in part.values]
-    if not any(isinstance(part.names, list) for part in parts):
-        return Rows(values, parts[0].names)
-    names = (p.names if isinstance(p.names, list) else [p.names] * len(p.values) for p in parts)
-    return Rows(values, [each for part in names for each in part])
-
-
-def _accept_columns(_: object) -> None:
-    """Accepts any columns."""
+    return Groups({key: joined_rows(rows) for key, rows in groups.items()}, parts[0].empty)
 
 
 def _is_row(query: Query) -> bool:
@@ -198,3 +192,85 @@ def _is_row(query: Query) -> bool:
         return False
     (source,) = query.sources
     return isinstance(source.value, ListLiteral) and len(source.value.items) == 1
+
+
+_Compiled: TypeAlias = BatchExpressions | BatchQuery
+
+
+class BatchPrograms:
+    """Programs over batches, compiled when they are evaluated first."""
+
+    def __init__(self, execution: Execution) -> None:
+        self._execution = execution
+        # By the schemas of their batches.
+        self._engines: dict[str, Engine] = {}
+        # Each with the object that is replaced when names get other meanings.
+        self._compiled: WeakKeyDictionary[Program, tuple[object, _Compiled]] = WeakKeyDictionary()
+
+    def batch_of(self, program: Program) -> BatchWorld | None:
+        """Returns the batch that a program reads; None if it reads none."""
+        names = frozenset().union(*map(variables_of, program.statements))
+        values = [self._execution.variable_or_none(name) for name in names]
+        if any("getTime" in calls_of(statement) for statement in program.statements):
+            values += self._execution.worlds[:1]  # whose time it is
+        values = [value.world if isinstance(value, Handle) else value for value in values]
+        batches = list({id(v): v for v in values if isinstance(v, BatchWorld)}.values())
+        if len(batches) > 1:
+            raise UnsupportedError("a program reads one batch: evaluate one for each")
+        return batches[0] if batches else None
+
+    def value(self, program: Program, world: BatchWorld) -> Any:
+        """Returns the value of a program over a batch."""
+        execution = self._execution
+        with execution.transaction(program), world.lock:
+            if program.explain:
+                with world.at(0):
+                    return execution.explanation(program)
+            generation, compiled = self._compiled.get(program, (None, None))
+            is_same = generation is execution.planner.generation
+            if compiled is None or not (is_same and compiled.has_same_arrays()):
+                compiled = self._made(program, world)
+                self._compiled[program] = execution.planner.generation, compiled
+            if isinstance(compiled, BatchQuery):
+                return compiled.value()
+            (answers,) = compiled.answers()
+            return world.given_back(without_unknown(answers, repr(program.text.strip())))
+
+    def terms(self, nodes: Sequence[Node], world: BatchWorld) -> BatchExpressions:
+        """Returns expressions over all environments of a batch, checked in one."""
+        expressions = BatchExpressions(self._execution, self._engine_of(world), nodes)
+        expressions.check()
+        return expressions
+
+    def report(self, program: Program, world: BatchWorld) -> None:
+        """Reports the probable mistakes in an expression or a query over a batch."""
+        (node,) = self._execution.read(program).statements
+        with world.at(0):
+            self._execution.report(self._execution.mistakes(program.text, node))
+
+    def forget(self) -> None:
+        """Forgets compiled programs: a name means another batch."""
+        self._engines.clear()
+        self._compiled.clear()
+
+    def _engine_of(self, world: BatchWorld) -> Engine:
+        schema = self._execution.database.schema_of(world)
+        engine = self._engines.get(schema)
+        if engine is None or engine.world is not world:
+            engine = self._engines[schema] = Engine(world, schema)
+        return engine
+
+    def _made(self, program: Program, world: BatchWorld) -> _Compiled:
+        """Compiles a program, which has to be one expression or query."""
+        execution = self._execution
+        read = execution.read(program)
+        if len(read.statements) != 1:
+            raise UnsupportedError(
+                "over a batch, a program is one expression or query: set variables with "
+                "add_variable"
+            )
+        (node,) = read.statements
+        self.report(program, world)
+        if isinstance(node, Query):
+            return BatchQuery(execution, self._engine_of(world), node)
+        return self.terms([node], world)

@@ -6,6 +6,7 @@ The sources of a query are combined within each environment alone.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -237,7 +238,10 @@ class BatchRows:
 
         operations, leaf = engine.operations, self.leaves.expression
         self._select = ArraySelect(plan, engine.schema, operations, leaf, renamed, is_split=True)
-        self._selection = _selection(plan)
+        # What applies the clauses to all environments; None to apply them in each.
+        self._selection: Selection | None = None
+        with suppress(LeftToDuckDBError):
+            self._selection = Selection(plan)
         self._constants = [] if self._selection is None else self._selection.constants
         self._constant_values = CompiledExpressions(
             engine, execution, self._constants, frame.placeholders
@@ -360,13 +364,6 @@ class BatchRows:
         left[environments[unknown]] = True
         known = [values for values in found if values is not None]
         return known if len(known) == len(found) else None
-
-
-def _selection(plan: Plan) -> Selection | None:
-    try:
-        return Selection(plan)
-    except LeftToDuckDBError:
-        return None
 
 
 def _without_searches(query: Query) -> Query:
