@@ -12,11 +12,11 @@ from sqlglot import exp
 
 from ssduck import validation
 from ssduck.errors import ArgumentError, SourceSpan
-from ssduck.interpreter.lint.columns import is_comparison
 from ssduck.interpreter.lint.foregone import ANGLES
 from ssduck.interpreter.lint.scope import Check, Scope
 from ssduck.interpreter.lint.suspect_values import (
     Comparison,
+    is_comparison,
     is_hidden,
     kind_of_relation,
     site_of,

@@ -16,8 +16,8 @@ from typing import Any, TypeAlias
 
 from ssduck import validation
 from ssduck.errors import ArgumentError, SelectScriptError
-from ssduck.interpreter.lint.columns import COMPARISONS
 from ssduck.interpreter.lint.scope import Check, Scope
+from ssduck.interpreter.lint.suspect_values import COMPARISONS
 from ssduck.interpreter.over_time.functions import operator_of
 from ssduck.language.analysis import OVER_TIME, is_impure
 from ssduck.language.builtins import BUILTINS
@@ -177,7 +177,7 @@ def conclusions(statement: Node, longest: float = math.inf) -> Iterator[Foregone
     """
     for root in _roots(statement):
         if not is_impure(root):
-            comparisons = {id(leaf): _comparison(leaf) for leaf in _leaves(root)}
+            comparisons = {id(leaf): _comparison(leaf) for leaf in leaves(root)}
             if len(comparisons) <= _MAX_COMPARISONS:
                 yield from _Condition(comparisons, longest).smallest(root, is_whole=True)
 
@@ -186,7 +186,7 @@ def _roots(node: Node) -> Iterator[Node]:
     """Yields the conditions in a part of a statement that are no parts of others."""
     if _parts(node) or _is_comparison(node):
         yield node
-        inner = [child for leaf in _leaves(node) for child in leaf.children()]
+        inner = [child for leaf in leaves(node) for child in leaf.children()]
     else:
         inner = list(node.children())
     for child in inner:
@@ -210,11 +210,11 @@ def _is_comparison(node: Node) -> bool:
     return is_bounded or (isinstance(node, Binary) and node.operator in COMPARISONS)
 
 
-def _leaves(node: Node) -> Iterator[Node]:
+def leaves(node: Node) -> Iterator[Node]:
     """Yields the conditions in a condition that join no others."""
     parts = _parts(node)
     for part in parts:
-        yield from _leaves(part)
+        yield from leaves(part)
     if not parts:
         yield node
 
@@ -300,7 +300,7 @@ class _Condition:
     def _decided(self, node: Node) -> Foregone | None:
         """Returns what is told of a condition whose value one of its quantities cannot change."""
         compared: dict[str, list[_Comparison]] = {}
-        for leaf in _leaves(node):
+        for leaf in leaves(node):
             comparison = self.comparisons[id(leaf)]
             compared.setdefault(comparison.key, []).append(comparison)
         places = {key: _places(own) for key, own in compared.items()}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from functools import partial
 from typing import Any
 
@@ -12,9 +12,8 @@ import numpy as np
 from ssduck import validation
 from ssduck.errors import ArgumentError, SelectScriptError, SourceSpan
 from ssduck.formatting import name_path
-from ssduck.interpreter.lint.columns import is_comparison
 from ssduck.interpreter.lint.scope import Check, Scope, entity_of, worlds_of
-from ssduck.interpreter.lint.suspect_values import VECTORS
+from ssduck.interpreter.lint.suspect_values import VECTORS, Sources, is_comparison, sources_in
 from ssduck.language.analysis import OVER_TIME, TEMPORAL_OPERATORS
 from ssduck.language.tree import (
     AdapterClause,
@@ -260,16 +259,11 @@ _ASKED = CARRIED | _PLACED
 _NAMES = ("id", "name")
 
 
-def _row_roles(
-    node: Node, sources: Mapping[str | None, Source], where: Node | None
-) -> Iterator[Check]:
+def _row_roles(node: Node, sources: Sources, where: Node | None) -> Iterator[Check]:
     """Yields the checks of such relations of each row of a query, whose roles may be swapped."""
-    inside: Mapping[str | None, Source] = sources
+    inside = sources
     if isinstance(node, Query):
-        where = node.where
-        inside = {alias: source for alias, source in sources.items() if alias is not None}
-        inside.update((source.alias, source) for source in node.sources)
-        inside.update((None, source) for source in node.sources if len(node.sources) == 1)
+        where, inside = node.where, sources_in(node, sources)
     match node:
         case Call(name=name, arguments=(This() as row, other, *_)) if name in _ASKED:
             source = inside[row.alias].value if row.alias in inside else None

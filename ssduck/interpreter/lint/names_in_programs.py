@@ -5,7 +5,7 @@ A variable that hides a function, a text in the place of a name, a name that no 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -13,8 +13,9 @@ from typing import Any
 
 from ssduck.errors import ArgumentError, SelectScriptError, SourceSpan
 from ssduck.formatting import short_repr
-from ssduck.interpreter.lint.columns import is_comparison, unnamed
+from ssduck.interpreter.lint.foregone import leaves
 from ssduck.interpreter.lint.scope import Check, Scope, worlds_of
+from ssduck.interpreter.lint.suspect_values import Sources, is_comparison, sources_in, unnamed
 from ssduck.interpreter.over_time.expansions import EXPANSIONS
 from ssduck.language.analysis import OVER_TIME, states
 from ssduck.language.tree import (
@@ -148,16 +149,10 @@ def _condition_names(nodes: Iterable[Node]) -> Iterator[tuple[Name, tuple[str, .
 
     Each has the names that it is compared with: where all are variables, no row has a part in it.
     """
-    for node in nodes:
+    for node in (leaf for whole in nodes for leaf in leaves(whole)):
         match node:
             case Name():
                 yield node, ()
-            case Binary(operator="AND" | "OR" | "XOR", left=left, right=right):
-                yield from _condition_names((left, right))
-            case OperatorChain(operators=("AND" | "OR" | "XOR", *_), operands=operands):
-                yield from _condition_names(operands)
-            case Unary(operator="NOT", operand=operand):
-                yield from _condition_names((operand,))
             case Binary(left=left, right=right):
                 for side, other in ((left, right), (right, left)):
                     names = _names_in(other)
@@ -198,9 +193,6 @@ class _NameSite:
     element: Node | None = None
 
 
-_Sources = Mapping[str | None, Source]
-
-
 def unknown_names(statement: Node) -> Iterator[Check]:
     """Yields the checks of names that no entity may have."""
     sites = tuple(_name_sites(statement, {}))
@@ -216,12 +208,12 @@ def unknown_names(statement: Node) -> Iterator[Check]:
         yield partial(_not_yet_known, members)
 
 
-def _name_sites(node: Node, sources: _Sources) -> Iterator[_NameSite]:
+def _name_sites(node: Node, sources: Sources) -> Iterator[_NameSite]:
     """Yields the comparisons of names; `sources` by alias, None for the only one."""
     match node:
         case Query():
-            outside: _Sources = {a: source for a, source in sources.items() if a is not None}
-            inside = _sources_in(node, sources)
+            outside: Sources = {a: source for a, source in sources.items() if a is not None}
+            inside = sources_in(node, sources)
             for child in node.children():
                 yield from _name_sites(child, outside if isinstance(child, Source) else inside)
             return
@@ -234,21 +226,14 @@ def _name_sites(node: Node, sources: _Sources) -> Iterator[_NameSite]:
                 yield from _compared(left, values, sources)
             match right:
                 case Query(items=(item,), adapter=AdapterClause(name="list"), recursion=None):
-                    yield from _compared(item, (left,), _sources_in(right, sources))
+                    yield from _compared(item, (left,), sources_in(right, sources))
             for item in right.items if isinstance(right, ListLiteral) else ():
                 yield from _compared(item, (left,), sources)
     for child in node.children():
         yield from _name_sites(child, sources)
 
 
-def _sources_in(query: Query, sources: _Sources) -> _Sources:
-    """Returns the sources that a query's clauses see."""
-    own: dict[str | None, Source] = {s.alias: s for s in query.sources if s.alias is not None}
-    inside = {alias: source for alias, source in sources.items() if alias is not None} | own
-    return inside | {None: query.sources[0]} if len(query.sources) == 1 else inside
-
-
-def _compared(side: Node, values: Iterable[Node], sources: _Sources) -> Iterator[_NameSite]:
+def _compared(side: Node, values: Iterable[Node], sources: Sources) -> Iterator[_NameSite]:
     element: Node | None = None
     match side:
         case Call(name=name, arguments=(This(alias=alias),)) if name in _NAME_FUNCTIONS:

@@ -10,16 +10,15 @@ from collections.abc import Iterable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 from typing import Literal as OneOf
 
 from ssduck import validation
 from ssduck.errors import ArgumentError, SelectScriptError, SourceSpan
 from ssduck.formatting import argument_in_words
-from ssduck.interpreter.lint.columns import column_of, first_rows, unnamed
 from ssduck.interpreter.lint.scope import Check, Scope, spelled, spelled_id
 from ssduck.language.aggregates import is_grouped, over_rows
-from ssduck.language.analysis import states
+from ssduck.language.analysis import free_aliases, states
 from ssduck.language.builtins import EXTREMES
 from ssduck.language.tree import (
     Binary,
@@ -51,6 +50,8 @@ class _Elements(Node):
     name: str
 
 
+# The operators that compare two values.
+COMPARISONS = frozenset(("<", "<=", ">", ">=", "==", "!=", "IN"))
 Kind = OneOf["number", "text", "boolean", "entity", "list"]
 # The largest number of rows of a variable that are looked at.
 MAX_ROWS = 1000
@@ -67,12 +68,18 @@ VECTORS = frozenset(
     name for name, one in RELATIONS.items() if one.result == "list" and one.element == "double"
 )
 _COORDINATES = 3
+Sources: TypeAlias = Mapping[str | None, Source]
 # What to write for a second argument that is no age.
 _INSTEAD_OF_AGE = {
     **{name: f"of two numbers write {list_one}([a, b])" for name, list_one in EXTREMES.items()},
     "holds": "the time for which a condition has held is heldFor(condition) >= 0.2",
     "changes": "the value at a time is at(0.2, expression)",
 }
+
+# Two names of one relation.
+_SYNONYMS = {"name": "id", "kind": "type"}
+# Keys that only one entity has.
+_UNIQUE = frozenset(("id", "obj", "this"))
 
 
 @dataclass(frozen=True)
@@ -131,6 +138,82 @@ def _vector_of(node: Node) -> str:
         case Binary(operator="-", left=left, right=right):
             return _vector_of(left) or _vector_of(right)
     return ""
+
+
+# -- columns --------------------------------------------------------------------------------------
+
+
+def is_comparison(node: Node) -> bool:
+    """Checks whether a part compares two values."""
+    return isinstance(node, Binary) and node.operator in COMPARISONS
+
+
+def column_of(node: Node) -> tuple[str | None, str, bool] | None:
+    """Returns the alias and the name of a column, and whether a variable may hide it."""
+    match node:
+        case Name(name=name):
+            return None, name, True
+        case QualifiedName(alias=alias, key=name):
+            return alias, name, False
+        case Call(name=name, arguments=(This(alias=alias),)):
+            return alias, name, False
+        case Index(base=This(alias=alias), indices=(Literal(value=str() as name),)):
+            return alias, name, False
+    return None
+
+
+def unnamed(item: Node) -> Node:
+    """Returns the value of a column that AS or `to` names."""
+    is_named = isinstance(item, Call) and item.name == "to" and item.arguments
+    return item.arguments[0] if is_named else item  # type: ignore[attr-defined]
+
+
+def first_rows(query: Query) -> Iterator[tuple[str, SourceSpan]]:
+    """Yields the columns beside an aggregate of a group that are of the group's first row."""
+    if not query.group or query.recursion is not None or not any(map(over_rows, query.items)):
+        return
+    columns = [unnamed(item) for item in query.items]
+    names = {name: value for name, value in map(_named, query.items) if name}
+    keys = {_printed(key, query) for key in query.group}
+    keys |= {_printed(value, query) for name, value in names.items() if name in keys}
+    if keys & _UNIQUE:
+        return
+    for value in columns:
+        is_of_row = isinstance(value, Name) or bool(free_aliases(value))
+        if is_of_row and not over_rows(value) and not _is_of_keys(value, keys, query):
+            yield value.name if isinstance(value, Name) else "", value.span
+
+
+def _named(item: Node) -> tuple[str, Node]:
+    match item:
+        case Call(name="to", arguments=(value, Literal(value=str() as name))):
+            return name, value
+    return "", item
+
+
+def _is_of_keys(node: Node, keys: set[str], query: Query) -> bool:
+    """Checks whether a value follows from the keys of its group."""
+    if _printed(node, query) in keys:
+        return True
+    column = column_of(node)
+    if column is not None:
+        return not keys.isdisjoint((f"{column[0]}.id", f"{column[0]}.this"))
+    if isinstance(node, Query | This):
+        return False
+    return all(_is_of_keys(child, keys, query) for child in node.children())
+
+
+def _printed(node: Node, query: Query) -> str:
+    """Returns a column as one word, `a.z`; another value as its outline."""
+    is_only = len(query.sources) == 1
+    if isinstance(node, This):
+        return "this" if is_only or node.alias is None else f"{node.alias}.this"
+    column = column_of(node)
+    if column is None:
+        return node.outline()
+    alias, name, _ = column
+    name = _SYNONYMS.get(name, name)
+    return name if is_only or alias is None else f"{alias}.{name}"
 
 
 # -- comparisons --------------------------------------------------------------------------------
@@ -206,7 +289,7 @@ def site_of(
     if column is None:
         return None
     alias, name, is_bare = column
-    source = _source(query, alias)
+    source = sources_in(query, {}).get(alias)
     if source is None:
         return None
     return Comparison(source, name, is_bare, values, holds_of_missing=False, span=span)
@@ -224,10 +307,11 @@ def _values(node: Node, operator: str, names: AbstractSet[str]) -> tuple[Node, .
     )
 
 
-def _source(query: Query, alias: str | None) -> Source | None:
-    if alias is None:
-        return query.sources[0] if len(query.sources) == 1 else None
-    return next((source for source in query.sources if source.alias == alias), None)
+def sources_in(query: Query, around: Sources) -> Sources:
+    """Returns the sources that a query's clauses see, by alias; the only one by None, too."""
+    inside = {alias: source for alias, source in around.items() if alias is not None}
+    inside |= {source.alias: source for source in reversed(query.sources) if source.alias}
+    return {**inside, None: query.sources[0]} if len(query.sources) == 1 else inside
 
 
 # -- what is a mistake ----------------------------------------------------------------------------
