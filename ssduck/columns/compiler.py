@@ -244,29 +244,21 @@ class Compiler:
         return self._constant(*literal_of(sql))
 
     def _number(self, sql: exp.Expr, kinds: tuple[Kind, ...] = NUMBERS) -> Expression:
-        part = self.expression(sql)
-        if part.kind not in kinds:
-            raise LeftToDuckDBError
-        return part
+        return checked(self.expression(sql), kinds)
 
     def integer(self, sql: exp.Expr) -> Compute:
         """Returns an integer as a function."""
         return self._number(sql, ("integer",)).compute
 
     def _boolean(self, sql: exp.Expr) -> Expression:
-        part = self.expression(sql)
-        if part.kind != "boolean":
-            raise LeftToDuckDBError
-        return part
+        return checked(self.expression(sql), ("boolean",))
 
     def _double(self, sql: exp.Expr) -> Expression:
-        part = self._number(sql)
-        return part if part.kind == "double" else self.applied("double", "double", part)
+        return double(self._operations, self.expression(sql))
 
     def applied(self, kind: Kind, name: str, *parts: Expression) -> Expression:
         """Returns the value of a function or an operator, by its name."""
-        computes = [part.compute for part in parts]
-        return joined(kind, self._operations.applied(name, *computes), *parts)
+        return applied(self._operations, kind, name, *parts)
 
     def _arithmetic(self, sql: exp.Expr) -> Expression:
         """Returns a sum, a difference or a product of which one operand is a double."""
@@ -304,9 +296,7 @@ class Compiler:
         first, operations = self._boolean(sql.this), self._operations
         if isinstance(sql, exp.Not):
             return self.applied("boolean", "not", first)
-        second = self._unless_unknown(sql.expression)
-        if second.kind != "boolean":
-            raise LeftToDuckDBError
+        second = checked(self._unless_unknown(sql.expression), ("boolean",))
         combine = operations.both if isinstance(sql, exp.And) else operations.either
         return joined("boolean", combine(first, second), first, second)
 
@@ -354,9 +344,7 @@ class Compiler:
         is_counted = isinstance(place, exp.Literal) and place.name.isdecimal() and place.name != "0"
         if not (isinstance(whole, exp.Parameter) and is_counted):
             raise LeftToDuckDBError
-        part = self.expression(whole)
-        if part.kind != "list":
-            raise LeftToDuckDBError
+        part = checked(self.expression(whole), ("list",))
         return Expression("double", self._operations.element(part.compute, int(place.name) - 1))
 
     def _call(self, sql: exp.Anonymous) -> Expression:
@@ -376,6 +364,24 @@ class Compiler:
 def joined(kind: Kind, compute: Compute, *parts: Expression) -> Expression:
     """Returns an expression of some parts."""
     return Expression(kind, compute, has_calls=any(part.has_calls for part in parts))
+
+
+def checked(part: Expression, kinds: tuple[Kind, ...]) -> Expression:
+    """Returns an expression whose type has to be one of some."""
+    if part.kind not in kinds:
+        raise LeftToDuckDBError
+    return part
+
+
+def applied(operations: Operations, kind: Kind, name: str, *parts: Expression) -> Expression:
+    """Returns the value of a function or an operator, by its name."""
+    return joined(kind, operations.applied(name, *[part.compute for part in parts]), *parts)
+
+
+def double(operations: Operations, part: Expression) -> Expression:
+    """Returns a number as a double."""
+    is_double = checked(part, NUMBERS).kind == "double"
+    return part if is_double else applied(operations, "double", "double", part)
 
 
 def literal_of(sql: exp.Literal) -> tuple[Kind, Any]:

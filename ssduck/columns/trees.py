@@ -18,6 +18,9 @@ from ssduck.columns.compiler import (
     Expression,
     Kind,
     LeftToDuckDBError,
+    applied,
+    checked,
+    double,
     joined,
 )
 from ssduck.language.builtins import EXTREMES_OF_MARGINS, MARGIN_OF_TRUTH, UNIT_OF_SCALE
@@ -82,15 +85,15 @@ class TreeCompiler:
                 return Expression(kind_of(value), self.operations.constant(value))
             case ListLiteral(items=items):
                 parts = [self._double(item) for item in items]
-                return joined("list", self.operations.listed(self._computes(parts)), *parts)
+                return joined("list", self.operations.listed(_computes(parts)), *parts)
             case Index(base=base, indices=(Literal(value=int() as index),)) if index >= 0:
                 whole = self._of_kind(base, "list")
                 return joined("double", self.operations.element(whole.compute, index), whole)
             case Unary(operator=word, operand=operand) if word.lower() == "not":
-                return self._applied("boolean", "not", self._of_kind(operand, "boolean"))
+                return applied(self.operations, "boolean", "not", self._of_kind(operand, "boolean"))
             case Unary(operator="-", operand=operand):
-                part = self._number(operand)
-                return self._applied(part.kind, "negative", part)
+                part = checked(self.of(operand), NUMBERS)
+                return applied(self.operations, part.kind, "negative", part)
             case Binary(operator=word, left=left, right=right):
                 return self._binary(word.lower(), self.of(left), self.of(right))
             case OperatorChain(operators=words, operands=operands):
@@ -105,43 +108,25 @@ class TreeCompiler:
         raise LeftToDuckDBError
 
     def _of_kind(self, node: Node, kind: Kind) -> Expression:
-        part = self.of(node)
-        if part.kind != kind:
-            raise LeftToDuckDBError
-        return part
-
-    def _number(self, node: Node) -> Expression:
-        part = self.of(node)
-        if part.kind not in NUMBERS:
-            raise LeftToDuckDBError
-        return part
+        return checked(self.of(node), (kind,))
 
     def _double(self, node: Node) -> Expression:
-        return self._as_double(self._number(node))
-
-    def _as_double(self, part: Expression) -> Expression:
-        return part if part.kind == "double" else self._applied("double", "double", part)
-
-    def _applied(self, kind: Kind, name: str, *parts: Expression) -> Expression:
-        """Returns the value of a function or an operator of numbers or conditions."""
-        return joined(kind, self.operations.applied(name, *self._computes(parts)), *parts)
+        return double(self.operations, self.of(node))
 
     def _binary(self, word: str, left: Expression, right: Expression) -> Expression:
         operations, parts = self.operations, [left, right]
         if word in ("and", "or"):
-            if {left.kind, right.kind} != {"boolean"}:
-                raise LeftToDuckDBError
+            left, right = checked(left, ("boolean",)), checked(right, ("boolean",))
             combine = operations.both if word == "and" else operations.either
             return joined("boolean", combine(left, right), *parts)
-        if left.kind not in NUMBERS or right.kind not in NUMBERS:
-            raise LeftToDuckDBError
+        left, right = checked(left, NUMBERS), checked(right, NUMBERS)
         if word in _COMPARISONS:
-            return self._applied("boolean", _COMPARISONS[word], left, right)
+            return applied(self.operations, "boolean", _COMPARISONS[word], left, right)
         if "double" not in (left.kind, right.kind):
             raise LeftToDuckDBError
-        first, second = map(self._as_double, parts)
+        first, second = double(operations, left), double(operations, right)
         if word in _ARITHMETIC:
-            return self._applied("double", _ARITHMETIC[word], first, second)
+            return applied(self.operations, "double", _ARITHMETIC[word], first, second)
         if word != "/":
             raise LeftToDuckDBError
         return joined("double", operations.quotient(first.compute, second.compute), *parts)
@@ -150,14 +135,9 @@ class TreeCompiler:
         holds = self._of_kind(condition, "boolean")
         first, second = self.of(then), self.of(otherwise)
         if first.kind != second.kind:
-            first, second = self._as_number(first), self._as_number(second)
+            first, second = double(self.operations, first), double(self.operations, second)
         compute = self.operations.case([(holds.compute, first.compute)], second.compute)
         return replace(joined(first.kind, compute, holds, first, second), has_calls=True)
-
-    def _as_number(self, part: Expression) -> Expression:
-        if part.kind not in NUMBERS:
-            raise LeftToDuckDBError
-        return self._as_double(part)
 
     def _call(self, name: str, arguments: Sequence[Node]) -> Expression:
         """Returns a call of a function of numbers."""
@@ -171,22 +151,21 @@ class TreeCompiler:
         if name == UNIT_OF_SCALE:  # what is not above 0 is left to others, as a quotient by 0 is
             unit = self._double(arguments[0])
             is_above = self._binary(">", unit, self.of(Literal(arguments[0].span, 0)))
-            divisor = self._applied("double", "double", is_above)
-            return joined(
-                "double", self.operations.quotient(unit.compute, divisor.compute), unit, divisor
-            )
+            divisor = applied(self.operations, "double", "double", is_above)
+            compute = operations.quotient(unit.compute, divisor.compute)
+            return joined("double", compute, unit, divisor)
         if name == "int" and self.of(arguments[0]).kind == "boolean":
-            return self._applied("integer", "integer", self.of(arguments[0]))
+            return applied(self.operations, "integer", "integer", self.of(arguments[0]))
         parts = [self._double(argument) for argument in arguments]
         if name in _NUMBER_FUNCTIONS and len(parts) == 1:
-            return self._applied("double", name, *parts)
+            return applied(self.operations, "double", name, *parts)
         if name in ("atan2", "pow"):
-            return self._applied("double", "power" if name == "pow" else name, *parts)
+            return applied(self.operations, "double", "power" if name == "pow" else name, *parts)
         if name == "float":
             return parts[0]
         if name != "clip":
             raise LeftToDuckDBError
-        number, low, high = self._computes(parts)
+        number, low, high = _computes(parts)
         above = operations.extreme(operator.gt, [number, low])
         return joined("double", operations.extreme(operator.lt, [above, high]), *parts)
 
@@ -195,7 +174,7 @@ class TreeCompiler:
         if isinstance(argument, ListLiteral) and argument.items and name in ("min", "max"):
             parts = [self._double(item) for item in argument.items]
             compare = operator.lt if name == "min" else operator.gt
-            compute = self.operations.extreme(compare, self._computes(parts))
+            compute = self.operations.extreme(compare, _computes(parts))
             return joined("double", compute, *parts)
         part = self._of_kind(argument, "list")
 
@@ -218,9 +197,9 @@ class TreeCompiler:
 
         return joined("double", compute_list, part)
 
-    @staticmethod
-    def _computes(parts: Sequence[Expression]) -> list[Compute]:
-        return [part.compute for part in parts]
+
+def _computes(parts: Sequence[Expression]) -> list[Compute]:
+    return [part.compute for part in parts]
 
 
 def _sum(lists: Array) -> Array:
