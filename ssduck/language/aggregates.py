@@ -120,11 +120,7 @@ class GroupFunction:
             name = f"aggregate {len(self._aggregates)}"
             self._aggregates.append((name, call, compiler.thunk(call.arguments[0])))
             placeholders[call] = Placeholder(call.span, name)
-        self._value = (
-            compiler.thunk(node.replaced(placeholders.get))
-            if placeholders
-            else compiler.thunk(node)
-        )
+        self._value = compiler.thunk(node.replaced(placeholders.get))
 
     def __call__(self, rows: Sequence[Frame], outer: Frame) -> Any:
         """Returns the value for a group."""

@@ -86,12 +86,10 @@ def cached_by_node(function: Callable[[Node], T]) -> Callable[[Node], T]:
 @cached_by_node
 def free_aliases(node: Node) -> frozenset[str | None]:
     """Returns the aliases whose `this` a part mentions, and that no query in it has as a source."""
-    if isinstance(node, This):
+    if isinstance(node, This | QualifiedName):
         return frozenset((node.alias,))
     if isinstance(node, UnresolvedName):
         return frozenset((None,))
-    if isinstance(node, QualifiedName):
-        return frozenset((node.alias,))
     result: set[str | None] = set()
     if not isinstance(node, Query):
         for child in node.children():
@@ -131,11 +129,12 @@ def is_impure(node: Node) -> bool:
 @cached_by_node
 def calls_of(node: Node) -> frozenset[str]:
     """Returns the functions that a part calls."""
-    names: tuple[str, ...] = (node.name,) if isinstance(node, Call) else ()
-    names = (node.key,) if isinstance(node, QualifiedName) else names
-    names = (
-        node.operators if isinstance(node, OperatorChain) else names
-    )  # users' functions may be among them
+    names: tuple[str, ...] = ()
+    match node:
+        case Call(name=name) | QualifiedName(key=name):
+            names = (name,)
+        case OperatorChain(operators=names):  # users' functions may be among them
+            pass
     return frozenset(names).union(*map(calls_of, node.children()))
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from ssduck.errors import ArgumentError, SelectScriptError, SourceSpan, UnknownNameError, nearest
-from ssduck.formatting import first_line, short_repr, type_in_words
+from ssduck.formatting import short_repr, type_in_words
 from ssduck.language.analysis import free_aliases
 from ssduck.language.builtins import AGGREGATES
 from ssduck.language.sql_suggestions import plain_names, suggestion_for_call
@@ -29,22 +29,6 @@ def missing_source_error(
         return ArgumentError(f"'this' alone is ambiguous here; write one of {choices}", span=span)
     return UnknownNameError(
         "there is no 'this' here: it is the element of a query's only source", span=span
-    )
-
-
-def unknown_name_error(name: str, keys: Iterable[Any], known: Iterable[str]) -> UnknownNameError:
-    """Returns the error for a bare name that is no key of the current element, a dict."""
-    texts = [key for key in keys if isinstance(key, str)]
-    return UnknownNameError(
-        f"there is no key, variable or function {short_repr(name)}",
-        suggestions=nearest(name, [*texts, *known]),
-    )
-
-
-def key_not_variable_error(name: str) -> UnknownNameError:
-    """Returns the error for an unknown variable whose name is a key of the current element."""
-    return UnknownNameError(
-        f"there is no variable {short_repr(name)}; write this.{first_line(name)}"
     )
 
 

@@ -17,15 +17,11 @@ from ssduck.errors import (
     SelectScriptError,
     UnknownNameError,
     UnsupportedError,
+    nearest,
 )
-from ssduck.formatting import as_evaluation_error, short_repr
+from ssduck.formatting import as_evaluation_error, first_line, short_repr
 from ssduck.language.analysis import OVER_TIME, aliases_of, free_aliases, is_impure
-from ssduck.language.evaluation_errors import (
-    argument_check,
-    key_not_variable_error,
-    missing_source_error,
-    unknown_name_error,
-)
+from ssduck.language.evaluation_errors import argument_check, missing_source_error
 from ssduck.language.operators import (
     ELEMENT_BYTES,
     binary,
@@ -354,7 +350,11 @@ class ExpressionCompiler:
             if name in frame.local or frame.scope.has_variable(name):
                 return _variable(frame, name)
             if isinstance(element, dict):
-                raise unknown_name_error(name, element, frame.scope.names())
+                known = [key for key in element if isinstance(key, str)] + frame.scope.names()
+                raise UnknownNameError(
+                    f"there is no key, variable or function {short_repr(name)}",
+                    suggestions=nearest(name, known),
+                )
             call = Call(node.span, frame.scope.resolved_name(name), this, node.span)
             frame.scope.check_call(call)
             return frame.scope.call(call, [element], frame)
@@ -425,10 +425,6 @@ class ExpressionCompiler:
             return python_value(value) if isinstance(value, _CONVERTED) else value
 
         return element
-
-    def constant_value(self, node: Node) -> Any:
-        """Returns the value of a node that depends on nothing."""
-        return self._thunk(node)(Frame(self._scope))
 
     def _if(self, node: If) -> Thunk:
         branches = [
@@ -528,7 +524,8 @@ def _variable(frame: Frame, name: str) -> Any:
     if not frame.scope.has_variable(name):
         element = frame.elements.get(None)
         if isinstance(element, dict) and name in element:
-            raise key_not_variable_error(name)
+            message = f"there is no variable {short_repr(name)}; write this.{first_line(name)}"
+            raise UnknownNameError(message)
     value = frame.scope.variable(name)
     # Outside all queries, it is returned unresolved.
     return resolved(value, frame) if isinstance(value, LazyList) and frame.elements else value

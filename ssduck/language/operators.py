@@ -301,9 +301,6 @@ class OperandCompiler(Protocol):
     def is_relation(self, node: Node) -> bool:
         """Checks whether a part is a call of a relation."""
 
-    def constant_value(self, node: ListLiteral) -> Any:
-        """Returns a list that is written out, made once."""
-
 
 def unary(compiler: OperandCompiler, node: Unary) -> Thunk:
     """Compiles `-x`, `+x`, `NOT x` or `x IS NULL`."""
@@ -413,7 +410,7 @@ def _operand(compiler: OperandCompiler, node: Node) -> Thunk:
     """Returns a side of an operator, which keeps nothing of it: a list is made once."""
     if not isinstance(node, ListLiteral) or not _is_written_out(node):
         return compiler.thunk(node)
-    fixed = compiler.constant_value(node)
+    fixed = _written_out(node)
     return lambda _: fixed
 
 
@@ -421,6 +418,12 @@ def _is_written_out(node: Node) -> bool:
     if isinstance(node, ListLiteral):
         return all(map(_is_written_out, node.items))
     return isinstance(node, Literal)
+
+
+def _written_out(node: Node) -> Any:
+    if isinstance(node, ListLiteral):
+        return list(map(_written_out, node.items))
+    return node.value  # type: ignore[attr-defined]  # a literal
 
 
 def is_short_circuit(node: Node) -> bool:

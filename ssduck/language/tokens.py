@@ -57,7 +57,8 @@ def tokenize(text: str) -> list[Token]:
     except TokenError as error:
         # The tokenizer's only error is a text or a comment without an end.
         message = "a text or a comment is opened here and never closed"
-        span = SourceSpan(last_opening(text), len(text))
+        opening = next((part.start for part in delimited(text) if not part.is_closed), 0)
+        span = SourceSpan(opening, len(text))
         raise ParseError(message, text=text, span=span) from error
 
 
@@ -138,11 +139,6 @@ def divisions(text: str) -> list[SourceSpan]:
         and _ENDS_OPERAND.search(text, 0, part.start)
         and _CONTINUES.match(text, part.start + 2)
     ]
-
-
-def last_opening(text: str) -> int:
-    """Returns the start of the string literal or comment that is never closed."""
-    return next((part.start for part in delimited(text) if not part.is_closed), 0)
 
 
 def unquoted(quoted: str) -> str:
