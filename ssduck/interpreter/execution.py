@@ -94,8 +94,8 @@ class Execution(Namespace):
             self._finds,
         )
         self.planner = Planner(database, self, limits, row_by_row=row_by_row)
-        self.temporal = TemporalEvaluator()
-        self.nested = NestedExpressions(self._series, self.temporal.names_entities)
+        self.temporal = TemporalEvaluator(database.record_of, self._rows)
+        self.nested = NestedExpressions(self.temporal.series, self.temporal.names_entities)
         self.folds = LiveFolds(
             self, self.planner, self.tables_read, database.is_recorded, database.record_of
         )
@@ -109,23 +109,31 @@ class Execution(Namespace):
         self._sound: WeakKeyDictionary[Node, object] = WeakKeyDictionary()
         self._reader = SqlReader(self)
 
-    def transaction(self, program: Program) -> _Transaction:
+    @contextmanager
+    def transaction(self, program: Program) -> Iterator[None]:
         """Restores the variables if anything inside fails, and adds the place to the error."""
-        return _Transaction(self, program.text)
+        with self.lock:
+            if self.is_running:
+                self.expire_histories()
+            else:
+                self.begin_program()
+            before = dict(self.variables)
+            self._program_texts.append(program.text)
+            try:
+                yield
+            except BaseException as error:
+                self.variables = before
+                if isinstance(error, SelectScriptError):
+                    error.locate(program.text)
+                if isinstance(error, RecursionError):
+                    raise EvaluationError("the program is nested too deeply") from error
+                raise
+            finally:
+                self._program_texts.pop()
+                self._tell_of_more()
 
-    def begin_transaction(self, text: str) -> dict[str, Any]:
-        """Begins a program, or another one within it; returns the variables as they are."""
-        if self.is_running:
-            self.expire_histories()
-        else:
-            self.begin_program()
-        before = dict(self.variables)
-        self._program_texts.append(text)
-        return before
-
-    def end_transaction(self) -> None:
-        """Ends what `begin_transaction` has begun."""
-        self._program_texts.pop()
+    def _tell_of_more(self) -> None:
+        """Warns, at the end of a program, of the number of warnings that were not shown."""
         more = self._new_doubts - MAX_WARNINGS
         if more > 0 and not self.is_running:
             self._new_doubts = 0
@@ -377,7 +385,7 @@ class Execution(Namespace):
         """
         expression, _ = parts_of(node)
         if TEMPORAL_FUNCTIONS[node.name].operator is None and not is_nested(expression):
-            return self._series(node, frame)
+            return self.temporal.series(node, frame)
         record = self.database.record_of(self.temporal.world_of(node, frame))
         moment = common_moment(record.world, (), frame.own_elements())
 
@@ -388,16 +396,12 @@ class Execution(Namespace):
         now = None if moment is None else moment.tick
         return TickSeries(record, columns, expression, None, now)
 
-    def _series(self, node: Call, frame: Frame) -> TickSeries:
-        """Returns the values of an expression that a query reads, tick by tick."""
-
-        def rows(query: Query, placeholders: dict[str, Any]) -> Sequence[Sequence[Any]]:
-            frame = Frame(self, placeholders=placeholders)
-            selected = self.planner.run(query, frame, lambda _: None)  # any columns
-            fetched: Sequence[Sequence[Any]] = formed(selected, lambda part: part.values)
-            return fetched
-
-        return self.temporal.series(node, frame, self.database.record_of, rows, self.meter)
+    def _rows(self, query: Query, placeholders: dict[str, Any]) -> Sequence[Sequence[Any]]:
+        """Returns the rows of a query of the values of an expression at ticks."""
+        frame = Frame(self, placeholders=placeholders)
+        selected = self.planner.run(query, frame, lambda _: None)  # any columns
+        fetched: Sequence[Sequence[Any]] = formed(selected, lambda part: part.values)
+        return fetched
 
     def _run_text(self, text: Any, frame: Frame) -> Any:
         """Returns the value of a program in a text; it sees the rows around the call of `eval`."""
@@ -468,39 +472,6 @@ class Execution(Namespace):
         is_relevant = tables or self.database.has_attached_world
         worlds = self.worlds_of(nodes) if is_relevant else ()
         return self.database.pinned(tables, worlds, is_settled=is_settled)
-
-
-class _Transaction:
-    """Restores the variables if anything inside fails, and adds the place to the error."""
-
-    __slots__ = ("_before", "_execution", "_text")
-
-    def __init__(self, execution: Execution, text: str) -> None:
-        self._execution, self._text = execution, text
-
-    def __enter__(self) -> None:
-        execution = self._execution
-        execution.lock.acquire()
-        try:
-            self._before = execution.begin_transaction(self._text)
-        except BaseException:
-            execution.lock.release()
-            raise
-
-    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
-        execution = self._execution
-        try:
-            if error is not None:
-                execution.variables = self._before
-            if isinstance(error, SelectScriptError):
-                error.locate(self._text)
-            if isinstance(error, RecursionError):
-                raise EvaluationError("the program is nested too deeply") from error
-        finally:
-            try:
-                execution.end_transaction()
-            finally:  # a warning may be an error
-                execution.lock.release()
 
 
 def _is_vector(value: Any) -> bool:

@@ -158,9 +158,7 @@ def _of_expression(execution: Execution, node: Node, frame: Frame) -> TickPlan:
         function, call, age = node.name, node, None
         if len(node.arguments) > 1:
             age = _window_of(node, frame)
-    query, placeholders = execution.temporal.query_over_ticks(
-        call, frame, execution.database.record_of
-    )
+    query, placeholders = execution.temporal.query_over_ticks(call, frame)
     plan, select = _planned(execution, query, Frame(execution, placeholders=placeholders))
     return TickPlan(select, _columns(plan, select, node.span), False, function, age)
 

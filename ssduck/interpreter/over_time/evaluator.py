@@ -69,24 +69,18 @@ class SeriesReader(Protocol):
 class TemporalEvaluator:
     """Turns expressions into queries, and caches these: each is planned once."""
 
-    def __init__(self) -> None:
+    def __init__(self, record_of: Callable[[World], Record], run: RunQuery) -> None:
+        self._record_of, self._run = record_of, run
         # Reads the values of expressions; None to read those of the requested ticks only.
         self.reader: SeriesReader | None = None
         self._queries: WeakKeyDictionary[Node, dict[Any, Query]] = WeakKeyDictionary()
 
-    def series(
-        self,
-        call: Call,
-        frame: Frame,
-        record_of: Callable[[World], Record],
-        run: RunQuery,
-        meter: UsageMeter,
-    ) -> TickSeries:
+    def series(self, call: Call, frame: Frame) -> TickSeries:
         """Returns the values of the expression in a call, tick by tick."""
         expression, _ = parts_of(call)
         places, world, values, handles = self._given(call, frame)
         query = self._query(call, places, handles)
-        record = record_of(world)
+        record, run = self._record_of(world), self._run
         record.world.ticker.warn_of_unrecorded_start()
         moment = common_moment(world, (), frame.own_elements())
         now = None if moment is None else moment.tick
@@ -98,7 +92,8 @@ class TemporalEvaluator:
         reader, least = self.reader, None
         are_entities = all(handles) and all(value.TABLE == "entities" for value in values)
         if are_entities and _is_clearance(expression) and len({v.id for v in values}) == 2:
-            least = partial(self._least_clearance, meter, values[0].id, values[1].id)
+            a, b = values
+            least = partial(self._least_clearance, frame.scope.meter, a.id, b.id)
         cache: dict[Any, Any] = frame.cached
         of_rows = [number for number, place in enumerate(places) if free_aliases(place)]
         if reader is None and now is None:
@@ -121,9 +116,7 @@ class TemporalEvaluator:
             record, lambda past: reader.columns(shared, past, columns), expression, least, now
         )
 
-    def query_over_ticks(
-        self, call: Call, frame: Frame, record_of: Callable[[World], Record]
-    ) -> tuple[Query, dict[str, Any]]:
+    def query_over_ticks(self, call: Call, frame: Frame) -> tuple[Query, dict[str, Any]]:
         """Returns the query of the values of the first argument of a call, over all ticks.
 
         Its rows are [tick, time, value]. The arguments and errors are those of `series`.
@@ -132,7 +125,7 @@ class TemporalEvaluator:
             The query, and the values of its placeholders.
         """
         places, world, values, handles = self._given(call, frame)
-        past = past_of(record_of(world), None)
+        past = past_of(self._record_of(world), None)
         return self._query(call, places, handles), _placeholders(values, handles, past)
 
     def world_of(self, call: Call, frame: Frame) -> World:

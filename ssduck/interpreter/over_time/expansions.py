@@ -15,16 +15,8 @@ from ssduck.logic.margins import check_margin, margin_of
 class Expansion:
     """A function that stands for an expression."""
 
-    name: str
     expand: Callable[[Call], Node]  # returns the expression of a call
-    about: str  # its description for help
-    usage: str  # its signature for help
-    arguments: int  # the number of its arguments
-
-    @property
-    def function(self) -> Function:
-        """The entry for help; it is never called."""
-        return never_called(self.name, self.about, self.usage, self.arguments, self.arguments)
+    function: Function  # the entry for help; it is never called
 
 
 def _lifted(call: Call) -> Node:
@@ -42,10 +34,16 @@ def _robustness(call: Call) -> Node:
     return margin
 
 
+def _expansion(
+    name: str, expand: Callable[[Call], Node], about: str, usage: str, count: int
+) -> Expansion:
+    return Expansion(expand, never_called(name, about, usage, count, count))
+
+
 EXPANSIONS: dict[str, Expansion] = {
-    form.name: form
+    form.function.name: form
     for form in (
-        Expansion(
+        _expansion(
             "lifted",
             _lifted,
             "Checks if an entity is higher by so many metres than at the first recorded tick: "
@@ -53,7 +51,7 @@ EXPANSIONS: dict[str, Expansion] = {
             "lifted(entity, height) -> bool",
             2,
         ),
-        Expansion(
+        _expansion(
             "robustness",
             _robustness,
             "Returns the margin of a condition: more than 0 where it holds, less where it does "
@@ -63,7 +61,7 @@ EXPANSIONS: dict[str, Expansion] = {
             "robustness(condition) -> float",
             1,
         ),
-        Expansion(
+        _expansion(
             "scale",
             lambda call: call.arguments[0],
             "Is the condition, whose margin is divided by a number: so margins in metres and in "
