@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import islice
@@ -55,12 +56,9 @@ def episodes(path: str | Path) -> list[Episode]:
         RecordError: there is no such record, or it is damaged, of a newer version, or in use by
             another process.
     """
-    database = Database(":memory:", None)
-    try:
+    with closing(Database(":memory:", None)) as database:
         runs = recorded_runs(expand_path(path), database)
         return [run.episode for run in runs if run.has_begun]
-    finally:
-        database.close()
 
 
 def recorded_runs(path: Path, database: Database) -> Sequence[RecordedRun]:
@@ -319,8 +317,7 @@ def check(path: str | Path, *, repair: bool = False) -> list[Damage]:
 
 def _unreadable(place: Path) -> Iterator[Damage]:
     """Yields the episodes that cannot be opened although their files are whole."""
-    database = Database(":memory:", None)
-    try:
+    with closing(Database(":memory:", None)) as database:
         for run in recorded_runs(place, database):
             try:
                 if run.has_begun and run.has_ticks:
@@ -328,8 +325,6 @@ def _unreadable(place: Path) -> Iterator[Damage]:
             except RecordError as error:
                 loss = f"all of episode {run.number} of {run.world!r}"
                 yield Damage(run.path, error.message.removeprefix(f"{run.path} "), loss)
-    finally:
-        database.close()
 
 
 def _without_log(file: Path, damage: Damage) -> list[Damage]:
@@ -346,8 +341,7 @@ def _without_log(file: Path, damage: Damage) -> list[Damage]:
 
 def _damages_of_file(file: Path) -> Iterator[Damage]:
     """Yields what of a DuckDB file cannot be read."""
-    database = Database(":memory:", None)
-    try:
+    with closing(Database(":memory:", None)) as database:
         for run in recorded_runs(file, database):
             assert isinstance(run, StoredRun)
             episode = f"episode {run.number} of {run.world!r}"
@@ -355,8 +349,6 @@ def _damages_of_file(file: Path) -> Iterator[Damage]:
                 yield from _damages_of_run(run, episode)
             except (RecordError, SqlError) as error:
                 yield Damage(file, error.message.removeprefix(f"{file} "), f"all of {episode}")
-    finally:
-        database.close()
 
 
 def _damages_of_run(run: StoredRun, episode: str) -> Iterator[Damage]:

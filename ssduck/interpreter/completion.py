@@ -140,15 +140,13 @@ def complete(
     return _nearest_first(word[0], _candidates(place))
 
 
+@cache
 def usage_and_summary(text: str) -> tuple[str, str]:
     """Returns the usage and the first sentence of a text of `Interpreter.help`."""
     name, *lines = text.splitlines()
     usage = next((line for line in lines if line.startswith("Usage: ")), name)
     about = " ".join(line for line in lines if line != usage)
     return usage.removeprefix("Usage: "), re.split(r"(?<=\.) ", about, maxsplit=1)[0]
-
-
-_usage_and_summary = cache(usage_and_summary)
 
 
 def delimited_parts(text: str, language: Language) -> Iterator[DelimitedText]:
@@ -306,7 +304,7 @@ def _variables(place: _Place) -> Iterator[Completion]:
 def _functions(place: _Place) -> Iterator[Completion]:
     for name in place.ss.help():
         if place.language == "selectscript" or name in RELATIONS:
-            usage, about = _usage_and_summary(place.ss.help(name))
+            usage, about = usage_and_summary(place.ss.help(name))
             yield place.completion(name, "function", usage, about)
 
 

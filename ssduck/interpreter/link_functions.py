@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any, Literal
 
 from ssduck.errors import ArgumentError
@@ -28,16 +29,6 @@ def _parts(table: Literal["links", "sites"], thing: Any) -> Any:
     raise ArgumentError(f"{table} takes a world or an entity, not {type_in_words(thing)}")
 
 
-def links(thing: Any) -> Any:
-    """Returns the links of an entity, or a source of the links of all entities of a world."""
-    return _parts("links", thing)
-
-
-def sites(thing: Any) -> Any:
-    """Returns the sites of an entity, or a source of the sites of all entities of a world."""
-    return _parts("sites", thing)
-
-
 def entity(thing: Any) -> Entity:
     """Returns the entity of a link; an entity itself."""
     if isinstance(thing, Link):
@@ -59,7 +50,7 @@ LINK_FUNCTIONS = {
     for name, call, about, usage in (
         (
             "links",
-            links,
+            partial(_parts, "links"),
             (
                 "Returns the links of an entity, the base first, or those of all entities of a "
                 "world as a source of queries: FROM links(kitchen)."
@@ -68,7 +59,7 @@ LINK_FUNCTIONS = {
         ),
         (
             "sites",
-            sites,
+            partial(_parts, "sites"),
             (
                 "Returns the sites of an entity, or those of all entities of a world as a source "
                 "of queries: FROM sites(kitchen). A site is a named frame on a link, with a region "

@@ -15,7 +15,6 @@ from ssduck.lazy import service
 from ssduck.limits import Limits
 from ssduck.recording.folder_check import partial_run
 from ssduck.recording.paths import expand_path
-from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.simulators.scenes import Scene, find_scene
@@ -165,17 +164,12 @@ def opened_record(
         if partial:
             runs = [partial_run(run) if isinstance(run, FolderRun) else run for run in runs]
         worlds = [replayed_world(run, database) for run in runs]
-        for replayed in worlds:
-            _bind(interpreter, replayed, path)
+        try:
+            for replayed in worlds:
+                interpreter.add_variable(replayed.name, replayed)
+        except ArgumentError as error:
+            raise RecordError(f"{path} cannot be opened: {error.message}") from error
     except BaseException:
         interpreter.close()
         raise
     return interpreter
-
-
-def _bind(interpreter: Interpreter, world: ReplayedWorld, path: Path) -> None:
-    """Binds a recorded world to its name."""
-    try:
-        interpreter.add_variable(world.name, world)
-    except ArgumentError as error:
-        raise RecordError(f"{path} cannot be opened: {error.message}") from error

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 from ssduck.columns.compiler import LeftToDuckDBError
@@ -17,9 +18,9 @@ from ssduck.interpreter.signatures import TypeHints
 from ssduck.interpreter.sources import INLINE, all_elements, source_types, with_present_ticks
 from ssduck.language.analysis import (
     aliases_of,
+    free_aliases,
     is_impure,
     mentions,
-    sees_outside,
     states,
 )
 from ssduck.language.builtins import Function
@@ -255,7 +256,7 @@ class Planner:
             if is_inline(source.value)
             and alias not in evaluated
             and not is_impure(source.value)
-            and not _sees_rows(source.value)
+            and not free_aliases(source.value)  # of rows around it, which are in Python
             else frame.value(source.value)
             for alias, source in zip(aliases_of(query), query.sources, strict=True)
         ]
@@ -307,15 +308,7 @@ class Planner:
         frame: Frame,
         check: Callable[[Any], None],
     ) -> RowByRowQuery:
-        """Returns the query to run row by row, its columns checked."""
-        rows = self._cached_row_by_row_query(query, shapes, frame)
-        check(rows.columns)
-        return rows
-
-    def _cached_row_by_row_query(
-        self, query: Query, shapes: tuple[SourceType, ...], frame: Frame
-    ) -> RowByRowQuery:
-        """Returns the cached query to run row by row, or makes it."""
+        """Returns the query to run row by row, its columns checked; it is made once."""
         types = self._types_in(frame)
         for cached_shapes, rows in self._row_by_row_queries.get(query, ()):
             if (
@@ -323,6 +316,7 @@ class Planner:
                 and types.has_same_names(rows.resolved.bare)
                 and types.has_same_lists(rows.deferred)
             ):
+                check(rows.columns)
                 return rows
         if sum(map(len, self._row_by_row_queries.values())) >= MAX_PLANS:
             self.forget()
@@ -334,12 +328,8 @@ class Planner:
             query, resolved, self._scope, self._limits.depth, deferred, of_past=of_past
         )
         self._row_by_row_queries.setdefault(query, []).append((shapes, rows))
+        check(rows.columns)
         return rows
-
-
-def _sees_rows(node: Node) -> bool:
-    """Checks whether a nested query uses rows of the query around it, which are in Python."""
-    return isinstance(node, Query) and sees_outside(node)
 
 
 class InterpreterTypes:
@@ -357,15 +347,7 @@ class InterpreterTypes:
 
     def frame(self) -> Frame:
         """Returns the frame with the values computed so far, so that a run computes each once."""
-        frame = self._frame
-        return Frame(
-            frame.scope,
-            frame.elements,
-            frame.local,
-            frame.placeholders,
-            frame.columns,
-            self._values,
-        )
+        return replace(self._frame, cached=self._values, state={}, outer_elements={})
 
     def has_variable(self, name: str) -> bool:
         """Checks whether a variable has that name."""

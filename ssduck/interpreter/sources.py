@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, cast
 
@@ -51,8 +50,8 @@ def elements_of(value: Any) -> Sequence[Any]:
     if isinstance(value, np.ndarray) and value.ndim and value.dtype.names is None:
         rows: list[Any] = value.tolist()
         return rows
-    table = _table(value)
-    return [value] if table is None else table.rows()
+    table = _rows_of_table(value)
+    return [value] if table is None else table
 
 
 def all_elements(values: Sequence[Any]) -> list[Sequence[Any]]:
@@ -68,37 +67,33 @@ def all_elements(values: Sequence[Any]) -> list[Sequence[Any]]:
     return elements_by_source
 
 
-@dataclass(frozen=True)
-class _Table:
-    """A data frame: the names of its columns, and their values."""
-
-    names: list[str]
-    columns: list[list[Any]]
-
-    def rows(self) -> list[dict[str, Any]]:
-        """Returns its rows as dicts."""
-        duplicates = [name for name, count in Counter(self.names).items() if count > 1]
-        if duplicates:
-            raise ArgumentError(f"a table has two columns of the name {duplicates[0]!r}")
-        return [dict(zip(self.names, row, strict=True)) for row in zip(*self.columns, strict=True)]
+def _rows_of_table(value: Any) -> list[dict[str, Any]] | None:
+    """Returns the rows of a data frame as dicts; None of another value."""
+    names, columns = _table(value)
+    if names is None:
+        return None
+    duplicates = [name for name, count in Counter(names).items() if count > 1]
+    if duplicates:
+        raise ArgumentError(f"a table has two columns of the name {duplicates[0]!r}")
+    return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
 
 
-def _table(value: Any) -> _Table | None:
-    """Returns the data frame that a value is; None if it is none."""
+def _table(value: Any) -> tuple[list[str] | None, list[list[Any]]]:
+    """Returns the names and the columns of a data frame; None, and no column, of another value."""
     if isinstance(value, Result):
-        return _Table(value.columns, [python_values(column) for column in value.arrow().columns])
+        return value.columns, [python_values(column) for column in value.arrow().columns]
     if isinstance(value, pa.Table | pa.RecordBatch):
-        return _Table(value.column_names, [python_values(column) for column in value.columns])
+        return value.column_names, [python_values(column) for column in value.columns]
     if isinstance(value, np.ndarray) and value.ndim and value.dtype.names:
-        return _Table(list(value.dtype.names), [value[n].tolist() for n in value.dtype.names])
+        return list(value.dtype.names), [value[n].tolist() for n in value.dtype.names]
     # By name, because the libraries may not be installed.
     match type(value).__module__.partition(".")[0], type(value).__name__:
         case "pandas", "DataFrame":
             columns = [value.iloc[:, place] for place in range(value.shape[1])]
-            return _Table(list(map(str, value.columns)), list(map(_pandas_values, columns)))
+            return list(map(str, value.columns)), list(map(_pandas_values, columns))
         case "polars", "DataFrame":
-            return _Table(value.columns, list(map(_polars_values, value.get_columns())))
-    return None
+            return value.columns, list(map(_polars_values, value.get_columns()))
+    return None, []
 
 
 def _pandas_values(column: Any) -> list[Any]:
