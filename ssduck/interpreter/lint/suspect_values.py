@@ -309,9 +309,11 @@ def _values(node: Node, operator: str, names: AbstractSet[str]) -> tuple[Node, .
 
 def sources_in(query: Query, around: Sources) -> Sources:
     """Returns the sources that a query's clauses see, by alias; the only one by None, too."""
-    inside = {alias: source for alias, source in around.items() if alias is not None}
+    inside: dict[str | None, Source] = {a: source for a, source in around.items() if a is not None}
     inside |= {source.alias: source for source in reversed(query.sources) if source.alias}
-    return {**inside, None: query.sources[0]} if len(query.sources) == 1 else inside
+    if len(query.sources) == 1:
+        inside[None] = query.sources[0]
+    return inside
 
 
 # -- what is a mistake ----------------------------------------------------------------------------
