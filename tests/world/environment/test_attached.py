@@ -130,16 +130,20 @@ def test_soft_bodies_are_refused(client):
         world.excerpt(world)
 
 
-def test_a_concave_mesh_without_a_file_is_copied(client, tmp_path):
+def test_meshes_without_a_file_are_copied(client, tmp_path):
+    """A concave one whose file is gone, and the hull of points."""
     file = tmp_path / "bowl.obj"
     file.write_text(box_obj((-0.1, -0.1, -0.1), (0.1, 0.1, 0.1)), encoding="utf-8")
     number = solid(
         client, pybullet.GEOM_MESH, 0, fileName=str(file), flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH
     )
     file.unlink()
-    world = ssduck.World.attach(client, names={number: "bowl"})
+    points = [[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]]
+    hull = solid(client, pybullet.GEOM_MESH, 1, [5, 0, 0], vertices=points)
+    world = ssduck.World.attach(client, names={number: "bowl", hull: "hull"})
     copy = world.excerpt(world)
     assert copy["bowl"].aabb[0] == pytest.approx([-0.1, -0.1, -0.1])
+    assert np.array(copy["hull"].aabb) == pytest.approx(np.array(world["hull"].aabb), abs=1e-3)
 
 
 @pytest.mark.slow
