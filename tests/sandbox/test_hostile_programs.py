@@ -135,7 +135,7 @@ def outside(tmp_path_factory):
     return tmp_path_factory.mktemp("outside") / "stolen"
 
 
-@pytest.fixture(scope="module", params=[0.5, 20.0])
+@pytest.fixture(scope="module")
 def hostile(request, zygote):
     """A sandbox with variables, whose programs have so many seconds."""
     limits = Limits.strict(seconds=request.param)
@@ -160,44 +160,26 @@ def check_contained(ss, outside, ask, pattern):
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000
 
 
-SHORT, LONG = (pytest.mark.parametrize("hostile", [s], indirect=True) for s in (0.5, 20.0))
+CASES = [
+    pytest.param(seconds, method, text, pattern, id=name)
+    for seconds, method, cases in (
+        (0.5, "eval", ENDLESS_PROGRAMS),
+        (0.5, "sql", ENDLESS),
+        (20.0, "eval", PROGRAMS),
+        (20.0, "sql", STATEMENTS),
+    )
+    for name, (text, pattern) in cases.items()
+]
 
 
-@SHORT
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ENDLESS_PROGRAMS)
-def test_endless_programs_are_ended(hostile, outside, name):
-    program, pattern = ENDLESS_PROGRAMS[name]
-    check_contained(hostile, outside, lambda: hostile.eval(program), pattern)
+@pytest.mark.parametrize(("hostile", "method", "text", "pattern"), CASES, indirect=["hostile"])
+def test_programs_and_statements_are_refused_or_ended(hostile, outside, method, text, pattern):
+    text = text.replace("{outside}", str(outside))
+    check_contained(hostile, outside, lambda: getattr(hostile, method)(text), pattern)
 
 
-@SHORT
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ENDLESS)
-def test_endless_statements_are_ended(hostile, outside, name):
-    statement, pattern = ENDLESS[name]
-    check_contained(hostile, outside, lambda: hostile.sql(statement), pattern)
-
-
-@LONG
-@pytest.mark.slow
-@pytest.mark.parametrize("name", PROGRAMS)
-def test_programs_are_refused(hostile, outside, name):
-    program, pattern = PROGRAMS[name]
-    text = program.replace("{outside}", str(outside))
-    check_contained(hostile, outside, lambda: hostile.eval(text), pattern)
-
-
-@LONG
-@pytest.mark.slow
-@pytest.mark.parametrize("name", STATEMENTS)
-def test_statements_are_refused(hostile, outside, name):
-    statement, pattern = STATEMENTS[name]
-    text = statement.replace("{outside}", str(outside))
-    check_contained(hostile, outside, lambda: hostile.sql(text), pattern)
-
-
-@LONG
+@pytest.mark.parametrize("hostile", [20.0], indirect=True)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ANSWERED)
 def test_what_harms_nobody_is_answered(hostile, name):
