@@ -18,6 +18,7 @@ from ssduck.recording.stores.object_store import ObjectPath, change_object, crea
 from ssduck.recording.stores.parquet import write_tags
 from ssduck.recording.stores.parquet_layout import FolderRun
 from tests.support.command_line import answer, write_scene
+from tests.support.forged import flip_bit
 from tests.support.recorded import ALL, PAST, end_part, lively, rows
 from tests.support.s3_server import s3_server
 
@@ -149,20 +150,6 @@ def test_an_export_that_fails_leaves_no_episode(places, monkeypatch):
 
 
 @pytest.mark.long
-def test_poses_from_anywhere_tags_and_further_episodes(server):
-    place = "s3://lake/written"
-    for number in range(3):
-        poses = np.full((4, 1, 3), number / 8)
-        episode = ssduck.write_record(place, ["cup"], poses, [0, 1, 2, 3], world="lab")
-        assert episode.number == number
-    run = FolderRun(expand_path(place), "lab", 1)
-    write_tags(run, {"success": True})
-    assert [e.tags for e in ssduck.episodes(place)] == [{}, {"success": True}, {}]
-    with ssduck.open(place, episode=1) as ss:
-        assert ss.eval("SELECT x FROM lab AS value;") == 0.125
-
-
-@pytest.mark.long
 def test_the_commands_take_addresses(places, tmp_path):
     remote, _ = places
     assert "task=drop" in answer("episodes", remote)
@@ -180,9 +167,7 @@ def test_damaged_and_missing_objects_are_errors(places):
     with ssduck.open(places[1]) as ss:
         ss.export("s3://lake/damaged")
     part = expand_path("s3://lake/damaged/entities/world=lab/episode=0/part-000000.parquet")
-    content = bytearray(part.read_bytes())
-    content[100] ^= 1
-    part.write_bytes(bytes(content))
+    flip_bit(part, 0.1)
     with (
         pytest.raises(RecordError, match=r"s3://lake/damaged/entities.*its checksum is wrong"),
         ssduck.open("s3://lake/damaged") as ss,
