@@ -190,6 +190,11 @@ def test_the_tutorials_relations_hold_as_loaded_and_settled(loaded, settled):
         assert pairs(bodies, lambda a, b: over(a, b) and b.position[2] >= a.aabb[1][2]) == ABOVE
         below = [b.name for b in bodies if b != table and over(table, b) and b.position[2] < centre]
         assert below == ["chair_6b56", "chair_083c"]
+        asked = (
+            "SELECT a.name, b.name FROM entities a, entities b "
+            "WHERE above(a, b) AND a.kind <> 'sensor' AND b.kind <> 'sensor'"
+        )
+        assert sorted(ss.sql(asked).fetchall()) == ABOVE
 
 
 def test_the_robots_can_move(loaded):

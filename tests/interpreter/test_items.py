@@ -180,3 +180,9 @@ def test_classes_list_what_their_objects_do(of):
     names = {name for name in dir(of) if not name.startswith("_")}
     assert names
     assert names.isdisjoint(of.INTERNAL_NAMES)
+
+
+def test_strict_is_a_flag(ss):
+    assert not ss.strict
+    ss.strict = True
+    assert ss.strict

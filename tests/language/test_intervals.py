@@ -267,8 +267,6 @@ def test_an_entity_that_was_not_there_ends_what_holds(lab):
         ("holds(near(ball, bord, 1));", UnknownNameError, "did you mean 'board'"),
         ("since(z(ball) > 0, 1);", ArgumentError, "since takes 1 argument"),
         ("holds();", ArgumentError, "holds takes 1 to 2 arguments"),
-        ("initially(z(ball), 1.0);", ArgumentError, "initially takes 1 argument"),
-        ("greatest(id(ball));", SelectScriptError, "greatest takes an expression of numbers"),
         ("holds(z(ball) > 0, 'a');", ArgumentError, "number of seconds"),
         ("holds(z(ball) > 0, 99.0);", EvaluationError, "there is no tick at 99 s"),
         ("lifted(ball);", SelectScriptError, "lifted"),
@@ -277,6 +275,8 @@ def test_an_entity_that_was_not_there_ends_what_holds(lab):
         ("lifted(ball, 'high');", SelectScriptError, "high|text"),
         ("meets([1, 2], 3);", ArgumentError, r"an interval is \[start, end\]"),
         ("meets([2, 1], [1, 2]);", ArgumentError, r"an interval is \[start, end\]"),
+        ("initially(z(ball), 1.0);", ArgumentError, "initially takes 1 argument"),
+        ("greatest(id(ball));", SelectScriptError, "greatest takes an expression of numbers"),
     ],
     every=3,
 )

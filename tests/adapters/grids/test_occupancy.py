@@ -180,6 +180,7 @@ def test_a_client_of_ones_own(nested):
 def test_it_is_an_array(grid):
     assert np.asarray(grid).dtype == bool
     assert np.asarray(grid, dtype=float).sum() == 2.0
+    assert grid.astype(float).dtype == float
     assert np.flatnonzero(grid).tolist() == [3, 11]
     assert grid[1].tolist() == [True, False, False]
     assert grid[1, 0]
