@@ -110,12 +110,9 @@ def select_runs(
             f"no episode {number} has ticks; episodes with ticks: {', '.join(named) or 'none'}"
         )
     found = list(reversed(selected.values()))
-    return sorted(found, key=_order) if len(found) > 1 else found
-
-
-def _order(run: RecordedRun) -> int:
-    order: int = run.description.get("order", 0)
-    return order
+    if len(found) > 1:
+        found.sort(key=lambda run: run.description.get("order", 0))
+    return found
 
 
 def folder_run(path: str | Path, world: str | None, number: int | None) -> FolderRun:

@@ -31,7 +31,7 @@ from ssduck.language.clauses import (
     formed,
 )
 from ssduck.language.evaluator import Frame
-from ssduck.language.tree import Call, Literal, Name, Node, Query, TimeIndex
+from ssduck.language.tree import Call, Literal, Name, Query, TimeIndex
 from ssduck.recording.replay.past import Past
 from ssduck.world.handles import Links
 from ssduck.world.world import World
@@ -244,21 +244,18 @@ def _source_worlds(query: Query, frame: Frame) -> list[World]:
     """Returns the worlds among a query's sources, each at its tick and once."""
     worlds: dict[World, None] = {}
     for source in query.sources:
-        if isinstance(source.value, Query):
-            worlds.update(dict.fromkeys(_source_worlds(source.value, frame)))
-        elif isinstance(source.value, Name | TimeIndex) or _is_of_links(source.value):
-            value = frame.value(source.value)
-            if isinstance(value, World):
-                worlds.setdefault(value)
-            elif isinstance(value, Links):
-                worlds.setdefault(value.world)
-            elif isinstance(value, Past) and value.ticks:
-                worlds.setdefault(value.at(value.ticks[-1]))
+        match source.value:
+            case Query() as inner:
+                worlds.update(dict.fromkeys(_source_worlds(inner, frame)))
+            case Name() | TimeIndex() | Call(name="links" | "sites"):
+                value = frame.value(source.value)
+                if isinstance(value, World):
+                    worlds.setdefault(value)
+                elif isinstance(value, Links):
+                    worlds.setdefault(value.world)
+                elif isinstance(value, Past) and value.ticks:
+                    worlds.setdefault(value.at(value.ticks[-1]))
     return list(worlds)
-
-
-def _is_of_links(source: Node) -> bool:
-    return isinstance(source, Call) and source.name in ("links", "sites")
 
 
 def accept_columns(_: object) -> None:

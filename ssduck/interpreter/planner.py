@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Protocol
@@ -184,7 +183,7 @@ class Planner:
                 f"{call.name} does not take ({types_text}): {RELATIONS[call.name].usage}"
                 + lacking * any(value is None for value in values)
                 + whole * (len(values) > 1 and any(isinstance(v, World) for v in values))
-                + nan * any(map(_has_nan, values)),
+                + nan * any(n != n for v in values if isinstance(v, list) for n in v),  # noqa: PLR0124
                 span=query.span,
             )
         (row,) = planned.run(types.frame(), ()).values  # type: ignore[union-attr]
@@ -408,8 +407,3 @@ class InterpreterTypes:
             and all(self.sql_type(node) == sql_type for node, sql_type in plan.constants.items())
             and all(self.world(node) == schema for node, schema in plan.worlds.items())
         )
-
-
-def _has_nan(value: Any) -> bool:
-    """Checks whether a value is a list with a number that is NaN."""
-    return isinstance(value, list) and any(isinstance(v, float) and math.isnan(v) for v in value)

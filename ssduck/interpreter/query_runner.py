@@ -53,7 +53,6 @@ from ssduck.sql.past_ticks import history_windows
 from ssduck.sql.plan import OutputColumn, PathSearch, Plan, SourceType
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.sql_values import NotSqlError, with_values
-from ssduck.sql.types import SqlType
 
 # After MAX_FAILURES failures in SQL, only one run in RETRY_INTERVAL tries SQL; the others take the
 # cautious plan at once.
@@ -399,9 +398,10 @@ def _parameter_values(plan: Plan, outer: Frame, sources: Mapping[str, Any]) -> d
         if binding.source is not None and binding.end:
             bound[binding.name] = getattr(sources[binding.source], binding.end)
         elif binding.source is not None:
-            bound[binding.name] = _list_parameter(
-                elements_of(sources[binding.source]), binding.sql_type
-            )
+            elements = elements_of(sources[binding.source])
+            # Zeros stand for values for which SQL has no type.
+            has_type = binding.sql_type.element is not None
+            bound[binding.name] = list(map(to_sql, elements)) if has_type else [0] * len(elements)
         elif binding.node is not None:
             bound[binding.name] = _bound_value(outer, binding.node, binding.column)
     return bound
@@ -414,13 +414,6 @@ def _bound_value(outer: Frame, node: Node, column: str | None) -> Any:
     except SelectScriptError as error:  # an entity that was removed
         error.span = error.span or node.span
         raise
-
-
-def _list_parameter(elements: Sequence[Any], sql_type: SqlType) -> list[Any]:
-    """Returns a source's elements for SQL; zeros in their place if SQL has no type for them."""
-    return (
-        [0] * len(elements) if sql_type.element is None else [to_sql(value) for value in elements]
-    )
 
 
 class RowByRowQuery:

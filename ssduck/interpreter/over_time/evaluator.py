@@ -91,7 +91,8 @@ class TemporalEvaluator:
         columns: ColumnsOf = of_one
         reader, least = self.reader, None
         are_entities = all(handles) and all(value.TABLE == "entities" for value in values)
-        if are_entities and _is_clearance(expression) and len({v.id for v in values}) == 2:
+        is_clearance = isinstance(expression, Call) and expression.name == "clearance"
+        if is_clearance and are_entities and len(values) == len({v.id for v in values}) == 2:
             a, b = values
             least = partial(self._least_clearance, frame.scope.meter, a.id, b.id)
         cache: dict[Any, Any] = frame.cached
@@ -194,15 +195,6 @@ class TemporalEvaluator:
         return queries[key]
 
 
-def _is_clearance(expression: Node) -> bool:
-    """Checks whether an expression is the clearance of two entities."""
-    return (
-        isinstance(expression, Call)
-        and expression.name == "clearance"
-        and len(expression.arguments) == 2
-    )
-
-
 def _for_each(
     columns: ColumnsOf,
     query: Query,
@@ -265,17 +257,12 @@ def _placeholders(
     In place of the entity with the number `of_all` are all of its world.
     """
     result = {f"value_{number}": value for number, value in enumerate(values)}
+    every = replace(past, is_window=True)
     for number, (value, is_entity) in enumerate(zip(values, handles, strict=True)):
         if is_entity:
-            every = replace(past, is_window=True)
-            one = every if number == of_all else _of_entity(past, value)
-            result[f"value_{number}"] = one
+            one = replace(every, id=value.id, table=value.TABLE)
+            result[f"value_{number}"] = every if number == of_all else one
     return result
-
-
-def _of_entity(past: Past, entity: Handle) -> Past:
-    """Returns the past of one entity."""
-    return replace(past, is_window=True, id=entity.id, table=entity.TABLE)
 
 
 def _reads_ticks(query: Query, values: Sequence[Any], handles: Sequence[bool]) -> bool:
