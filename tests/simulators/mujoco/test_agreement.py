@@ -37,7 +37,7 @@ PAIRS = (
     "touching(a, b, 0.05)", "on(a, b)", "onTop(a, b)", "supports(a, b)", "inside(a, b)",
     "contains(a, b)", "enclosed(a, b)", "nextTo(a, b)", "collision(a, b)",
     "leftOf(a, b, SIM.box_5)", "behind(a, b, SIM.arm)", "rightOf(a, b, SIM.arm)",
-    "inFrontOf(a, b, SIM.box_5)", "restsOn(a, b)",
+    "inFrontOf(a, b, SIM.box_5)", "restsOn(a, b)", "positionIn(a, b)",
 )  # fmt: skip
 SINGLE = (
     "name(this)", "type(this)", "kind(this)", "isRobot(this)", "isSensor(this)", "isKinbody(this)",
