@@ -221,7 +221,8 @@ def compiled(interpreter: Interpreter, key: str, text: str) -> CompiledProgram:
         error.message = f"{key}: {error.message}"
         raise
     if len(program.tree.statements) != 1 or program.tree.explain:
-        raise ArgumentError(f"{key}: {text!r} is to be one expression")
+        hint = f", without {program.tree.explain}" if program.tree.explain else ""
+        raise ArgumentError(f"{key}: {text!r} is to be one expression{hint}")
     for doubt in program.tree.suspicions:
         if doubt.is_grave:
             raise ArgumentError(f"{key}: {doubt.message}", text=program.tree.text, span=doubt.span)

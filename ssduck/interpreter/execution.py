@@ -43,7 +43,7 @@ from ssduck.language.evaluator import Frame
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS, are_intervals
 from ssduck.language.parser import parse
 from ssduck.language.sql_readings import SqlReader
-from ssduck.language.tree import Call, Node, Placeholder, Program, Query
+from ssduck.language.tree import Call, Name, Node, Placeholder, Program, Query
 from ssduck.language.value_history import LazyList
 from ssduck.limits import Limits, UsageMeter
 from ssduck.logic.margins import is_value
@@ -297,7 +297,9 @@ class Execution(Namespace):
 
         with self.rehearsal(program) as frame:
             nodes = self.read(program).statements
-            if not nodes or is_value(nodes[-1]):
+            value = frame.value(nodes[-1]) if nodes and isinstance(nodes[-1], Name) else None
+            is_known = validation.is_number(value) or isinstance(value, str | list)
+            if not nodes or is_value(nodes[-1]) or is_known:
                 raise ArgumentError("WHY takes a condition, such as WHY on(table, cup);")
             resolved, written = self.planner.resolved_parts, self._written.get(nodes[-1], nodes[-1])
             explainer = Explainer(

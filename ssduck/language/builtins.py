@@ -12,6 +12,7 @@ from functools import partial, reduce, wraps
 from types import FunctionType
 from typing import Any
 
+from ssduck import validation
 from ssduck.errors import ArgumentError, FunctionError, LimitError, SelectScriptError
 from ssduck.formatting import argument_in_words, error_text, first_line, short_repr
 from ssduck.language.analysis import BINARY_NAMES
@@ -318,8 +319,8 @@ MARGIN_OF_TRUTH = "margin of truth"
 UNIT_OF_SCALE = "unit of scale"
 
 
-def _unit_of_scale(unit: Any) -> float:
-    if not (isinstance(unit, int | float) and unit > 0.0):
+def _unit_of_scale(unit: Any) -> Any:
+    if not (validation.is_number(unit) and unit > 0.0):
         message = "the unit is a number above 0, by which the margin is divided"
         raise ArgumentError(f"{message}, not {short_repr(unit)}")
     return unit

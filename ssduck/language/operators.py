@@ -351,7 +351,7 @@ def binary(compiler: OperandCompiler, node: Binary) -> Thunk:
 
     def operation(frame: Frame) -> Any:
         a, b = left(frame), right(frame)
-        if may_be_unknown and a is None:
+        if may_be_unknown and (a is None or b is None):
             return None
         try:
             return operate(a, b)
@@ -446,6 +446,8 @@ def is_verdict(node: Node) -> bool:
             return name.startswith(VERDICT)
         case Unary(operator="NOT" | "-", operand=operand) | Binary(operator="/", left=operand):
             return is_verdict(operand)
+        case Binary(operator="<" | "<=" | ">" | ">=" | "-", left=left, right=right):
+            return is_verdict(left) or is_verdict(right)
     return is_short_circuit(node) and any(map(is_verdict, node.children()))
 
 

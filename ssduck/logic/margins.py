@@ -11,7 +11,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 from ssduck.errors import ArgumentError
-from ssduck.language.analysis import OF_MARGINS, TEMPORAL_OPERATORS, free_aliases
+from ssduck.language.analysis import OF_MARGINS, TEMPORAL_OPERATORS
 from ssduck.language.builtins import MARGIN_OF_TRUTH, UNIT_OF_SCALE
 from ssduck.language.parser import parse
 from ssduck.language.tree import (
@@ -93,15 +93,19 @@ def _margin_of_relation(call: Call) -> Node | None:
     text = "" if relation is None else relation.margin_of(len(call.arguments))
     if relation is None or not text:
         return None
-    if [p.type for p in relation.parameters[:2]] == ["entity", "entity"] and free_aliases(call):
-        text = f"CASE WHEN a != b THEN {text} ELSE -1e999 END"  # none is of an entity with itself
     values = {p.name: _parsed(p.default) for p in relation.parameters if p.default}
     values |= zip((p.name for p in relation.parameters), call.arguments, strict=False)
 
     def argument(part: Node) -> Node | None:
         return values.get(part.name) if isinstance(part, Name) else None
 
-    return _parsed(text).replaced(argument)
+    margin = _parsed(text).replaced(argument)
+    if [p.type for p in relation.parameters[:2]] != ["entity", "entity"]:
+        return margin
+    # None is of an entity with itself.
+    differ = _parsed("CASE WHEN a != b THEN 1e999 ELSE -1e999 END").replaced(argument)
+    both = ListLiteral(call.span, (differ, margin))
+    return Call(call.span, "margin of AND", (both,), call.span)
 
 
 @lru_cache(maxsize=256)

@@ -103,7 +103,7 @@ class UntilFromFirst:
         """The margin of the operator."""
         assert self.first is not None
         found, now = self.later, self.time + TIME_TOLERANCE
-        # If the window has not begun, it may begin with this tick, if the next one comes after that.
+        # A window that has not begun may begin with this tick, if the next one comes later.
         if self.is_upper or self.first + self.window.start <= now:
             found = max(found, self.at_begin)
         may_come = self.is_upper and self.first + self.window.end > now

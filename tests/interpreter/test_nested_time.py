@@ -311,6 +311,21 @@ def test_implies_is_looser_than_or_and_right_associative():
             ss.eval("a IMPLIES;")
 
 
+def test_what_is_compared_with_an_undecided_margin_is_not_decided():
+    scene = Scene(0)
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("sim", ssduck.World.attach((scene.model, scene.data)))
+        undecided = "robustness(always(z(sim.ball) <= 5)) > 0.1"
+        assert ss.eval(f"{undecided};") is None
+        assert ss.eval(f"NOT 0 < {undecided.partition(' > ')[0]};") is None
+        assert ss.eval(f"{undecided} AND z(sim.ball) > 5;") is False
+        assert ss.eval(f"{undecided} OR z(sim.ball) < 5;") is True
+        assert ss.why(f"{undecided};").value is None
+        fired = []
+        ss.add_trigger("close", f"{undecided};", 0, fired.append)
+        assert fired in ([], [None])
+
+
 def test_a_part_that_is_an_error_is_one_at_the_ticks_that_need_it():
     model = mujoco.MjModel.from_xml_string(
         "<mujoco><worldbody><body name='ball' pos='0 0 1'><freejoint/><geom size='.05'/></body>"

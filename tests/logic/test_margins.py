@@ -66,6 +66,17 @@ def test_the_margin_of_a_relation_of_pairs_has_the_sign_of_the_relation(scene, n
             check(row["holds"], row["margin"])
 
 
+@pytest.mark.parametrize("name", OF_PAIRS)
+def test_of_an_entity_with_itself_no_relation_holds_and_no_margin_says_so(kitchen, name):
+    has_viewer = any(p.name == "viewer" for p in RELATIONS[name].parameters)
+    call = f"{name}(viewer, other{', fridge' if has_viewer else ''})"
+    kitchen.add_variable("other", kitchen["kitchen"]["chair_12d0"])
+    kitchen.add_variable("fridge", kitchen["kitchen"]["fridge"])
+    if RELATIONS[name].required_count > 2 and not has_viewer:
+        call = f"{name}(viewer, other, 0.1)"
+    assert kitchen.eval(f"[{call}, robustness({call})];") == [False, -math.inf]
+
+
 @pytest.mark.parametrize("condition", OTHERS)
 def test_the_margin_of_a_relation_of_one_entity_has_its_sign(kitchen, condition):
     rows = kitchen.eval(
@@ -272,6 +283,8 @@ def test_the_margin_of_what_is_unknown_is_nothing():
         ("robustness(lifted(1))", "lifted takes 2"),
         ("robustness(scale(1 < 2, 0))", "scale: the unit is a number above 0"),
         ("robustness(scale(1 < 2, -1))", "scale: the unit is a number above 0"),
+        ("once(scale(1 < 2, 0))", "scale: the unit is a number above 0"),
+        ("WHY unit", "WHY takes a condition"),
         ("robustness(scale(1 < 2, unit))", "scale: the unit is a number above 0.*not -0.1"),
         ("WHY scale(1 < 2, unit)", "scale: the unit is a number above 0.*not -0.1"),
         (

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
+from ssduck.errors import ArgumentError
 from ssduck.interpreter.over_time.functions import never_called
 from ssduck.language.builtins import Function
-from ssduck.language.tree import Binary, Call, Node
+from ssduck.language.tree import Binary, Call, Literal, Node, Unary
 from ssduck.logic.margins import check_margin, margin_of
 
 
@@ -40,6 +41,15 @@ def _expansion(
     return Expansion(expand, never_called(name, about, usage, count, count))
 
 
+def _scaled(call: Call) -> Node:
+    """Returns the condition, whose unit is looked at if it is a number."""
+    condition, unit = call.arguments
+    is_negative = isinstance(unit, Unary) and isinstance(unit.operand, Literal)
+    if is_negative or (isinstance(unit, Literal) and not unit.value):
+        raise ArgumentError("scale: the unit is a number above 0", span=unit.span)
+    return condition
+
+
 EXPANSIONS: dict[str, Expansion] = {
     form.function.name: form
     for form in (
@@ -63,7 +73,7 @@ EXPANSIONS: dict[str, Expansion] = {
         ),
         _expansion(
             "scale",
-            lambda call: call.arguments[0],
+            _scaled,
             "Is the condition, whose margin is divided by a number: so margins in metres and in "
             "degrees are compared. robustness(scale(z(cup) > 0.9, 0.1) AND scale(tilt(cup) < 0.5, "
             "0.2)).",
