@@ -125,7 +125,7 @@ BUDGETS = {
     "interpreter": 15_730,
     "lakes": 2_860,
     "language": 6_200,
-    "logic": 625,
+    "logic": 630,
     "mcp": 525,
     "recording": 8_820,
     "render": 1_105,
