@@ -122,7 +122,7 @@ BUDGETS = {
     "geometry": 8_640,
     "gym": 2_770,
     "interchange": 2_950,
-    "interpreter": 15_730,
+    "interpreter": 15_740,
     "lakes": 2_860,
     "language": 6_200,
     "logic": 630,

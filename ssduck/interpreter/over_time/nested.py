@@ -187,6 +187,7 @@ class Ticks:
         # The columns of expressions, by their keys, and those of them that queries have.
         self._columns: dict[str, Column] = {}
         self._read: dict[str, Column] = {}
+        self._traces: dict[str, Trace] = {}  # those of conditions, by their keys
 
     def place_of(self, call: Call, frame: Frame) -> int:
         """Returns the place of the tick of an operator that is in no other one."""
@@ -198,7 +199,8 @@ class Ticks:
     def is_decided(self, operator: Node, place: int) -> bool:
         """Checks whether ticks after the last one could not change an operator at a tick."""
         going_on = copy(self)
-        going_on.is_open, going_on._columns = True, dict(self._read)  # noqa: SLF001  # a copy of its own
+        going_on.is_open, going_on._traces = True, {}  # noqa: SLF001  # a copy of its own
+        going_on._columns = dict(self._read)  # noqa: SLF001
         return bool(going_on.trace(operator).is_known[place])
 
     def conditions(self, call: Call) -> list[Trace]:
@@ -227,6 +229,12 @@ class Ticks:
 
     def trace(self, node: Node) -> Trace:
         """Returns whether a condition holds at each tick."""
+        key = node_key(node)
+        if key not in self._traces:
+            self._traces[key] = self._trace(node)
+        return self._traces[key]
+
+    def _trace(self, node: Node) -> Trace:
         match node:
             case Call() if (form := operator_of(node)) is not None:
                 assert form.operator is not None
