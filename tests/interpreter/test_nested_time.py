@@ -11,6 +11,7 @@ import pytest
 import ssduck
 from ssduck.errors import ArgumentError, SelectScriptError
 from tests.support.cases import generated
+from tests.support.mjcf import simulated
 from tests.support.temporal_logic import Formula, value
 from tools import check_live
 
@@ -327,13 +328,11 @@ def test_what_is_compared_with_an_undecided_margin_is_not_decided():
 
 
 def test_a_part_that_is_an_error_is_one_at_the_ticks_that_need_it():
-    model = mujoco.MjModel.from_xml_string(
+    model, data = simulated(
         "<mujoco><worldbody><body name='ball' pos='0 0 1'><freejoint/><geom size='.05'/></body>"
         "<body name='door' pos='1 0 0'><joint name='hinge'/><geom size='.1'/></body>"
         "</worldbody></mujoco>"
     )
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
     by_zero = "historically(z(sim.ball) > -5 OR once(1 / (z(sim.ball) - z(sim.ball)) > 2));"
     # The ball is so high only at first; then, the hinge, which has no range, is looked at.
     by_hinge = "historically(z(sim.ball) > 0.9 IMPLIES once(isOpen(sim.door, 'hinge')));"

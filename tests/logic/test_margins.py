@@ -11,6 +11,7 @@ import pytest
 import ssduck
 from ssduck.errors import ArgumentError
 from ssduck.sql.relations.registry import RELATIONS
+from tests.support.mjcf import simulated
 
 OF_PAIRS = sorted(
     relation.name
@@ -132,12 +133,10 @@ def test_a_position_in_a_frame_is_that_of_the_rotation_of_the_frame(kitchen):
 @pytest.mark.parametrize("margin", [0.0, 0.01])
 def test_the_gap_of_two_balls_is_their_distance_less_radii_and_margins(margin):
     geom = f"<geom size='.1' margin='{margin}'/>"
-    model = mujoco.MjModel.from_xml_string(
+    model, data = simulated(
         f"<mujoco><worldbody><body name='a'><freejoint/>{geom}</body>"
         f"<body name='b' pos='0 0 .5'><freejoint/>{geom}</body></worldbody></mujoco>"
     )
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
     with ssduck.Interpreter() as ss:
         sim = ss.add_variable("sim", ssduck.World.attach((model, data)))
         for name in "ab":
@@ -179,13 +178,11 @@ def test_the_margin_of_an_open_joint_is_that_of_its_share():
 
 
 def test_a_region_of_a_site_has_no_margin():
-    model = mujoco.MjModel.from_xml_string(
+    model, data = simulated(
         "<mujoco><worldbody><body name='tray' euler='0 0 45'><geom size='.1'/>"
         "<site name='zone' type='box' size='1 .1 1'/></body><body name='ball' pos='.5 -.4 0'>"
         "<freejoint/><geom size='.1'/></body></worldbody></mujoco>"
     )
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
     with ssduck.Interpreter() as ss:
         ss.add_variable("sim", ssduck.World.attach((model, data)))
         text = "within(sim.tray.zone, sim.ball)"
@@ -253,12 +250,10 @@ def test_the_margin_of_lifted_is_that_of_the_expression_it_stands_for():
 
 
 def test_the_margin_of_what_is_unknown_is_nothing():
-    model = mujoco.MjModel.from_xml_string(
+    model, data = simulated(
         "<mujoco><worldbody><body name='box' pos='0.5 0 0'><freejoint/><geom size='.1'/></body>"
         "<body name='ball' pos='0 0 1'><freejoint/><geom size='.1'/></body></worldbody></mujoco>"
     )
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
     conditions = ["z(b) > 0 AND x(a) > 0", "z(b) > 0 OR x(a) > 0", "z(b) == 1", "touching(a, b)"]
     with ssduck.Interpreter() as ss:
         sim = ss.add_variable("sim", ssduck.World.attach((model, data)))
@@ -283,6 +278,7 @@ def test_the_margin_of_what_is_unknown_is_nothing():
         ("robustness(lifted(1))", "lifted takes 2"),
         ("robustness(scale(1 < 2, 0))", "scale: the unit is a number above 0"),
         ("robustness(scale(1 < 2, -1))", "scale: the unit is a number above 0"),
+        ("once(scale(1 < 2, -2))", "scale: the unit is a number above 0"),
         ("once(scale(1 < 2, 0))", "scale: the unit is a number above 0"),
         ("WHY unit", "WHY takes a condition"),
         ("robustness(scale(1 < 2, unit))", "scale: the unit is a number above 0.*not -0.1"),
@@ -303,3 +299,9 @@ def test_mistakes_are_told_of(call, message):
         ss.add_variable("unit", -0.1)
         with pytest.raises(ArgumentError, match=message):
             ss.eval(f"{call};")
+
+
+def test_a_unit_may_have_a_plus():
+    with ssduck.Interpreter() as ss:
+        assert ss.eval("robustness(scale(1 < 2, +2));") == 0.5
+        assert ss.eval("scale(1 < 2, +2);") is True

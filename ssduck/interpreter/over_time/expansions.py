@@ -44,9 +44,9 @@ def _expansion(
 def _scaled(call: Call) -> Node:
     """Returns the condition, whose unit is looked at if it is a number."""
     condition, unit = call.arguments
-    is_negative = isinstance(unit, Unary) and isinstance(unit.operand, Literal)
-    if is_negative or (isinstance(unit, Literal) and not unit.value):
-        raise ArgumentError("scale: the unit is a number above 0", span=unit.span)
+    match unit:
+        case Literal(value=0) | Unary(operator="-", operand=Literal()):
+            raise ArgumentError("scale: the unit is a number above 0", span=unit.span)
     return condition
 
 
