@@ -114,6 +114,7 @@ _ORIGINALS = {"lake": "open_lake", "open": "open_record"}
 # What to write for names that are looked for here.
 _INSTEAD_OF = {
     **dict.fromkeys(("attach", "connect"), "a world is ssduck.World.attach(client)"),
+    "Recorder": "ss.record_to(folder) records, and ssduck.Recording says what is kept",
     "batch": "it is ssduck.World.batch(model, count)",
     **dict.fromkeys(
         ("eval", "sql", "add_variable", "add_function", "add_trigger", "record_to", "export"),
@@ -126,7 +127,8 @@ def __getattr__(name: str) -> Any:
     """Imports a public name when it is used: the command's help needs none of them."""
     if name not in _HOMES:
         told = f"; {_INSTEAD_OF[name]}" if name in _INSTEAD_OF else ""
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{told}")
+        message = f"module {__name__!r} has no attribute {name!r}{told}"
+        raise AttributeError(message, name=name, obj=import_module(__name__))
     value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), _ORIGINALS.get(name, name))
     globals()[name] = value
     return value

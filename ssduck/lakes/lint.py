@@ -16,7 +16,8 @@ def values_of(condition: str) -> str:
     tree = parse(f"{text};")
     if len(tree.statements) != 1 or tree.explain:
         raise ArgumentError(f"lint: {text!r} is to be one expression")
-    return f"SELECT change.this[1] FROM change=changes({text}\n) AS list;"  # noqa: S608
+    # An error shows the line of the condition.
+    return f"SELECT change.this[1] FROM change=changes(\n{text}\n) AS list;"  # noqa: S608
 
 
 def told_of(condition: str, answers: pa.Table) -> list[str]:

@@ -15,6 +15,7 @@ class _PublicNamesType(ABCMeta):
     """The type of these classes: their own `dir` is that of their objects."""
 
     INTERNAL_NAMES: frozenset[str]
+    INSTEAD_OF: Mapping[str, str]
 
     def __dir__(cls) -> Iterable[str]:
         names = (name for name in super().__dir__() if name not in cls.INTERNAL_NAMES)
@@ -25,7 +26,9 @@ class _PublicNamesType(ABCMeta):
         def __getattr__(cls, name: str) -> Any:
             spellings = service("spellings")(cls) if name[:1].isupper() else {}
             if name not in spellings:
-                raise AttributeError(f"type object {cls.__name__!r} has no attribute {name!r}")
+                told = f"; {cls.INSTEAD_OF[name]}" if name in cls.INSTEAD_OF else ""
+                message = f"type object {cls.__name__!r} has no attribute {name!r}{told}"
+                raise AttributeError(message, name=name, obj=cls)
             return spellings[name]
 
 
@@ -99,7 +102,7 @@ _OF_INTERPRETERS = "that is for the interpreter that has the world: ss."
 INSTEAD_IN_WORLDS = _told(
     *(
         (name, f"{_OF_INTERPRETERS}{name}(…)")
-        for name in ("eval", "sql", "export", "record", "add_trigger", "add_function", "past")
+        for name in ("eval", "sql", "export", "record", "record_to", "add_trigger", "add_function", "past")
     ),
     ("query", f"{_OF_INTERPRETERS}eval(…)"),
     ("history", f"{_OF_INTERPRETERS}past(…), or queries of room{{0.5}}"),
@@ -109,6 +112,9 @@ INSTEAD_IN_WORLDS = _told(
     ("get body entity_by_name", "an entity is world['cup']"),
     ("joints", "those of an entity are world['arm'].joints"),
     ("contacts", "inContact(a, b) asks for them, and ss.sql('FROM room.contacts')"),
+    ("from_mujoco from_mjcf from_model", "ssduck.World.attach(model, data) makes a world"),
+    ("from_pybullet from_client connect", "ssduck.World.attach(client) makes a world"),
+    ("load open from_file from_scene", "ssduck.load(scene) returns an interpreter of its world"),
     ("reset", "reset the simulator, and call begin_episode(); or load the scene again"),
     ("dt time_step", "the time step is .timestep, s"),
     ("simulate", "run(seconds) runs the simulation, and step(n) n steps of it"),

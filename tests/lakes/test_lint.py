@@ -66,7 +66,7 @@ def test_what_is_told_is_what_the_ticks_say(runs, heights, height, where):
 
 def test_errors_and_what_is_no_condition(runs):
     lake = ssduck.lake(runs)
-    with pytest.warns(UserWarning, match="no answer"):
+    with pytest.warns(UserWarning, match=r"no answer[^$]*\n    z\(sim.bal\) > 1\n"):
         (told,) = lake.lint("z(sim.bal) > 1")
     assert told.startswith("world 'sim' has no entity 'bal'")
     for text, error, match in (
@@ -83,3 +83,7 @@ def test_the_command(runs):
     assert answer("lint", str(runs), "z(sim.ball) > 0.7") == ""
     result = ssduck_("lint", str(runs), "z(sim.ball) > 2;", "-w", "episode = 1")
     assert (result.exit_code, result.stdout) == (1, "it never holds: at no tick of 1 episode\n")
+    result = ssduck_("lint", str(runs), "z(sim.bal) > 2")
+    assert result.exit_code == 1
+    assert result.output.count("has no entity 'bal'") == 1
+    assert "SELECT" not in result.output
