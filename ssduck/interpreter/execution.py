@@ -30,7 +30,7 @@ from ssduck.interpreter.namespace import Namespace
 from ssduck.interpreter.over_time.evaluator import TemporalEvaluator
 from ssduck.interpreter.over_time.expansions import expanded
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, is_fold, parts_of
-from ssduck.interpreter.over_time.live import LiveFolds
+from ssduck.interpreter.over_time.live import LiveFolds, copied
 from ssduck.interpreter.over_time.nested import NestedExpressions, is_nested
 from ssduck.interpreter.over_time.series import TickColumns, TickSeries
 from ssduck.interpreter.over_time.why import Explainer
@@ -361,6 +361,9 @@ class Execution(Namespace):
 
     def over_time(self, node: Call, frame: Frame) -> Any:
         """Returns the value of a call whose argument is evaluated at each recorded tick."""
+        found = self.nested.at_row(node, frame, partial(self._record_of, node, frame))
+        if found is not None:
+            return copied(found[0])
         form = TEMPORAL_FUNCTIONS[node.name]
         other = None if form.operator else parts_of(node)[1]
         age = None if other is None else frame.value(other)
@@ -380,6 +383,10 @@ class Execution(Namespace):
             fold = form.fold or self.nested.fold(node, frame, lambda: series().record)
             return self.folds.value(node, fold, series, of_record)
 
+    def _record_of(self, node: Call, frame: Frame) -> Record:
+        """Returns the record of the entities in the expressions of a call of such a function."""
+        return self.database.record_of(self.temporal.world_of(node, frame))
+
     def series(self, node: Call, frame: Frame) -> TickSeries:
         """Returns the values of the expression in such a call; the caller pins the worlds.
 
@@ -388,7 +395,7 @@ class Execution(Namespace):
         expression, _ = parts_of(node)
         if TEMPORAL_FUNCTIONS[node.name].operator is None and not is_nested(expression):
             return self.temporal.series(node, frame)
-        record = self.database.record_of(self.temporal.world_of(node, frame))
+        record = self._record_of(node, frame)
         moment = common_moment(record.world, (), frame.own_elements())
 
         def columns(past: Past) -> TickColumns:

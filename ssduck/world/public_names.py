@@ -102,7 +102,16 @@ _OF_INTERPRETERS = "that is for the interpreter that has the world: ss."
 INSTEAD_IN_WORLDS = _told(
     *(
         (name, f"{_OF_INTERPRETERS}{name}(…)")
-        for name in ("eval", "sql", "export", "record", "record_to", "add_trigger", "add_function", "past")
+        for name in (
+            "eval",
+            "sql",
+            "export",
+            "record",
+            "record_to",
+            "add_trigger",
+            "add_function",
+            "past",
+        )
     ),
     ("query", f"{_OF_INTERPRETERS}eval(…)"),
     ("history", f"{_OF_INTERPRETERS}past(…), or queries of room{{0.5}}"),

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import random
+from unittest.mock import patch
 
 import mujoco
 import pytest
 
 import ssduck
 from ssduck.errors import ArgumentError, SelectScriptError
+from ssduck.interpreter.execution import Execution
 from tests.support.cases import generated
 from tests.support.mjcf import simulated
 from tests.support.temporal_logic import Formula, value
@@ -201,6 +203,39 @@ def test_each_row_is_of_its_entity_and_of_its_tick(moved):
     one = Formula("once", (Formula("z(sim.ball) > 0.5"),), (0, 0.03))
     found = [row["v"] for row in rows if row["name"] == "ball"]
     assert found == [scene.expected(one, tick) for tick in range(TICKS + 1)]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "heldFor(z(this) > 0.5)",
+        "heldFor(distance(this, sim.ball) < 0.5)",
+        "since(z(sim.ball) > 0.5)",
+        "previous(position(this))",
+        "rate(z(sim.ball) + z(this))",
+        "greatest(z(this))",
+        "initially(sim.ball)",
+        "eventually(z(this) > z(sim.box), 0, 0.05)",
+        "robustness(heldSince(z(sim.ball) > 0.4, touching(this, sim.world)))",
+    ],
+)
+def test_all_rows_are_read_at_once_and_are_those_of_each_tick_by_itself(moved, text):
+    ss, scene = moved
+    query = f"SELECT name, {text} AS v FROM sim{{}} WHERE isKinbody(this) ORDER BY tick, name;"
+    with patch.object(Execution, "series", autospec=True, side_effect=Execution.series) as read:
+        rows = ss.eval(query)
+    names = {row["name"] for row in rows}
+    assert len(names) > 1
+    assert read.call_count <= 3 * len(names)
+    by_itself = [
+        row
+        for time in scene.times
+        for name in sorted(names)
+        for row in ss.eval(
+            query.replace("{}", f"{{{time}}}").replace("isKin", f"name = '{name}' AND isKin")
+        )
+    ]
+    assert repr(rows) == repr(by_itself)
 
 
 def test_a_tick_that_another_one_of_its_time_replaces_has_its_values():

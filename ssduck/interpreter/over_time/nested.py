@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass
 from functools import reduce
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +29,7 @@ from ssduck.interpreter.over_time.functions import (
     Fold,
     expressions_of,
     fold_of_operator,
+    is_fold,
     operator_of,
 )
 from ssduck.interpreter.over_time.series import (
@@ -130,6 +131,35 @@ class NestedExpressions:
         low, high = trace.low[place].item(), trace.high[place].item()
         return low if low == high else None
 
+    def at_row(
+        self, call: Call, frame: Frame, record_of: Callable[[], Record]
+    ) -> tuple[Any] | None:
+        """Returns the value of a call at the tick of a row of the past, alone in a tuple.
+
+        None of the first row of some entities, and of other calls: each is read by itself. At the
+        second row, all ticks are read.
+        """
+        own = [element for element in frame.own_elements() if isinstance(element, Handle)]
+        rows = {element.world: element.moment for element in own if element.moment is not None}
+        is_of_all = operator_of(call) is not None or is_fold(call)
+        if not (rows and is_of_all) or frame.local or frame.placeholders:
+            return None
+        entities, cache = _entities_of_row(call, frame), cast("dict[Any, Any]", frame.cached)
+        if entities is None:
+            return None
+        key = call, *entities
+        if key not in cache:
+            cache[key] = None
+            return None
+        if cache[key] is None:
+            record = record_of()
+            found = self.columns(call, record, frame)
+            values = dict(zip(found.ticks.tolist(), found.values.tolist(), strict=True))
+            cache[key] = record.world, values
+        world, values = cache[key]
+        row = rows.get(world)
+        return (values[row.tick],) if row is not None and row.tick in values else None
+
     def fold(self, call: Call, frame: Frame, record_of: Callable[[], Record]) -> Fold:
         """Returns the fold that an operator is; see `fold_of_operator`."""
         window = window_of(call, frame)
@@ -148,16 +178,23 @@ class NestedExpressions:
 
     def ticks(self, node: Node, record: Record, frame: Frame) -> Ticks:
         """Returns the ticks until now; rows of the same entities share them."""
-        elements = [frame.elements.get(alias) for alias in sorted(free_aliases(node), key=str)]
-        cache: dict[Any, Any] = frame.cached
-        handles = [element for element in elements if isinstance(element, Handle)]
-        if len(handles) < len(elements):
+        entities, cache = _entities_of_row(node, frame), cast("dict[Any, Any]", frame.cached)
+        if entities is None:
             return Ticks(self, record, frame)
-        key = Ticks, record, *((handle.TABLE, handle.id) for handle in handles)
+        key = Ticks, record, *entities
         if key not in cache:
             cache[key] = Ticks(self, record, frame)
         ticks: Ticks = cache[key]
         return ticks
+
+
+def _entities_of_row(node: Node, frame: Frame) -> list[tuple[str, int]] | None:
+    """Returns which entities of the rows around it a part reads; None if it reads other values."""
+    elements = [frame.elements.get(alias) for alias in sorted(free_aliases(node), key=str)]
+    handles = [element for element in elements if isinstance(element, Handle)]
+    if len(handles) < len(elements):
+        return None
+    return [(handle.TABLE, handle.id) for handle in handles]
 
 
 class Ticks:
