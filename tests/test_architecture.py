@@ -117,7 +117,7 @@ BUDGETS = {
     "adapters": 4_530,
     "cli": 1_365,
     "columns": 1_292,
-    "database": 6_320,
+    "database": 6_290,
     "demos": 1_500,
     "geometry": 8_640,
     "gym": 2_770,

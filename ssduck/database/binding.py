@@ -21,7 +21,7 @@ from ssduck.recording.replay.lookups import LOOKUPS
 from ssduck.recording.replay.record import Record
 from ssduck.recording.spec import no_ticks_message, not_recorded_message
 from ssduck.recording.stores.base import TickArchive, VisibleRows
-from ssduck.schema import LINK_FACTOR, POSE, RECORDED, TABLES, EntityTable, entity_of, link_id
+from ssduck.schema import LINK_FACTOR, POSE, TABLES, EntityTable, entity_of, link_id
 from ssduck.simulators.contact_pairs import ContactPairs
 from ssduck.simulators.interface import DEFAULT_BACKEND
 from ssduck.simulators.kinematics import EntityJoints
@@ -32,8 +32,8 @@ from ssduck.world.world import World
 
 # The poses of entities by id: x, y, z, qw, qx, qy, qz; None for what is not known.
 Poses: TypeAlias = dict[int, tuple[float | None, ...]]
-# Rows that DuckDB reads in place: their table, the name of their view, and the rows themselves.
-Buffer: TypeAlias = tuple[str, str, LiveTable | VisibleRows]
+# Rows that DuckDB reads in place: the name of their view, and the rows themselves.
+Buffer: TypeAlias = tuple[str, LiveTable | VisibleRows]
 # The approximate number of poses that are cached.
 MAX_POSES = 100_000
 
@@ -159,12 +159,12 @@ class BoundWorld:
     def live_buffers(self) -> list[Buffer]:
         """Returns the rows of the current tick."""
         tables = self.world.snapshot.tables
-        return [(table, self.live_view(table), live) for table, live in tables.items()]
+        return [(self.live_view(table), live) for table, live in tables.items()]
 
     def history_buffers(self) -> list[Buffer]:
         """Returns the rows of recorded ticks that DuckDB reads in place."""
         return [
-            (RECORDED[table].history_view, self.buffer_views(table)[part], rows)
+            (self.buffer_views(table)[part], rows)
             for part, tables in enumerate(self.history.visible_rows if self.history else ())
             for table, rows in tables.items()
         ]

@@ -72,7 +72,7 @@ class Database:
         # The tables that views and prepared statements of users read.
         persistent: set[str] = set()
         by_schema: dict[str, BoundWorld] = {}
-        self.plans = PreparedPlans(self.connection, persistent, by_schema)
+        self.plans = PreparedPlans(self.connection, by_schema)
         self._schemas = Schemas(self.connection)
         if self.connection.is_file:
             self._schemas.drop_stale_views()

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ from ssduck.database.schemas import part_rows
 from ssduck.database.statement_names import may_read_unnamed
 from ssduck.errors import SelectScriptError, SqlError
 from ssduck.recording.stores.history_sql import quoted
-from ssduck.schema import RECORDED, TABLES, Column, Table
+from ssduck.schema import TABLES, Column, Table
 from ssduck.world.live_tables import LiveTable
 
 # Beyond this number of rows, or of combinations of rows, planning is cheap in comparison, and what
@@ -251,16 +251,11 @@ def _rows_of(function: str, columns: Sequence[Column]) -> str:
     return f"SELECT {', '.join(fields)} FROM ({rows})"  # noqa: S608  # all names are quoted
 
 
-# The names of ssduck's prepared statements: this prefix, a number and the tables that they read,
-# for users who trace the statements.
+# The names of ssduck's prepared statements: this prefix and a number.
 NAME_PREFIX = "ssduck statement "
-# The tables of a world whose buffers may be replaced.
-_TABLES = frozenset((*TABLES, *(table.history_view for table in RECORDED.values())))
 # The number of runs before a statement is prepared: to make a plan that is kept takes as long as
 # four runs without one.
 RUNS_BEFORE_PLAN = 3
-# What a plan depends on that reads no buffer.
-_LAYOUT = frozenset(("entities",))
 # The types of the parameters of a statement, which are numbers, by name.
 NumberTypes: TypeAlias = Mapping[str, Literal["double", "integer"]]
 # No source can have this name, because it has a space.
@@ -268,55 +263,38 @@ _PARAMETERS = "the parameters"
 
 
 class PreparedPlans:
-    """The plans of prepared statements in DuckDB."""
+    """The plans of ssduck's own prepared statements in DuckDB.
 
-    def __init__(
-        self,
-        connection: Connection,
-        user_tables: AbstractSet[str],
-        worlds: Mapping[str, BoundWorld],
-    ) -> None:
+    DuckDB makes a plan anew where a table that it scans was replaced.
+    """
+
+    def __init__(self, connection: Connection, worlds: Mapping[str, BoundWorld]) -> None:
         self.connection = connection
         self.worlds = worlds
-        self._user_tables = user_tables
         self._kept = KeptPlans(connection)
-        # The tables that ssduck's own valid statements read, by the statement's name.
-        self._own: dict[str, frozenset[str]] = {}
+        self._valid: set[str] = set()  # the names of the statements
 
     def has(self, name: str) -> bool:
-        """Checks whether one of ssduck's own statements is prepared and valid."""
-        return name in self._own
+        """Checks whether a statement is prepared and valid."""
+        return name in self._valid
 
-    def prepare(self, name: str, sql: str, tables: frozenset[str], query: KeptQuery | None) -> None:
-        """Prepares one of ssduck's own statements, which has run before."""
-        if query is not None and self._kept.prepare(name, sql, query):
-            tables = _LAYOUT  # it reads what the tables are at each run
-        else:
+    def prepare(self, name: str, sql: str, query: KeptQuery | None) -> None:
+        """Prepares a statement, which has run before."""
+        if query is None or not self._kept.prepare(name, sql, query):
             self.connection.prepare(name, sql)
-        self._own[name] = tables
+        self._valid.add(name)
 
     def deallocate(self, name: str) -> None:
-        """Drops one of ssduck's own prepared statements, if DuckDB keeps it."""
-        if self._own.pop(name, None) is not None:
+        """Drops a statement, if DuckDB keeps it."""
+        if name in self._valid:
+            self._valid.remove(name)
             self._deallocate(name)
 
-    def forget(self, *tables: str) -> None:
-        """Drops prepared statements that would go on reading old buffers of one of these tables.
-
-        What a single statement of a user reads is not known: all of them are dropped if any
-        statement that DuckDB keeps reads such a table.
-        """
-        stale = frozenset(tables)
-        invalid = [name for name, reads in self._own.items() if stale & reads]
-        for name in invalid:  # all of them, even if a DEALLOCATE fails
-            del self._own[name]
-        for name in invalid:
+    def forget(self) -> None:
+        """Drops all statements: a name, or what is a constant in their plans, means another."""
+        names, self._valid = self._valid, set()  # all of them, even if a DEALLOCATE fails
+        for name in names:
             self._deallocate(name)
-        if stale & self._user_tables:
-            names = self.connection.internal_rows("SELECT name FROM duckdb_prepared_statements()")
-            for (name,) in names:
-                if name not in self._own:
-                    self._deallocate(name)
 
     def _deallocate(self, name: str) -> None:
         self.connection.deallocate(name)
@@ -339,9 +317,7 @@ class Statement:
     ) -> None:
         self._plans = plans
         self._connection = plans.connection
-        # The entities' buffers are replaced whenever any other part of the worlds changes.
-        self._reads = frozenset(("entities", *(t.name for t in select.find_all(exp.Table))))
-        self._name = statement_name(self._reads)
+        self._name = statement_name()
         self._types = types
         self._row: ParameterRow | None = None
         tree = select.copy()
@@ -362,7 +338,7 @@ class Statement:
             if self._runs < RUNS_BEFORE_PLAN:
                 self._runs += 1
                 return self._connection.rows(self._select)
-            self._plans.prepare(self._name, self._select, self._reads, self._kept_query())
+            self._plans.prepare(self._name, self._select, self._kept_query())
             self._runs = 0
         try:
             return self._connection.rows(self._execute)
@@ -451,9 +427,9 @@ class ParameterRow:
         self._connection.unregister(self._name)
 
 
-def statement_name(reads: Iterable[str]) -> str:
-    """Returns a new name for one of ssduck's prepared statements, with the tables it reads."""
-    return f"{NAME_PREFIX}{next(_numbers)} {' '.join(sorted(_TABLES & set(reads)))}"
+def statement_name() -> str:
+    """Returns a new name for one of ssduck's prepared statements."""
+    return f"{NAME_PREFIX}{next(_numbers)}"
 
 
 def _read_parameters(tree: exp.Select, row: exp.Expr) -> None:

@@ -244,7 +244,7 @@ class RawSql:
         limits = self._connection.meter.limits
         if not (limits.files or self._is_sealed):
             self.seal()
-        is_refused = limits.select_only and not self._is_query(sql, words_of(sql))
+        is_refused = limits.select_only and not self._is_query(sql)
         if is_refused and self._connection.statements(sql) is not None:  # DuckDB can parse it
             raise LimitError(
                 "SQL is one SELECT here, which changes nothing; PIVOT names its values: "
@@ -262,7 +262,7 @@ class RawSql:
             self._schemas.has_comments
             or self._has_users_queries
             or words.reads_catalog
-            or not self._is_query(sql, words)
+            or not self._is_query(sql)
         )
 
     def _describe(self, words: StatementWords, *, is_all: bool = True) -> None:
@@ -292,10 +292,10 @@ class RawSql:
             self._note_stored_queries(of_attached=True)
         return self._has_stored_queries
 
-    def _is_query(self, sql: str, words: StatementWords) -> bool:
+    def _is_query(self, sql: str) -> bool:
         """Checks whether a text is a single query."""
         self._names()
-        return self.statements.statement(sql, words.tables) is not None
+        return self.statements.statement(sql) is not None
 
     def _pinned_rows(
         self, sql: str, parameters: Parameters, words: StatementWords, reads: ReadData
@@ -319,7 +319,7 @@ class RawSql:
         self, sql: str, parameters: Parameters, reads: ReadData, *, is_kept: bool
     ) -> FetchedRows | pa.Table:
         names = self._names()
-        statement = self.statements.statement(sql, reads.tables)
+        statement = self.statements.statement(sql)
         if statement is not None and not self._search_path_changes:
             rows = self.statements.rows(statement, parameters, names)
             if is_kept:

@@ -282,7 +282,7 @@ def _register(
     connection: Connection, bound: BoundWorld, buffers: Iterable[Buffer], names: Collection[str]
 ) -> None:
     """Registers some buffers of a world with DuckDB, unless they are."""
-    for _, name, rows in buffers:
+    for name, rows in buffers:
         if name in names and name not in bound.versions:
             register_rows(connection, bound, name, rows)
 

@@ -109,8 +109,6 @@ class UserStatement:
 
     text: str  # the statement
     name: str  # the name of the prepared statement
-    # The tables that its plan reads, as far as their buffers may be replaced.
-    tables: frozenset[str]
     query: str | None = None  # the statement that runs in its place; None if it is not known yet
     # The names of its columns, if another query runs in its place.
     columns: tuple[str, ...] | None = None
@@ -175,15 +173,14 @@ class UserStatements:
         self._statements.move_to_end(sql)
         return statement
 
-    def statement(self, sql: str, tables: AbstractSet[str]) -> UserStatement | None:
+    def statement(self, sql: str) -> UserStatement | None:
         """Returns what is known of a text; None if it is not a single query."""
         if sql in self._statements:
             self._statements.move_to_end(sql)
             return self._statements[sql]
         statement = None
         if self._connection.is_query(sql):
-            reads = frozenset(("entities", *tables))
-            statement = UserStatement(sql, statement_name(reads), reads)
+            statement = UserStatement(sql, statement_name())
         self._statements[sql] = statement
         if len(self._statements) > MAX_STATEMENTS:
             _, oldest = self._statements.popitem(last=False)
@@ -353,7 +350,7 @@ class UserStatements:
         if not statement.may_be_kept:
             return False
         query = self._kept_query(statement, sql, names)
-        self._plans.prepare(statement.name, sql, statement.tables, query)
+        self._plans.prepare(statement.name, sql, query)
         statement.runs, statement.last_header = 0, None
         return True
 

@@ -215,7 +215,7 @@ class WorldRegistry:
         if name not in bound.schemas:
             bound.schemas.append(name)
             self._schemas.make(name, bound)
-            self._plans.forget("entities")
+            self._plans.forget()
         self._update_names()
 
     def _update_names(self) -> None:
@@ -256,7 +256,7 @@ class WorldRegistry:
             for view in bound.versions:
                 self._connection.unregister(view)
         if unused:
-            self._plans.forget("entities")
+            self._plans.forget()
             self._update_names()
         return bool(unused)
 
@@ -367,7 +367,7 @@ class WorldRegistry:
         self.register(bound)
         for schema in bound.schemas:
             self._schemas.make_history(schema, bound)
-        self._plans.forget("entities")
+        self._plans.forget()
 
     def schema_of(self, world: World) -> str:
         """Returns the schema of a world's tables; makes one if the world has none here."""
@@ -394,20 +394,15 @@ class WorldRegistry:
         state = bound.state()
         if state == bound.registered:
             return
-        new = [
-            entry
-            for entry in bound.buffers()
-            if bound.versions.get(entry[1], entry[2].version) != entry[2].version
-        ]
-        stale = {table for table, _, _ in new}
         margins = bound.margins
-        if margins != bound.planned_margins:  # DuckDB treats them as constants
-            stale.add("entities")
-        if stale:
-            self._plans.forget(*stale)
+        has_margins = margins == bound.planned_margins  # DuckDB treats them as constants
+        if not has_margins:
+            self._plans.forget()
         bound.planned_margins = margins
-        for _, name, rows in new:
-            register_rows(self._connection, bound, name, rows)
+        for name, rows in bound.buffers():
+            version = bound.versions.get(name)
+            if version is not None and (version != rows.version or not has_margins):
+                register_rows(self._connection, bound, name, rows)
         bound.registered = state
 
 

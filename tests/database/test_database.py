@@ -225,19 +225,6 @@ def test_plans_follow_bodies_that_come_and_go(sim):
 
 
 @pytest.mark.slow
-def test_a_users_prepared_statement_never_reads_old_buffers(sim):
-    interpreter, client = sim
-    interpreter.sql("PREPARE mine AS SELECT count(*) FROM entities")
-    assert interpreter.sql("EXECUTE mine").fetchone() == (3,)
-    Stage(client).box(None, half=0.1, mass=1)
-    interpreter.call_variable("sim").tick()
-    with pytest.raises(ssduck.SelectScriptError, match="mine"):
-        interpreter.sql("EXECUTE mine")
-    interpreter.sql("PREPARE mine AS SELECT count(*) FROM entities")
-    assert interpreter.sql("EXECUTE mine").fetchone() == (4,)
-
-
-@pytest.mark.slow
 def test_views_of_on_demand_tables_stay_up_to_date(sim):
     interpreter, client = sim
     world = interpreter.call_variable("sim")

@@ -418,3 +418,49 @@ def test_a_plan_is_made_anew_after_numbers_were_unknown():
             for _ in range(RUNS_BEFORE_PLAN + 3):
                 ((count,),) = ss.sql("SELECT count(a.z) FROM entities a, entities b").fetchall()
                 assert count == wanted
+
+
+def test_a_users_prepared_statement_reads_what_has_replaced_its_tables():
+    client = pybullet.connect(pybullet.DIRECT)
+    ball = {"radius": 0.1}
+    solid(client, pybullet.GEOM_SPHERE, 1, [0, 0, 2], **ball)
+    texts = {
+        "SELECT count(*), max(x) FROM entities": lambda last: (last + 1, 10.0 * last),
+        "SELECT count(*), max(x) FROM links": lambda last: (last + 1, 10.0 * last),
+    }
+    with ssduck.Interpreter() as ss:
+        world = ss.add_variable("sim", ssduck.World.attach(client))
+        for number, text in enumerate(texts):
+            ss.sql(f"PREPARE mine{number} AS {text}")
+        last = 0
+        for count in (1, 40, 200):
+            for _ in range(count):
+                last += 1
+                solid(client, pybullet.GEOM_SPHERE, 1, [10 * last, 0, 2], **ball)
+            world.tick()
+            for number, (text, expected) in enumerate(texts.items()):
+                for _ in range(RUNS):
+                    assert ss.sql(f"EXECUTE mine{number}").fetchall() == [expected(last)]
+                    assert ss.sql(text).fetchall() == [expected(last)]
+        ss.sql("DEALLOCATE mine0")
+
+
+def test_a_prepared_statement_has_the_margins_of_the_tick():
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body name='a' pos='0 0 1'><freejoint/><geom size='.05'/></body>"
+        "<body name='b' pos='0.12 0 1'><freejoint/><geom size='.05'/></body></worldbody></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    query = "SELECT count(*) FROM entities a, entities b WHERE a.id < b.id AND touching(a, b)"
+    program = "SELECT id FROM sim WHERE touching(this, sim.a) AS list;"
+    with ssduck.Interpreter() as ss:
+        world = ss.add_variable("sim", ssduck.World.attach(model, data))
+        ss.sql(f"PREPARE mine AS {query}")
+        for margin in (0.0, 0.03, 0.0):  # m, of each shape; they are 0.02 m apart
+            model.geom_margin[:] = margin
+            world.tick()
+            for _ in range(RUNS):
+                assert ss.sql("EXECUTE mine").fetchall() == [(int(margin > 0),)]
+                assert ss.sql(query).fetchall() == [(int(margin > 0),)]
+                assert ss.eval(program) == (["b"] if margin else [])

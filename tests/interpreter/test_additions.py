@@ -186,3 +186,17 @@ def test_what_ssduck_keeps_is_not_shown(ss, text):
 
 def test_a_text_is_no_statement(ss):
     assert ss.sql("SELECT '(SHOW TABLES)'").fetchone() == ("(SHOW TABLES)",)
+
+
+def test_a_function_is_asked_anew_by_each_query():
+    offset = 0.0
+
+    def raised(height: float) -> float:
+        return height + offset
+
+    with ssduck.load("kitchen") as ss:
+        ss.add_function("raised", raised)
+        for offset in (0.0, 1.0, 2.0):
+            values = ss.eval("SELECT raised(0.0 * z(this)) FROM kitchen LIMIT 2 AS list;")
+            assert values == [offset, offset]
+            assert ss.sql("SELECT raised(0.0) FROM entities LIMIT 1").fetchone() == (offset,)
