@@ -90,8 +90,10 @@ def _extreme(condition: Node, sign: str, operands: tuple[Node, ...]) -> Node:
 def _margin_of_relation(call: Call) -> Node | None:
     """Returns the margin of a relation; None if it has none."""
     relation = RELATIONS.get(call.name)
-    text = "" if relation is None else relation.margin_of(len(call.arguments))
-    if relation is None or not text:
+    if relation is None or len(call.arguments) not in relation.expressions:
+        return None  # evaluated, the call tells of missing arguments
+    text = relation.margin_of(len(call.arguments))
+    if not text:
         return None
     values = {p.name: _parsed(p.default) for p in relation.parameters if p.default}
     values |= zip((p.name for p in relation.parameters), call.arguments, strict=False)

@@ -299,6 +299,8 @@ def test_a_finished_record_is_decided_and_a_replay_sees_no_later_tick(moved, tmp
         ("always(z(sim.ball) > 1, 2, 1)", "from is 2 s and to is 1 s"),
         ("always(True)", "always takes an expression of entities"),
         ("until(z(sim.ball) > 1)", "until takes 2 to 4 arguments"),
+        ("robustness(near(sim.ball, sim.box))", r"near takes 3 arguments, not 2: near\(a, b, d\)"),
+        ("robustness(NOT inBox(sim.ball, [0, 0, 0]))", "inBox takes 3 to 4 arguments, not 2"),
         ("once(z(sim.ball) > 1, 'a')", "not 'a'"),
         ("once(z(sim.ball) > 1, 0, getTime())", "to is to be the same at all ticks"),
         ("once(z(sim.ball) > 1, z(sim.box))", "from is to be the same at all ticks"),
