@@ -23,6 +23,7 @@ from ssduck.errors import (
     LimitError,
     ProgramWarning,
     SelectScriptError,
+    SourceSpan,
     warn,
 )
 from ssduck.interpreter.lint.linter import Linter
@@ -99,7 +100,8 @@ class Execution(Namespace):
         self.folds = LiveFolds(
             self, self.planner, self.tables_read, database.is_recorded, database.record_of
         )
-        self._relation_queries: WeakKeyDictionary[Call, Query] = WeakKeyDictionary()
+        # The queries of one relation, by its name and the number of its arguments.
+        self._relation_queries: dict[tuple[str, int], Query] = {}
         self._program_texts: list[str] = []
         self._stamp: tuple[object, ...] = ()
         self._override_cache: WeakKeyDictionary[Program, Program] = WeakKeyDictionary()
@@ -431,13 +433,13 @@ class Execution(Namespace):
 
     def _relation(self, node: Call, values: list[Any], frame: Frame) -> Any:
         """Returns the value of a relation outside a query, by a query of one row."""
-        query = self._relation_queries.get(node)
-        if query is None:
-            placeholders = [
-                Placeholder(n.span, f"argument_{i}") for i, n in enumerate(node.arguments)
-            ]
-            call = Call(node.span, node.name, tuple(placeholders), node.name_span)
-            query = self._relation_queries[node] = Query(node.span, (call,), ())
+        key = node.name, len(node.arguments)
+        if key not in self._relation_queries:
+            # It is in no text: its parts are told apart by their places, 0 of the call itself.
+            whole, *places = (SourceSpan(place, place) for place in range(key[1] + 1))
+            names = tuple(Placeholder(span, f"argument_{i}") for i, span in enumerate(places))
+            call = Call(whole, node.name, names, whole)
+            self._relation_queries[key] = Query(whole, (call,), ())
         values = [value.tolist() if _is_vector(value) else value for value in values]
         pinned = pin_to_common_tick(values, frame.own_elements())
         if pinned is None:
@@ -457,7 +459,13 @@ class Execution(Namespace):
                 moment = value.moment if isinstance(value, Handle) else None
                 if moment is not None:
                     moment.record.warn_of_missing(tables)
-            return self.planner.relation(query, Frame(self, placeholders=values_by_name))
+            try:
+                query = self._relation_queries[key]
+                return self.planner.relation(query, Frame(self, placeholders=values_by_name))
+            except SelectScriptError as error:
+                spans = node.span, *(argument.span for argument in node.arguments)
+                error.span = spans[0 if error.span is None else error.span.start]
+                raise
 
     # -- the rest of the scope (`EvaluationScope`) -------------------------------------------
 

@@ -1,5 +1,7 @@
 """A condition that is evaluated again and again is planned once, and is right after any change."""
 
+from unittest.mock import patch
+
 import mujoco
 import numpy as np
 import pytest
@@ -7,6 +9,7 @@ import pytest
 import ssduck
 from ssduck.database.connection import Connection
 from ssduck.errors import SelectScriptError
+from ssduck.interpreter import planner
 from ssduck.interpreter.scalar_select import RepeatedSelect
 from tests.support.cases import sampled
 from tests.support.recorded import answer
@@ -234,3 +237,17 @@ def test_an_entity_that_is_gone_is_an_error_of_the_next_run(lab):
     with pytest.raises(SelectScriptError, match="no entity 'ball'") as raised:
         lab.ss.eval(program)
     assert "line 1, column 14" in str(raised.value)
+
+
+def test_a_relation_is_planned_once_for_all_texts(lab):
+    lab.run(50)
+    with patch.object(planner, "translate", side_effect=planner.translate) as plan:
+        for n in range(5):
+            distance = 0.02 * n
+            assert lab.ss.eval(f"near(lab.cube, lab.ball, {distance});") == (
+                lab.ss.eval("clearance(lab.cube, lab.ball);") <= distance
+            )
+    assert plan.call_count == 2
+    with pytest.raises(SelectScriptError) as info:
+        lab.ss.eval("3 > 2 AND near(lab.cube, 'ball', 0.1);")
+    assert info.value.span.start == 25  # the place of the text
