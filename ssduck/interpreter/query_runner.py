@@ -64,8 +64,6 @@ _ROWS_AT_ONCE = 1024
 FEW_ROWS = 64
 # The largest number of combinations of sources that is reused from state to state.
 MAX_COMBINATIONS = 10_000
-# For more ticks than this, values are literals of a statement that is planned each time.
-LONG = 10_000
 # Longer lists do not become literals of a statement.
 MAX_LITERALS = 1000
 
@@ -261,13 +259,6 @@ class PlannedQuery:
         if one_row is not None:
             database.connection.meter.check_time()
             return one_row
-        if any(
-            _is_long_past(sources[b.source]) for b in plan.bindings if b.end == "first" and b.source
-        ):
-            # DuckDB compares whole blocks of rows with literals.
-            return database.connection.rows(
-                plan.select.transform(with_values(parameters)).sql("duckdb")
-            )
         # A buffer of numbers cannot hold None.
         if not plan.tables and None not in parameters.values():
             numbers = {name: parameters[name] for name in plan.numbers}
@@ -351,11 +342,6 @@ def _relation_error(error: SqlError) -> SelectScriptError:
     if match is None or match[2] not in RELATIONS:
         return error
     return ArgumentError(match[1], span=error.span)
-
-
-def _is_long_past(past: Any) -> bool:
-    """Checks whether a past has so many ticks that the time for planning is negligible."""
-    return bool(past.last - past.first > LONG)
 
 
 def _are_same(before: dict[str, Any] | None, now: dict[str, Any]) -> bool:

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 import ssduck
 from ssduck.geometry.poses import flat_rotation_matrices, multiply, rotation_matrices
-from ssduck.interpreter import query_runner as queries
 from ssduck.recording.replay import batch_queries as many_ticks
 from ssduck.recording.stores.base import PAIR_COLUMNS, PairRequest
 from ssduck.recording.stores.history_sql import near_pair_rows
@@ -47,16 +46,14 @@ def comings():
     pybullet.disconnect(client)
 
 
-def _told(ss, program, long):
-    """What a program gives, and its statements; of more ticks than `long`, values are written in."""
+def _told(ss, program):
+    """What a program gives, and its statements."""
     told = []
-    before, queries.LONG = queries.LONG, long
     ss._database.connection._tracer = told.append
     try:
         return ss.eval(program), told
     finally:
         ss._database.connection._tracer = None
-        queries.LONG = before
 
 
 # -- the statement ------------------------------------------------------------------------------
@@ -73,7 +70,7 @@ def _told(ss, program, long):
 )
 def test_the_remainder_of_a_tick_is_one_operation(comings, compared, holds):
     found, told = _told(
-        comings, f"SELECT tick(this) FROM lab{{}} WHERE tick(this) % 7 {compared} AS list;", 10
+        comings, f"SELECT tick(this) FROM lab{{}} WHERE tick(this) % 7 {compared} AS list;"
     )
     (sql,) = [sql for sql in told if "entities_history" in sql]
     assert sql.count("%") == 1
@@ -84,10 +81,10 @@ def test_the_remainder_of_a_tick_is_one_operation(comings, compared, holds):
 
 def test_the_remainder_of_what_may_be_below_0_has_the_sign_of_the_divisor(comings):
     program = "SELECT (tick(this) - 30) % 7 FROM lab{} WHERE this == board AS list;"
-    found, _ = _told(comings, program, 10)
+    found, _ = _told(comings, program)
     assert found == [(tick - 30) % 7 for tick in comings.past("lab").ticks]
     nested = "SELECT (tick(this) % 7 - 5) % 4 FROM lab{} WHERE this == board AS list;"
-    found, _ = _told(comings, nested, 10)
+    found, _ = _told(comings, nested)
     assert found == [(tick % 7 - 5) % 4 for tick in comings.past("lab").ticks]
 
 
@@ -102,12 +99,11 @@ CONDITIONS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("handle", ["board", "guest"])
-@pytest.mark.parametrize("long", [10, 10_000])
 @sampled("condition", CONDITIONS, every=3)
-def test_a_handles_row_is_read_where_a_column_of_it_is(comings, condition, long, handle):
+def test_a_handles_row_is_read_where_a_column_of_it_is(comings, condition, handle):
     asked = condition.format(handle)
     program = f"SELECT tick(this) FROM lab{{}} WHERE this == ball AND {asked} AS list;"
-    found, told = _told(comings, program, long)
+    found, told = _told(comings, program)
     (sql,) = [sql for sql in told if re.search(r"^(PREPARE|SELECT).*entities_history", sql)]
     # Of the row itself once, and of each handle, which may not have been there. What it is now is
     # asked for, too, so that Python tells of one that is gone.

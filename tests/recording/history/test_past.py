@@ -1,7 +1,5 @@
 """The past as a source of queries."""
 
-import re
-
 import pybullet
 import pytest
 from hypothesis import given
@@ -279,28 +277,6 @@ def test_a_window_is_compared_once(looked_at):
     ).fetchall()
     assert 0 < pairs <= meeting
     assert found
-
-
-def test_a_long_window_has_its_values_written_in(falling):
-    from ssduck.interpreter import query_runner as queries
-
-    _step(falling, 60)
-    for name in ("board", "ball_0"):
-        falling.add_variable(name, falling.call_variable("lab")[name])
-    program = (
-        "SELECT tick(this) FROM lab{} WHERE this == ball_0 AND near(board, this, 0.4) AS list;"
-    )
-    wanted = falling.eval(program)
-    told = []
-    falling._database.connection._tracer = told.append
-    before, queries.LONG = queries.LONG, 10
-    try:
-        assert falling.eval(program) == wanted != []
-    finally:
-        queries.LONG = before
-    (sql,) = [sql for sql in told if "entities_history" in sql]
-    assert re.search(r"BETWEEN 1 AND 6\d", sql)
-    assert "$" not in sql
 
 
 # -- what is kept no longer, and nested queries --------------------------------------------------
