@@ -24,7 +24,7 @@ import pyarrow.parquet as pq
 import ssduck
 from benchmarks.timing import text_of, uncollected
 from ssduck import Recording
-from ssduck.recording.stores import descriptions, files, parquet_layout, part_log, tick_index
+from ssduck.recording.stores import descriptions, files, parquet_layout, part_log
 
 # The greatest ratio.
 MAX_RATIO = 1.05
@@ -121,13 +121,11 @@ def _cells(name: str, before: float, after: float) -> tuple[str, ...]:
 @contextmanager
 def _no_checksums() -> Iterator[None]:
     """Writes and reads records without checksums."""
-    whole_file = {"verified_parquet": _unverified_parquet}
     replaced: list[tuple[Any, dict[str, Any]]] = [
         (files, {"zlib": SimpleNamespace(crc32=lambda *_: 0)}),
         (pq, {"ParquetWriter": _writer_without_sums}),
         (descriptions, {"pop_checksum": _unchecked}),
         (part_log, {"log_problem": _no_problem}),
-        (tick_index, whole_file),
         *((parquet_layout, {name: _no_problem}) for name in ("parquet_problem", "footer_problem")),
     ]
     with ExitStack() as stack:
@@ -141,10 +139,6 @@ _Writer = pq.ParquetWriter
 
 def _writer_without_sums(*args: Any, **options: Any) -> pq.ParquetWriter:
     return _Writer(*args, **(options | {"write_page_checksum": False}))
-
-
-def _unverified_parquet(file: Path, **_: object) -> pq.ParquetFile:
-    return pq.ParquetFile(file)
 
 
 def _no_problem(*_: object, **__: object) -> None:

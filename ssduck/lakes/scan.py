@@ -22,7 +22,7 @@ from ssduck.recording.folder_episodes import ABOUT, VERSION, check_about, lost_r
 from ssduck.recording.paths import expand_path
 from ssduck.recording.stores.files import checksum_of, is_temporary
 from ssduck.recording.stores.object_store import ObjectPath, file_system, reading
-from ssduck.recording.stores.parquet_layout import LOG, PAIRS, FolderRun
+from ssduck.recording.stores.parquet_layout import INDEX, LOG, PAIRS, FolderRun
 from ssduck.recording.stores.summaries import (
     EpisodeSummary,
     Listing,
@@ -32,7 +32,6 @@ from ssduck.recording.stores.summaries import (
     size_and_time,
     summary_of,
 )
-from ssduck.recording.stores.tick_index import INDEX
 from ssduck.schema import MODELS, RECORDED
 
 DUCKDB_SUFFIX = ".duckdb"

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from ssduck.errors import RecordError
 from ssduck.geometry.arrays import Array
 from ssduck.recording.stores.stored_columns import with_nulls
 from ssduck.schema import RECORDED
@@ -24,6 +25,8 @@ MAX_BUFFERED_ROWS = 1 << 17
 _MIN_ROWS = 1024
 # A buffer that is filled to this part, 1 / n, is lent with its rows; fewer rows are copied.
 _LENT_FRACTION = 4
+# Numbers of ticks are less, so that each of them is also a double.
+_MAX_TICK = 1 << 53
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,6 +158,20 @@ class TickBuffer:
         ticks = cls()
         ticks.replace(np.array(numbers, dtype=np.int64), np.array(times, dtype=np.float64))
         return ticks
+
+    @classmethod
+    def checked(cls, rows: pa.Table, source: str) -> TickBuffer:
+        """Makes a buffer of the ticks of a stored record, which are to be in order."""
+        if rows["tick"].null_count or rows["time"].null_count:
+            raise RecordError(f"{source} is damaged: a tick lacks its number or its time")
+        numbers, times = rows["tick"].to_numpy(), rows["time"].to_numpy()
+        if len(numbers) and not (numbers.min() >= 0 and numbers.max() < _MAX_TICK):
+            raise RecordError(f"{source} is damaged: the number of a tick is out of bounds")
+        if (np.diff(numbers) <= 0).any():
+            raise RecordError(f"{source} is damaged: its ticks do not ascend")
+        if not np.isfinite(times).all() or (np.diff(times) < 0).any():
+            raise RecordError(f"{source} is damaged: the times of its ticks do not ascend")
+        return cls.from_arrays(numbers, times)
 
     def replace(self, numbers: npt.NDArray[np.int64], times: Array) -> None:
         """Replaces the ticks by others in ascending order, without copying them."""

@@ -32,7 +32,6 @@ from ssduck.recording.stores.files import (
 from ssduck.recording.stores.parquet_layout import LOG, PAIRS, FolderRun
 from ssduck.recording.stores.part_log import log_file_problem, log_files
 from ssduck.recording.stores.stored_columns import MISSING
-from ssduck.recording.stores.tick_index import INDEX, index_file
 from ssduck.schema import MODELS, RECORDED
 
 # What is added to the name of a damaged file.
@@ -119,7 +118,7 @@ def partial_run(run: FolderRun) -> FolderRun:
     damages = list(damages_of(run))
     for damage in damages:
         if damage.part is None and damage.log is None:
-            if damage.file in _derived_files(run):
+            if damage.file == _pairs_file(run):
                 continue
             raise RecordError(f"{damage.file} {damage.problem}: {damage.loss} cannot be read")
     for damage in damages:
@@ -152,21 +151,16 @@ def damages_of(run: FolderRun) -> Iterator[_RunDamage]:
             if (problem := run.problem(table, number)) is not None:
                 yield _RunDamage(run.place(table) / part_name(number), problem, f"all of {episode}")
     yield from _log_damages(run)
-    index, pairs = _derived_files(run)
-    for file, has_checksums, loss in (
-        (index, run.has_checksums, "nothing: the parts have what it has"),
-        (pairs, True, "the table of pairs, for other tools"),
-    ):
-        if not file.is_file():
-            continue
-        problem = parquet_problem(file.read_bytes(), has_checksums=has_checksums)
+    pairs = _pairs_file(run)
+    if pairs.is_file():
+        problem = parquet_problem(pairs.read_bytes(), has_checksums=True)
         if problem is not None:
-            yield _RunDamage(file, problem, loss)
+            yield _RunDamage(pairs, problem, "the table of pairs, for other tools")
 
 
-def _derived_files(run: FolderRun) -> tuple[Path, Path]:
-    """Returns the files of an episode that follow from others, whether they are there or not."""
-    return index_file(run.place(INDEX)), run.place(PAIRS) / part_name(0)
+def _pairs_file(run: FolderRun) -> Path:
+    """Returns the file of the pairs of an episode, whether it is there or not."""
+    return run.place(PAIRS) / part_name(0)
 
 
 def _log_damages(run: FolderRun) -> Iterator[_RunDamage]:
@@ -216,7 +210,7 @@ def _repair(run: FolderRun, damage: _RunDamage) -> bool:
         for file in log_files(run.place(LOG))[damage.log :]:
             set_aside(file)
         return True
-    if damage.file in _derived_files(run):
+    if damage.file == _pairs_file(run):
         set_aside(damage.file)
         return True
     is_export = damage.problem == _UNFINISHED

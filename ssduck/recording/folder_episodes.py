@@ -18,8 +18,7 @@ from ssduck.recording.paths import FORMAT, episode_numbers, episodes_named, name
 from ssduck.recording.stores.descriptions import read_description
 from ssduck.recording.stores.files import create_file, is_temporary, json_text
 from ssduck.recording.stores.object_store import ObjectPath, remove_tree
-from ssduck.recording.stores.parquet_layout import LOG, PAIRS, FolderRun
-from ssduck.recording.stores.tick_index import INDEX
+from ssduck.recording.stores.parquet_layout import INDEX, LOG, PAIRS, FolderRun
 from ssduck.schema import MODELS
 
 

@@ -230,7 +230,7 @@ def test_a_check_tells_of_ticks(folder):
     assert "its ticks do not ascend" in damage.problem
 
 
-# -- the index and the log ------------------------------------------------------------------------
+# -- the log -------------------------------------------------------------------------------------
 
 
 def _change(table, change):

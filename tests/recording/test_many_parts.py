@@ -1,8 +1,7 @@
-"""A record of many parts: its ticks are read from one file, and a tick from one part."""
+"""A record of many parts: a tick is read from one part."""
 
 import shutil
 
-import pyarrow.parquet as pq
 import pybullet
 import pytest
 
@@ -10,9 +9,9 @@ import ssduck
 from ssduck import Recording
 from ssduck.database import worlds
 from ssduck.errors import RecordError
-from ssduck.recording.stores import parquet, parquet_archive, parquet_layout, tick_index
+from ssduck.recording.stores import parquet, parquet_archive, parquet_layout
 from ssduck.recording.stores.descriptions import read_description
-from ssduck.recording.stores.files import write_json, write_parquet
+from ssduck.recording.stores.files import write_json
 from tests.support.bodies import solid
 from tests.support.forged import flip_bit
 
@@ -25,8 +24,6 @@ def run(tmp_path, monkeypatch, archive):
     """A record of two episodes of ten parts of two ticks."""
     for module in (parquet, worlds):
         monkeypatch.setattr(module, "PART_TICKS", 2)
-    monkeypatch.setattr(tick_index, "INDEXED_PARTS", 4)
-    monkeypatch.setattr(tick_index, "MIN_PARTS", 1)
     return archive.copy(write_parts, tmp_path / "run")
 
 
@@ -50,28 +47,17 @@ def write_parts(place):
 
 
 class Reads:
-    """Has the names of the files that are read: of ticks and models, and of rows."""
+    """Has the names of the files whose rows are read."""
 
     def __init__(self, monkeypatch):
-        self.ticks = []
         self.rows = []
-        read, rows_of = parquet_layout.rows_of_part, parquet_archive._rows_of_ticks
-
-        def counted(file, *arguments):
-            if file.parts[-4] == "ticks":
-                self.ticks.append(file.name)
-            return read(file, *arguments)  # type: ignore[arg-type]
+        rows_of = parquet_archive._rows_of_ticks
 
         def rows(file, *arguments):
             self.rows.append(file.name)
             return rows_of(file, *arguments)  # type: ignore[arg-type]
 
-        monkeypatch.setattr(parquet_layout, "rows_of_part", counted)
         monkeypatch.setattr(parquet_archive, "_rows_of_ticks", rows)
-
-
-def _index(run, episode=1):
-    return run / "index" / PLACE.format(episode) / "ticks.parquet"
 
 
 def _ticks(run):
@@ -84,22 +70,6 @@ def _ticks(run):
 ALL = list(range(1, 2 * PARTS + 1))
 
 
-def test_ticks_are_read_from_one_file(run, monkeypatch):
-    reads = Reads(monkeypatch)
-    assert _ticks(run) == ALL
-    assert reads.ticks == []
-    assert pq.read_metadata(_index(run)).num_rows == len(ALL)
-
-
-def test_parts_that_the_index_does_not_know(run, monkeypatch):
-    """A recorder that is killed leaves an index of some of its parts."""
-    rows = pq.read_table(_index(run))
-    write_parquet(rows.slice(0, 16), _index(run))  # with its metadata
-    reads = Reads(monkeypatch)
-    assert _ticks(run) == ALL
-    assert reads.ticks == ["part-000008.parquet", "part-000009.parquet"]
-
-
 def test_parts_that_are_removed_do_not_count(run):
     for part in (8, 9):
         (run / "ticks" / PLACE.format(1) / f"part-{part:06d}.parquet").unlink()
@@ -110,32 +80,6 @@ def test_parts_that_are_removed_do_not_count(run):
     del description["parts"]
     write_json(description, about)
     assert _ticks(run) == ALL[:16]
-
-
-def _remove(run):
-    _index(run).unlink()
-
-
-def _damage(run):
-    content = bytearray(_index(run).read_bytes())
-    content[4:200] = bytes(196)
-    _index(run).write_bytes(content)
-
-
-def _cut_off(run):
-    _index(run).write_bytes(_index(run).read_bytes()[:-50])
-
-
-def _take_another(run):
-    shutil.copy(_index(run, 0), _index(run))
-
-
-@pytest.mark.parametrize("change", [_remove, _damage, _cut_off, _take_another])
-def test_a_record_needs_no_index(run, change, monkeypatch):
-    change(run)
-    reads = Reads(monkeypatch)
-    assert _ticks(run) == ALL
-    assert len(reads.ticks) == PARTS
 
 
 @pytest.fixture

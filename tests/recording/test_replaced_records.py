@@ -188,7 +188,7 @@ def test_a_folder_without_permission(door, mode, run):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has other permissions")
-@pytest.mark.parametrize("table", ["episodes", "ticks", "entities", "models", "index"])
+@pytest.mark.parametrize("table", ["episodes", "ticks", "entities", "models"])
 def test_a_part_without_permission(table, run):
     ssduck.open(run).close()
     with denied(run / table), pytest.raises(RecordError, match="Permission denied"):

@@ -38,7 +38,6 @@ from ssduck.recording.stores.history_sql import (
 )
 from ssduck.recording.stores.model_tables import ModelTables, RecordFile
 from ssduck.recording.stores.stored_columns import tick_types
-from ssduck.recording.stores.tick_index import checked_ticks
 from ssduck.schema import FRAMES, RECORDED, TABLES, recorded_tables
 from ssduck.simulators.scenes import Camera
 from ssduck.world.layout import EntityInfo
@@ -179,7 +178,7 @@ class DuckDBStore(TickStore, TickArchive):
             rows = self._connection.rows(sql)
             return TickBuffer.from_arrays(rows["tick"].to_numpy(), rows["time"].to_numpy())
         source = f"{self._file.path}: the ticks of {self._models.schema}"
-        return checked_ticks(self._connection.rows(sql), source)
+        return TickBuffer.checked(self._connection.rows(sql), source)
 
     def model_rows(self) -> dict[str, pa.Table]:
         """Returns the stored rows of each model, by the name of its table."""

@@ -35,7 +35,6 @@ from ssduck.recording.stores.object_store import ObjectPath, remove_tree
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun
 from ssduck.recording.stores.part_log import PartLog
 from ssduck.recording.stores.summaries import write_summary
-from ssduck.recording.stores.tick_index import INDEX, TickIndex
 from ssduck.schema import recorded_tables
 from ssduck.simulators.scenes import Camera
 from ssduck.world.layout import EntityInfo
@@ -96,7 +95,6 @@ class ParquetStore(TickStore):
         if is_export and not isinstance(self.path, ObjectPath):
             self._staged = replace(self.run, path=self.path / f".export-{self.run.key}")
         self._log = PartLog(self._staged.place(LOG), self.run.key)
-        self._index = TickIndex(self._staged.place(INDEX), self.run.key)
         self.last_tick: int | None = None
         # The CRC-32 of the files of the parts, by their names in the record.
         self._checksums: dict[str, int] = {}
@@ -136,7 +134,6 @@ class ParquetStore(TickStore):
             self._set_last_tick(rows)
         with _writing(self._log.place):
             self._log.clear()
-            self._index.add(rows["ticks"])
 
     def complete(self) -> None:
         """Stores the rows of the log as a part."""
@@ -165,7 +162,6 @@ class ParquetStore(TickStore):
             return {key: about[key] for key in about if key != "exporting"} | {"parts": parts}
 
         try:
-            self._index.write()
             self._move_staged()
             change_description(self.run.about_file, finished)
         except OSError as error:

@@ -7,7 +7,6 @@
       links/… joints/… shapes/… contacts/… sensings/… ticks/…
       frames/…                                                the poses of links, without `links`
       models/entities/world=kitchen/episode=0/part-000000.parquet    the models of the entities
-      index/world=kitchen/episode=0/ticks.parquet    the ticks of many parts (`tick_index`)
       index/world=kitchen/episode=0/summary.json    for lakes, of a closed episode (`summaries`)
       log/world=kitchen/episode=0/part-000001-0000.arrow    rows of a part to come (`part_log`)
 
@@ -68,10 +67,11 @@ from ssduck.recording.stores.stored_columns import (
     unreadable_because,
     with_nulls,
 )
-from ssduck.recording.stores.tick_index import INDEX, checked_ticks, indexed_ticks
 from ssduck.schema import RECORDABLE
 
 LOG = "log"
+# The folder of what is known of an episode for lakes.
+INDEX = "index"
 # The table of near pairs, which only other tools read.
 PAIRS = "pairs"
 # The largest number of missing parts that a check lists.
@@ -339,27 +339,21 @@ class FolderRun:
             raise RecordError(f"{self.place(table)} has no complete part: nothing was stored")
         return with_nulls(pa.concat_tables(parts))
 
-    def parts_of(self, table: str, start: int = 0) -> Iterator[pa.Table]:
-        """Yields the rows of each complete part of a table, from one on, checked."""
-        for file in self.listed_files(table)[start:]:
+    def parts_of(self, table: str) -> Iterator[pa.Table]:
+        """Yields the rows of each complete part of a table, checked."""
+        for file in self.listed_files(table):
             yield rows_of_part(file, table, self._part(table, part_number(file)))
 
     def ticks(self) -> tuple[list[int], TickBuffer]:
         """Returns the first tick of each part, then of the log if it has rows, and all ticks."""
-        files = self.listed_files("ticks")
-        parts = []
-        if not self.removed_parts:
-            parts = indexed_ticks(
-                self.place(INDEX), self.key, len(files), has_checksums=self.has_checksums
-            )
-        parts += [rows.select(["tick", "time"]) for rows in self.parts_of("ticks", len(parts))]
+        parts = [rows.select(["tick", "time"]) for rows in self.parts_of("ticks")]
         if self.log:
             parts.append(self.log["ticks"].select(["tick", "time"]))
         if not parts:
             raise RecordError(f"{self.place('ticks')} has no complete part: nothing was stored")
         if not all(part.num_rows for part in parts):
             raise RecordError(f"{self.place('ticks')} is damaged: a part has no ticks")
-        ticks = checked_ticks(pa.concat_tables(parts), str(self.place("ticks")))
+        ticks = TickBuffer.checked(pa.concat_tables(parts), str(self.place("ticks")))
         return [part["tick"][0].as_py() for part in parts], ticks
 
     @property

@@ -35,8 +35,7 @@ from ssduck.recording.stores.descriptions import (
 )
 from ssduck.recording.stores.files import write_json
 from ssduck.recording.stores.object_store import ObjectPath, file_system, reading
-from ssduck.recording.stores.parquet_layout import LOG, FolderRun
-from ssduck.recording.stores.tick_index import INDEX
+from ssduck.recording.stores.parquet_layout import INDEX, LOG, FolderRun
 from ssduck.schema import MODELS
 
 # The size of each file, bytes, and the time of its last change, ns since 1970, by its name in the
