@@ -119,6 +119,13 @@ class Judge:
         self._folds = JudgedFolds(interpreter, trees, self._whole | self._element_names)
         self.needs_record = self._folds.need_record
 
+    @property
+    def world(self) -> World:
+        """The world of the terms."""
+        world = self._interpreter[self._world]
+        assert isinstance(world, World)
+        return world
+
     def begin_episode(self) -> None:
         """Forgets the values of variables."""
         self._bound.clear()
@@ -134,7 +141,7 @@ class Judge:
         if is_first:
             self._were_nan.clear()
             if not self.needs_record:
-                self._interpreter.call_variable(self._world).follow(self._folds)
+                self.world.follow(self._folds)
         if any(self._are_temporal):
             self._were_nan.update(self._entities_with_nan())
         for name, value in values.items():
@@ -286,9 +293,8 @@ class Judge:
 
     def _entities_with_nan(self) -> list[str]:
         """Returns the entities whose pose or velocity is NaN at the present tick."""
-        world = self._interpreter[self._world]
-        assert isinstance(world, World)
-        return [f"{self._world}.{entity.name}" for entity in world.snapshot.entities_with_nan()]
+        entities = self.world.snapshot.entities_with_nan()
+        return [f"{self._world}.{entity.name}" for entity in entities]
 
     def _value_or_nan(self, text: str) -> Any:
         """Returns the value of a term; None if it fails, as it does where a number is NaN."""
@@ -338,13 +344,13 @@ class Judge:
         """Returns what to do about a name that no variable has, and that is like none; else ''."""
         if isinstance(program, str) or not isinstance(error, UnknownNameError):
             return ""
-        world = self._interpreter[self._world]
         for node in program.tree.statements[0].walk():
             if isinstance(node, Name) and node.span == error.span:
                 if node.name in self.terms.parts:
                     return "; terms can use success and failure: write that of the reward out"
-                is_entity = isinstance(world, World) and node.name in world
-                is_hinted = is_entity or error.suggestions or node.name in self._interpreter
+                is_hinted = (
+                    node.name in self.world or error.suggestions or node.name in self._interpreter
+                )
                 return "" if is_hinted else f"; {self._if_unknown.format(name=node.name)}"
         return ""
 
@@ -394,9 +400,7 @@ class Judge:
 
     def _bodies(self) -> dict[str, Body | None]:
         """Returns the bodies of the entities by name; None for a sensor."""
-        world = self._interpreter[self._world]
-        assert isinstance(world, World)
-        return {entity.name: entity.body for entity in world.snapshot.entities}
+        return {entity.name: entity.body for entity in self.world.snapshot.entities}
 
     def _entity_name(self, node: Node) -> str:
         """Returns the name of the entity of the world that an expression is; '' if it is none."""

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck.errors import LimitError, SelectScriptError
-from ssduck.gym.task_description import Task, spaces, targets, task_of
+from ssduck.gym.tasks import Task, spaces, targets, task_of
 from ssduck.gym.wrapper import check_open
 from ssduck.limits import LEAST_OPENING, Limits
 from ssduck.sandbox.interpreter import SandboxedInterpreter

@@ -170,7 +170,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
                 self._warn_of_length(seconds)
             # The first reset may build the simulation, or give variables their values.
             self._is_checked = False
-            if len(self._simulation):
+            if len(self._judge.world):
                 self._check_first()
         except BaseException:
             self._interpreter.close()
@@ -210,7 +210,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         if is_reset:
             judgement = self._begin_episode(None, None)
             return observation, reward, terminated, truncated, info | {INFO: described(judgement)}
-        simulation = self._simulation
+        simulation = self._judge.world
         self._judge.begin_step()
         try:
             self._take_tick(simulation, self._steps)
@@ -268,12 +268,6 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
 
     # -- the world --------------------------------------------------------------------------------
 
-    @property
-    def _simulation(self) -> World:
-        world = self._interpreter[self._world]
-        assert isinstance(world, World)
-        return world
-
     def _attach(self) -> int | None:
         """Attaches the simulation; returns the number of its client if it is PyBullet's."""
         simulation = self.env.unwrapped
@@ -298,7 +292,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             self._client = self._attach()
             self._record_past()
         else:
-            self._simulation.begin_episode()
+            self._judge.world.begin_episode()
         self._steps = EpisodeSteps(self._terms.texts, seed, options)
         values = self._set_variables(is_first=True)
         if self._forward_check is not None:
@@ -311,7 +305,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             self._record = self._interpreter.record_to(self._folder, self._world, self._recording)
         judgement = self._judge.judgement()
         self._first_ticks.see(judgement)
-        simulation = self._simulation
+        simulation = self._judge.world
         self._steps.add_tick(simulation.tick_number, simulation.time, values)
         return judgement
 
@@ -450,7 +444,7 @@ class ForwardCheck:
         variables: Sequence[str],
         limits: Limits | None,
     ) -> None:
-        self._left, self._world = _CHECKED, world
+        self._left = _CHECKED
         self._interpreter = interpreter_of_terms(limits)
         with warnings.catch_warnings():  # those of the world were given before
             warnings.simplefilter("ignore")
@@ -468,7 +462,7 @@ class ForwardCheck:
     def begin_episode(self, values: Mapping[str, Any]) -> None:
         """Takes the first tick after a reset."""
         if self._left:
-            self._simulation.begin_episode()
+            self._judge.world.begin_episode()
             self._judge.begin_tick(values, is_first=True)
             self._judge.settle()
 
@@ -477,7 +471,7 @@ class ForwardCheck:
         if not self._left:
             return
         self._left -= 1
-        self._simulation.tick()
+        self._judge.world.tick()
         self._judge.begin_tick(values)
         others = self._judge.judgement().computed
         for term, place, other in zip(self._judge.terms, self._places, others, strict=True):
@@ -499,12 +493,6 @@ class ForwardCheck:
         """Ends the checks."""
         self._left = 0
         self._interpreter.close()
-
-    @property
-    def _simulation(self) -> World:
-        world = self._interpreter[self._world]
-        assert isinstance(world, World)
-        return world
 
 
 def _differ(a: bool | float | None, b: bool | float | None) -> bool:
