@@ -20,7 +20,6 @@ from ssduck.recording.folder_check import DAMAGED, Damage, check_folder, set_asi
 from ssduck.recording.folder_episodes import runs_in
 from ssduck.recording.opened_record import OpenedRecord
 from ssduck.recording.paths import expand_path
-from ssduck.recording.recorded_visuals import camera_of
 from ssduck.recording.replay.record import Record
 from ssduck.recording.replay.replayed_world import ReplayedWorld, ReplayTicker
 from ssduck.recording.spec import Recording
@@ -28,6 +27,7 @@ from ssduck.recording.static_tables import geometries_of, members_of, run_of
 from ssduck.recording.stores.base import StoreConnection
 from ssduck.recording.stores.descriptions import (
     DATABASE_EPISODE,
+    camera_of,
     check_description,
     parse_description,
 )

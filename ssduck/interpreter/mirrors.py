@@ -24,7 +24,6 @@ from ssduck.geometry.margins import Margins
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.limits import Limits
 from ssduck.recording.buffers import TickBuffer, buffer_schema
-from ssduck.recording.recorded_visuals import camera_of, camera_text
 from ssduck.recording.replay.record import Record
 from ssduck.recording.replay.replayed_world import (
     CopiedWorld,
@@ -36,6 +35,7 @@ from ssduck.recording.row_selection import RecordedRows
 from ssduck.recording.spec import Recording, description_of
 from ssduck.recording.static_tables import geometries_of, members_of, model_rows
 from ssduck.recording.stores.base import TickArchive
+from ssduck.recording.stores.descriptions import camera_of, camera_text
 from ssduck.recording.stores.memory import MemoryStore
 from ssduck.recording.stores.stored_columns import conformed
 from ssduck.schema import MARGINS, MASSES, RECORDABLE, recorded_tables

@@ -32,9 +32,9 @@ from ssduck.lakes.questions import Answering, Question, StepsQuestion
 from ssduck.lakes.scan import entries_of_records
 from ssduck.limits import Limits
 from ssduck.recording.paths import expand_path, part_name
-from ssduck.recording.recorded_visuals import camera_of
 from ssduck.recording.spec import Recording
 from ssduck.recording.static_tables import run_of
+from ssduck.recording.stores.descriptions import camera_of
 from ssduck.recording.stores.episode_batch import BatchedEpisode, BatchedFile, DamagedEpisodeError
 from ssduck.recording.stores.files import checksum_of
 from ssduck.recording.stores.object_store import ObjectPath, is_address

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -12,7 +12,6 @@ import pyarrow as pa
 
 from ssduck.errors import RecordError
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
-from ssduck.recording.recorded_visuals import visuals_of, visuals_text
 from ssduck.schema import MODELS, POSE, RECORDED, TABLES
 from ssduck.simulators.interface import Body, Joint, Link, VisualShape
 from ssduck.simulators.scenes import SensorSpec
@@ -40,7 +39,7 @@ def model_rows(
     number_of = snapshot.geometry_id
     visuals = [_visuals(m.body, snapshot) if with_visuals else None for m in members]
     drawn = {number_of(v.geometry): v.geometry for of_body in visuals for v in of_body or ()}
-    texts = [None if of_body is None else visuals_text(of_body, number_of) for of_body in visuals]
+    texts = [None if of_body is None else _visuals_text(of_body, number_of) for of_body in visuals]
     rows = [
         (*_member_row(member), text, snapshot.run)
         for member, text in zip(members, texts, strict=True)
@@ -89,6 +88,31 @@ def _member_row(member: EntityInfo) -> tuple[Any, ...]:
     return (*common, 0, 0, None, *member.mount, spec)
 
 
+def _visuals_text(visuals: Sequence[VisualShape], geometry_id: Callable[[Geometry], int]) -> str:
+    """Returns visual shapes as JSON: a list of their numbers.
+
+    These are link, geometry, x y z, qw qx qy qz in the frame of the link, and red, green, blue,
+    alpha from 0 to 1, which a shape without a colour lacks.
+    """
+    rows = [
+        [
+            visual.link,
+            geometry_id(visual.geometry),
+            *np.asarray(visual.position, dtype=float).tolist(),
+            *np.asarray(visual.orientation, dtype=float).tolist(),
+            *_shares(visual.colour),
+        ]
+        for visual in visuals
+    ]
+    return json.dumps(rows, separators=(",", ":"))
+
+
+def _shares(colour: Sequence[float] | None) -> list[float]:
+    """Returns the shares of a colour; none of one that is not finite, which nothing can draw."""
+    shares = np.clip(colour or (), 0.0, 1.0)
+    return shares.tolist() if np.isfinite(shares).all() else []
+
+
 # -- from rows to entities --------------------------------------------------------------------
 
 
@@ -112,7 +136,7 @@ def members_of(models: Mapping[str, pa.Table]) -> dict[int, EntityInfo]:
             links=tuple(map(_link, links.get(id, ()))),
             joints=tuple(map(_joint, joints.get(id, ()))),
             shapes=tuple(_shape(shape, geometries) for shape in shapes.get(id, ())),
-            visuals=visuals_of(row["visuals"], geometries),
+            visuals=_visuals_of(row["visuals"], geometries),
         )
         members[id] = EntityInfo(id, row["name"], row["kind"], row["parent"], body=body)
     return members
@@ -137,6 +161,24 @@ def _by_entity(table: pa.Table, *keys: str) -> dict[int, list[dict[str, Any]]]:
     for row in sorted(table.to_pylist(), key=lambda row: [row[key] for key in keys]):
         rows.setdefault(row["entity"], []).append(row)
     return rows
+
+
+def _visuals_of(
+    text: str | None, geometries: Mapping[int, Geometry]
+) -> tuple[VisualShape, ...] | None:
+    """Returns the visual shapes of a text of a record; None if they are unknown."""
+    if text is None:
+        return None
+    return tuple(
+        VisualShape(
+            row[0],
+            geometries[row[1]],
+            np.array(row[2:5], dtype=float),
+            np.array(row[5:9], dtype=float),
+            tuple(row[9:]) or None,
+        )
+        for row in json.loads(text)
+    )
 
 
 def _sensor(row: Mapping[str, Any]) -> EntityInfo:

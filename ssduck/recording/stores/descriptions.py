@@ -15,7 +15,6 @@ from typing import Any
 from ssduck.errors import RecordError, record_error
 from ssduck.formatting import short_repr
 from ssduck.recording.episode import are_tags
-from ssduck.recording.recorded_visuals import is_camera
 from ssduck.recording.stores.files import (
     CHECKSUM_KEY,
     WRONG_CHECKSUM,
@@ -26,6 +25,7 @@ from ssduck.recording.stores.files import (
 )
 from ssduck.recording.stores.object_store import ObjectPath, change_object
 from ssduck.schema import RECORDED
+from ssduck.simulators.scenes import Camera
 
 _ID = re.compile("-".join(f"[0-9a-f]{{{digits}}}" for digits in (8, 4, 4, 4, 12)))
 
@@ -67,6 +67,23 @@ def _is_tables(value: Any) -> bool:
     return has_right_names and len(set(value)) == len(value) and {"ticks", "entities"} <= set(value)
 
 
+def _is_finite(number: Any) -> bool:
+    return type(number) in (int, float) and abs(number) < 1e300
+
+
+def _is_camera(value: Any) -> bool:
+    """Checks a camera: it sees something."""
+    if not isinstance(value, dict):
+        return False
+    eye, target, fov = (value.get(name) for name in ("eye", "target", "fov"))
+    points = all(
+        isinstance(point, list) and len(point) == 3 and all(map(_is_finite, point))
+        for point in (eye, target)
+    )
+    is_angle = isinstance(fov, int | float) and not isinstance(fov, bool) and 0.0 < fov < 180.0
+    return points and eye != target and is_angle
+
+
 TEXT = Value("a text", lambda value: isinstance(value, str))
 _OBJECT = Value("an object", lambda value: isinstance(value, dict))
 # What describes an episode wherever it is.
@@ -75,7 +92,7 @@ _EPISODE = {
     "tags": Value("an object of texts and numbers", are_tags, is_required=False),
     "started": TEXT,
     "recording": _OBJECT,
-    "camera": Value("a camera that sees something", is_camera, is_required=False),
+    "camera": Value("a camera that sees something", _is_camera, is_required=False),
     "order": Value("a number", lambda value: is_whole(value, 0), is_required=False),
 }
 _COUNT = Value("a number of parts", lambda value: is_whole(value, 0), is_required=False)
@@ -171,3 +188,16 @@ def check_description(
                 f"{source} is damaged: {key!r} is to be {value.expected}, not "
                 f"{short_repr(content[key])}"
             )
+
+
+def camera_text(camera: Camera) -> dict[str, Any]:
+    """Returns a camera for the description of a record."""
+    return {"eye": list(camera.eye), "target": list(camera.target), "fov": camera.fov}
+
+
+def camera_of(description: Mapping[str, Any]) -> Camera:
+    """Returns the camera of a description that was checked; that of any scene if it has none."""
+    if "camera" not in description:
+        return Camera()
+    values = description["camera"]
+    return Camera(tuple(values["eye"]), tuple(values["target"]), values["fov"])

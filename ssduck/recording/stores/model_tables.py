@@ -16,10 +16,10 @@ from sqlglot import exp
 from ssduck.errors import RecordError
 from ssduck.recording.background_writer import NO_LOCK, CommitLock
 from ssduck.recording.episode import Tags, new_id
-from ssduck.recording.recorded_visuals import camera_text
 from ssduck.recording.spec import Recording, description_of
 from ssduck.recording.static_tables import model_rows
 from ssduck.recording.stores.base import StoreConnection
+from ssduck.recording.stores.descriptions import camera_text
 from ssduck.recording.stores.history_sql import all_columns, create_table, quoted
 from ssduck.recording.stores.stored_columns import check_columns, types_of, with_nulls
 from ssduck.schema import MODELS, SQL_TYPES, ColumnType

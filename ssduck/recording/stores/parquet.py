@@ -25,11 +25,15 @@ from ssduck.recording.folder_episodes import (
     remove_episode,
 )
 from ssduck.recording.paths import FORMAT, expand_path, part_name
-from ssduck.recording.recorded_visuals import camera_text
 from ssduck.recording.spec import Recording
 from ssduck.recording.static_tables import complete_rows, model_rows
 from ssduck.recording.stores.base import TickStore
-from ssduck.recording.stores.descriptions import EPISODE, change_description, check_description
+from ssduck.recording.stores.descriptions import (
+    EPISODE,
+    camera_text,
+    change_description,
+    check_description,
+)
 from ssduck.recording.stores.files import sync_folder, write_parquet
 from ssduck.recording.stores.object_store import ObjectPath, remove_tree
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun
