@@ -8,6 +8,8 @@ import select
 from functools import cache
 from typing import Any
 
+from ssduck.sandbox.system_calls import number_of
+
 PR_SET_PDEATHSIG, PR_GET_PDEATHSIG, PR_SET_SECCOMP, PR_CAPBSET_DROP = 1, 2, 22, 24
 _PR_SET_NO_NEW_PRIVS, _PR_CAPBSET_READ = 38, 23
 # The version of the structures of capabilities, with two words for each set of them.
@@ -21,8 +23,11 @@ def _library() -> Any:
     return library
 
 
-def system_call(number: int, *arguments: int | bytes | None) -> int:
-    """Makes a system call."""
+def system_call(name: str, *arguments: int | bytes | None) -> int:
+    """Makes a system call; one that this machine has not is refused."""
+    number = number_of(name, os.uname().machine)
+    if number is None:
+        raise PermissionError
     words = [one if isinstance(one, bytes) else ctypes.c_long(one or 0) for one in arguments]
     return _checked(_library().syscall(ctypes.c_long(number), *words))
 

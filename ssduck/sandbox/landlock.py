@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from ssduck.sandbox.kernel import forbid_new_privileges, system_call
-from ssduck.sandbox.system_calls import MACHINES, number_of
+from ssduck.sandbox.system_calls import MACHINES
 
 # The bits of rights: to read files and folders, and to write, cut, make and remove them.
 _WRITE_FILE, _READ_FILE, _READ_DIR, _TRUNCATE = 1 << 1, 1 << 2, 1 << 3, 1 << 14
@@ -28,7 +28,7 @@ def version() -> int:
     if sys.platform != "linux" or os.uname().machine not in MACHINES:
         return 0
     try:
-        return _call("landlock_create_ruleset", None, 0, _FLAG_VERSION)
+        return system_call("landlock_create_ruleset", None, 0, _FLAG_VERSION)
     except OSError:
         return 0
 
@@ -55,13 +55,13 @@ def confine(readable: Iterable[str | Path], writable: Iterable[str | Path]) -> N
         "=QQQ", files, 3 if known >= _TCP else 0, 3 if known >= _SIGNALS else 0
     )
     size = 24 if known >= _SIGNALS else 16 if known >= _TCP else 8
-    ruleset = _call("landlock_create_ruleset", attributes, size, 0)
+    ruleset = system_call("landlock_create_ruleset", attributes, size, 0)
     try:
         for paths, rights in ((readable, _READ), (writable, _READ | _WRITE)):
             for path in paths:
                 _allow(ruleset, path, rights)
         forbid_new_privileges()
-        _call("landlock_restrict_self", ruleset, 0)
+        system_call("landlock_restrict_self", ruleset, 0)
     finally:
         os.close(ruleset)
 
@@ -76,12 +76,6 @@ def _allow(ruleset: int, path: str | Path, rights: int) -> None:
         if not Path(f"/proc/self/fd/{opened}").is_dir():
             rights &= _OF_FILES
         rule = struct.pack("=Qi", rights, opened)
-        _call("landlock_add_rule", ruleset, _RULE_OF_PATH, rule, 0)
+        system_call("landlock_add_rule", ruleset, _RULE_OF_PATH, rule, 0)
     finally:
         os.close(opened)
-
-
-def _call(name: str, *arguments: int | bytes | None) -> int:
-    number = number_of(name, os.uname().machine)
-    assert number is not None
-    return system_call(number, *arguments)
