@@ -117,10 +117,7 @@ class BatchTerms:
                 failed |= unknown
             values.append(own)
         left = iter(values)
-        flags = [
-            None if term is None else next(left)
-            for term in (self.terms.success, self.terms.failure, self.terms.stop_when)
-        ]
+        flags = [None if term is None else next(left) for term in self.terms.conditions.values()]
         if nan == "failure" and failed.any():
             flags[0] = None if flags[0] is None else flags[0] & ~failed
             flags[1:] = [failed if flag is None else flag | failed for flag in flags[1:]]

@@ -161,23 +161,19 @@ class Terms:
             nan if isinstance(nan, str) else float(nan),
         )
 
+    @property
+    def conditions(self) -> dict[str, Term | None]:
+        """The terms that are conditions, by name; None for one that there is not."""
+        return {"success": self.success, "failure": self.failure, "stop_when": self.stop_when}
+
     def __iter__(self) -> Iterator[Term]:
-        for term in (self.success, self.failure, self.stop_when):
-            if term is not None:
-                yield term
+        yield from (term for term in self.conditions.values() if term is not None)
         yield from self.parts.values()
 
     @property
     def texts(self) -> dict[str, Any]:
         """The texts of the terms, as they are stored with an episode."""
-        conditions = {
-            name: None if term is None else term.text
-            for name, term in (
-                ("success", self.success),
-                ("failure", self.failure),
-                ("stop_when", self.stop_when),
-            )
-        }
+        conditions = {n: term and term.text for n, term in self.conditions.items()}
         rewards = {name: term.text for name, term in self.parts.items()}
         where_nan = {} if self.nan == "error" else {"nan": self.nan}
         return conditions | {"reward": rewards} | where_nan
@@ -205,8 +201,7 @@ class Terms:
         computed = [term.check(value) for term, value in zip(self, values, strict=True)]
         left = iter(computed)
         success, failure, stop = (
-            None if term is None else next(left)
-            for term in (self.success, self.failure, self.stop_when)
+            None if term is None else next(left) for term in self.conditions.values()
         )
         parts = dict(zip(self.parts, left, strict=True))
         reward = sum(parts.values()) if parts else None
