@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, Never, Protocol, Self
+from typing import Any, Never, Self, TypeAlias
 
 from ssduck import validation
 from ssduck.errors import UnsupportedError, nearest
 from ssduck.formatting import joined_names
 
+# Asks the worker, as `SandboxedInterpreter.ask` does.
+Asking: TypeAlias = Callable[..., Any]
 # The properties of entities that the host can read.
 PROPERTIES = frozenset(("position", "orientation", "pose", "velocity", "aabb", "mass"))
 
@@ -60,13 +62,6 @@ class EntityReference:
             f"{joined_names(sorted(PROPERTIES))} of the current tick are; programs ask for more",
             suggestions=nearest(name, PROPERTIES),
         )
-
-
-class Asking(Protocol):
-    """Asks a worker."""
-
-    def __call__(self, request: str, *arguments: Any, seconds: float = 0.0, **options: Any) -> Any:
-        """Returns the answer to a request; `seconds` is the time beside that of a program."""
 
 
 class SandboxedWorld:

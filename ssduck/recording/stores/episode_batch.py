@@ -32,8 +32,13 @@ from ssduck.recording.spec import Recording
 from ssduck.recording.stores.base import BufferViews, PairRequest, StoreConnection, TickArchive
 from ssduck.recording.stores.history_sql import near_pair_rows, quoted
 from ssduck.recording.stores.object_store import ObjectPath, is_address
-from ssduck.recording.stores.parquet_archive import arrow_types, multi_link_bodies
-from ssduck.recording.stores.stored_columns import checked_parquet, part_columns, with_nulls
+from ssduck.recording.stores.parquet_archive import multi_link_bodies
+from ssduck.recording.stores.stored_columns import (
+    arrow_types,
+    checked_parquet,
+    part_columns,
+    with_nulls,
+)
 from ssduck.schema import MODELS, TABLES
 from ssduck.world.live_tables import ARROW_TYPES
 

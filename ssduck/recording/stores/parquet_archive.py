@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -33,8 +32,8 @@ from ssduck.recording.stores.history_sql import (
 )
 from ssduck.recording.stores.object_store import parquet_source
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun
-from ssduck.recording.stores.stored_columns import unreadable
-from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES
+from ssduck.recording.stores.stored_columns import arrow_types, unreadable
+from ssduck.schema import FRAMES, MODELS, TABLES
 
 # From so many parts on, a record has groups of them, and a part is checked when it is read.
 MANY_PARTS = 16
@@ -212,19 +211,6 @@ def _logged_rows(run: FolderRun, models: Mapping[str, pa.Table]) -> dict[str, _L
         }
     except RecordError as error:
         raise RecordError(f"{run.place(LOG)} is damaged: {error.message}") from error
-
-
-@cache
-def arrow_types(table: str) -> pa.Schema:
-    """Returns the columns of a table that a record stores with each tick, and their types."""
-    columns = RECORDED[table].tick_columns
-    return pa.schema(
-        [
-            *((name, pa.int64()) for name in columns.integers),
-            *((name, pa.float64()) for name in columns.doubles),
-            *((name, pa.bool_()) for name in columns.booleans),
-        ]
-    )
 
 
 def _rows_of_ticks(file: Path, types: pa.Schema, first: int, last: int) -> pa.Table:

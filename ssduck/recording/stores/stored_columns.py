@@ -28,9 +28,15 @@ def part_columns(table: str) -> Mapping[str, ColumnType]:
 
 
 def tick_types(table: str) -> dict[str, ColumnType]:
-    """Returns the types of the columns that differ from tick to tick."""
-    names = RECORDED[table].tick_columns.names
-    return types_of(column for column in RECORDED[table].columns if column.name in names)
+    """Returns the types of the columns that differ from tick to tick, in the order of a store."""
+    types = types_of(RECORDED[table].columns)
+    return {name: types[name] for name in RECORDED[table].tick_columns.names}
+
+
+@cache
+def arrow_types(table: str) -> pa.Schema:
+    """Returns these columns with their types in Arrow."""
+    return pa.schema({name: ARROW_TYPES[type] for name, type in tick_types(table).items()})
 
 
 def types_of(columns: Iterable[Column]) -> dict[str, ColumnType]:
