@@ -344,7 +344,9 @@ class WorkerProcess:
         wait: Waiting,
     ) -> tuple[bytes, Encoder]:
         """Returns the JSON that replies to a call, and the encoder with its body."""
-        name, arguments = self._call_of(message, world)
+        name, arguments, *_ = self._values(message, world)
+        if not (isinstance(name, str) and isinstance(arguments, list | tuple)):
+            raise InvalidAnswerError("it is no call")
         encoder = Encoder(Budget(UNLIMITED), name_of)
         try:
             if wait.is_pressed:
@@ -376,13 +378,6 @@ class WorkerProcess:
             return warnings, error_of(told[0]) if told else None, value
         except (ValueError, TypeError, AttributeError) as error:
             raise InvalidAnswerError(str(error)) from error
-
-    def _call_of(self, message: Message, world: Callable[[str], Any]) -> tuple[str, Sequence[Any]]:
-        """Returns the name and the arguments of a call."""
-        name, arguments, *_ = self._values(message, world)
-        if not (isinstance(name, str) and isinstance(arguments, list | tuple)):
-            raise InvalidAnswerError("it is no call")
-        return name, arguments
 
     def _values(self, message: Message, world: Callable[[str], Any]) -> Sequence[Any]:
         """Returns what a message holds."""
