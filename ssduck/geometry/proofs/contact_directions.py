@@ -218,8 +218,7 @@ class _Differences:
         overlaps = np.einsum("cmn,cm->mn", points, directions)
         best = overlaps.argmin(axis=0)
         least = overlaps[best, np.arange(pairs)]
-        self.best = np.where(least < self.least, directions.take(best, axis=1), self.best)
-        self.least = np.minimum(least, self.least)
+        self.best, self.least = directions.take(best, axis=1), least
         return points
 
     def points(self, owners: Indices, directions: Array) -> Array:
@@ -282,10 +281,6 @@ def _classified(pairs: _Differences, points: Array, mesh: Mesh, min_height: floa
     for division in range(_MAX_DIVISIONS + 1):
         is_left = triangles.bounds <= pairs.limits[triangles.owners]
         is_open = _decide(decisions, pairs, triangles, is_left, least)
-        if division == 0 and is_open.any():
-            _refine(pairs, selected(triangles, np.flatnonzero(is_open[triangles.owners])))
-            is_left &= triangles.bounds <= pairs.limits[triangles.owners]
-            is_open = _decide(decisions, pairs, triangles, is_left, least)
         if division == _MAX_DIVISIONS or not is_open.any():
             break
         is_left &= is_open[triangles.owners]
@@ -336,14 +331,6 @@ def _mesh_triangles(pairs: _Differences, points: Array, mesh: Mesh, least: Array
     points = points[:, corners[:, faces], owners].swapaxes(0, 1)
     parts = mesh.classes[faces], at_corners, points, products[..., left], stretch[left]
     return Triangles(owners, *parts, *bounds_of(*parts[-2:]))
-
-
-def _refine(pairs: _Differences, triangles: Triangles) -> None:
-    """Finds lesser overlaps of pairs, in the facet of the least bound of each."""
-    lowest = np.lexsort((triangles.bounds, triangles.owners))
-    lowest = lowest[np.diff(triangles.owners[lowest], prepend=-1) > 0]
-    best = selected(triangles, lowest)
-    pairs.points(best.owners, facet_directions(best.corners, best.facets))
 
 
 def _divided(triangles: Triangles, pairs: _Differences, min_height: float) -> Triangles:

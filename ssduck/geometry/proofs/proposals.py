@@ -25,9 +25,6 @@ from ssduck.geometry.proofs.gjk import tolerances
 from ssduck.geometry.proofs.verdicts import Decisions
 from ssduck.geometry.solids import Solid, SolidsOfShapes
 
-# The number of pairs that are remembered to be apart.
-_MAX_APART = 4096
-
 # The positions (n, 3) and the rotations (n, 3, 3) of shapes.
 Poses: TypeAlias = tuple[Array, Array]
 
@@ -43,7 +40,6 @@ class Proposer:
 
     def __init__(self, of_each: SolidsOfShapes) -> None:
         self._of_each = of_each
-        self._apart: set[tuple[int, int]] = set()  # pairs that were apart when last proposed
 
     @cached_property
     def interiors(self) -> ConvexInteriors:
@@ -91,28 +87,17 @@ class Proposer:
         for shape in {shape for pair in pairs for shape in pair}:
             objects[shape].setRotation(matrices[shape])
             objects[shape].setTranslation(positions[shape])
-        were_apart = self._apart
-        if len(were_apart) > _MAX_APART:
-            were_apart.clear()
         rows: list[Array] = []
-        for pair in pairs:
-            one, other = objects[pair[0]], objects[pair[1]]
-            # Both probably are as they were; FCL compares twice where they are not.
-            is_apart = False
-            if pair in were_apart:
-                nearest = fcl.DistanceResult()  # a new one each time: FCL only lowers its distance
-                is_apart = distance(one, other, wanted, nearest) > 0.0
-            if not is_apart:
-                meeting = fcl.CollisionResult()
-                collide(one, other, contact, meeting)
-                if contacts := meeting.contacts:
-                    were_apart.discard(pair)
-                    deepest = contacts[0]
-                    rows += (deepest.pos, deepest.pos, -deepest.normal)
-                    continue
-                were_apart.add(pair)
-                nearest = fcl.DistanceResult()
-                distance(one, other, wanted, nearest)
+        for first_shape, second_shape in pairs:
+            one, other = objects[first_shape], objects[second_shape]
+            meeting = fcl.CollisionResult()
+            collide(one, other, contact, meeting)
+            if contacts := meeting.contacts:
+                deepest = contacts[0]
+                rows += (deepest.pos, deepest.pos, -deepest.normal)
+                continue
+            nearest = fcl.DistanceResult()  # a new one each time: FCL only lowers its distance
+            distance(one, other, wanted, nearest)
             rows += (*nearest.nearest_points, _NO_DIRECTION)
         return np.concatenate(rows).reshape(-1, 3, 3)
 
