@@ -30,25 +30,10 @@ _PYTHON = (
 )
 _TEXTS = "texts are compared exactly; find a part of one by 'part' IN text, or by LIKE"
 
-_INSTEAD_OF = {
-    "JOIN INNER LEFT RIGHT FULL OUTER CROSS NATURAL USING": _JOIN,
-    "ON": f"{_JOIN}; of two entities write on(a, b)",
-    "UNION INTERSECT EXCEPT MINUS": _SETS,
+# What to write instead of words that mean SQL even where a name is possible.
+_OF_VALUES = {
     "ANY SOME": f"{_EXISTS}, of a list True IN list; x > ANY is x > min(SELECT …)",
     "EXISTS": "write EXISTS (SELECT … FROM …)",
-    "OFFSET SKIP": "write LIMIT n OFFSET m behind ORDER BY",
-    "FETCH TOP FIRST": _LIMIT_ADVICE,
-    "NULLS": "leave out the rows without a value: WHERE x IS NOT NULL",
-    "QUALIFY WINDOW OVER PARTITION ROLLUP CUBE PIVOT LATERAL": _RAW,
-    "RANK DENSE_RANK ROW_NUMBER LAG LEAD NTILE GROUPING SETS": _RAW,
-    "FILTER": "write sum(CASE WHEN condition THEN 1 ELSE 0 END)",
-    "DATE TIMESTAMP INTERVAL EXTRACT": _TIMES,
-    "INSERT UPDATE DELETE": _CHANGE,
-    "CREATE DROP ALTER MERGE TRUNCATE": _RAW,
-    "COPY ATTACH PRAGMA SHOW DESCRIBE INSTALL": _RAW,
-    "WITH": "name the result of a query: rows = SELECT … AS list; SELECT … FROM rows",
-    "VALUES": "write a list: FROM [[1, 2], [3, 4]]",
-    "ILIKE GLOB SIMILAR REGEXP RLIKE ESCAPE COLLATE": _TEXTS,
     "UPPER LOWER SUBSTRING SUBSTR TRIM STARTS_WITH": _TEXTS,
     "CAST TRY_CAST CONVERT": _CAST,
     "NULL NONE NIL": _MISSING,
@@ -62,13 +47,36 @@ _INSTEAD_OF = {
     "MEAN AVERAGE": "write avg(x)",
     "ALL": f"{_ALL}, of a list NOT False IN list; x > ALL is x > max(SELECT …); behind "
     "SELECT and LIMIT leave ALL out",
+    "DISTINCT": "write SELECT DISTINCT x, without brackets or ON, or uniq(x) with GROUP BY",
+    "NOTNULL ISNULL": "write x IS NOT NULL, or x IS NULL",
+}
+# Of words that begin statements of SQL, but not of SelectScript.
+_OF_STATEMENTS = {
+    "INSERT UPDATE DELETE": _CHANGE,
+    "CREATE DROP ALTER MERGE TRUNCATE": _RAW,
+    "COPY ATTACH PRAGMA SHOW DESCRIBE INSTALL": _RAW,
+    "WITH": "name the result of a query: rows = SELECT … AS list; SELECT … FROM rows",
+    "TOP": _LIMIT_ADVICE,
+}
+# Of other words and signs.
+_OF_WORDS = {
+    "JOIN INNER LEFT RIGHT FULL OUTER CROSS NATURAL USING": _JOIN,
+    "ON": f"{_JOIN}; of two entities write on(a, b)",
+    "UNION INTERSECT EXCEPT MINUS": _SETS,
+    "OFFSET SKIP": "write LIMIT n OFFSET m behind ORDER BY",
+    "FETCH FIRST": _LIMIT_ADVICE,
+    "NULLS": "leave out the rows without a value: WHERE x IS NOT NULL",
+    "QUALIFY WINDOW OVER PARTITION ROLLUP CUBE PIVOT LATERAL": _RAW,
+    "RANK DENSE_RANK ROW_NUMBER LAG LEAD NTILE GROUPING SETS": _RAW,
+    "FILTER": "write sum(CASE WHEN condition THEN 1 ELSE 0 END)",
+    "DATE TIMESTAMP INTERVAL EXTRACT": _TIMES,
+    "VALUES": "write a list: FROM [[1, 2], [3, 4]]",
+    "ILIKE GLOB SIMILAR REGEXP RLIKE ESCAPE COLLATE": _TEXTS,
     "MOD DIV": "write x % y for the remainder, floor(x / y) for the integer quotient",
     "OF": "a result form is one word, perhaps with arguments: AS dict, AS list, AS df, "
     "AS image(640, 480); help('AS') lists all",
     "WHILE DEF RETURN LAMBDA IMPORT DEL RAISE ASSERT": _PYTHON,
-    "DISTINCT": "write SELECT DISTINCT x, without brackets or ON, or uniq(x) with GROUP BY",
     "WHEN THEN ELSE END": "write CASE WHEN … THEN … ELSE … END, or IF(…; …; …)",
-    "NOTNULL ISNULL": "write x IS NOT NULL, or x IS NULL",
     "AND": "a condition stands on both sides of AND",
     "IS": "write x IS NULL, or == to compare",
     "!": "write NOT",
@@ -85,6 +93,12 @@ _INSTEAD_OF = {
     "each entity of a world is SELECT z(this) FROM room",
     "IN": "IN looks into a list or a text, x IN (a, b); what is in a region is within(a, b)",
 }
+
+
+def _by_word(table: dict[str, str]) -> dict[str, str]:
+    """Returns a table by single words."""
+    return {word: text for words, text in table.items() for word in words.split()}
+
 
 # What to write for signs of other languages.
 SIGNS = {
@@ -109,32 +123,14 @@ NUMPY = (
     "an array of NumPy is written array.tolist(), as in [0.1, 0.2, 0.3], or given as a parameter: "
     "ss.eval('distance(sim.cup, p);', {'p': array})"
 )
-HABITS = {word: text for words, text in _INSTEAD_OF.items() for word in words.split()}
+_VALUES, STATEMENTS = _by_word(_OF_VALUES), _by_word(_OF_STATEMENTS)
+HABITS = _VALUES | STATEMENTS | _by_word(_OF_WORDS)
 
 # The clauses behind FROM, in their order.
 ORDER = "WHERE, START WITH … CONNECT BY … STOP WITH, GROUP BY, HAVING, ORDER BY, LIMIT, AS"
 CLAUSES = frozenset(
     ("FROM", "WHERE", "START", "CONNECT", "STOP", "GROUP", "HAVING", "ORDER", "LIMIT")
 )
-
-
-# The words that begin statements of SQL, but not of SelectScript.
-STATEMENTS = frozenset(
-    (
-        *("INSERT", "UPDATE", "DELETE", "CREATE", "DROP", "ALTER", "MERGE", "TRUNCATE"),
-        *("COPY", "ATTACH", "PRAGMA", "SHOW", "DESCRIBE", "INSTALL", "WITH", "TOP"),
-    )
-)
-# The words that mean SQL even where a name is possible.
-_NAMES = frozenset(
-    (
-        *("ANY", "SOME", "EXISTS", "NULL", "NONE", "NIL", "ALL", "DISTINCT", "CAST", "TRY_CAST"),
-        *("CONVERT", "COALESCE", "IFNULL", "NVL", "NULLIF", "CONCAT", "LEN", "LENGTH", "POWER"),
-        *("CEILING", "MEAN", "AVERAGE", "UPPER", "LOWER", "SUBSTRING", "SUBSTR", "TRIM"),
-        *("STARTS_WITH", "NOTNULL", "ISNULL", "NAN", "INF", "INFINITY"),
-    )
-)
-
 
 _RANDOM = "a query gives the same result each time; draw numbers in Python"
 _TABLE = "the tables are those of ss.sql; in a program the source is the world: FROM room"
@@ -287,7 +283,7 @@ _ELEMENTS = {
     "orientation": ("QW", "QX", "QY", "QZ"),
 }
 # The suggestions for names that a program may use as its own.
-_OWN_NAMES = {word: text for words, text in _OF_NAMES.items() for word in words.split()} | {
+_OWN_NAMES = _by_word(_OF_NAMES) | {
     column: f"write {name}(e)[{number}]"
     for name, columns in _ELEMENTS.items()
     for number, column in enumerate(columns)
@@ -312,7 +308,7 @@ def suggestion_for_name(name: str) -> str:
     for word in plain_names(name):
         if word in _OWN_NAMES:
             return _OWN_NAMES[word]
-    return HABITS[name.upper()] if name.upper() in _NAMES else ""
+    return _VALUES.get(name.upper(), "")
 
 
 def suggestion_for_call(name: str) -> str:
