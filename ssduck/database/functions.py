@@ -20,7 +20,7 @@ from ssduck.database.connection import Connection
 from ssduck.database.values import Converter, converter, is_exactly
 from ssduck.errors import EvaluationError, UnknownNameError, UnsupportedError, nearest
 from ssduck.geometry.arrays import Indices
-from ssduck.geometry.id_pairs import IdPairs
+from ssduck.geometry.broad_phase import IdPairs
 from ssduck.geometry.pair_batch import PairQuestion, QuestionKind
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.tick_shapes import depth

@@ -13,8 +13,7 @@ from typing import TypeAlias
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices, ranges
-from ssduck.geometry.broad_phase import Pairs, portions
-from ssduck.geometry.id_pairs import IdPairs, Ids
+from ssduck.geometry.broad_phase import IdPairs, Ids, Pairs, portions
 
 # Takes the boxes, (6, n), the positions, (3, n), and pairs.
 PairCondition: TypeAlias = Callable[[Array, Array, Indices, Indices], Flags]

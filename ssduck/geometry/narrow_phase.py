@@ -1,7 +1,7 @@
 """The narrow phase: compares the shapes of entities.
 
 The distance of two entities is that of their nearest shapes, their depth that of their deepest
-shapes. `ssduck.geometry.shape_comparisons` compares these, unless their boxes and spheres decide.
+shapes. `ssduck.geometry.tick_solids` compares these, unless their boxes and spheres decide.
 `ssduck.geometry.batch` compares all pairs of a tick at once, with the same results.
 """
 
@@ -31,10 +31,16 @@ from ssduck.geometry.containment import (
 )
 from ssduck.geometry.distance import CallCounter, SignedDistance
 from ssduck.geometry.placed_solid import PlacedSolid, Point
-from ssduck.geometry.shape_comparisons import ROUNDING, TOUCHING_DISTANCE, ShapeComparisons
 from ssduck.geometry.solids import PlacedSolids, Solid
 from ssduck.geometry.tick_shapes import PairPredicate, ShapeTable, TickShapes
-from ssduck.geometry.tick_solids import Found, ShapePlaces, TickSolids
+from ssduck.geometry.tick_solids import (
+    ROUNDING,
+    TOUCHING_DISTANCE,
+    Found,
+    ShapeComparisons,
+    ShapePlaces,
+    TickSolids,
+)
 
 T = TypeVar("T")
 

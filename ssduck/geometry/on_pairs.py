@@ -23,8 +23,8 @@ from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD, decide
 from ssduck.geometry.proofs.footprints import OUTSIDE, OVER, ground_boxes, over_verdicts
 from ssduck.geometry.proofs.separating_axes import box_axes
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Decisions, Verdicts
-from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
 from ssduck.geometry.tick_shapes import PairPredicate, TickShapes
+from ssduck.geometry.tick_solids import TOUCHING_DISTANCE
 
 # Overlaps that differ by less, metres, may have either normal.
 _TIE = 1e-8

@@ -24,8 +24,8 @@ from ssduck.geometry.on_pairs import decide_contacts
 from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD
 from ssduck.geometry.proofs.footprints import OVER, over_verdicts, shapes_of
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Verdicts
-from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
 from ssduck.geometry.tick_shapes import PairPredicate, PredicateKind
+from ssduck.geometry.tick_solids import TOUCHING_DISTANCE
 
 Direction: TypeAlias = tuple[float, float, float]
 

@@ -12,16 +12,15 @@ from threading import RLock
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
-from ssduck.geometry.broad_phase import overlapping_pairs
+from ssduck.geometry.broad_phase import IdPairs, Ids, overlapping_pairs, places_by_number
 from ssduck.geometry.containment import overlap_share
-from ssduck.geometry.id_pairs import IdPairs, Ids, places_by_number
 from ssduck.geometry.narrow_phase import MIN_DEPTH, NarrowPhase
 from ssduck.geometry.neighbour_relations import NeighbourRelations, Orientation
 from ssduck.geometry.on_pairs import are_on
-from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import PlacedSolids
 from ssduck.geometry.tick_shapes import PairPredicate, depth, pair_number
+from ssduck.geometry.tick_solids import TOUCHING_DISTANCE
 from ssduck.schema import LINK_FACTOR, entity_of
 
 # After this number of pairs, or a quarter of the entities, all pairs are compared at once.

@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck.geometry.arrays import Array, Flags, Indices, ranges
-from ssduck.geometry.common_volume import clip_polygons
+from ssduck.geometry.containment import clip_polygons
 from ssduck.geometry.solids import PlacedSolids, Solid
 
 # The number of pairs of an edge and a strip that are processed at a time.

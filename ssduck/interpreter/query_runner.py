@@ -49,9 +49,9 @@ from ssduck.language.tree import Call, Node, Query
 from ssduck.language.value_keys import MEMOS
 from ssduck.simulators.kinematics import JointError
 from ssduck.sql.name_resolution import ResolvedQuery
-from ssduck.sql.past_ticks import history_windows
 from ssduck.sql.plan import OutputColumn, PathSearch, Plan, SourceType
 from ssduck.sql.relations.registry import RELATIONS
+from ssduck.sql.scope import history_windows
 from ssduck.sql.sql_values import NotSqlError, with_values
 
 # After MAX_FAILURES failures in SQL, only one run in RETRY_INTERVAL tries SQL; the others take the

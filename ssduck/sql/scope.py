@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, replace
 from typing import Self
 
 from sqlglot import exp
@@ -23,10 +24,15 @@ from ssduck.language.tree import (
     TimeIndex,
     UnresolvedName,
 )
+from ssduck.schema import HISTORIES
+from ssduck.sql.from_clause import JoinedEntity, TickRange, joined_entity, pairs_over_ticks
 from ssduck.sql.operators import truth
-from ssduck.sql.past_ticks import QueryTicks
+from ssduck.sql.plan import ParameterBinding
+from ssduck.sql.relation_calls import expanded
 from ssduck.sql.relations.registry import RELATIONS
+from ssduck.sql.relations.relation import Relation
 from ssduck.sql.sql_values import NotSqlError, SqlValue, StatementContext
+from ssduck.sql.types import SqlType
 
 
 class ExpressionScope(ABC):
@@ -139,3 +145,246 @@ class ExpressionScope(ABC):
         if not value.sql_type.is_number or value.sql_type.nullable:
             raise NotSqlError
         return value
+
+
+# -- the ticks of entities ----------------------------------------------------------------------
+
+
+class QueryTicks:
+    """The ticks of the sources of one query, and of handles in its expressions.
+
+    Attributes:
+        joined_entities: the joined rows of handles at ticks of other rows, and of pairs.
+        tick_ranges: the ticks of sources with several ticks, by the tick of the current row.
+        present: the ticks of sources that are a world at its current tick, beside its past.
+    """
+
+    def __init__(
+        self, context: StatementContext, rows: Mapping[str, SqlValue], outer: QueryTicks | None
+    ) -> None:
+        self._context = context
+        self._rows = rows
+        self._outer = outer
+        self.joined_entities: dict[tuple[str, ...], JoinedEntity] = {}
+        self._parameters: dict[str, exp.Expr] = {}
+        self.tick_ranges: dict[str, TickRange] = {}
+        self.present: set[str] = set()
+
+    def join_entities(self, values: dict[str, SqlValue], *, at_one_tick: bool) -> None:
+        """Joins the rows of handles at the tick of the entities at recorded ticks.
+
+        A handle stands for the entity at the current tick; beside rows of the past, at their tick.
+        A handle that is fixed to a tick stays there.
+
+        Raises:
+            NotSqlError: Python finds the ticks.
+        """
+        entities = {
+            name: value for name, value in values.items() if value.sql_type.type == "entity"
+        }
+        handles = {name: value for name, value in entities.items() if not value.sql_type.past}
+        past = [value for value in entities.values() if value.sql_type.past]
+        rows = [value for value in past if not _is_fixed(value)]
+        if at_one_tick and len(rows) < len(past) and len(entities) > 1 and self._all_rows():
+            raise NotSqlError
+        if not handles:
+            return
+        if not rows:
+            schemas = {handle.sql_type.schema for handle in handles.values()}
+            result = [
+                v for v in self._all_rows() if v.sql_type.past and v.sql_type.schema in schemas
+            ]
+            if past and len(result) > 1:
+                raise NotSqlError  # the tick may be that of one of these rows
+            rows = result[-1:]
+        if not rows:
+            return
+        row = rows[0]
+        if row.column is not None and row.column("tick").sql() in self.present:
+            return  # they are at that tick
+        for name, handle in handles.items():
+            if handle.sql_type.schema != row.sql_type.schema:
+                continue
+            if row.column is None or handle.column is None or handle.sql_type.nullable:
+                raise NotSqlError
+            tick, id = row.column("tick"), handle.column("id")
+            is_constant = isinstance(id, exp.Parameter)
+            if not is_constant or not self._is_of_own_row(tick):
+                raise NotSqlError
+            values[name] = self._joined_entity(handle.sql_type, tick, id).value
+
+    def of(self, values: Iterable[SqlValue]) -> list[exp.Expr]:
+        """Returns the ticks of entities, one for those that are known to be equal.
+
+        Sources of several ticks run together; without sources, Python has checked the entities.
+        """
+        ticks: dict[str, exp.Expr] = {}
+        for value in values:
+            if value.sql_type.past and value.column is not None:
+                tick = value.column("tick")
+                leader = self._leading_tick(tick)
+                span = self.tick_ranges.get(leader)
+                ticks.setdefault(leader if span is None else f"all of {span.schema}", tick)
+        return list(ticks.values())[: None if self._all_rows() else 1]
+
+    def over_all_ticks(
+        self, relation: Relation, values: Mapping[str, SqlValue], count: int
+    ) -> SqlValue | None:
+        """Returns a relation of shapes at all ticks of a window; None if there is no window."""
+        geometry = relation.geometry
+        if geometry is None or geometry.over_ticks is None:
+            return None
+        if any(value.sql_type.table != "entities" for value in values.values()):
+            return None
+        a, b, *numbers = values.values()
+        if not (a.sql_type.past and b.sql_type.past):
+            return None
+        if a.column is None or b.column is None or self._outer is not None:
+            return None
+        span = self.tick_ranges.get(self._leading_tick(a.column("tick")))
+        other = self.tick_ranges.get(self._leading_tick(b.column("tick")))
+        if span is None or other is None or span.schema != other.schema:
+            return None
+        if any(not isinstance(value.sql, exp.Parameter | exp.Literal) for value in numbers):
+            return None
+        ids = self._id_of(a), self._id_of(b)
+        if geometry.needs_single_pair and any(isinstance(id, exp.Column) for id in ids):
+            return None
+        distance: exp.Expr = exp.Literal.number(0)
+        if geometry.is_predicate:
+            values_by_name = dict(zip(list(values)[2:], numbers, strict=True))
+            distance = expanded(relation.candidate_distance(count), values_by_name)
+        key = (relation.name, distance.sql(), span.tick.sql(), *(id.sql() for id in ids))
+        if key not in self.joined_entities:
+            name = self._context.alias("pairs then")
+            columns = a.column("id"), b.column("id")
+            self.joined_entities[key] = pairs_over_ticks(
+                relation, distance, span, ids, columns, name
+            )
+        return self.joined_entities[key].value
+
+    def record_single_entity(self, alias: str, other: Callable[[], SqlValue]) -> None:
+        """Notes that a source's element is always one entity."""
+        value = self._rows.get(alias)
+        if value is None or value.column is None or not value.sql_type.past:
+            return
+        span = self.tick_ranges.get(value.column("tick").sql())
+        value_of_id = other() if span is not None and span.id is None else None
+        if span is None or value_of_id is None:
+            return
+        id: exp.Expr | None = None
+        if (
+            value_of_id.sql_type.type == "entity"
+            and value_of_id.sql_type.schema == span.schema
+            and value_of_id.sql_type.table == value.sql_type.table
+            and value_of_id.column
+        ):
+            id = value_of_id.column("id")
+        elif value_of_id.sql_type.type == "string" and value.sql_type.table == "entities":
+            models = exp.table_("entities_model", db=span.schema)
+            has_name = exp.EQ(this=exp.column("name"), expression=value_of_id.sql.copy())
+            # Several entities may have had the name; 0 stands for any of them.
+            id_case = exp.case(exp.Count(this=exp.Star())).when(
+                "1", exp.func("any_value", exp.column("id"))
+            )
+            id_case = id_case.when("0", exp.Literal.number(-1)).else_(exp.Literal.number(0))
+            id = exp.select(id_case).from_(models).where(has_name).subquery()
+        if id is not None:
+            self.tick_ranges[span.tick.sql()] = replace(span, id=id)
+
+    def _leading_tick(self, tick: exp.Expr) -> str:
+        """Returns the tick of a source, or of the source to whose tick a handle is joined."""
+        for (row, *_), known in self.joined_entities.items():
+            column = known.value.column
+            if column is not None and column("tick").sql() == tick.sql():
+                return row
+        return tick.sql()
+
+    def _id_of(self, value: SqlValue) -> exp.Expr:
+        """Returns the id of an entity: a parameter where it is the same at each tick."""
+        assert value.column is not None
+        for (_, id, *_), known in self.joined_entities.items():
+            if known.value is value:
+                return self._parameters[id]
+        span = self.tick_ranges.get(value.column("tick").sql())
+        return value.column("id") if span is None or span.id is None else span.id
+
+    @property
+    def has_past(self) -> bool:
+        """Whether a source has rows of recorded ticks."""
+        return any(value.sql_type.past for value in self._all_rows())
+
+    def _all_rows(self) -> list[SqlValue]:
+        """Returns the current elements of all sources, those of outer queries first."""
+        outer = self._outer._all_rows() if self._outer is not None else []  # noqa: SLF001
+        return [*outer, *self._rows.values()]
+
+    def _is_of_own_row(self, tick: exp.Expr) -> bool:
+        """Checks whether a tick is that of a source of this query, and not of one around it."""
+        ticks = {
+            value.column("tick").sql()
+            for value in self._rows.values()
+            if value.sql_type.past and value.column
+        }
+        return self._outer is None and tick.sql() in ticks
+
+    def _joined_entity(self, handle: SqlType, tick: exp.Expr, id: exp.Expr) -> JoinedEntity:
+        key = tick.sql(), id.sql()
+        if key not in self.joined_entities:
+            name = self._context.alias("handle then")
+            self.joined_entities[key] = joined_entity(
+                str(handle.schema), name, tick, id, handle.table
+            )
+            self._parameters[id.sql()] = id
+        return self.joined_entities[key]
+
+
+def _is_fixed(value: SqlValue) -> bool:
+    """Checks whether an entity at a recorded tick is that of a variable, not that of a row."""
+    return value.column is not None and isinstance(value.column("tick"), exp.Parameter)
+
+
+_VIEWS = frozenset(table.history_view for table in HISTORIES.values())
+
+
+@dataclass(frozen=True)
+class HistoryWindow:
+    """A table of the past that a query reads at some ticks only."""
+
+    schema: str  # the schema of its world
+    view: str  # the name of its view
+    first: str  # the parameter of the first tick
+    last: str  # the parameter of the last tick
+
+
+def history_windows(
+    select: exp.Query, bindings: Collection[ParameterBinding]
+) -> list[HistoryWindow]:
+    """Returns the tables of the past that a query reads, each with its ticks.
+
+    Returns:
+        Nothing if the query may read one of them at other ticks, as joins do.
+    """
+    ends = {binding.name: binding.end for binding in bindings}
+    if not {"first", "last"} <= set(ends.values()):
+        return []
+    tables = [table for table in select.find_all(exp.Table) if table.name in _VIEWS]
+    windows = [_window_of(table, ends) for table in tables]
+    return [] if None in windows else [window for window in windows if window is not None]
+
+
+def _window_of(table: exp.Table, ends: Mapping[str, str]) -> HistoryWindow | None:
+    """Returns the ticks of a table that is read as `SELECT … WHERE tick BETWEEN $a AND $b`."""
+    clause = table.parent
+    select = None if clause is None else clause.parent
+    if not (isinstance(clause, exp.From) and isinstance(select, exp.Select)):
+        return None
+    where = select.args.get("where")
+    if where is None or select.args.get("joins"):
+        return None
+    for condition in where.this.flatten() if isinstance(where.this, exp.And) else [where.this]:
+        if isinstance(condition, exp.Between) and condition.this == exp.column("tick"):
+            first, last = condition.args["low"], condition.args["high"]
+            if (ends.get(first.name), ends.get(last.name)) == ("first", "last"):
+                return HistoryWindow(table.db, table.name, first.name, last.name)
+    return None

@@ -21,7 +21,7 @@ from ssduck.errors import (
 )
 from ssduck.formatting import joined_names, short_repr
 from ssduck.geometry.arrays import Array, Indices
-from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
+from ssduck.geometry.tick_solids import TOUCHING_DISTANCE
 from ssduck.schema import MARGINS
 from ssduck.simulators.interface import DEFAULT_BACKEND, Body, Kind, Simulator
 from ssduck.simulators.kinematics import (

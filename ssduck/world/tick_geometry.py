@@ -13,8 +13,8 @@ import numpy as np
 
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.box_relations import BoxQueries
+from ssduck.geometry.broad_phase import Ids, places_by_number
 from ssduck.geometry.distance import CallCounter
-from ssduck.geometry.id_pairs import Ids, places_by_number
 from ssduck.geometry.margins import Margins
 from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.queries import ShapeQueries

@@ -13,7 +13,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import LimitError
-from ssduck.geometry.shape_comparisons import ShapeComparisons
+from ssduck.geometry.tick_solids import ShapeComparisons
 from ssduck.interpreter.query_runner import PlannedQuery
 from ssduck.limits import Limits, _clock
 from ssduck.recording.replay import batch_queries, progress

@@ -16,7 +16,7 @@ import numpy as np
 from ssduck.columns.arrays import Array as Values
 from ssduck.columns.compiler import LeftToDuckDBError
 from ssduck.geometry.arrays import Array, Flags, Indices
-from ssduck.geometry.id_pairs import Ids
+from ssduck.geometry.broad_phase import Ids
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.schema import ID_FACTOR
 from ssduck.sql.relations.geometry_query import GeometryUdf
