@@ -18,7 +18,13 @@ from duckdb.func import FunctionNullHandling, PythonUDFType
 from ssduck.database.binding import BoundWorld
 from ssduck.database.connection import Connection
 from ssduck.database.values import Converter, converter, is_exactly
-from ssduck.errors import EvaluationError, UnknownNameError, UnsupportedError, nearest
+from ssduck.errors import (
+    ArgumentError,
+    EvaluationError,
+    UnknownNameError,
+    UnsupportedError,
+    nearest,
+)
 from ssduck.geometry.arrays import Indices
 from ssduck.geometry.broad_phase import IdPairs
 from ssduck.geometry.pair_batch import PairQuestion, QuestionKind
@@ -26,6 +32,7 @@ from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.tick_shapes import depth
 from ssduck.language.builtins import Function
 from ssduck.language.value_keys import Memo
+from ssduck.limits import UsageMeter
 from ssduck.recording.replay.pair_answers import PairQueries
 from ssduck.recording.replay.record import Record
 from ssduck.recording.spec import no_ticks_message
@@ -253,20 +260,27 @@ def _found(bound: BoundWorld, search: PairSearch, kind: PairKind, values: Sequen
 
 
 def pair_rows(
-    lookup: PairLookup, bound: BoundWorld, parameters: Mapping[str, Any]
-) -> list[tuple[Any, ...]]:
-    """Returns the rows that the SQL of a look-up's query has, without a statement."""
+    lookup: PairLookup, bound: BoundWorld, parameters: Mapping[str, Any], meter: UsageMeter
+) -> list[tuple[Any, ...]] | None:
+    """Returns the rows that the SQL of a look-up's query has; None if a statement has to run."""
+    if not set(map(type, parameters.values())) <= {int, float}:
+        return None
     entities = bound.world.snapshot.tables["entities"]
     distance, distances = lookup.distance, []
     if lookup.search.numbers:
         distances = [float(parameters[distance] if isinstance(distance, str) else distance)]
-    found: IdPairs = _found(bound, lookup.search, "entities", distances)
+    try:
+        found: IdPairs = _found(bound, lookup.search, "entities", distances)
+    except ArgumentError:  # the SQL raises it, with its place
+        return None
+    meter.check_time()
     rows = found.first, found.second
     for comparison in lookup.comparisons:
         ranks = entities["id"] if comparison.column == "id" else _ranks(entities)
         left, right = (ranks[rows[side]] for side in comparison.sides)
         holds = comparison.compare(left, right)
         rows = rows[0][holds], rows[1][holds]
+    meter.check_rows(len(rows[0]))
     if not lookup.columns:  # the SQL selects a constant
         return [(1,)] * len(rows[0])
     columns = (entities.values(column.name, rows[column.side]) for column in lookup.columns)

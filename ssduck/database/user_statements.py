@@ -59,7 +59,7 @@ from ssduck.database.statement_names import (
     source_tables,
     unread_columns,
 )
-from ssduck.errors import ArgumentError, SelectScriptError, SqlError
+from ssduck.errors import SelectScriptError, SqlError
 from ssduck.recording.stores.history_sql import quoted
 from ssduck.sql.pair_lookup import PairLookup
 from ssduck.sql.user_sql import Edit, edited, numbered, with_parameters
@@ -294,16 +294,14 @@ class UserStatements:
 
     def _looked_up(self, statement: UserStatement, parameters: Parameters) -> FetchedRows | None:
         """Returns the rows of a statement that has a look-up; None if it has to run."""
-        lookup, header = statement.lookup, statement.last_header
-        values = None if lookup is None else _lookup_values(lookup, parameters)
-        if lookup is None or header is None or values is None:
+        lookup, header, values = statement.lookup, statement.last_header, _by_name(parameters)
+        if lookup is None or header is None:
             return None
-        with suppress(ArgumentError):  # the SQL raises it
-            found = pair_rows(lookup, self._worlds[lookup.schema], values)
-            self._connection.meter.check_time()
-            self._connection.meter.check_rows(len(found))
-            return FetchedRows(header, found)
-        return None
+        if list(values) != ([lookup.distance] if isinstance(lookup.distance, str) else []):
+            return None
+        bound = self._worlds[lookup.schema]
+        found = pair_rows(lookup, bound, values, self._connection.meter)
+        return None if found is None else FetchedRows(header, found)
 
     def _is_ready(
         self, statement: UserStatement, sql: str, parameters: Parameters, names: WorldNames
@@ -447,15 +445,3 @@ def _numbers_of(parameters: Parameters) -> dict[str, int | float] | None:
     # DuckDB does not distinguish names by case.
     has_names = len({name.lower() for name in values}) == len(values)
     return values if is_numeric and has_names else None
-
-
-def _lookup_values(lookup: PairLookup, parameters: Parameters) -> Mapping[str, float] | None:
-    """Returns the parameters of a look-up; None if a statement's are others, or no numbers."""
-    names = [lookup.distance] if isinstance(lookup.distance, str) else []
-    if not parameters:
-        return None if names else {}
-    if not isinstance(parameters, Mapping) or list(parameters) != names:
-        return None
-    values = [parameters[name] for name in names]
-    is_numeric = all(type(value) in (int, float) for value in values)
-    return dict(zip(names, values, strict=True)) if is_numeric else None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from itertools import islice
 from math import prod
 from typing import Any
@@ -249,11 +248,10 @@ class PlannedQuery:
     ) -> list[tuple[Any, ...]]:
         """Executes the SQL with some parameters and returns its rows."""
         plan, database = self.plan, self._database
-        if plan.lookup is not None and set(map(type, parameters.values())) <= {int, float}:
-            with suppress(ArgumentError):  # the SQL raises it, with its place
-                rows = pair_rows(plan.lookup, database.bound_world(plan.lookup.schema), parameters)
-                database.connection.meter.check_time()
-                database.connection.meter.check_rows(len(rows))
+        if plan.lookup is not None:
+            bound, meter = database.bound_world(plan.lookup.schema), database.connection.meter
+            rows = pair_rows(plan.lookup, bound, parameters, meter)
+            if rows is not None:
                 return rows
         one_row = None if self.scalars is None else self.scalars.rows(parameters)
         if one_row is not None:
