@@ -23,30 +23,7 @@ SchemaOf: TypeAlias = Callable[[World], str]
 
 def sql_type_of(value: Any, schema_of: SchemaOf) -> SqlType:
     """Returns the SQL type of a value."""
-    match value:
-        case bool():
-            return BOOLEAN
-        case int():
-            return _integer((value,))
-        case float():
-            return _double((value,))
-        case str():
-            return _text((value,))
-        case None:
-            return SqlType("nothing")
-        case Handle() if not value.is_there:  # SQL has no row of a removed entity
-            return ANY
-        case Handle():
-            past = value.moment is not None
-            schema, table = schema_of(value.world), value.TABLE
-            return SqlType("entity", schema=schema, past=past, table=table)
-        case list():
-            return _list((value,), schema_of)
-        case np.ndarray() if value.shape == (3,) and value.dtype.kind in "iuf":
-            return SqlType("array") if np.isfinite(value).all() else ANY
-        case dict():
-            return _record((value,), schema_of)
-    return ANY
+    return _type_of_class(type(value), (value,), schema_of)
 
 
 def common_sql_type(values: Sequence[Any], schema_of: SchemaOf) -> SqlType | None:
@@ -64,13 +41,27 @@ def common_sql_type(values: Sequence[Any], schema_of: SchemaOf) -> SqlType | Non
 
 
 def _type_of_class(kind: type, values: Sequence[Any], schema_of: SchemaOf) -> SqlType:
-    if kind in _PLAIN:
-        return _PLAIN[kind](values)
-    if kind is list:
+    for plain, of_values in _PLAIN.items():
+        if issubclass(kind, plain):
+            return of_values(values)
+    if issubclass(kind, list):
         return _list(values, schema_of)
-    if kind is dict:
+    if issubclass(kind, dict):
         return _record(values, schema_of)
-    return merged(sql_type_of(value, schema_of) for value in values) or ANY
+    return merged(_type_of_object(value, schema_of) for value in values) or ANY
+
+
+def _type_of_object(value: Any, schema_of: SchemaOf) -> SqlType:
+    match value:
+        case None:
+            return SqlType("nothing")
+        case Handle() if value.is_there:  # SQL has no row of a removed entity
+            past = value.moment is not None
+            schema, table = schema_of(value.world), value.TABLE
+            return SqlType("entity", schema=schema, past=past, table=table)
+        case np.ndarray() if value.shape == (3,) and value.dtype.kind in "iuf":
+            return SqlType("array") if np.isfinite(value).all() else ANY
+    return ANY
 
 
 def _integer(values: Sequence[int]) -> SqlType:
@@ -96,7 +87,7 @@ def _has_lone_surrogate(text: str) -> bool:
 
 
 _PLAIN: dict[type, Callable[[Sequence[Any]], SqlType]] = {
-    bool: lambda _: BOOLEAN,
+    bool: lambda _: BOOLEAN,  # before int, of which it is a kind
     int: _integer,
     float: _double,
     str: _text,
