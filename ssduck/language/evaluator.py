@@ -29,8 +29,6 @@ from ssduck.language.operators import (
     check_size,
     counted,
     indexed,
-    is_short_circuit,
-    is_verdict,
     truth,
     unary,
 )
@@ -225,8 +223,6 @@ class ExpressionCompiler:
     def condition(self, node: Node) -> Callable[[Frame], bool]:
         """Returns the node as a condition: a function of a frame that returns True or False."""
         thunk = self.thunk(node)
-        if is_short_circuit(node) and not is_verdict(node):
-            return thunk  # it returns True or False
 
         def holds(frame: Frame) -> bool:
             value = thunk(frame)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import operator
 import re
 from collections.abc import Callable, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import islice
 from typing import Any, Protocol, TypeAlias
 
@@ -38,7 +38,6 @@ _WIDE = 1 << _BITS_PER_ELEMENT
 MAX_ELEMENTS = 10_000_000
 # The size of an element of a list, bytes, and the largest size of a value that is not counted.
 ELEMENT_BYTES, SMALL_BYTES = 8, 64
-SMALL_BITS = 8 * SMALL_BYTES
 
 
 def is_like(text: Any, pattern: Any) -> bool:
@@ -89,8 +88,6 @@ _UNARY: dict[str, Callable[[Any], Any]] = {
     "+": operator.pos,
 }
 GROWING = frozenset("+*^")
-# The types of operands whose result is never too large.
-SAFE_TYPES = {"+": frozenset((int, float)), "*": frozenset((float,)), "^": frozenset[type]()}
 # The operators whose time grows with their operands, though the result is small.
 SLOW = frozenset(("LIKE", "IN", "%", "/"))
 SHORT_CIRCUIT = frozenset(("AND", "OR"))
@@ -330,42 +327,20 @@ def binary(compiler: OperandCompiler, node: Binary) -> Thunk:
     sign = node.operator
     if sign in SHORT_CIRCUIT:
         return _short_circuit(compiler, sign, (node.left, node.right))
-    operate = OPERATORS[sign]
-    if sign in GROWING:
-        left, right = compiler.thunk(node.left), compiler.thunk(node.right)
-        quick = SAFE_TYPES[sign]
-
-        def growing(frame: Frame) -> Any:
-            a, b = left(frame), right(frame)
-            if type(a) is type(b) and type(a) in quick:
-                value = operate(a, b)
-                if type(value) is float or value.bit_length() < SMALL_BITS:
-                    return value
-                return counted(frame, value)
-            return counted(frame, apply(sign, a, b, node.span))
-
-        return growing
-    left, right = _operand(compiler, node.left), _operand(compiler, node.right)
-
-    may_be_unknown = is_verdict(node)
+    operand = compiler.thunk if sign in GROWING else partial(_operand, compiler)
+    left, right = operand(node.left), operand(node.right)
+    is_growing, is_slow, may_be_unknown = sign in GROWING, sign in SLOW, is_verdict(node)
 
     def operation(frame: Frame) -> Any:
+        if is_slow:
+            frame.scope.meter.step()
         a, b = left(frame), right(frame)
         if may_be_unknown and (a is None or b is None):
             return None
-        try:
-            return operate(a, b)
-        except Exception:  # noqa: BLE001  # `apply` raises the right error
-            return apply(sign, a, b, node.span)
+        value = apply(sign, a, b, node.span)
+        return counted(frame, value) if is_growing else value
 
-    if sign not in SLOW:
-        return operation
-
-    def timed(frame: Frame) -> Any:
-        frame.scope.meter.step()
-        return operation(frame)
-
-    return timed
+    return operation
 
 
 def counted(frame: Frame, value: Any) -> Any:
@@ -426,14 +401,6 @@ def _written_out(node: Node) -> Any:
     return node.value  # type: ignore[attr-defined]  # a literal
 
 
-def is_short_circuit(node: Node) -> bool:
-    """Checks whether a part is True or False because operands are asked one after another."""
-    match node:
-        case Binary(operator=sign) | OperatorChain(operators=(sign, *_)):
-            return sign in SHORT_CIRCUIT
-    return False
-
-
 def is_verdict(node: Node) -> bool:
     """Checks whether a part is made of operators of temporal logic, or of margins.
 
@@ -448,7 +415,9 @@ def is_verdict(node: Node) -> bool:
             return is_verdict(operand)
         case Binary(operator="<" | "<=" | ">" | ">=" | "-", left=left, right=right):
             return is_verdict(left) or is_verdict(right)
-    return is_short_circuit(node) and any(map(is_verdict, node.children()))
+        case Binary(operator=sign) | OperatorChain(operators=(sign, *_)) if sign in SHORT_CIRCUIT:
+            return any(map(is_verdict, node.children()))
+    return False
 
 
 def _short_circuit(
