@@ -23,7 +23,7 @@ from ssduck.errors import ArgumentError, LimitError
 from ssduck.language.analysis import is_impure
 from ssduck.language.clauses import Clauses, Paths, Rows, Selected, checked_count
 from ssduck.language.evaluator import ExpressionCompiler, Frame, Thunk, resolved
-from ssduck.language.operators import check_size, truth
+from ssduck.language.operators import check_size
 from ssduck.language.tree import Assignment, Node, Query, Recursion
 from ssduck.language.value_history import LazyList
 from ssduck.language.value_keys import equality_key, exact_key
@@ -107,8 +107,8 @@ class Hierarchy:
         self._clauses = clauses
         self._start = _assignments(query.recursion.start, compiler)
         self._next = _assignments(query.recursion.step, compiler)
-        self._stop = compiler.thunk(query.recursion.stop)
-        self._where = None if query.where is None else compiler.thunk(query.where)
+        self._stop = compiler.condition(query.recursion.stop)
+        self._where = None if query.where is None else compiler.condition(query.where)
         self._numbers = {
             node: compiler.thunk(node)
             for node in (query.recursion.memorize, query.recursion.maximum)
@@ -166,8 +166,7 @@ class Hierarchy:
         self, outer: Frame, rows: RowsOf, cached: dict[Node, Any]
     ) -> Callable[[dict[str, Any]], Iterator[PathStep]]:
         """Returns a function that yields the rows of a state, without dead ends."""
-        stop_node, (stop, where) = self._recursion.stop, (self._stop, self._where)
-        result_node = stop_node if self._query.where is None else self._query.where
+        stop, where = self._stop, self._where
         # Under UNIQUE, STOP WITH decides whether a result counts as visited.
         always_stops = where is None or self._recursion.unique
         scope, placeholders = outer.scope, outer.placeholders
@@ -183,11 +182,7 @@ class Hierarchy:
                 frame.elements, frame.calls = elements, {}
                 selection = self._selected_of(frame) if self._has_side_effects else None
                 result = False if where is None else where(frame)
-                if result is not True and result is not False:
-                    result = truth(result, result_node)
                 stops = stop(frame) if always_stops or not result else True
-                if stops is not True and stops is not False:
-                    stops = truth(stops, stop_node)
                 if where is None:
                     result = stops
                 if result or not stops:
