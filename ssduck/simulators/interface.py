@@ -9,9 +9,9 @@ quaternions w, x, y, z.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
-from typing import Literal, Protocol, TypeAlias
+from typing import Any, Literal, Protocol, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -260,6 +260,7 @@ class ContactPoints:
         depths: (n,), the penetration depths, m.
         forces: (n,), the forces along the normals, N.
         frictions: (n, 3), the friction forces on a, N.
+        has_moments: whether some have moments besides their forces, which `torque` leaves out.
     """
 
     bodies: Indices
@@ -269,6 +270,7 @@ class ContactPoints:
     depths: Array
     forces: Array
     frictions: Array
+    has_moments: bool = False
 
     @classmethod
     @cache
@@ -277,48 +279,32 @@ class ContactPoints:
         pairs, vectors, numbers = np.zeros((0, 2), dtype=np.intp), np.zeros((0, 3)), np.zeros(0)
         return cls(pairs, pairs, np.zeros((0, 2, 3)), vectors, numbers, numbers, vectors)
 
-    @property
-    def has_moments(self) -> bool:
-        """Whether contacts are known to have moments besides forces; see `Contacts`."""
-        return False
-
-    def all(self) -> ContactPoints:
-        """Returns all of them; see `Contacts`."""
-        return self
-
     @classmethod
-    def joined(cls, ticks: Sequence[Contacts]) -> tuple[ContactPoints, Indices]:
+    def joined(cls, ticks: Sequence[ContactPoints]) -> tuple[ContactPoints, Indices]:
         """Returns all contacts of several ticks, and the number of each tick's."""
-        points = [tick.all() for tick in ticks]
-        columns = zip(*(vars(one).values() for one in points), strict=True)
-        return cls(*map(np.concatenate, columns)), np.array([len(one) for one in points], np.intp)
+        columns: dict[str, Any] = {
+            name: np.concatenate([getattr(one, name) for one in ticks]) for name in ticks[0].columns
+        }
+        points = cls(**columns, has_moments=any(one.has_moments for one in ticks))
+        return points, np.array([len(one) for one in ticks], np.intp)
 
-    def only(self, are_chosen: Flags) -> ContactPoints:
+    def only(self, chosen: Flags | slice) -> ContactPoints:
         """Returns some of them."""
-        return ContactPoints(*(values[are_chosen] for values in vars(self).values()))
+        return replace(self, **{name: values[chosen] for name, values in self.columns.items()})
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        """The arrays by their names."""
+        return {name: values for name, values in vars(self).items() if name != "has_moments"}
 
     def between(self, a: int, b: int, *, pressing: bool) -> tuple[Indices, Indices]:
-        """Returns the bodies and links of those of two bodies; see `Contacts`."""
+        """Returns the bodies and links, (n, 2) each, of those of two bodies: all, or that press."""
         is_of_both = (self.bodies == (a, b)).all(axis=1) | (self.bodies == (b, a)).all(axis=1)
         rows = (is_of_both & (self.forces > 0) if pressing else is_of_both).nonzero()[0]
         return self.bodies[rows], self.links[rows]
 
     def __len__(self) -> int:
         return len(self.depths)
-
-
-class Contacts(Protocol):
-    """The contact points of a tick, which may be computed when they are asked for."""
-
-    @property
-    def has_moments(self) -> bool:
-        """Whether contacts have moments besides their forces, which `torque` leaves out."""
-
-    def all(self) -> ContactPoints:
-        """Returns all of them."""
-
-    def between(self, a: int, b: int, *, pressing: bool) -> tuple[Indices, Indices]:
-        """Returns the bodies and links, (n, 2) each, of those of two bodies: all, or that press."""
 
 
 @dataclass(frozen=True)
@@ -463,7 +449,7 @@ class Simulator(Protocol):
                 checked for being there still; their poses are compared elsewhere.
         """
 
-    def read_contacts(self) -> Contacts:
+    def read_contacts(self) -> ContactPoints:
         """Returns the contact points of the last step; later steps do not change them."""
 
     def cast_rays(self, starts: Array, ends: Array, through: Indices) -> RayHits:

@@ -91,7 +91,7 @@ def copied_tick(snapshot: Snapshot) -> tuple[StaticSimulator, Snapshot]:
         joints=snapshot.joints(),
         disabled=snapshot.disabled,
         hidden=snapshot.hidden,
-        contacts=snapshot.contact_points.all(),
+        contacts=snapshot.contact_points,
         description="a copy of a tick",
     )
     return simulator, snapshot.clone({}, snapshot.run)

@@ -12,7 +12,7 @@ from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.shapes import Geometry
 from ssduck.simulators.contact_pairs import ContactPairs, are_of
 from ssduck.simulators.contact_pairs import Sides as ContactSides
-from ssduck.simulators.interface import Body, ContactPoints, Contacts
+from ssduck.simulators.interface import Body, ContactPoints
 from ssduck.world.layout import TableLayout
 from ssduck.world.live_tables import LiveTable
 
@@ -37,7 +37,7 @@ def write_contacts(table: LiveTable, contacts: ContactPoints, layout: TableLayou
 
 
 def contact_pairs(
-    unwritten: Contacts | None, layout: TableLayout, table: Callable[[], LiveTable]
+    unwritten: ContactPoints | None, layout: TableLayout, table: Callable[[], LiveTable]
 ) -> ContactPairs:
     """Returns the contacts of a tick, as the simulator has them until their table is written."""
 

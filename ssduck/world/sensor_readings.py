@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.schema import FORGOTTEN_AFTER
-from ssduck.simulators.interface import CameraView, ContactPoints, Contacts, LinkPoses, Simulator
+from ssduck.simulators.interface import CameraView, ContactPoints, LinkPoses, Simulator
 from ssduck.simulators.sensor_types import SENSOR_TYPES
 from ssduck.world.layout import EntityInfo, TableLayout
 from ssduck.world.live_tables import LiveTable
@@ -93,7 +93,7 @@ class TickState(NamedTuple):  # made faster than a dataclass is
     moving: LinkPoses  # those of the other bodies
     # Position, velocity and effort of all joints, (joints, 3); None if not read.
     joints: Array | None
-    contacts: Contacts  # the contacts; empty if not read
+    contacts: ContactPoints  # the contacts; empty if not read
     readings: Mapping[int, Reading]  # the last reading of each sensor, by its id
     sensors: frozenset[int]  # the ids of the sensors whose readings are up to date
 
@@ -185,7 +185,7 @@ class SensorReader:
         simulator: Simulator,
         context: TickContext,
         poses: Sequence[SensorPose],
-        contacts: Contacts,
+        contacts: ContactPoints,
     ) -> Mapping[int, Reading]:
         """Returns the readings at a tick: new ones of some sensors, the last ones of the others."""
         kept = {} if context.is_discontinuous else self.readings
@@ -198,7 +198,7 @@ class SensorReader:
         with_rays = []
         for pose in poses:
             if not has_rays(pose.info):
-                readings[pose.info.id] = _contact_reading(pose.info, context, contacts.all())
+                readings[pose.info.id] = _contact_reading(pose.info, context, contacts)
             # A diverging simulation has poses that are not numbers; their sensors see nothing.
             elif np.isfinite(pose.position).all() and np.isfinite(pose.matrix).all():
                 with_rays.append(pose)

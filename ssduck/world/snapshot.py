@@ -38,7 +38,6 @@ from ssduck.simulators.contact_pairs import ContactPairs
 from ssduck.simulators.interface import (
     Body,
     ContactPoints,
-    Contacts,
     LinkPoses,
     Simulator,
     VisualShape,
@@ -100,7 +99,7 @@ class Snapshot(TickGeometry):
         self._live = {name: LiveTable(table.columns) for name, table in STORED_TABLES.items()}
         self.state: TickState | None = None
         # The contacts of this tick, and those that are not in the table yet; see `tables`.
-        self.contact_points: Contacts = ContactPoints.none()
+        self.contact_points = ContactPoints.none()
         self._are_contacts_written = self._are_rows_written = True
         self.number, self.time = 0, 0.0
         self.load_order: list[EntityInfo] = []
@@ -150,7 +149,7 @@ class Snapshot(TickGeometry):
         """Writes the table of contacts if it was left for later."""
         if not self._are_contacts_written:
             self._are_contacts_written = True
-            write_contacts(self._live["contacts"], self.contact_points.all(), self._layout)
+            write_contacts(self._live["contacts"], self.contact_points, self._layout)
             self._publish("contacts")
 
     def settle(self) -> None:
@@ -471,8 +470,8 @@ class Snapshot(TickGeometry):
             if self.state is not None and self.state.joints is not None:
                 pairs.append((self.state.joints, simulator.read_joints(bodies)))
         if "contacts" in self._read:
-            contacts = (self.contact_points.all(), simulator.read_contacts().all())
-            pairs += zip(*(vars(points).values() for points in contacts), strict=True)
+            contacts = self.contact_points, simulator.read_contacts()
+            pairs += zip(*(points.columns.values() for points in contacts), strict=True)
         return all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
 
     def _read_state(
@@ -500,7 +499,7 @@ class Snapshot(TickGeometry):
         may_differ = simulator.is_external and number != self.number
         due = self.sensing.due(context, sensors, is_external=may_differ)
         poses = sensor_poses(layout, static, moving, due) if due else []
-        contacts: Contacts = ContactPoints.none()
+        contacts = ContactPoints.none()
         if "contacts" in tables or not all(has_rays(pose.info) for pose in poses):
             contacts = simulator.read_contacts()
         readings = self.sensing.read(simulator, context, poses, contacts)

@@ -22,7 +22,7 @@ def test_rows_are_those_of_a_loop_in_python(count):
         sides, values = contact_rows(points, points.bodies + 1)
         columns = [column.tolist() for column in (*sides, *values)]
         rows = list(zip(*columns, strict=True))
-        expected = sorted(map(_row, *vars(points).values()), key=lambda row: (*row[:10], row[14]))
+        expected = sorted(map(_row, *points.columns.values()), key=lambda row: (*row[:10], row[14]))
         assert list(map(repr, rows)) == list(map(repr, expected))
 
 

@@ -18,7 +18,7 @@ from ssduck.geometry.poses import IDENTITY, flat_rotation_matrices
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.schema import BOX, LINK_FACTOR, POSE, TABLES, TWIST, entity_of, link_of
 from ssduck.simulators.environments import NO_CONTACTS
-from ssduck.simulators.interface import Body, ContactPoints
+from ssduck.simulators.interface import Body
 from ssduck.world.batches.batch_world import BatchWorld
 from ssduck.world.live_tables import LiveTable
 from ssduck.world.rows import contact_rows
@@ -171,7 +171,7 @@ def _contacts(world: BatchWorld) -> pa.Table:
     table.resize(len(points))
     ends = np.searchsorted(contacts.environments, np.arange(world.count + 1)).tolist()
     for start, end in pairwise(ends):
-        own = ContactPoints(*(values[start:end] for values in vars(points).values()))
+        own = points.only(slice(start, end))
         sides, numbers = contact_rows(own, layout.ids_of_handles[own.bodies])
         for column, side in zip(("a", "link_a", "b", "link_b"), sides, strict=True):
             table[column][start:end] = side

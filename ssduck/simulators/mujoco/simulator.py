@@ -21,7 +21,7 @@ from ssduck.simulators.interface import (
     SCALAR_JOINTS,
     Body,
     CameraView,
-    Contacts,
+    ContactPoints,
     Kind,
     LinkPoses,
     MotorTarget,
@@ -272,7 +272,7 @@ class MuJoCoSimulator(PartialSimulator):
         self._margins = content, list(bodies), of_bodies
         return of_bodies
 
-    def read_contacts(self) -> Contacts:
+    def read_contacts(self) -> ContactPoints:
         return self._contact_reader.read(self._state, self._only)
 
     def step(self, count: int) -> None:

@@ -12,11 +12,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 from itertools import chain, count, repeat
 from operator import itemgetter
-from typing import Any, ClassVar, Self, TypeAlias
 
 import numpy as np
 
@@ -35,61 +33,38 @@ _DISTANCE, _FORCE, _FRICTION_1, _FRICTION_2 = 9, 10, 11, 15
 _FLOATS = 19
 
 _flatten = chain.from_iterable
-_Point: TypeAlias = tuple[Any, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class PyBulletContacts:
-    """The contact points of the last step at which shapes press or meet.
+def read_contacts(client: int, known: AbstractSet[int]) -> tuple[ContactPoints, bool]:
+    """Returns the points of the last step at which shapes press or meet, and whether it lacks some.
 
-    Bullet's list also has points of shapes that are about to meet, up to some millimetres apart. It
-    presses some of these in the first step of an impact.
+    Those between known bodies are returned. Bullet's list also has points of shapes that are about
+    to meet, up to some millimetres apart. It presses some of these in the first step of an impact.
     """
-
-    points: Sequence[_Point]  # Bullet's list, which is looked into when something is asked
-
-    has_moments: ClassVar[bool] = False
-
-    @classmethod
-    def read(cls, client: int, known: AbstractSet[int]) -> tuple[Self, bool]:
-        """Returns those between known bodies of a client, and whether there are others."""
-        points = pybullet.getContactPoints(physicsClientId=client)
-        lacks_bodies = not known >= {*map(_BODY_A, points), *map(_BODY_B, points)}
-        if lacks_bodies:
-            points = [point for point in points if known >= set(point[_BODIES])]
-        return cls(points), lacks_bodies
-
-    def all(self) -> ContactPoints:
-        return self._all
-
-    def between(self, a: int, b: int, *, pressing: bool) -> tuple[Indices, Indices]:
-        return self.all().between(a, b, pressing=pressing)
-
-    @cached_property
-    def _all(self) -> ContactPoints:
-        points = self.points
-        if not points:
-            return ContactPoints.none()
-        numbers = _flatten((*p[5], *p[6], *p[7], *p[8:11], *p[11], p[12], *p[13]) for p in points)
-        rows = np.fromiter(numbers, np.float64, _FLOATS * len(points)).reshape(-1, _FLOATS)
-        floats = rows.T.copy()
-        ends = _flatten(point[1:5] for point in points)
-        sides = np.fromiter(ends, np.intp, 4 * len(points)).reshape(-1, 4).T
-        is_found = (floats[_DISTANCE] <= 0.0) | (floats[_FORCE] > 0.0)
-        if not is_found.all():
-            chosen = is_found.nonzero()[0]
-            sides, floats = sides.take(chosen, axis=1), floats.take(chosen, axis=1)
-        friction = floats[_FRICTION_1] * floats[_FRICTION_1 + 1 : _FRICTION_2]
-        friction += floats[_FRICTION_2] * floats[_FRICTION_2 + 1 :]
-        return ContactPoints(
-            bodies=sides[:2].T,
-            links=sides[2:].T + 1,
-            points=floats[:6].reshape(2, 3, -1).transpose(2, 0, 1),
-            normals=floats[6:9].T,
-            depths=-floats[_DISTANCE],
-            forces=floats[_FORCE],
-            frictions=friction.T,
-        )
+    points = pybullet.getContactPoints(physicsClientId=client)
+    lacks_bodies = not known >= {*map(_BODY_A, points), *map(_BODY_B, points)}
+    if lacks_bodies:
+        points = [point for point in points if known >= set(point[_BODIES])]
+    if not points:
+        return ContactPoints.none(), lacks_bodies
+    numbers = _flatten((*p[5], *p[6], *p[7], *p[8:11], *p[11], p[12], *p[13]) for p in points)
+    rows = np.fromiter(numbers, np.float64, _FLOATS * len(points)).reshape(-1, _FLOATS)
+    floats = rows.T.copy()
+    ends = _flatten(point[1:5] for point in points)
+    sides = np.fromiter(ends, np.intp, 4 * len(points)).reshape(-1, 4).T
+    friction = floats[_FRICTION_1] * floats[_FRICTION_1 + 1 : _FRICTION_2]
+    friction += floats[_FRICTION_2] * floats[_FRICTION_2 + 1 :]
+    contacts = ContactPoints(
+        bodies=sides[:2].T,
+        links=sides[2:].T + 1,
+        points=floats[:6].reshape(2, 3, -1).transpose(2, 0, 1),
+        normals=floats[6:9].T,
+        depths=-floats[_DISTANCE],
+        forces=floats[_FORCE],
+        frictions=friction.T,
+    )
+    is_found = (floats[_DISTANCE] <= 0.0) | (floats[_FORCE] > 0.0)
+    return contacts if is_found.all() else contacts.only(is_found), lacks_bodies
 
 
 # Parts of a link's state: the pose of the centre of mass; linear and angular velocity.

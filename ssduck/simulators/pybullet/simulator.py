@@ -23,7 +23,15 @@ from ssduck.formatting import joined_names
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.poses import compose
 from ssduck.simulators.clock import Clock
-from ssduck.simulators.interface import Body, CameraView, Kind, LinkPoses, MotorTarget, RayHits
+from ssduck.simulators.interface import (
+    Body,
+    CameraView,
+    ContactPoints,
+    Kind,
+    LinkPoses,
+    MotorTarget,
+    RayHits,
+)
 from ssduck.simulators.pybullet import scene_loader
 from ssduck.simulators.pybullet.bodies import (
     BodyDescription,
@@ -36,7 +44,7 @@ from ssduck.simulators.pybullet.bodies import (
 from ssduck.simulators.pybullet.bullet_file import SavedShapes
 from ssduck.simulators.pybullet.clients import all_handles_of, captured, handles_of, pybullet
 from ssduck.simulators.pybullet.given_bodies import GivenBodies, names_of
-from ssduck.simulators.pybullet.readings import LinkPosesReader, PyBulletContacts, cast_rays
+from ssduck.simulators.pybullet.readings import LinkPosesReader, cast_rays, read_contacts
 from ssduck.simulators.pybullet.scene_loader import LoadedBodies
 from ssduck.simulators.scenes import Camera, Scene
 
@@ -314,11 +322,11 @@ class PyBulletSimulator:
         count = pybullet.getNumBodies(self.client)
         return count != len(self._tags) or not all(self._are_present(sample))
 
-    def read_contacts(self) -> PyBulletContacts:
+    def read_contacts(self) -> ContactPoints:
         # Bodies that another client of the same simulation made are described at the next tick;
         # until then their contacts are left out.
         known = self._descriptions.keys()
-        contacts, self._lacks_bodies = self.call(lambda: PyBulletContacts.read(self.client, known))
+        contacts, self._lacks_bodies = self.call(lambda: read_contacts(self.client, known))
         return contacts
 
     def cast_rays(self, starts: Array, ends: Array, through: Indices) -> RayHits:
