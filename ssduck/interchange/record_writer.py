@@ -18,7 +18,7 @@ from ssduck.errors import ArgumentError, check_known, record_errors
 from ssduck.formatting import short_repr
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.mesh_files import load_hulls, load_mesh
-from ssduck.geometry.poses import IDENTITY, rotation_matrices, unit_quaternions
+from ssduck.geometry.poses import IDENTITY, unit_quaternions
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.interchange.pose_batches import Frames, PoseBatch, batch_of
 from ssduck.recording.buffers import MAX_BUFFERED_ROWS
@@ -494,5 +494,4 @@ def _in_portions(batch: PoseBatch, count: int) -> Iterator[tuple[slice, LinkPose
         portion = slice(start, min(start + count, len(batch.times)))
         poses = batch.poses[portion].reshape(-1, 7)
         states = np.concatenate((poses, batch.twists[portion].reshape(-1, 6)), axis=1)
-        positions, orientations = poses[:, :3].copy(), poses[:, 3:].copy()
-        yield portion, LinkPoses(positions, rotation_matrices(orientations), states)
+        yield portion, LinkPoses(poses[:, :3].copy(), states, orientations=poses[:, 3:].copy())

@@ -14,7 +14,6 @@ from ssduck.errors import ArgumentError, UnknownNameError, nearest
 from ssduck.formatting import short_repr
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.margins import Margins
-from ssduck.geometry.poses import rotation_matrices
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import SCALAR_JOINTS, Body, ContactPoints, LinkPoses, Simulator
 from ssduck.simulators.kinematics import absolute_states, relative_states
@@ -361,8 +360,7 @@ class BodyEnvironments(Environments):
     def link_poses(self, bodies: tuple[Body, ...], environment: int) -> LinkPoses:
         parts = [np.zeros((0, _STATE)), *(self._states[body][environment] for body in bodies)]
         states = np.concatenate(parts)
-        with np.errstate(invalid="ignore"):
-            return LinkPoses(states[:, :3], rotation_matrices(states[:, 3:7]), states)
+        return LinkPoses(states[:, :3], states)
 
     def frames(self, body: Body, link: int) -> tuple[Array, Array]:
         states = self._states[body][:, link]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from functools import cache, cached_property
 from typing import Any, Literal, Protocol, TypeAlias
 
 import numpy as np
@@ -164,11 +164,8 @@ class LinkPoses:
     """The poses and velocities of n links in the world.
 
     Args:
-        positions: (n, 3), the origins of the link frames, or a function that returns them when they
-            are needed.
-        matrices: (n, 3, 3), the orientations of the link frames, or a function that returns them
-            when they are needed: what `rotation_matrices` makes of the quaternions, so that a past
-            tick, which has these only, gives the same answers to the last bit.
+        positions: (n, 3), the origins of the link frames, or a function of these poses that returns
+            them when they are needed.
         states: (n, 13), or a function that returns them when they are needed: a point of the link
             (its centre of mass) x y z, the orientation of the link frame w x y z, the velocity of
             the point x y z, the angular velocity x y z.
@@ -181,51 +178,39 @@ class LinkPoses:
 
     def __init__(
         self,
-        positions: Array | Callable[[], Array],
-        matrices: Array | Callable[[], Array],
+        positions: Array | Callable[[LinkPoses], Array],
         states: Array | Callable[[], Array],
         *,
         are_finite: bool = False,
         orientations: Array | None = None,
     ) -> None:
-        self.are_finite, self._positions = are_finite, positions
-        self._matrices, self._states, self._orientations = matrices, states, orientations
+        self.are_finite = are_finite
+        self._positions, self._states, self._orientations = positions, states, orientations
 
     @classmethod
     def joined(cls, ticks: Sequence[LinkPoses]) -> LinkPoses:
         """Returns the poses of the same links at several ticks, one tick after the other."""
         if len(ticks) == 1:
             return ticks[0]
-        positions, states = (
-            np.concatenate(parts)
-            for parts in zip(*((tick.positions, tick.states) for tick in ticks), strict=True)
-        )
-        matrices = partial(rotation_matrices, states[:, 3:7])
-        return cls(positions, matrices, states, are_finite=all(tick.are_finite for tick in ticks))
+        positions = np.concatenate([tick.positions for tick in ticks])
+        states = np.concatenate([tick.states for tick in ticks])
+        return cls(positions, states, are_finite=all(tick.are_finite for tick in ticks))
 
-    @property
+    @cached_property
     def positions(self) -> Array:
         """The origins of the link frames, (n, 3)."""
-        positions = self._positions  # another thread may ask for them, too
-        if callable(positions):
-            positions = self._positions = positions()
-        return positions
+        return self._positions(self) if callable(self._positions) else self._positions
 
-    @property
+    @cached_property
     def matrices(self) -> Array:
-        """The orientations of the link frames, (n, 3, 3)."""
-        matrices = self._matrices
-        if callable(matrices):
-            matrices = self._matrices = matrices()
-        return matrices
+        """The orientations of the link frames, (n, 3, 3): those of the quaternions, to the bit."""
+        with np.errstate(invalid="ignore"):
+            return rotation_matrices(self.orientations)
 
-    @property
+    @cached_property
     def states(self) -> Array:
         """The states, (n, 13)."""
-        states = self._states
-        if callable(states):
-            states = self._states = states()
-        return states
+        return self._states() if callable(self._states) else self._states
 
     @property
     def orientations(self) -> Array:

@@ -215,7 +215,7 @@ def moved_link_poses(
     for depth in range(1, int(depths.max()) + 1):
         links = np.flatnonzero(depths == depth)
         new[links] = absolute_states(new[parents[links]], within[links])
-    return LinkPoses(new[:, :3].copy(), rotation_matrices(new[:, 3:7]), new)
+    return LinkPoses(new[:, :3].copy(), new)
 
 
 # The state of the world's frame.

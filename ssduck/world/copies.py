@@ -108,16 +108,15 @@ def _moved(
     """Returns the link poses of a group after some of its bodies or their joints moved."""
     if not bodies:
         return link_poses
-    positions, matrices = link_poses.positions.copy(), link_poses.matrices.copy()
-    states = link_poses.states.copy()
+    positions, states = link_poses.positions.copy(), link_poses.states.copy()
     for body in bodies:
         run = group.runs[body]
-        current = LinkPoses(positions[run], matrices[run], states[run])
+        current = LinkPoses(positions[run], states[run])
         new = moved_link_poses(
             body, current, poses.get(body), offsets.get(body, {}), joint_states.get(body)
         )
-        positions[run], matrices[run], states[run] = new.positions, new.matrices, new.states
-    return LinkPoses(positions, matrices, states)
+        positions[run], states[run] = new.positions, new.states
+    return LinkPoses(positions, states)
 
 
 def _at_rest(states: Array, positions: Mapping[int, float]) -> Array:
@@ -188,7 +187,7 @@ def originals_of(snapshot: Snapshot, ids: Container[int]) -> Iterator[BodyToCopy
             continue
         group, poses = groups[body]
         run = group.runs[body]
-        link_poses = LinkPoses(poses.positions[run], poses.matrices[run], poses.states[run])
+        link_poses = LinkPoses(poses.positions[run], poses.states[run])
         unknown = np.full((len(body.joints), 3), np.nan)
         yield BodyToCopy(info.name, body, link_poses, joints.get(body, unknown)[:, :2])
 

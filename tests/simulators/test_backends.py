@@ -57,8 +57,7 @@ class TwoBoxes(PartialSimulator):
         states[:, 2] = [self.heights[body.handle] for body in bodies]
         states[:, 3] = 1.0
         states[:, 9] = [self.speed if body.movable else 0.0 for body in bodies]
-        matrices = np.tile(np.eye(3), (len(bodies), 1, 1))
-        return LinkPoses(states[:, :3], matrices, states)
+        return LinkPoses(states[:, :3], states)
 
     def read_joints(self, bodies):
         return np.zeros((0, 3))

@@ -14,7 +14,6 @@ import pyarrow as pa
 from ssduck.errors import RecordError
 from ssduck.formatting import past_path, past_query
 from ssduck.geometry.arrays import Array, Indices
-from ssduck.geometry.poses import rotation_matrices
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.recording.buffers import TickBuffer
 from ssduck.schema import FRAMES, ON_DEMAND, POSE, TABLES
@@ -222,10 +221,7 @@ def links_of(tables: Collection[str]) -> str:
 
 
 def _link_poses(states: Array) -> LinkPoses:
-    positions = np.ascontiguousarray(states[:, :3])
-    with np.errstate(invalid="ignore"):
-        matrices = rotation_matrices(states[:, 3:7])
-    return LinkPoses(positions, matrices, states)
+    return LinkPoses(np.ascontiguousarray(states[:, :3]), states)
 
 
 def _identity_poses(part: BodyGroup) -> LinkPoses:

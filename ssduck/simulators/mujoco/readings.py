@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices, are_moderate
-from ssduck.geometry.poses import cross, multiply, rotation_matrices
+from ssduck.geometry.poses import cross, multiply
 from ssduck.geometry.ray_casting import is_triangle_surface, ray_chords
 from ssduck.geometry.solids import Solid, solid_of
 from ssduck.simulators.interface import Body, LinkPoses, RayHits
@@ -61,8 +61,6 @@ class LinkReader:
             orientations[self._site_rows] = multiply(orientations[self._site_rows], turns)
         return LinkPoses(
             positions,
-            # MuJoCo's matrices differ from those that a past tick has, in the last bits.
-            partial(rotation_matrices, orientations),
             partial(_states, numbers),
             are_finite=are_moderate(numbers.reshape(-1)),
             orientations=orientations,

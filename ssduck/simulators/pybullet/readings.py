@@ -12,14 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
-from functools import cache
 from itertools import chain, count, repeat
 from operator import itemgetter
 
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Indices, are_moderate
-from ssduck.geometry.poses import invert, multiply, rotate, rotation_matrices
+from ssduck.geometry.poses import invert, multiply, rotate
 from ssduck.simulators.interface import Body, ContactPoints, LinkPoses, RayHits
 from ssduck.simulators.pybullet.bodies import Pose, is_soft
 from ssduck.simulators.pybullet.clients import pybullet
@@ -111,21 +110,21 @@ class LinkPosesReader:
         count, order = self._orders[with_velocities]
         numbers = np.fromiter(_flatten(_flatten(results)), np.float64, count)
 
-        @cache
         def states() -> Array:
             states = numbers.take(order)
             if self._has_rotated_com:
                 states[:, 3:7] = multiply(states[:, 3:7], self._link_from_com)
             return states
 
-        matrices = cache(lambda: rotation_matrices(states()[:, 3:7]))
-
-        def positions() -> Array:
-            centres = states()[:, :3]
-            return centres + rotate(matrices(), self._origins) if self._has_shifted_com else centres
-
         are_finite = self._are_known and are_moderate(numbers[:-1])
-        return LinkPoses(positions, matrices, states, are_finite=are_finite)
+        return LinkPoses(self._positions, states, are_finite=are_finite)
+
+    def _positions(self, poses: LinkPoses) -> Array:
+        """Returns the origins of the link frames, from the centres of mass."""
+        centres = poses.states[:, :3]
+        if not self._has_shifted_com:
+            return centres
+        return centres + rotate(poses.matrices, self._origins)
 
 
 # A result like those of PyBullet, of one value, for velocities that are not read.
