@@ -28,7 +28,7 @@ from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.namespace import check_name
 from ssduck.limits import Limits
 from ssduck.simulators.environments import to_numpy
-from ssduck.simulators.recognition import parts_finder
+from ssduck.simulators.recognition import parts_of
 from ssduck.world.batches.batch_world import BatchWorld
 from ssduck.world.world import World
 
@@ -272,11 +272,10 @@ class _Prepared(gymnasium.Wrapper[Any, Any, Any, Any]):
         super().__init__(env)
         self.stepped: tuple[Any, Any, bool, bool, dict[str, Any]] | None = None
         self._reset: tuple[Any, dict[str, Any]] | None = None
-        self._find = parts_finder(env.unwrapped)
 
     def find(self) -> tuple[Any, Any]:
         """Returns the model and the data."""
-        found = self._find()
+        found = parts_of(self.env.unwrapped)
         if found is None:
             raise SimulatorError(
                 f"VectorQueryWrapper: {short_repr(self.env.unwrapped)} has no MuJoCo model with "

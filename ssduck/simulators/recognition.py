@@ -9,10 +9,8 @@ tick is taken.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator
 from importlib.util import find_spec
-from operator import attrgetter
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -33,8 +31,6 @@ _CLIENTS = ("_client", "physics_client", "_physics_client_id")
 # The packages whose models and data are on a device.
 _DEVICES = ("mujoco.mjx", "mujoco_warp")
 _MAX_DEPTH = 4
-# The names of attributes, one after the other.
-_Path: TypeAlias = tuple[str, ...]
 
 
 def simulator_of(simulation: Any) -> str:
@@ -85,40 +81,19 @@ def parts_of(simulation: Any) -> tuple[Any, Any] | None:
             return None
         model, data = (_own(part, name) for part, name in zip(simulation, _NAMES, strict=True))
         return None if model is None or data is None else (model, data)
-    return next((pair for _, pair in _places(simulation)), None)
-
-
-def parts_finder(simulation: Any) -> Callable[[], tuple[Any, Any] | None]:
-    """Returns a function that returns a model and its data, as `parts_of` does, again and again.
-
-    It looks first where it found them last: an environment may make them anew, in the same place.
-    So it stays there, even if an outer part gets a model and data later.
-    """
-    getters: Sequence[Callable[[Any], Any]] = ()
-    types: Sequence[type] = ()
-
-    def find() -> tuple[Any, Any] | None:
-        nonlocal getters, types
-        with suppress(AttributeError):
-            if getters:
-                model, data = getters[0](simulation), getters[1](simulation)
-                if (type(model), type(data)) == types:
-                    return model, data
-        found = next(_places(simulation), None)
-        if found is None:
-            getters = types = ()
-            return None
-        paths, pair = found
-        getters = [attrgetter(".".join(path)) for path in paths]
-        types = tuple(map(type, pair))
-        return pair
-
-    return (lambda: parts_of(simulation)) if isinstance(simulation, tuple) else find
+    for part in _kept_in(simulation):
+        model, data = (
+            _own(getattr(part, attribute, None), name)
+            for attribute, name in zip(("model", "data"), _NAMES, strict=True)
+        )
+        if model is not None and data is not None:
+            return model, data
+    return None
 
 
 def client_of(simulation: Any) -> int | None:
     """Returns the number of the PyBullet client of an environment; None if it has none."""
-    for _, part in _kept_in(simulation):
+    for part in _kept_in(simulation):
         for name in _CLIENTS:
             client = getattr(part, name, None)
             for number in (client, getattr(client, _CLIENTS[0], None)):
@@ -127,14 +102,14 @@ def client_of(simulation: Any) -> int | None:
     return None
 
 
-def _kept_in(part: Any, depth: int = _MAX_DEPTH, path: _Path = ()) -> Iterator[tuple[_Path, Any]]:
-    """Yields an object, and those that it keeps, the outermost first, after the ways to them."""
-    yield path, part
+def _kept_in(part: Any, depth: int = _MAX_DEPTH) -> Iterator[Any]:
+    """Yields an object, and those that it keeps, the outermost first."""
+    yield part
     if depth:
         for name in _INNER:
             inner = getattr(part, name, None)
             if inner is not None and inner is not part:
-                yield from _kept_in(inner, depth - 1, (*path, name))
+                yield from _kept_in(inner, depth - 1)
 
 
 def simulator_of_scene(scene: Scene) -> str:
@@ -165,29 +140,12 @@ def _is_mjcf(path: Path) -> bool:
 _NAMES = ("MjModel", "MjData")
 
 
-def _places(simulation: Any) -> Iterator[tuple[tuple[_Path, _Path], tuple[Any, Any]]]:
-    """Yields the models and data of an object, the outermost first, after the ways to them."""
-    for path, part in _kept_in(simulation):
-        model, to_model = _found(getattr(part, "model", None), _NAMES[0])
-        data, to_data = _found(getattr(part, "data", None), _NAMES[1])
-        if model is not None and data is not None:
-            yield ((*path, "model", *to_model), (*path, "data", *to_data)), (model, data)
-
-
 def _own(part: Any, name: str) -> Any:
     """Returns MuJoCo's own object of a class, which a binding may wrap; None if it is none."""
-    return _found(part, name)[0]
-
-
-def _found(part: Any, name: str) -> tuple[Any, _Path]:
-    """Returns what `_own` does, and the way from the part to it."""
     if _is_own(part, name):
-        return part, ()
-    for pointer in _POINTERS:
-        candidate = getattr(part, pointer, None)
-        if _is_own(candidate, name):
-            return candidate, (pointer,)
-    return None, ()
+        return part
+    pointed = (getattr(part, pointer, None) for pointer in _POINTERS)
+    return next((candidate for candidate in pointed if _is_own(candidate, name)), None)
 
 
 def _is_own(candidate: Any, name: str) -> bool:
@@ -213,8 +171,7 @@ def source_of(simulation: Any) -> Source:
     found = _checked(parts, simulation, simulation)
     if isinstance(simulation, tuple):
         return lambda: found
-    find = parts_finder(simulation)
-    return lambda: _checked(find(), simulation, simulation)
+    return lambda: _checked(parts_of(simulation), simulation, simulation)
 
 
 def _checked(parts: tuple[Any, Any] | None, found: Any, simulation: Any) -> tuple[Any, Any]:
