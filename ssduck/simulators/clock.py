@@ -42,10 +42,6 @@ class Clock:
             return Clock(timestep, self.time, steps)
         return Clock(timestep, self.since, self.steps + steps)
 
-    def at(self, time: float, timestep: float) -> Clock:
-        """Returns a clock that counts steps of a length, s, from a simulated time, s."""
-        return Clock(timestep, time)
-
 
 @lru_cache(maxsize=64)
 def _exact(number: float) -> Fraction:

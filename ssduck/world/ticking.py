@@ -217,7 +217,7 @@ class Ticker(ABC):
                 f"tick: time: {seconds:g} s is so large that adding a step does not change it"
             )
         # Within rounding it is the time of the last tick.
-        return clock if abs(seconds - clock.time) <= self.slack else clock.at(seconds, timestep)
+        return clock if abs(seconds - clock.time) <= self.slack else Clock(timestep, seconds)
 
     def begin_episode(self) -> None:
         """Takes a tick that begins a new episode; see `World.begin_episode`."""

@@ -1,7 +1,7 @@
 """Describes PyBullet bodies: their links, their joints, and their shapes in the link frames.
 
 PyBullet returns the pose of a shape relative to the link's centre of mass. The pose of that in the
-link frame is `com`. PyBullet does not return all shapes; see `_BodyReader._read_shapes`.
+link frame is `com`. PyBullet does not return all shapes; see `BodyReader._read_shapes`.
 
 The *margin* of a shape is the distance at which it already touches. Bullet grows hulls and the
 triangles of concave meshes by it. Boxes and cylinders shrink by it first, spheres and capsules
@@ -117,19 +117,6 @@ class BodyDescription:
     link_margins: tuple[LinkMargin, ...] = ()
 
 
-def describe(
-    client: int,
-    handle: int,
-    name: str,
-    kind: Kind | None,
-    saved: SavedShapes | None = None,
-    user_shapes: UserShapes | None = None,
-) -> BodyDescription:
-    """Reads a body."""
-    saved = saved or SavedShapes(client, [handle])
-    return _BodyReader(client, handle, name, saved, user_shapes or {}).read(kind)
-
-
 def joint_of(info: tuple[Any, ...]) -> Joint:
     """Returns a joint from the result of `getJointInfo`; PyBullet's empty range means no limits.
 
@@ -188,7 +175,7 @@ def _com_poses(dynamics: Sequence[Any]) -> Pose:
     return places, wxyz(turns)
 
 
-class _BodyReader:
+class BodyReader:
     """Reads one body of a client."""
 
     def __init__(
@@ -213,6 +200,7 @@ class _BodyReader:
         self._capsule_links = {v[1] + 1 for v in self._visuals if v[2] == pybullet.GEOM_CAPSULE}
 
     def read(self, kind: Kind | None) -> BodyDescription:
+        """Returns the body; its joints tell the kind if that is None."""
         joints = tuple(map(self._joint, self._joint_infos))
         jointed = any(joint.type != "fixed" for joint in joints)
         parents = [-1] + [info[16] + 1 for info in self._joint_infos]

@@ -35,8 +35,8 @@ from ssduck.simulators.interface import (
 from ssduck.simulators.pybullet import scene_loader
 from ssduck.simulators.pybullet.bodies import (
     BodyDescription,
+    BodyReader,
     UserShapes,
-    describe,
     margins_now,
     masses_of,
     xyzw,
@@ -229,10 +229,11 @@ class PyBulletSimulator:
         return list(map(pybullet.getUserDataId, handles, key, link, shape, client))
 
     def _describe_body(self, handle: int, name: str, saved: SavedShapes) -> BodyDescription:
-        given = self._given
-        description = self.loaded.described.pop(handle, None) or describe(
-            self.client, handle, name, given.kinds.get(handle), saved, given.shapes.get(handle)
-        )
+        description = self.loaded.described.pop(handle, None)
+        if description is None:
+            shapes = self._given.shapes.get(handle, {})
+            reader = BodyReader(self.client, handle, name, saved, shapes)
+            description = reader.read(self._given.kinds.get(handle))
         pybullet.addUserData(handle, self._tag, "1", *_WHOLE_BODY, self.client)
         return description
 
