@@ -167,19 +167,12 @@ class EnvironmentSimulator(PartialSimulator):
         parts = [self.environments.joints(body)[self.chosen] for body in bodies]
         return np.concatenate([np.zeros((0, 3)), *parts])
 
-    def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
-        return [body.masses for body in bodies]
-
     def read_margins(self, bodies: Sequence[Body]) -> list[list[float]] | Margins:
-        described = [body.margins for body in bodies]
-        return described if self._margins is None else self._margins(bodies)
+        return (self._margins or super().read_margins)(bodies)
 
     def read_contacts(self) -> ContactPoints:
         contacts = self.environments.contacts
         return ContactPoints.none() if contacts is None else contacts.of(self.chosen)
-
-    def close(self) -> None:
-        """Does nothing: it holds no resources."""
 
 
 def to_numpy(value: Any, name: str) -> npt.NDArray[Any]:

@@ -36,9 +36,10 @@ def _refusing(message: Callable[[Any], str]) -> Callable[..., Any]:
 
 
 class PartialSimulator:
-    """The methods of `Simulator` that ticks do not need; each raises `UnsupportedError`.
+    """The methods of `Simulator` that ticks do not need; most raise `UnsupportedError`.
 
-    A simulator derives from it and overrides the methods that it supports.
+    A simulator derives from it and overrides the methods that it supports. Masses and margins are
+    those of the bodies as described.
 
     >>> PartialSimulator().remove(None)
     Traceback (most recent call last):
@@ -63,6 +64,17 @@ class PartialSimulator:
     def has_moved_on(self, sample: Sequence[Any]) -> bool:  # noqa: ARG002
         """Returns False: nothing changes between two ticks."""
         return False
+
+    def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
+        """Returns the masses of bodies' links as they were described, kg."""
+        return [body.masses for body in bodies]
+
+    def read_margins(self, bodies: Sequence[Body]) -> list[list[float]] | Margins:
+        """Returns the margins of bodies' shapes as they were described, m."""
+        return [body.margins for body in bodies]
+
+    def close(self) -> None:
+        """Does nothing: it holds no resources."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,11 +110,8 @@ class StaticSimulator(PartialSimulator):
     def read_joints(self, bodies: Sequence[Body]) -> Array:
         return np.concatenate([np.zeros((0, 3)), *(self.joints[body] for body in bodies)])
 
-    def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
-        return [body.masses for body in bodies]
-
     def read_margins(self, bodies: Sequence[Body]) -> list[list[float]] | Margins:
-        return [body.margins for body in bodies] if self.margins is None else self.margins
+        return super().read_margins(bodies) if self.margins is None else self.margins
 
     def read_contacts(self) -> ContactPoints:
         return self.contacts
@@ -126,6 +135,3 @@ class StaticSimulator(PartialSimulator):
     render = segment = _refusing(
         lambda it: f"{it.description} has no picture: no simulator draws it"
     )
-
-    def close(self) -> None:
-        """Does nothing: it holds no resources."""

@@ -62,12 +62,6 @@ class TwoBoxes(PartialSimulator):
     def read_joints(self, bodies):
         return np.zeros((0, 3))
 
-    def read_masses(self, bodies):
-        return [body.masses for body in bodies]
-
-    def read_margins(self, bodies):
-        return [body.margins for body in bodies]
-
     def read_contacts(self):
         return ContactPoints.none()
 
@@ -78,9 +72,6 @@ class TwoBoxes(PartialSimulator):
             if self.heights[1] < 1.0:
                 self.heights[1], self.speed = 1.0, 0.0
         self.clock = self.clock.after(count, self.timestep)
-
-    def close(self):
-        pass
 
 
 @pytest.fixture
