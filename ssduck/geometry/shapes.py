@@ -92,6 +92,7 @@ class PlacedGeometry:
         exact: whether the simulator uses this shape. If False, the shape is a bounding box that
             stands in for an unknown one, or a sphere about a vertex of a form that bends. None if
             that is not known.
+        colour: of a shape that is drawn, red, green, blue, alpha, from 0 to 1; None without one.
     """
 
     frame: int
@@ -100,6 +101,7 @@ class PlacedGeometry:
     orientation: Array
     margin: float = 0.0
     exact: bool | None = True
+    colour: tuple[float, float, float, float] | None = None
 
 
 def height_field(

@@ -13,7 +13,7 @@ import pyarrow as pa
 from ssduck.errors import RecordError
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.schema import MODELS, POSE, RECORDED, TABLES
-from ssduck.simulators.interface import Body, Joint, Link, VisualShape
+from ssduck.simulators.interface import Body, Joint, Link
 from ssduck.simulators.scenes import SensorSpec
 from ssduck.world.layout import EntityInfo
 from ssduck.world.live_tables import ARROW_TYPES
@@ -72,7 +72,7 @@ def _by_column(names: Sequence[str], rows: Sequence[Sequence[Any]]) -> dict[str,
     return {name: [row[place] for row in rows] for place, name in enumerate(names)}
 
 
-def _visuals(body: Body | None, snapshot: Snapshot) -> Sequence[VisualShape] | None:
+def _visuals(body: Body | None, snapshot: Snapshot) -> Sequence[PlacedGeometry] | None:
     """Returns what is drawn of an entity; None if that is not known."""
     if body is None or snapshot.drawn is None:
         return None if body is None else body.visuals
@@ -88,7 +88,7 @@ def _member_row(member: EntityInfo) -> tuple[Any, ...]:
     return (*common, 0, 0, None, *member.mount, spec)
 
 
-def _visuals_text(visuals: Sequence[VisualShape], geometry_id: Callable[[Geometry], int]) -> str:
+def _visuals_text(visuals: Sequence[PlacedGeometry], geometry_id: Callable[[Geometry], int]) -> str:
     """Returns visual shapes as JSON: a list of their numbers.
 
     These are link, geometry, x y z, qw qx qy qz in the frame of the link, and red, green, blue,
@@ -96,7 +96,7 @@ def _visuals_text(visuals: Sequence[VisualShape], geometry_id: Callable[[Geometr
     """
     rows = [
         [
-            visual.link,
+            visual.frame,
             geometry_id(visual.geometry),
             *np.asarray(visual.position, dtype=float).tolist(),
             *np.asarray(visual.orientation, dtype=float).tolist(),
@@ -165,17 +165,17 @@ def _by_entity(table: pa.Table, *keys: str) -> dict[int, list[dict[str, Any]]]:
 
 def _visuals_of(
     text: str | None, geometries: Mapping[int, Geometry]
-) -> tuple[VisualShape, ...] | None:
+) -> tuple[PlacedGeometry, ...] | None:
     """Returns the visual shapes of a text of a record; None if they are unknown."""
     if text is None:
         return None
     return tuple(
-        VisualShape(
+        PlacedGeometry(
             row[0],
             geometries[row[1]],
             np.array(row[2:5], dtype=float),
             np.array(row[5:9], dtype=float),
-            tuple(row[9:]) or None,
+            colour=tuple(row[9:]) or None,
         )
         for row in json.loads(text)
     )

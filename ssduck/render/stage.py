@@ -76,7 +76,7 @@ class Stage:
                     red, green, blue = PALETTE[places[info.id] % len(PALETTE)]
                     colour = (red, green, blue, 1.0)
                 shapes.append(shape)
-                rows.append((first + shape.link, info.id, shape.link, *colour))
+                rows.append((first + shape.frame, info.id, shape.frame, *colour))
             first += len(body.links)
         table = np.array(rows, dtype=float).reshape(-1, 7)
         links, entities, numbers = table[:, :3].astype(np.intp).T

@@ -18,7 +18,7 @@ import numpy as np
 
 from ssduck.errors import UnknownNameError, UnsupportedError, nearest
 from ssduck.geometry.arrays import Array
-from ssduck.geometry.shapes import Geometry
+from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.environments import EnvironmentSimulator
 from ssduck.simulators.interface import (
     DEFAULT_BACKEND,
@@ -26,7 +26,6 @@ from ssduck.simulators.interface import (
     Kind,
     LinkPoses,
     Simulator,
-    VisualShape,
 )
 from ssduck.simulators.partial import StaticSimulator
 from ssduck.simulators.recognition import MUJOCO
@@ -37,17 +36,9 @@ from ssduck.simulators.scenes import Scene
 _GROUND = 20.0
 
 
-def collision_visuals(body: Body) -> list[VisualShape]:
-    """Returns the collision shapes of a body, without colours, where nothing else is known."""
-    return [
-        VisualShape(each.frame, each.geometry, each.position, each.orientation, None)
-        for each in body.shapes
-    ]
-
-
-def stored_visuals(body: Body) -> list[VisualShape]:
+def stored_visuals(body: Body) -> list[PlacedGeometry]:
     """Returns what is drawn of a body that no simulator tells of: as recorded, or what collides."""
-    return collision_visuals(body) if body.visuals is None else list(body.visuals)
+    return list(body.shapes if body.visuals is None else body.visuals)
 
 
 def _is_ground(geometry: Geometry) -> bool:
@@ -148,7 +139,7 @@ class Backend(Protocol):
             target: the name of the simulator that is to load the scene.
         """
 
-    def visual_shapes(self, simulator: Simulator, body: Body) -> list[VisualShape]:
+    def visual_shapes(self, simulator: Simulator, body: Body) -> list[PlacedGeometry]:
         """Returns what a simulation of this backend draws of a body; the mesh files are read."""
 
 
@@ -168,7 +159,7 @@ def mjcf_scene(file: Path) -> Scene:
     return Scene(name="world", path=file.parent, bodies=(body,), simulator=MUJOCO)
 
 
-def drawn_shapes(simulator: Simulator, body: Body) -> list[VisualShape]:
+def drawn_shapes(simulator: Simulator, body: Body) -> list[PlacedGeometry]:
     """Returns what a simulator draws of a body; its collision shapes where that is not known.
 
     Planes in the colour of a ground are in place of large flat meshes: squares of 20 m or more in

@@ -88,25 +88,6 @@ class Joint:
 
 
 @dataclass(frozen=True, eq=False)
-class VisualShape:
-    """A shape that is drawn.
-
-    Attributes:
-        link: the index of its link; the base is 0.
-        geometry: its form.
-        position: (3,), in the link frame, m.
-        orientation: (4,), in the link frame, w, x, y, z.
-        colour: red, green, blue, alpha, from 0 to 1; None if the simulator has none.
-    """
-
-    link: int
-    geometry: Geometry
-    position: Array
-    orientation: Array
-    colour: tuple[float, float, float, float] | None
-
-
-@dataclass(frozen=True, eq=False)
 class Body:
     """The links, joints and shapes of a body.
 
@@ -131,7 +112,7 @@ class Body:
     links: tuple[Link, ...]
     joints: tuple[Joint, ...]
     shapes: tuple[PlacedGeometry, ...]
-    visuals: tuple[VisualShape, ...] | None = None
+    visuals: tuple[PlacedGeometry, ...] | None = None
     unread: Mapping[str, str] = field(default_factory=dict)
 
     @property

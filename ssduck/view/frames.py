@@ -24,13 +24,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck.geometry.arrays import Indices
-from ssduck.geometry.shapes import Geometry
+from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.geometry.solids import solid_of
 from ssduck.interchange.motion import fill, rows_of
 from ssduck.recording.replay.record import Record
 from ssduck.recording.replay.restore import links_of
 from ssduck.schema import POSE
-from ssduck.simulators.interface import Body, LinkPoses, VisualShape
+from ssduck.simulators.interface import Body, LinkPoses
 from ssduck.world.layout import EntityInfo, TableLayout
 from ssduck.world.snapshot import Snapshot
 
@@ -208,7 +208,7 @@ def track_message(id: Any, track: Track) -> bytes:
 
 
 def scene_message(
-    frame: Frame, visuals: Callable[[Body], list[VisualShape]], camera: dict[str, Any]
+    frame: Frame, visuals: Callable[[Body], list[PlacedGeometry]], camera: dict[str, Any]
 ) -> bytes:
     """Returns the message of a scene.
 
@@ -247,11 +247,11 @@ def _entity(info: EntityInfo) -> dict[str, Any]:
     return {"id": info.id, "name": info.name, "kind": info.kind, "host": info.mount[0]}
 
 
-def _shape(first: int, shape: VisualShape, geometries: _Geometries) -> list[Any]:
+def _shape(first: int, shape: PlacedGeometry, geometries: _Geometries) -> list[Any]:
     """Returns a shape: the row of its link, its geometry, its pose there, and its colour."""
     pose = [*map(float, shape.position), *map(float, shape.orientation)]
     colour = None if shape.colour is None else list(map(float, shape.colour))
-    return [first + shape.link, geometries.number_of(shape.geometry), pose, colour]
+    return [first + shape.frame, geometries.number_of(shape.geometry), pose, colour]
 
 
 class _Geometries:

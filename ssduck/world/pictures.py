@@ -13,8 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck.errors import SimulatorError, warn
+from ssduck.geometry.shapes import PlacedGeometry
 from ssduck.simulators.backends import drawn_shapes, stored_visuals
-from ssduck.simulators.interface import Body, Simulator, VisualShape
+from ssduck.simulators.interface import Body, Simulator
 from ssduck.simulators.scenes import Camera
 
 if TYPE_CHECKING:
@@ -121,10 +122,10 @@ class DrawnBodies:
 
     def __init__(self, simulator: Simulator, is_there: Callable[[Body], bool]) -> None:
         self._simulator, self._is_there = simulator, is_there
-        self._read: dict[int, tuple[Body, Sequence[VisualShape]]] = {}
+        self._read: dict[int, tuple[Body, Sequence[PlacedGeometry]]] = {}
         self._has_told = False
 
-    def __call__(self, body: Body) -> Sequence[VisualShape]:
+    def __call__(self, body: Body) -> Sequence[PlacedGeometry]:
         """Returns what is drawn of a body."""
         if self._is_there(body):
             try:

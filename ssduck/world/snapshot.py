@@ -24,7 +24,7 @@ from ssduck.formatting import joined_names
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.margins import Margins
-from ssduck.geometry.shapes import Geometry
+from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.schema import (
     FORGOTTEN_AFTER,
     OFTEN_UNKNOWN,
@@ -40,7 +40,6 @@ from ssduck.simulators.interface import (
     ContactPoints,
     LinkPoses,
     Simulator,
-    VisualShape,
 )
 from ssduck.world.layout import EntityInfo, TableLayout
 from ssduck.world.live_tables import LiveTable
@@ -118,7 +117,7 @@ class Snapshot(TickGeometry):
         self.recorded: frozenset[str] = frozenset()
         self._read: frozenset[str] = frozenset()
         self.geometries: dict[str, int] = {} if geometries is None else geometries
-        self.drawn: Callable[[Body], Sequence[VisualShape]] | None = None
+        self.drawn: Callable[[Body], Sequence[PlacedGeometry]] | None = None
         self.sensing = SensorReader()
         # The tick of each sensor's last own request, and the sensors read at this tick.
         self._requested_sensors: dict[int, int] = {}

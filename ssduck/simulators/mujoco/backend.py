@@ -18,8 +18,9 @@ from ssduck.errors import (
     warn,
 )
 from ssduck.formatting import joined_names, short_repr
+from ssduck.geometry.shapes import PlacedGeometry
 from ssduck.simulators.backends import MJCF_FILE, BodyToCopy, ShapesByBody, TickToCopy, mjcf_scene
-from ssduck.simulators.interface import Body, Kind, Simulator, VisualShape
+from ssduck.simulators.interface import Body, Kind, Simulator
 from ssduck.simulators.model_xml import STATE_KEY
 from ssduck.simulators.mujoco import rendering
 from ssduck.simulators.mujoco.bodies import body_names, kind_by_joints, kinds_in, roots_of
@@ -161,7 +162,7 @@ def scene_of(
     return mjcf_scene(file)
 
 
-def visual_shapes(simulator: Simulator, body: Body) -> list[VisualShape]:
+def visual_shapes(simulator: Simulator, body: Body) -> list[PlacedGeometry]:
     """Returns what MuJoCo draws of a body; see `Backend.visual_shapes`."""
     if not isinstance(simulator, MuJoCoSimulator):
         raise UnsupportedError("this is no simulation of MuJoCo")

@@ -20,9 +20,8 @@ import numpy.typing as npt
 
 from ssduck.errors import UnsupportedError
 from ssduck.geometry.arrays import Array, Indices
-from ssduck.geometry.shapes import Geometry
-from ssduck.simulators.backends import collision_visuals
-from ssduck.simulators.interface import Body, CameraView, VisualShape
+from ssduck.geometry.shapes import Geometry, PlacedGeometry
+from ssduck.simulators.interface import Body, CameraView
 from ssduck.simulators.mujoco.bodies import geometry_of, numbers_of, pose_of
 from ssduck.simulators.mujoco.flexes import entity_roots
 from ssduck.simulators.mujoco.library import mujoco
@@ -136,7 +135,7 @@ _DEFAULT_COLOUR = (0.5, 0.5, 0.5, 1.0)
 _SUBDIVISIONS = 3
 
 
-def visual_shapes(model: Any, body: Body) -> list[VisualShape]:
+def visual_shapes(model: Any, body: Body) -> list[PlacedGeometry]:
     """Returns the geoms that are drawn of a body; its collision shapes if none is."""
     drawn = [
         _shape(model, number, link)
@@ -144,10 +143,10 @@ def visual_shapes(model: Any, body: Body) -> list[VisualShape]:
         for number in np.flatnonzero(model.geom_bodyid == owner).tolist()
         if model.geom_group[number] in VISIBLE_GROUPS and _colour(model, number)[3] > 0.0
     ]
-    return drawn or collision_visuals(body)
+    return drawn or list(body.shapes)
 
 
-def _shape(model: Any, number: int, link: int) -> VisualShape:
+def _shape(model: Any, number: int, link: int) -> PlacedGeometry:
     geometry, centre, _ = geometry_of(model, number)
     type = int(model.geom_type[number])
     if type == mujoco.mjtGeom.mjGEOM_MESH:
@@ -162,7 +161,7 @@ def _shape(model: Any, number: int, link: int) -> VisualShape:
         sphere = trimesh.creation.icosphere(subdivisions=_SUBDIVISIONS)
         geometry = _triangles(sphere.vertices * model.geom_size[number], sphere.faces)
     pose = pose_of(model, number, centre)
-    return VisualShape(link, geometry, *pose, _colour(model, number))
+    return PlacedGeometry(link, geometry, *pose, colour=_colour(model, number))
 
 
 def _triangles(vertices: Any, faces: Any) -> Geometry:

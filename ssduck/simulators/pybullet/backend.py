@@ -9,8 +9,9 @@ from typing import Any, NoReturn
 from ssduck import validation
 from ssduck.errors import ArgumentError, SelectScriptError, SimulatorError, UnsupportedError
 from ssduck.formatting import short_repr
+from ssduck.geometry.shapes import PlacedGeometry
 from ssduck.simulators.backends import MJCF_FILE, BodyToCopy, ShapesByBody, TickToCopy, mjcf_scene
-from ssduck.simulators.interface import Body, Kind, Simulator, VisualShape
+from ssduck.simulators.interface import Body, Kind, Simulator
 from ssduck.simulators.pybullet import introspection
 from ssduck.simulators.pybullet.clients import all_handles_of, new_client, pybullet
 from ssduck.simulators.pybullet.excerpt import excerpt
@@ -90,7 +91,7 @@ def scene_of(
     return simulator.call(lambda: describe_scene(simulator, originals, tick, folder))
 
 
-def visual_shapes(simulator: Simulator, body: Body) -> list[VisualShape]:
+def visual_shapes(simulator: Simulator, body: Body) -> list[PlacedGeometry]:
     """Returns what PyBullet draws of a body; see `Backend.visual_shapes`."""
     assert isinstance(simulator, PyBulletSimulator)
     return simulator.call(lambda: introspection.visual_shapes(simulator, body))

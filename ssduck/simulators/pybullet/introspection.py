@@ -16,9 +16,9 @@ from ssduck.geometry.arrays import Array
 from ssduck.geometry.bounds import BoundingBoxes
 from ssduck.geometry.mesh_files import load_mesh
 from ssduck.geometry.poses import IDENTITY, compose, invert, multiply
-from ssduck.geometry.shapes import Geometry
-from ssduck.simulators.backends import collision_visuals, stored_visuals
-from ssduck.simulators.interface import SCALAR_JOINTS, Body, LinkPoses, VisualShape
+from ssduck.geometry.shapes import Geometry, PlacedGeometry
+from ssduck.simulators.backends import stored_visuals
+from ssduck.simulators.interface import SCALAR_JOINTS, Body, LinkPoses
 from ssduck.simulators.kinematics import moved_link_poses, position_nearest_zero
 from ssduck.simulators.pybullet.bodies import Pose, primitive_of, wxyz
 from ssduck.simulators.pybullet.clients import pybullet
@@ -106,7 +106,7 @@ def estimated_model(body: Body, link_poses: LinkPoses, joints: Array) -> BodyMod
         [0.0] * len(body.joints),
         [{}] * len(body.links),
         [
-            Visual(v.link, v.geometry, "", (1.0, 1.0, 1.0), v.position, v.orientation, v.colour)
+            Visual(v.frame, v.geometry, "", (1.0, 1.0, 1.0), v.position, v.orientation, v.colour)
             for v in stored_visuals(body)
         ],
     )
@@ -161,12 +161,12 @@ def _visuals(simulator: PyBulletSimulator, body: Body) -> Iterator[Visual]:
         )
 
 
-def visual_shapes(simulator: PyBulletSimulator, body: Body) -> list[VisualShape]:
+def visual_shapes(simulator: PyBulletSimulator, body: Body) -> list[PlacedGeometry]:
     """Returns the visual shapes of a body; a link with a plane or an unreadable mesh collides so.
 
     PyBullet's visual planes have no normal, and soft bodies have a mesh without a file.
     """
-    shapes: list[VisualShape] = []
+    shapes: list[PlacedGeometry] = []
     lacking = set()
     for v in _visuals(simulator, body):
         geometry = v.geometry
@@ -177,8 +177,9 @@ def visual_shapes(simulator: PyBulletSimulator, body: Body) -> list[VisualShape]
             lacking.add(v.link)
         else:
             colour: Any = v.colour and tuple(v.colour)
-            shapes.append(VisualShape(v.link, geometry, v.position, v.orientation, colour))
+            pose = v.position, v.orientation
+            shapes.append(PlacedGeometry(v.link, geometry, *pose, colour=colour))
     if not (shapes or lacking):
-        return collision_visuals(body)
-    stand_ins = [shape for shape in collision_visuals(body) if shape.link in lacking]
-    return [shape for shape in shapes if shape.link not in lacking] + stand_ins
+        return list(body.shapes)
+    stand_ins = [shape for shape in body.shapes if shape.frame in lacking]
+    return [shape for shape in shapes if shape.frame not in lacking] + stand_ins

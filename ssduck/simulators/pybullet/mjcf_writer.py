@@ -24,7 +24,7 @@ from ssduck.geometry.poses import IDENTITY, compose, invert, multiply, turn_to
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.geometry.solids import solid_of
 from ssduck.simulators.backends import BodyToCopy, TickToCopy
-from ssduck.simulators.interface import SCALAR_JOINTS, VisualShape
+from ssduck.simulators.interface import SCALAR_JOINTS
 from ssduck.simulators.model_xml import (
     ASSETS,
     KIND_PREFIX,
@@ -254,13 +254,13 @@ class _Tree:
                     self._note("its bounding box stands for shapes that PyBullet does not give")
                 self._add_geom(element, shape, colliding)
         for visual in self._visuals:
-            if visual.link == number:
+            if visual.frame == number:
                 colour = visual.colour or _GREY
                 drawn = _PASSED | {"group": _DRAWN, "mass": "0", "rgba": colour}
                 self._add_geom(element, visual, drawn)
 
     def _add_geom(
-        self, element: ET.Element, shape: PlacedGeometry | VisualShape, more: Mapping[str, Any]
+        self, element: ET.Element, shape: PlacedGeometry, more: Mapping[str, Any]
     ) -> None:
         geometry, turn = shape.geometry, shape.orientation
         form: dict[str, Any] = {"type": geometry.type}
