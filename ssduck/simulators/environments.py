@@ -133,7 +133,7 @@ class EnvironmentSimulator(PartialSimulator):
         bodies: Sequence[Body],
         environments: Environments,
         template: Simulator,
-        margins: Callable[[Sequence[Body]], list[list[float]] | Margins] | None = None,
+        margins: Callable[[Sequence[Body]], Margins] | None = None,
     ) -> None:
         self.environments, self.chosen = environments, 0
         self.template = template
@@ -167,7 +167,7 @@ class EnvironmentSimulator(PartialSimulator):
         parts = [self.environments.joints(body)[self.chosen] for body in bodies]
         return np.concatenate([np.zeros((0, 3)), *parts])
 
-    def read_margins(self, bodies: Sequence[Body]) -> list[list[float]] | Margins:
+    def read_margins(self, bodies: Sequence[Body]) -> Margins:
         return (self._margins or super().read_margins)(bodies)
 
     def read_contacts(self) -> ContactPoints:

@@ -400,11 +400,10 @@ class Simulator(Protocol):
     def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
         """Returns the masses of bodies' links, kg; the last known ones if a body is gone."""
 
-    def read_margins(self, bodies: Sequence[Body]) -> list[list[float]] | Margins:
-        """Returns the margins of bodies' shapes, m; the last known ones if a body is gone.
+    def read_margins(self, bodies: Sequence[Body]) -> Margins:
+        """Returns the margins of all shapes of bodies; the last known ones if a body is gone.
 
-        The same object if nothing has changed; `Margins` of the shapes of all of them where the
-        margin of two shapes is not the sum of theirs.
+        The same object if the simulator knows that nothing has changed.
         """
 
     def has_moved_on(self, sample: Sequence[Body]) -> bool:

@@ -69,9 +69,9 @@ class PartialSimulator:
         """Returns the masses of bodies' links as they were described, kg."""
         return [body.masses for body in bodies]
 
-    def read_margins(self, bodies: Sequence[Body]) -> list[list[float]] | Margins:
-        """Returns the margins of bodies' shapes as they were described, m."""
-        return [body.margins for body in bodies]
+    def read_margins(self, bodies: Sequence[Body]) -> Margins:
+        """Returns the margins of bodies' shapes as they were described."""
+        return Margins(np.array([margin for body in bodies for margin in body.margins]))
 
     def close(self) -> None:
         """Does nothing: it holds no resources."""
@@ -110,7 +110,7 @@ class StaticSimulator(PartialSimulator):
     def read_joints(self, bodies: Sequence[Body]) -> Array:
         return np.concatenate([np.zeros((0, 3)), *(self.joints[body] for body in bodies)])
 
-    def read_margins(self, bodies: Sequence[Body]) -> list[list[float]] | Margins:
+    def read_margins(self, bodies: Sequence[Body]) -> Margins:
         return super().read_margins(bodies) if self.margins is None else self.margins
 
     def read_contacts(self) -> ContactPoints:

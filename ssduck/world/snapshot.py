@@ -131,7 +131,7 @@ class Snapshot(TickGeometry):
         # The ticks at which masses and margins were last read.
         self._masses_tick = self._margins_tick = 0
         # The margins that were read last; the same object while the simulator has the same.
-        self._margins: list[list[float]] | Margins | None = None
+        self._margins: Margins | None = None
         self.masses: dict[int, list[float]] = {}
 
     @property
@@ -372,11 +372,8 @@ class Snapshot(TickGeometry):
         margins = simulator.read_margins(bodies)
         if margins is self._margins:
             return
-        self._margins = margins
-        if isinstance(margins, Margins):
-            pairs, numbers = margins, margins.numbers
-        else:
-            pairs, numbers = None, np.array([*chain(*margins)], np.float64)
+        self._margins, numbers = margins, margins.numbers
+        pairs = None if margins.classes is None else margins
         shapes, before = self._tables["shapes"], self.margins_of_pairs
         self.margins_of_pairs = pairs
         if pairs is not before or not np.array_equal(numbers, shapes["margin"]):

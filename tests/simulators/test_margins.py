@@ -154,7 +154,7 @@ def test_margins_that_have_not_changed_are_the_same_object(client):
     assert simulator.read_margins(list(bodies)) is before
     pybullet.changeDynamics(handles[1], -1, collisionMargin=WIDE, physicsClientId=client)
     changed = simulator.read_margins(bodies)
-    assert changed == [before[0], [WIDE]]
+    assert changed.listed == [before.listed[0], WIDE]
     assert simulator.read_margins(bodies) is changed
     pybullet.removeBody(handles[1], client)
-    assert simulator.read_margins(bodies) == before
+    assert simulator.read_margins(bodies).listed == before.listed

@@ -111,7 +111,7 @@ class MuJoCoSimulator(PartialSimulator):
         # The geoms and flexes that the shapes of the bodies are of.
         self._parts: dict[Body, Indices] = {}
         # What the margins followed from, and those of some bodies that were read then.
-        self._margins: tuple[bytes, list[Body], list[list[float]] | Margins] | None = None
+        self._margins: tuple[bytes, list[Body], Margins] | None = None
         self._contact_reader = ContactReader(self.model)
         self._warned: set[str] = set()
         self._is_closed = False
@@ -255,20 +255,17 @@ class MuJoCoSimulator(PartialSimulator):
             for body in bodies
         ]
 
-    def read_margins(self, bodies: Sequence[Body]) -> list[list[float]] | Margins:
+    def read_margins(self, bodies: Sequence[Body]) -> Margins:
         content, known = margin_content(self.model), self._margins
         if known is not None and known[0] == content and known[1] == bodies:
             return known[2]
-        margins = margins_of(self.model)
-        of_bodies: list[list[float]] | Margins
-        if margins.classes is not None and self._parts.keys() >= set(bodies):
-            parts = [self._parts[body] for body in bodies]
-            of_bodies = margins.take(np.concatenate([np.zeros(0, np.intp), *parts]))
+        margins, parts = margins_of(self.model), self._parts
+        if parts.keys() >= set(bodies):
+            places = [np.zeros(0, np.intp), *(parts[body] for body in bodies)]
+            of_bodies = margins.take(np.concatenate(places))
         else:
-            of_bodies = [
-                margins.numbers[self._parts[body]].tolist() if body in self._parts else body.margins
-                for body in bodies
-            ]
+            known_ones = (margins.numbers[parts[b]] if b in parts else b.margins for b in bodies)
+            of_bodies = Margins(np.concatenate([np.zeros(0), *known_ones]))
         self._margins = content, list(bodies), of_bodies
         return of_bodies
 

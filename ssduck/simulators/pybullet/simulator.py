@@ -21,6 +21,7 @@ import numpy.typing as npt
 from ssduck.errors import SceneError, SimulatorError, warn
 from ssduck.formatting import joined_names
 from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.margins import Margins
 from ssduck.geometry.poses import compose
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import (
@@ -112,7 +113,7 @@ class PyBulletSimulator:
         self.hidden: frozenset[Body] = frozenset()
         self._colours: dict[Body, VisualColours] = {}  # those of hidden bodies when shown
         self._descriptions: dict[int, BodyDescription] = {}
-        self._margins: list[list[float]] = []  # the last that were read
+        self._margins = Margins(np.zeros(0))  # the last that were read
         # The tags of two worlds on one client must differ.
         self._tag = f"ssduck.{id(self)}"
         self._tags: dict[int, int] = {}  # of the described bodies, by their numbers
@@ -302,15 +303,16 @@ class PyBulletSimulator:
         ]
 
     @_calls
-    def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
-        margins = [
-            margins_now(self.client, body, self._descriptions[body.handle].link_margins)
-            if is_present
-            else body.margins
-            for body, is_present in zip(bodies, self._are_present(bodies), strict=True)
-        ]
-        if margins != self._margins:  # the same object as long as nothing has changed
-            self._margins = margins
+    def read_margins(self, bodies: Sequence[Body]) -> Margins:
+        margins: list[float] = []
+        for body, is_present in zip(bodies, self._are_present(bodies), strict=True):
+            if is_present:
+                known = self._descriptions[body.handle].link_margins
+                margins += margins_now(self.client, body, known)
+            else:
+                margins += body.margins
+        if margins != self._margins.listed:  # the same object as long as nothing has changed
+            self._margins = Margins(np.array(margins))
         return self._margins
 
     def _are_present(self, bodies: Sequence[Body]) -> list[bool]:
