@@ -160,7 +160,7 @@ class EnvironmentSimulator(PartialSimulator):
         new, self._new = self._new, []
         return (new, []) if new else None
 
-    def read_link_poses(self, bodies: tuple[Body, ...], *, with_velocities: bool) -> LinkPoses:  # noqa: ARG002
+    def read_link_poses(self, bodies: tuple[Body, ...]) -> LinkPoses:
         return self.environments.link_poses(bodies, self.chosen)
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:

@@ -380,15 +380,11 @@ class Simulator(Protocol):
         A `Body` stays the same object until it goes. A body that comes back is a new object.
         """
 
-    def read_link_poses(self, bodies: tuple[Body, ...], *, with_velocities: bool) -> LinkPoses:
+    def read_link_poses(self, bodies: tuple[Body, ...]) -> LinkPoses:
         """Returns the poses of all links of some bodies, body after body, as they are now.
 
-        The arrays are not written to afterwards.
-
-        Args:
-            bodies: the same object for as long as the bodies are the same.
-            with_velocities: whether the velocities of all links are needed; else those of links
-                other than bases may be NaN.
+        The arrays are not written to afterwards. The bodies are the same object for as long as they
+        are the same.
         """
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:

@@ -104,7 +104,7 @@ class StaticSimulator(PartialSimulator):
     def describe(self) -> None:
         """Returns None: no body comes or goes."""
 
-    def read_link_poses(self, bodies: tuple[Body, ...], *, with_velocities: bool) -> LinkPoses:  # noqa: ARG002
+    def read_link_poses(self, bodies: tuple[Body, ...]) -> LinkPoses:
         return self.link_poses[bodies]
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:

@@ -207,7 +207,6 @@ class BodyGroup:
         rows = [layout.rows[info.id] for info in (*entities, *sensors)]
         self._rows = np.array(rows, dtype=np.intp)
         mounts = np.array([mount.frame for mount in self._mounts], dtype=np.intp)
-        self.sensors_on_links = bool(np.setdiff1d(mounts, self._bases).size)
         self._row_frames = np.concatenate((self._bases, mounts))
         # What was computed of the last link poses, with these.
         self._computed: dict[str, tuple[LinkPoses, Any]] = {}

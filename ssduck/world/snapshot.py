@@ -456,9 +456,7 @@ class Snapshot(TickGeometry):
         before = id(self.load_order), self.time, self.disabled, self.hidden
         if not is_known or now != before:
             return False
-        group = self._layout.moving_bodies
-        velocities = "links" in self._read or group.sensors_on_links
-        poses = simulator.read_link_poses(group.bodies, with_velocities=velocities)
+        poses = simulator.read_link_poses(self._layout.moving_bodies.bodies)
         last = self._link_poses[1]
         pairs = [(last.positions, poses.positions), (last.states, poses.states)]
         if "joints" in self._read:
@@ -482,10 +480,8 @@ class Snapshot(TickGeometry):
         """Reads the state of a simulator for the tick of a number; `same`: if the entities stay."""
         static = self._static if same else None
         if static is None:
-            static = simulator.read_link_poses(layout.static_bodies.bodies, with_velocities=True)
-        group = layout.moving_bodies
-        velocities = "links" in tables or group.sensors_on_links
-        moving = simulator.read_link_poses(group.bodies, with_velocities=velocities)
+            static = simulator.read_link_poses(layout.static_bodies.bodies)
+        moving = simulator.read_link_poses(layout.moving_bodies.bodies)
         joints = None
         if "joints" in tables:
             joints = simulator.read_joints([body for _, body in layout.bodies if body.joints])

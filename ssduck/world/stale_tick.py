@@ -74,7 +74,7 @@ class StaleTickCheck:
 
 def _have_moved(bodies: tuple[Body, ...], simulator: Simulator, snapshot: Snapshot) -> bool:
     """Checks whether some bodies are elsewhere than at the last tick."""
-    now = simulator.read_link_poses(bodies, with_velocities=False).states[:, :3]
+    now = simulator.read_link_poses(bodies).states[:, :3]
     for group, poses in snapshot.body_groups:
         if group is snapshot.layout.moving_bodies:
             rows = np.concatenate([np.arange(len(poses.states))[group.runs[b]] for b in bodies])

@@ -52,7 +52,7 @@ class TwoBoxes(PartialSimulator):
         self._is_described = True
         return list(self.bodies), []
 
-    def read_link_poses(self, bodies, *, with_velocities):
+    def read_link_poses(self, bodies):
         states = np.zeros((len(bodies), 13))
         states[:, 2] = [self.heights[body.handle] for body in bodies]
         states[:, 3] = 1.0

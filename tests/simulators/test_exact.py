@@ -62,7 +62,7 @@ def depth(geometry, point):
 def depths(world, handle, link, point):
     """That of each shape of a link at a point of the world."""
     body = body_of(world, handle)
-    frames = world.simulator.read_link_poses((body,), with_velocities=True)
+    frames = world.simulator.read_link_poses((body,))
     local = frames.matrices[link].T @ (np.array(point) - frames.positions[link])
     return [
         depth(

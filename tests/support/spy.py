@@ -17,13 +17,11 @@ class Spy:
 
     broken = ()
 
-    def read_link_poses(self, bodies, *, with_velocities):
+    def read_link_poses(self, bodies):
         self._check("frames")
         self.read["frames"] += 1
         self.read["bodies"] += len(bodies)
-        if with_velocities and any(len(body.links) > 1 for body in bodies):
-            self.read["links"] += 1
-        return self._simulator.read_link_poses(bodies, with_velocities=with_velocities)
+        return self._simulator.read_link_poses(bodies)
 
     def _check(self, reading):
         if reading in self.broken:

@@ -238,7 +238,7 @@ def excerpt(
     # Where everything is copied, so is what the world body shows.
     kept = {0, *chosen} if source.has_only(chosen) else chosen
     interventions.take_out(model, data, ~np.isin(entity_roots(model), list(kept)))
-    now = source.read_link_poses(tuple(one.body for one in originals), with_velocities=True)
+    now = source.read_link_poses(tuple(one.body for one in originals))
     states = np.concatenate([np.zeros((0, 13)), *(one.link_poses.states for one in originals)])
     if tick.time != source.time or not np.array_equal(now.states, states):
         _restore(model, data, originals, tick)

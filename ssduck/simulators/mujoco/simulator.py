@@ -221,7 +221,7 @@ class MuJoCoSimulator(PartialSimulator):
     def clock(self) -> Clock:
         return Clock(self.timestep, self.time)
 
-    def read_link_poses(self, bodies: tuple[Body, ...], *, with_velocities: bool) -> LinkPoses:  # noqa: ARG002
+    def read_link_poses(self, bodies: tuple[Body, ...]) -> LinkPoses:
         reader = next((one for one in self._link_readers if one.bodies is bodies), None)
         if reader is None:
             reader = LinkReader(self.model, bodies)

@@ -176,7 +176,7 @@ class _Copier:
         body, poses = original.body, original.link_poses
         copy = replace(body, handle=handle)
         reader = LinkPosesReader([copy], [com_poses_of(self.client, handle)])
-        present = reader.read(self.client, with_velocities=True)
+        present = reader.read(self.client)
         before = [
             pybullet.getJointState(handle, n, self.client)[0] for n in range(len(body.joints))
         ]
@@ -205,7 +205,7 @@ class _Copier:
         live, body = self._live(original.body), original.body
         if live is None or not np.isnan(original.joints).any():
             return original.joints
-        now = live.read_link_poses((body,), with_velocities=True)
+        now = live.read_link_poses((body,))
         is_present = np.array_equal(now.positions, original.link_poses.positions)
         return live.read_joints((body,))[:, :2] if is_present else original.joints
 

@@ -74,7 +74,7 @@ def model_of(simulator: PyBulletSimulator, body: Body) -> BodyModel:
     description = simulator.description_of(body)
     assert description is not None
     infos = [pybullet.getJointInfo(handle, index, client) for index in range(len(body.joints))]
-    link_poses = simulator.read_link_poses((body,), with_velocities=True)
+    link_poses = simulator.read_link_poses((body,))
     zero = zero_poses(body, link_poses, simulator.read_joints([body] if body.joints else []))
     for number, joint in enumerate(body.joints):
         if joint.type == "spherical":

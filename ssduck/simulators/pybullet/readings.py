@@ -67,7 +67,6 @@ def read_contacts(client: int, known: AbstractSet[int]) -> tuple[ContactPoints, 
 
 
 # Parts of a link's state: the pose of the centre of mass; linear and angular velocity.
-_pose = itemgetter(0, 1)
 _pose_and_twist = itemgetter(0, 1, 6, 7)
 
 
@@ -80,8 +79,7 @@ class LinkPosesReader:
         self._links = [list(range(len(body.links) - 1)) for body in bodies if len(body.links) > 1]
         soft = [is_soft(body) for body in bodies]
         counts = np.array([len(body.links) for body in bodies], dtype=np.intp)
-        # By whether the links' velocities are read.
-        self._orders = [_order(counts, soft, with_velocities) for with_velocities in (False, True)]
+        self._count, self._order = _order(counts, soft)
         self._are_known = not any(soft)
         positions = np.concatenate([np.zeros((0, 3)), *(pose[0] for pose in com)])
         orientations = np.concatenate([np.zeros((0, 4)), *(pose[1] for pose in com)])
@@ -90,13 +88,13 @@ class LinkPosesReader:
         self._origins = -positions  # from the centres of mass, in the link frames' axes
         self._has_shifted_com = bool(positions.any())
 
-    def read(self, client: int, with_velocities: bool) -> LinkPoses:
-        """Returns the present poses of all links, body after body; with velocities on request."""
+    def read(self, client: int) -> LinkPoses:
+        """Returns the present poses of all links, body after body."""
         links = map(
             pybullet.getLinkStates,
             self._linked,
             self._links,
-            repeat(int(with_velocities)),
+            repeat(1),  # with velocities
             repeat(1),  # with forward kinematics: without, links lag the base by a step
             repeat(client),
         )
@@ -104,14 +102,13 @@ class LinkPosesReader:
         results = chain(
             map(pybullet.getBasePositionAndOrientation, self._handles, repeat(client)),
             map(pybullet.getBaseVelocity, self._handles, repeat(client)),
-            map(_pose_and_twist if with_velocities else _pose, _flatten(links)),
+            map(_pose_and_twist, _flatten(links)),
             _UNKNOWN,
         )
-        count, order = self._orders[with_velocities]
-        numbers = np.fromiter(_flatten(_flatten(results)), np.float64, count)
+        numbers = np.fromiter(_flatten(_flatten(results)), np.float64, self._count)
 
         def states() -> Array:
-            states = numbers.take(order)
+            states = numbers.take(self._order)
             if self._has_rotated_com:
                 states[:, 3:7] = multiply(states[:, 3:7], self._link_from_com)
             return states
@@ -127,29 +124,26 @@ class LinkPosesReader:
         return centres + rotate(poses.matrices, self._origins)
 
 
-# A result like those of PyBullet, of one value, for velocities that are not read.
+# A result like those of PyBullet, of one value, for the velocities of soft bodies.
 _UNKNOWN = (((np.nan,),),)
 
 
-def _order(counts: Indices, soft: Sequence[bool], with_velocities: bool) -> tuple[int, Indices]:
+def _order(counts: Indices, soft: Sequence[bool]) -> tuple[int, Indices]:
     """Returns the number of values in PyBullet's results and each link's places, (links, 13).
 
-    The results are the bases' poses, the bases' velocities, the links' states with or without
-    velocities, and an unknown value. Velocities of soft bodies are unknown.
+    The results are the bases' poses, the bases' velocities, the states of other links, and an
+    unknown value. Velocities of soft bodies are unknown.
     """
-    bases = len(counts)
-    total = int(counts.sum())
+    bases, total = len(counts), int(counts.sum())
+    first = np.cumsum(counts) - counts
     is_base = np.zeros(total, dtype=bool)
-    is_base[np.cumsum(counts) - counts] = True
-    width = 13 if with_velocities else 7
-    order = np.full((total, 13), -1, dtype=np.intp)  # -1: the unknown value at the end
+    is_base[first] = True
+    order = np.zeros((total, 13), dtype=np.intp)
+    order[~is_base] = np.arange(13 * bases, 13 * total).reshape(-1, 13)
     order[is_base, :7] = 7 * np.arange(bases)[:, None] + np.arange(7)
     order[is_base, 7:] = 7 * bases + 6 * np.arange(bases)[:, None] + np.arange(6)
-    order[(np.cumsum(counts) - counts)[np.array(soft, dtype=bool)], 7:] = -1
-    links = 13 * bases + width * np.arange(total - bases)[:, None]
-    order[~is_base, :width] = links + np.arange(width)
-    count = 13 * bases + width * (total - bases) + 1
-    return count, order[:, [0, 1, 2, 6, 3, 4, 5, *range(7, 13)]]
+    order[first[np.array(soft, dtype=bool)], 7:] = -1  # the unknown value at the end
+    return 13 * total + 1, order[:, [0, 1, 2, 6, 3, 4, 5, *range(7, 13)]]
 
 
 # PyBullet refuses more rays than its maximum in one call, and returns nothing for the maximum.

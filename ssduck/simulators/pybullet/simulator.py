@@ -277,12 +277,12 @@ class PyBulletSimulator:
     def set_clock(self, clock: Clock) -> None:
         self.clock = clock
 
-    def read_link_poses(self, bodies: tuple[Body, ...], *, with_velocities: bool) -> LinkPoses:
+    def read_link_poses(self, bodies: tuple[Body, ...]) -> LinkPoses:
         reader = next((reader for known, reader in self._readers if known is bodies), None)
         if reader is None:
             reader = LinkPosesReader(bodies, [self._descriptions[b.handle].com for b in bodies])
             self._readers = [(bodies, reader), *self._readers[: _MAX_READERS - 1]]
-        return self.call(partial(reader.read, self.client, with_velocities))
+        return self.call(partial(reader.read, self.client))
 
     @_calls
     def read_joints(self, bodies: Sequence[Body]) -> Array:
