@@ -17,7 +17,7 @@ def drawn(world):
     return {
         info.name: [
             (
-                shape.link,
+                shape.frame,
                 shape.geometry.key,
                 *np.asarray(shape.position).tolist(),
                 *np.asarray(shape.orientation).tolist(),
