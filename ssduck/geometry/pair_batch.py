@@ -41,6 +41,8 @@ MAX_ROUNDS = 16
 MAX_CARRIED_ROUNDS = 4
 # A point that is farther inside is surely inside, m.
 _SURELY_INSIDE = 1e-9
+# The share of pairs that are left where the search for the least clearance is given up.
+_MOST_LEFT = 0.75
 _NO_DIRECTION: Direction = (0.0, 0.0, 0.0)
 
 
@@ -266,6 +268,8 @@ class PairBatch:
             pairs = pairs[is_open]
             bounds = np.maximum(least, _SURELY_INSIDE)[groups[self._rows[pairs]]]
             pairs = self._nearer_than(bounds, pairs)
+            if len(pairs) > _MOST_LEFT * len(rows):  # of a large body, spheres exclude nothing
+                return self._clearances()
         for row, members in _groups(self._rows[pairs], pairs):
             clearances[row], _ = self._nearest(members)
         return clearances
