@@ -92,8 +92,7 @@ def _margin_of_relation(call: Call) -> Node | None:
     relation = RELATIONS.get(call.name)
     if relation is None or len(call.arguments) not in relation.expressions:
         return None  # evaluated, the call tells of missing arguments
-    text = relation.margin_of(len(call.arguments))
-    if not text:
+    if not (text := relation.margin_of(len(call.arguments))):
         return None
     values = {p.name: _parsed(p.default) for p in relation.parameters if p.default}
     values |= zip((p.name for p in relation.parameters), call.arguments, strict=False)
