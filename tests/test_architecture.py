@@ -134,7 +134,7 @@ BUDGETS = {
     "simulators": 10_700,
     "sql": 7_215,
     "view": 2_280,
-    "world": 6_270,
+    "world": 6_265,
 }
 
 

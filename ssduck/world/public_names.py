@@ -98,21 +98,10 @@ INSTEAD_IN_INTERPRETERS = _told(
     ("variables", "list(ss) has the names of the variables, and ss['room'] their values"),
     ("add_udf register_function define", "add_function(name, function, help) adds a function"),
 )
+_OF_THE_INTERPRETER = _names("eval sql export record record_to add_trigger add_function past")
 _OF_INTERPRETERS = "that is for the interpreter that has the world: ss."
 INSTEAD_IN_WORLDS = _told(
-    *(
-        (name, f"{_OF_INTERPRETERS}{name}(…)")
-        for name in (
-            "eval",
-            "sql",
-            "export",
-            "record",
-            "record_to",
-            "add_trigger",
-            "add_function",
-            "past",
-        )
-    ),
+    *((name, f"{_OF_INTERPRETERS}{name}(…)") for name in sorted(_OF_THE_INTERPRETER)),
     ("query", f"{_OF_INTERPRETERS}eval(…)"),
     ("history", f"{_OF_INTERPRETERS}past(…), or queries of room{{0.5}}"),
     ("entities bodies objects", "a world is iterated: for entity in world; one is world['cup']"),

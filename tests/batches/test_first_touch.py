@@ -258,3 +258,26 @@ def test_a_vector_of_models_that_differ_is_told_of(size, recwarn):
     told = [str(w.message) for w in recwarn if "models of environments" in str(w.message)]
     assert len(told) == (size != 0.1)
     wrapped.close()
+
+
+@pytest.mark.parametrize("cone", ["elliptic", "pyramidal"])
+@pytest.mark.parametrize("adhesion", [0, 3])
+def test_forces_of_constraints_are_those_of_contacts(ss, cone, adhesion):
+    text = REST.replace("<mujoco>", f'<mujoco><option cone="{cone}"/>')
+    if adhesion:
+        if not hasattr(mujoco.MjModel, "geom_adhesion"):
+            pytest.skip("MuJoCo has adhesion since 4")
+        text = text.replace('type="plane"', f'type="plane" adhesion="{adhesion}"')
+    model, data = at_rest(text)
+    sim = ss.add_variable("sim", ssduck.World.batch(model, 2))
+    names = ["geom", "dist", "efc_address", "dim"] + ["adhesion"] * bool(adhesion)
+    contact = {name: np.stack([getattr(data.contact, name)] * 2) for name in names}
+    poses = many(data, 2, "xpos", "xquat", "efc_force")
+    sim.tick(**poses, contact=contact)
+    weight = pytest.approx([9.81] * 2, abs=1e-3)
+    assert ss.eval("contactForce(sim.box, sim.world);") == weight
+    sim.tick([data, data])
+    assert ss.eval("contactForce(sim.box, sim.world);") == weight
+    if contact.pop("adhesion", None) is not None:
+        with pytest.raises(ArgumentError, match="contact needs adhesion"):
+            sim.tick(**poses, contact=contact)

@@ -142,6 +142,13 @@ MODELS = {
     "margin": PUSHED.format(cone="pyramidal", margin=0.004),
     "cloth": CLOTH,
 }
+if hasattr(mujoco.MjModel, "geom_adhesion"):  # since MuJoCo 4
+    MODELS |= {
+        f"adhesion, {cone}": PUSHED.format(cone=cone, margin=0.004).replace(
+            "<geom ", '<geom adhesion="3" '
+        )
+        for cone in ("elliptic", "pyramidal")
+    }
 
 
 def points_of_mujoco(model, data, handles):

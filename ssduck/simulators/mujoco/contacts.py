@@ -128,6 +128,8 @@ def _wrenches(contact: Any, efc_forces: Array, is_pyramidal: bool) -> Array:
         wrenches[rows, 0] = edges.sum(axis=(1, 2))
         differences = edges[:, :, 0] - edges[:, :, 1]
         wrenches[rows, 1:dim] = differences * contact.friction[rows, : dim - 1]
+    if (adhesion := getattr(contact, "adhesion", None)) is not None:  # since MuJoCo 4
+        wrenches[is_active, 0] -= adhesion[is_active]
     return wrenches
 
 

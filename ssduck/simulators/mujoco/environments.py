@@ -38,7 +38,7 @@ from ssduck.simulators.mujoco.readings import LinkReader
 from ssduck.simulators.mujoco.simulator import MuJoCoSimulator
 
 # What a contact has: the numbers of its geoms, their distance, m, and what is known besides.
-_OF_CONTACTS = ("geom", "dist", "force", "frame", "efc_address", "dim")
+_OF_CONTACTS = ("geom", "dist", "force", "frame", "efc_address", "dim", "adhesion")
 _MOCAP = ("mocap_pos", "mocap_quat")
 # What follows from joint positions and velocities.
 _COMPUTED = ("xpos", "xquat", "site_xpos", "cvel", "subtree_com")
@@ -294,6 +294,7 @@ class MuJoCoEnvironments(Environments):
             rows = to_numpy(efc_forces, "tick: efc_force").astype(np.float64)
             addresses, dims = (to_numpy(parts[name], name) for name in ("efc_address", "dim"))
             forces = self._normal_forces(rows, addresses, dims, distances.shape)
+            forces -= np.where(addresses >= 0, self._adhesion_of(parts), 0.0)
         # A contact that margins allow counts if it presses, as those of a single simulation do.
         are_there = (geoms >= 0).all(axis=-1) & ((distances <= 0.0) | (forces > 0.0))
         environments, places = np.nonzero(are_there)
@@ -319,6 +320,18 @@ class MuJoCoEnvironments(Environments):
         return EnvironmentContacts(
             environments, points, has_forces, has_normals="frame" in parts, is_whole=False
         )
+
+    def _adhesion_of(self, contact: Mapping[str, Any]) -> Array:
+        """Returns the forces, N, by which contacts hold, which those of constraints include."""
+        names = ("geom_adhesion", "pair_adhesion")  # since MuJoCo 4
+        if "adhesion" in contact:
+            return to_numpy(contact["adhesion"], "tick: contact: adhesion").astype(np.float64)
+        if any(np.any(getattr(self._model, name, 0.0)) for name in names):
+            raise ArgumentError(
+                "tick: geoms of this model have adhesion: contact needs adhesion (n, m), N, or "
+                "force (n, m), N, as mj_contactForce tells it"
+            )
+        return np.zeros(())
 
     def _normal_forces(
         self, rows: Array, addresses: Indices, dims: Indices, shape: tuple[int, ...]
