@@ -32,7 +32,7 @@ Direction: TypeAlias = tuple[float, float, float]
 # Questions that the narrow phase decides pose by pose.
 PlacedKind: TypeAlias = Literal["inside", "contains", "enclosed"]
 QuestionKind: TypeAlias = Literal[
-    PredicateKind, PlacedKind, "clearance", "penetration", "on", "supports", "resting"
+    PredicateKind, PlacedKind, "clearance", "gap", "penetration", "on", "supports", "resting"
 ]
 
 # After so many rounds, the clearances that are left are computed one by one.
@@ -75,7 +75,7 @@ class PairQuestion:
     @property
     def is_number(self) -> bool:
         """Whether the answer is a number, and not True or False."""
-        return self.kind in ("clearance", "penetration", "inside")
+        return self.kind in ("clearance", "gap", "penetration", "inside")
 
     @property
     def is_placed(self) -> bool:
@@ -90,7 +90,7 @@ class PairQuestion:
     @property
     def uses_margins(self) -> bool:
         """Whether the collision margins of shapes count."""
-        return self.kind in ("touching", "on", "supports", "resting")
+        return self.kind in ("touching", "gap", "on", "supports", "resting")
 
     @property
     def max_gap(self) -> float:
@@ -100,7 +100,7 @@ class PairQuestion:
                 return self.distance
             case "on" | "supports":
                 return TOUCHING_DISTANCE
-            case "clearance" | "resting":
+            case "clearance" | "gap" | "resting":
                 return math.inf
         return 0.0
 
@@ -143,6 +143,7 @@ class PairBatch:
         self._all_shapes = shapes
         self._first, self._second = comparable_pairs(scene, shapes)
         self._rows = scene.table.entities[self._first]
+        self._margins = np.zeros(len(self._rows))  # of pairs of shapes, m: less is their gap
 
     def answers(self, question: PairQuestion, groups: Indices | None = None) -> Answers:
         """Returns the answers to a question.
@@ -155,6 +156,10 @@ class PairBatch:
             values = self._matching(predicate)
         elif question.kind == "clearance":
             values = self._clearances() if groups is None else self._least_clearances(groups)
+        elif question.kind == "gap":
+            margins = PairPredicate("touching", 0.0)
+            self._margins = margins.bounds(self._scene.table, self._first, self._second)
+            values = self._clearances()
         elif question.kind == "penetration":
             values = self._penetrations()
         elif question.kind == "resting":
@@ -219,7 +224,7 @@ class PairBatch:
         return max(0.0, result.distance), result.normal or _NO_DIRECTION
 
     def _clearances(self) -> Array:
-        """Returns the distances of the nearest shapes of each pair, m."""
+        """Returns the least gaps of the shapes of each pair, m."""
         # What is nearest in one row mostly is in the others: its distance there bounds their
         # clearances, so that the other shapes are mostly proved to be farther apart.
         best, normals = np.full(self._count, math.inf), np.zeros((3, self._count))
@@ -236,11 +241,11 @@ class PairBatch:
             is_probe = places[pairs] == places[nearest]
             for pair in pairs[is_probe].tolist():
                 row, (distance, normal) = self._rows[pair], self._distance(pair)
-                if distance < best[row]:
-                    best[row], normals[:, row] = distance, normal
+                if distance - self._margins[pair] < best[row]:
+                    best[row], normals[:, row] = distance - self._margins[pair], normal
             pairs = pairs[~is_probe]
             rows = self._rows[pairs]
-            pairs = self._nearer_than(best[rows], pairs, normals[:, rows])
+            pairs = self._nearer_than(best[rows] + self._margins[pairs], pairs, normals[:, rows])
         for row, members in _groups(self._rows[pairs], pairs):
             best[row] = min(best[row], self._nearest(members)[0])
         return best
@@ -292,16 +297,17 @@ class PairBatch:
         return places
 
     def _nearest(self, pairs: Indices) -> tuple[float, int]:
-        """Returns the least distance among pairs of shapes of one row, and the pair."""
+        """Returns the least gap among pairs of shapes of one row, and the pair."""
         best, nearest, towards = math.inf, int(pairs[0]), np.zeros(3)
         pairs = pairs[np.argsort(self._sphere_gaps(pairs))]
         while len(pairs):
             distance, normal = self._distance(int(pairs[0]))
-            if distance < best:
-                best, nearest, towards = distance, int(pairs[0]), np.array(normal)
+            gap = distance - self._margins[pairs[0]]
+            if gap < best:
+                best, nearest, towards = gap, int(pairs[0]), np.array(normal)
             pairs = pairs[1:]
             directions = np.broadcast_to(towards[:, None], (3, len(pairs)))
-            pairs = self._nearer_than(np.full(len(pairs), best), pairs, directions)
+            pairs = self._nearer_than(best + self._margins[pairs], pairs, directions)
         return best, nearest
 
     def _nearer_than(

@@ -47,6 +47,6 @@ def test_what_excludes_nothing_is_given_up(moving, pair):
         ssduck.open(moving) as record,
         patch.object(pair_batch, "proven_verdicts", side_effect=verdicts) as asked,
     ):
-        found = record.eval("least(clearance(sim.{0}, sim.{1}));".format(*pair))
+        found = record.eval("least(clearance(sim.{}, sim.{}));".format(*pair))
         assert found[1] > 0.0
     assert asked.call_count < 20

@@ -88,7 +88,7 @@ class GeometryQuery:
     @property
     def needs_single_pair(self) -> bool:
         """Whether it is decided over many ticks only for two entities, not for all near ones."""
-        return self.over_ticks in ("clearance", "resting")
+        return self.over_ticks in ("clearance", "gap", "resting")
 
     @property
     def is_zero_beyond_boxes(self) -> bool:

@@ -130,7 +130,12 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
         "contactGap",
         "double",
         GeometryQuery(
-            ShapeQueries.gap, bound=None, otherwise=ZERO, pairs=EVERY_PAIR, uses_margins=True
+            ShapeQueries.gap,
+            bound=None,
+            otherwise=ZERO,
+            pairs=EVERY_PAIR,
+            uses_margins=True,
+            over_ticks="gap",
         ),
         "Returns the smallest distance between two shapes of a and b less the collision margins of "
         "both: touching(a, b, eps) is contactGap(a, b) <= eps.",

@@ -24,6 +24,7 @@ from tests.support.urdf import box_obj, collision, joint, link, robot
 TICKS = 12
 QUESTIONS = {
     "clearance": lambda shapes, a, b: shapes.clearance(a, b),
+    "gap": lambda shapes, a, b: shapes.gap(a, b),
     "penetration": lambda shapes, a, b: shapes.penetration(a, b),
     "on": lambda shapes, a, b: shapes.on(a, b),
     "supports": lambda shapes, a, b: shapes.supports(a, b),
@@ -179,6 +180,7 @@ ASKED = {
     "on(table, box)": 1,
     "supports(table, box)": 1,
     "clearance(table, box)": 3,
+    "contactGap(table, box)": 3,
     "clearance(can, stone)": 3,
     "restsOn(ground, box)": 6,
 }
@@ -339,7 +341,9 @@ def test_answers_at_any_poses_are_those_of_each_pair(heap, poses, data):
     shapes = record.entity_shapes
     single = [id for id, member in record.members.items() if len(member.body.links) == 1]
     a, b = data.draw(st.sampled_from([(a, b) for a in single for b in single if a != b]))
-    kind = data.draw(st.sampled_from(["clearance", "penetration", "on", "colliding", "within"]))
+    kind = data.draw(
+        st.sampled_from(["clearance", "gap", "penetration", "on", "colliding", "within"])
+    )
     columns = np.array(poses, dtype=np.float64)
     columns[..., 3:] = unit_quaternions(columns[..., 3:].reshape(-1, 4)).reshape(-1, 2, 4)
     count = len(poses)
