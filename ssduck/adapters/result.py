@@ -303,7 +303,7 @@ def _type_name(type: pa.DataType) -> str:
 def arrow_of(frame: Any) -> pa.Table:
     """Returns an Arrow table with a copy of the rows of a frame; see `Interpreter.register`."""
     try:
-        table = _table_of(frame)
+        table = table_of_frame(frame)
     except (pa.ArrowException, TypeError, ValueError, AttributeError) as error:
         raise ArgumentError(
             f"register: {short_repr(frame)} is no table: {error_text(error)}"
@@ -320,7 +320,7 @@ def arrow_of(frame: Any) -> pa.Table:
     return pa.ipc.open_stream(copy.getvalue()).read_all()
 
 
-def _table_of(frame: Any) -> pa.Table | None:
+def table_of_frame(frame: Any) -> pa.Table | None:
     """Returns an Arrow table with the rows of a frame; None for what is none."""
     match frame:
         case pa.Table():

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ssduck import validation
+from ssduck.adapters.columns import tabulated
 from ssduck.errors import ArgumentError
 from ssduck.formatting import short_repr
 from ssduck.language.parser import parse
@@ -73,12 +74,15 @@ def rows_to_show(compiled: CompiledProgram, ss: Any) -> Any:
 
 
 def value_to_show(ss: Any, text: str, language: str) -> Any:
-    """Returns the value of a program in SelectScript, or of one in SQL, for an interpreter."""
+    """Returns what is shown of a program in SelectScript, or of one in SQL, for an interpreter.
+
+    Data frames and arrays are their rows.
+    """
     if language == "sql":
         return ss.sql(text)
     program = ss.compile(text)
     is_here = isinstance(program, CompiledProgram)  # else it is in a sandbox
-    return rows_to_show(program, ss) if is_here else program.shown()
+    return tabulated(rows_to_show(program, ss) if is_here else program.shown())
 
 
 def last_query(compiled: CompiledProgram) -> Query | None:

@@ -133,7 +133,7 @@ CLAUSES = frozenset(
 )
 
 _RANDOM = "a query gives the same result each time; draw numbers in Python"
-_TABLE = "the tables are those of ss.sql; in a program the source is the world: FROM room"
+_TABLE = "SQL has tables (ss.sql, query --sql); in a program the source is the world: FROM room"
 _JOINT = "the position of a joint is joint(entity, 'name')"
 _JOINT_TABLE = 'is in the table of joints: ss.sql("SELECT name, {} FROM joints")'
 _BOX = "aabb(e) is the bounding box [xmin, xmax, ymin, ymax, zmin, zmax]: aabb(e)[{}] - aabb(e)[{}]"

@@ -45,6 +45,26 @@ def test_a_row_of_json_is_a_line(here):
     )
 
 
+@pytest.mark.parametrize("form", ["df", "polars", "arrow", "numpy"])
+def test_a_frame_is_its_rows(here, loaded, monkeypatch, form):
+    monkeypatch.setattr(opening, "load", lambda *_, **__: contextlib.nullcontext(loaded))
+    program = f"SELECT two.id AS id, two.position AS position, n.this AS n FROM two, n={[*range(60)]} ORDER BY id, n AS {{}};"
+    arguments = ["query", "two.toml", program.format(form)]
+    rows = loaded.eval(program.replace(" AS {}", ""))
+    assert json.loads(answer(*arguments, "-F", "json")) == rows
+    written = list(csv.DictReader(io.StringIO(answer(*arguments, "-F", "csv"))))
+    assert [(row["id"], int(row["n"])) for row in written] == [(r["id"], r["n"]) for r in rows]
+    answer(*arguments, "-o", "o.parquet")
+    assert pq.read_table("o.parquet").to_pylist() == rows
+
+
+def test_an_array_is_its_rows(here, loaded, monkeypatch):
+    monkeypatch.setattr(opening, "load", lambda *_, **__: contextlib.nullcontext(loaded))
+    program = f"SELECT two.z, n.this FROM two, n={[*range(2000)]} AS numpy;"
+    written = list(csv.reader(io.StringIO(answer("query", "two.toml", "-F", "csv", program))))
+    assert [[*map(float, row)] for row in written] == loaded.eval(program).tolist()
+
+
 @pytest.mark.slow
 @sampled("format", ["table", "json", "csv"], every=3)
 def test_many_rows(here, format):
