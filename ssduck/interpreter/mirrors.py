@@ -322,6 +322,7 @@ class WorldCopy:
             self._numbers,
             description.run,
             source="the copy of its last tick",
+            is_copy=True,
         )
         told = None if past is None else (past.store, past.record)
         return CopiedWorld(CopyTicker(description.name, present, self._with_sensings), told, camera)
@@ -404,6 +405,7 @@ def _past_copy(
         numbers,
         description.run,
         source="the copy of its ticks",
+        is_copy=True,
         entities=archive.recording.entities,
     )
     return _PastCopy(archive, record, ticks, members, ids)

@@ -76,6 +76,22 @@ def test_a_mirror_of_the_past_goes_to_each_tick(pair):
     past.close()
 
 
+@pytest.mark.parametrize("is_past", [False, True])
+def test_what_later_ticks_may_change_is_nothing_in_a_mirror(pair, is_past):
+    ss, _ = pair
+    mirror = Mirror(ss, ss["kitchen"], "kitchen", Limits(), is_past=is_past)
+    try:
+        for program, value in (
+            ("always(z(kitchen.cup_905a) > 0);", None),
+            ("eventually(z(kitchen.cup_905a) > 99);", None),
+            ("historically(z(kitchen.cup_905a) > 0);", True),
+        ):
+            assert ss.eval(program) is value
+            assert mirror.interpreter.eval(program) is value
+    finally:
+        mirror.close()
+
+
 @pytest.mark.slow
 def test_the_steps_of_the_world_do_not_change_a_mirror():
     with ssduck.load("kitchen") as ss:

@@ -57,7 +57,6 @@ from ssduck.language.value_keys import node_key
 from ssduck.logic.traces import Trace, Window
 from ssduck.recording.replay.past import common_moment, past_of
 from ssduck.recording.replay.record import Record
-from ssduck.recording.replay.replayed_world import CopiedWorld
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.world.handles import Handle
 
@@ -217,9 +216,8 @@ class Ticks:
         are_last = are_last_of_their_times(times)
         self.numbers, self.times = numbers[are_last], times[are_last]
         is_behind = len(numbers) < len(record.ticks.numbers)  # of a replay
-        is_live = record.recording is not None or isinstance(record.world, CopiedWorld)
         # Whether more ticks may come: not where a finished record ends.
-        self.is_open = is_live or is_behind
+        self.is_open = record.goes_on or is_behind
         self.has_unknown = False  # whether a part that was read is unknown at a tick
         # The columns of expressions, by their keys, and those of them that queries have.
         self._columns: dict[str, Column] = {}

@@ -134,8 +134,12 @@ class Record:
         tags: Tags | None = None,
         order: int | None = None,
         entities: Sequence[str] | None = None,
+        *,
+        is_copy: bool = False,
     ) -> None:
         self._entities = entities
+        # Whether more ticks may come: not to a record that was opened.
+        self.goes_on = is_copy or recording is not None
         self.order = order
         self.tags: Tags = tags or {}
         self.recording = recording
