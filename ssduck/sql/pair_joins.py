@@ -8,7 +8,7 @@ that are near enough.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from sqlglot import exp
 
@@ -89,8 +89,11 @@ def _kind_of(tables: Collection[EntityTable]) -> PairKind:
     return "links" if "links" in tables else "entities"
 
 
-def implied_box_condition(sql: Expressions, node: Node) -> exp.Expr | None:
-    """Returns the condition on boxes that `clearance(a, b) < 0.1` implies; None for none."""
+def implied_condition(sql: Expressions, node: Node) -> exp.Expr | None:
+    """Returns the condition that the value of a relation of two implies; None for none.
+
+    `clearance(a, b) < 0.1` implies near boxes, and `contactForce(a, b) > 1` a contact.
+    """
     match node:
         case Binary(operator=sign, left=Call() as call, right=limit) if sign in _LESS + _MORE:
             is_less = sign in _LESS
@@ -99,17 +102,19 @@ def implied_box_condition(sql: Expressions, node: Node) -> exp.Expr | None:
         case _:
             return None
     relation = RELATIONS.get(call.name)
-    geometry = None if relation is None else relation.geometry
-    if geometry is None or not sql.is_constant(limit):
+    is_positive = not is_less and _is_positive(limit, or_zero=sign in ("<", ">"))
+    if relation is None or not (is_less or is_positive) or not sql.is_constant(limit):
         return None
-    if not (geometry.is_at_least_box_distance if is_less else geometry.is_zero_beyond_boxes):
+    if is_positive and relation.positive_only_if:
+        is_of_pairs = all(isinstance(argument, This) for argument in call.arguments)
+        implied = replace(call, name=relation.positive_only_if)
+        return sql.condition(implied) if is_of_pairs else None
+    geometry = relation.geometry
+    if geometry is None or not (
+        geometry.is_at_least_box_distance if is_less else geometry.is_zero_beyond_boxes
+    ):
         return None
-    distance: Node = limit
-    if not is_less:
-        is_strict = sign in ("<", ">")
-        if not _is_positive(limit, or_zero=is_strict):
-            return None
-        distance = tree.Literal(limit.span, 0)
+    distance = limit if is_less else tree.Literal(limit.span, 0)
     values: Mapping[str, Node] = dict(zip("abd", (*call.arguments[:2], distance), strict=True))
     try:
         return expanded(BOXES_WITHIN, {name: sql.value(value) for name, value in values.items()})

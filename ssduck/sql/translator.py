@@ -42,7 +42,7 @@ from ssduck.sql.from_clause import (
 )
 from ssduck.sql.groups import Groups
 from ssduck.sql.name_resolution import resolve
-from ssduck.sql.pair_joins import PairJoin, implied_box_condition, pair_join, sides_of
+from ssduck.sql.pair_joins import PairJoin, implied_condition, pair_join, sides_of
 from ssduck.sql.pair_lookup import pair_lookup
 from ssduck.sql.plan import (
     OutputColumn,
@@ -323,12 +323,12 @@ class _Translator:
         except NotSqlError:
             self._leave_to_python(node)
             return None
-        near = implied_box_condition(self.sql, node)
-        if near is None:
+        implied = implied_condition(self.sql, node)
+        if implied is None:
             return holds
         # Once for the join, and once so that no other pair is compared.
-        guarded = exp.case().when(near.copy(), holds).else_(exp.false())
-        return exp.and_(near, guarded)
+        guarded = exp.case().when(implied.copy(), holds).else_(exp.false())
+        return exp.and_(implied, guarded)
 
     def _add_column(self, node: Node) -> None:
         """Adds the column of a selected value or a key, or else columns of its parts."""

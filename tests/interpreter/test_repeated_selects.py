@@ -251,3 +251,27 @@ def test_a_relation_is_planned_once_for_all_texts(lab):
     with pytest.raises(SelectScriptError) as info:
         lab.ss.eval("3 > 2 AND near(lab.cube, 'ball', 0.1);")
     assert info.value.span.start == 25  # the place of the text
+
+
+@pytest.mark.parametrize("sources", [OF_ENTITIES, OF_LINKS])
+def test_pairs_that_press_are_found_by_their_contacts(lab, sources):
+    lab.run(200)
+    value, names = (
+        "contactForce(a.this, b.this)",
+        "tick(a.this) AS t, id(a.this) AS a, id(b.this) AS b",
+    )
+    for past in ("", "{}"):
+        of = sources.replace("lab", f"lab{past}") if sources == OF_ENTITIES else sources
+        rows = lab.ss.eval(f"SELECT {names}, {value} AS force FROM {of};")
+        for condition, holds in (
+            ("{} > 0", lambda force: force > 0),
+            ("1 <= {}", lambda force: force >= 1),
+            ("{} >= 0", lambda force: force >= 0),
+            ("{} < 2", lambda force: force < 2),
+            ("NOT {} > 1", lambda force: force <= 1),
+        ):
+            text = f"SELECT {names} FROM {of} WHERE {condition.format(value)};"
+            expected = sorted((r["t"], r["a"], r["b"]) for r in rows if holds(r["force"]))
+            assert sorted(tuple(row.values()) for row in lab.ss.eval(text)) == expected != []
+        text = f"SELECT {names} FROM {of} WHERE {value} > 1 AS list;"
+        assert past or " IN (" in lab.ss.explain(text)

@@ -87,6 +87,7 @@ CONTACT_RELATIONS: tuple[Relation, ...] = (
         "SELECT map(list((pair[1], pair[2])), list(total)) FROM (SELECT pairs.pair AS pair, "
         f"sum(pairs.force) AS total FROM ({_PAIRS}) AS pairs GROUP BY ALL) AS summed), {_PAIR}), "
         "0.0::DOUBLE) END",
+        positive_only_if="inContact",
         of_contacts=ContactPairs.force,
     ),
     Relation(

@@ -91,6 +91,7 @@ class Relation:
     margin: str = ""
     margin_with_options: str = ""
     may_fail: bool = False  # whether there are entities for which it is an error
+    positive_only_if: str = ""  # the relation of the entities that holds where the value is above 0
     # The function of contacts that returns the same for two entities of a tick.
     of_contacts: Callable[[ContactPairs, int, int], bool | float] | None = None
 
