@@ -37,7 +37,7 @@ _PRINTED, _MAX_PRINTED = "print", 100_000
 
 def told_error(error: BaseException) -> dict[str, Any]:
     """Returns what the host is told of an error."""
-    if isinstance(error, MemoryError):
+    if isinstance(error, MemoryError) or isinstance(error.__cause__, MemoryError):
         error = LimitError("the program needs more memory than it may take")
     elif isinstance(error, KeyboardInterrupt):
         error = LimitError("the program was stopped")

@@ -16,6 +16,7 @@ import ssduck
 from ssduck.adapters.display import as_json
 from ssduck.errors import (
     ArgumentError,
+    FunctionError,
     LimitError,
     ProgramWarning,
     SandboxError,
@@ -25,6 +26,7 @@ from ssduck.errors import (
 )
 from ssduck.sandbox import EntityReference, SandboxedInterpreter, opening
 from ssduck.sandbox.budget import Budget
+from ssduck.sandbox.reports import error_of, told_error
 from ssduck.sandbox.sources import Source
 from ssduck.sandbox.values import Decoder, Encoder
 
@@ -536,3 +538,11 @@ def test_a_record_whose_path_is_a_pattern_is_that_record(tmp_path, zygote, name)
             ss.ask("worker.python", f"open({str(secret)!r})")
         with pytest.raises(SandboxError, match="Permission denied"):
             ss.ask("worker.python", f"__import__('os').listdir({str(folder)!r})")
+
+
+@pytest.mark.parametrize("error", [FunctionError("AS points: no memory"), MemoryError()])
+def test_what_lacks_memory_is_a_limit(error):
+    if not isinstance(error, MemoryError):
+        error.__cause__ = MemoryError()
+    assert isinstance(error_of(told_error(error)), LimitError)
+    assert isinstance(error_of(told_error(FunctionError("AS points: none"))), FunctionError)
