@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import chain
 from typing import Any
 
@@ -11,7 +11,6 @@ import pyarrow as pa
 
 from ssduck import validation
 from ssduck.adapters.base import Selection
-from ssduck.adapters.result import Result, table_of_frame
 from ssduck.errors import ArgumentError
 from ssduck.formatting import error_text, short_repr, type_in_words
 from ssduck.sql.types import EXACT
@@ -30,24 +29,6 @@ def table_of(selection: Selection) -> pa.Table:
     columns = zip(*rows, strict=True) if rows else [()] * len(names)
     arrays = [array_of(name, list(column)) for name, column in zip(names, columns, strict=True)]
     return pa.table(arrays, names=list(names))
-
-
-def tabulated(value: Any) -> Any:
-    """Returns the rows of a data frame, an Arrow table or an array, to show or to write all.
-
-    Those of a frame are a `Result`, and so are those of a structured array; those of another array
-    are a list. Any other value is itself.
-    """
-    match value:
-        case np.ndarray() if value.ndim and value.dtype.names:
-            columns = {name: array_of(name, value[name].tolist()) for name in value.dtype.names}
-            return Result(pa.table(columns))
-        case np.ndarray():
-            return value.tolist()
-        case Result() | Mapping():
-            return value
-    table = table_of_frame(value)
-    return value if table is None else Result(table)
 
 
 def checked_names(names: Sequence[Any]) -> Sequence[str]:

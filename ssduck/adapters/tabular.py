@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import namedtuple
+from collections.abc import Mapping
 from functools import lru_cache
 from itertools import chain
 from typing import Any
@@ -14,16 +15,34 @@ import pyarrow as pa
 
 from ssduck import validation
 from ssduck.adapters.base import Selection, check_file, form, replace_file
-from ssduck.adapters.columns import checked_names, plain_value, table_of
+from ssduck.adapters.columns import array_of, checked_names, plain_value, table_of
 from ssduck.adapters.display import DisplayTable, as_json
 from ssduck.adapters.formats import FORMATS, text_of
 from ssduck.adapters.optional import library
-from ssduck.adapters.result import Result, python_values
+from ssduck.adapters.result import Result, python_values, table_of_frame
 from ssduck.errors import ArgumentError
 from ssduck.sql.types import EXACT
 
 # What a key of a dict takes, bytes.
 _KEY_BYTES = 32
+
+
+def tabulated(value: Any) -> Any:
+    """Returns the rows of a data frame, an Arrow table or an array, to show or to write all.
+
+    Those of a frame are a `Result`, and so are those of a structured array; those of another array
+    are a list. Any other value is itself.
+    """
+    match value:
+        case np.ndarray() if value.ndim and value.dtype.names:
+            columns = {name: array_of(name, value[name].tolist()) for name in value.dtype.names}
+            return Result(pa.table(columns))
+        case np.ndarray():
+            return value.tolist()
+        case Result() | Mapping():
+            return value
+    table = table_of_frame(value)
+    return value if table is None else Result(table)
 
 
 @form("dict", "dictionary", needs="columns")

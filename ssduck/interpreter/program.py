@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ssduck import validation
-from ssduck.adapters.columns import tabulated
+from ssduck.adapters.tabular import tabulated
 from ssduck.errors import ArgumentError
 from ssduck.formatting import short_repr
 from ssduck.language.parser import parse
