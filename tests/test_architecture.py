@@ -124,7 +124,7 @@ BUDGETS = {
     "interchange": 2_944,
     "interpreter": 15_775,
     "lakes": 2_857,
-    "language": 6_101,
+    "language": 6_155,
     "logic": 631,
     "mcp": 524,
     "recording": 8_683,

@@ -26,7 +26,7 @@ from ssduck.language.evaluator import ExpressionCompiler, Frame, Thunk, resolved
 from ssduck.language.operators import check_size
 from ssduck.language.tree import Assignment, Node, Query, Recursion
 from ssduck.language.value_history import LazyList
-from ssduck.language.value_keys import equality_key, exact_key
+from ssduck.language.value_keys import ValueKeys
 
 # The largest number of states whose rows are cached.
 MAX_STATES = 10_000
@@ -62,12 +62,16 @@ RowsOf: TypeAlias = Callable[[dict[str, Any]], Iterable[Mapping[str | None, Any]
 
 
 class _States:
-    """The rows of each state that was reached, by a function that yields them; equal ones share."""
+    """The rows of each state that was reached, by a function that yields them; equal ones share.
+
+    Attributes:
+        keys: the numbers that identify rows.
+    """
 
     def __init__(
         self, make_steps: Callable[[dict[str, Any]], Iterator[PathStep]], max_states: int
     ) -> None:
-        self._numbers: dict[Any, int] = {}
+        self.keys = ValueKeys()
         self._make_steps = make_steps
         self._max_states = max_states
         self._known: dict[Any, Steps] = {}
@@ -76,18 +80,13 @@ class _States:
         """Returns the rows of a state."""
         key = None
         with suppress(ArgumentError):  # its values have no keys
-            key = tuple(map(exact_key, state.values()))
+            key = self.keys.exact(state.values())
         steps = None if key is None else self._known.get(key)
         if steps is None:
             steps = tee(self._make_steps(state), 1)[0]
             if key is not None and len(self._known) < self._max_states:
                 self._known[key] = steps
         return steps
-
-    def number(self, selection: RowSelection) -> int:
-        """Returns the number of a row's selected values and names, the same for equal rows."""
-        key = equality_key((*selection.names, *selection.values))
-        return self._numbers.setdefault(key, len(self._numbers))
 
 
 def _from_start(steps: Steps) -> Iterator[PathStep]:
@@ -202,11 +201,11 @@ class Hierarchy:
         items = self._clauses.items
         return RowSelection(items.values(frame), items.names(frame))
 
-    def _key(self, step: PathStep, states: _States) -> int:
+    def _key(self, step: PathStep, keys: ValueKeys) -> int:
         """Returns the key by which rows are distinguished."""
         selection = step.selection or self._selection(step)
         if selection.key is None:
-            selection.key = states.number(selection)
+            selection.key = keys.of(selection.values, selection.names)
         return selection.key
 
     def _successors(self, step: PathStep, states: _States) -> Iterator[PathStep]:
@@ -229,6 +228,7 @@ class Hierarchy:
         """Yields the paths in depth-first order of the sources."""
         unique = self._recursion.unique
         skips_visited = unique or self._recursion.no_cycle
+        keys = states.keys
         visited: set[int | None] = set()
         path: list[PathStep] = []
         open_rows = [_from_start(states(state))]
@@ -236,13 +236,13 @@ class Hierarchy:
         while open_rows:
             for step in open_rows[-1]:
                 count()
-                if skips_visited and self._key(step, states) in visited:
+                if skips_visited and self._key(step, keys) in visited:
                     continue
                 if step.is_result:
                     yield [*path, step]
                 continues = not (step.is_result or step.stops)
                 if skips_visited and (not step.stops if unique else continues):
-                    visited.add(self._key(step, states))
+                    visited.add(self._key(step, keys))
                 if continues:
                     path.append(step)
                     self._check_depth(len(path), "a path", "rows")
@@ -252,7 +252,7 @@ class Hierarchy:
                 open_rows.pop()
                 finished = path.pop() if path else None
                 if finished is not None and skips_visited and not unique:
-                    visited.discard(self._key(finished, states))
+                    visited.discard(self._key(finished, keys))
 
     def _check_depth(self, depth: int, subject: str, parts: str) -> None:
         if depth >= self._deepest:
@@ -277,6 +277,7 @@ class Hierarchy:
 
         Without a number of levels there are as many as it takes to find a path.
         """
+        keys = states.keys
         max_depth = levels
         vertices: dict[int, Vertex[PathStep]] = {}
         queue: deque[tuple[Vertex[PathStep], int]] = deque()
@@ -285,7 +286,7 @@ class Hierarchy:
             nonlocal max_depth
             result: dict[Vertex[PathStep], None] = {}  # an ordered set
             for step in steps:
-                key = self._key(step, states)
+                key = self._key(step, keys)
                 vertex = vertices.get(key)
                 if vertex is None:
                     vertex = vertices[key] = Vertex(step, step.is_result)

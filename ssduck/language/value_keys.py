@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields
 from typing import Any, cast
 
@@ -121,6 +121,53 @@ def _distinguishing_text(value: Any) -> str:
         raise ArgumentError(f"{type_in_words(value)} cannot be compared with others") from error
 
 
+class ValueKeys:
+    """Short keys of values, quick to look up, for one search.
+
+    Lists that occurred before are recognized by identity; they must not change meanwhile.
+    """
+
+    def __init__(self) -> None:
+        self._seen: dict[int, tuple[Any, int]] = {}
+        self._exact: dict[Any, int] = {}
+        self._equal: dict[int, Any] = {}
+        self._numbers: dict[Any, int] = {}
+
+    def exact(self, values: Iterable[Any]) -> tuple[Any, ...]:
+        """Returns a key of each value, equal only for values that no function can distinguish."""
+        numbered = self._seen
+        return tuple(
+            [
+                numbered[id(value)][1] if id(value) in numbered else self._exact_key(value)
+                for value in values
+            ]
+        )
+
+    def _exact_key(self, value: Any) -> Any:
+        if type(value) is not list:
+            return exact_key(value)
+        number = self._exact.setdefault(exact_key(value), len(self._exact))
+        self._seen[id(value)] = (value, number)
+        return number
+
+    def of(self, values: tuple[Any, ...], names: tuple[Any, ...]) -> int:
+        """Returns a number for the selected values and names of a row, the same for equal rows."""
+        parts = [value if type(value) in ATOMS else self._part(value) for value in values]
+        called = names if ATOMS.issuperset(map(type, names)) else equality_key(names)
+        return self._numbers.setdefault((*parts, called), len(self._numbers))
+
+    def _part(self, value: Any) -> Any:
+        if type(value) is not list:
+            return equality_key(value)
+        entry = self._seen.get(id(value))
+        if entry is None:
+            return (list, *[part if type(part) in ATOMS else self._part(part) for part in value])
+        part = self._equal.get(entry[1])
+        if part is None:
+            part = self._equal[entry[1]] = equality_key(value)
+        return part
+
+
 # The key of a query's memos in a frame's cache; no program contains this part.
 MEMOS = Placeholder(SourceSpan(0, 0), "memos")
 # The largest number of results of a function; when it is reached, all are dropped.
@@ -141,6 +188,7 @@ class Memo:
     def __init__(self, call: Callable[[list[Any]], Any], *, by_identity: bool = True) -> None:
         self._call = call
         self._uses_identity = by_identity
+        self._keys = ValueKeys()
         self._by_identity: dict[tuple[int, ...], tuple[Sequence[Any], Any]] = {}
         self._by_key: dict[tuple[Any, ...], Any] = {}
         self._call_count = self._hit_count = 0
@@ -157,7 +205,11 @@ class Memo:
             self._hit_count += 1
             return entry[1]
         try:
-            key = tuple(map(exact_key, arguments))
+            key = (
+                self._keys.exact(arguments)
+                if self._uses_identity
+                else tuple(map(exact_key, arguments))
+            )
         except (ArgumentError, RecursionError):
             return self._call(arguments)
         if key in self._by_key:
@@ -189,3 +241,4 @@ class Memo:
     def _clear(self) -> None:
         self._by_identity.clear()
         self._by_key.clear()
+        self._keys = ValueKeys()

@@ -15,7 +15,7 @@ from ssduck.errors import (
     UnknownNameError,
 )
 from ssduck.interpreter import query_runner as queries
-from ssduck.language.value_keys import exact_key
+from ssduck.language.value_keys import ValueKeys, exact_key
 from tests.support.cases import sampled
 
 EVALUATORS = {"SQL": {}, "row by row": {"row_by_row": True}}
@@ -292,7 +292,9 @@ def test_print_in_a_search_happens_at_each_row(ss, capsys):
 )
 def test_what_functions_tell_apart_is_no_state_twice(values):
     assert len({exact_key(value) for value in values}) == len(values)
-    assert exact_key(values[0]) == exact_key(values[0])
+    keys = ValueKeys()
+    assert len({keys.exact([value]) for value in values}) == len(values)
+    assert keys.exact([values[0]]) == keys.exact([values[0]])
 
 
 class Mute:
