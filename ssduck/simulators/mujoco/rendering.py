@@ -131,6 +131,8 @@ def _unit(vector: Array) -> Array:
 VISIBLE_GROUPS = (0, 1, 2)
 # A geom of this colour has that of its material, if there is one.
 _DEFAULT_COLOUR = (0.5, 0.5, 0.5, 1.0)
+# The triangles of a drawn ellipsoid: those of an icosahedron, each divided into four so many times.
+_SUBDIVISIONS = 3
 
 
 def visual_shapes(model: Any, body: Body) -> list[PlacedGeometry]:
@@ -146,15 +148,25 @@ def visual_shapes(model: Any, body: Body) -> list[PlacedGeometry]:
 
 def _shape(model: Any, number: int, link: int) -> PlacedGeometry:
     geometry, centre, _ = geometry_of(model, number)
-    if int(model.geom_type[number]) == mujoco.mjtGeom.mjGEOM_MESH:
+    type = int(model.geom_type[number])
+    if type == mujoco.mjtGeom.mjGEOM_MESH:
         mesh = int(model.geom_dataid[number])
         first, face = int(model.mesh_vertadr[mesh]), int(model.mesh_faceadr[mesh])
         vertices = model.mesh_vert[first : first + int(model.mesh_vertnum[mesh])]
         faces = model.mesh_face[face : face + int(model.mesh_facenum[mesh])]
-        corners = np.array(vertices, dtype=np.float64)
-        geometry = Geometry("mesh", (0.0, 0.0, 0.0), corners, np.array(faces, dtype=np.int32))
+        geometry = _triangles(vertices, faces)
+    elif type == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
+        import trimesh
+
+        sphere = trimesh.creation.icosphere(subdivisions=_SUBDIVISIONS)
+        geometry = _triangles(sphere.vertices * model.geom_size[number], sphere.faces)
     pose = pose_of(model, number, centre)
     return PlacedGeometry(link, geometry, *pose, colour=_colour(model, number))
+
+
+def _triangles(vertices: Any, faces: Any) -> Geometry:
+    corners = np.array(vertices, dtype=np.float64)
+    return Geometry("mesh", (0.0, 0.0, 0.0), corners, np.array(faces, dtype=np.int32))
 
 
 def _colour(model: Any, number: int) -> tuple[float, float, float, float]:
