@@ -131,7 +131,7 @@ BUDGETS = {
     "render": 1_102,
     "sandbox": 3_722,
     "shell": 490,
-    "simulators": 10_727,
+    "simulators": 10_730,
     "sql": 7_225,
     "view": 2_279,
     "world": 6_256,

@@ -99,7 +99,7 @@ class ContactReader:
         if only is not None:
             are_kept &= np.isin(roots, list(only)).all(axis=1)
         frames = contact.frame.reshape(-1, 3, 3)
-        moments = wrenches[are_of_bodies, _FORCE_AXES:]
+        has_moments = contact.dim.max(initial=0) > _FORCE_AXES
         points = ContactPoints(
             bodies=roots,
             links=bodies - roots,
@@ -108,27 +108,30 @@ class ContactReader:
             depths=depths,
             forces=forces,
             frictions=-(wrenches[:, 1:2] * frames[:, 1] + wrenches[:, 2:3] * frames[:, 2]),
-            has_moments=bool(moments.any()),
+            has_moments=has_moments and bool(wrenches[are_of_bodies, _FORCE_AXES:].any()),
         )
         return points if are_kept.all() else points.only(are_kept)
 
 
 def _wrenches(contact: Any, efc_forces: Array, is_pyramidal: bool) -> Array:
     """Returns the wrenches of contacts in their frames, (n, 6), as `mj_contactForce` does."""
-    wrenches = np.zeros((len(contact.dim), 6))
-    is_active = contact.efc_address >= 0
-    for dim in np.unique(contact.dim[is_active]).tolist():
-        rows = np.flatnonzero(is_active & (contact.dim == dim))
-        first = contact.efc_address[rows, None]
+    addresses, dims = contact.efc_address, contact.dim
+    wrenches, is_active = np.zeros((len(dims), 6)), addresses >= 0
+    # Most contacts are of one dimension, and all press.
+    is_uniform = bool(is_active.all() and (dims == dims[:1]).all())
+    for dim in (dims[:1] if is_uniform else np.unique(dims[is_active])).tolist():
+        rows = slice(None) if is_uniform else np.flatnonzero(is_active & (dims == dim))
+        first = addresses[rows, None]
         if not is_pyramidal or dim == 1:
             wrenches[rows, :dim] = efc_forces[first + np.arange(dim)]
             continue
         # A pyramid has two edges for each axis of friction; their forces add up to the normal one.
-        edges = efc_forces[first + np.arange(2 * (dim - 1))].reshape(len(rows), dim - 1, 2)
+        edges = efc_forces[first + np.arange(2 * (dim - 1))].reshape(-1, dim - 1, 2)
         wrenches[rows, 0] = edges.sum(axis=(1, 2))
         differences = edges[:, :, 0] - edges[:, :, 1]
         wrenches[rows, 1:dim] = differences * contact.friction[rows, : dim - 1]
-    if (adhesion := getattr(contact, "adhesion", None)) is not None:  # since MuJoCo 4
+    adhesion = getattr(contact, "adhesion", None)  # since MuJoCo 4
+    if adhesion is not None and adhesion.any():
         wrenches[is_active, 0] -= adhesion[is_active]
     return wrenches
 
