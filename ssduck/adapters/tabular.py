@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections import namedtuple
-from collections.abc import Mapping
 from functools import lru_cache
 from itertools import chain
 from typing import Any
@@ -30,19 +29,27 @@ _KEY_BYTES = 32
 def tabulated(value: Any) -> Any:
     """Returns the rows of a data frame, an Arrow table or an array, to show or to write all.
 
-    Those of a frame are a `Result`, and so are those of a structured array; those of another array
-    are a list. Any other value is itself.
+    Those of a frame are a `Result`, with a named index as columns, and so are those of a structured
+    array; those of another array are a list. Any other value is itself, and so is a frame that
+    Arrow cannot have.
     """
-    match value:
-        case np.ndarray() if value.ndim and value.dtype.names:
+    if isinstance(value, np.ndarray) and not (value.ndim and value.dtype.names):
+        return value.tolist()
+    try:
+        if isinstance(value, np.ndarray):
             columns = {name: array_of(name, value[name].tolist()) for name in value.dtype.names}
             return Result(pa.table(columns))
-        case np.ndarray():
-            return value.tolist()
-        case Result() | Mapping():
-            return value
-    table = table_of_frame(value)
-    return value if table is None else Result(table)
+        if isinstance(value, pa.Table | pa.RecordBatch):
+            return Result(pa.table(value))
+        match type(value).__module__.partition(".")[0], type(value).__name__:
+            case "pandas", "DataFrame":
+                is_named = any(name is not None for name in value.index.names)
+                return Result(table_of_frame(value.reset_index() if is_named else value))
+            case "polars", "DataFrame":
+                return Result(table_of_frame(value))
+    except (pa.ArrowException, ArgumentError, TypeError, ValueError, OverflowError):
+        return value
+    return value
 
 
 @form("dict", "dictionary", needs="columns")

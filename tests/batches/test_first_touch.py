@@ -279,5 +279,7 @@ def test_forces_of_constraints_are_those_of_contacts(ss, cone, adhesion):
     sim.tick([data, data])
     assert ss.eval("contactForce(sim.box, sim.world);") == weight
     if contact.pop("adhesion", None) is not None:
+        with pytest.raises(ArgumentError, match="adhesion is"):
+            sim.tick(**poses, contact=contact | {"adhesion": np.zeros((2, 9))})
         with pytest.raises(ArgumentError, match="contact needs adhesion"):
             sim.tick(**poses, contact=contact)

@@ -9,12 +9,16 @@ import sys
 import warnings
 
 import anyio
+import numpy as np
+import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from mcp import Client, StdioServerParameters
 from PIL import Image
 
 import ssduck
+from ssduck.adapters.tabular import tabulated
 from ssduck.interpreter import opening
 from tests.support.cases import sampled
 from tests.support.command_line import NO_ROWS, WRITTEN, answer, fails, ssduck_, write_scene
@@ -56,6 +60,34 @@ def test_a_frame_is_its_rows(here, loaded, monkeypatch, form):
     assert [(row["id"], int(row["n"])) for row in written] == [(r["id"], r["n"]) for r in rows]
     answer(*arguments, "-o", "o.parquet")
     assert pq.read_table("o.parquet").to_pylist() == rows
+
+
+WIDE = pd.DataFrame({"z": [1, 2]})
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        WIDE["z"],
+        WIDE.index,
+        pd.Timestamp(0),
+        pd.DataFrame([[1, 2]], columns=["a", "a"]),
+        pd.DataFrame({"a": [2**70]}),
+        pd.DataFrame({"a": [1, "a"]}),
+        pa.chunked_array([[1, 2]]),
+        np.array([(1j,)], [("a", complex)]),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_what_is_no_table_is_shown_as_it_is(value):
+    assert tabulated(value) is value
+
+
+def test_a_named_index_is_a_column():
+    frame = WIDE.set_index(pd.Index(["a", "b"], name="k"))
+    assert tabulated(frame).fetchall() == [("a", 1), ("b", 2)]
+    assert tabulated(frame.reset_index(drop=True)).fetchall() == [(1,), (2,)]
+    assert tabulated(WIDE[:0]).columns == ["z"]
 
 
 def test_an_array_is_its_rows(here, loaded, monkeypatch):

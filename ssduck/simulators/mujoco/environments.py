@@ -294,7 +294,8 @@ class MuJoCoEnvironments(Environments):
             rows = to_numpy(efc_forces, "tick: efc_force").astype(np.float64)
             addresses, dims = (to_numpy(parts[name], name) for name in ("efc_address", "dim"))
             forces = self._normal_forces(rows, addresses, dims, distances.shape)
-            forces -= np.where(addresses >= 0, self._adhesion_of(parts), 0.0)
+            adhesion = self._adhesion_of(parts, distances.shape)
+            forces -= np.where(addresses >= 0, adhesion, 0.0)
         # A contact that margins allow counts if it presses, as those of a single simulation do.
         are_there = (geoms >= 0).all(axis=-1) & ((distances <= 0.0) | (forces > 0.0))
         environments, places = np.nonzero(are_there)
@@ -321,17 +322,17 @@ class MuJoCoEnvironments(Environments):
             environments, points, has_forces, has_normals="frame" in parts, is_whole=False
         )
 
-    def _adhesion_of(self, contact: Mapping[str, Any]) -> Array:
-        """Returns the forces, N, by which contacts hold, which those of constraints include."""
+    def _adhesion_of(self, contact: Mapping[str, Any], shape: tuple[int, ...]) -> Array:
+        """Returns the forces (n, m), N, of adhesion, which those of constraints include."""
         names = ("geom_adhesion", "pair_adhesion")  # since MuJoCo 4
         if "adhesion" in contact:
-            return to_numpy(contact["adhesion"], "tick: contact: adhesion").astype(np.float64)
+            return checked(contact["adhesion"], "tick: contact: adhesion", shape)
         if any(np.any(getattr(self._model, name, 0.0)) for name in names):
             raise ArgumentError(
                 "tick: geoms of this model have adhesion: contact needs adhesion (n, m), N, or "
                 "force (n, m), N, as mj_contactForce tells it"
             )
-        return np.zeros(())
+        return np.zeros(shape)
 
     def _normal_forces(
         self, rows: Array, addresses: Indices, dims: Indices, shape: tuple[int, ...]
