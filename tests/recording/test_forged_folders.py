@@ -85,7 +85,7 @@ ATTACKS = [
     ("an id of a name", about(id="lab"), "is damaged: 'id' is to be"),
     ("another episode", about(episode=1), "describes episode 1 of 'lab'"),
     ("another world", about(world="../lab"), r"describes episode 0 of '\.\./lab'"),
-    ("a folder as a part", lambda r: (part(r, "links").unlink(), part(r, "links").mkdir()), "is missing"),
+    ("a folder as a part", lambda r: (part(r, "links").unlink(), part(r, "links").mkdir()), "Is a directory"),
     ("a part of 10**8", lambda r: shutil.copy(part(r, "ticks"), part(r, "ticks", 10**8)),
      "part-000001.parquet is missing, and parts after it"),
     ("zero bytes", text(ENTITIES, b""), "is damaged: it is no complete Parquet file"),
