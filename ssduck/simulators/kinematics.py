@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Protocol, TypeAlias
 
 import numpy as np
 
@@ -326,14 +326,30 @@ class JointError(UnknownNameError):
     """An entity has no joint of a name, or the joint has no position or openness."""
 
 
-def openness(joint: Any, position: float) -> float | None:
+class HasLimits(Protocol):
+    """A joint of a model or at a tick, with limits in rad or m."""
+
+    @property
+    def type(self) -> str:
+        """The type of the joint."""
+
+    @property
+    def lower(self) -> float | None:
+        """The lower limit."""
+
+    @property
+    def upper(self) -> float | None:
+        """The upper limit."""
+
+
+def openness(joint: HasLimits, position: float) -> float | None:
     """Returns the openness of a joint, a fraction of its range; None without two limits.
 
     >>> openness(Joint("door", "revolute", 1, 0.0, 2.0, None, None), 0.5)
     0.25
 
     Args:
-        joint: a joint of a model or at a tick: its type, and its limits in rad or m.
+        joint: the joint.
         position: its position, rad or m; NaN yields NaN.
     """
     lower, upper = joint.lower, joint.upper
@@ -342,8 +358,7 @@ def openness(joint: Any, position: float) -> float | None:
     if not (math.isfinite(upper - lower) and lower < upper):
         return None
     distance = upper - position if abs(upper) < abs(lower) else position - lower
-    share: float = distance / (upper - lower)
-    return share
+    return distance / (upper - lower)
 
 
 @dataclass(frozen=True)
