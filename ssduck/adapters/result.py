@@ -320,6 +320,14 @@ def arrow_of(frame: Any) -> pa.Table:
     return pa.ipc.open_stream(copy.getvalue()).read_all()
 
 
+def is_table(value: Any) -> bool:
+    """Checks whether a value is a data frame, an Arrow table or a result of `ss.sql`."""
+    kind = type(value)  # by name, because the libraries may not be installed
+    is_frame = kind.__module__.partition(".")[0] in {"pandas", "polars"}
+    is_frame &= kind.__name__ == "DataFrame"
+    return is_frame or isinstance(value, pa.Table | pa.RecordBatch | Result)
+
+
 def table_of_frame(frame: Any) -> pa.Table | None:
     """Returns an Arrow table with the rows of a frame; None for what is none."""
     match frame:

@@ -18,7 +18,7 @@ from ssduck.adapters.columns import array_of, checked_names, plain_value, table_
 from ssduck.adapters.display import DisplayTable, as_json
 from ssduck.adapters.formats import FORMATS, text_of
 from ssduck.adapters.optional import library
-from ssduck.adapters.result import Result, python_values, table_of_frame
+from ssduck.adapters.result import Result, is_table, python_values, table_of_frame
 from ssduck.errors import ArgumentError
 from ssduck.sql.types import EXACT
 
@@ -33,23 +33,20 @@ def tabulated(value: Any) -> Any:
     array; those of another array are a list. Any other value is itself, and so is a frame that
     Arrow cannot have.
     """
-    if isinstance(value, np.ndarray) and not (value.ndim and value.dtype.names):
+    is_array = isinstance(value, np.ndarray)
+    if is_array and not (value.ndim and value.dtype.names):
         return value.tolist()
+    if isinstance(value, Result) or not (is_array or is_table(value)):
+        return value
     try:
-        if isinstance(value, np.ndarray):
-            columns = {name: array_of(name, value[name].tolist()) for name in value.dtype.names}
-            return Result(pa.table(columns))
-        if isinstance(value, pa.Table | pa.RecordBatch):
-            return Result(pa.table(value))
-        match type(value).__module__.partition(".")[0], type(value).__name__:
-            case "pandas", "DataFrame":
-                is_named = any(name is not None for name in value.index.names)
-                return Result(table_of_frame(value.reset_index() if is_named else value))
-            case "polars", "DataFrame":
-                return Result(table_of_frame(value))
+        frame = value
+        if is_array:
+            frame = {name: array_of(name, value[name].tolist()) for name in value.dtype.names}
+        elif any(name is not None for name in getattr(getattr(value, "index", None), "names", ())):
+            frame = value.reset_index()
+        return Result(table_of_frame(frame))
     except (pa.ArrowException, ArgumentError, TypeError, ValueError, OverflowError):
         return value
-    return value
 
 
 @form("dict", "dictionary", needs="columns")

@@ -15,10 +15,9 @@ from typing import Any, Literal, TypeAlias, get_args
 from weakref import WeakKeyDictionary
 
 import numpy as np
-import pyarrow as pa
 
 from ssduck import validation
-from ssduck.adapters.result import Result
+from ssduck.adapters.result import is_table
 from ssduck.errors import ArgumentError, nearest
 from ssduck.formatting import short_repr
 from ssduck.interpreter.sources import elements_of
@@ -80,9 +79,7 @@ def multiset(rows: Sequence[Any]) -> frozenset[tuple[Any, int]]:
 
 def is_true(result: Any) -> bool:
     """Checks whether a result is true; rows are if there are any, NaN is not."""
-    if isinstance(result, np.ndarray | pa.Table | pa.RecordBatch | Result) or _is_data_frame(
-        result
-    ):
+    if isinstance(result, np.ndarray) or is_table(result):
         return bool(rows_of(result))
     if isinstance(result, float | np.floating) and np.isnan(result):
         return False
@@ -110,7 +107,7 @@ def canonical_key(value: Any) -> Any:
         return canonical_key(value.item()) if type(value.item()) in ATOMS else (kind, str(value))
     if isinstance(value, np.ndarray):
         return (np.ndarray, value.shape, _array_key(value))
-    if isinstance(value, pa.Table | pa.RecordBatch | Result) or _is_data_frame(value):
+    if is_table(value):
         return (kind, *map(canonical_key, rows_of(value)))
     if _is_graph(value):
         nodes, edges = dict(value.nodes(data=True)), list(value.edges(data=True))
@@ -138,13 +135,6 @@ def _array_key(array: np.ndarray[Any, Any]) -> Any:
         array = array + 0.0  # -0.0 becomes 0.0
         array[np.isnan(array)] = np.nan
     return (array.dtype.str, array.tobytes())
-
-
-def _is_data_frame(value: Any) -> bool:
-    """Checks whether a value is a data frame, without importing its library."""
-    kind = type(value)
-    is_library = kind.__module__.partition(".")[0] in {"pandas", "polars"}
-    return is_library and kind.__name__ == "DataFrame"
 
 
 def _is_graph(value: Any) -> bool:
