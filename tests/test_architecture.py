@@ -119,7 +119,7 @@ BUDGETS = {
     "columns": 1_292,
     "database": 6_278,
     "demos": 1_496,
-    "geometry": 8_601,
+    "geometry": 8_600,
     "gym": 2_719,
     "interchange": 2_944,
     "interpreter": 15_765,

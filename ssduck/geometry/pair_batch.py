@@ -157,8 +157,7 @@ class PairBatch:
         elif question.kind == "clearance":
             values = self._clearances() if groups is None else self._least_clearances(groups)
         elif question.kind == "gap":
-            margins = PairPredicate("touching", 0.0)
-            self._margins = margins.bounds(self._scene.table, self._first, self._second)
+            self._margins = self._scene.table.margins.of_pairs(self._first, self._second)
             values = self._clearances()
         elif question.kind == "penetration":
             values = self._penetrations()
