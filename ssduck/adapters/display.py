@@ -253,10 +253,15 @@ def json_key(key: Any) -> str:
 
 
 def cell_text(value: Any) -> str:
-    """Returns the text of a value in a CSV file: a string as it is, NULL as nothing, else JSON."""
+    """Returns the text of a value in a CSV file: a string as it is, else JSON.
+
+    NULL and NaN are empty, an infinity is `inf` or `-inf`, as pandas writes and reads them.
+    """
     import json
 
-    plain = as_json(value)
+    if isinstance(value, float) and not math.isfinite(value):
+        return "" if math.isnan(value) else str(float(value))
+    plain = as_json(value, words=True)
     if plain is None:
         return ""
     return plain if isinstance(plain, str) else json.dumps(plain, ensure_ascii=False)

@@ -181,7 +181,7 @@ _FORMAT = "STORAGE_VERSION 'v1.4.0', BLOCK_SIZE 16384"
 # The name of a file's database in SQL. DuckDB would name it after the file, and then no world can
 # have that name; no world can have this one.
 FILE_NAME = '"ssduck file"'
-# In DuckDB 2.0.0, an IE join (of two range conditions and 1,000 rows or more) in a prepared
+# In DuckDB 2.0, an IE join (of two range conditions and 1,000 rows or more) in a prepared
 # statement invalidates the database at its second run. DuckDB plans others then, but for SEMI and
 # ANTI joins.
 NO_IE_JOINS = "SET merge_join_threshold = 1000000000"

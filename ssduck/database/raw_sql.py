@@ -304,7 +304,7 @@ class RawSql:
         sql = _without_ticks(sql)
         if not (words.has_semi_joins and self._has_range_joins):
             return self._rows(sql, parameters, reads, is_kept=True)
-        # Of two range conditions, a SEMI or ANTI join is an IE join in DuckDB 2.0.0, which may drop
+        # Of two range conditions, a SEMI or ANTI join is an IE join in DuckDB 2.0, which may drop
         # rows, and invalidates the database at the second run of a prepared statement.
         self._connection.run(NO_RANGE_JOINS)
         try:

@@ -247,13 +247,15 @@ def _text(value: Any, max_rows: int) -> str:
     """Returns a result as JSON; a large one as an object with a part of it, and what is left out.
 
     Such an object has `rows`, their `count` and a `note`; or the `beginning` of the value's JSON,
-    the number of its `letters` and a `note`.
+    the number of its `letters` and a `note`. A result that has a picture says which tool gives it.
     """
     if isinstance(value, Why):
         value = value.rows()
     if isinstance(value, RowsOfColumns):
         names = numbered_duplicates(value.columns)
         value = [dict(zip(names, row, strict=True)) for row in value]
+    if hasattr(type(value), "_repr_png_"):
+        return as_text({"result": value, "note": "it has a picture, which the tool `picture` gives"})
     if not isinstance(value, list):
         return _sized(as_text(value))
     lines: list[str] = []

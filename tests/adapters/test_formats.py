@@ -3,8 +3,10 @@
 import csv
 import io
 import json
+import math
 
 import duckdb
+import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
@@ -123,6 +125,17 @@ def test_forms_of_the_same_names(chaos):
     assert chaos.eval(f"{PROGRAM} WHERE FALSE AS csv;") == "id,z,position\n"
     with pytest.raises(ArgumentError, match="two columns have the name 'id'"):
         chaos.eval("SELECT id, to(z, 'id') FROM chaos AS csv;")
+
+
+def test_infinities_in_csv_are_numbers_for_readers(chaos, tmp_path):
+    """An infinity is no missing number: nothing is infinitely far from everything."""
+    path = tmp_path / "distances.csv"
+    chaos.sql("SELECT * FROM (VALUES ('inf'::DOUBLE), ('-inf'), ('nan'), (NULL)) t(d)").save(path)
+    read = pd.read_csv(path, skip_blank_lines=False).d
+    assert read.tolist()[:2] == [math.inf, -math.inf]
+    assert read[2:].isna().all()
+    text = text_of([{"box": [-math.inf, 1.0, math.inf]}], FORMATS["csv"])
+    assert text == 'box\n"[""-Infinity"", 1.0, ""Infinity""]"\n'
 
 
 def test_show_prints(chaos, capsys, monkeypatch):

@@ -347,6 +347,8 @@ def test_a_result_that_is_a_picture_is_returned(kitchen):
     expected = kitchen.eval(program)._repr_png_()
     is_error, content = asked(create_server(kitchen), "picture", program=program)
     assert (is_error, base64.b64decode(content.data)) == (False, expected)
+    told = json.loads(text_of(create_server(kitchen), "query", program=program))
+    assert told["note"] == "it has a picture, which the tool `picture` gives"
 
 
 @pytest.mark.parametrize("name", ["image", "AS occupancygrid", "pandas", "list"])
