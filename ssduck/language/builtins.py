@@ -317,6 +317,8 @@ EXTREMES_OF_MARGINS = {"margin of AND": "min", "margin of OR": "max"}
 MARGIN_OF_TRUTH = "margin of truth"
 # The second argument of `scale`, which is to be above 0.
 UNIT_OF_SCALE = "unit of scale"
+# The number of an entity, by which the rows of several are told apart.
+NUMBER_OF_ENTITY = "number of entity"
 
 
 def _unit_of_scale(unit: Any) -> Any:
@@ -330,10 +332,11 @@ BUILTINS: dict[str, Function] = {
     function.name: function
     for function in _LIST_FUNCTIONS + _NUMBER_FUNCTIONS + _OTHER_FUNCTIONS + _OPERATOR_FUNCTIONS
 }
-for _name, _margin in (
+for _name, _function in (
     ("margin of AND", lambda margins: None if None in margins else min(margins)),
     ("margin of OR", lambda margins: None if None in margins else max(margins)),
     (MARGIN_OF_TRUTH, lambda holds: holds if holds is None else math.inf if holds else -math.inf),
+    (NUMBER_OF_ENTITY, lambda entity: entity.id),
 ):
-    BUILTINS[_name] = Function(_name, _margin, "", 1, 1, builtin=True)
+    BUILTINS[_name] = Function(_name, _function, "", 1, 1, builtin=True)
 BUILTINS[UNIT_OF_SCALE] = Function("scale", _unit_of_scale, "", 1, 1, builtin=True)

@@ -6,6 +6,7 @@ import operator
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields
 from typing import Any, cast
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -13,9 +14,18 @@ from ssduck.errors import ArgumentError, SourceSpan
 from ssduck.formatting import type_in_words
 from ssduck.language.tree import Node, Placeholder, Query
 
+_node_keys: WeakKeyDictionary[Node, str] = WeakKeyDictionary()
+
 
 def node_key(node: Node) -> str:
     """Returns a key of a part of a tree; parts with equal keys have the same meaning."""
+    key = _node_keys.get(node)
+    if key is None:
+        key = _node_keys[node] = _key_of(node)
+    return key
+
+
+def _key_of(node: Node) -> str:
     if isinstance(node, Query):
         return f"Query({id(node)})"
     values = (getattr(node, field.name) for field in fields(node))

@@ -225,7 +225,9 @@ def _largest(values: Array, first: Indices, last: Indices) -> Array:
     A window of a length is that of two which overlap, of the largest power of two that fits. So one
     pass over the values for each power is enough for windows of all lengths.
     """
-    if len(last) and last[0] >= 0 and (last == last[0]).all():  # as without an end
+    if not first.any():  # as without a beginning
+        return _at(np.maximum.accumulate(values, axis=-1), last)
+    if last[0] >= 0 and (last == last[0]).all():  # as without an end
         ahead = values[..., last[0] :: -1]
         return _at(np.maximum.accumulate(ahead, axis=-1)[..., ::-1], first)
     lengths = last - first + 1

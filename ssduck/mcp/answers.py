@@ -255,7 +255,9 @@ def _text(value: Any, max_rows: int) -> str:
         names = numbered_duplicates(value.columns)
         value = [dict(zip(names, row, strict=True)) for row in value]
     if hasattr(type(value), "_repr_png_"):
-        return as_text({"result": value, "note": "it has a picture, which the tool `picture` gives"})
+        return as_text(
+            {"result": value, "note": "it has a picture, which the tool `picture` gives"}
+        )
     if not isinstance(value, list):
         return _sized(as_text(value))
     lines: list[str] = []

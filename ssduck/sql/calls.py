@@ -11,7 +11,7 @@ from sqlglot import exp
 
 from ssduck.errors import ArgumentError
 from ssduck.language.analysis import BINARY_SIGNS, IMPURE, OVER_TIME, UNARY_SIGNS
-from ssduck.language.builtins import EXTREMES_OF_MARGINS, LEAST_SQUARE
+from ssduck.language.builtins import EXTREMES_OF_MARGINS, LEAST_SQUARE, NUMBER_OF_ENTITY
 from ssduck.language.tree import Binary, Call, ListLiteral, Node, Query, Unary
 from ssduck.sql import subqueries
 from ssduck.sql.operators import double_of, element_at
@@ -281,6 +281,8 @@ def _builtin(context: StatementContext, name: str, values: list[SqlValue]) -> Sq
             is_above = exp.GT(this=wrapped(unit), expression=literal(0.0))
             sql = exp.case().when(is_above, copied(unit)).else_(failure(DOUBLE))
             return SqlValue(sql, DOUBLE, is_non_negative=True)
+        case name, [SqlValue(column=column)] if name == NUMBER_OF_ENTITY and column is not None:
+            return SqlValue(column("id"), INTEGER)
     return None
 
 

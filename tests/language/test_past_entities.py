@@ -11,6 +11,7 @@ import pytest
 import ssduck
 from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError
 from ssduck.interpreter.over_time import evaluator
+from ssduck.interpreter.query_runner import PlannedQuery
 
 XML = """
 <mujoco>
@@ -372,6 +373,26 @@ def test_the_values_are_those_of_each_entity(many, monkeypatch, most, column, ex
         assert values == pytest.approx(np.linalg.norm(places - other, axis=1), abs=1e-12)
     else:
         assert values == pytest.approx(expected(many), abs=1e-9)
+
+
+@pytest.mark.parametrize(("rows_a_query", "singles"), [(1_000, 1), (100, 3)])
+def test_the_more_rows_all_have_the_later_they_are_read_at_once(
+    many, monkeypatch, rows_a_query, singles
+):
+    """Reading 14 entities at 21 ticks takes the time of 294 / ROWS_A_QUERY queries of one."""
+    queries, run = [], PlannedQuery.run
+
+    def counted(self, *arguments):
+        queries.append(self)
+        return run(self, *arguments)
+
+    monkeypatch.setattr(evaluator, "ROWS_A_QUERY", rows_a_query)
+    monkeypatch.setattr(PlannedQuery, "run", counted)
+    risen = many.ss.eval("SELECT id FROM sim WHERE once(z(this) > 2.5) AS list;")
+    assert len(queries) == 1 + singles + 1
+    rose = [f"b{n}" for n in range(COUNT) if max(heights[2 + n] for heights in many.z) > 2.5]
+    assert 0 < len(rose) < COUNT
+    assert risen == rose
 
 
 @pytest.mark.slow

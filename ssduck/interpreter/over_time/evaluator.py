@@ -15,11 +15,12 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from ssduck.database.fetched_rows import columns_of
 from ssduck.errors import ArgumentError, LimitError, SelectScriptError, UnsupportedError
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, expressions_of, parts_of
 from ssduck.interpreter.over_time.series import ColumnsOf, TickColumns, TickSeries
 from ssduck.language.analysis import free_aliases
-from ssduck.language.builtins import BUILTINS, EXTREMES
+from ssduck.language.builtins import BUILTINS, EXTREMES, NUMBER_OF_ENTITY
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import (
     Call,
@@ -43,7 +44,9 @@ from ssduck.world.handles import Handle, removal_of
 from ssduck.world.world import World
 
 # The largest number of rows that are read of all entities at once, for the rows of a query.
-MOST_ROWS = 100_000
+MOST_ROWS = 2_000_000
+# So many rows of all entities are read in about the time that a query of one entity takes.
+ROWS_A_QUERY = 50_000
 # Returns the rows of a query, from the values of its placeholders.
 RunQuery: TypeAlias = Callable[[Query, dict[str, Any]], Sequence[Sequence[Any]]]
 _PLACES = (Name, This, TimeIndex, Placeholder, UnresolvedName)
@@ -206,39 +209,48 @@ def _for_each(
 ) -> ColumnsOf:
     """Returns a function that reads ticks for all entities at once, for the rows of a query.
 
-    The first entity is read by itself, as there may be no other. So is each one if the expression
-    fails for any, as a condition of the query may exclude that.
+    The first entities are read each by itself, while that takes less time than to read all, as
+    there may be no others. So is each one if the expression fails for any, as a condition of the
+    query may exclude that.
     """
     keys, entity = _keys(values, handles), values[number]
     others = keys[:number] + keys[number + 1 :]
 
     def columns_of(past: Past) -> TickColumns:
         key = query, others, past.first, past.last
-        if (past.last - past.first + 1) * len(past.world) > MOST_ROWS:
+        read, rows = cache.get(key, 0), (past.last - past.first + 1) * len(past.world)
+        if read is None or rows > MOST_ROWS:
             return columns(past)
-        if key not in cache:
-            cache[key] = None
-            return columns(past)
-        if cache[key] is None:
+        if isinstance(read, int):
+            if read * ROWS_A_QUERY < rows:
+                cache[key] = read + 1
+                return columns(past)
             try:
-                cache[key] = _by_entity(run(query, _placeholders(values, handles, past, number)))
+                read = _by_entity(run(query, _placeholders(values, handles, past, number)))
             except LimitError:
                 raise
             except SelectScriptError:
-                cache[key] = False
-        if cache[key] is False:
-            return columns(past)
-        return TickColumns.of(cache[key].get(entity.id, ()))
+                read = None
+            cache[key] = read
+            return columns_of(past)
+        found: TickColumns | None = read.get(entity.id)
+        return TickColumns.of(()) if found is None else found
 
     return columns_of
 
 
-def _by_entity(rows: Sequence[Sequence[Any]]) -> dict[int, list[Sequence[Any]]]:
-    """Returns rows [tick, time, value, entity] by the ids of the entities."""
-    result: dict[int, list[Sequence[Any]]] = {}
-    for row in rows:
-        result.setdefault(row[3].id, []).append(row)
-    return result
+def _by_entity(rows: Sequence[Sequence[Any]]) -> dict[int, TickColumns]:
+    """Returns the values in rows [tick, time, value, entity] by the numbers of the entities."""
+    if not rows:
+        return {}
+    ticks, _, values, entities = columns_of(rows)
+    places = np.lexsort((ticks, entities))
+    ids, starts = np.unique(entities[places], return_index=True)
+    parts = np.split(places, starts[1:])
+    return {
+        id: TickColumns(ticks[part], values[part])
+        for id, part in zip(ids.tolist(), parts, strict=True)
+    }
 
 
 def _keys(values: Sequence[Any], handles: Sequence[bool]) -> tuple[Hashable, ...]:
@@ -305,7 +317,7 @@ def _query_of(
 ) -> Query:
     """Returns the query of an expression; its rows are [tick, time, value].
 
-    A fourth column is the entity at the place with the number `number_of_row`.
+    A fourth column is the number of the entity at the place `number_of_row`.
     """
     span = call.span
     replacements: dict[Node, Node] = {}
@@ -326,6 +338,7 @@ def _query_of(
         return replacements.get(node)
 
     value = parts_of(call)[0].replaced(replaced)
-    of_row = () if number_of_row is None else (This(span, f"entity_{number_of_row}"),)
+    rows = () if number_of_row is None else (This(span, f"entity_{number_of_row}"),)
+    of_row = [Call(span, NUMBER_OF_ENTITY, (row,), span) for row in rows]
     items = (*(Call(span, name, (first,), span) for name in ("tick", "time")), value, *of_row)
     return Query(span, items, tuple(sources), is_ordered=False)
