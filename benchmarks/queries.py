@@ -11,7 +11,7 @@ from functools import partial
 
 import ssduck
 from benchmarks.timing import medians, text_of
-from ssduck.language.tree import Query
+from ssduck.language.ast import Query
 
 QUESTIONS = {
     "robots": "SELECT id, position, type FROM kitchen WHERE isRobot(this);",

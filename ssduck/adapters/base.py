@@ -16,9 +16,9 @@ from typing import Any, BinaryIO, Literal, TypeAlias
 from ssduck.errors import ArgumentError, LimitError
 from ssduck.formatting import short_repr
 from ssduck.geometry.solids import PlacedSolids
+from ssduck.language import ast
 from ssduck.language.clauses import Rows
 from ssduck.language.operators import size_of
-from ssduck.language.tree import Query
 from ssduck.limits import Limits, UsageMeter
 from ssduck.recording.stores.files import write_atomically
 from ssduck.world.entities import Sensor
@@ -48,7 +48,7 @@ class Selection:
     def __init__(
         self,
         read: Callable[[int | None], Rows],
-        query: Query,
+        query: ast.Query,
         worlds: Callable[[], Sequence[World]],
         meter: UsageMeter,
     ) -> None:
@@ -240,7 +240,7 @@ class Adapter:
     help: str
     make: Callable[..., Any]
     needs: Need = "rows"
-    select: Callable[[Query], Query] | None = None
+    select: Callable[[ast.Query], ast.Query] | None = None
     writes: bool = False
     tables: frozenset[str] = frozenset()
     joins_groups: bool = False

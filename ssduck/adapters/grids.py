@@ -19,7 +19,7 @@ from ssduck.geometry.poses import rotation_matrices
 from ssduck.geometry.rasters import CELL_TOLERANCE, Raster, Rasterizer
 from ssduck.geometry.ray_casting import are_blocked
 from ssduck.geometry.solids import PlacedSolids
-from ssduck.language.tree import Call, Name, Query, This, UnresolvedName
+from ssduck.language import ast
 from ssduck.simulators.sensor_types import SENSOR_TYPES
 from ssduck.world.entities import Sensor
 from ssduck.world.handles import Handle
@@ -153,19 +153,19 @@ def _visible_points(sensor: Sensor, placed: PlacedSolids, points: Array, toleran
 # -- values over a plane --------------------------------------------------------------------------
 
 
-def _with_entity(query: Query) -> Query:
+def _with_entity(query: ast.Query) -> ast.Query:
     """Adds the entity of the only source as a column; its position selects the cell."""
     if len(query.sources) != 1 or not query.items or any(map(_is_entity, query.items)):
         return query
     span = query.span
     alias = query.sources[0].alias
-    entity = Call(span, "obj", (This(span, alias),), span)
+    entity = ast.Call(span, "obj", (ast.This(span, alias),), span)
     return replace(query, items=(*query.items, entity))
 
 
 def _is_entity(item: Any) -> bool:
-    return isinstance(item, This) or (
-        isinstance(item, Name | UnresolvedName | Call) and item.name == "obj"
+    return isinstance(item, ast.This) or (
+        isinstance(item, ast.Name | ast.UnresolvedName | ast.Call) and item.name == "obj"
     )
 
 

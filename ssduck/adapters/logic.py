@@ -18,9 +18,9 @@ from ssduck.adapters.base import Selection, form
 from ssduck.adapters.columns import plain_value
 from ssduck.errors import ArgumentError
 from ssduck.formatting import short_repr, type_in_words
+from ssduck.language import ast
 from ssduck.language.analysis import aliases_of, free_aliases
 from ssduck.language.operators import size_of
-from ssduck.language.tree import Call, ListLiteral, Literal, Name, Node, Query, This
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Clause:
     result: Any
 
 
-def with_arguments(query: Query) -> Query:
+def with_arguments(query: ast.Query) -> ast.Query:
     """Returns the query with each column replaced by a list of arguments and result."""
     if not query.items:
         raise ArgumentError(
@@ -52,13 +52,13 @@ def clauses(selection: Selection) -> Iterator[Clause]:
             yield Clause(name, arguments, result)
 
 
-def _item_with_arguments(item: Node, query: Query) -> Node:
+def _item_with_arguments(item: ast.Node, query: ast.Query) -> ast.Node:
     span = item.span
     match item:
-        case Call(name="to", arguments=(value, name)):
+        case ast.Call(name="to", arguments=(value, name)):
             pass
-        case Call(name=relation) | Name(name=relation) if relation != "to":
-            value, name = item, Literal(span, relation)
+        case ast.Call(name=relation) | ast.Name(name=relation) if relation != "to":
+            value, name = item, ast.Literal(span, relation)
         case _:
             raise ArgumentError(
                 "this column is no relation, so the clause has no name; give it one by "
@@ -66,25 +66,25 @@ def _item_with_arguments(item: Node, query: Query) -> Node:
                 span=span,
             )
     arguments = (*_arguments(value, query), value)
-    return Call(span, "to", (ListLiteral(span, arguments), name), span)
+    return ast.Call(span, "to", (ast.ListLiteral(span, arguments), name), span)
 
 
-def _arguments(value: Node, query: Query) -> tuple[Node, ...]:
+def _arguments(value: ast.Node, query: ast.Query) -> tuple[ast.Node, ...]:
     """Returns the arguments of a relation; of another expression, the sources that it mentions.
 
     A bare name and an expression over a single source have `this`.
     """
     match value:
-        case Call(arguments=arguments):
+        case ast.Call(arguments=arguments):
             return arguments
-        case Name(span=span, name=name) if len(query.sources) > 1:
+        case ast.Name(span=span, name=name) if len(query.sources) > 1:
             raise ArgumentError(
                 f"with several sources, name the argument: {name}(a.this)", span=span
             )
-    if isinstance(value, Name) or len(query.sources) == 1:
-        return (This(value.span, None),)
+    if isinstance(value, ast.Name) or len(query.sources) == 1:
+        return (ast.This(value.span, None),)
     mentioned = free_aliases(value)
-    return tuple(This(value.span, a) for a in aliases_of(query) if a in mentioned)
+    return tuple(ast.This(value.span, a) for a in aliases_of(query) if a in mentioned)
 
 
 Term: TypeAlias = Callable[[Any], str]

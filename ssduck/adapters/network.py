@@ -13,7 +13,7 @@ from ssduck.adapters.logic import Clause, clauses, with_arguments
 from ssduck.adapters.optional import library
 from ssduck.errors import ArgumentError
 from ssduck.formatting import short_repr
-from ssduck.language.tree import Call, ListLiteral, Name, Node, Query, This
+from ssduck.language import ast
 from ssduck.world.handles import Handle
 
 # Distinguishes edges between the same nodes: the relation or the row number, None if single.
@@ -60,29 +60,29 @@ class _Network:
 # -- the network of a query -------------------------------------------------------------------
 
 
-def _graph_query(query: Query) -> Query:
+def _graph_query(query: ast.Query) -> ast.Query:
     """Returns the query itself if it selects entities; else also selects the arguments."""
     if not query.items or any(map(_is_entity, query.items)):
         return query
     return with_arguments(query)
 
 
-def _is_entity(item: Node) -> bool:
+def _is_entity(item: ast.Node) -> bool:
     match item:
-        case Call(name="to", arguments=(value, *_)):
+        case ast.Call(name="to", arguments=(value, *_)):
             return _is_entity(value)
-        case Name(name=name) | Call(name=name):
+        case ast.Name(name=name) | ast.Call(name=name):
             return name in _ENTITIES
-    return isinstance(item, This)
+    return isinstance(item, ast.This)
 
 
 # Functions that return the entity itself.
 _ENTITIES = frozenset(("obj", "robot", "kinbody", "sensor"))
 
 
-def _selects_relations(query: Query) -> bool:
+def _selects_relations(query: ast.Query) -> bool:
     match query.items:
-        case (Call(name="to", arguments=(ListLiteral(), _)), *_):
+        case (ast.Call(name="to", arguments=(ast.ListLiteral(), _)), *_):
             return not any(map(_is_entity, query.items))
     return False
 

@@ -23,20 +23,8 @@ from ssduck.columns.compiler import (
     double,
     joined,
 )
+from ssduck.language import ast
 from ssduck.language.builtins import EXTREMES_OF_MARGINS, MARGIN_OF_TRUTH, UNIT_OF_SCALE
-from ssduck.language.tree import (
-    Binary,
-    Call,
-    If,
-    Index,
-    ListLiteral,
-    Literal,
-    Name,
-    Node,
-    OperatorChain,
-    Placeholder,
-    Unary,
-)
 
 # The functions of numbers and the operators that `ArrayOperations.applied` has.
 _NUMBER_FUNCTIONS = frozenset(
@@ -68,49 +56,49 @@ class TreeCompiler:
 
     operations: ArrayOperations  # operations on arrays
     compiler: Compiler | None  # compiles the SQL of parts; None if there is no such part
-    sql: Mapping[Node, exp.Expr]  # the SQL of the parts that have some
-    given: Callable[[Placeholder], Expression]  # returns a placeholder as an expression
-    variable: Callable[[Name], Expression]  # returns a variable as an expression
+    sql: Mapping[ast.Node, exp.Expr]  # the SQL of the parts that have some
+    given: Callable[[ast.Placeholder], Expression]  # returns a placeholder as an expression
+    variable: Callable[[ast.Name], Expression]  # returns a variable as an expression
 
-    def of(self, node: Node) -> Expression:
+    def of(self, node: ast.Node) -> Expression:
         """Returns an expression as a function."""
         if self.compiler is not None and node in self.sql:
             return self.compiler.expression(self.sql[node])
         match node:
-            case Placeholder():
+            case ast.Placeholder():
                 return self.given(node)
-            case Name():
+            case ast.Name():
                 return self.variable(node)
-            case Literal(value=value):
+            case ast.Literal(value=value):
                 return Expression(kind_of(value), self.operations.constant(value))
-            case ListLiteral(items=items):
+            case ast.ListLiteral(items=items):
                 parts = [self._double(item) for item in items]
                 return joined("list", self.operations.listed(_computes(parts)), *parts)
-            case Index(base=base, indices=(Literal(value=int() as index),)) if index >= 0:
+            case ast.Index(base=base, indices=(ast.Literal(value=int() as index),)) if index >= 0:
                 whole = self._of_kind(base, "list")
                 return joined("double", self.operations.element(whole.compute, index), whole)
-            case Unary(operator=word, operand=operand) if word.lower() == "not":
+            case ast.Unary(operator=word, operand=operand) if word.lower() == "not":
                 return applied(self.operations, "boolean", "not", self._of_kind(operand, "boolean"))
-            case Unary(operator="-", operand=operand):
+            case ast.Unary(operator="-", operand=operand):
                 part = checked(self.of(operand), NUMBERS)
                 return applied(self.operations, part.kind, "negative", part)
-            case Binary(operator=word, left=left, right=right):
+            case ast.Binary(operator=word, left=left, right=right):
                 return self._binary(word.lower(), self.of(left), self.of(right))
-            case OperatorChain(operators=words, operands=operands):
+            case ast.OperatorChain(operators=words, operands=operands):
                 result = self.of(operands[0])
                 for word, operand in zip(words, operands[1:], strict=True):
                     result = self._binary(word.lower(), result, self.of(operand))
                 return result
-            case If(condition=condition, then=(then,), otherwise=(otherwise,), else_ifs=()):
+            case ast.If(condition=condition, then=(then,), otherwise=(otherwise,), else_ifs=()):
                 return self._if(condition, then, otherwise)
-            case Call(name=name, arguments=arguments):
+            case ast.Call(name=name, arguments=arguments):
                 return self._call(name, arguments)
         raise LeftToDuckDBError
 
-    def _of_kind(self, node: Node, kind: Kind) -> Expression:
+    def _of_kind(self, node: ast.Node, kind: Kind) -> Expression:
         return checked(self.of(node), (kind,))
 
-    def _double(self, node: Node) -> Expression:
+    def _double(self, node: ast.Node) -> Expression:
         return double(self.operations, self.of(node))
 
     def _binary(self, word: str, left: Expression, right: Expression) -> Expression:
@@ -131,7 +119,7 @@ class TreeCompiler:
             raise LeftToDuckDBError
         return joined("double", operations.quotient(first.compute, second.compute), *parts)
 
-    def _if(self, condition: Node, then: Node, otherwise: Node) -> Expression:
+    def _if(self, condition: ast.Node, then: ast.Node, otherwise: ast.Node) -> Expression:
         holds = self._of_kind(condition, "boolean")
         first, second = self.of(then), self.of(otherwise)
         if first.kind != second.kind:
@@ -139,18 +127,18 @@ class TreeCompiler:
         compute = self.operations.case([(holds.compute, first.compute)], second.compute)
         return replace(joined(first.kind, compute, holds, first, second), has_calls=True)
 
-    def _call(self, name: str, arguments: Sequence[Node]) -> Expression:
+    def _call(self, name: str, arguments: Sequence[ast.Node]) -> Expression:
         """Returns a call of a function of numbers."""
         operations = self.operations
         name = EXTREMES_OF_MARGINS.get(name, name)
         if name in ("norm", "min", "max", "sum", "avg") and len(arguments) == 1:
             return self._of_list(name, arguments[0])
         if name == MARGIN_OF_TRUTH:
-            infinity = Literal(arguments[0].span, float("inf"))
-            return self._if(arguments[0], infinity, Unary(infinity.span, "-", infinity))
+            infinity = ast.Literal(arguments[0].span, float("inf"))
+            return self._if(arguments[0], infinity, ast.Unary(infinity.span, "-", infinity))
         if name == UNIT_OF_SCALE:  # what is not above 0 is left to others, as a quotient by 0 is
             unit = self._double(arguments[0])
-            is_above = self._binary(">", unit, self.of(Literal(arguments[0].span, 0)))
+            is_above = self._binary(">", unit, self.of(ast.Literal(arguments[0].span, 0)))
             divisor = applied(self.operations, "double", "double", is_above)
             compute = operations.quotient(unit.compute, divisor.compute)
             return joined("double", compute, unit, divisor)
@@ -169,9 +157,9 @@ class TreeCompiler:
         above = operations.extreme(operator.gt, [number, low])
         return joined("double", operations.extreme(operator.lt, [above, high]), *parts)
 
-    def _of_list(self, name: str, argument: Node) -> Expression:
+    def _of_list(self, name: str, argument: ast.Node) -> Expression:
         """Returns a function of the numbers in a list."""
-        if isinstance(argument, ListLiteral) and argument.items and name in ("min", "max"):
+        if isinstance(argument, ast.ListLiteral) and argument.items and name in ("min", "max"):
             parts = [self._double(item) for item in argument.items]
             compare = operator.lt if name == "min" else operator.gt
             compute = self.operations.extreme(compare, _computes(parts))

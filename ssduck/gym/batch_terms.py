@@ -14,7 +14,7 @@ from ssduck.formatting import joined_names, short_repr
 from ssduck.geometry.arrays import Flags
 from ssduck.gym.judge import is_decided_later
 from ssduck.gym.terms import CONDITIONS, Reward, Term, Terms, WhereNaN, compiled
-from ssduck.language.tree import Name, Node
+from ssduck.language import ast
 from ssduck.world.batches.batch_world import BatchWorld
 
 if TYPE_CHECKING:
@@ -143,11 +143,11 @@ class BatchTerms:
             )
         return term.nan_error(f"a number that it reads is NaN in environment {named}")
 
-    def _expanded(self, term: Term, trees: Mapping[str, Node]) -> Node:
+    def _expanded(self, term: Term, trees: Mapping[str, ast.Node]) -> ast.Node:
         """Returns a term with the conditions that it names."""
 
-        def visit(node: Node) -> Node | None:
-            if not (isinstance(node, Name) and node.name in CONDITIONS):
+        def visit(node: ast.Node) -> ast.Node | None:
+            if not (isinstance(node, ast.Name) and node.name in CONDITIONS):
                 return None
             if term.key in CONDITIONS:
                 raise ArgumentError(f"{term.key} cannot use {node.name}: write its term out")

@@ -13,20 +13,9 @@ from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.over_time.each_tick import ExpressionsAtTicks, JudgedFolds
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, expressions_of, parts_of
 from ssduck.interpreter.program import CompiledProgram
+from ssduck.language import ast
 from ssduck.language.analysis import OF_MARGINS
 from ssduck.language.builtins import MARGIN_OF_TRUTH
-from ssduck.language.tree import (
-    Call,
-    Index,
-    Literal,
-    Name,
-    Node,
-    QualifiedName,
-    Query,
-    Source,
-    TimeIndex,
-    Unary,
-)
 from ssduck.schema import RECORDABLE, TWIST
 from ssduck.simulators.interface import Body
 from ssduck.sql.relation_calls import tables_of
@@ -177,23 +166,28 @@ class Judge:
             f"{short_repr(before)} to {short_repr(value)}: {_KEEP_PAST}"
         )
 
-    def _find_over_time(self, term: Term, tree: Node) -> None:
+    def _find_over_time(self, term: Term, tree: ast.Node) -> None:
         """Finds the variables of a term in functions of time, and in queries of the past."""
         for call in tree.walk():
-            if isinstance(call, Query) and any(map(_is_past, call.sources)):
-                parts = [part for part in call.children() if not isinstance(part, Source)]
-                names = {n.name for part in parts for n in part.walk() if isinstance(n, Name)}
+            if isinstance(call, ast.Query) and any(map(_is_past, call.sources)):
+                parts = [part for part in call.children() if not isinstance(part, ast.Source)]
+                names = {n.name for part in parts for n in part.walk() if isinstance(n, ast.Name)}
                 for name in names & (self._whole | self._element_names):
                     self._over_time.setdefault(name, (term, f"a query of {self._world}{{…}}"))
-            if not (isinstance(call, Call) and call.name in TEMPORAL_FUNCTIONS and call.arguments):
+            if not (
+                isinstance(call, ast.Call) and call.name in TEMPORAL_FUNCTIONS and call.arguments
+            ):
                 continue
             nodes = [part for one in expressions_of(call) for part in one.walk()]
-            names = {node.name for node in nodes if isinstance(node, Name)}
+            names = {node.name for node in nodes if isinstance(node, ast.Name)}
             variables = names & (self._whole | self._element_names)
             if (
                 variables
                 and variables == names
-                and not any(isinstance(node, QualifiedName | TimeIndex | Query) for node in nodes)
+                and not any(
+                    isinstance(node, ast.QualifiedName | ast.TimeIndex | ast.Query)
+                    for node in nodes
+                )
             ):
                 raise ArgumentError(
                     f"{term.key}: {term.text!r} has {call.name}(…) of variables alone, whose past "
@@ -345,7 +339,7 @@ class Judge:
         if isinstance(program, str) or not isinstance(error, UnknownNameError):
             return ""
         for node in program.tree.statements[0].walk():
-            if isinstance(node, Name) and node.span == error.span:
+            if isinstance(node, ast.Name) and node.span == error.span:
                 if node.name in self.terms.parts:
                     return "; terms can use success and failure: write that of the reward out"
                 is_hinted = (
@@ -354,7 +348,7 @@ class Judge:
                 return "" if is_hinted else f"; {self._if_unknown.format(name=node.name)}"
         return ""
 
-    def _tree(self, text: str) -> Node:
+    def _tree(self, text: str) -> ast.Node:
         tree = compiled(self._interpreter, "term", text).tree.statements[0]
         return self._interpreter._execution.expanded(tree)  # noqa: SLF001  # one package
 
@@ -363,19 +357,19 @@ class Judge:
         text, known = term.text, self.terms
         replacements: list[tuple[int, int, str]] = []
 
-        def visit(node: Node) -> Node | None:
+        def visit(node: ast.Node) -> ast.Node | None:
             match node:
-                case Index(base=Name(name=name), indices=(Literal(value=int() as index),)) if (
-                    name in self._elements and index >= 0 and not isinstance(index, bool)
-                ):
+                case ast.Index(
+                    base=ast.Name(name=name), indices=(ast.Literal(value=int() as index),)
+                ) if name in self._elements and index >= 0 and not isinstance(index, bool):
                     self._elements[name].add(index)
                     replacement = self._element(name, index)
-                case Name(name=name) if name in self._elements:
+                case ast.Name(name=name) if name in self._elements:
                     self._whole.add(name)
                     return node
-                case Name(name=name) if name == term.key:
+                case ast.Name(name=name) if name == term.key:
                     raise ArgumentError(f"{name} is what this term decides: it cannot use itself")
-                case Name(name=name) if name in CONDITIONS:
+                case ast.Name(name=name) if name in CONDITIONS:
                     condition = getattr(known, name)
                     if condition is None:
                         raise ArgumentError(f"{term.key} uses {name}, and there is no such term")
@@ -396,18 +390,20 @@ class Judge:
         """Checks whether a program uses variables that are set at each step."""
         variables = self._element_names.union(self._elements)
         nodes = program.tree.statements[0].walk()
-        return any(isinstance(node, Name) and node.name in variables for node in nodes)
+        return any(isinstance(node, ast.Name) and node.name in variables for node in nodes)
 
     def _bodies(self) -> dict[str, Body | None]:
         """Returns the bodies of the entities by name; None for a sensor."""
         return {entity.name: entity.body for entity in self.world.snapshot.entities}
 
-    def _entity_name(self, node: Node) -> str:
+    def _entity_name(self, node: ast.Node) -> str:
         """Returns the name of the entity of the world that an expression is; '' if it is none."""
         match node:
-            case Index(base=Name(name=self._world), indices=(Literal(value=str() as name),)):
+            case ast.Index(
+                base=ast.Name(name=self._world), indices=(ast.Literal(value=str() as name),)
+            ):
                 return name
-            case QualifiedName(alias=self._world, key=name):
+            case ast.QualifiedName(alias=self._world, key=name):
                 return name
         return ""
 
@@ -417,20 +413,20 @@ class Judge:
         is_open = False
         entities: set[str] = set()
 
-        def visit(node: Node) -> Node | None:
+        def visit(node: ast.Node) -> ast.Node | None:
             nonlocal is_open
             if name := self._entity_name(node):
                 entities.add(name)
                 return node
             match node:
-                case Name(name=name) | TimeIndex(name=name):
+                case ast.Name(name=name) | ast.TimeIndex(name=name):
                     names.add(name)
-                case Query() | Call(name="getTime"):
+                case ast.Query() | ast.Call(name="getTime"):
                     is_open = True
             return None
 
         tree = program.tree.statements[0]
-        if not term.is_condition and isinstance(_unsigned(tree), Literal):
+        if not term.is_condition and isinstance(_unsigned(tree), ast.Literal):
             return  # a bonus or a penalty of each step
         tree.replaced(visit)
         if is_open or self._world in names or self._uses_variables(program):
@@ -495,65 +491,66 @@ def _without_nan(value: Any) -> Any:
     return None if _has_nan(value) else value
 
 
-def _check_margins(term: Term, text: str, tree: Node) -> None:
+def _check_margins(term: Term, text: str, tree: ast.Node) -> None:
     """Checks that a number is known at each step, and finite."""
     if term.is_condition:
         return
     for part in tree.walk():
         written = text[part.span.start : part.span.end]
-        if isinstance(part, Call) and part.name == MARGIN_OF_TRUTH:
+        if isinstance(part, ast.Call) and part.name == MARGIN_OF_TRUTH:
             raise ArgumentError(
                 f"{term.key}: {written} has no margin: robustness would be infinite"
             )
-        if isinstance(part, Call) and part.name.startswith(OF_MARGINS) and _looks_ahead(part):
+        if isinstance(part, ast.Call) and part.name.startswith(OF_MARGINS) and _looks_ahead(part):
             raise ArgumentError(
                 f"{term.key}: {term.text!r} looks ahead, and is nothing while an episode goes on: "
                 "write historically in place of always, once in place of eventually"
             )
 
 
-def is_decided_later(node: Node) -> bool:
+def is_decided_later(node: ast.Node) -> bool:
     """Checks whether a condition looks ahead, and may hold: `always` without an end does not."""
-    is_endless = isinstance(node, Call) and node.name == "always" and len(node.arguments) < 3
+    is_endless = isinstance(node, ast.Call) and node.name == "always" and len(node.arguments) < 3
     return _looks_ahead(node) and not is_endless
 
 
-def _looks_ahead(node: Node) -> bool:
+def _looks_ahead(node: ast.Node) -> bool:
     return any(
-        isinstance(part, Call)
+        isinstance(part, ast.Call)
         and part.name in TEMPORAL_FUNCTIONS
         and TEMPORAL_FUNCTIONS[part.name].looks_ahead
         for part in node.walk()
     )
 
 
-def _held_conditions(node: Node) -> Iterator[Node]:
+def _held_conditions(node: ast.Node) -> Iterator[ast.Node]:
     """Yields the conditions in heldFor and holds, but for those of the rows of a query."""
-    if isinstance(node, Call) and node.name in ("heldFor", "holds"):
+    if isinstance(node, ast.Call) and node.name in ("heldFor", "holds"):
         yield parts_of(node)[0]
-    if not isinstance(node, Query):
+    if not isinstance(node, ast.Query):
         for child in node.children():
             yield from _held_conditions(child)
 
 
-def _unsigned(node: Node) -> Node:
+def _unsigned(node: ast.Node) -> ast.Node:
     """Returns an expression without its signs."""
-    return _unsigned(node.operand) if isinstance(node, Unary) else node
+    return _unsigned(node.operand) if isinstance(node, ast.Unary) else node
 
 
-def _names(node: Node) -> set[str | None]:
+def _names(node: ast.Node) -> set[str | None]:
     """Returns the names of functions, columns and variables in an expression."""
     return {getattr(part, key, None) for part in node.walk() for key in ("name", "key")}
 
 
-def _is_past(source: Source) -> bool:
+def _is_past(source: ast.Source) -> bool:
     """Checks whether a source has past ticks, as sim{} and links(sim{0.0}) have."""
-    return any(isinstance(node, TimeIndex) for node in source.value.walk())
+    return any(isinstance(node, ast.TimeIndex) for node in source.value.walk())
 
 
-def _is_temporal(node: Node) -> bool:
+def _is_temporal(node: ast.Node) -> bool:
     """Checks whether an expression reads the past."""
     return any(
-        isinstance(part, TimeIndex) or (isinstance(part, Call) and part.name in TEMPORAL_FUNCTIONS)
+        isinstance(part, ast.TimeIndex)
+        or (isinstance(part, ast.Call) and part.name in TEMPORAL_FUNCTIONS)
         for part in node.walk()
     )

@@ -19,13 +19,9 @@ from ssduck.errors import SelectScriptError
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.over_time.functions import OF_VALUES, TEMPORAL_FUNCTIONS, parts_of
 from ssduck.interpreter.over_time.series import ColumnsOf, TickColumns
+from ssduck.language import ast
 from ssduck.language.builtins import BUILTINS
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS
-from ssduck.language.tree import (
-    Call,
-    Node,
-    Program,
-)
 from ssduck.limits import Limits
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.opened_record import OpenedRecord
@@ -46,7 +42,7 @@ from ssduck.recording.stores.episode_batch import (
 from ssduck.simulators.scenes import Camera
 
 
-def reads_present(program: Program) -> bool:
+def reads_present(program: ast.Program) -> bool:
     """Checks whether a program may read more of the current tick than its number and its time.
 
     One that consists of functions of expressions over time, such as `holds(above(table, cup))`,
@@ -55,8 +51,8 @@ def reads_present(program: Program) -> bool:
     return any(map(_reads_present, program.statements))
 
 
-def _reads_present(node: Node) -> bool:
-    if isinstance(node, Call):
+def _reads_present(node: ast.Node) -> bool:
+    if isinstance(node, ast.Call):
         form = TEMPORAL_FUNCTIONS.get(node.name)
         if form is not None:
             _, other = parts_of(node)

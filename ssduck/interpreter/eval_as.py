@@ -12,26 +12,16 @@ from itertools import product
 from typing import Any, overload
 
 from ssduck.errors import ArgumentError
+from ssduck.language import ast
 from ssduck.language.analysis import written_name
 from ssduck.language.clauses import SelectedValue
 from ssduck.language.evaluator import Frame
-from ssduck.language.tree import (
-    Call,
-    Index,
-    Literal,
-    Name,
-    Node,
-    Query,
-    This,
-    TimeIndex,
-    UnresolvedName,
-)
 
 
 class QueryPart:
     """A part of a query, to be evaluated for the elements of a row."""
 
-    def __init__(self, node: Node, frame: Frame) -> None:
+    def __init__(self, node: ast.Node, frame: Frame) -> None:
         self.node = node
         self._frame = frame
 
@@ -80,14 +70,14 @@ class SelectedColumn(QueryPart, Sequence[Any]):
     def _as_list(self) -> tuple[str, str, list[Any]]:
         if self._is_renamed:
             name = self._column.name
-            column_name = Literal(self.node.span, name) if isinstance(name, str) else name
+            column_name = ast.Literal(self.node.span, name) if isinstance(name, str) else name
             inner = SelectedColumn(SelectedValue(self.node, _plain_name(self.node)), self._frame)
             return "function", "to", [inner, QueryPart(column_name, self._frame)]
         match self.node:
-            case Call(arguments=arguments):
+            case ast.Call(arguments=arguments):
                 pass
-            case UnresolvedName(span=span):
-                arguments = (This(span, None),)
+            case ast.UnresolvedName(span=span):
+                arguments = (ast.This(span, None),)
             case _:
                 arguments = (self.node,)
         name = _plain_name(self.node)
@@ -107,7 +97,7 @@ class SelectedColumn(QueryPart, Sequence[Any]):
 class SelectedColumns(Sequence[SelectedColumn]):
     """The columns behind SELECT; `eval` gives the value of the only column, or a list of all."""
 
-    def __init__(self, query: Query, columns: Sequence[SelectedValue], frame: Frame) -> None:
+    def __init__(self, query: ast.Query, columns: Sequence[SelectedValue], frame: Frame) -> None:
         self.query = query
         self.frame = frame
         self.form = "dict" if query.adapter is None else query.adapter.name
@@ -189,13 +179,18 @@ def as_value(
     return []
 
 
-def _plain_name(node: Node) -> str:
+def _plain_name(node: ast.Node) -> str:
     """Returns the name of a column without `to`."""
     match node:
-        case Call(name=name) | UnresolvedName(name=name) | Name(name=name) | TimeIndex(name=name):
+        case (
+            ast.Call(name=name)
+            | ast.UnresolvedName(name=name)
+            | ast.Name(name=name)
+            | ast.TimeIndex(name=name)
+        ):
             return written_name(name)
-        case Index(indices=(*_, Literal(value=str() as key))):
+        case ast.Index(indices=(*_, ast.Literal(value=str() as key))):
             return key
-        case This(alias=alias):
+        case ast.This(alias=alias):
             return alias or "this"
     return "value"

@@ -37,6 +37,7 @@ from ssduck.interpreter.over_time.series import TickColumns, TickSeries
 from ssduck.interpreter.over_time.why import Explainer
 from ssduck.interpreter.planner import Planner
 from ssduck.interpreter.sources import check_tick
+from ssduck.language import ast
 from ssduck.language.analysis import with_overrides
 from ssduck.language.clauses import formed
 from ssduck.language.evaluation_errors import unknown_function
@@ -44,7 +45,6 @@ from ssduck.language.evaluator import Frame
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS, are_intervals
 from ssduck.language.parser import parse
 from ssduck.language.sql_readings import SqlReader
-from ssduck.language.tree import Call, Name, Node, Placeholder, Program, Query
 from ssduck.language.value_history import LazyList
 from ssduck.limits import Limits, UsageMeter
 from ssduck.logic.margins import is_value
@@ -72,7 +72,7 @@ class Execution(Namespace):
         self,
         database: Database,
         limits: Limits,
-        value_of_query: Callable[[Query, Frame], Any],
+        value_of_query: Callable[[ast.Query, Frame], Any],
         *,
         row_by_row: bool,
         strict: bool = False,
@@ -101,18 +101,18 @@ class Execution(Namespace):
             self, self.planner, self.tables_read, database.is_recorded, database.record_of
         )
         # The queries of one relation, by its name and the number of its arguments.
-        self._relation_queries: dict[tuple[str, int], Query] = {}
+        self._relation_queries: dict[tuple[str, int], ast.Query] = {}
         self._program_texts: list[str] = []
         self._stamp: tuple[object, ...] = ()
-        self._override_cache: WeakKeyDictionary[Program, Program] = WeakKeyDictionary()
+        self._override_cache: WeakKeyDictionary[ast.Program, ast.Program] = WeakKeyDictionary()
         # Statements as they are written, by what they stand for, if that is another one.
-        self._written: WeakKeyDictionary[Node, Node] = WeakKeyDictionary()
+        self._written: WeakKeyDictionary[ast.Node, ast.Node] = WeakKeyDictionary()
         # The stamp of the names for which a statement has no probable mistake.
-        self._sound: WeakKeyDictionary[Node, object] = WeakKeyDictionary()
+        self._sound: WeakKeyDictionary[ast.Node, object] = WeakKeyDictionary()
         self._reader = SqlReader(self)
 
     @contextmanager
-    def transaction(self, program: Program) -> Iterator[None]:
+    def transaction(self, program: ast.Program) -> Iterator[None]:
         """Restores the variables if anything inside fails, and adds the place to the error."""
         with self.lock:
             if self.is_running:
@@ -180,7 +180,7 @@ class Execution(Namespace):
         self.planner.forget()
         self._override_cache.clear()
 
-    def _with_overrides(self, program: Program) -> Program:
+    def _with_overrides(self, program: ast.Program) -> ast.Program:
         """Returns the program with users' functions in the place of those they override.
 
         It has expressions in place of the functions that stand for these.
@@ -195,21 +195,21 @@ class Execution(Namespace):
             self._override_cache[program] = overridden
         return overridden
 
-    def expanded(self, node: Node) -> Node:
+    def expanded(self, node: ast.Node) -> ast.Node:
         """Returns a part with expressions in place of the functions that stand for these."""
         return expanded(node, self.check_call)
 
-    def read(self, program: Program) -> Program:
+    def read(self, program: ast.Program) -> ast.Program:
         """Returns a program as the present variables and functions give it its meaning."""
         return self._with_overrides(self._reader.read(program))
 
-    def run(self, program: Program) -> Any:
+    def run(self, program: ast.Program) -> Any:
         """Returns the value of a program, or its explanation."""
         if program.explain:
             return self.explanation(program)
         return self._value_of(program, Frame(self))
 
-    def _value_of(self, program: Program, frame: Frame) -> Any:
+    def _value_of(self, program: ast.Program, frame: Frame) -> Any:
         """Returns the value of the last statement."""
         value = None
         for node in self._linted_statements(program, frame):
@@ -217,7 +217,7 @@ class Execution(Namespace):
             value = frame.value(node)
         return value
 
-    def _linted_statements(self, program: Program, frame: Frame) -> Iterator[Node]:
+    def _linted_statements(self, program: ast.Program, frame: Frame) -> Iterator[ast.Node]:
         """Yields the statements of a program, after reporting probable mistakes in each."""
         program = self._reader.read(program, frame.local)
         if program.suspicions:
@@ -234,7 +234,7 @@ class Execution(Namespace):
             yield node
 
     def mistakes(
-        self, text: str, node: Node, local: Mapping[str, Any] = MappingProxyType({})
+        self, text: str, node: ast.Node, local: Mapping[str, Any] = MappingProxyType({})
     ) -> list[SelectScriptError]:
         """Returns the probable mistakes in a statement of a program, as errors."""
         return self.linter.check(text, self._written.get(node, node), local)
@@ -252,7 +252,7 @@ class Execution(Namespace):
                 if self._new_doubts <= MAX_WARNINGS:
                     warn(str(suspicion), ProgramWarning)
 
-    def _finds(self, query: Query) -> bool | None:
+    def _finds(self, query: ast.Query) -> bool | None:
         """Checks whether a query has a row; None if it fails."""
         try:
             return bool(self._value_of_query(query, Frame(self)))
@@ -271,7 +271,7 @@ class Execution(Namespace):
 
     # -- explanations ------------------------------------------------------------------------
 
-    def explanation(self, program: Program) -> str:
+    def explanation(self, program: ast.Program) -> str:
         """Returns the SQL of the last statement's queries, and what Python evaluates.
 
         Of a program that begins with WHY, the reasons for its value.
@@ -291,15 +291,15 @@ class Execution(Namespace):
                 for statement in program.statements[-1:]
             )
 
-    def why(self, program: Program) -> Why:
+    def why(self, program: ast.Program) -> Why:
         """Returns why the condition that ends a program has its value, or its query its rows."""
 
-        def record_of(call: Call, frame: Frame) -> Record:
+        def record_of(call: ast.Call, frame: Frame) -> Record:
             return self.database.record_of(self.temporal.world_of(call, frame))
 
         with self.rehearsal(program) as frame:
             nodes = self.read(program).statements
-            value = frame.value(nodes[-1]) if nodes and isinstance(nodes[-1], Name) else None
+            value = frame.value(nodes[-1]) if nodes and isinstance(nodes[-1], ast.Name) else None
             is_known = validation.is_number(value) or isinstance(value, str | list)
             if not nodes or is_value(nodes[-1]) or is_known:
                 raise ArgumentError("WHY takes a condition, such as WHY on(table, cup);")
@@ -309,18 +309,18 @@ class Execution(Namespace):
             )
             return explainer.why(written)
 
-    def sql_of(self, program: Program, dialect: str) -> str:
+    def sql_of(self, program: ast.Program, dialect: str) -> str:
         """Returns the SQL of the query that ends a program, in a dialect."""
         with self.transaction(program), self.rehearsal(program) as frame:
             program = self.read(program)
             query = program.statements[-1] if program.statements else None
-            if not isinstance(query, Query):
+            if not isinstance(query, ast.Query):
                 raise ArgumentError("the program does not end with a query")
             plan, values = self.planner.sql_plan(query, frame)
             return in_dialect(query, plan, values, dialect)
 
     @contextmanager
-    def rehearsal(self, program: Program) -> Iterator[Frame]:
+    def rehearsal(self, program: ast.Program) -> Iterator[Frame]:
         """Runs all statements but the last, yields their frame, and restores the variables."""
         before = dict(self.variables)
         frame = Frame(self)
@@ -335,7 +335,7 @@ class Execution(Namespace):
 
     # -- calls outside queries ---------------------------------------------------------------
 
-    def call(self, node: Call, arguments: list[Any], frame: Frame) -> Any:
+    def call(self, node: ast.Call, arguments: list[Any], frame: Frame) -> Any:
         """Returns the value of a function call outside SQL."""
         function = self.function(node.name)
         if function is None:
@@ -361,7 +361,7 @@ class Execution(Namespace):
             self.at_tick_of_rows(value, frame) if type(value) is list else value for value in pinned
         ]
 
-    def over_time(self, node: Call, frame: Frame) -> Any:
+    def over_time(self, node: ast.Call, frame: Frame) -> Any:
         """Returns the value of a call whose argument is evaluated at each recorded tick."""
         found = self.nested.at_row(node, frame, partial(self._record_of, node, frame))
         if found is not None:
@@ -385,11 +385,11 @@ class Execution(Namespace):
             fold = form.fold or self.nested.fold(node, frame, lambda: series().record)
             return self.folds.value(node, fold, series, of_record)
 
-    def _record_of(self, node: Call, frame: Frame) -> Record:
+    def _record_of(self, node: ast.Call, frame: Frame) -> Record:
         """Returns the record of the entities in the expressions of a call of such a function."""
         return self.database.record_of(self.temporal.world_of(node, frame))
 
-    def series(self, node: Call, frame: Frame) -> TickSeries:
+    def series(self, node: ast.Call, frame: Frame) -> TickSeries:
         """Returns the values of the expression in such a call; the caller pins the worlds.
 
         Of an operator, it is that of its first one.
@@ -407,7 +407,7 @@ class Execution(Namespace):
         now = None if moment is None else moment.tick
         return TickSeries(record, columns, expression, None, now)
 
-    def _rows(self, query: Query, placeholders: dict[str, Any]) -> Sequence[Sequence[Any]]:
+    def _rows(self, query: ast.Query, placeholders: dict[str, Any]) -> Sequence[Sequence[Any]]:
         """Returns the rows of a query of the values of an expression at ticks."""
         frame = Frame(self, placeholders=placeholders)
         selected = self.planner.run(query, frame, lambda _: None)  # any columns
@@ -431,15 +431,15 @@ class Execution(Namespace):
         finally:
             self._program_texts.pop()
 
-    def _relation(self, node: Call, values: list[Any], frame: Frame) -> Any:
+    def _relation(self, node: ast.Call, values: list[Any], frame: Frame) -> Any:
         """Returns the value of a relation outside a query, by a query of one row."""
         key = node.name, len(node.arguments)
         if key not in self._relation_queries:
             # It is in no text: its parts are told apart by their places, 0 of the call itself.
             whole, *places = (SourceSpan(place, place) for place in range(key[1] + 1))
-            names = tuple(Placeholder(span, f"argument_{i}") for i, span in enumerate(places))
-            call = Call(whole, node.name, names, whole)
-            self._relation_queries[key] = Query(whole, (call,), ())
+            names = tuple(ast.Placeholder(span, f"argument_{i}") for i, span in enumerate(places))
+            call = ast.Call(whole, node.name, names, whole)
+            self._relation_queries[key] = ast.Query(whole, (call,), ())
         values = [value.tolist() if _is_vector(value) else value for value in values]
         pinned = pin_to_common_tick(values, frame.own_elements())
         if pinned is None:
@@ -469,11 +469,11 @@ class Execution(Namespace):
 
     # -- the rest of the scope (`EvaluationScope`) -------------------------------------------
 
-    def query(self, node: Query, frame: Frame) -> Any:
+    def query(self, node: ast.Query, frame: Frame) -> Any:
         """Returns the value of a query; `frame` holds the rows of the queries around it."""
         return self._value_of_query(node, frame)
 
-    def deferred(self, node: Node) -> LazyList:
+    def deferred(self, node: ast.Node) -> LazyList:
         """Returns a list of the running program, to be evaluated by the query that uses it."""
         return LazyList(node, self._program_texts[-1])
 
@@ -482,7 +482,9 @@ class Execution(Namespace):
         """The use of the running program's limits."""
         return self.database.connection.meter
 
-    def worlds_pinned(self, *nodes: Node, is_settled: bool = True) -> AbstractContextManager[None]:
+    def worlds_pinned(
+        self, *nodes: ast.Node, is_settled: bool = True
+    ) -> AbstractContextManager[None]:
         """Pins all worlds at their tick, and reads the tables of relations."""
         tables: frozenset[str] = frozenset().union(*map(self.tables_read, nodes))
         # Which worlds are read matters for their tables, and for stale ticks of users' clients.

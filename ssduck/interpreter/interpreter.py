@@ -61,10 +61,10 @@ from ssduck.interpreter.recording import Records
 from ssduck.interpreter.sql_hints import add_hint
 from ssduck.interpreter.triggers.registry import TriggerRegistry
 from ssduck.interpreter.triggers.tick_batch import TriggerBatches
+from ssduck.language import ast
 from ssduck.language.analysis import aliases_of, sees_outside
 from ssduck.language.evaluator import Frame
 from ssduck.language.parser import parse
-from ssduck.language.tree import Query
 from ssduck.language.value_keys import python_value
 from ssduck.lazy import service
 from ssduck.limits import Limits
@@ -307,7 +307,7 @@ class Interpreter(PublicNames):
 
     # -- queries of programs ------------------------------------------------------------------
 
-    def _value_of_query(self, node: Query, frame: Frame) -> Any:
+    def _value_of_query(self, node: ast.Query, frame: Frame) -> Any:
         """Returns the value of a query; `frame` holds the rows of the queries around it."""
         if frame.elements and not sees_outside(node):
             frame = frame.independent()
@@ -316,7 +316,7 @@ class Interpreter(PublicNames):
                 return self.evalAs(*self._eval_as_arguments(node, frame))
         return self._forms.result(node, frame, as_clause_of(node, frame))
 
-    def _eval_as_arguments(self, node: Query, frame: Frame) -> tuple[Any, ...]:
+    def _eval_as_arguments(self, node: ast.Query, frame: Frame) -> tuple[Any, ...]:
         """Returns the arguments of `evalAs`."""
         resolved, values = self._planner.resolved_parts(node, frame)
         columns, names = SelectedColumns(node, resolved.columns, frame), aliases_of(node)

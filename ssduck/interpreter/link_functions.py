@@ -9,9 +9,9 @@ from typing import Any, Literal
 
 from ssduck.errors import ArgumentError
 from ssduck.formatting import type_in_words
+from ssduck.language import ast
 from ssduck.language.analysis import cached_by_node, calls_of, variables_of
 from ssduck.language.builtins import Function
-from ssduck.language.tree import Index, Name, Node
 from ssduck.recording.replay.past import Past
 from ssduck.world.entities import Entity
 from ssduck.world.handles import Link, Links
@@ -78,7 +78,7 @@ LINK_FUNCTIONS = {
 }
 
 
-def mentions_links(node: Node, variables: Mapping[str, Any]) -> bool:
+def mentions_links(node: ast.Node, variables: Mapping[str, Any]) -> bool:
     """Checks whether a part of a program may have links as values, but for users' functions."""
     if not calls_of(node).isdisjoint(LINK_FUNCTIONS):
         return True
@@ -95,10 +95,10 @@ def _has_link(value: Any) -> bool:
 
 
 @cached_by_node
-def _indices_of(node: Node) -> frozenset[tuple[str, int]]:
+def _indices_of(node: ast.Node) -> frozenset[tuple[str, int]]:
     """Returns the names that a part indexes, each with the number of its indices."""
     own: frozenset[tuple[str, int]] = frozenset()
-    if isinstance(node, Index) and isinstance(node.base, Name):
+    if isinstance(node, ast.Index) and isinstance(node.base, ast.Name):
         own = frozenset(((node.base.name, len(node.indices)),))
     return own.union(*map(_indices_of, node.children()))
 

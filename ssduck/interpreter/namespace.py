@@ -25,6 +25,7 @@ from ssduck.interpreter.output import (
 from ssduck.interpreter.over_time.expansions import EXPANSIONS
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS
 from ssduck.interpreter.sources import worlds_in
+from ssduck.language import ast
 from ssduck.language.analysis import (
     BINARY_SIGNS,
     NOT_OVERRIDABLE,
@@ -43,7 +44,6 @@ from ssduck.language.intervals import RELATIONS_OF_INTERVALS
 from ssduck.language.operators import check_size
 from ssduck.language.parser import is_reserved
 from ssduck.language.sql_suggestions import suggestion_for_name
-from ssduck.language.tree import Call, Literal, Node
 from ssduck.language.value_history import (
     LazyList,
     ValueHistory,
@@ -364,7 +364,7 @@ class Namespace:
         """Returns the language's own function of plain values; None if there is none."""
         return BUILTINS.get(name)
 
-    def check_call(self, node: Call) -> None:
+    def check_call(self, node: ast.Call) -> None:
         """Checks that a function is known, and the number of its arguments."""
         count = len(node.arguments)
         name = written_name(node.name).removeprefix(OF_MARGINS)
@@ -392,7 +392,7 @@ class Namespace:
                 error.suggestions = nearest(name, [*self.known_functions(), *self.variables])
             raise error
         if not fits:
-            texts = (one for one in node.arguments if isinstance(one, Literal))
+            texts = (one for one in node.arguments if isinstance(one, ast.Literal))
             if count > minimum and any(type(one.value) is str for one in texts):
                 usage += "; a link or a site is written by its names: room.panda.hand"
             expected = f"{minimum}" if minimum == maximum else f"{minimum} to {maximum}"
@@ -476,7 +476,7 @@ class Namespace:
         """The worlds that are bound to variables, the first one first."""
         return list(self.database.worlds.values())
 
-    def worlds_of(self, nodes: Iterable[Node]) -> list[World] | None:
+    def worlds_of(self, nodes: Iterable[ast.Node]) -> list[World] | None:
         """Returns the worlds that nodes may read; None if that depends on values."""
         worlds: list[World] = []
         for node in nodes:
@@ -496,7 +496,7 @@ class Namespace:
                 worlds += value_worlds
         return worlds
 
-    def tables_read(self, node: Node) -> frozenset[str]:
+    def tables_read(self, node: ast.Node) -> frozenset[str]:
         """Returns the tables that the relations in a node look up."""
         tables = tables_of(node) | tables_read_by(forms_of(node))
         if mentions_links(node, self.variables):

@@ -21,6 +21,7 @@ from ssduck.errors import (
 )
 from ssduck.formatting import error_text, first_line
 from ssduck.interpreter.planner import Planner
+from ssduck.language import ast
 from ssduck.language.clauses import (
     Groups,
     Rows,
@@ -31,13 +32,12 @@ from ssduck.language.clauses import (
     formed,
 )
 from ssduck.language.evaluator import Frame
-from ssduck.language.tree import Call, Literal, Name, Query, TimeIndex
 from ssduck.recording.replay.past import Past
 from ssduck.world.handles import Links
 from ssduck.world.world import World
 
 QueryRunner: TypeAlias = Callable[
-    [Query, Frame, Callable[[Sequence[SelectedValue]], None]], Selected
+    [ast.Query, Frame, Callable[[Sequence[SelectedValue]], None]], Selected
 ]
 
 
@@ -51,7 +51,7 @@ class AsClause:
     named: Mapping[str, Any] = field(default_factory=dict)  # the values of its named arguments
     span: SourceSpan | None = None  # the place of the clause; None if the query has no AS
 
-    def value(self, query: Query, frame: Frame, run: QueryRunner) -> Any:
+    def value(self, query: ast.Query, frame: Frame, run: QueryRunner) -> Any:
         """Returns the result of a query: made from its rows, or those of each group or path."""
         meter = frame.scope.meter
         if self.adapter.writes and not meter.limits.files:
@@ -125,9 +125,9 @@ class ResultForms:
         self, planner: Planner, worlds_pinned: Callable[..., AbstractContextManager[None]]
     ) -> None:
         self._planner, self._worlds_pinned = planner, worlds_pinned
-        self._queries: WeakKeyDictionary[Query, dict[Adapter, Query]] = WeakKeyDictionary()
+        self._queries: WeakKeyDictionary[ast.Query, dict[Adapter, ast.Query]] = WeakKeyDictionary()
 
-    def result(self, node: Query, frame: Frame, form: AsClause) -> Any:
+    def result(self, node: ast.Query, frame: Frame, form: AsClause) -> Any:
         """Returns the result that a form makes from the rows of a query."""
         adapted = self.query_of(node, form.adapter)
         # The result is made of one tick, too.
@@ -135,7 +135,7 @@ class ResultForms:
         with self._worlds_pinned(adapted, is_settled=is_settled):
             return form.value(adapted, frame, self._planner.run)
 
-    def query_of(self, node: Query, adapter: Adapter) -> Query:
+    def query_of(self, node: ast.Query, adapter: Adapter) -> ast.Query:
         """Returns the query to run for a form; the same one each time, as plans are cached."""
         if adapter.select is None:
             return node
@@ -163,7 +163,7 @@ def joined_rows(parts: Sequence[Rows]) -> Rows:
     return Rows(values, [each for part in names for each in part])
 
 
-def _scalar(rows: Rows, query: Query) -> Any:
+def _scalar(rows: Rows, query: ast.Query) -> Any:
     """Returns the value of a nested query of SQL: nothing if it has no row."""
     if len(rows.values) > 1:
         raise EvaluationError(
@@ -181,7 +181,7 @@ def _scalar(rows: Rows, query: Query) -> Any:
     return value
 
 
-def as_clause_of(query: Query, frame: Frame) -> AsClause:
+def as_clause_of(query: ast.Query, frame: Frame) -> AsClause:
     """Returns the result form of a query, its arguments evaluated; `dict` if it has none."""
     clause = query.adapter
     if clause is None:
@@ -233,21 +233,21 @@ def help_of_result_form(name: str) -> str | None:
     return None if form is None else f"{form.usage}\n{form.help}"
 
 
-def _with_limit(query: Query, count: int, frame: Frame) -> Query:
+def _with_limit(query: ast.Query, count: int, frame: Frame) -> ast.Query:
     """Returns the query with a limit on its rows."""
     if query.limit is not None:
         count = min(count, checked_count(frame.value(query.limit), "LIMIT", query.limit))
-    return replace(query, limit=Literal(query.span, count))
+    return replace(query, limit=ast.Literal(query.span, count))
 
 
-def _source_worlds(query: Query, frame: Frame) -> list[World]:
+def _source_worlds(query: ast.Query, frame: Frame) -> list[World]:
     """Returns the worlds among a query's sources, each at its tick and once."""
     worlds: dict[World, None] = {}
     for source in query.sources:
         match source.value:
-            case Query() as inner:
+            case ast.Query() as inner:
                 worlds.update(dict.fromkeys(_source_worlds(inner, frame)))
-            case Name() | TimeIndex() | Call(name="links" | "sites"):
+            case ast.Name() | ast.TimeIndex() | ast.Call(name="links" | "sites"):
                 value = frame.value(source.value)
                 if isinstance(value, World):
                     worlds.setdefault(value)

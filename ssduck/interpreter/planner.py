@@ -15,6 +15,7 @@ from ssduck.interpreter.query_runner import PlannedQuery, RowByRowQuery, SqlFail
 from ssduck.interpreter.scalar_select import RepeatedSelect
 from ssduck.interpreter.signatures import TypeHints
 from ssduck.interpreter.sources import INLINE, all_elements, source_types, with_present_ticks
+from ssduck.language import ast
 from ssduck.language.analysis import (
     aliases_of,
     free_aliases,
@@ -25,7 +26,6 @@ from ssduck.language.analysis import (
 from ssduck.language.builtins import Function
 from ssduck.language.clauses import Selected
 from ssduck.language.evaluator import EvaluationScope, Frame
-from ssduck.language.tree import Call, Name, Node, Placeholder, Query, TimeIndex
 from ssduck.language.value_history import LazyList
 from ssduck.limits import Limits
 from ssduck.recording.replay.past import Past
@@ -78,14 +78,14 @@ class Planner:
         self._limits = limits
         self._row_by_row = row_by_row
         self.generation = object()  # an object that is replaced whenever all plans are dropped
-        self._plans: dict[Query, list[PlannedQuery]] = {}
+        self._plans: dict[ast.Query, list[PlannedQuery]] = {}
         self._row_by_row_queries: dict[
-            Query, list[tuple[tuple[SourceType, ...], RowByRowQuery]]
+            ast.Query, list[tuple[tuple[SourceType, ...], RowByRowQuery]]
         ] = {}
         # The SELECTs of one row that ran; None for those that have to be planned each time.
-        self._repeated: dict[Query, tuple[PlannedQuery, RepeatedSelect] | None] = {}
+        self._repeated: dict[ast.Query, tuple[PlannedQuery, RepeatedSelect] | None] = {}
         # The nested queries in FROM, by the query around them, that must be evaluated before it.
-        self._evaluated_aliases: dict[Query, set[str]] = {}
+        self._evaluated_aliases: dict[ast.Query, set[str]] = {}
 
     def forget(self) -> None:
         """Drops all plans, because a function or the name of a world has changed."""
@@ -98,7 +98,7 @@ class Planner:
         self._row_by_row_queries.clear()
         self._evaluated_aliases.clear()
 
-    def run(self, query: Query, frame: Frame, check: Callable[[Any], None]) -> Selected:
+    def run(self, query: ast.Query, frame: Frame, check: Callable[[Any], None]) -> Selected:
         """Returns the rows of a query; the caller pins the worlds.
 
         A plan is first optimistic: its SQL fails where only Python gives the right result, for
@@ -128,7 +128,7 @@ class Planner:
         return self._run_row_by_row(query, frame, check)
 
     def resolved_parts(
-        self, query: Query, frame: Frame
+        self, query: ast.Query, frame: Frame
     ) -> tuple[ResolvedQuery, list[Sequence[Any]]]:
         """Returns a query with its names resolved, and the elements of its sources."""
         values = [frame.value(source.value) for source in query.sources]
@@ -136,12 +136,14 @@ class Planner:
         shapes = source_types(query, values, self._database.schema_of)
         return resolve(query, shapes, self._types_in(frame)), all_elements(values)
 
-    def plan(self, query: Query, frame: Frame) -> Plan | None:
+    def plan(self, query: ast.Query, frame: Frame) -> Plan | None:
         """Returns the plan of a query; None if it runs row by row."""
         planned = self.planned(query, frame)
         return None if planned is None else planned.plan
 
-    def planned(self, query: Query, frame: Frame, purpose: Purpose = "run") -> PlannedQuery | None:
+    def planned(
+        self, query: ast.Query, frame: Frame, purpose: Purpose = "run"
+    ) -> PlannedQuery | None:
         """Returns a query with its plan; None if it runs row by row."""
         if self._row_by_row:
             return None
@@ -150,7 +152,7 @@ class Planner:
         except NotSqlError:
             return None
 
-    def sql_plan(self, query: Query, frame: Frame) -> tuple[Plan | None, dict[str, Any]]:
+    def sql_plan(self, query: ast.Query, frame: Frame) -> tuple[Plan | None, dict[str, Any]]:
         """Returns the plan of a query for its SQL text, and the values of its parameters."""
         types = self._types_in(frame)
         try:
@@ -159,17 +161,17 @@ class Planner:
             return None, {}
         return planned.plan, planned.parameters(types.frame(), values)
 
-    def relation(self, query: Query, frame: Frame) -> Any:
+    def relation(self, query: ast.Query, frame: Frame) -> Any:
         """Returns the value of a relation outside a query, by a query of one row."""
         types = self._types_in(frame)
         planned, _ = self._plan_for(query, frame, types, "cautious")
         if planned.plan.python_parts:
             (call,) = query.items
-            assert isinstance(call, Call)
+            assert isinstance(call, ast.Call)
             values = [
                 frame.placeholders[part.name]
                 for part in call.arguments
-                if isinstance(part, Placeholder)
+                if isinstance(part, ast.Placeholder)
             ]
             types_text = ", ".join(
                 short_repr(v) if isinstance(v, float) else type_in_words(v) for v in values
@@ -192,7 +194,7 @@ class Planner:
     # -- as SQL -----------------------------------------------------------------------------
 
     def _run_planned(
-        self, query: Query, frame: Frame, check: Callable[[Any], None], purpose: Purpose
+        self, query: ast.Query, frame: Frame, check: Callable[[Any], None], purpose: Purpose
     ) -> Selected:
         """Runs a query by its plan."""
         types = self._types_in(frame)
@@ -209,7 +211,7 @@ class Planner:
                 self._repeated[query] = None
         return selected
 
-    def may_repeat(self, query: Query) -> bool:
+    def may_repeat(self, query: ast.Query) -> bool:
         """Checks whether a query is a SELECT of one row whose next run may need no DuckDB."""
         return self._repeated.get(query) is not None
 
@@ -219,7 +221,7 @@ class Planner:
 
     def _plan_for(
         self,
-        query: Query,
+        query: ast.Query,
         frame: Frame,
         types: InterpreterTypes,
         purpose: Purpose,
@@ -247,7 +249,7 @@ class Planner:
                 continue
             return self._cache_plan(query, plan), values
 
-    def _values(self, query: Query, frame: Frame) -> list[Any]:
+    def _values(self, query: ast.Query, frame: Frame) -> list[Any]:
         """Returns the sources' values; `INLINE` for a nested query that is a part of the SQL."""
         evaluated = self._evaluated_aliases.get(query, set())
         return [
@@ -260,7 +262,7 @@ class Planner:
             for alias, source in zip(aliases_of(query), query.sources, strict=True)
         ]
 
-    def _cache_plan(self, query: Query, plan: Plan) -> PlannedQuery:
+    def _cache_plan(self, query: ast.Query, plan: Plan) -> PlannedQuery:
         """Caches a plan, and registers the users' functions in it with the database."""
         if sum(map(len, self._plans.values())) >= MAX_PLANS:
             self.forget()
@@ -272,7 +274,7 @@ class Planner:
         self._plans.setdefault(query, []).append(planned)
         return planned
 
-    def _check_records(self, query: Query, values: Sequence[Any]) -> None:
+    def _check_records(self, query: ast.Query, values: Sequence[Any]) -> None:
         """Checks that pasts come from this interpreter's records.
 
         It also warns of masses and entities that a record does not have.
@@ -288,7 +290,9 @@ class Planner:
 
     # -- row by row -------------------------------------------------------------------------
 
-    def _run_row_by_row(self, query: Query, frame: Frame, check: Callable[[Any], None]) -> Selected:
+    def _run_row_by_row(
+        self, query: ast.Query, frame: Frame, check: Callable[[Any], None]
+    ) -> Selected:
         """Runs a query row by row."""
         changed = states(query)
         values = [
@@ -302,7 +306,7 @@ class Planner:
 
     def _row_by_row_query(
         self,
-        query: Query,
+        query: ast.Query,
         shapes: tuple[SourceType, ...],
         frame: Frame,
         check: Callable[[Any], None],
@@ -320,7 +324,7 @@ class Planner:
         if sum(map(len, self._row_by_row_queries.values())) >= MAX_PLANS:
             self.forget()
         resolved = resolve(query, shapes, types)
-        names = {part.name for part in query.walk() if isinstance(part, Name)}
+        names = {part.name for part in query.walk() if isinstance(part, ast.Name)}
         deferred = {name: types.deferred(name) for name in names}
         of_past = any(shape.past_kind for shape in shapes)
         rows = RowByRowQuery(
@@ -339,8 +343,8 @@ class InterpreterTypes:
         self._scope = scope
         self._frame = frame
         self._database = database
-        self._values: dict[Node, Any] = dict(frame.cached)
-        self._failed: set[Node] = set()
+        self._values: dict[ast.Node, Any] = dict(frame.cached)
+        self._failed: set[ast.Node] = set()
         self.check_call = scope.check_call
         self.resolved_name = scope.resolved_name
 
@@ -356,7 +360,7 @@ class InterpreterTypes:
         """Checks whether a query around this one has a source of that name."""
         return alias in self._frame.elements
 
-    def sql_type(self, node: Node) -> SqlType:
+    def sql_type(self, node: ast.Node) -> SqlType:
         """Returns the type of a constant part."""
         if node in self._failed:
             return _UNKNOWN
@@ -368,15 +372,15 @@ class InterpreterTypes:
                 return _UNKNOWN  # becomes an error only if a row reaches it
         return sql_type_of(self._values[node], self._database.schema_of)
 
-    def world(self, node: Node) -> str | None:
+    def world(self, node: ast.Node) -> str | None:
         """Returns the schema of the world that a constant part is; None for other parts."""
-        if not isinstance(node, Name | TimeIndex):
+        if not isinstance(node, ast.Name | ast.TimeIndex):
             return None
         self.sql_type(node)
         value = self._values.get(node)
         return self._database.schema_of(value) if isinstance(value, World) else None
 
-    def deferred(self, name: str) -> Node | None:
+    def deferred(self, name: str) -> ast.Node | None:
         """Returns the list in a variable that the query evaluates; None for other values."""
         if name in self._frame.local or not self._scope.has_variable(name):
             return None
@@ -394,7 +398,7 @@ class InterpreterTypes:
         """Checks whether names still are variables, or still are none."""
         return all(self.has_variable(name) == is_variable for name, is_variable in bare.items())
 
-    def has_same_lists(self, deferred: Mapping[str, Node | None]) -> bool:
+    def has_same_lists(self, deferred: Mapping[str, ast.Node | None]) -> bool:
         """Checks whether variables still hold the same deferred lists."""
         return all(self.deferred(name) is node for name, node in deferred.items())
 

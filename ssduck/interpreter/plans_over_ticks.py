@@ -15,22 +15,10 @@ from ssduck.errors import SourceSpan, UnsupportedError
 from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS
+from ssduck.language import ast
 from ssduck.language.aggregates import is_grouped
 from ssduck.language.analysis import OVER_TIME
 from ssduck.language.evaluator import Frame
-from ssduck.language.tree import (
-    Binary,
-    Call,
-    ListLiteral,
-    Literal,
-    Name,
-    Node,
-    OperatorChain,
-    Query,
-    Source,
-    TimeIndex,
-    Unary,
-)
 from ssduck.schema import TABLES
 from ssduck.sql.explain import select_for
 from ssduck.sql.from_clause import past_value
@@ -39,7 +27,7 @@ from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.types import SqlType
 
 # Parts of a program whose value is the same in each episode, if their own parts are such.
-_OF_VALUES = (Literal, ListLiteral, Unary, Binary, OperatorChain)
+_OF_VALUES = (ast.Literal, ast.ListLiteral, ast.Unary, ast.Binary, ast.OperatorChain)
 # Their rows are not those of entities.
 _OTHER_TABLES = frozenset(TABLES) - {"entities", "ticks"}
 # The engine that has the fewest functions of those that read the files of records.
@@ -82,17 +70,17 @@ def plan_over_ticks(interpreter: Interpreter, text: str) -> TickPlan:
         )
     with execution.transaction(program), execution.rehearsal(program) as frame:
         (statement,) = execution.read(program).statements
-        if isinstance(statement, Query):
+        if isinstance(statement, ast.Query):
             return _of_query(execution, statement, frame)
         return _of_expression(execution, statement, frame)
 
 
-def _check_parts(query: Query) -> None:
+def _check_parts(query: ast.Query) -> None:
     """Checks that a query has formulas only, and no part that is evaluated before it."""
     for node in query.walk():
-        if isinstance(node, Query) and node is not query:
+        if isinstance(node, ast.Query) and node is not query:
             raise _unsupported("a query inside of another expression", node)
-        if not isinstance(node, Call):
+        if not isinstance(node, ast.Call):
             continue
         if node.name in OVER_TIME:
             raise _unsupported(f"{node.name} inside of another expression", node)
@@ -103,14 +91,14 @@ def _check_parts(query: Query) -> None:
             raise _unsupported(f"{node.name}, which reads {table},", node)
 
 
-def _unsupported(what: str, node: Node) -> UnsupportedError:
+def _unsupported(what: str, node: ast.Node) -> UnsupportedError:
     return UnsupportedError(f"{what} is not written as SQL: {_ADVICE}", span=node.span)
 
 
 # -- queries ----------------------------------------------------------------------------------
 
 
-def _of_query(execution: Execution, query: Query, frame: Frame) -> TickPlan:
+def _of_query(execution: Execution, query: ast.Query, frame: Frame) -> TickPlan:
     for part, words in ((query.recursion, "START WITH"), (query.adapter, "AS")):
         if part is not None:
             raise _unsupported(words, part)
@@ -118,40 +106,40 @@ def _of_query(execution: Execution, query: Query, frame: Frame) -> TickPlan:
     if len(ages) != 1:
         raise _unsupported("a query of several ranges of ticks, or of none,", query)
     sources = {source: _over_all_ticks(source) for source in query.sources}
-    whole = query.replaced(lambda node: sources.get(node) if isinstance(node, Source) else None)
-    assert isinstance(whole, Query)
+    whole = query.replaced(lambda node: sources.get(node) if isinstance(node, ast.Source) else None)
+    assert isinstance(whole, ast.Query)
     plan, select = _planned(execution, whole, frame)
     return TickPlan(select, _columns(plan, select, query.span), True, None, ages.pop())
 
 
-def _age_of(source: Source, frame: Frame) -> float | None:
+def _age_of(source: ast.Source, frame: Frame) -> float | None:
     """Returns which ticks a source has, as `TickPlan.age`."""
     match source.value:
-        case Name():
+        case ast.Name():
             return 0.0
-        case TimeIndex(age=None):
+        case ast.TimeIndex(age=None):
             return None
-        case TimeIndex(age=Node() as age) if _is_value(age) and frame.value(age) < 0:
+        case ast.TimeIndex(age=ast.Node() as age) if _is_value(age) and frame.value(age) < 0:
             return float(frame.value(age))
     raise _unsupported("a source other than a world, as in sim, sim{} and sim{-2.0},", source.value)
 
 
-def _over_all_ticks(source: Source) -> Source:
+def _over_all_ticks(source: ast.Source) -> ast.Source:
     name = source.value.name  # type: ignore[attr-defined]  # of a name, or of its past
-    return Source(source.span, source.alias, TimeIndex(source.value.span, name, None))
+    return ast.Source(source.span, source.alias, ast.TimeIndex(source.value.span, name, None))
 
 
 # -- expressions ------------------------------------------------------------------------------
 
 
-def _of_expression(execution: Execution, node: Node, frame: Frame) -> TickPlan:
+def _of_expression(execution: Execution, node: ast.Node, frame: Frame) -> TickPlan:
     function: str | None = None
     age: float | None = 0.0
     for part in node.walk():
-        if isinstance(part, Query):
+        if isinstance(part, ast.Query):
             raise _unsupported("a query inside of another expression", part)
-    call = Call(node.span, "the last value", (node,), node.span)
-    if isinstance(node, Call) and node.name in TEMPORAL_FUNCTIONS:
+    call = ast.Call(node.span, "the last value", (node,), node.span)
+    if isinstance(node, ast.Call) and node.name in TEMPORAL_FUNCTIONS:
         form = TEMPORAL_FUNCTIONS[node.name]
         if not form.is_in_lakes:
             raise _unsupported(node.name, node)
@@ -163,7 +151,7 @@ def _of_expression(execution: Execution, node: Node, frame: Frame) -> TickPlan:
     return TickPlan(select, _columns(plan, select, node.span), False, function, age)
 
 
-def _window_of(call: Call, frame: Frame) -> float:
+def _window_of(call: ast.Call, frame: Frame) -> float:
     age = call.arguments[1]
     value = frame.value(age) if _is_value(age) else None
     if not isinstance(value, int | float) or not value < 0:
@@ -174,14 +162,14 @@ def _window_of(call: Call, frame: Frame) -> float:
 # -- plans ------------------------------------------------------------------------------------
 
 
-def _planned(execution: Execution, query: Query, frame: Frame) -> tuple[Plan, exp.Select]:
+def _planned(execution: Execution, query: ast.Query, frame: Frame) -> tuple[Plan, exp.Select]:
     plan, values = execution.planner.sql_plan(query, frame)
     if plan is not None:
         _check_parts(plan.query)
         if is_grouped(plan.query) or plan.query.distinct:
             raise _unsupported("GROUP BY, DISTINCT or an aggregate", query)
         for node in plan.python_parts:
-            what = node.name if isinstance(node, Call) else "a part"
+            what = node.name if isinstance(node, ast.Call) else "a part"
             raise _unsupported(f"{what}, which Python computes,", node)
     try:
         select = select_for(query, plan, values, _LEAST)
@@ -208,7 +196,7 @@ def _is_of_any_episode(binding: ParameterBinding) -> bool:
     return binding.column is None and binding.node is not None and _is_value(binding.node)
 
 
-def _is_value(node: Node | None) -> bool:
+def _is_value(node: ast.Node | None) -> bool:
     """Checks whether a part has the same value in each episode."""
     return isinstance(node, _OF_VALUES) and all(map(_is_value, node.children()))
 

@@ -10,8 +10,8 @@ from ssduck import validation
 from ssduck.adapters.tabular import tabulated
 from ssduck.errors import ArgumentError
 from ssduck.formatting import short_repr
+from ssduck.language import ast
 from ssduck.language.parser import parse
-from ssduck.language.tree import AdapterClause, Literal, Program, Query
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,8 +24,8 @@ class CompiledProgram:
     """
 
     text: str
-    tree: Program
-    _sql_of: Callable[[Program, str], str]
+    tree: ast.Program
+    _sql_of: Callable[[ast.Program, str], str]
 
     def sql(self, dialect: str = "duckdb") -> str:
         """Returns the SQL of the query that ends the program, with variables' values inserted.
@@ -39,7 +39,7 @@ class CompiledProgram:
         return self._sql_of(self.tree, dialect)
 
 
-def tree_of(program: str | CompiledProgram) -> Program:
+def tree_of(program: str | CompiledProgram) -> ast.Program:
     """Returns the syntax tree of a program given as text or compiled.
 
     Raises:
@@ -69,7 +69,7 @@ def rows_to_show(compiled: CompiledProgram, ss: Any) -> Any:
     query = last_query(compiled)
     if query is None or query.adapter is not None:
         return value
-    form, none = AdapterClause(query.span, "table"), Literal(query.span, 0)
+    form, none = ast.AdapterClause(query.span, "table"), ast.Literal(query.span, 0)
     return ss.eval(with_last(compiled, query, form, limit=none, offset=None))
 
 
@@ -85,14 +85,14 @@ def value_to_show(ss: Any, text: str, language: str) -> Any:
     return tabulated(rows_to_show(program, ss) if is_here else program.shown())
 
 
-def last_query(compiled: CompiledProgram) -> Query | None:
+def last_query(compiled: CompiledProgram) -> ast.Query | None:
     """Returns the query whose rows a program yields; None if it yields something else."""
     *_, last = compiled.tree.statements or (None,)
-    return last if isinstance(last, Query) and not compiled.tree.explain else None
+    return last if isinstance(last, ast.Query) and not compiled.tree.explain else None
 
 
 def with_last(
-    compiled: CompiledProgram, query: Query, form: AdapterClause, **changes: Any
+    compiled: CompiledProgram, query: ast.Query, form: ast.AdapterClause, **changes: Any
 ) -> CompiledProgram:
     """Returns the program of a query alone, with another result form; the text stays the same."""
     changed = replace(query, adapter=form, **changes)

@@ -18,6 +18,7 @@ from ssduck.database.values import to_sql
 from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError, SqlError, warn
 from ssduck.interpreter.scalar_select import ScalarSelect
 from ssduck.interpreter.sources import all_elements, arrow_table, elements_of
+from ssduck.language import ast
 from ssduck.language.aggregates import check_one_group, is_aggregated, is_one_group
 from ssduck.language.analysis import (
     aliases_of,
@@ -44,7 +45,6 @@ from ssduck.language.clauses import (
 from ssduck.language.evaluator import EvaluationScope, ExpressionCompiler, Frame, Thunk
 from ssduck.language.hierarchy import Hierarchy, Vertex, simple_paths
 from ssduck.language.operators import ELEMENT_BYTES
-from ssduck.language.tree import Call, Node, Query
 from ssduck.language.value_keys import MEMOS
 from ssduck.simulators.kinematics import JointError
 from ssduck.sql.name_resolution import ResolvedQuery
@@ -391,7 +391,7 @@ def _parameter_values(plan: Plan, outer: Frame, sources: Mapping[str, Any]) -> d
     return bound
 
 
-def _bound_value(outer: Frame, node: Node, column: str | None) -> Any:
+def _bound_value(outer: Frame, node: ast.Node, column: str | None) -> Any:
     try:
         value = outer.cached[node] if node in outer.cached else outer.value(node)
         return value.column(column) if column else to_sql(value)
@@ -409,11 +409,11 @@ class RowByRowQuery:
 
     def __init__(
         self,
-        query: Query,
+        query: ast.Query,
         resolved: ResolvedQuery,
         scope: EvaluationScope,
         max_depth: int,
-        deferred: Mapping[str, Node | None],
+        deferred: Mapping[str, ast.Node | None],
         *,
         of_past: bool = False,
     ) -> None:
@@ -468,7 +468,7 @@ class RowByRowQuery:
         return self._search.selected(outer, self._rows_of_states(outer, elements, cached), cached)
 
     def _rows_of_states(
-        self, outer: Frame, elements: list[Sequence[Any]], cached: dict[Node, Any]
+        self, outer: Frame, elements: list[Sequence[Any]], cached: dict[ast.Node, Any]
     ) -> Callable[[dict[str, Any]], Iterable[dict[str | None, Any]]]:
         """Returns a function that gives the combinations of elements at a state of the search."""
         if self._sources_change or prod(map(len, elements)) > MAX_COMBINATIONS:
@@ -483,7 +483,7 @@ class RowByRowQuery:
         outer: Frame,
         state: dict[str, Any],
         elements: list[Sequence[Any]],
-        cached: dict[Node, Any],
+        cached: dict[ast.Node, Any],
     ) -> Iterator[dict[str | None, Any]]:
         """Yields the combinations of elements at a state, where they differ between states."""
         frame = Frame(outer.scope, outer.elements, state, outer.placeholders, (), cached)
@@ -492,7 +492,7 @@ class RowByRowQuery:
         return combinations(self._aliases, elements, frame)
 
 
-def is_small(query: Query, source_types: Sequence[SourceType], values: Sequence[Any]) -> bool:
+def is_small(query: ast.Query, source_types: Sequence[SourceType], values: Sequence[Any]) -> bool:
     """Checks whether a query is faster row by row than as a statement.
 
     This is so for a search through short lists, and for a product of short lists: DuckDB takes
@@ -508,8 +508,8 @@ def is_small(query: Query, source_types: Sequence[SourceType], values: Sequence[
 
 
 @cached_by_node
-def _needs_sql(node: Node) -> bool:
+def _needs_sql(node: ast.Node) -> bool:
     """Checks whether a part is or contains a relation or a query."""
-    if isinstance(node, Query) or (isinstance(node, Call) and node.name in RELATIONS):
+    if isinstance(node, ast.Query) or (isinstance(node, ast.Call) and node.name in RELATIONS):
         return True
     return any(map(_needs_sql, node.children()))

@@ -23,8 +23,8 @@ from ssduck.columns.compiler import Compiler, Expression, Kind, LeftToDuckDBErro
 from ssduck.columns.numbers import NumberOperations, known
 from ssduck.database.values import is_exactly, point_of
 from ssduck.errors import ArgumentError, EvaluationError
+from ssduck.language import ast
 from ssduck.language.evaluator import EvaluationScope, Frame
-from ssduck.language.tree import Index, ListLiteral, Literal, Name, Node, QualifiedName
 from ssduck.language.value_history import LazyList
 from ssduck.sql.plan import Plan
 from ssduck.sql.types import EXACT, POINT, SqlType
@@ -221,7 +221,7 @@ class RepeatedSelect:
         )
 
     def _key(
-        self, node: Node, column: str | None, sql_type: SqlType, frame: Frame, is_read: bool
+        self, node: ast.Node, column: str | None, sql_type: SqlType, frame: Frame, is_read: bool
     ) -> tuple[Any, ...]:
         """Returns the key of a value, after noting how it is read, or how its type is checked."""
         names = _names_in(node)
@@ -239,8 +239,8 @@ class RepeatedSelect:
             return key
         if column is not None:  # it names an entity in another way
             raise LeftToDuckDBError
-        self._variables.update(part.name for part in node.walk() if isinstance(part, Name))
-        key = (node.name if isinstance(node, Name) else node,)
+        self._variables.update(part.name for part in node.walk() if isinstance(part, ast.Name))
+        key = (node.name if isinstance(node, ast.Name) else node,)
         self._readers[key] = lambda frame: _of_type(_value_of(node, frame), sql_type)
         return key
 
@@ -262,11 +262,11 @@ def _column_reader(handle: Handle, column: str) -> _Reader:
     return lambda _: handle.column(column)
 
 
-def _value_of(node: Node, frame: Frame) -> Any:
+def _value_of(node: ast.Node, frame: Frame) -> Any:
     """Returns the value of a variable, or what Python computes, of the past for example."""
-    if isinstance(node, Name) and not frame.scope.has_variable(node.name):
+    if isinstance(node, ast.Name) and not frame.scope.has_variable(node.name):
         raise LeftToDuckDBError
-    return frame.scope.variable(node.name) if isinstance(node, Name) else frame.value(node)
+    return frame.scope.variable(node.name) if isinstance(node, ast.Name) else frame.value(node)
 
 
 def _of_type(value: Any, sql_type: SqlType) -> Any:
@@ -280,18 +280,20 @@ def _of_type(value: Any, sql_type: SqlType) -> Any:
     return value
 
 
-def _names_in(node: Node) -> list[str] | None:
+def _names_in(node: ast.Node) -> list[str] | None:
     """Returns the variables of an element of variables, such as sim.cup; None for others."""
     parts = list(node.walk())
-    if not all(isinstance(part, Index | QualifiedName | Name | Literal) for part in parts):
+    if not all(
+        isinstance(part, ast.Index | ast.QualifiedName | ast.Name | ast.Literal) for part in parts
+    ):
         return None
-    return [part.name for part in parts if isinstance(part, Name)]
+    return [part.name for part in parts if isinstance(part, ast.Name)]
 
 
-def _literals(node: Node) -> list[Any]:
+def _literals(node: ast.Node) -> list[Any]:
     """Returns the values of a list of literals."""
-    items = node.items if isinstance(node, ListLiteral) else (None,)
-    values = [item.value for item in items if isinstance(item, Literal)]
+    items = node.items if isinstance(node, ast.ListLiteral) else (None,)
+    values = [item.value for item in items if isinstance(item, ast.Literal)]
     if len(values) != len(items):
         raise LeftToDuckDBError
     return values

@@ -15,9 +15,9 @@ from ssduck.adapters.result import Result, python_values
 from ssduck.database.fetched_rows import ARROW_TYPES
 from ssduck.database.values import SchemaOf, common_sql_type, to_sql
 from ssduck.errors import ArgumentError
+from ssduck.language import ast
 from ssduck.language.analysis import aliases_of
 from ssduck.language.clauses import LockstepSource
-from ssduck.language.tree import Call, Query
 from ssduck.recording.replay.past import Past, PresentTick
 from ssduck.recording.replay.record import Record
 from ssduck.schema import EntityTable
@@ -121,7 +121,7 @@ def _polars_values(column: Any) -> list[Any]:
 
 
 def source_types(
-    query: Query, values: Sequence[Any], schema_of: SchemaOf
+    query: ast.Query, values: Sequence[Any], schema_of: SchemaOf
 ) -> tuple[SourceType, ...]:
     """Returns the types of a query's sources."""
     aliases = aliases_of(query)
@@ -236,7 +236,7 @@ def worlds_in(value: Any) -> list[World] | None:
     return None
 
 
-def check_tick(node: Call, values: Iterable[Any]) -> None:
+def check_tick(node: ast.Call, values: Iterable[Any]) -> None:
     """Checks that entities whose shapes, contacts or joints are compared are of one tick."""
     if not RELATIONS[node.name].tables:
         return

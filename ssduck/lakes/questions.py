@@ -18,8 +18,8 @@ from ssduck.interpreter.episode_batches import reads_present
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.program import CompiledProgram
 from ssduck.lakes.manifest import EpisodeEntry
+from ssduck.language import ast
 from ssduck.language.parser import parse
-from ssduck.language.tree import Name, Node, Program, QualifiedName
 from ssduck.limits import Limits
 from ssduck.recording.episode_steps import EpisodeSteps
 from ssduck.recording.paths import expand_path
@@ -52,7 +52,7 @@ class ProgramQuestion:
         return repr((self.text, self.limits, self.is_strict))
 
     @property
-    def _tree(self) -> Program:
+    def _tree(self) -> ast.Program:
         return parse(self.text)
 
     @property
@@ -80,10 +80,10 @@ class ProgramQuestion:
         return answer
 
 
-def add_hint_of_episode(error: UnknownNameError, program: Program, entry: EpisodeEntry) -> None:
+def add_hint_of_episode(error: UnknownNameError, program: ast.Program, entry: EpisodeEntry) -> None:
     """Adds to the error for a name what an episode has of that name: a column, a variable."""
     parts = (part for statement in program.statements for part in statement.walk())
-    names = {part.name for part in parts if isinstance(part, Name) and part.span == error.span}
+    names = {part.name for part in parts if isinstance(part, ast.Name) and part.span == error.span}
     columns = {*entry.tags, *(field.name for field in fields(entry))} - {"group", "files"}
     for name in names:
         if name in columns:
@@ -110,9 +110,9 @@ def _variables_of(entry: EpisodeEntry) -> Collection[str]:
     return steps.variables
 
 
-def _tells_episodes_apart(node: Node) -> bool:
+def _tells_episodes_apart(node: ast.Node) -> bool:
     """Checks whether a part names what is not the same in a batch of episodes."""
-    name = node.key if isinstance(node, QualifiedName) else getattr(node, "name", None)
+    name = node.key if isinstance(node, ast.QualifiedName) else getattr(node, "name", None)
     return name in _NOT_IN_BATCHES or any(map(_tells_episodes_apart, node.children()))
 
 

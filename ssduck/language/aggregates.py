@@ -12,74 +12,65 @@ from typing import Any
 
 from ssduck.errors import ArgumentError, SelectScriptError
 from ssduck.formatting import type_in_words
+from ssduck.language import ast
 from ssduck.language.analysis import aliases_of, cached_by_node, free_aliases
 from ssduck.language.builtins import AGGREGATES, NUMBER_FUNCTIONS
 from ssduck.language.evaluator import ExpressionCompiler, Frame, Thunk
-from ssduck.language.tree import (
-    AdapterClause,
-    Binary,
-    Call,
-    If,
-    ListLiteral,
-    Literal,
-    Node,
-    Placeholder,
-    Query,
-    Unary,
-)
 
 # The values of aggregates over no rows; the other aggregates are None.
 _EMPTY_RESULTS: dict[str, Callable[[], Any]] = {"count": int, "sum": int, "uniq": list}
 
 
-def over_rows(node: Node) -> list[Call]:
+def over_rows(node: ast.Node) -> list[ast.Call]:
     """Returns the aggregates in a part of a query with groups that are over the rows of a group.
 
     An aggregate of a nested query that is a list, or of a list literal, is over that list;
     `count(uniq(x))` is over the list that `uniq(x)` makes of the rows.
     """
-    if isinstance(node, Query):
+    if isinstance(node, ast.Query):
         return []
     match node:
-        case Call(name=name, arguments=(argument,)) if name in AGGREGATES:
-            is_list = isinstance(argument, Query | ListLiteral) and not _is_number(argument)
+        case ast.Call(name=name, arguments=(argument,)) if name in AGGREGATES:
+            is_list = isinstance(argument, ast.Query | ast.ListLiteral) and not _is_number(argument)
             if not is_list and not _is_uniq(argument):
                 return [node]
     return [call for child in node.children() for call in over_rows(child)]
 
 
-def _is_uniq(node: Node) -> bool:
-    return isinstance(node, Call) and node.name == "uniq" and over_rows(node) == [node]
+def _is_uniq(node: ast.Node) -> bool:
+    return isinstance(node, ast.Call) and node.name == "uniq" and over_rows(node) == [node]
 
 
 @cached_by_node
-def _counts_rows(node: Node) -> bool:
+def _counts_rows(node: ast.Node) -> bool:
     """Checks whether the node contains an aggregate of a number; `*` counts as one."""
     match node:
-        case Query():
+        case ast.Query():
             return False
-        case Call(name=name, arguments=(argument,)) if name in AGGREGATES and _is_number(argument):
+        case ast.Call(name=name, arguments=(argument,)) if name in AGGREGATES and _is_number(
+            argument
+        ):
             return True
     return any(map(_counts_rows, node.children()))
 
 
-def _is_number(node: Node) -> bool:
+def _is_number(node: ast.Node) -> bool:
     """Checks whether a value is a number that is written out, or the value of a nested query."""
     match node:
-        case Literal(value=int() | float()):
+        case ast.Literal(value=int() | float()):
             return True
-        case Unary(operator="-" | "+", operand=operand):
+        case ast.Unary(operator="-" | "+", operand=operand):
             return _is_number(operand)
-        case Binary(operator="+" | "-" | "*" | "/", left=left, right=right):
+        case ast.Binary(operator="+" | "-" | "*" | "/", left=left, right=right):
             return _is_number(left) and _is_number(right)
-        case Call(name=name, arguments=arguments) if name in NUMBER_FUNCTIONS:
+        case ast.Call(name=name, arguments=arguments) if name in NUMBER_FUNCTIONS:
             return all(map(_is_number, arguments))
-        case Query(adapter=AdapterClause(name="value", of_sql=True)):
+        case ast.Query(adapter=ast.AdapterClause(name="value", of_sql=True)):
             return True
     return False
 
 
-def is_one_group(query: Query) -> bool:
+def is_one_group(query: ast.Query) -> bool:
     """Checks whether all rows of a query are one group."""
     if query.group:
         return False
@@ -88,12 +79,12 @@ def is_one_group(query: Query) -> bool:
     return query.recursion is None and any(map(_counts_rows, query.items))
 
 
-def is_grouped(query: Query) -> bool:
+def is_grouped(query: ast.Query) -> bool:
     """Checks whether a query has groups."""
     return bool(query.group) or is_one_group(query)
 
 
-def is_aggregated(query: Query, selected: Iterable[Node]) -> bool:
+def is_aggregated(query: ast.Query, selected: Iterable[ast.Node]) -> bool:
     """Checks whether SELECT gives one row a group."""
     if query.recursion is not None or not is_grouped(query):
         return False
@@ -101,9 +92,9 @@ def is_aggregated(query: Query, selected: Iterable[Node]) -> bool:
     return any(_is_of_rows(call.arguments[0]) for call in calls)
 
 
-def _is_of_rows(argument: Node) -> bool:
+def _is_of_rows(argument: ast.Node) -> bool:
     """Checks whether an argument cannot be a list that is the same for all rows."""
-    is_written_out = isinstance(argument, Literal) or _is_number(argument)
+    is_written_out = isinstance(argument, ast.Literal) or _is_number(argument)
     return is_written_out or bool(free_aliases(argument))
 
 
@@ -113,13 +104,13 @@ class GroupFunction:
     An aggregate is over all rows of the group; everything else is that of its first row.
     """
 
-    def __init__(self, node: Node, compiler: ExpressionCompiler) -> None:
-        self._aggregates: list[tuple[str, Call, Thunk]] = []
-        placeholders: dict[Node, Node] = {}
+    def __init__(self, node: ast.Node, compiler: ExpressionCompiler) -> None:
+        self._aggregates: list[tuple[str, ast.Call, Thunk]] = []
+        placeholders: dict[ast.Node, ast.Node] = {}
         for call in over_rows(node):
             name = f"aggregate {len(self._aggregates)}"
             self._aggregates.append((name, call, compiler.thunk(call.arguments[0])))
-            placeholders[call] = Placeholder(call.span, name)
+            placeholders[call] = ast.Placeholder(call.span, name)
         self._value = compiler.thunk(node.replaced(placeholders.get))
 
     def __call__(self, rows: Sequence[Frame], outer: Frame) -> Any:
@@ -134,7 +125,7 @@ class GroupFunction:
         return self._value(frame)
 
 
-def _aggregated(call: Call, argument: Thunk, rows: Sequence[Frame], first: Frame) -> Any:
+def _aggregated(call: ast.Call, argument: Thunk, rows: Sequence[Frame], first: Frame) -> Any:
     (node,) = call.arguments
     if free_aliases(node):
         values = [argument(row) for row in rows]
@@ -172,7 +163,7 @@ def _refusal_message(name: str, values: Sequence[Any]) -> str:
     return message + (of_each if "a list" in kinds else "")
 
 
-def check_one_group(query: Query, selected: Sequence[Node]) -> None:
+def check_one_group(query: ast.Query, selected: Sequence[ast.Node]) -> None:
     """Checks that no value of a single row is used if all rows are one group."""
     if not is_one_group(query):
         return
@@ -194,11 +185,11 @@ def check_one_group(query: Query, selected: Sequence[Node]) -> None:
                 )
 
 
-def _row_dependent_parts(node: Node, aliases: set[str | None]) -> Iterator[Node]:
+def _row_dependent_parts(node: ast.Node, aliases: set[str | None]) -> Iterator[ast.Node]:
     """Yields the parts outside of aggregates that depend on a row."""
     if not free_aliases(node) & aliases or node in over_rows(node):
         return
-    if isinstance(node, Binary | Unary | If | ListLiteral) or over_rows(node):
+    if isinstance(node, ast.Binary | ast.Unary | ast.If | ast.ListLiteral) or over_rows(node):
         for child in node.children():
             yield from _row_dependent_parts(child, aliases)
     else:

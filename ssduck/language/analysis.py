@@ -9,26 +9,7 @@ from typing import TypeVar
 from weakref import WeakKeyDictionary
 
 from ssduck.errors import ArgumentError
-from ssduck.language.tree import (
-    AdapterClause,
-    Assignment,
-    Binary,
-    Call,
-    Literal,
-    Name,
-    Node,
-    OperatorChain,
-    Placeholder,
-    Program,
-    QualifiedName,
-    Query,
-    Recursion,
-    Source,
-    This,
-    TimeIndex,
-    Unary,
-    UnresolvedName,
-)
+from ssduck.language import ast
 
 T = TypeVar("T")
 
@@ -60,15 +41,15 @@ OVER_TIME = frozenset(
 )
 
 
-def cached_by_node(function: Callable[[Node], T]) -> Callable[[Node], T]:
+def cached_by_node(function: Callable[[ast.Node], T]) -> Callable[[ast.Node], T]:
     """Caches a function of nodes by node.
 
     Children are visited first, so that recursive calls in the function find cached results.
     """
-    result: WeakKeyDictionary[Node, T] = WeakKeyDictionary()
+    result: WeakKeyDictionary[ast.Node, T] = WeakKeyDictionary()
 
     @wraps(function)
-    def cached(node: Node) -> T:
+    def cached(node: ast.Node) -> T:
         try:
             return result[node]
         except KeyError:
@@ -84,19 +65,19 @@ def cached_by_node(function: Callable[[Node], T]) -> Callable[[Node], T]:
 
 
 @cached_by_node
-def free_aliases(node: Node) -> frozenset[str | None]:
+def free_aliases(node: ast.Node) -> frozenset[str | None]:
     """Returns the aliases whose `this` a part mentions, and that no query in it has as a source."""
-    if isinstance(node, This | QualifiedName):
+    if isinstance(node, ast.This | ast.QualifiedName):
         return frozenset((node.alias,))
-    if isinstance(node, UnresolvedName):
+    if isinstance(node, ast.UnresolvedName):
         return frozenset((None,))
     result: set[str | None] = set()
-    if not isinstance(node, Query):
+    if not isinstance(node, ast.Query):
         for child in node.children():
             result |= free_aliases(child)
         return frozenset(result)
     for child in node.children():
-        if not isinstance(child, Source):
+        if not isinstance(child, ast.Source):
             result |= free_aliases(child)
     result -= {None, *(source.alias for source in node.sources)}
     for source in node.sources:  # a source depends on outer queries, not on this one
@@ -104,79 +85,79 @@ def free_aliases(node: Node) -> frozenset[str | None]:
     return frozenset(result)
 
 
-def sees_outside(query: Query) -> bool:
+def sees_outside(query: ast.Query) -> bool:
     """Checks whether a nested query sees rows of the queries around it."""
     return bool(free_aliases(query))
 
 
 @cached_by_node
-def is_impure(node: Node) -> bool:
+def is_impure(node: ast.Node) -> bool:
     """Checks whether evaluation has side effects, so that its order and number matter."""
     match node:
-        case Assignment():
+        case ast.Assignment():
             return True
-        case Call(name=name) if name in IMPURE:
+        case ast.Call(name=name) if name in IMPURE:
             return True
-        case Recursion(start=start, step=step, stop=stop):
+        case ast.Recursion(start=start, step=step, stop=stop):
             # State variables are visible only in the query.
             parts = (
-                part.value if isinstance(part, Assignment) else part for part in (*start, *step)
+                part.value if isinstance(part, ast.Assignment) else part for part in (*start, *step)
             )
             return is_impure(stop) or any(map(is_impure, parts))
     return any(map(is_impure, node.children()))
 
 
 @cached_by_node
-def calls_of(node: Node) -> frozenset[str]:
+def calls_of(node: ast.Node) -> frozenset[str]:
     """Returns the functions that a part calls."""
     names: tuple[str, ...] = ()
     match node:
-        case Call(name=name) | QualifiedName(key=name):
+        case ast.Call(name=name) | ast.QualifiedName(key=name):
             names = (name,)
-        case OperatorChain(operators=names):  # users' functions may be among them
+        case ast.OperatorChain(operators=names):  # users' functions may be among them
             pass
     return frozenset(names).union(*map(calls_of, node.children()))
 
 
 @cached_by_node
-def forms_of(node: Node) -> frozenset[str]:
+def forms_of(node: ast.Node) -> frozenset[str]:
     """Returns the result forms that a part names."""
-    names = (node.name,) if isinstance(node, AdapterClause) else ()
+    names = (node.name,) if isinstance(node, ast.AdapterClause) else ()
     return frozenset(names).union(*map(forms_of, node.children()))
 
 
-def states(query: Query) -> frozenset[str]:
+def states(query: ast.Query) -> frozenset[str]:
     """Returns the state variables of a hierarchical query."""
     if query.recursion is None:
         return frozenset()
     parts = (*query.recursion.start, *query.recursion.step)
-    return frozenset(part.name for part in parts if isinstance(part, Assignment))
+    return frozenset(part.name for part in parts if isinstance(part, ast.Assignment))
 
 
-def changing(query: Query) -> frozenset[str]:
+def changing(query: ast.Query) -> frozenset[str]:
     """Returns the variables that may differ from row to row of a query: those that it assigns."""
-    return frozenset(part.name for part in query.walk() if isinstance(part, Assignment))
+    return frozenset(part.name for part in query.walk() if isinstance(part, ast.Assignment))
 
 
-def mentions(node: Node, names: Collection[str]) -> bool:
+def mentions(node: ast.Node, names: Collection[str]) -> bool:
     """Checks whether a part reads one of these variables."""
     return not variables_of(node).isdisjoint(names)
 
 
 @cached_by_node
-def variables_of(node: Node) -> frozenset[str]:
+def variables_of(node: ast.Node) -> frozenset[str]:
     """Returns the variables that a node reads.
 
     >>> from ssduck.language.parser import parse
     >>> sorted(variables_of(parse("x = y + z{1.0};").statements[0]))
     ['y', 'z']
     """
-    names = (node.name,) if isinstance(node, Name | TimeIndex) else ()
-    names = (node.alias,) if isinstance(node, QualifiedName) else names
+    names = (node.name,) if isinstance(node, ast.Name | ast.TimeIndex) else ()
+    names = (node.alias,) if isinstance(node, ast.QualifiedName) else names
     return frozenset(names).union(*map(variables_of, node.children()))
 
 
-def aliases_of(query: Query) -> list[str]:
+def aliases_of(query: ast.Query) -> list[str]:
     """Returns the aliases of a query's sources."""
     aliases = [
         source.alias or (f"source_{index + 1}" if index else "this")
@@ -193,22 +174,22 @@ def aliases_of(query: Query) -> list[str]:
     return aliases
 
 
-def constant_parts(query: Query, changed: Collection[str], *, of_past: bool) -> set[Node]:
+def constant_parts(query: ast.Query, changed: Collection[str], *, of_past: bool) -> set[ast.Node]:
     """Returns the largest parts of a query that are constant for all rows, and worth caching."""
     aliases = {None, *aliases_of(query)}
-    constants: set[Node] = set()
+    constants: set[ast.Node] = set()
 
-    def collect(node: Node) -> None:
+    def collect(node: ast.Node) -> None:
         is_constant = (
             not free_aliases(node) & aliases and not is_impure(node) and not mentions(node, changed)
         )
-        if of_past and not isinstance(node, Query) and calls_of(node):
+        if of_past and not isinstance(node, ast.Query) and calls_of(node):
             is_constant = False
         if is_constant:
-            if not isinstance(node, This | Name | Placeholder | Literal):
+            if not isinstance(node, ast.This | ast.Name | ast.Placeholder | ast.Literal):
                 constants.add(node)
             return
-        if not isinstance(node, Query):
+        if not isinstance(node, ast.Query):
             for child in node.children():
                 collect(child)
 
@@ -256,25 +237,27 @@ def written_name(name: str) -> str:
     return name.removesuffix(_MARK)
 
 
-def with_overrides(program: Program, names: Collection[str]) -> Program:
+def with_overrides(program: ast.Program, names: Collection[str]) -> ast.Program:
     """Returns a program in which calls of replaced functions are calls of users' functions."""
 
-    def change(part: Node) -> Node | None:
+    def change(part: ast.Node) -> ast.Node | None:
         match part:
-            case Call(name=name, arguments=arguments) if name in names:
+            case ast.Call(name=name, arguments=arguments) if name in names:
                 return replace(part, name=marked_name(name), arguments=changed(arguments))
-            case Unary(operator=sign, operand=operand) if UNARY_NAMES.get(sign) in names:
+            case ast.Unary(operator=sign, operand=operand) if UNARY_NAMES.get(sign) in names:
                 return _call(part, UNARY_NAMES[sign], changed((operand,)))
-            case Binary(operator=sign, left=left, right=right) if BINARY_NAMES.get(sign) in names:
+            case ast.Binary(operator=sign, left=left, right=right) if (
+                BINARY_NAMES.get(sign) in names
+            ):
                 # The container comes first, as in Python's `operator.contains`.
                 sides = (right, left) if sign == "IN" else (left, right)
                 return _call(part, BINARY_NAMES[sign], changed(sides))
-            case OperatorChain(operators=operators, operands=operands):
+            case ast.OperatorChain(operators=operators, operands=operands):
                 signs = tuple(_sign(sign, names) for sign in operators)
                 return replace(part, operators=signs, operands=changed(operands))
         return None
 
-    def changed(parts: tuple[Node, ...]) -> tuple[Node, ...]:
+    def changed(parts: tuple[ast.Node, ...]) -> tuple[ast.Node, ...]:
         return tuple(part.replaced(change) for part in parts)
 
     return replace(program, statements=changed(program.statements))
@@ -284,5 +267,5 @@ def _sign(sign: str, names: Collection[str]) -> str:
     return marked_name(BINARY_NAMES[sign]) if BINARY_NAMES[sign] in names else sign
 
 
-def _call(part: Node, name: str, arguments: tuple[Node, ...]) -> Call:
-    return Call(part.span, marked_name(name), arguments, part.span)
+def _call(part: ast.Node, name: str, arguments: tuple[ast.Node, ...]) -> ast.Call:
+    return ast.Call(part.span, marked_name(name), arguments, part.span)

@@ -15,10 +15,10 @@ from typing import Any, TypeAlias
 
 from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError
 from ssduck.formatting import as_evaluation_error, short_repr
+from ssduck.language import ast
 from ssduck.language.aggregates import GroupFunction, over_rows
 from ssduck.language.evaluator import ExpressionCompiler, Frame
 from ssduck.language.operators import ELEMENT_BYTES, apply, truth
-from ssduck.language.tree import Node, OrderKey
 from ssduck.language.value_keys import equality_key
 
 # Rows of more columns are counted by Python, too, since SQL may have fetched fewer.
@@ -77,8 +77,8 @@ def formed(selected: Selected, make: Callable[[Rows], Any]) -> Any:
 class SelectedValue:
     """A selected value and its name: a text, or a part to be evaluated for each row."""
 
-    node: Node
-    name: str | Node
+    node: ast.Node
+    name: str | ast.Node
 
 
 @dataclass(frozen=True)
@@ -86,15 +86,15 @@ class PythonClauses:
     """The clauses of a query that Python applies to its rows, in this order."""
 
     columns: tuple[SelectedValue, ...]  # the selected columns
-    conditions: tuple[Node, ...] = ()  # the conditions on rows
-    order: tuple[OrderKey, ...] = ()  # the keys to sort by
-    group: tuple[Node, ...] = ()  # the keys to group by
-    having: Node | None = None  # the condition on groups
-    limit: Node | None = None  # the largest number of rows or groups
+    conditions: tuple[ast.Node, ...] = ()  # the conditions on rows
+    order: tuple[ast.OrderKey, ...] = ()  # the keys to sort by
+    group: tuple[ast.Node, ...] = ()  # the keys to group by
+    having: ast.Node | None = None  # the condition on groups
+    limit: ast.Node | None = None  # the largest number of rows or groups
     is_one_group: bool = False  # whether all rows are one group
     is_aggregated: bool = False  # whether each group becomes one row
     distinct: bool = False  # whether equal rows are selected once
-    offset: Node | None = None  # the number of rows or groups to skip first
+    offset: ast.Node | None = None  # the number of rows or groups to skip first
 
     @property
     def clauses(self) -> list[str]:
@@ -114,7 +114,7 @@ class Clauses:
         self._order = [(compiler.thunk(key.value), key) for key in row_keys]
         self._group = [(compiler.thunk(node), node) for node in clauses.group]
         of_group = partial(GroupFunction, compiler=compiler)
-        self._group_order: list[tuple[GroupFunction, OrderKey]] = []
+        self._group_order: list[tuple[GroupFunction, ast.OrderKey]] = []
         if len(row_keys) < len(clauses.order):
             self._group_order = [(of_group(key.value), key) for key in clauses.order]
         self._having = None if clauses.having is None else of_group(clauses.having)
@@ -250,7 +250,7 @@ class SelectedItems:
     """
 
     def __init__(
-        self, columns: Sequence[SelectedValue], compile: Callable[[Node], Callable[..., Any]]
+        self, columns: Sequence[SelectedValue], compile: Callable[[ast.Node], Callable[..., Any]]
     ) -> None:
         self._items = [compile(column.node) for column in columns]
         self._names = [
@@ -294,7 +294,7 @@ class SelectedItems:
 def _sorted(
     entries: list[Any],
     keys_of: Callable[[Any], list[Any]],
-    order: Sequence[tuple[Any, OrderKey]],
+    order: Sequence[tuple[Any, ast.OrderKey]],
     step: Callable[[], None],
 ) -> list[Any]:
     """Sorts by keys; items with equal keys keep their order. Each comparison is a step."""
@@ -311,7 +311,7 @@ def _sorted(
     return [entry for _, entry in sorted(keyed, key=cmp_to_key(compare))]
 
 
-def checked_count(value: Any, clause: str, node: Node) -> int:
+def checked_count(value: Any, clause: str, node: ast.Node) -> int:
     """Returns a number of rows, of levels or of results."""
     if not isinstance(value, int) or isinstance(value, bool) or value < 0:
         raise EvaluationError(
@@ -320,7 +320,7 @@ def checked_count(value: Any, clause: str, node: Node) -> int:
     return min(value, sys.maxsize)  # no sequence is longer
 
 
-def printed(value: Any, node: Node) -> str:
+def printed(value: Any, node: ast.Node) -> str:
     """Returns a value as a group's key: an entity by its name, a text without quotes."""
     try:
         name = getattr(value, "name", None)
@@ -402,7 +402,7 @@ def row_frames(
     aliases: Sequence[str],
     values: Sequence[Iterable[Any]],
     outer: Frame,
-    cached: dict[Node, Any],
+    cached: dict[ast.Node, Any],
 ) -> Iterator[Frame]:
     """Yields the frames of all rows of a query, in order; each counts as one evaluation step."""
     count = outer.scope.meter.combination_counter()

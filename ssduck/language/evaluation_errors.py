@@ -7,10 +7,10 @@ from typing import Any
 
 from ssduck.errors import ArgumentError, SelectScriptError, SourceSpan, UnknownNameError, nearest
 from ssduck.formatting import short_repr, type_in_words
+from ssduck.language import ast
 from ssduck.language.analysis import free_aliases
 from ssduck.language.builtins import AGGREGATES
 from ssduck.language.sql_suggestions import plain_names, suggestion_for_call
-from ssduck.language.tree import Call, Query
 
 
 def missing_source_error(
@@ -36,7 +36,7 @@ def missing_source_error(
 _FUNCTION_LIKENESS = 0.7
 
 
-def unknown_function(node: Call, known: Sequence[str]) -> UnknownNameError:
+def unknown_function(node: ast.Call, known: Sequence[str]) -> UnknownNameError:
     """Returns the error for an unknown function."""
     plain = plain_names(node.name)
     same = tuple(name for name in known if name.upper() in plain)
@@ -49,7 +49,7 @@ def unknown_function(node: Call, known: Sequence[str]) -> UnknownNameError:
     )
 
 
-def argument_check(call: Call, query: Query | None) -> Callable[[Sequence[Any]], None]:
+def argument_check(call: ast.Call, query: ast.Query | None) -> Callable[[Sequence[Any]], None]:
     """Returns a check that rejects arguments that a call would misunderstand.
 
     An aggregate takes a list; a text is not one.
@@ -78,7 +78,7 @@ def _anything(_: Sequence[Any]) -> None:
     """Accepts any arguments: other functions check their own."""
 
 
-def _over_rows(call: Call, query: Query) -> Callable[[str], str]:
+def _over_rows(call: ast.Call, query: ast.Query) -> Callable[[str], str]:
     """Returns the text of an aggregate over all rows, given the program's text."""
 
     def spelling(text: str) -> str:

@@ -20,6 +20,7 @@ from ssduck.errors import (
     nearest,
 )
 from ssduck.formatting import as_evaluation_error, first_line, short_repr
+from ssduck.language import ast
 from ssduck.language.analysis import OVER_TIME, aliases_of, free_aliases, is_impure
 from ssduck.language.evaluation_errors import argument_check, missing_source_error
 from ssduck.language.operators import (
@@ -31,26 +32,6 @@ from ssduck.language.operators import (
     indexed,
     truth,
     unary,
-)
-from ssduck.language.tree import (
-    Assignment,
-    Binary,
-    Call,
-    If,
-    Index,
-    ListLiteral,
-    Literal,
-    Name,
-    Node,
-    OperatorChain,
-    Placeholder,
-    QualifiedName,
-    Query,
-    This,
-    TimeIndex,
-    Unary,
-    UnboundedHorizon,
-    UnresolvedName,
 )
 from ssduck.language.value_history import LazyList, horizon_of
 from ssduck.language.value_keys import MEMOS, NUMPYS, Memo, node_key, python_value
@@ -82,7 +63,7 @@ class EvaluationScope(Protocol):
     def past_value(self, name: str, *age: Any) -> Any:
         """Returns the past value of a variable; all kept values if no age is given."""
 
-    def check_call(self, node: Call) -> None:
+    def check_call(self, node: ast.Call) -> None:
         """Checks that a function is known, and the number of its arguments."""
 
     def resolved_name(self, name: str) -> str:
@@ -97,19 +78,19 @@ class EvaluationScope(Protocol):
     def function(self, name: str) -> Callable[[list[Any]], Any] | None:
         """Returns a function that is no relation."""
 
-    def over_time(self, node: Call, frame: Frame) -> Any:
+    def over_time(self, node: ast.Call, frame: Frame) -> Any:
         """Returns the value of a call whose argument is evaluated at each recorded tick."""
 
-    def call(self, node: Call, arguments: list[Any], frame: Frame) -> Any:
+    def call(self, node: ast.Call, arguments: list[Any], frame: Frame) -> Any:
         """Returns the value of a function call."""
 
-    def query(self, node: Query, frame: Frame) -> Any:
+    def query(self, node: ast.Query, frame: Frame) -> Any:
         """Returns the value of a nested query, which sees the rows of the outer ones."""
 
     def names(self) -> list[str]:
         """Returns the names of all variables and functions."""
 
-    def deferred(self, node: Node) -> LazyList:
+    def deferred(self, node: ast.Node) -> LazyList:
         """Returns a list of the running program for the query that uses it."""
 
     def at_tick_of_rows(self, arguments: list[Any], frame: Frame) -> list[Any] | None:
@@ -131,8 +112,8 @@ class Frame:
     placeholders: Mapping[str, Any] = field(default_factory=dict)  # what placeholders stand for
     columns: Sequence[Any] = ()  # the row from SQL
     # The values of the parts that are the same for all rows, and for all rows of a state.
-    cached: dict[Node, Any] = field(default_factory=dict)
-    state: dict[Node, Any] = field(default_factory=dict)
+    cached: dict[ast.Node, Any] = field(default_factory=dict)
+    state: dict[ast.Node, Any] = field(default_factory=dict)
     # The elements of the queries around, on which a query does not depend.
     outer_elements: Mapping[str | None, Any] = field(default_factory=dict)
     # The results of users' functions in this row, by the key of the call.
@@ -141,7 +122,7 @@ class Frame:
     def row(
         self,
         elements: Mapping[str | None, Any],
-        cached: dict[Node, Any],
+        cached: dict[ast.Node, Any],
         columns: Sequence[Any] = (),
     ) -> Frame:
         """Returns the frame of a row of a query inside this one."""
@@ -168,7 +149,7 @@ class Frame:
         """Returns the elements of this query, and of those around it that it depends on."""
         return [e for alias, e in self.elements.items() if self.outer_elements.get(alias) is not e]
 
-    def value(self, node: Node) -> Any:
+    def value(self, node: ast.Node) -> Any:
         """Returns the value of an expression."""
         return compiled(node, self.scope)(self)
 
@@ -177,10 +158,10 @@ Thunk: TypeAlias = Callable[[Frame], Any]
 
 
 # Weak keys would not help: the functions refer to their parts.
-_COMPILED: dict[Node, Thunk] = {}
+_COMPILED: dict[ast.Node, Thunk] = {}
 
 
-def compiled(node: Node, scope: EvaluationScope) -> Thunk:
+def compiled(node: ast.Node, scope: EvaluationScope) -> Thunk:
     """Compiles a node to a function of a frame, once for each node."""
     thunk = _COMPILED.get(node)
     if thunk is None:
@@ -196,12 +177,12 @@ class ExpressionCompiler:
     def __init__(
         self,
         scope: EvaluationScope,
-        known: Mapping[Node, Thunk] | None = None,
-        constants: Collection[Node] = (),
-        state_constants: Collection[Node] = (),
+        known: Mapping[ast.Node, Thunk] | None = None,
+        constants: Collection[ast.Node] = (),
+        state_constants: Collection[ast.Node] = (),
         *,
         memorize: bool = False,
-        query: Query | None = None,
+        query: ast.Query | None = None,
     ) -> None:
         self._query = query
         self._scope = scope
@@ -210,7 +191,7 @@ class ExpressionCompiler:
         self._state_constants = state_constants
         self._memorize = memorize
 
-    def thunk(self, node: Node) -> Thunk:
+    def thunk(self, node: ast.Node) -> Thunk:
         """Returns the node as a function of a frame."""
         known = self._known.get(node)
         if known is not None:
@@ -220,7 +201,7 @@ class ExpressionCompiler:
             return _cached(node, thunk, attrgetter("cached"))
         return _cached(node, thunk, attrgetter("state")) if node in self._state_constants else thunk
 
-    def condition(self, node: Node) -> Callable[[Frame], bool]:
+    def condition(self, node: ast.Node) -> Callable[[Frame], bool]:
         """Returns the node as a condition: a function of a frame that returns True or False."""
         thunk = self.thunk(node)
 
@@ -230,55 +211,55 @@ class ExpressionCompiler:
 
         return holds
 
-    def calls_once(self, node: Node) -> bool:
+    def calls_once(self, node: ast.Node) -> bool:
         """Checks whether a node is a call that is evaluated once a row, even if it is repeated."""
         return (
             self._memorize
-            and isinstance(node, Call)
+            and isinstance(node, ast.Call)
             and self._scope.is_users(node.name)
             and not is_impure(node)
         )
 
-    def _thunk(self, node: Node) -> Thunk:
+    def _thunk(self, node: ast.Node) -> Thunk:
         match node:
-            case Literal(value=value):
+            case ast.Literal(value=value):
                 return lambda _: value
-            case ListLiteral(items=items):
+            case ast.ListLiteral(items=items):
                 return self._list(node, items)
-            case Name(name=name):
+            case ast.Name(name=name):
                 return self._name(node, name)
-            case Placeholder(name=name):
+            case ast.Placeholder(name=name):
                 return lambda frame: frame.placeholders[name]
-            case UnresolvedName():
+            case ast.UnresolvedName():
                 return self._unresolved_name(node)
-            case This(alias=alias):
+            case ast.This(alias=alias):
                 return self._element(node, alias)
-            case QualifiedName():
+            case ast.QualifiedName():
                 return self._qualified_name(node)
-            case Call():
+            case ast.Call():
                 return self._call(node)
-            case Index():
+            case ast.Index():
                 return self._index(node)
-            case Unary():
+            case ast.Unary():
                 return unary(self, node)
-            case Binary():
+            case ast.Binary():
                 return binary(self, node)
-            case OperatorChain():
+            case ast.OperatorChain():
                 return chain(self, node)
-            case If():
+            case ast.If():
                 return self._if(node)
-            case Assignment():
+            case ast.Assignment():
                 return self._assignment(node)
-            case TimeIndex():
+            case ast.TimeIndex():
                 return self._time_index(node)
-            case Query():
+            case ast.Query():
                 for part in node.walk():
-                    if isinstance(part, Query):
+                    if isinstance(part, ast.Query):
                         aliases_of(part)  # an error even if no row evaluates it
                 return _with_span(node, lambda frame: frame.scope.query(node, frame))
         raise UnsupportedError(f"{type(node).__name__} is not supported here", span=node.span)
 
-    def _name(self, node: Node, name: str) -> Thunk:
+    def _name(self, node: ast.Node, name: str) -> Thunk:
         placed = _with_span(node, lambda frame: _variable(frame, name))
 
         def value(frame: Frame) -> Any:
@@ -287,7 +268,7 @@ class ExpressionCompiler:
 
         return value
 
-    def _time_index(self, node: TimeIndex) -> Thunk:
+    def _time_index(self, node: ast.TimeIndex) -> Thunk:
         name, age = node.name, None if node.age is None else self.thunk(node.age)
 
         def value(frame: Frame) -> Any:
@@ -296,10 +277,10 @@ class ExpressionCompiler:
 
         return _with_span(node, value)
 
-    def _list(self, node: Node, items: Sequence[Node]) -> Thunk:
+    def _list(self, node: ast.Node, items: Sequence[ast.Node]) -> Thunk:
         thunks = [self.thunk(item) for item in items]
         # A list of few checked lists is not much larger than they are.
-        large = len(items) > SMALL_LIST or any(isinstance(item, ListLiteral) for item in items)
+        large = len(items) > SMALL_LIST or any(isinstance(item, ast.ListLiteral) for item in items)
 
         def make(frame: Frame) -> list[Any]:
             values = [thunk(frame) for thunk in thunks]
@@ -310,7 +291,7 @@ class ExpressionCompiler:
 
         return make
 
-    def _element(self, node: This, alias: str | None) -> Thunk:
+    def _element(self, node: ast.This, alias: str | None) -> Thunk:
         def element(frame: Frame) -> Any:
             try:
                 return frame.elements[alias]
@@ -319,7 +300,7 @@ class ExpressionCompiler:
 
         return element
 
-    def _qualified_name(self, node: QualifiedName) -> Thunk:
+    def _qualified_name(self, node: ast.QualifiedName) -> Thunk:
         alias, key = node.alias, node.key
         element, index = self._element(node.this, alias), self.thunk(node.index)
 
@@ -335,9 +316,9 @@ class ExpressionCompiler:
 
         return _with_span(node, value)
 
-    def _unresolved_name(self, node: UnresolvedName) -> Thunk:
+    def _unresolved_name(self, node: ast.UnresolvedName) -> Thunk:
         name = node.name
-        this = (This(node.span, None),)
+        this = (ast.This(node.span, None),)
 
         def value(frame: Frame) -> Any:
             element = frame.elements.get(None)
@@ -351,17 +332,17 @@ class ExpressionCompiler:
                     f"there is no key, variable or function {short_repr(name)}",
                     suggestions=nearest(name, known),
                 )
-            call = Call(node.span, frame.scope.resolved_name(name), this, node.span)
+            call = ast.Call(node.span, frame.scope.resolved_name(name), this, node.span)
             frame.scope.check_call(call)
             return frame.scope.call(call, [element], frame)
 
         return _with_span(node, value)
 
-    def is_relation(self, node: Node) -> bool:
+    def is_relation(self, node: ast.Node) -> bool:
         """Checks whether a part is a call of a relation."""
-        return isinstance(node, Call) and self._scope.function(node.name) is None
+        return isinstance(node, ast.Call) and self._scope.function(node.name) is None
 
-    def _call(self, node: Call) -> Thunk:
+    def _call(self, node: ast.Call) -> Thunk:
         self._scope.check_call(node)
         if node.name in OVER_TIME:
             return _with_span(node, lambda frame: frame.scope.over_time(node, frame))
@@ -386,7 +367,7 @@ class ExpressionCompiler:
 
         return call
 
-    def _memoized_call(self, node: Call, thunks: Sequence[Thunk]) -> Thunk:
+    def _memoized_call(self, node: ast.Call, thunks: Sequence[Thunk]) -> Thunk:
         """Compiles a call of a user's function to run once a row and once for equal arguments."""
         key, name = node_key(node), node.name
         function = self._scope.function(name)
@@ -410,7 +391,7 @@ class ExpressionCompiler:
 
         return _with_span(node, call)
 
-    def _index(self, node: Index) -> Thunk:
+    def _index(self, node: ast.Index) -> Thunk:
         base = self.thunk(node.base)
         indices = [(self.thunk(index), index.span) for index in node.indices]
 
@@ -422,7 +403,7 @@ class ExpressionCompiler:
 
         return element
 
-    def _if(self, node: If) -> Thunk:
+    def _if(self, node: ast.If) -> Thunk:
         branches = [
             (self.condition(branch.condition), list(map(self.thunk, branch.then)))
             for branch in node.branches
@@ -438,10 +419,12 @@ class ExpressionCompiler:
 
         return choice
 
-    def _assignment(self, node: Assignment) -> Thunk:
+    def _assignment(self, node: ast.Assignment) -> Thunk:
         name, value = node.name, self.thunk(node.value)
         horizon = None if node.horizon is None else self._horizon(node.horizon)
-        aliases = free_aliases(node.value) if isinstance(node.value, ListLiteral) else frozenset()
+        aliases = (
+            free_aliases(node.value) if isinstance(node.value, ast.ListLiteral) else frozenset()
+        )
 
         def assign(frame: Frame) -> Any:
             if node.value_start is not None:
@@ -463,15 +446,15 @@ class ExpressionCompiler:
 
         return assign if horizon is None else _with_span(node, assign)
 
-    def _horizon(self, node: Node) -> Thunk:
+    def _horizon(self, node: ast.Node) -> Thunk:
         """Returns the time for which an assignment keeps values, in seconds."""
-        if isinstance(node, UnboundedHorizon):
+        if isinstance(node, ast.UnboundedHorizon):
             return lambda _: math.inf
         value = self.thunk(node)
         return _with_span(node, lambda frame: horizon_of(value(frame)))
 
 
-def _check_assigned(node: Assignment, frame: Frame) -> None:
+def _check_assigned(node: ast.Assignment, frame: Frame) -> None:
     """Checks that a query sets a variable that is there, or at least no column."""
     name, element = node.name, frame.elements.get(None)
     if name in frame.local or frame.scope.has_variable(name):
@@ -489,7 +472,7 @@ def _refuse_state(name: str, frame: Frame) -> None:
         raise ArgumentError(f"{name} is a state variable here; state variables have no history")
 
 
-def _with_span(node: Node, thunk: Thunk) -> Thunk:
+def _with_span(node: ast.Node, thunk: Thunk) -> Thunk:
     """Adds the node's place to the errors that arise in it."""
 
     def placed(frame: Frame) -> Any:
@@ -504,7 +487,7 @@ def _with_span(node: Node, thunk: Thunk) -> Thunk:
     return placed
 
 
-def _cached(node: Node, thunk: Thunk, values: Callable[[Frame], dict[Node, Any]]) -> Thunk:
+def _cached(node: ast.Node, thunk: Thunk, values: Callable[[Frame], dict[ast.Node, Any]]) -> Thunk:
     def cached(frame: Frame) -> Any:
         cache = values(frame)
         if node in cache:

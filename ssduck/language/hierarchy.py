@@ -20,11 +20,11 @@ from itertools import islice, tee
 from typing import Any, Generic, TypeAlias, TypeVar
 
 from ssduck.errors import ArgumentError, LimitError
+from ssduck.language import ast
 from ssduck.language.analysis import is_impure
 from ssduck.language.clauses import Clauses, Paths, Rows, Selected, checked_count
 from ssduck.language.evaluator import ExpressionCompiler, Frame, Thunk, resolved
 from ssduck.language.operators import check_size
-from ssduck.language.tree import Assignment, Node, Query, Recursion
 from ssduck.language.value_history import LazyList
 from ssduck.language.value_keys import ValueKeys
 
@@ -98,11 +98,11 @@ class Hierarchy:
     """A hierarchical query as functions of frames."""
 
     def __init__(
-        self, query: Query, clauses: Clauses, compiler: ExpressionCompiler, max_depth: int
+        self, query: ast.Query, clauses: Clauses, compiler: ExpressionCompiler, max_depth: int
     ) -> None:
         assert query.recursion is not None
         self._query = query
-        self._recursion: Recursion = query.recursion
+        self._recursion: ast.Recursion = query.recursion
         self._clauses = clauses
         self._start = _assignments(query.recursion.start, compiler)
         self._next = _assignments(query.recursion.step, compiler)
@@ -116,7 +116,7 @@ class Hierarchy:
         self._deepest = max_depth
         self._has_side_effects = is_impure(query)
 
-    def selected(self, outer: Frame, rows: RowsOf, cached: dict[Node, Any]) -> Selected:
+    def selected(self, outer: Frame, rows: RowsOf, cached: dict[ast.Node, Any]) -> Selected:
         """Returns the paths."""
         recursion = self._recursion
         state = dict(outer.local)
@@ -146,7 +146,7 @@ class Hierarchy:
 
         return self._clauses.arranged(result, lambda path: path[-1].frame, formed, window, outer)
 
-    def _number(self, node: Node | None, clause: str, outer: Frame) -> int | None:
+    def _number(self, node: ast.Node | None, clause: str, outer: Frame) -> int | None:
         return None if node is None else checked_count(self._numbers[node](outer), clause, node)
 
     def _distinct(self, path: list[PathStep]) -> Paths:
@@ -162,7 +162,7 @@ class Hierarchy:
     # -- rows ------------------------------------------------------------------------------
 
     def _steps_of(
-        self, outer: Frame, rows: RowsOf, cached: dict[Node, Any]
+        self, outer: Frame, rows: RowsOf, cached: dict[ast.Node, Any]
     ) -> Callable[[dict[str, Any]], Iterator[PathStep]]:
         """Returns a function that yields the rows of a state, without dead ends."""
         stop, where = self._stop, self._where
@@ -172,7 +172,7 @@ class Hierarchy:
         count, charge = scope.meter.combination_counter(), scope.meter.charge
 
         def steps(state: dict[str, Any]) -> Iterator[PathStep]:
-            state_values: dict[Node, Any] = {}
+            state_values: dict[ast.Node, Any] = {}
             frame = None
             for elements in rows(state):
                 count()
@@ -307,12 +307,12 @@ class Hierarchy:
 
 
 def _assignments(
-    parts: Sequence[Node], compiler: ExpressionCompiler
+    parts: Sequence[ast.Node], compiler: ExpressionCompiler
 ) -> list[tuple[str | None, Thunk]]:
     """Returns the state variables and their values; without a name, the other expressions."""
     return [
         (part.name, compiler.thunk(part.value))
-        if isinstance(part, Assignment)
+        if isinstance(part, ast.Assignment)
         else (None, compiler.thunk(part))
         for part in parts
     ]

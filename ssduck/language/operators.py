@@ -17,18 +17,9 @@ from ssduck.formatting import (
     short_repr,
     type_in_words,
 )
+from ssduck.language import ast
 from ssduck.language.analysis import MARGIN, OF_MARGINS, TEMPORAL_OPERATORS, VERDICT, written_name
 from ssduck.language.sql_suggestions import suggestion_for_name
-from ssduck.language.tree import (
-    Binary,
-    Call,
-    ListLiteral,
-    Literal,
-    Node,
-    OperatorChain,
-    Placeholder,
-    Unary,
-)
 
 # The limits of results: larger ones are mistakes, and their computation cannot be interrupted.
 MAX_BITS = 1_000_000
@@ -221,7 +212,7 @@ def apply_unary(sign: str, value: Any, span: SourceSpan | None = None) -> Any:
         raise as_evaluation_error(error, span) from error
 
 
-def truth(value: Any, node: Node) -> bool:
+def truth(value: Any, node: ast.Node) -> bool:
     """Checks whether a value holds."""
     try:
         return bool(value)
@@ -289,17 +280,17 @@ Thunk: TypeAlias = Callable[[Frame], Any]
 class OperandCompiler(Protocol):
     """Compiles operands to functions of frames."""
 
-    def thunk(self, node: Node) -> Thunk:
+    def thunk(self, node: ast.Node) -> Thunk:
         """Returns a part as a function of a frame."""
 
-    def condition(self, node: Node) -> Callable[[Frame], bool]:
+    def condition(self, node: ast.Node) -> Callable[[Frame], bool]:
         """Returns a part as a condition."""
 
-    def is_relation(self, node: Node) -> bool:
+    def is_relation(self, node: ast.Node) -> bool:
         """Checks whether a part is a call of a relation."""
 
 
-def unary(compiler: OperandCompiler, node: Unary) -> Thunk:
+def unary(compiler: OperandCompiler, node: ast.Unary) -> Thunk:
     """Compiles `-x`, `+x`, `NOT x` or `x IS NULL`."""
     if node.operator == "NOT" and (compiler.is_relation(node.operand) or is_verdict(node.operand)):
         operand = compiler.thunk(node.operand)
@@ -322,7 +313,7 @@ def unary(compiler: OperandCompiler, node: Unary) -> Thunk:
     return lambda frame: apply_unary(sign, inner(frame), node.span)
 
 
-def binary(compiler: OperandCompiler, node: Binary) -> Thunk:
+def binary(compiler: OperandCompiler, node: ast.Binary) -> Thunk:
     """Returns two sides with an operator between them."""
     sign = node.operator
     if sign in SHORT_CIRCUIT:
@@ -352,7 +343,7 @@ def counted(frame: Frame, value: Any) -> Any:
     return value
 
 
-def chain(compiler: OperandCompiler, node: OperatorChain) -> Thunk:
+def chain(compiler: OperandCompiler, node: ast.OperatorChain) -> Thunk:
     """Returns many operands of one level, from the left."""
     if node.operators[0] in SHORT_CIRCUIT:
         return _short_circuit(compiler, node.operators[0], node.operands)
@@ -375,53 +366,58 @@ def _step(sign: str, span: SourceSpan) -> Callable[[Frame, Any, Any], Any]:
     """Returns one operator of a chain: one of the language, or a user's function in its place."""
     if sign in OPERATORS:
         return lambda frame, left, right: counted(frame, apply(sign, left, right, span))
-    call, is_in = Call(span, sign, (), span), written_name(sign) == "in"
+    call, is_in = ast.Call(span, sign, (), span), written_name(sign) == "in"
     return lambda frame, left, right: frame.scope.call(
         call, [right, left] if is_in else [left, right], frame
     )
 
 
-def _operand(compiler: OperandCompiler, node: Node) -> Thunk:
+def _operand(compiler: OperandCompiler, node: ast.Node) -> Thunk:
     """Returns a side of an operator, which keeps nothing of it: a list is made once."""
-    if not isinstance(node, ListLiteral) or not _is_written_out(node):
+    if not isinstance(node, ast.ListLiteral) or not _is_written_out(node):
         return compiler.thunk(node)
     fixed = _written_out(node)
     return lambda _: fixed
 
 
-def _is_written_out(node: Node) -> bool:
-    if isinstance(node, ListLiteral):
+def _is_written_out(node: ast.Node) -> bool:
+    if isinstance(node, ast.ListLiteral):
         return all(map(_is_written_out, node.items))
-    return isinstance(node, Literal)
+    return isinstance(node, ast.Literal)
 
 
-def _written_out(node: Node) -> Any:
-    if isinstance(node, ListLiteral):
+def _written_out(node: ast.Node) -> Any:
+    if isinstance(node, ast.ListLiteral):
         return list(map(_written_out, node.items))
     return node.value  # type: ignore[attr-defined]  # a literal
 
 
-def is_verdict(node: Node) -> bool:
+def is_verdict(node: ast.Node) -> bool:
     """Checks whether a part is made of operators of temporal logic, or of margins.
 
     It is nothing where these are: a condition that is not decided holds no more than its opposite.
     """
     match node:
-        case Call(name=name):
+        case ast.Call(name=name):
             return name in TEMPORAL_OPERATORS or name.startswith((OF_MARGINS, MARGIN))
-        case Placeholder(name=name):
+        case ast.Placeholder(name=name):
             return name.startswith(VERDICT)
-        case Unary(operator="NOT" | "-", operand=operand) | Binary(operator="/", left=operand):
+        case (
+            ast.Unary(operator="NOT" | "-", operand=operand)
+            | ast.Binary(operator="/", left=operand)
+        ):
             return is_verdict(operand)
-        case Binary(operator="<" | "<=" | ">" | ">=" | "-", left=left, right=right):
+        case ast.Binary(operator="<" | "<=" | ">" | ">=" | "-", left=left, right=right):
             return is_verdict(left) or is_verdict(right)
-        case Binary(operator=sign) | OperatorChain(operators=(sign, *_)) if sign in SHORT_CIRCUIT:
+        case ast.Binary(operator=sign) | ast.OperatorChain(operators=(sign, *_)) if (
+            sign in SHORT_CIRCUIT
+        ):
             return any(map(is_verdict, node.children()))
     return False
 
 
 def _short_circuit(
-    compiler: OperandCompiler, sign: str, operands: tuple[Node, ...]
+    compiler: OperandCompiler, sign: str, operands: tuple[ast.Node, ...]
 ) -> Callable[[Frame], bool | None]:
     """Compiles AND or OR: evaluation stops at the first operand that decides."""
     decides = sign == "OR"

@@ -16,6 +16,7 @@ from sqlglot.tokenizer_core import Token, TokenType
 
 from ssduck.errors import ParseError, SourceSpan, nearest
 from ssduck.formatting import RESERVED_WORDS
+from ssduck.language import ast
 from ssduck.language.sql_suggestions import STATEMENTS
 from ssduck.language.sql_syntax import CHAIN_OF_EQUALS, RELATIONAL, SqlForms, numbered_column
 from ssduck.language.tokens import (
@@ -28,29 +29,6 @@ from ssduck.language.tokens import (
     tokenize,
     unquoted,
 )
-from ssduck.language.tree import (
-    AdapterClause,
-    Assignment,
-    Binary,
-    Branch,
-    Call,
-    If,
-    Index,
-    ListLiteral,
-    Literal,
-    Name,
-    Node,
-    OperandRow,
-    OrderKey,
-    Program,
-    Query,
-    Recursion,
-    Source,
-    This,
-    TimeIndex,
-    Unary,
-    UnboundedHorizon,
-)
 
 
 def is_reserved(name: str) -> bool:
@@ -58,7 +36,7 @@ def is_reserved(name: str) -> bool:
     return name.upper() in RESERVED_WORDS or name.upper() in ("TRUE", "FALSE", "THIS")
 
 
-def parse(text: str) -> Program:
+def parse(text: str) -> ast.Program:
     """Parses a program.
 
     >>> parse("1 + 2 * 3;").statements[0].outline()
@@ -88,7 +66,7 @@ def parse(text: str) -> Program:
     return (_long_program if len(text) <= _LONG else _program)(text)
 
 
-def _program(text: str) -> Program:
+def _program(text: str) -> ast.Program:
     return _Parser(text, tokenize(text)).program()
 
 
@@ -110,7 +88,7 @@ class _Parser(SqlForms):
 
     # -- statements -----------------------------------------------------------------------
 
-    def program(self) -> Program:
+    def program(self) -> ast.Program:
         explain = ""
         if self._is_prefix():
             explain = next((word for word in PREFIXES if self.take_words(word)), "")
@@ -124,7 +102,7 @@ class _Parser(SqlForms):
                 self.expect(TokenType.SEMICOLON, "';'")
         for span in divisions(self.text):
             self.add_suspicion(span, "this begins a comment; an integer quotient is floor(x / y)")
-        return Program(self.text, tuple(statements), explain, tuple(self.suspicions))
+        return ast.Program(self.text, tuple(statements), explain, tuple(self.suspicions))
 
     def _is_prefix(self) -> bool:
         """Checks whether a word is no name, because of what follows it, as in WHY (a OR b)."""
@@ -154,10 +132,10 @@ class _Parser(SqlForms):
                 )
         super().fail(message)
 
-    def statement(self) -> Node:
+    def statement(self) -> ast.Node:
         self.descend()
         if self.at_word("SELECT"):
-            node: Node = self.query()
+            node: ast.Node = self.query()
         elif self.equals != "in a condition" and self.at_assignment():
             node = self.ambiguous_assignment() if self.equals else self.assignment()
         else:
@@ -180,28 +158,28 @@ class _Parser(SqlForms):
         token = self.ahead(offset)
         return is_kind(token, TokenType.EQ) and token is not None and token.text == "="
 
-    def assignment(self) -> Assignment:
+    def assignment(self) -> ast.Assignment:
         start = self.here()
         name = self.expect_own_name("a variable's name")
-        horizon: Node | None = None
+        horizon: ast.Node | None = None
         opening = self.here()
         if self.take(TokenType.L_BRACE):
             endless = self.take(TokenType.R_BRACE)
-            horizon = UnboundedHorizon(self.since(opening)) if endless else self.expression()
+            horizon = ast.UnboundedHorizon(self.since(opening)) if endless else self.expression()
             if not endless:
                 self.expect(TokenType.R_BRACE, "'}'")
         self.expect(TokenType.EQ, "'='")
         value = self.statement()
-        return Assignment(self.since(start), name.text, horizon, value)
+        return ast.Assignment(self.since(start), name.text, horizon, value)
 
-    def plain_assignment(self, target: str) -> Assignment:
+    def plain_assignment(self, target: str) -> ast.Assignment:
         """Parses an assignment to a name without history."""
         if is_kind(self.ahead(), TokenType.L_BRACE):
             self.index += 1
             self.fail(f"expected '=' ({target} has no history)")
         return self.assignment()
 
-    def state(self) -> Node:
+    def state(self) -> ast.Node:
         """Returns an assignment to a state variable, or another expression."""
         if self.at_assignment():
             return self.plain_assignment("a state variable")
@@ -209,7 +187,7 @@ class _Parser(SqlForms):
 
     # -- queries --------------------------------------------------------------------------
 
-    def query(self) -> Query:
+    def query(self) -> ast.Query:
         start = self.here()
         self.descend()
         equals, self.equals = self.equals, "in a value"
@@ -244,7 +222,7 @@ class _Parser(SqlForms):
         adapter = self.adapter() if self.take_words("AS") else None
         self.depth -= 1
         self.equals, self.is_listed = equals, is_listed
-        query = Query(
+        query = ast.Query(
             self.since(start),
             items,
             sources,
@@ -265,7 +243,7 @@ class _Parser(SqlForms):
         self.check_keys(query)
         return self.with_qualified_names(query)
 
-    def select_item(self) -> Node:
+    def select_item(self) -> ast.Node:
         """Returns an item of SELECT: a value, named or not, or an assignment to a variable."""
         if not self.at_assignment():
             return self.item()
@@ -273,7 +251,7 @@ class _Parser(SqlForms):
         node = replace(self.ambiguous_assignment(), is_bare=True)
         return self.named(start, node)
 
-    def ambiguous_assignment(self) -> Assignment:
+    def ambiguous_assignment(self) -> ast.Assignment:
         """Returns `name = value` in a query: an assignment that may be a comparison."""
         self.descend()
         value = self.ahead(2) if is_kind(self.ahead(), TokenType.EQ) else None
@@ -281,7 +259,7 @@ class _Parser(SqlForms):
         self.depth -= 1
         return node if value is None else replace(node, value_start=value.start)
 
-    def source(self) -> Source:
+    def source(self) -> ast.Source:
         start = self.here()
         alias = None
         if self.at_assignment():
@@ -294,11 +272,11 @@ class _Parser(SqlForms):
         self.is_listed = is_listed
         if alias is None:
             alias = self.source_alias(is_listed=is_listed)
-        if alias is None and isinstance(value, Name | TimeIndex):
+        if alias is None and isinstance(value, ast.Name | ast.TimeIndex):
             alias = value.name
-        return Source(self.since(start), alias, value)
+        return ast.Source(self.since(start), alias, value)
 
-    def sources(self) -> tuple[tuple[Source, ...], list[Node]]:
+    def sources(self) -> tuple[tuple[ast.Source, ...], list[ast.Node]]:
         """Returns the sources of FROM, and the conditions behind the ON of its joins."""
         sources, conditions = [self.source()], []
         while True:
@@ -312,25 +290,25 @@ class _Parser(SqlForms):
             else:
                 return tuple(sources), conditions
 
-    def conjunction(self, conditions: list[Node]) -> Node | None:
+    def conjunction(self, conditions: list[ast.Node]) -> ast.Node | None:
         """Returns conditions joined by AND; None if there are none."""
-        result: Node | None = None
+        result: ast.Node | None = None
         for node in conditions:
             span = node.span if result is None else SourceSpan(result.span.start, node.span.end)
-            result = node if result is None else Binary(span, "AND", result, node)
+            result = node if result is None else ast.Binary(span, "AND", result, node)
         return result
 
-    def key(self) -> OrderKey:
+    def key(self) -> ast.OrderKey:
         start = self.here()
         value = self.group_key()
         descending = self.take_words("DESC") or self.take_words("DESCENDING")
         if not descending:
             _ = self.take_words("ASC") or self.take_words("ASCENDING")
-        return OrderKey(self.since(start), value, descending)
+        return ast.OrderKey(self.since(start), value, descending)
 
-    def recursion(self) -> Recursion | None:
+    def recursion(self) -> ast.Recursion | None:
         start = self.here()
-        initial: tuple[Node, ...] = ()
+        initial: tuple[ast.Node, ...] = ()
         if self.take_words("START", "WITH"):
             initial = self.separated(self.state)
         elif not self.at_word("CONNECT"):
@@ -348,15 +326,15 @@ class _Parser(SqlForms):
             self.fail("expected STOP WITH")
         stop = self.condition()
         self.check_condition(stop)
-        return Recursion(
+        return ast.Recursion(
             self.since(start), initial, no_cycle, unique, memorizes, memorize, maximum, step, stop
         )
 
-    def adapter(self) -> AdapterClause:
+    def adapter(self) -> ast.AdapterClause:
         start = self.here()
         name = self.form_name()
-        arguments: list[Node] = []
-        named: list[Assignment] = []
+        arguments: list[ast.Node] = []
+        named: list[ast.Assignment] = []
         if self.take(TokenType.L_PAREN):
             while not self.at(TokenType.R_PAREN):
                 if self.at_assignment():
@@ -366,35 +344,35 @@ class _Parser(SqlForms):
                 if not self.take(TokenType.COMMA):
                     break
             self.expect(TokenType.R_PAREN, "')'")
-        return AdapterClause(self.since(start), name, tuple(arguments), tuple(named))
+        return ast.AdapterClause(self.since(start), name, tuple(arguments), tuple(named))
 
     # -- expressions ----------------------------------------------------------------------
 
-    def expression(self) -> Node:
+    def expression(self) -> ast.Node:
         self.descend()
         start = self.here()
         node = self.operation(0)
         if self.take_words("IMPLIES"):  # looser than OR, and right-associative
-            denied, then = Unary(node.span, "NOT", node), self.expression()
-            node = Binary(self.since(start), "OR", denied, then)
+            denied, then = ast.Unary(node.span, "NOT", node), self.expression()
+            node = ast.Binary(self.since(start), "OR", denied, then)
         self.depth -= 1
         return node
 
-    def operation(self, loosest: int) -> Node:
+    def operation(self, loosest: int) -> ast.Node:
         """Operators of the level `loosest` and tighter ones, by precedence climbing."""
         start = self.here()
         if self.take_words("NOT"):
             self.descend()
             operand = self.operation(LEVEL_OF["NOT"])
             self.depth -= 1
-            left: Node = Unary(self.since(start), "NOT", operand)
+            left: ast.Node = ast.Unary(self.since(start), "NOT", operand)
         else:
             left = self.unary()
         while (level := self.operator_level()) >= loosest:
             if self.condition_level() >= 0:
                 left = self.condition_operator(start, left)
                 continue
-            row, places = OperandRow(start.start, left, self.end()), [start]
+            row, places = ast.OperandRow(start.start, left, self.end()), [start]
             is_compared = False
             while self.operator_level() == level and self.condition_level() < 0:
                 word = self.tokens[self.index].text.upper()
@@ -428,7 +406,7 @@ class _Parser(SqlForms):
             return LEVEL_OF["!="]
         return -1 if operator == "NOT" else LEVEL_OF.get(operator, -1)
 
-    def unary(self) -> Node:
+    def unary(self) -> ast.Node:
         start = self.here()
         signs = []
         while self.at(TokenType.DASH) or self.at(TokenType.PLUS):
@@ -438,13 +416,13 @@ class _Parser(SqlForms):
         node = self.postfix()
         self.depth -= len(signs)
         for sign in reversed(signs):
-            node = Unary(self.since(start), sign, node)
+            node = ast.Unary(self.since(start), sign, node)
         return node
 
-    def postfix(self) -> Node:
+    def postfix(self) -> ast.Node:
         start = self.here()
         node = self.primary()
-        indices: list[Node] = []
+        indices: list[ast.Node] = []
         while self.at(TokenType.L_BRACKET) or self.at(TokenType.DOT):
             if self.take(TokenType.L_BRACKET):
                 indices.extend(self.separated(self.expression))
@@ -452,18 +430,18 @@ class _Parser(SqlForms):
             else:
                 self.expect(TokenType.DOT, "'.'")
                 key = self.expect_name(self.key_wanted())
-                indices.append(Literal(span_of(key), key.text))
-        return Index(self.since(start), node, tuple(indices)) if indices else node
+                indices.append(ast.Literal(span_of(key), key.text))
+        return ast.Index(self.since(start), node, tuple(indices)) if indices else node
 
-    def primary(self) -> Node:
+    def primary(self) -> ast.Node:
         token = self.token
         start = self.here()
         if token is None:
             self.fail("expected an expression")
         if self.take(TokenType.NUMBER):
-            return Literal(start, self.number(token))
+            return ast.Literal(start, self.number(token))
         if self.take(TokenType.STRING):
-            return Literal(start, unquoted(self.text[slice_of(token)]))
+            return ast.Literal(start, unquoted(self.text[slice_of(token)]))
         if self.take(TokenType.L_PAREN):
             is_listed, self.is_listed = self.is_listed, False
             node = self.statement()
@@ -474,9 +452,9 @@ class _Parser(SqlForms):
             items = () if self.at(TokenType.R_BRACKET) else self.parts()
             self.expect(TokenType.R_BRACKET, "']'")
             self.check_list(self.since(start))
-            return ListLiteral(self.since(start), items)
+            return ast.ListLiteral(self.since(start), items)
         if self.take(TokenType.DOT) and (digits := self.take(TokenType.NUMBER)):
-            return Literal(self.since(start), self.number(digits, "."))
+            return ast.Literal(self.since(start), self.number(digits, "."))
         return self.word()
 
     def number(self, token: Token, prefix: str = "") -> int | float:
@@ -488,16 +466,16 @@ class _Parser(SqlForms):
                 f"{text!r} is not a number", text=self.text, span=span_of(token)
             ) from None
 
-    def word(self) -> Node:
+    def word(self) -> ast.Node:
         start = self.here()
         if self.at_word("SELECT"):
             return self.query()
         if self.take_words("TRUE"):
-            return Literal(start, True)
+            return ast.Literal(start, True)
         if self.take_words("FALSE"):
-            return Literal(start, False)
+            return ast.Literal(start, False)
         if self.take_words("THIS"):
-            return This(start, None)
+            return ast.This(start, None)
         if self.begins_case():
             return self.case()
         if self.at_word("IF") and is_kind(self.ahead(), TokenType.L_PAREN):
@@ -505,32 +483,32 @@ class _Parser(SqlForms):
         name = self.expect_name("an expression")
         if self.at(TokenType.DOT) and is_word(self.ahead(), "THIS"):
             self.index += 2
-            return This(self.since(start), name.text)
+            return ast.This(self.since(start), name.text)
         if self.take(TokenType.L_PAREN):
             aggregate_argument = self.aggregate_argument(name.text)
             called = name.text
             if aggregate_argument is not None:
-                arguments: tuple[Node, ...] = (aggregate_argument,)
+                arguments: tuple[ast.Node, ...] = (aggregate_argument,)
                 called = called.lower()
             else:
                 parts = self.branch_parts if called == "print" else self.parts
                 arguments = () if self.at(TokenType.R_PAREN) else parts()
             self.expect(TokenType.R_PAREN, "')'")
-            return Call(self.since(start), called, arguments, start)
+            return ast.Call(self.since(start), called, arguments, start)
         if self.take(TokenType.L_BRACE):
             age = None if self.at(TokenType.R_BRACE) else self.expression()
             self.expect(TokenType.R_BRACE, self.past_end(name.text))
-            return TimeIndex(self.since(start), name.text, age)
-        return Name(start, name.text)
+            return ast.TimeIndex(self.since(start), name.text, age)
+        return ast.Name(start, name.text)
 
-    def parts(self) -> tuple[Node, ...]:
+    def parts(self) -> tuple[ast.Node, ...]:
         """Statements with commas between them, in brackets."""
         is_listed, self.is_listed = self.is_listed, True
         result = self.separated(self.statement)
         self.is_listed = is_listed
         return result
 
-    def branch_parts(self) -> tuple[Node, ...]:
+    def branch_parts(self) -> tuple[ast.Node, ...]:
         """The parts of a branch of IF, or of `print`, whose last one is the value.
 
         In a condition, `=` assigns in those before the last.
@@ -540,7 +518,7 @@ class _Parser(SqlForms):
         self.is_listed = is_listed
         return result
 
-    def branch_part(self) -> Node:
+    def branch_part(self) -> ast.Node:
         """One of such parts."""
         if self.equals != "in a condition" or not (self.at_assignment() and self.is_followed()):
             return self.statement()
@@ -549,12 +527,12 @@ class _Parser(SqlForms):
         self.equals = "in a condition"
         return node
 
-    def if_expression(self) -> If:
+    def if_expression(self) -> ast.If:
         """Parses `IF(condition; …; …)`; an `IF` that is the whole else branch becomes a branch."""
         start = self.here()
         self.index += 2
         branches = [self.branch(start)]
-        otherwise: tuple[Node, ...] = ()
+        otherwise: tuple[ast.Node, ...] = ()
         depth = 1
         while self.take(TokenType.SEMICOLON) and not self.at(TokenType.R_PAREN):
             if not self.at_last_choice():
@@ -567,16 +545,16 @@ class _Parser(SqlForms):
         for _ in range(depth):
             self.expect(TokenType.R_PAREN, "')'")
         first, *further = branches
-        return If(self.since(start), first.condition, first.then, otherwise, tuple(further))
+        return ast.If(self.since(start), first.condition, first.then, otherwise, tuple(further))
 
-    def branch(self, start: SourceSpan) -> Branch:
+    def branch(self, start: SourceSpan) -> ast.Branch:
         """Parses `condition; then, …`; without values it is True, as in the published grammar."""
         condition = self.statement()
         self.check_condition(condition)
         if self.at(TokenType.R_PAREN):
-            return Branch(self.since(start), condition, (Literal(self.since(start), True),))
+            return ast.Branch(self.since(start), condition, (ast.Literal(self.since(start), True),))
         self.expect(TokenType.SEMICOLON, "';' or ')' after the condition")
-        return Branch(self.since(start), condition, self.branch_parts())
+        return ast.Branch(self.since(start), condition, self.branch_parts())
 
     def at_last_choice(self) -> bool:
         """Checks whether an `IF(…)` comes next, and then the end of the one that it is in."""

@@ -13,6 +13,7 @@ from typing import Any
 from sqlglot.tokenizer_core import Token, TokenType
 
 from ssduck.errors import SourceSpan
+from ssduck.language import ast
 from ssduck.language.builtins import AGGREGATES
 from ssduck.language.sql_suggestions import HABITS, NUMPY
 from ssduck.language.tokens import (
@@ -23,27 +24,6 @@ from ssduck.language.tokens import (
     is_kind,
     is_word,
     span_of,
-)
-from ssduck.language.tree import (
-    Assignment,
-    Binary,
-    Branch,
-    Call,
-    If,
-    Index,
-    ListLiteral,
-    Literal,
-    Name,
-    Node,
-    OperandRow,
-    OperatorChain,
-    QualifiedName,
-    Query,
-    Source,
-    Suspicion,
-    This,
-    TimeIndex,
-    Unary,
 )
 
 # The result forms whose names are words of the grammar, so in any case.
@@ -65,28 +45,28 @@ _SIGNS = (TokenType.DASH, TokenType.PLUS)
 MAX_SPELLED = 60
 
 
-def numbered_column(key: Node, items: Sequence[Node]) -> Node:
+def numbered_column(key: ast.Node, items: Sequence[ast.Node]) -> ast.Node:
     """Returns the second column for the 2 in `ORDER BY 2`; other keys unchanged."""
-    number = key.value if isinstance(key, Literal) else None
+    number = key.value if isinstance(key, ast.Literal) else None
     if type(number) is not int or not 1 <= number <= len(items):
         return key
     match items[number - 1]:
-        case Assignment():
+        case ast.Assignment():
             return key
-        case Call(name="to", arguments=(value, _)):
+        case ast.Call(name="to", arguments=(value, _)):
             return value
         case column:
             return column
 
 
-def _is_written_out(value: Node) -> bool:
+def _is_written_out(value: ast.Node) -> bool:
     """Checks whether a value depends on nothing."""
-    kinds = (Literal, ListLiteral, Unary, Binary, OperatorChain, Assignment)
+    kinds = (ast.Literal, ast.ListLiteral, ast.Unary, ast.Binary, ast.OperatorChain, ast.Assignment)
     return all(isinstance(part, kinds) for part in value.walk())
 
 
-def _is_truth_value(node: Node) -> bool:
-    return isinstance(node, Literal) and isinstance(node.value, bool)
+def _is_truth_value(node: ast.Node) -> bool:
+    return isinstance(node, ast.Literal) and isinstance(node.value, bool)
 
 
 class SqlForms(Cursor):
@@ -100,28 +80,28 @@ class SqlForms(Cursor):
     def __init__(self, text: str, tokens: list[Token]) -> None:
         super().__init__(text, tokens)
         # The comparisons that a part consists of: `a < b < c` of two.
-        self.comparisons: dict[Node, list[Any]] = {}
+        self.comparisons: dict[ast.Node, list[Any]] = {}
 
     @abstractmethod
-    def statement(self) -> Node:
+    def statement(self) -> ast.Node:
         """Returns a statement."""
 
     @abstractmethod
-    def expression(self) -> Node:
+    def expression(self) -> ast.Node:
         """Returns an expression."""
 
     @abstractmethod
-    def operation(self, loosest: int) -> Node:
+    def operation(self, loosest: int) -> ast.Node:
         """Operators of the level `loosest` and tighter ones."""
 
-    def condition(self) -> Node:
+    def condition(self) -> ast.Node:
         """Returns an expression in which `=` compares."""
         before, self.equals = self.equals, "in a condition"
         node = self.expression()
         self.equals = before
         return node
 
-    def group_key(self) -> Node:
+    def group_key(self) -> ast.Node:
         """Returns a key of GROUP BY or ORDER BY, in which `=` compares."""
         before, self.equals = self.equals, "in a value"
         node = self.expression()
@@ -136,32 +116,32 @@ class SqlForms(Cursor):
         is_next = self.at_word(*_CONDITIONS) or (self.at_word("NOT") and negated)
         return LEVEL_OF["IN"] if is_next else -1
 
-    def condition_operator(self, start: SourceSpan, left: Node) -> Node:
+    def condition_operator(self, start: SourceSpan, left: ast.Node) -> ast.Node:
         """Returns the condition that `LIKE`, `BETWEEN`, `IS` or `NOT IN` makes of its left side."""
         is_not = self.take_words("NOT")
         if self.take_words("IS"):
             is_not = self.take_words("NOT")
             if not self.take_words("NULL"):
                 self.fail("expected NULL (write == to compare)")
-            node: Node = Unary(self.since(start), "IS NULL", left)
+            node: ast.Node = ast.Unary(self.since(start), "IS NULL", left)
         elif self.take_words("BETWEEN"):
             low = self.operation(LEVEL_OF["+"])
             self.expect_word("AND")
             high = self.operation(LEVEL_OF["+"])
             place = self.since(start)
-            above, below = Binary(place, ">=", left, low), Binary(place, "<=", left, high)
-            node = Binary(place, "AND", above, below)
+            above, below = ast.Binary(place, ">=", left, low), ast.Binary(place, "<=", left, high)
+            node = ast.Binary(place, "AND", above, below)
         elif self.take_words("IN"):
             right = self.members()
-            node = Binary(self.since(start), "IN", left, right)
+            node = ast.Binary(self.since(start), "IN", left, right)
         else:
             self.expect_word("LIKE")
             right = self.operation(LEVEL_OF["IN"] + 1)
             self.check_pattern(right)
-            node = Binary(self.since(start), "LIKE", left, right)
-        return Unary(self.since(start), "NOT", node) if is_not else node
+            node = ast.Binary(self.since(start), "LIKE", left, right)
+        return ast.Unary(self.since(start), "NOT", node) if is_not else node
 
-    def members(self) -> Node:
+    def members(self) -> ast.Node:
         """Returns the right side of IN: `(1, 2)` is a list."""
         start = self.here()
         if not self.at(TokenType.L_PAREN):
@@ -171,12 +151,12 @@ class SqlForms(Cursor):
             is_empty = self.at(TokenType.R_PAREN)
             items = () if is_empty else self.separated(self.statement)
             self.expect(TokenType.R_PAREN, "')'")
-            return ListLiteral(self.since(start), items)
+            return ast.ListLiteral(self.since(start), items)
         else:
             right = self.operation(LEVEL_OF["IN"] + 1)
-            if isinstance(right.operand if isinstance(right, Unary) else right, Literal):
-                return ListLiteral(self.since(start), (right,))
-        if isinstance(right, Query) and right.adapter is None and right.items:
+            if isinstance(right.operand if isinstance(right, ast.Unary) else right, ast.Literal):
+                return ast.ListLiteral(self.since(start), (right,))
+        if isinstance(right, ast.Query) and right.adapter is None and right.items:
             message = "the query behind IN yields dicts; for their values write AS list"
             self.add_suspicion(right.span, message)
         return right
@@ -198,7 +178,7 @@ class SqlForms(Cursor):
             offset += 1
         return False
 
-    def comparison(self, row: OperandRow, places: Sequence[SourceSpan]) -> Node:
+    def comparison(self, row: ast.OperandRow, places: Sequence[SourceSpan]) -> ast.Node:
         """Returns a comparison; `a < b <= c` is `a < b AND b <= c`."""
         parts: list[Any] = []
         # A comparison in parentheses begins behind its first token; it is a value like others.
@@ -214,26 +194,26 @@ class SqlForms(Cursor):
         for sign, (inner, operand) in zip(row.operators, others, strict=True):
             right = inner[0].left if inner else operand
             parts += [
-                Binary(SourceSpan(left.span.start, right.span.end), sign, left, right),
+                ast.Binary(SourceSpan(left.span.start, right.span.end), sign, left, right),
                 *inner,
             ]
             left = inner[-1].right if inner else operand
         if len(parts) == 1:
             parts = [node := row.node()]
         else:
-            joined = OperandRow(places[0].start, parts[0], parts[0].span.end)
+            joined = ast.OperandRow(places[0].start, parts[0], parts[0].span.end)
             for part in parts[1:]:
                 joined.add("AND", part, part.span.end)
             node = joined.node()
         self.comparisons[node] = parts
         return node
 
-    def check_equality(self, row: OperandRow, places: Sequence[SourceSpan]) -> None:
+    def check_equality(self, row: ast.OperandRow, places: Sequence[SourceSpan]) -> None:
         """Reports `a == b == c`, which compares whether a equals b with c."""
         if row.operators[0] not in _EQUALITIES or any(map(_is_truth_value, row.operands)):
             return
         is_chain = len(row.operators) > 1 or any(
-            isinstance(operand, Binary)
+            isinstance(operand, ast.Binary)
             and operand.operator in _EQUALITIES
             and operand.span.start == place.start  # not in brackets
             and not any(map(_is_truth_value, operand.children()))
@@ -244,11 +224,11 @@ class SqlForms(Cursor):
             span = SourceSpan(row.start, self.end())
             self.add_suspicion(span, message, is_grave=True)
 
-    def check_sign(self, row: OperandRow, start: SourceSpan, exponent: SourceSpan) -> None:
+    def check_sign(self, row: ast.OperandRow, start: SourceSpan, exponent: SourceSpan) -> None:
         """Reports `-x ^ 2`, which is `(-x) ^ 2`, and `x ^ 3 ^ 2`, which is `(x ^ 3) ^ 2`."""
         base, negated = row.operands[-1], self.text[start.start : row.ends[-1]]
         unsigned, is_negative = negated, False
-        while isinstance(base, Unary) and unsigned.startswith(("-", "+")):
+        while isinstance(base, ast.Unary) and unsigned.startswith(("-", "+")):
             is_negative ^= base.operator == "-"
             base, unsigned = base.operand, unsigned[1:].lstrip()
         if not is_negative and len(row.operators) != 1:
@@ -281,18 +261,18 @@ class SqlForms(Cursor):
         words = (*CLAUSES, *OPERATOR_WORDS, *_CONDITIONS)
         return token.token_type != TokenType.VAR or token.text.upper() not in words
 
-    def case(self) -> Node:
+    def case(self) -> ast.Node:
         """Parses `CASE WHEN … THEN … ELSE … END` or `CASE x WHEN value THEN …` as an IF."""
         start = self.here()
         self.expect_word("CASE")
         compared = None if self.at_word("WHEN") else self.expression()
         if not self.at_word("WHEN"):
             self.fail("expected WHEN")
-        branches: list[tuple[Node, Node]] = []
+        branches: list[tuple[ast.Node, ast.Node]] = []
         while self.take_words("WHEN"):
             condition = self.condition() if compared is None else self.expression()
             if compared is not None:
-                condition = Binary(condition.span, "==", compared, condition)
+                condition = ast.Binary(condition.span, "==", compared, condition)
             self.expect_word("THEN")
             branches.append((condition, self.expression()))
         if not self.take_words("ELSE"):
@@ -300,19 +280,19 @@ class SqlForms(Cursor):
         otherwise = self.expression()
         self.expect_word("END")
         place = self.since(start)
-        first, *further = (Branch(place, condition, (then,)) for condition, then in branches)
-        return If(place, first.condition, first.then, (otherwise,), tuple(further))
+        first, *further = (ast.Branch(place, condition, (then,)) for condition, then in branches)
+        return ast.If(place, first.condition, first.then, (otherwise,), tuple(further))
 
     # -- calls ----------------------------------------------------------------------------
 
-    def aggregate_argument(self, name: str) -> Node | None:
+    def aggregate_argument(self, name: str) -> ast.Node | None:
         """Returns the argument of `count(*)` or `count(DISTINCT x)`; None if it is neither."""
         if self.at(TokenType.STAR) and is_kind(self.ahead(), TokenType.R_PAREN):
             if name.lower() != "count":
                 self.fail("expected an expression (only count takes *)")
             star = self.here()
             self.index += 1
-            return Literal(star, 1)
+            return ast.Literal(star, 1)
         following = self.ahead()
         begins = following is not None and following.token_type in _BEGINS
         begins = begins or self._is_sign_ahead()
@@ -320,7 +300,7 @@ class SqlForms(Cursor):
             start = self.here()
             self.index += 1
             argument = self.statement()
-            return Call(self.since(start), "uniq", (argument,), start)
+            return ast.Call(self.since(start), "uniq", (argument,), start)
         return None
 
     def _is_sign_ahead(self) -> bool:
@@ -348,16 +328,16 @@ class SqlForms(Cursor):
         self.index += 1
         return True
 
-    def item(self) -> Node:
+    def item(self) -> ast.Node:
         """Returns a selected value; `z AS height` is `to(z, 'height')`."""
         start = self.here()
         if is_kind(self.ahead(), TokenType.DOT) and is_kind(self.ahead(2), TokenType.STAR):
             name = self.expect_name("a source's name")  # `k.*` is its element, as `*` is
             self.index += 2
-            return This(self.since(start), name.text)
+            return ast.This(self.since(start), name.text)
         return self.named(start, self.expression())
 
-    def named(self, start: SourceSpan, node: Node) -> Node:
+    def named(self, start: SourceSpan, node: ast.Node) -> ast.Node:
         """Returns a selected value with the name behind AS, if there is one."""
         if not self.take_words("AS"):
             return node
@@ -365,7 +345,7 @@ class SqlForms(Cursor):
             self.fail("expected a column's name (without quotes)")
         name = self.expect_name("a column's name")
         place = self.since(start)
-        return Call(place, "to", (node, Literal(span_of(name), name.text)), place)
+        return ast.Call(place, "to", (node, ast.Literal(span_of(name), name.text)), place)
 
     def source_alias(self, *, is_listed: bool) -> str | None:
         """Returns the alias in `FROM kitchen k` and `FROM kitchen AS k`; None if there is none."""
@@ -397,7 +377,7 @@ class SqlForms(Cursor):
             return None
         return self.expect_own_name("a source's name").text
 
-    def limits(self, *, may_be_followed: bool) -> tuple[Node | None, Node | None]:
+    def limits(self, *, may_be_followed: bool) -> tuple[ast.Node | None, ast.Node | None]:
         """Returns the parts of LIMIT and OFFSET, in either order; None for one that is missing."""
         limit = offset = None
         while self.at_word("LIMIT", "OFFSET"):
@@ -420,69 +400,75 @@ class SqlForms(Cursor):
         name = self.expect_name("the name of a result form").text
         return name.lower() if name.lower() in FORMS else name
 
-    def with_qualified_names(self, query: Query) -> Query:
+    def with_qualified_names(self, query: ast.Query) -> ast.Query:
         """Returns a query in which `a.id` is a `QualifiedName` wherever `a` is an alias."""
         aliases = {s.alias for s in query.sources if s.alias is not None}
-        aliases -= {s.value.name for s in query.sources if isinstance(s.value, Name | TimeIndex)}
+        aliases -= {
+            s.value.name for s in query.sources if isinstance(s.value, ast.Name | ast.TimeIndex)
+        }
 
-        def change(node: Node) -> Node | None:
-            if isinstance(node, Source):
+        def change(node: ast.Node) -> ast.Node | None:
+            if isinstance(node, ast.Source):
                 return node
             match node:
-                case Index(base=Name(name=name), indices=(Literal(value=str() as key) as index,)):
+                case ast.Index(
+                    base=ast.Name(name=name), indices=(ast.Literal(value=str() as key) as index,)
+                ):
                     if name in aliases and self.text[index.span.start] not in "'\"":
-                        return QualifiedName(node.span, name, key, node)
+                        return ast.QualifiedName(node.span, name, key, node)
             return None
 
         changed = query.replaced(change) if aliases else query
-        assert isinstance(changed, Query)
+        assert isinstance(changed, ast.Query)
         return changed
 
     # -- suspicions -----------------------------------------------------------------------
 
     def add_suspicion(self, span: SourceSpan, message: str, *, is_grave: bool = False) -> None:
         """Records a probable mistake."""
-        self.suspicions.append(Suspicion(span, message, is_grave))
+        self.suspicions.append(ast.Suspicion(span, message, is_grave))
 
-    def check_condition(self, node: Node | None) -> None:
+    def check_condition(self, node: ast.Node | None) -> None:
         """Reports a condition that assigns a constant, and so is the same for all rows."""
         match node:
             case (
-                Binary(operator="AND" | "OR" | "XOR")
-                | OperatorChain(operators=("AND" | "OR" | "XOR", *_))
+                ast.Binary(operator="AND" | "OR" | "XOR")
+                | ast.OperatorChain(operators=("AND" | "OR" | "XOR", *_))
             ):
                 for side in node.children():
                     self.check_condition(side)
                 self._check_constants(list(node.children()))
-            case Assignment(value=Binary(operator="AND" | "OR") as value, value_start=int()):
+            case ast.Assignment(
+                value=ast.Binary(operator="AND" | "OR") as value, value_start=int()
+            ):
                 self._check_constants(list(value.children())[1:])  # the first is compared
-            case Unary(operator="NOT", operand=operand):
+            case ast.Unary(operator="NOT", operand=operand):
                 self.check_condition(operand)
-            case Assignment(name=name, value=value) if _is_written_out(value):
+            case ast.Assignment(name=name, value=value) if _is_written_out(value):
                 self.add_suspicion(node.span, f"this sets the variable {name}; write == to compare")
 
-    def _check_constants(self, conditions: Sequence[Node]) -> None:
+    def _check_constants(self, conditions: Sequence[ast.Node]) -> None:
         """Reports conditions that are texts or numbers: `id = 'can' OR 'cup'`."""
         for node in conditions:
-            if isinstance(node, Literal) and not isinstance(node.value, bool):
+            if isinstance(node, ast.Literal) and not isinstance(node.value, bool):
                 message = "this condition is the same for all rows; write x IN (a, b)"
                 self.add_suspicion(node.span, message)
 
-    def check_pattern(self, node: Node) -> None:
+    def check_pattern(self, node: ast.Node) -> None:
         """Reports the pattern `'cup*'` of LIKE, which is of shells."""
-        pattern = node.value if isinstance(node, Literal) else None
+        pattern = node.value if isinstance(node, ast.Literal) else None
         if isinstance(pattern, str) and "*" in pattern and not {"%", "_"} & set(pattern):
             message = "in a pattern of LIKE, % stands for any letters, and * for itself"
             self.add_suspicion(node.span, message)
 
-    def check_texts(self, node: Node | None) -> None:
+    def check_texts(self, node: ast.Node | None) -> None:
         """Reports a condition on two texts, one in double quotes: it is the same for all rows."""
-        if node is None or isinstance(node, Query):
+        if node is None or isinstance(node, ast.Query):
             return
         match node:
-            case Binary(left=Literal(value=str()) as left, right=right):
-                is_text = isinstance(right, Literal) and isinstance(right.value, str)
-                is_list = isinstance(right, ListLiteral) and _is_written_out(right)
+            case ast.Binary(left=ast.Literal(value=str()) as left, right=right):
+                is_text = isinstance(right, ast.Literal) and isinstance(right.value, str)
+                is_list = isinstance(right, ast.ListLiteral) and _is_written_out(right)
                 for side in (left, right) if is_text or is_list else ():
                     if self.text[side.span.start] == '"':
                         name = self.text[side.span.start + 1 : side.span.end - 1]
@@ -494,13 +480,13 @@ class SqlForms(Cursor):
         for child in node.children():
             self.check_texts(child)
 
-    def check_keys(self, query: Query) -> None:
+    def check_keys(self, query: ast.Query) -> None:
         """Reports keys that are numbers and refer to no column, and those that are texts."""
         keys = [("ORDER BY", key.value) for key in query.order]
         keys += [("GROUP BY", node) for node in query.group]
         for clause, node in keys:
             is_text = self.text.startswith("'", node.span.start)  # of "z", the linter tells
-            if isinstance(node, Literal) and (type(node.value) is int or is_text):
+            if isinstance(node, ast.Literal) and (type(node.value) is int or is_text):
                 what = "a text" if is_text else "a number"
                 self.add_suspicion(
                     node.span, f"{clause} {what} is the same for all rows; write the column"

@@ -13,6 +13,7 @@ from sqlglot.tokens import Tokenizer
 
 from ssduck.errors import ParseError, SourceSpan, nearest
 from ssduck.formatting import RESERVED_WORDS
+from ssduck.language import ast
 from ssduck.language.sql_suggestions import (
     NO_BOUNDS,
     NO_COMMA,
@@ -25,7 +26,6 @@ from ssduck.language.sql_suggestions import (
     suggestion_for,
     suggestion_for_name,
 )
-from ssduck.language.tree import Suspicion
 
 
 class SelectScriptTokenizer(Tokenizer):
@@ -227,7 +227,7 @@ class Cursor:
         self.tokens = tokens
         self.index = 0
         self.depth = 0
-        self.suspicions: list[Suspicion] = []
+        self.suspicions: list[ast.Suspicion] = []
 
     @property
     def token(self) -> Token | None:

@@ -11,7 +11,7 @@ from typing import Any, Self
 from ssduck import validation
 from ssduck.errors import ArgumentError, EvaluationError
 from ssduck.formatting import short_repr
-from ssduck.language.tree import Node
+from ssduck.language import ast
 
 
 class LazyList:
@@ -22,7 +22,7 @@ class LazyList:
 
     IN_WORDS = "a list for the query that uses it"
 
-    def __init__(self, node: Node, text: str) -> None:
+    def __init__(self, node: ast.Node, text: str) -> None:
         self.node = node
         self.text = text
 

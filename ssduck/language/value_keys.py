@@ -12,12 +12,12 @@ import numpy as np
 
 from ssduck.errors import ArgumentError, SourceSpan
 from ssduck.formatting import type_in_words
-from ssduck.language.tree import Node, Placeholder, Query
+from ssduck.language import ast
 
-_node_keys: WeakKeyDictionary[Node, str] = WeakKeyDictionary()
+_node_keys: WeakKeyDictionary[ast.Node, str] = WeakKeyDictionary()
 
 
-def node_key(node: Node) -> str:
+def node_key(node: ast.Node) -> str:
     """Returns a key of a part of a tree; parts with equal keys have the same meaning."""
     key = _node_keys.get(node)
     if key is None:
@@ -25,8 +25,8 @@ def node_key(node: Node) -> str:
     return key
 
 
-def _key_of(node: Node) -> str:
-    if isinstance(node, Query):
+def _key_of(node: ast.Node) -> str:
+    if isinstance(node, ast.Query):
         return f"Query({id(node)})"
     values = (getattr(node, field.name) for field in fields(node))
     parts = ", ".join(_field_key(value) for value in values if not isinstance(value, SourceSpan))
@@ -37,7 +37,7 @@ def _field_key(value: Any) -> str:
     """Returns the key of a part's field: a part, several parts, or a name, a number, a text."""
     if isinstance(value, tuple):
         return f"({', '.join(map(_field_key, value))})"
-    return node_key(value) if isinstance(value, Node) else repr(value)
+    return node_key(value) if isinstance(value, ast.Node) else repr(value)
 
 
 ATOMS = frozenset((int, float, str, bool, type(None)))
@@ -179,7 +179,7 @@ class ValueKeys:
 
 
 # The key of a query's memos in a frame's cache; no program contains this part.
-MEMOS = Placeholder(SourceSpan(0, 0), "memos")
+MEMOS = ast.Placeholder(SourceSpan(0, 0), "memos")
 # The largest number of results of a function; when it is reached, all are dropped.
 MAX_STORED = 10_000
 # After TRIAL_CALLS calls, a function with fewer hits than one in _MIN_CALLS_PER_HIT is not cached.

@@ -11,52 +11,47 @@ from __future__ import annotations
 from functools import lru_cache
 
 from ssduck.errors import ArgumentError
+from ssduck.language import ast
 from ssduck.language.analysis import OF_MARGINS, TEMPORAL_OPERATORS
 from ssduck.language.builtins import MARGIN_OF_TRUTH, UNIT_OF_SCALE
 from ssduck.language.parser import parse
-from ssduck.language.tree import (
-    Binary,
-    Call,
-    ListLiteral,
-    Literal,
-    Name,
-    Node,
-    OperatorChain,
-    Unary,
-)
 from ssduck.sql.relations.registry import RELATIONS
 
 
-def margin_of(condition: Node) -> Node:
+def margin_of(condition: ast.Node) -> ast.Node:
     """Returns the margin of a condition."""
     span = condition.span
     match condition:
-        case Unary(operator="NOT", operand=operand):
-            return Unary(span, "-", margin_of(operand))
-        case Binary(operator="AND" | "OR" as sign, left=left, right=right):
+        case ast.Unary(operator="NOT", operand=operand):
+            return ast.Unary(span, "-", margin_of(operand))
+        case ast.Binary(operator="AND" | "OR" as sign, left=left, right=right):
             return _extreme(condition, sign, (left, right))
-        case OperatorChain(operators=("AND" | "OR" as sign, *_), operands=operands):
+        case ast.OperatorChain(operators=("AND" | "OR" as sign, *_), operands=operands):
             return _extreme(condition, sign, operands)
-        case Binary(operator="<" | "<=", left=left, right=right):
-            return Binary(span, "-", right, left)
-        case Binary(operator=">" | ">=", left=left, right=right):
-            return Binary(span, "-", left, right)
-        case Call(name="scale", arguments=(inner, unit)):
-            checked = Call(unit.span, UNIT_OF_SCALE, (unit,), unit.span)
-            return Binary(span, "/", margin_of(inner), checked)
-        case Call(name=name, arguments=arguments) if name in TEMPORAL_OPERATORS:
+        case ast.Binary(operator="<" | "<=", left=left, right=right):
+            return ast.Binary(span, "-", right, left)
+        case ast.Binary(operator=">" | ">=", left=left, right=right):
+            return ast.Binary(span, "-", left, right)
+        case ast.Call(name="scale", arguments=(inner, unit)):
+            checked = ast.Call(unit.span, UNIT_OF_SCALE, (unit,), unit.span)
+            return ast.Binary(span, "/", margin_of(inner), checked)
+        case ast.Call(name=name, arguments=arguments) if name in TEMPORAL_OPERATORS:
             count = TEMPORAL_OPERATORS[name]
             margins = (*map(margin_of, arguments[:count]), *arguments[count:])
-            return Call(span, OF_MARGINS + name, margins, condition.name_span)
-        case Call(name=name) if (margin := _margin_of_relation(condition)) is not None:
+            return ast.Call(span, OF_MARGINS + name, margins, condition.name_span)
+        case ast.Call(name=name) if (margin := _margin_of_relation(condition)) is not None:
             return margin
-    return Call(span, MARGIN_OF_TRUTH, (condition,), span)
+    return ast.Call(span, MARGIN_OF_TRUTH, (condition,), span)
 
 
-def check_margin(margin: Node) -> None:
+def check_margin(margin: ast.Node) -> None:
     """Checks that a margin is of conditions: that of a number or a text would be infinite."""
     for part in margin.walk():
-        if isinstance(part, Call) and part.name == MARGIN_OF_TRUTH and is_value(part.arguments[0]):
+        if (
+            isinstance(part, ast.Call)
+            and part.name == MARGIN_OF_TRUTH
+            and is_value(part.arguments[0])
+        ):
             raise ArgumentError(
                 "robustness takes a condition, and this is a value: compare it, as in "
                 "robustness(z(cup) > 0.9)",
@@ -64,30 +59,34 @@ def check_margin(margin: Node) -> None:
             )
 
 
-def is_value(node: Node) -> bool:
+def is_value(node: ast.Node) -> bool:
     """Checks whether a part is a number, a text or a list, and no condition."""
     match node:
-        case Literal(value=value):
+        case ast.Literal(value=value):
             return not isinstance(value, bool)
-        case Unary(operator=sign) | Binary(operator=sign) | OperatorChain(operators=(sign, *_)):
+        case (
+            ast.Unary(operator=sign)
+            | ast.Binary(operator=sign)
+            | ast.OperatorChain(operators=(sign, *_))
+        ):
             return sign in ("+", "-", "*", "/", "%")
-        case Call(name=name):
+        case ast.Call(name=name):
             result = RELATIONS[name].result if name in RELATIONS else "boolean"
             is_number = name in ("robustness", "heldFor", "rate")
             return is_number or result not in ("boolean", "entity")
-    return isinstance(node, ListLiteral)
+    return isinstance(node, ast.ListLiteral)
 
 
-def _extreme(condition: Node, sign: str, operands: tuple[Node, ...]) -> Node:
+def _extreme(condition: ast.Node, sign: str, operands: tuple[ast.Node, ...]) -> ast.Node:
     """Returns the least margin of the operands of AND, or the largest of those of OR.
 
     It is nothing where one of them is.
     """
-    margins = ListLiteral(condition.span, tuple(map(margin_of, operands)))
-    return Call(condition.span, f"margin of {sign}", (margins,), condition.span)
+    margins = ast.ListLiteral(condition.span, tuple(map(margin_of, operands)))
+    return ast.Call(condition.span, f"margin of {sign}", (margins,), condition.span)
 
 
-def _margin_of_relation(call: Call) -> Node | None:
+def _margin_of_relation(call: ast.Call) -> ast.Node | None:
     """Returns the margin of a relation; None if it has none."""
     relation = RELATIONS.get(call.name)
     if relation is None or len(call.arguments) not in relation.expressions:
@@ -97,19 +96,19 @@ def _margin_of_relation(call: Call) -> Node | None:
     values = {p.name: _parsed(p.default) for p in relation.parameters if p.default}
     values |= zip((p.name for p in relation.parameters), call.arguments, strict=False)
 
-    def argument(part: Node) -> Node | None:
-        return values.get(part.name) if isinstance(part, Name) else None
+    def argument(part: ast.Node) -> ast.Node | None:
+        return values.get(part.name) if isinstance(part, ast.Name) else None
 
     margin = _parsed(text).replaced(argument)
     if [p.type for p in relation.parameters[:2]] != ["entity", "entity"]:
         return margin
     # None is of an entity with itself.
     differ = _parsed("CASE WHEN a != b THEN 1e999 ELSE -1e999 END").replaced(argument)
-    both = ListLiteral(call.span, (differ, margin))
-    return Call(call.span, "margin of AND", (both,), call.span)
+    both = ast.ListLiteral(call.span, (differ, margin))
+    return ast.Call(call.span, "margin of AND", (both,), call.span)
 
 
 @lru_cache(maxsize=256)
-def _parsed(text: str) -> Node:
+def _parsed(text: str) -> ast.Node:
     """Returns an expression of the language."""
     return parse(f"{text};").statements[0]

@@ -21,7 +21,7 @@ from ssduck.interpreter.archives import episodes
 from ssduck.interpreter.completion import Language
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.program import last_query, rows_to_show, value_to_show, with_last
-from ssduck.language.tree import AdapterClause, Literal
+from ssduck.language import ast
 from ssduck.logic.why import Why
 from ssduck.sandbox.interpreter import SandboxedInterpreter
 from ssduck.schema import HISTORIES, TABLES
@@ -197,8 +197,8 @@ class InterpreterAnswers:
             return picture
         if query is None:
             return self._with_marks(value, size)
-        arguments = tuple(Literal(query.span, number) for number in size)
-        form = AdapterClause(query.span, "image", arguments)
+        arguments = tuple(ast.Literal(query.span, number) for number in size)
+        form = ast.AdapterClause(query.span, "image", arguments)
         return png(self._ss.eval(with_last(compiled, query, form)))
 
     def _with_marks(self, value: Any, size: tuple[int, int]) -> bytes:

@@ -20,8 +20,8 @@ import numpy as np
 from ssduck import validation
 from ssduck.errors import ArgumentError, ProgramWarning, SelectScriptError, warn
 from ssduck.formatting import short_repr
+from ssduck.language import ast
 from ssduck.language.parser import parse
-from ssduck.language.tree import Binary, Call, Index, Query
 from ssduck.recording.buffers import TickBuffer
 
 Tag: TypeAlias = str | bool | int | float
@@ -83,7 +83,9 @@ def _is_program(text: str) -> bool:
         return False
     for statement in statements:
         parts = {type(part) for part in statement.walk()}
-        if Query in parts or (isinstance(statement, Binary | Call) and Index in parts):
+        if ast.Query in parts or (
+            isinstance(statement, ast.Binary | ast.Call) and ast.Index in parts
+        ):
             return True
     return False
 

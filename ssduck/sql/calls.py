@@ -10,9 +10,9 @@ from functools import reduce
 from sqlglot import exp
 
 from ssduck.errors import ArgumentError
+from ssduck.language import ast
 from ssduck.language.analysis import BINARY_SIGNS, IMPURE, OVER_TIME, UNARY_SIGNS
 from ssduck.language.builtins import EXTREMES_OF_MARGINS, LEAST_SQUARE, NUMBER_OF_ENTITY
-from ssduck.language.tree import Binary, Call, ListLiteral, Node, Query, Unary
 from ssduck.sql import subqueries
 from ssduck.sql.operators import double_of, element_at
 from ssduck.sql.relation_calls import expanded, in_world, note_pair
@@ -38,7 +38,7 @@ _REAL_FUNCTIONS = ("sin", "cos", "tan", "atan", "tanh")
 MAX_EXPONENT_OF_E = 709.782712893384
 
 
-def call(sql: ExpressionScope, node: Call) -> SqlValue:
+def call(sql: ExpressionScope, node: ast.Call) -> SqlValue:
     """Returns a function call."""
     sql.names.check_call(node)
     if node.name in IMPURE or node.name in OVER_TIME:
@@ -47,10 +47,10 @@ def call(sql: ExpressionScope, node: Call) -> SqlValue:
         return _relation(sql, RELATIONS[node.name], node)
     if node.name in BINARY_SIGNS:
         left, right = node.arguments
-        return sql.value(Binary(node.span, BINARY_SIGNS[node.name], left, right))
+        return sql.value(ast.Binary(node.span, BINARY_SIGNS[node.name], left, right))
     if node.name in UNARY_SIGNS:
-        return sql.value(Unary(node.span, UNARY_SIGNS[node.name], *node.arguments))
-    if node.name == "count" and isinstance(node.arguments[0], Query):
+        return sql.value(ast.Unary(node.span, UNARY_SIGNS[node.name], *node.arguments))
+    if node.name == "count" and isinstance(node.arguments[0], ast.Query):
         return subqueries.counted(sql, node.arguments[0])
     values = [sql.value(argument) for argument in node.arguments]
     builtin = _builtin(sql.context, node.name, values)
@@ -73,7 +73,7 @@ def call(sql: ExpressionScope, node: Call) -> SqlValue:
     )
 
 
-def _relation(sql: ExpressionScope, relation: Relation, node: Call) -> SqlValue:
+def _relation(sql: ExpressionScope, relation: Relation, node: ast.Call) -> SqlValue:
     count = len(node.arguments)
     if relation.may_fail and (sql.rows or sql.outer is not None):
         sql.context.note_possible_failure()  # for rows that an earlier condition would exclude
@@ -145,7 +145,7 @@ def _array(array: exp.Array, domain: FloatDomain) -> SqlValue:
 
 
 def _argument(
-    sql: ExpressionScope, relation: Relation, parameter: Parameter, node: Node
+    sql: ExpressionScope, relation: Relation, parameter: Parameter, node: ast.Node
 ) -> SqlValue:
     value = _point(sql, parameter, node) or sql.value(node)
     if value.sql_type.nullable:
@@ -176,12 +176,12 @@ def _argument(
     raise _argument_error(sql, relation, parameter, value.sql_type.words, node)
 
 
-def _point(sql: ExpressionScope, parameter: Parameter, node: Node) -> SqlValue | None:
+def _point(sql: ExpressionScope, parameter: Parameter, node: ast.Node) -> SqlValue | None:
     """Returns an array or a list that is a point, whose numbers are doubles; None for another.
 
     Where no place is asked, an array has another meaning, and a list may have integers.
     """
-    if parameter.type != "place" or isinstance(node, ListLiteral) or not sql.is_constant(node):
+    if parameter.type != "place" or isinstance(node, ast.ListLiteral) or not sql.is_constant(node):
         return None
     sql_type = sql.context.constant_type(node)
     element = sql_type.element
@@ -192,7 +192,7 @@ def _point(sql: ExpressionScope, parameter: Parameter, node: Node) -> SqlValue |
 
 
 def _argument_error(
-    sql: ExpressionScope, relation: Relation, parameter: Parameter, actual: str, node: Node
+    sql: ExpressionScope, relation: Relation, parameter: Parameter, actual: str, node: ast.Node
 ) -> Exception:
     """Returns the error for an argument; in a query it is an error only if a row reaches it."""
     if sql.rows or sql.outer is not None:

@@ -12,17 +12,17 @@ from sqlglot.errors import UnsupportedError as SqlglotError
 
 from ssduck.errors import UnknownNameError, UnsupportedError, nearest
 from ssduck.formatting import joined_names, short_repr
-from ssduck.language.tree import Call, Name, Node, QualifiedName, Query, UnresolvedName
+from ssduck.language import ast
 from ssduck.sql.plan import Plan
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.sql_values import with_values
 
 # The entities whose boxes stand in for shapes, by world.
 StandIns: TypeAlias = Mapping[str, Sequence[str]]
-PlanOf: TypeAlias = Callable[[Query], Plan | None]
+PlanOf: TypeAlias = Callable[[ast.Query], Plan | None]
 
 
-def explained(text: str, statement: Node, plan_of: PlanOf, stand_ins: StandIns) -> str:
+def explained(text: str, statement: ast.Node, plan_of: PlanOf, stand_ins: StandIns) -> str:
     """Describes the SQL of the queries in a statement."""
     queries = outermost([statement])
     if not queries:
@@ -32,15 +32,17 @@ def explained(text: str, statement: Node, plan_of: PlanOf, stand_ins: StandIns) 
     )
 
 
-def outermost(nodes: Iterable[Node]) -> list[Query]:
+def outermost(nodes: Iterable[ast.Node]) -> list[ast.Query]:
     """Returns the queries in parts of a program that are in no other query."""
-    result: list[Query] = []
+    result: list[ast.Query] = []
     for node in nodes:
-        result.extend([node] if isinstance(node, Query) else outermost(node.children()))
+        result.extend([node] if isinstance(node, ast.Query) else outermost(node.children()))
     return result
 
 
-def _plans(queries: Iterable[Query], plan_of: PlanOf) -> Iterator[tuple[Query, Plan | None]]:
+def _plans(
+    queries: Iterable[ast.Query], plan_of: PlanOf
+) -> Iterator[tuple[ast.Query, Plan | None]]:
     """Yields the queries with their plans, and those that are evaluated before them."""
     for query in queries:
         plan = plan_of(query)
@@ -56,7 +58,7 @@ def _plans(queries: Iterable[Query], plan_of: PlanOf) -> Iterator[tuple[Query, P
         yield from _plans(outermost([*evaluated, *plan.constants, *plan.python_constants]), plan_of)
 
 
-def _explained(text: str, query: Query, plan: Plan | None, stand_ins: StandIns) -> str:
+def _explained(text: str, query: ast.Query, plan: Plan | None, stand_ins: StandIns) -> str:
     if plan is None:
         lines = [f"-- row by row in Python: {_source(text, query)}"]
     else:
@@ -69,9 +71,9 @@ def _explained(text: str, query: Query, plan: Plan | None, stand_ins: StandIns) 
     return "\n".join([*lines, *_narrow_phase_lines(query), *_inexact_lines(query, stand_ins)])
 
 
-def _narrow_phase_lines(query: Query) -> list[str]:
+def _narrow_phase_lines(query: ast.Query) -> list[str]:
     """Lists the pairs that the narrow phase compares, by relation."""
-    names = dict.fromkeys(node.name for node in query.walk() if isinstance(node, Call))
+    names = dict.fromkeys(node.name for node in query.walk() if isinstance(node, ast.Call))
     queries = {name: RELATIONS[name].geometry for name in names if name in RELATIONS}
     return [
         f"-- the narrow phase: {name}, {geometry.pairs}"
@@ -80,17 +82,20 @@ def _narrow_phase_lines(query: Query) -> list[str]:
     ]
 
 
-def _called_name(node: Node) -> str:
+def _called_name(node: ast.Node) -> str:
     """Returns the function that a part may call; empty if it calls none."""
     match node:
         case (
-            Call(name=name) | UnresolvedName(name=name) | Name(name=name) | QualifiedName(key=name)
+            ast.Call(name=name)
+            | ast.UnresolvedName(name=name)
+            | ast.Name(name=name)
+            | ast.QualifiedName(key=name)
         ):
             return name
     return ""
 
 
-def _inexact_lines(query: Query, stand_ins: StandIns) -> list[str]:
+def _inexact_lines(query: ast.Query, stand_ins: StandIns) -> list[str]:
     """Lists the entities whose boxes stand in for the shapes that relations use."""
     calls = (_called_name(node) for node in query.walk())
     names = [n for n in dict.fromkeys(calls) if n in RELATIONS and RELATIONS[n].depends_on_shapes]
@@ -104,7 +109,7 @@ def _inexact_lines(query: Query, stand_ins: StandIns) -> list[str]:
     ]
 
 
-def _source(text: str, node: Node) -> str:
+def _source(text: str, node: ast.Node) -> str:
     return " ".join(text[node.span.start : node.span.end].split())
 
 
@@ -121,7 +126,7 @@ _DUCKDB_ONLY = (
 )
 
 
-def in_dialect(query: Query, plan: Plan | None, values: dict[str, Any], dialect: str) -> str:
+def in_dialect(query: ast.Query, plan: Plan | None, values: dict[str, Any], dialect: str) -> str:
     """Returns the SQL of a query for an engine."""
     names = {name for name in sqlglot.Dialect.classes if name}
     if not isinstance(dialect, str) or dialect not in names:
@@ -135,7 +140,9 @@ def in_dialect(query: Query, plan: Plan | None, values: dict[str, Any], dialect:
         raise UnsupportedError(f"{dialect}: {error}", span=query.span) from error
 
 
-def select_for(query: Query, plan: Plan | None, values: dict[str, Any], dialect: str) -> exp.Expr:
+def select_for(
+    query: ast.Query, plan: Plan | None, values: dict[str, Any], dialect: str
+) -> exp.Expr:
     """Returns the SQL of a query as sqlglot's tree, which has nothing that an engine lacks.
 
     The arguments are those of `in_dialect`.
@@ -164,7 +171,7 @@ def _without_infinity(part: exp.Expr) -> exp.Expr:
     return part
 
 
-def _refuse(select: exp.Expr, query: Query) -> None:
+def _refuse(select: exp.Expr, query: ast.Query) -> None:
     for node in select.walk():
         for kind, words in _DUCKDB_ONLY:
             if isinstance(node, kind):

@@ -14,25 +14,8 @@ from dataclasses import replace
 from sqlglot import exp
 
 from ssduck.errors import ArgumentError
-from ssduck.language import tree
+from ssduck.language import ast
 from ssduck.language.analysis import is_impure
-from ssduck.language.tree import (
-    MAX_CHAIN,
-    MAX_NESTING,
-    Binary,
-    Call,
-    If,
-    Index,
-    ListLiteral,
-    Name,
-    Node,
-    OperatorChain,
-    Placeholder,
-    QualifiedName,
-    Query,
-    This,
-    Unary,
-)
 from ssduck.sql import subqueries
 from ssduck.sql.calls import call
 from ssduck.sql.operators import (
@@ -67,7 +50,7 @@ MAX_WRITTEN_LENGTH = 32
 class Expressions(ExpressionScope):
     """The expressions of one query, over the elements of its sources."""
 
-    def value(self, node: Node) -> SqlValue:
+    def value(self, node: ast.Node) -> SqlValue:
         """Returns a part as SQL."""
         before = self.context.possible_failures
         value = self._value(node)
@@ -77,58 +60,58 @@ class Expressions(ExpressionScope):
             raise NotSqlError  # SQL would not evaluate the part that may fail
         return replace(value, may_fail=True)
 
-    def _value(self, node: Node) -> SqlValue:
+    def _value(self, node: ast.Node) -> SqlValue:
         match node:
-            case This() if node.alias is None or self.element(node.alias) is not None:
+            case ast.This() if node.alias is None or self.element(node.alias) is not None:
                 return self._this(node)
-            case tree.Literal():
+            case ast.Literal():
                 return self._literal(node)
-            case QualifiedName() if self._is_variable(node):
+            case ast.QualifiedName() if self._is_variable(node):
                 return self.value(node.index)
-            case QualifiedName() if self.element(node.alias) is not None:
+            case ast.QualifiedName() if self.element(node.alias) is not None:
                 is_record = self._this(node.this).sql_type.type == "record"
                 return self._index(self._key_of(node)) if is_record else self._function_of(node)
-            case Name(name=name) if name in self.locals:
+            case ast.Name(name=name) if name in self.locals:
                 return self.locals[name]
-            case Name(name=name) if (deferred := self.context.list_in(name)) is not None:
+            case ast.Name(name=name) if (deferred := self.context.list_in(name)) is not None:
                 return self.value(deferred)
-            case Query():
+            case ast.Query():
                 return self._query(node)
-            case ListLiteral(items=items) if _is_short(items):
+            case ast.ListLiteral(items=items) if _is_short(items):
                 return list_literal(self.context, [self.value(item) for item in items])
         if self.is_constant(node):
             return self._constant(node)
         match node:
-            case Call():
+            case ast.Call():
                 return call(self, node)
-            case Unary(operator="NOT", operand=operand):
+            case ast.Unary(operator="NOT", operand=operand):
                 return SqlValue(exp.Not(this=wrapped(truth(self.value(operand)))), BOOLEAN)
-            case Unary(operator="IS NULL", operand=operand):
+            case ast.Unary(operator="IS NULL", operand=operand):
                 return missing(self.value(operand))
-            case Unary(operator=sign, operand=operand):
+            case ast.Unary(operator=sign, operand=operand):
                 inner = self.number(operand)
                 if sign == "+":
                     return inner
                 return replace(inner, expression=exp.Neg(this=wrapped(inner.sql)), elements=None)
-            case Binary():
+            case ast.Binary():
                 return self._binary(node)
-            case OperatorChain():
+            case ast.OperatorChain():
                 return self._chain(node)
-            case Index():
+            case ast.Index():
                 return self._index(node)
-            case ListLiteral(items=items):
+            case ast.ListLiteral(items=items):
                 return list_literal(self.context, [self.value(item) for item in items])
-            case If(otherwise=(otherwise,)) if len(node.else_ifs) < MAX_NESTING:
+            case ast.If(otherwise=(otherwise,)) if len(node.else_ifs) < ast.MAX_NESTING:
                 return self._choice(node, otherwise)
         raise NotSqlError
 
-    def _function_of(self, node: QualifiedName) -> SqlValue:
+    def _function_of(self, node: ast.QualifiedName) -> SqlValue:
         return call(self, node.call(self.names.resolved_name(node.key)))
 
-    def _key_of(self, node: QualifiedName) -> Index:
-        return Index(node.span, node.this, node.index.indices)
+    def _key_of(self, node: ast.QualifiedName) -> ast.Index:
+        return ast.Index(node.span, node.this, node.index.indices)
 
-    def _query(self, node: Query) -> SqlValue:
+    def _query(self, node: ast.Query) -> SqlValue:
         """Returns a nested query: a part of the statement, or a constant if it sees no row."""
         try:
             if is_impure(node):
@@ -139,7 +122,7 @@ class Expressions(ExpressionScope):
                 raise
         return self._constant(node)
 
-    def _literal(self, node: tree.Literal) -> SqlValue:
+    def _literal(self, node: ast.Literal) -> SqlValue:
         sql_type = self.names.sql_type(node)
         match node.value:
             case _ if not sql_type.is_sql:  # a number too large for SQL
@@ -147,7 +130,7 @@ class Expressions(ExpressionScope):
             case value:
                 return SqlValue(literal(value), sql_type)
 
-    def _this(self, node: This) -> SqlValue:
+    def _this(self, node: ast.This) -> SqlValue:
         value = self.element(node.alias)
         if value is None:
             choices = ", ".join(f"{name}.this" for name in self.rows)
@@ -158,11 +141,11 @@ class Expressions(ExpressionScope):
             raise NotSqlError
         return value
 
-    def _constant(self, node: Node) -> SqlValue:
+    def _constant(self, node: ast.Node) -> SqlValue:
         sql_type = self.context.constant_type(node)
         if not sql_type.is_sql or sql_type.type == "record":
             raise NotSqlError
-        stem = node.name if isinstance(node, Name | Placeholder) else "value"
+        stem = node.name if isinstance(node, ast.Name | ast.Placeholder) else "value"
         if sql_type.type != "entity":
             return self.context.constant(stem, node, sql_type)
 
@@ -174,7 +157,7 @@ class Expressions(ExpressionScope):
 
     # -- operators --------------------------------------------------------------------------
 
-    def _binary(self, node: Binary) -> SqlValue:
+    def _binary(self, node: ast.Binary) -> SqlValue:
         sign = node.operator
         if sign in LOGIC:
             sides = [truth(self.value(side)) for side in (node.left, node.right)]
@@ -183,7 +166,7 @@ class Expressions(ExpressionScope):
             result = subqueries.emptiness(self, node) or subqueries.equality(self, node)
             if result is not None:
                 return SqlValue(result, BOOLEAN)
-        if sign == "IN" and isinstance(node.right, Query):
+        if sign == "IN" and isinstance(node.right, ast.Query):
             result = subqueries.membership(self, node.left, node.right)
             if result is not None:
                 return SqlValue(result, BOOLEAN)
@@ -205,22 +188,22 @@ class Expressions(ExpressionScope):
             return list_literal(self.context, parts)
         return arithmetic(self.context, node, left_value, right_value)
 
-    def _chain(self, node: OperatorChain) -> SqlValue:
+    def _chain(self, node: ast.OperatorChain) -> SqlValue:
         """Translates long chains of AND, OR or XOR; others would be nested too deeply for SQL."""
         sign = node.operators[0]
-        if sign not in LOGIC or len(node.operands) > MAX_CHAIN:
+        if sign not in LOGIC or len(node.operands) > ast.MAX_CHAIN:
             raise NotSqlError
         return SqlValue(_joined(sign, [truth(self.value(side)) for side in node.operands]), BOOLEAN)
 
-    def _index(self, node: Index) -> SqlValue:
-        if len(node.indices) > MAX_NESTING:
+    def _index(self, node: ast.Index) -> SqlValue:
+        if len(node.indices) > ast.MAX_NESTING:
             raise NotSqlError
         value = self.value(node.base)
         for index in node.indices:
             value = _indexed(self, value, index)
         return value
 
-    def _choice(self, node: If, otherwise: Node) -> SqlValue:
+    def _choice(self, node: ast.If, otherwise: ast.Node) -> SqlValue:
         if any(len(branch.then) != 1 for branch in node.branches):
             raise NotSqlError
         values = [self.value(branch.then[0]) for branch in node.branches]
@@ -252,17 +235,17 @@ def _joined(sign: str, sides: Sequence[exp.Expr]) -> exp.Expr:
     return exp.paren(connect(left, right, copy=False), copy=False)
 
 
-def _is_short(items: Sequence[Node]) -> bool:
+def _is_short(items: Sequence[ast.Node]) -> bool:
     """Checks whether a list is so short that it is written out."""
-    return 0 < len(items) <= MAX_WRITTEN_LENGTH and all(isinstance(i, tree.Literal) for i in items)
+    return 0 < len(items) <= MAX_WRITTEN_LENGTH and all(isinstance(i, ast.Literal) for i in items)
 
 
-def _indexed(sql: ExpressionScope, value: SqlValue, index: Node) -> SqlValue:
+def _indexed(sql: ExpressionScope, value: SqlValue, index: ast.Node) -> SqlValue:
     """Returns an element of a list, or what a key of a record holds."""
     match index:
-        case tree.Literal(value=str() as key) if key in value.fields:
+        case ast.Literal(value=str() as key) if key in value.fields:
             return value.fields[key]
-        case tree.Literal(value=number) if type(number) is int and value.elements is not None:
+        case ast.Literal(value=number) if type(number) is int and value.elements is not None:
             if value.may_fail:
                 raise NotSqlError  # SQL would not evaluate the other elements
             if -len(value.elements) <= number < len(value.elements):
@@ -277,10 +260,10 @@ def _indexed(sql: ExpressionScope, value: SqlValue, index: Node) -> SqlValue:
     return SqlValue(or_failure(result, element), element, domain=value.domain)
 
 
-def _place(sql: ExpressionScope, index: Node) -> exp.Expr:
+def _place(sql: ExpressionScope, index: ast.Node) -> exp.Expr:
     """Returns an index as SQL counts: from 1, or from the end."""
     match index:
-        case tree.Literal(value=number) if type(number) is int and number < EXACT:
+        case ast.Literal(value=number) if type(number) is int and number < EXACT:
             return exp.Literal.number(number + 1)
     place = sql.number(index)
     if place.sql_type.type != "integer":

@@ -13,21 +13,10 @@ from dataclasses import dataclass, replace
 import sqlglot
 from sqlglot import exp
 
+from ssduck.language import ast
 from ssduck.language.aggregates import over_rows
 from ssduck.language.analysis import free_aliases
 from ssduck.language.clauses import SelectedValue
-from ssduck.language.tree import (
-    Binary,
-    Call,
-    If,
-    Index,
-    ListLiteral,
-    Literal,
-    Node,
-    OperatorChain,
-    Query,
-    Unary,
-)
 from ssduck.sql import subqueries
 from ssduck.sql.expressions import Expressions
 from ssduck.sql.from_clause import FromItem, ascending, column_of
@@ -39,7 +28,7 @@ from ssduck.sql.types import DOUBLE, EXACT, IDS, INTEGER, SqlType
 # The column of the number of a row, in the order of the rows.
 _NUMBER = "n"
 # What may contain an aggregate.
-_OF_PARTS = (Call, Unary, Binary, OperatorChain, If, ListLiteral, Index)
+_OF_PARTS = (ast.Call, ast.Unary, ast.Binary, ast.OperatorChain, ast.If, ast.ListLiteral, ast.Index)
 # The bits of the integers that number rows.
 _BITS = {"BIGINT": 63, "HUGEINT": 127}
 _SCALARS = ("double", "integer", "boolean", "string")
@@ -76,7 +65,7 @@ class Groups(Expressions):
 
     def __init__(self, rows: Expressions, *, is_plain: bool) -> None:
         super().__init__(rows.context)
-        self.part: Node | None = None
+        self.part: ast.Node | None = None
         self._of_rows, self._is_plain = rows, is_plain
         self._number: exp.Expr = exp.null()
         self._alias = rows.context.alias("grouped")
@@ -87,7 +76,7 @@ class Groups(Expressions):
 
     def grouped(
         self,
-        query: Query,
+        query: ast.Query,
         columns: Sequence[SelectedValue],
         elements: Sequence[FromItem],
         *,
@@ -121,7 +110,7 @@ class Groups(Expressions):
 
     # -- clauses ----------------------------------------------------------------------------
 
-    def _key(self, node: Node) -> SqlValue:
+    def _key(self, node: ast.Node) -> SqlValue:
         """Adds a key of GROUP BY; returns it as it is printed."""
         self.part = node
         value = self._of_rows.value(node)
@@ -135,7 +124,7 @@ class Groups(Expressions):
         self._keys[column.name] = column
         return replace(value, expression=column)
 
-    def _distinct_key(self, node: Node) -> None:
+    def _distinct_key(self, node: ast.Node) -> None:
         self.part = node
         value = self.context.nan_checked(self._of_rows.value(node))
         if not value.sql_type.comes_back:
@@ -144,10 +133,10 @@ class Groups(Expressions):
             column = self._column(value.identity)
             self._keys[column.name] = column
 
-    def _item(self, node: Node) -> SqlValue:
+    def _item(self, node: ast.Node) -> SqlValue:
         self.part = node
         if over_rows(node) == [node]:
-            assert isinstance(node, Call)
+            assert isinstance(node, ast.Call)
             value = self._aggregate(node)
         else:
             value = self._first(node) if not over_rows(node) else self.value(node)
@@ -155,7 +144,7 @@ class Groups(Expressions):
             raise NotSqlError
         return value
 
-    def _conditions(self, having: Node | None, keys: Sequence[SqlValue]) -> Iterable[exp.Expr]:
+    def _conditions(self, having: ast.Node | None, keys: Sequence[SqlValue]) -> Iterable[exp.Expr]:
         """Yields what holds of each group: that its printed key is of no other, and HAVING."""
         texts = (
             key.sql for key in keys if key.sql_type.type == "string" and key.sql.name in self._keys
@@ -171,10 +160,10 @@ class Groups(Expressions):
                 checked = exp.case().when(exp.or_(*others), failure(INTEGER))
                 yield exp.Is(this=checked, expression=exp.null())
         self.part = having
-        if having is not None and not (isinstance(having, Literal) and having.value is True):
+        if having is not None and not (isinstance(having, ast.Literal) and having.value is True):
             yield truth(self.value(having))
 
-    def _order(self, select: exp.Select, query: Query) -> None:
+    def _order(self, select: exp.Select, query: ast.Query) -> None:
         """Orders the groups: by keys with aggregates, then by their first rows."""
         order: list[exp.Ordered] = []
         if any(over_rows(key.value) for key in query.order):
@@ -188,15 +177,15 @@ class Groups(Expressions):
 
     # -- values -----------------------------------------------------------------------------
 
-    def is_constant(self, node: Node) -> bool:
+    def is_constant(self, node: ast.Node) -> bool:
         """Checks whether the node has the same value for all rows, and is no aggregate of them."""
         return not over_rows(node) and self._of_rows.is_constant(node)
 
-    def value(self, node: Node) -> SqlValue:
+    def value(self, node: ast.Node) -> SqlValue:
         """Returns the value of a part for a group; SQL fails where Python has nothing."""
         aggregates = over_rows(node)
         if aggregates == [node]:
-            assert isinstance(node, Call)
+            assert isinstance(node, ast.Call)
             value = self._aggregate(node)
             if node.name in ("count", "sum"):
                 return value
@@ -208,15 +197,17 @@ class Groups(Expressions):
                 raise NotSqlError
             return value
         match node:
-            case Call(name="count", arguments=(Call(name="uniq") as values,)) if (
+            case ast.Call(name="count", arguments=(ast.Call(name="uniq") as values,)) if (
                 values in aggregates
             ):
                 return self._distinct_count(values)
-        if not isinstance(node, _OF_PARTS) or (isinstance(node, Call) and node.name in RELATIONS):
+        if not isinstance(node, _OF_PARTS) or (
+            isinstance(node, ast.Call) and node.name in RELATIONS
+        ):
             raise NotSqlError
         return super().value(node)
 
-    def _first(self, node: Node) -> SqlValue:
+    def _first(self, node: ast.Node) -> SqlValue:
         """Returns the value of the first row of each group."""
         value = self._of_rows.value(node)
         if self._of_rows.is_constant(node):
@@ -228,7 +219,7 @@ class Groups(Expressions):
             sql = exp.Anonymous(this="first", expressions=[ordered])
         return replace(value, expression=sql, column=None, elements=None, fields={})
 
-    def _aggregate(self, call: Call) -> SqlValue:
+    def _aggregate(self, call: ast.Call) -> SqlValue:
         """Returns an aggregate over the rows of each group; NULL where Python has nothing."""
         (node,) = call.arguments
         value = self._of_rows.value(node)
@@ -275,7 +266,7 @@ class Groups(Expressions):
                 return SqlValue(half, DOUBLE, domain=domain)
         raise NotSqlError
 
-    def _distinct_count(self, values: Call) -> SqlValue:
+    def _distinct_count(self, values: ast.Call) -> SqlValue:
         """Returns the number of distinct values in each group."""
         (node,) = values.arguments
         value = self.context.nan_checked(self._of_rows.value(node))

@@ -6,28 +6,11 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 from ssduck.errors import ArgumentError, SelectScriptError, SourceSpan
+from ssduck.language import ast
 from ssduck.language.aggregates import is_grouped, is_one_group, over_rows
 from ssduck.language.analysis import free_aliases, states, written_name
 from ssduck.language.builtins import AGGREGATES, NUMBER_FUNCTIONS
 from ssduck.language.clauses import SelectedValue
-from ssduck.language.tree import (
-    Assignment,
-    Binary,
-    Call,
-    If,
-    Index,
-    Literal,
-    Name,
-    Node,
-    OperatorChain,
-    OrderKey,
-    QualifiedName,
-    Query,
-    This,
-    TimeIndex,
-    Unary,
-    UnresolvedName,
-)
 from ssduck.sql.plan import SourceType, TypeEnvironment
 from ssduck.sql.relations.registry import RELATIONS
 
@@ -39,14 +22,14 @@ SCALARS = frozenset(("double", "integer", "number", "string", "boolean"))
 class ResolvedQuery:
     """A query whose bare names have been looked up."""
 
-    query: Query  # the query; its remaining names are variables
+    query: ast.Query  # the query; its remaining names are variables
     columns: tuple[SelectedValue, ...] = ()  # the selected columns
     # The resolved names, and whether there was a variable of that name.
     bare: dict[str, bool] = field(default_factory=dict)
 
 
 def resolve(
-    query: Query,
+    query: ast.Query,
     source_types: Sequence[SourceType],
     names: TypeEnvironment,
     outer: Collection[str] = (),
@@ -62,7 +45,7 @@ def resolve(
 class _Resolver:
     def __init__(
         self,
-        query: Query,
+        query: ast.Query,
         source_types: Sequence[SourceType],
         names: TypeEnvironment,
         outer: Collection[str],
@@ -78,11 +61,11 @@ class _Resolver:
             self._keys = frozenset(key for key, _ in only_type.fields)
         self._states = states(query).union(outer)
         self._bare: dict[str, bool] = {}
-        self._named_columns: dict[str, Node] = {}  # the columns that `to` and AS name
+        self._named_columns: dict[str, ast.Node] = {}  # the columns that `to` and AS name
         self._as_names: set[str] = set()  # those that AS names, as in SQL
         for node in query.items:
             match node:
-                case Call(name="to", arguments=(value, Literal(value=str() as name))):
+                case ast.Call(name="to", arguments=(value, ast.Literal(value=str() as name))):
                     self._named_columns[name] = value
                     if node.name_span == node.span:  # `to` is called by its name
                         self._as_names.add(name)
@@ -94,20 +77,22 @@ class _Resolver:
             where=None if query.where is None else query.where.replaced(self._in_where),
             group=tuple(map(self._key, query.group)),
             having=None if query.having is None else self._column_key(query.having),
-            order=tuple(OrderKey(k.span, self._order(k.value), k.descending) for k in query.order),
+            order=tuple(
+                ast.OrderKey(k.span, self._order(k.value), k.descending) for k in query.order
+            ),
         )
         columns = tuple(self._columns())
         if self._aggregates_all_rows(columns):
-            changed = replace(changed, having=Literal(query.span, True))
+            changed = replace(changed, having=ast.Literal(query.span, True))
         if is_one_group(changed):  # an unknown aggregate would be taken for a value of one row
             for column in columns:
                 self._check_calls(column.node)
         return ResolvedQuery(changed, columns, self._bare)
 
-    def _check_calls(self, node: Node) -> None:
-        if isinstance(node, Query):
+    def _check_calls(self, node: ast.Node) -> None:
+        if isinstance(node, ast.Query):
             return
-        if isinstance(node, Call):
+        if isinstance(node, ast.Call):
             self._names.check_call(node)
         for child in node.children():
             self._check_calls(child)
@@ -121,31 +106,31 @@ class _Resolver:
         arguments = (call.arguments[0] for call in calls)
         return any(free_aliases(node) & aliases and self._is_scalar(node) for node in arguments)
 
-    def _is_scalar(self, node: Node) -> bool:
+    def _is_scalar(self, node: ast.Node) -> bool:
         """Checks whether a value is certainly a number, a text or a truth value."""
         match node:
-            case Literal():
+            case ast.Literal():
                 return True
-            case Call(name=name):
+            case ast.Call(name=name):
                 if name in RELATIONS:
                     return RELATIONS[name].result in SCALARS
                 return name in NUMBER_FUNCTIONS or (
                     name == "uniq" and self._is_scalar(node.arguments[0])
                 )
-            case QualifiedName(alias=alias, key=key) if not self._names.has_variable(alias):
+            case ast.QualifiedName(alias=alias, key=key) if not self._names.has_variable(alias):
                 return self._is_scalar_key(alias, key)
-            case Index(base=This(alias=alias), indices=(Literal(value=str() as key),)):
+            case ast.Index(base=ast.This(alias=alias), indices=(ast.Literal(value=str() as key),)):
                 return self._is_scalar_key(alias, key)
-            case UnresolvedName():
+            case ast.UnresolvedName():
                 # A key, unless a nested query without rows had keys.
                 return self._query.sources[0].is_table
-            case Unary(operand=operand):
+            case ast.Unary(operand=operand):
                 return node.operator in ("NOT", "IS NULL") or self._is_scalar(operand)
-            case Binary(operator="+" | "-" | "*" | "/" | "%" | "^", left=left, right=right):
+            case ast.Binary(operator="+" | "-" | "*" | "/" | "%" | "^", left=left, right=right):
                 return self._is_scalar(left) and self._is_scalar(right)
-            case Binary() | OperatorChain(operators=("AND" | "OR" | "XOR", *_)):
+            case ast.Binary() | ast.OperatorChain(operators=("AND" | "OR" | "XOR", *_)):
                 return True
-            case If(otherwise=(otherwise,)):
+            case ast.If(otherwise=(otherwise,)):
                 values = [value for branch in node.branches for value in branch.then[-1:]]
                 return all(map(self._is_scalar, (*values, otherwise)))
         return False
@@ -168,52 +153,54 @@ class _Resolver:
     def _columns(self) -> Iterator[SelectedValue]:
         if not self._query.items:
             for source_type in self._source_types:
-                yield SelectedValue(This(self._query.span, source_type.alias), source_type.alias)
+                yield SelectedValue(
+                    ast.This(self._query.span, source_type.alias), source_type.alias
+                )
         for node in self._query.items:
             match node:
-                case Call(name="to", arguments=(value, Literal(value=str() as name))):
+                case ast.Call(name="to", arguments=(value, ast.Literal(value=str() as name))):
                     yield SelectedValue(self._resolved(value), name)
-                case Call(name="to", arguments=(value, name_node)):
+                case ast.Call(name="to", arguments=(value, name_node)):
                     yield SelectedValue(self._resolved(value), self._resolved(name_node))
-                case Call(name="to"):
+                case ast.Call(name="to"):
                     raise ArgumentError("to takes 2 arguments: to(value, name)", span=node.span)
-                case Call(name=name) | Name(name=name) | TimeIndex(name=name):
+                case ast.Call(name=name) | ast.Name(name=name) | ast.TimeIndex(name=name):
                     yield SelectedValue(self._resolved(node), written_name(name))
-                case Assignment(name=name, is_bare=True):
+                case ast.Assignment(name=name, is_bare=True):
                     yield SelectedValue(self._resolved(node), name)
-                case QualifiedName(key=key):
+                case ast.QualifiedName(key=key):
                     yield SelectedValue(node, key)
-                case This(alias=alias):
+                case ast.This(alias=alias):
                     yield SelectedValue(node, alias or "this")
-                case Index(indices=(*_, Literal(value=str() as key))):
+                case ast.Index(indices=(*_, ast.Literal(value=str() as key))):
                     yield SelectedValue(self._resolved(node), key)
                 case _:
                     yield SelectedValue(self._resolved(node), "value")
 
-    def _resolved(self, node: Node) -> Node:
+    def _resolved(self, node: ast.Node) -> ast.Node:
         return node.replaced(self._looked_up)
 
-    def _key(self, node: Node) -> Node:
+    def _key(self, node: ast.Node) -> ast.Node:
         """Returns a part of GROUP BY, HAVING or ORDER BY, where columns have their names, too."""
         return node.replaced(self._key_part)
 
-    def _key_part(self, part: Node) -> Node | None:
+    def _key_part(self, part: ast.Node) -> ast.Node | None:
         return self._column_named(part) or self._looked_up(part)
 
-    def _order(self, node: Node) -> Node:
+    def _order(self, node: ast.Node) -> ast.Node:
         """Returns a key of ORDER BY; within a computed one, functions of the row come first."""
-        is_column = isinstance(node, Name) or bool(self._query.group)
+        is_column = isinstance(node, ast.Name) or bool(self._query.group)
         return self._column_key(node) if is_column else self._key(node)
 
-    def _column_key(self, node: Node) -> Node:
+    def _column_key(self, node: ast.Node) -> ast.Node:
         """Returns a part of HAVING or ORDER BY, where the columns that AS names come first."""
         return node.replaced(lambda part: self._as_column(part) or self._key_part(part))
 
-    def _as_column(self, part: Node) -> Node | None:
+    def _as_column(self, part: ast.Node) -> ast.Node | None:
         match part:
-            case Call(name=name) if name in AGGREGATES:
+            case ast.Call(name=name) if name in AGGREGATES:
                 return self._key(part)  # of the rows, which have no columns yet
-            case Name(name=name) if name in self._as_names and not self._is_hidden(name):
+            case ast.Name(name=name) if name in self._as_names and not self._is_hidden(name):
                 self._bare[name] = False
                 return self._resolved(self._named_columns[name])
         return None
@@ -221,8 +208,8 @@ class _Resolver:
     def _is_hidden(self, name: str) -> bool:
         return name in self._states or self._names.has_variable(name)
 
-    def _column_named(self, part: Node) -> Node | None:
-        if not isinstance(part, Name) or part.name not in self._named_columns:
+    def _column_named(self, part: ast.Node) -> ast.Node | None:
+        if not isinstance(part, ast.Name) or part.name not in self._named_columns:
             return None
         if self._is_hidden(part.name):
             return None
@@ -233,11 +220,11 @@ class _Resolver:
         self._bare[part.name] = False
         return self._resolved(self._named_columns[part.name])
 
-    def _in_where(self, part: Node) -> Node | None:
+    def _in_where(self, part: ast.Node) -> ast.Node | None:
         """Returns a bare name in WHERE: a function of the only element if there is no variable."""
-        if isinstance(part, Query | QualifiedName):
+        if isinstance(part, ast.Query | ast.QualifiedName):
             return part
-        if not isinstance(part, Name) or part.name in self._states:
+        if not isinstance(part, ast.Name) or part.name in self._states:
             return None
         known = self._bare[part.name] = self._names.has_variable(part.name)
         if known:
@@ -251,9 +238,9 @@ class _Resolver:
             return self._column_or(part, lambda name: name)
         return part if self._only is None else call
 
-    def _function_of_only(self, name: str, span: SourceSpan) -> Call | None:
+    def _function_of_only(self, name: str, span: SourceSpan) -> ast.Call | None:
         """Returns the call of a function of the only element; None if there is no such function."""
-        call = Call(span, self._names.resolved_name(name), (This(span, None),), span)
+        call = ast.Call(span, self._names.resolved_name(name), (ast.This(span, None),), span)
         try:
             self._names.check_call(call)
         except SelectScriptError:
@@ -269,27 +256,29 @@ class _Resolver:
         is_key = self._keys is not None and name in self._keys
         return is_key or self._function_of_only(name, self._query.span) is not None
 
-    def _column_or(self, part: Name, other: Callable[[Node], Node | None]) -> Node | None:
+    def _column_or(
+        self, part: ast.Name, other: Callable[[ast.Node], ast.Node | None]
+    ) -> ast.Node | None:
         """Returns the column that AS names; of a name that SELECT does not have, another part."""
         if part.name in self._as_names:
             return self._resolved(self._named_columns[part.name])
         return other(part)
 
-    def _looked_up(self, part: Node) -> Node | None:
-        if isinstance(part, Query | QualifiedName):
+    def _looked_up(self, part: ast.Node) -> ast.Node | None:
+        if isinstance(part, ast.Query | ast.QualifiedName):
             return part
-        if not isinstance(part, Name) or part.name in self._states:
-            return part if isinstance(part, Name) else None
+        if not isinstance(part, ast.Name) or part.name in self._states:
+            return part if isinstance(part, ast.Name) else None
         if self._keys is not None and part.name in self._keys:
-            key = Literal(part.span, part.name)
-            return Index(part.span, This(part.span, None), (key,))
+            key = ast.Literal(part.span, part.name)
+            return ast.Index(part.span, ast.This(part.span, None), (key,))
         if self._keys is None and self._may_be_key():
-            return UnresolvedName(part.span, part.name)
+            return ast.UnresolvedName(part.span, part.name)
         known = self._bare[part.name] = self._names.has_variable(part.name)
         if known:
             return part
         name = self._names.resolved_name(part.name)
-        call = Call(part.span, name, (This(part.span, None),), part.span)
+        call = ast.Call(part.span, name, (ast.This(part.span, None),), part.span)
         self._names.check_call(call)
         return call
 

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 from sqlglot import exp
 
-from ssduck.language import tree
-from ssduck.language.tree import Binary
+from ssduck.language import ast
 from ssduck.sql.sql_values import (
     FloatDomain,
     NotSqlError,
@@ -121,7 +120,7 @@ MAX_EXPONENT = 64
 
 
 def arithmetic(
-    context: StatementContext, node: Binary, left: SqlValue, right: SqlValue
+    context: StatementContext, node: ast.Binary, left: SqlValue, right: SqlValue
 ) -> SqlValue:
     """Returns the value of + - * / % ^ of two numbers.
 
@@ -172,7 +171,9 @@ def _sum(
     )
 
 
-def _quotient(context: StatementContext, node: Binary, left: SqlValue, right: SqlValue) -> SqlValue:
+def _quotient(
+    context: StatementContext, node: ast.Binary, left: SqlValue, right: SqlValue
+) -> SqlValue:
     divided = exp.Div(
         this=wrapped(left.sql), expression=wrapped(right.sql), typed=False, safe=False
     )
@@ -181,7 +182,7 @@ def _quotient(context: StatementContext, node: Binary, left: SqlValue, right: Sq
 
 
 def _remainder(
-    context: StatementContext, node: Binary, left: SqlValue, right: SqlValue, sql_type: SqlType
+    context: StatementContext, node: ast.Binary, left: SqlValue, right: SqlValue, sql_type: SqlType
 ) -> SqlValue:
     """Returns Python's remainder, which has the sign of the divisor."""
     a, b = wrapped(left.sql), wrapped(right.sql)
@@ -218,22 +219,22 @@ def _remainder(
 
 
 def _unless_zero(
-    context: StatementContext, node: Binary, right: SqlValue, sql: exp.Expr, sql_type: SqlType
+    context: StatementContext, node: ast.Binary, right: SqlValue, sql: exp.Expr, sql_type: SqlType
 ) -> exp.Expr:
     """Makes the statement fail where the divisor is 0; SQL would yield NULL."""
-    if isinstance(node.right, tree.Literal) and node.right.value:
+    if isinstance(node.right, ast.Literal) and node.right.value:
         return exp.paren(sql)
     context.note_possible_failure()
     is_zero = exp.EQ(this=wrapped(copied(right.sql)), expression=exp.Literal.number(0))
     return exp.case().when(is_zero, failure(sql_type)).else_(sql)
 
 
-def _power(context: StatementContext, node: Binary, left: SqlValue, sql_type: SqlType) -> SqlValue:
+def _power(
+    context: StatementContext, node: ast.Binary, left: SqlValue, sql_type: SqlType
+) -> SqlValue:
     """Returns a power with a small whole exponent; SQL computes others differently."""
     match node.right:
-        case tree.Literal(value=exponent) if (
-            type(exponent) is int and 0 <= exponent <= MAX_EXPONENT
-        ):
+        case ast.Literal(value=exponent) if type(exponent) is int and 0 <= exponent <= MAX_EXPONENT:
             context.note_possible_failure()
             power = exp.Pow(this=double_of(left), expression=exp.Literal.number(exponent))
             maximum: float = EXACT if sql_type == INTEGER else 1.7976931348623157e308

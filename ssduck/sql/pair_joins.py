@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 
 from sqlglot import exp
 
-from ssduck.language import tree
-from ssduck.language.tree import Binary, Call, Node, This
+from ssduck.language import ast
 from ssduck.schema import EntityTable
 from ssduck.sql.expressions import Expressions
 from ssduck.sql.from_clause import pair_table
@@ -35,20 +34,22 @@ class PairJoin:
     pairs: JoinedPairs
     # The key of the order of the call's two arguments; None if there is none.
     position: exp.Ordered | None
-    sides: tuple[This, This]  # the sources in that order
+    sides: tuple[ast.This, ast.This]  # the sources in that order
 
 
-def sides_of(node: Node) -> tuple[This, This] | None:
+def sides_of(node: ast.Node) -> tuple[ast.This, ast.This] | None:
     """Returns the two sources of which a condition is whose pairs can be found at once."""
     match node:
-        case Call(name=name, arguments=(This() as a, This() as b, *_)) if a.alias != b.alias:
+        case ast.Call(name=name, arguments=(ast.This() as a, ast.This() as b, *_)) if (
+            a.alias != b.alias
+        ):
             relation = RELATIONS.get(name)
             return (a, b) if relation is not None and relation.candidate_pairs is not None else None
     return None
 
 
 def pair_join(
-    sql: Expressions, node: Call, sides: tuple[This, This], schema: str
+    sql: Expressions, node: ast.Call, sides: tuple[ast.This, ast.This], schema: str
 ) -> PairJoin | None:
     """Returns the join that finds all pairs of `near(a.this, b.this, 0.1)`; None if SQL cannot."""
     relation, constants = RELATIONS[node.name], node.arguments[2:]
@@ -89,15 +90,19 @@ def _kind_of(tables: Collection[EntityTable]) -> PairKind:
     return "links" if "links" in tables else "entities"
 
 
-def implied_condition(sql: Expressions, node: Node) -> exp.Expr | None:
+def implied_condition(sql: Expressions, node: ast.Node) -> exp.Expr | None:
     """Returns the condition that the value of a relation of two implies; None for none.
 
     `clearance(a, b) < 0.1` implies near boxes, and `contactForce(a, b) > 1` a contact.
     """
     match node:
-        case Binary(operator=sign, left=Call() as call, right=limit) if sign in _LESS + _MORE:
+        case ast.Binary(operator=sign, left=ast.Call() as call, right=limit) if (
+            sign in _LESS + _MORE
+        ):
             is_less = sign in _LESS
-        case Binary(operator=sign, left=limit, right=Call() as call) if sign in _LESS + _MORE:
+        case ast.Binary(operator=sign, left=limit, right=ast.Call() as call) if (
+            sign in _LESS + _MORE
+        ):
             is_less = sign in _MORE
         case _:
             return None
@@ -106,7 +111,7 @@ def implied_condition(sql: Expressions, node: Node) -> exp.Expr | None:
     if relation is None or not (is_less or is_positive) or not sql.is_constant(limit):
         return None
     if is_positive and relation.positive_only_if:
-        is_of_pairs = all(isinstance(argument, This) for argument in call.arguments)
+        is_of_pairs = all(isinstance(argument, ast.This) for argument in call.arguments)
         implied = replace(call, name=relation.positive_only_if)
         return sql.condition(implied) if is_of_pairs else None
     geometry = relation.geometry
@@ -114,16 +119,16 @@ def implied_condition(sql: Expressions, node: Node) -> exp.Expr | None:
         geometry.is_at_least_box_distance if is_less else geometry.is_zero_beyond_boxes
     ):
         return None
-    distance = limit if is_less else tree.Literal(limit.span, 0)
-    values: Mapping[str, Node] = dict(zip("abd", (*call.arguments[:2], distance), strict=True))
+    distance = limit if is_less else ast.Literal(limit.span, 0)
+    values: Mapping[str, ast.Node] = dict(zip("abd", (*call.arguments[:2], distance), strict=True))
     try:
         return expanded(BOXES_WITHIN, {name: sql.value(value) for name, value in values.items()})
     except NotSqlError:
         return None
 
 
-def _is_positive(limit: Node, *, or_zero: bool) -> bool:
+def _is_positive(limit: ast.Node, *, or_zero: bool) -> bool:
     match limit:
-        case tree.Literal(value=int() | float() as number):
+        case ast.Literal(value=int() | float() as number):
             return number > 0 or (or_zero and number == 0)
     return False

@@ -8,8 +8,8 @@ from typing import Literal, Protocol, TypeAlias
 
 from sqlglot import exp
 
+from ssduck.language import ast
 from ssduck.language.clauses import PythonClauses
-from ssduck.language.tree import Call, Node, Query
 from ssduck.schema import EntityTable
 from ssduck.sql.pair_lookup import PairLookup
 from ssduck.sql.types import Signature, SqlType
@@ -50,19 +50,19 @@ class TypeEnvironment(Protocol):
     def has_source(self, alias: str) -> bool:
         """Checks whether a query around this one has a source of that name."""
 
-    def sql_type(self, node: Node) -> SqlType:
+    def sql_type(self, node: ast.Node) -> SqlType:
         """Returns the type of the value of an expression that depends on no row of this query."""
 
-    def world(self, node: Node) -> str | None:
+    def world(self, node: ast.Node) -> str | None:
         """Returns the schema of the world that is the value of such an expression, if it is one."""
 
-    def deferred(self, name: str) -> Node | None:
+    def deferred(self, name: str) -> ast.Node | None:
         """Returns the list in a variable that the query evaluates; None for other values."""
 
     def resolved_name(self, name: str) -> str:
         """Returns the name that calls a function: marked if a user's function replaces it."""
 
-    def check_call(self, node: Call) -> None:
+    def check_call(self, node: ast.Call) -> None:
         """Checks that a function is known, and the number of its arguments."""
 
     def signature(self, name: str, arguments: tuple[SqlType, ...]) -> Signature | None:
@@ -74,7 +74,7 @@ class ParameterBinding:
     """A parameter of the SQL."""
 
     name: str  # the name of the parameter
-    node: Node | None = None  # the expression whose value it is; None for a source
+    node: ast.Node | None = None  # the expression whose value it is; None for a source
     column: str | None = None  # the column of the entity that is the value of the expression
     source: str | None = None  # the source whose elements it lists
     # The number of the source's past: its first or its last tick, or the id of its entity.
@@ -102,37 +102,37 @@ class PathSearch:
 class Plan:
     """The plan of a query."""
 
-    query: Query  # the query, its bare names resolved
+    query: ast.Query  # the query, its bare names resolved
     source_types: tuple[SourceType, ...]  # the types of the sources
     select: exp.Select = field(default_factory=exp.Select)  # the SQL as sqlglot's tree
     bindings: list[ParameterBinding] = field(default_factory=list)  # the parameters of the SQL
     # The names of tables for sources that are lists of dicts, by alias.
     tables: dict[str, str] = field(default_factory=dict)
     # The parts that do not depend on rows, with the types that the plan relies on.
-    constants: dict[Node, SqlType] = field(default_factory=dict)
+    constants: dict[ast.Node, SqlType] = field(default_factory=dict)
     # The schemas of the constants that are worlds.
-    worlds: dict[Node, str | None] = field(default_factory=dict)
+    worlds: dict[ast.Node, str | None] = field(default_factory=dict)
     signatures: set[Signature] = field(default_factory=set)  # the users' functions that SQL calls
     # The SQL column of each part of the tree that has one.
-    known: dict[Node, OutputColumn] = field(default_factory=dict)
+    known: dict[ast.Node, OutputColumn] = field(default_factory=dict)
     # The column of each source's element, by alias.
     elements: dict[str, OutputColumn] = field(default_factory=dict)
     # The constants that Python evaluates.
-    python_constants: list[Node] = field(default_factory=list)
+    python_constants: list[ast.Node] = field(default_factory=list)
     # The clauses that Python applies to the rows.
     python_clauses: PythonClauses = field(default_factory=lambda: PythonClauses(()))
     outputs: list[OutputColumn] | None = None  # the selected columns, if nothing is left to Python
     # The keys of GROUP BY, by which the rows are sorted into groups, if nothing else is left to
     # Python.
     keys: list[OutputColumn] = field(default_factory=list)
-    left_for: Node | None = None  # the part for whose sake groups are left to Python
+    left_for: ast.Node | None = None  # the part for whose sake groups are left to Python
     names: tuple[str, ...] = ()  # the names of the columns, if all of them are texts
     paths: bool = False  # whether each row of the SQL is a path, or an edge of a graph of paths
     graph: PathSearch | None = None  # the search for paths over the edges
     # The resolved names, and whether there was a variable of that name.
     bare: dict[str, bool] = field(default_factory=dict)
     # The lists in variables that the query evaluates.
-    deferred: dict[str, Node | None] = field(default_factory=dict)
+    deferred: dict[str, ast.Node | None] = field(default_factory=dict)
     purpose: Purpose = "run"  # what the SQL is for
     may_fail: bool = False  # whether something in the SQL may fail, so that Python decides
     lookup: PairLookup | None = None  # the look-up that has the rows of the SQL, if there is one
@@ -155,7 +155,7 @@ class Plan:
         return types
 
     @property
-    def python_parts(self) -> list[Node]:
+    def python_parts(self) -> list[ast.Node]:
         """The parts left to Python."""
         if self.paths:
             return []
@@ -164,7 +164,7 @@ class Plan:
         names = [
             c.name
             for c in python_clauses.columns
-            if isinstance(c.name, Node) and self.is_in_python(c.name)
+            if isinstance(c.name, ast.Node) and self.is_in_python(c.name)
         ]
         keys = [key.value for key in python_clauses.order]
         ends = (python_clauses.having, python_clauses.limit, python_clauses.offset)
@@ -172,6 +172,6 @@ class Plan:
         groups = [node for node in python_clauses.group if self.is_in_python(node)]
         return [*python_clauses.conditions, *columns, *names, *keys, *groups, *last]
 
-    def is_in_python(self, node: Node) -> bool:
+    def is_in_python(self, node: ast.Node) -> bool:
         """Checks whether a part is evaluated in Python for each row."""
         return node not in self.known and node not in self.python_constants

@@ -14,9 +14,8 @@ from dataclasses import dataclass
 
 from sqlglot import exp
 
-from ssduck.language import tree
+from ssduck.language import ast
 from ssduck.language.clauses import SelectedValue
-from ssduck.language.tree import Assignment, Query, Recursion
 from ssduck.sql.expressions import Expressions
 from ssduck.sql.from_clause import FromItem, world_table
 from ssduck.sql.plan import PathSearch
@@ -42,7 +41,10 @@ class RecursiveSearch:
 
 
 def recursive_search(
-    sql: Expressions, query: Query, columns: Sequence[SelectedValue], elements: Sequence[FromItem]
+    sql: Expressions,
+    query: ast.Query,
+    columns: Sequence[SelectedValue],
+    elements: Sequence[FromItem],
 ) -> RecursiveSearch:
     """Returns a hierarchical query as SQL."""
     recursion = query.recursion
@@ -73,8 +75,8 @@ class _Search:
     def __init__(
         self,
         sql: Expressions,
-        query: Query,
-        recursion: Recursion,
+        query: ast.Query,
+        recursion: ast.Recursion,
         columns: Sequence[SelectedValue],
         elements: Sequence[FromItem],
     ) -> None:
@@ -102,7 +104,7 @@ class _Search:
         self.is_result = self.stop if where is None else sql.condition(where)
         sql.context.note_possible_failure()  # it may have too many open paths
 
-    def _initial_value(self, value: tree.Node) -> SqlValue:
+    def _initial_value(self, value: ast.Node) -> SqlValue:
         if not self.sql.is_constant(value):
             raise NotSqlError
         return self.sql.value(value)
@@ -336,19 +338,19 @@ def _column_names(states: Iterable[str]) -> dict[str, str]:
     return names
 
 
-def _assigned_values(parts: Iterable[tree.Node]) -> dict[str, tree.Node]:
+def _assigned_values(parts: Iterable[ast.Node]) -> dict[str, ast.Node]:
     """Returns the values that state variables are assigned."""
-    result: dict[str, tree.Node] = {}
+    result: dict[str, ast.Node] = {}
     for part in parts:
-        if not isinstance(part, Assignment):
+        if not isinstance(part, ast.Assignment):
             raise NotSqlError  # Python evaluates other expressions
         result[part.name] = part.value
     return result
 
 
-def _number(node: tree.Node) -> int:
+def _number(node: ast.Node) -> int:
     match node:
-        case tree.Literal(value=number) if type(number) is int and 0 <= number < 2**31:
+        case ast.Literal(value=number) if type(number) is int and 0 <= number < 2**31:
             return number
     raise NotSqlError
 

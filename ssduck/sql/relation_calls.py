@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from sqlglot import exp
 
+from ssduck.language import ast
 from ssduck.language.analysis import cached_by_node, sees_outside
-from ssduck.language.tree import Call, Name, Node, QualifiedName, Query, UnresolvedName
 from ssduck.schema import ALL_ENTITIES, TABLES
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.relations.relation import Relation, in_schema
@@ -141,15 +141,18 @@ def _at_tick(formula: exp.Expr, schema: str, tick: exp.Expr) -> exp.Expr:
 
 
 @cached_by_node
-def tables_of(node: Node) -> frozenset[str]:
+def tables_of(node: ast.Node) -> frozenset[str]:
     """Returns the tables that relations in a part read, and masses if they read these.
 
     A nested query about rows of the queries around it depends on all entities of the tick.
     """
-    is_nested = isinstance(node, Query) and sees_outside(node)
+    is_nested = isinstance(node, ast.Query) and sees_outside(node)
     tables = frozenset((ALL_ENTITIES,)) if is_nested else frozenset()
     # A bare name may be a relation of the only source, a key a relation of its source.
-    name = node.key if isinstance(node, QualifiedName) else getattr(node, "name", None)
-    if isinstance(node, Call | UnresolvedName | Name | QualifiedName) and name in RELATIONS:
+    name = node.key if isinstance(node, ast.QualifiedName) else getattr(node, "name", None)
+    if (
+        isinstance(node, ast.Call | ast.UnresolvedName | ast.Name | ast.QualifiedName)
+        and name in RELATIONS
+    ):
         tables = RELATIONS[name].inputs
     return tables.union(*map(tables_of, node.children()))

@@ -11,19 +11,9 @@ from sqlglot import exp
 
 from ssduck.errors import UnknownNameError, nearest
 from ssduck.formatting import short_repr
+from ssduck.language import ast
 from ssduck.language.analysis import IMPURE, OVER_TIME, free_aliases, is_impure
 from ssduck.language.builtins import BUILTINS
-from ssduck.language.tree import (
-    Assignment,
-    Call,
-    Name,
-    Node,
-    QualifiedName,
-    Query,
-    This,
-    TimeIndex,
-    UnresolvedName,
-)
 from ssduck.schema import HISTORIES
 from ssduck.sql.from_clause import JoinedEntity, TickRange, joined_entity, pairs_over_ticks
 from ssduck.sql.operators import truth
@@ -56,7 +46,7 @@ class ExpressionScope(ABC):
         self.rows: dict[str, SqlValue] = {}
         self.only_alias: str | None = None
         self.locals: Mapping[str, SqlValue] = outer.locals if outer else {}
-        self._are_constant: dict[Node, bool] = {}
+        self._are_constant: dict[ast.Node, bool] = {}
         self.ticks: QueryTicks = QueryTicks(context, self.rows, outer.ticks if outer else None)
 
     def inside(self) -> Self:
@@ -73,45 +63,45 @@ class ExpressionScope(ABC):
         # `this` alone is never that of a query further out.
         return self.outer.element(alias) if self.outer and alias is not None else None
 
-    def is_constant(self, node: Node) -> bool:
+    def is_constant(self, node: ast.Node) -> bool:
         """Checks whether the node has the same value for all rows of the statement."""
         if node not in self._are_constant:  # all that contain a part ask for it
             self._are_constant[node] = self._is_constant(node)
         return self._are_constant[node]
 
-    def _is_constant(self, node: Node) -> bool:
+    def _is_constant(self, node: ast.Node) -> bool:
         match node:
-            case This():
+            case ast.This():
                 return self._is_outside(node)
-            case UnresolvedName() | Assignment():
+            case ast.UnresolvedName() | ast.Assignment():
                 return False
-            case QualifiedName():
+            case ast.QualifiedName():
                 return not self._is_variable(node) and self._is_outside(node.this)
-            case Name(name=name):
+            case ast.Name(name=name):
                 deferred = self.context.list_in(name)
                 if deferred is not None:
                     return self.is_constant(deferred)
                 return name not in self.context.changing
-            case TimeIndex(name=name) if name in self.context.changing:
+            case ast.TimeIndex(name=name) if name in self.context.changing:
                 return False
-            case Query():
+            case ast.Query():
                 return not (
                     any(alias is None or self.element(alias) for alias in free_aliases(node))
                     or is_impure(node)
                     or any(self._is_changing(part) for part in node.walk())
                 )
-            case Call(name=name) if name in RELATIONS or name in IMPURE or name in OVER_TIME:
+            case ast.Call(name=name) if name in RELATIONS or name in IMPURE or name in OVER_TIME:
                 return False
-            case Call(name=name) if name not in BUILTINS and self.ticks.has_past:
+            case ast.Call(name=name) if name not in BUILTINS and self.ticks.has_past:
                 return False  # an entity that a user's function takes is that of the row's tick
         return all(self.is_constant(child) for child in node.children())
 
-    def _is_variable(self, node: QualifiedName) -> bool:
+    def _is_variable(self, node: ast.QualifiedName) -> bool:
         """Checks whether the alias is a variable; the plan is of use as long as that is so."""
         is_variable = self.context.plan.bare[node.alias] = self.names.has_variable(node.alias)
         return is_variable
 
-    def _is_outside(self, node: This) -> bool:
+    def _is_outside(self, node: ast.This) -> bool:
         """Checks whether it is the element of a source further out than this SQL statement."""
         if node.alias is None or self.element(node.alias) is not None:
             return False
@@ -124,22 +114,22 @@ class ExpressionScope(ABC):
             )
         return True
 
-    def _is_changing(self, node: Node) -> bool:
-        if not isinstance(node, Name | TimeIndex):
+    def _is_changing(self, node: ast.Node) -> bool:
+        if not isinstance(node, ast.Name | ast.TimeIndex):
             return False
         return node.name in self.context.changing or self.context.list_in(node.name) is not None
 
     # -- values -----------------------------------------------------------------------------
 
     @abstractmethod
-    def value(self, node: Node) -> SqlValue:
+    def value(self, node: ast.Node) -> SqlValue:
         """Returns the node as SQL."""
 
-    def condition(self, node: Node) -> exp.Expr:
+    def condition(self, node: ast.Node) -> exp.Expr:
         """Returns the node as a condition."""
         return truth(self.value(node))
 
-    def number(self, node: Node) -> SqlValue:
+    def number(self, node: ast.Node) -> SqlValue:
         """Returns the node as SQL, if it is a number and never NULL; else NotSqlError."""
         value = self.value(node)
         if not value.sql_type.is_number or value.sql_type.nullable:

@@ -11,7 +11,7 @@ from typing import Any
 
 from sqlglot import exp
 
-from ssduck.language.tree import Node
+from ssduck.language import ast
 from ssduck.schema import TABLES, EntityTable
 from ssduck.sql.plan import ParameterBinding, Plan, TypeEnvironment
 from ssduck.sql.relations.relation import ValueType
@@ -129,20 +129,20 @@ class StatementContext:
         self.plan.bindings.append(replace(binding_key, name=name))
         return exp.Parameter(this=exp.var(name))
 
-    def constant(self, stem: str, node: Node, sql_type: SqlType) -> SqlValue:
+    def constant(self, stem: str, node: ast.Node, sql_type: SqlType) -> SqlValue:
         """Returns the value of a part that does not depend on rows, and is no entity."""
         parameter = self.parameter(stem, ParameterBinding("", node, sql_type=sql_type))
         if sql_type.type == "list":
             parameter = exp.cast(parameter, sql_type.duckdb_type, dialect="duckdb")
         return SqlValue(parameter, sql_type)
 
-    def list_in(self, name: str) -> Node | None:
+    def list_in(self, name: str) -> ast.Node | None:
         """Returns the list that a variable holds for this query."""
         if name not in self.plan.deferred:
             self.plan.deferred[name] = self.names.deferred(name)
         return self.plan.deferred[name]
 
-    def constant_type(self, node: Node) -> SqlType:
+    def constant_type(self, node: ast.Node) -> SqlType:
         """Returns the type of a part that does not depend on rows."""
         return self.plan.constants.setdefault(node, self.names.sql_type(node))
 

@@ -13,10 +13,9 @@ from typing import TypeAlias
 
 from sqlglot import exp
 
-from ssduck.language import tree
+from ssduck.language import ast
 from ssduck.language.aggregates import is_grouped
 from ssduck.language.analysis import aliases_of, is_impure
-from ssduck.language.tree import Binary, ListLiteral, Name, Node, Query
 from ssduck.sql.from_clause import (
     FromItem,
     column_of,
@@ -84,7 +83,7 @@ Rows: TypeAlias = Subquery | UnrolledRows
 # -- values of nested queries ---------------------------------------------------------------
 
 
-def value(outer: ExpressionScope, query: Query) -> SqlValue:
+def value(outer: ExpressionScope, query: ast.Query) -> SqlValue:
     """Returns the value of a nested query."""
     form = _form(query)
     rows = _rows(outer, query)
@@ -98,7 +97,7 @@ def value(outer: ExpressionScope, query: Query) -> SqlValue:
     raise NotSqlError
 
 
-def counted(outer: ExpressionScope, query: Query) -> SqlValue:
+def counted(outer: ExpressionScope, query: ast.Query) -> SqlValue:
     """Returns the number of elements of the list that a nested query yields."""
     if _form(query) not in (*_LISTS, *_DICTS):
         return _counted_list(value(outer, query))
@@ -131,10 +130,13 @@ def _counted_list(value: SqlValue) -> SqlValue:
     return SqlValue(exp.func("len", value.sql.copy()), INTEGER)
 
 
-def emptiness(outer: ExpressionScope, node: Binary) -> exp.Expr | None:
+def emptiness(outer: ExpressionScope, node: ast.Binary) -> exp.Expr | None:
     """Translates `[] == SELECT …` to EXISTS; None for another comparison."""
     match node.left, node.right:
-        case (ListLiteral(items=()), Query() as query) | (Query() as query, ListLiteral(items=())):
+        case (ast.ListLiteral(items=()), ast.Query() as query) | (
+            ast.Query() as query,
+            ast.ListLiteral(items=()),
+        ):
             pass
         case _:
             return None
@@ -162,10 +164,10 @@ def _never_empty(rows: Rows) -> bool:
     return all(item.sql_type.type not in ("list", "any") for item in firsts)
 
 
-def equality(outer: ExpressionScope, node: Binary) -> exp.Expr | None:
+def equality(outer: ExpressionScope, node: ast.Binary) -> exp.Expr | None:
     """Translates `x == SELECT … AS value`, False without a row; None for another comparison."""
     sides = (node.left, node.right)
-    queries = [s for s in sides if isinstance(s, Query) and _form(s) in _VALUES]
+    queries = [s for s in sides if isinstance(s, ast.Query) and _form(s) in _VALUES]
     if len(queries) != 1 or is_impure(queries[0]) or outer.is_constant(queries[0]):
         return None
     result = _rows(outer, queries[0])
@@ -181,7 +183,7 @@ def equality(outer: ExpressionScope, node: Binary) -> exp.Expr | None:
     return exp.Coalesce(this=compared, expressions=[otherwise])
 
 
-def membership(outer: ExpressionScope, left: Node, query: Query) -> exp.Expr | None:
+def membership(outer: ExpressionScope, left: ast.Node, query: ast.Query) -> exp.Expr | None:
     """Translates `x IN SELECT … AS list` to EXISTS; None if that is not possible."""
     if is_impure(query) or _form(query) not in _LISTS or outer.is_constant(query):
         return None
@@ -331,7 +333,7 @@ def _common(items: Sequence[SqlValue]) -> SqlType:
 # -- the rows of a nested query -------------------------------------------------------------
 
 
-def _form(query: Query) -> str:
+def _form(query: ast.Query) -> str:
     if query.adapter is None:
         return "dict"
     if query.adapter.of_sql and query.adapter.name == "value":
@@ -339,7 +341,7 @@ def _form(query: Query) -> str:
     return "" if query.adapter.arguments or query.adapter.named else query.adapter.name
 
 
-def _rows(outer: ExpressionScope, query: Query) -> Rows:
+def _rows(outer: ExpressionScope, query: ast.Query) -> Rows:
     if query.recursion or query.distinct or is_grouped(query) or is_impure(query):
         raise NotSqlError
     check_sources(query)
@@ -365,7 +367,7 @@ def _rows(outer: ExpressionScope, query: Query) -> Rows:
     return replace(rows, may_fail=outer.context.possible_failures > before)
 
 
-def check_sources(query: Query) -> None:
+def check_sources(query: ast.Query) -> None:
     """Checks that the sources are few enough for DuckDB to plan their product quickly."""
     if len(query.sources) > MAX_SOURCES:
         raise NotSqlError
@@ -377,7 +379,7 @@ def _bind(inner: ExpressionScope, aliases: Sequence[str], values: Sequence[SqlVa
 
 
 def _subquery(
-    inner: ExpressionScope, query: Query, aliases: Sequence[str], elements: Sequence[FromItem]
+    inner: ExpressionScope, query: ast.Query, aliases: Sequence[str], elements: Sequence[FromItem]
 ) -> Subquery:
     resolved = resolve_in(inner, query, aliases)
     where = resolved.query.where
@@ -392,7 +394,7 @@ def _subquery(
 
 def _unrolled(
     outer: ExpressionScope,
-    query: Query,
+    query: ast.Query,
     aliases: Sequence[str],
     rows: Sequence[tuple[SqlValue, ...]],
 ) -> UnrolledRows:
@@ -414,7 +416,7 @@ def _items(inner: ExpressionScope, resolved: ResolvedQuery) -> tuple[SqlValue, .
     return tuple(map(inner.context.nan_checked, values))
 
 
-def resolve_in(inner: ExpressionScope, query: Query, aliases: Sequence[str]) -> ResolvedQuery:
+def resolve_in(inner: ExpressionScope, query: ast.Query, aliases: Sequence[str]) -> ResolvedQuery:
     """Resolves the bare names of a nested query whose sources are in SQL already."""
     source_types = [SourceType(alias, sql_type=inner.rows[alias].sql_type) for alias in aliases]
     resolved = resolve(query, source_types, inner.names, inner.locals)
@@ -424,7 +426,7 @@ def resolve_in(inner: ExpressionScope, query: Query, aliases: Sequence[str]) -> 
     return resolved
 
 
-def ordered(inner: ExpressionScope, keys: Sequence[tree.OrderKey]) -> list[exp.Ordered]:
+def ordered(inner: ExpressionScope, keys: Sequence[ast.OrderKey]) -> list[exp.Ordered]:
     """Returns the keys of ORDER BY; those that are the same for all rows order nothing.
 
     Raises:
@@ -445,13 +447,13 @@ def ordered(inner: ExpressionScope, keys: Sequence[tree.OrderKey]) -> list[exp.O
     return result
 
 
-def _limit(query: Query) -> int | None:
+def _limit(query: ast.Query) -> int | None:
     if query.offset is not None:
         raise NotSqlError
     match query.limit:
         case None:
             return None
-        case tree.Literal(value=number) if type(number) is int and number < 2**31:
+        case ast.Literal(value=number) if type(number) is int and number < 2**31:
             return number
     raise NotSqlError
 
@@ -459,10 +461,10 @@ def _limit(query: Query) -> int | None:
 # -- sources --------------------------------------------------------------------------------
 
 
-def _written_out(outer: ExpressionScope, node: Node) -> list[SqlValue] | None:
+def _written_out(outer: ExpressionScope, node: ast.Node) -> list[SqlValue] | None:
     """Returns the elements of a list that mentions the rows around, or of a value of them."""
     node = _list_in(outer, node)
-    if outer.is_constant(node) or isinstance(node, Query):
+    if outer.is_constant(node) or isinstance(node, ast.Query):
         return None
     try:
         result = outer.value(node)
@@ -473,13 +475,13 @@ def _written_out(outer: ExpressionScope, node: Node) -> list[SqlValue] | None:
     return [result] if result.sql_type.type not in ("list", "any") else None
 
 
-def _list_in(outer: ExpressionScope, node: Node) -> Node:
-    if isinstance(node, Name):
+def _list_in(outer: ExpressionScope, node: ast.Node) -> ast.Node:
+    if isinstance(node, ast.Name):
         return outer.context.list_in(node.name) or node
     return node
 
 
-def element(outer: ExpressionScope, alias: str, node: Node) -> FromItem:
+def element(outer: ExpressionScope, alias: str, node: ast.Node) -> FromItem:
     """Returns a source of a nested query: a world, a list, a query of its own.
 
     Raises:
@@ -487,7 +489,7 @@ def element(outer: ExpressionScope, alias: str, node: Node) -> FromItem:
     """
     node = _list_in(outer, node)
     name = outer.context.alias(alias)
-    if isinstance(node, Query):
+    if isinstance(node, ast.Query):
         return _derived(outer, name, node)
     if not outer.is_constant(node):
         return unnested(name, outer.value(node))
@@ -503,7 +505,7 @@ def element(outer: ExpressionScope, alias: str, node: Node) -> FromItem:
     return unnested(name, SqlValue(values_sql, sql_type))
 
 
-def _derived(outer: ExpressionScope, name: str, query: Query) -> FromItem:
+def _derived(outer: ExpressionScope, name: str, query: ast.Query) -> FromItem:
     """Returns a query as a source: its one item, or its columns by their names."""
     form = _form(query)
     rows = _rows(outer, query)
@@ -572,6 +574,6 @@ def _derived_element(
     return FromItem(value, select.subquery(exp.to_identifier(name)), position)
 
 
-def is_inline(node: Node) -> bool:
+def is_inline(node: ast.Node) -> bool:
     """Checks whether a source may be a part of the statement rather than a value."""
-    return isinstance(node, Query) and node.recursion is None and not is_grouped(node)
+    return isinstance(node, ast.Query) and node.recursion is None and not is_grouped(node)

@@ -14,7 +14,7 @@ from typing import Literal
 
 from sqlglot import exp
 
-from ssduck.language import tree
+from ssduck.language import ast
 from ssduck.language.aggregates import (
     check_one_group,
     is_aggregated,
@@ -24,7 +24,6 @@ from ssduck.language.aggregates import (
 )
 from ssduck.language.analysis import OVER_TIME, changing, free_aliases, is_impure
 from ssduck.language.clauses import PythonClauses
-from ssduck.language.tree import Binary, Call, Node, OrderKey, Query, This, conjuncts
 from ssduck.sql import subqueries
 from ssduck.sql.expressions import Expressions
 from ssduck.sql.from_clause import (
@@ -66,7 +65,7 @@ class NotInlineError(Exception):
 
 
 def translate(
-    query: Query,
+    query: ast.Query,
     source_types: Sequence[SourceType],
     names: TypeEnvironment,
     purpose: Purpose = "run",
@@ -86,7 +85,7 @@ def translate(
 class _Translator:
     def __init__(
         self,
-        query: Query,
+        query: ast.Query,
         source_types: tuple[SourceType, ...],
         names: TypeEnvironment,
         step: Callable[[], object],
@@ -115,11 +114,13 @@ class _Translator:
             return self._recursive()
         self._note_single_entities()
         conditions = list(self._conditions())
-        left = [n for n, c in zip(conjuncts(self.query.where), conditions, strict=True) if not c]
+        left = [
+            n for n, c in zip(ast.conjuncts(self.query.where), conditions, strict=True) if not c
+        ]
         if left and self._is_product_of_lists() and not any(conditions):
             raise NotSqlError  # Python can make the combinations faster than SQL
         selected = [column.node for column in self.selected]
-        names = [column.name for column in self.selected if isinstance(column.name, Node)]
+        names = [column.name for column in self.selected if isinstance(column.name, ast.Node)]
         aggregated = is_aggregated(self.query, selected)
         check_one_group(self.query, selected)
         result = [condition for condition in conditions if condition is not None]
@@ -164,7 +165,7 @@ class _Translator:
 
     # -- sources ----------------------------------------------------------------------------
 
-    def _sources(self, query: Query, source_types: Sequence[SourceType]) -> list[FromItem]:
+    def _sources(self, query: ast.Query, source_types: Sequence[SourceType]) -> list[FromItem]:
         elements = [
             self._element(source_type, source.value)
             for source_type, source in zip(source_types, query.sources, strict=True)
@@ -174,7 +175,7 @@ class _Translator:
         self.sql.only_alias = source_types[0].alias if len(source_types) == 1 else None
         return elements
 
-    def _element(self, source_type: SourceType, node: Node) -> FromItem:
+    def _element(self, source_type: SourceType, node: ast.Node) -> FromItem:
         """Returns a source as a table: the entities of a world, some of them, values, a query."""
         if not source_type.has_values:
             try:
@@ -250,7 +251,7 @@ class _Translator:
     def _conditions(self) -> Iterator[exp.Expr | None]:
         """Yields the conditions in SQL, up to the first one with side effects."""
         has_side_effects = False
-        for node in conjuncts(self.query.where):
+        for node in ast.conjuncts(self.query.where):
             self._step()
             has_side_effects = has_side_effects or is_impure(node)
             if has_side_effects:
@@ -267,7 +268,7 @@ class _Translator:
             for s in source_types
         )
 
-    def _pairs(self, node: Node) -> exp.Expr | None:
+    def _pairs(self, node: ast.Node) -> exp.Expr | None:
         """Returns a condition on two sources that are one world, with all of its pairs joined."""
         sides = sides_of(node)
         if sides is None:
@@ -281,11 +282,11 @@ class _Translator:
         schemas = {worlds.get(str(side.alias)) for side in sides}
         aliases = {side.alias for side in sides}
         # Where another condition is about one of the two alone, pairs are asked about one by one.
-        others = [part for part in conjuncts(self.query.where) if part is not node]
+        others = [part for part in ast.conjuncts(self.query.where) if part is not node]
         alone = any(len(free_aliases(part) & aliases) == 1 for part in others)
         if alone or len(schemas) > 1 or None in schemas:
             return None
-        assert isinstance(node, Call)
+        assert isinstance(node, ast.Call)
         order = [source_type.alias for source_type in self.result.source_types]
         first, second = sorted(sides, key=lambda side: order.index(str(side.alias)))
         result = pair_join(self.sql, node, (first, second), str(schemas.pop()))
@@ -299,15 +300,15 @@ class _Translator:
 
     def _note_single_entities(self) -> None:
         """Records the sources that `this == cup` or `id(this) == 'cup'` restricts to one entity."""
-        for node in conjuncts(self.query.where):
+        for node in ast.conjuncts(self.query.where):
             match node:
-                case Binary(operator="==", left=This() as row, right=other):
+                case ast.Binary(operator="==", left=ast.This() as row, right=other):
                     pass
-                case Binary(operator="==", left=other, right=This() as row):
+                case ast.Binary(operator="==", left=other, right=ast.This() as row):
                     pass
-                case Binary(
+                case ast.Binary(
                     operator="==",
-                    left=Call(name="id" | "name", arguments=(This() as row,)),
+                    left=ast.Call(name="id" | "name", arguments=(ast.This() as row,)),
                     right=other,
                 ):
                     pass
@@ -317,7 +318,7 @@ class _Translator:
                 alias = row.alias or self.sql.only_alias or ""
                 self.sql.ticks.record_single_entity(alias, partial(self.sql.value, other))
 
-    def _condition(self, node: Node) -> exp.Expr | None:
+    def _condition(self, node: ast.Node) -> exp.Expr | None:
         try:
             holds = self.sql.condition(node)
         except NotSqlError:
@@ -330,7 +331,7 @@ class _Translator:
         guarded = exp.case().when(implied.copy(), holds).else_(exp.false())
         return exp.and_(implied, guarded)
 
-    def _add_column(self, node: Node) -> None:
+    def _add_column(self, node: ast.Node) -> None:
         """Adds the column of a selected value or a key, or else columns of its parts."""
         if self.sql.is_constant(node):
             self._leave_to_python(node)
@@ -340,7 +341,7 @@ class _Translator:
         except NotSqlError:
             self._leave_to_python(node)
 
-    def _group_columns(self, node: Node) -> None:
+    def _group_columns(self, node: ast.Node) -> None:
         """Adds columns for a part of a grouped query: the arguments of its aggregates."""
         calls = over_rows(node)
         for call in calls:
@@ -350,10 +351,12 @@ class _Translator:
         elif node not in calls:
             self._leave_to_python(node, but=calls)
 
-    def _order(self, conditions: Sequence[exp.Expr]) -> tuple[list[exp.Expr], tuple[OrderKey, ...]]:
+    def _order(
+        self, conditions: Sequence[exp.Expr]
+    ) -> tuple[list[exp.Expr], tuple[ast.OrderKey, ...]]:
         """Returns ORDER BY in SQL and in Python: the query's keys, then the sources' order."""
         ordered: list[exp.Expr] = []
-        left: tuple[OrderKey, ...] = ()
+        left: tuple[ast.OrderKey, ...] = ()
         orders_groups = self.query.group and any(over_rows(k.value) for k in self.query.order)
         try:
             if orders_groups or is_impure(self.query):
@@ -400,7 +403,7 @@ class _Translator:
         given = [node for node in nodes if node is not None]
         if not left and all(map(_is_small_count, given)):
             limit, offset = (
-                node.value if isinstance(node, tree.Literal) else None for node in nodes
+                node.value if isinstance(node, ast.Literal) else None for node in nodes
             )
             return limit, offset  # type: ignore[return-value]  # they are whole numbers
         self.result.python_constants += [node for node in given if self.sql.is_constant(node)]
@@ -521,7 +524,7 @@ class _Translator:
             self.columns.append(sql)
         return OutputColumn(self.texts[text], sql_type)
 
-    def _leave_to_python(self, node: Node, but: Sequence[Node] = ()) -> None:
+    def _leave_to_python(self, node: ast.Node, but: Sequence[ast.Node] = ()) -> None:
         """Leaves a node to Python, and fetches its largest parts that SQL can express."""
         if node in but:
             return
@@ -531,9 +534,9 @@ class _Translator:
         if not but and self.sql.is_constant(node):
             self.result.python_constants.append(node)
             return
-        if isinstance(node, Call) and node.name not in RELATIONS:
+        if isinstance(node, ast.Call) and node.name not in RELATIONS:
             self.names.check_call(node)
-        if isinstance(node, Call) and node.name in OVER_TIME:
+        if isinstance(node, ast.Call) and node.name in OVER_TIME:
             return  # its parts are evaluated at other ticks
         try:
             if but:
@@ -541,21 +544,21 @@ class _Translator:
             self.result.known[node] = self._output(self.sql.value(node))
         except NotSqlError:
             # A nested query runs separately, over the elements.
-            if not isinstance(node, Query):
+            if not isinstance(node, ast.Query):
                 for child in _parts(node):
                     self._leave_to_python(child, but)
 
 
-def _is_small_count(node: Node) -> bool:
+def _is_small_count(node: ast.Node) -> bool:
     """Checks whether LIMIT or OFFSET is a number that SQL can take."""
-    value = node.value if isinstance(node, tree.Literal) else None
+    value = node.value if isinstance(node, ast.Literal) else None
     return type(value) is int and value < _MAX_ROWS
 
 
-def _parts(node: Node) -> Iterator[Node]:
+def _parts(node: ast.Node) -> Iterator[ast.Node]:
     """Yields the columns to fetch for a part left to Python; of a long comparison, its operands."""
     for child in node.children():
-        if isinstance(node, tree.OperatorChain) and isinstance(child, Binary):
+        if isinstance(node, ast.OperatorChain) and isinstance(child, ast.Binary):
             yield from child.children()
         else:
             yield child

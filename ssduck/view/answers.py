@@ -32,8 +32,8 @@ from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS
 from ssduck.interpreter.program import value_to_show
 from ssduck.interpreter.stopping import StopRequest
+from ssduck.language import ast
 from ssduck.language.analysis import calls_of
-from ssduck.language.tree import Assignment, Call
 from ssduck.logic.why import Why
 from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.view.facts import facts_of, plot_of
@@ -52,7 +52,7 @@ def not_shown(ss: Interpreter, text: str, language: Language) -> Iterator[str]:
     if language == "sql":
         return
     *before, _ = ss.compile(text).tree.statements
-    if any(not isinstance(statement, Assignment) for statement in before):
+    if any(not isinstance(statement, ast.Assignment) for statement in before):
         yield (
             f"this is the result of the last of {len(before) + 1} statements; run the others by "
             "themselves to see theirs"
@@ -73,7 +73,7 @@ def heads_of(
     """Returns the heads of a value's table: those of its columns, or what intervals consist of."""
     if language == "selectscript" and _are_spans(value):
         last = ss.compile(text).tree.statements[-1]
-        if isinstance(last, Call) and last.name == _INTERVALS:
+        if isinstance(last, ast.Call) and last.name == _INTERVALS:
             return ["begin", "end"]
     return list(columns)
 

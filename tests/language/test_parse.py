@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ssduck.errors import ParseError, SelectScriptError
-from ssduck.language.parser import parse
-from ssduck.language.tree import (
+from ssduck.language.ast import (
     Assignment,
     Binary,
     Call,
@@ -24,6 +23,7 @@ from ssduck.language.tree import (
     Unary,
     UnboundedHorizon,
 )
+from ssduck.language.parser import parse
 
 
 def shown(node: Node) -> str:

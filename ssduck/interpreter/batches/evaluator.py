@@ -27,9 +27,9 @@ from ssduck.interpreter.over_time.functions import (
     operator_of,
     parts_of,
 )
+from ssduck.language import ast
 from ssduck.language.analysis import VERDICT, calls_of, variables_of
 from ssduck.language.evaluator import Frame
-from ssduck.language.tree import Call, Name, Node, Placeholder, TimeIndex
 from ssduck.language.value_keys import node_key
 from ssduck.simulators.environments import to_numpy
 from ssduck.world.batches.batch_world import BatchWorld
@@ -43,7 +43,7 @@ _TIME = "time of the environment"
 class BatchExpressions:
     """Expressions over all environments of a batch, compiled when they are evaluated first."""
 
-    def __init__(self, execution: Execution, engine: Engine, nodes: Sequence[Node]) -> None:
+    def __init__(self, execution: Execution, engine: Engine, nodes: Sequence[ast.Node]) -> None:
         self._execution, self._engine = execution, engine
         self._world = engine.world
         self._folds: dict[str, _KeptFold] = {}
@@ -53,7 +53,7 @@ class BatchExpressions:
         nodes = [execution.expanded(node) for node in nodes]
         self.substituted = [node.replaced(self._replacement) for node in nodes]
         parts = (part for node in self.substituted for part in node.walk())
-        self._read = {part.name for part in parts if isinstance(part, Placeholder)}
+        self._read = {part.name for part in parts if isinstance(part, ast.Placeholder)}
         # The sums of whole forces over the contacts of an entity.
         self._sums = sorted(frozenset().union(*map(calls_of, nodes)) & {"force", "torque"})
         self._compiled: CompiledExpressions | None = None
@@ -66,27 +66,27 @@ class BatchExpressions:
         scope = self._execution
         return scope.has_variable(name) and isinstance(scope.variable(name), BatchWorld)
 
-    def _replacement(self, node: Node) -> Node | None:
+    def _replacement(self, node: ast.Node) -> ast.Node | None:
         """Returns a placeholder for what arrays provide."""
         match node:
-            case Call(name="getTime"):
-                return Placeholder(node.span, _TIME)
-            case Name(name="env") if not self._execution.has_variable(ENV):
-                return Placeholder(node.span, ENV)
-            case Call(name=name) if name in TEMPORAL_FUNCTIONS:
+            case ast.Call(name="getTime"):
+                return ast.Placeholder(node.span, _TIME)
+            case ast.Name(name="env") if not self._execution.has_variable(ENV):
+                return ast.Placeholder(node.span, ENV)
+            case ast.Call(name=name) if name in TEMPORAL_FUNCTIONS:
                 return self._fold(node)
-            case TimeIndex(name=name) if self._is_world(name):
+            case ast.TimeIndex(name=name) if self._is_world(name):
                 raise UnsupportedError(
                     f"{name}{{…}} is the past of one world, and a batch keeps none: previous, "
                     "initially, heldFor and their like keep what they need",
                     span=node.span,
                 )
-            case Name(name=name) if per_environment(self._execution, name, self._world.count):
+            case ast.Name(name=name) if per_environment(self._execution, name, self._world.count):
                 self._arrays.add(name)
-                return Placeholder(node.span, name)
+                return ast.Placeholder(node.span, name)
         return None
 
-    def _fold(self, call: Call) -> Node:
+    def _fold(self, call: ast.Call) -> ast.Node:
         """Returns the placeholder of a function of time."""
         if parts_of(call)[1] is not None:
             raise UnsupportedError(
@@ -107,7 +107,7 @@ class BatchExpressions:
             inner = BatchExpressions(self._execution, self._engine, expressions_of(call))
             kept = self._folds[key] = _KeptFold(call.name, fold, inner, self._world)
             self._world.before_tick(kept.settle)
-        return Placeholder(call.span, key)
+        return ast.Placeholder(call.span, key)
 
     def has_same_arrays(self) -> bool:
         """Checks whether the same variables have a value for each environment as at first."""
@@ -250,7 +250,7 @@ class BatchExpressions:
             raise
 
 
-def plain(value: Any, node: Node) -> Any:
+def plain(value: Any, node: ast.Node) -> Any:
     """Returns a value that is no entity: a handle has one world, and no environment."""
     for part in value if isinstance(value, list) else ():
         plain(part, node)

@@ -29,9 +29,9 @@ from ssduck.interpreter.batches.kernels import EnvironmentShapes, kernels_of
 from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.over_time.live import select_of
 from ssduck.interpreter.query_runner import PlannedQuery
+from ssduck.language import ast
 from ssduck.language.analysis import calls_of
 from ssduck.language.evaluator import Frame
-from ssduck.language.tree import Name, Node, Placeholder
 from ssduck.language.value_keys import ATOMS
 from ssduck.sql.plan import ParameterBinding
 from ssduck.sql.relation_calls import PAIR_CALL, PairCall
@@ -66,9 +66,9 @@ class Engine:
         self.shapes = EnvironmentShapes(self.world, self.columns)
         kernels = kernels_of(self.world, self.columns)
         self.operations = ArrayOperations(self.schema, kernels, is_exact=False)
-        self._slow: set[Node] = set()
+        self._slow: set[ast.Node] = set()
 
-    def warn_of(self, nodes: Iterable[Node]) -> None:
+    def warn_of(self, nodes: Iterable[ast.Node]) -> None:
         """Warns, once of each, of parts for which many environments are asked one by one."""
         for node in set(nodes).difference(self._slow):
             self._slow.add(node)
@@ -94,8 +94,8 @@ class Leaves:
         self._parts: dict[str, Expression] = {}
         # Variables, whose values may be others at the next evaluation, by the keys of leaves; and
         # those that are entities.
-        self._variables: dict[str, tuple[Node, Any]] = {}
-        self._entities: list[tuple[Node, Handle]] = []
+        self._variables: dict[str, tuple[ast.Node, Any]] = {}
+        self._entities: list[tuple[ast.Node, Handle]] = []
 
     # -- compilation ------------------------------------------------------------------------
 
@@ -115,7 +115,7 @@ class Leaves:
             return key
         value = frame.value(node)
         if isinstance(value, Handle):
-            if isinstance(node, Name):
+            if isinstance(node, ast.Name):
                 self._entities.append((node, value))
             if value.world is not self.engine.world or value.moment is not None:
                 raise LeftToDuckDBError
@@ -135,7 +135,7 @@ class Leaves:
             raise LeftToDuckDBError
         return self._variable(node, value)
 
-    def _variable(self, node: Node, value: Any) -> str:
+    def _variable(self, node: ast.Node, value: Any) -> str:
         """Notes an expression without columns, whose value may be another one later."""
         key = f"{id(node)} value"
         self._constant(key, value)
@@ -145,20 +145,20 @@ class Leaves:
     def tree(
         self,
         frame: Frame,
-        sql: Mapping[Node, exp.Expr] | None = None,
+        sql: Mapping[ast.Node, exp.Expr] | None = None,
         compiler: Compiler | None = None,
     ) -> TreeCompiler:
         """Returns what makes functions of a tree."""
 
-        def variable(node: Name) -> Expression:
+        def variable(node: ast.Name) -> Expression:
             key = self._variable(node, frame.value(node))
             return Expression(self._kinds[key], lambda values: values[key])
 
         return TreeCompiler(self.engine.operations, compiler, sql or {}, self.given, variable)
 
-    def note_given(self, node: Node, frame: Frame) -> bool:
+    def note_given(self, node: ast.Node, frame: Frame) -> bool:
         """Notes the placeholders in an expression; returns whether there are any."""
-        found = [part for part in node.walk() if isinstance(part, Placeholder)]
+        found = [part for part in node.walk() if isinstance(part, ast.Placeholder)]
         for part in found:
             sample, name = frame.placeholders[part.name], part.name
             kind: Kind = "list" if isinstance(sample, list) else kind_of(sample)
@@ -193,7 +193,7 @@ class Leaves:
             return None
         return Expression(self._kinds[key], lambda values: values[key])
 
-    def given(self, node: Placeholder) -> Expression:
+    def given(self, node: ast.Placeholder) -> Expression:
         """Returns a placeholder as an expression."""
         key = f"{node.name} given"
         if key not in self._kinds:
@@ -305,7 +305,7 @@ class CompiledExpressions:
         self,
         engine: Engine,
         execution: Execution,
-        nodes: Sequence[Node],
+        nodes: Sequence[ast.Node],
         samples: Mapping[str, Any],
     ) -> None:
         self._execution, self._leaves = execution, Leaves(engine)
@@ -320,7 +320,7 @@ class CompiledExpressions:
         self.is_complete = None not in self._computes  # whether arrays can have all of them
         self.is_current = self._leaves.is_current
 
-    def _plan(self, node: Node, frame: Frame) -> dict[Node, exp.Expr] | None:
+    def _plan(self, node: ast.Node, frame: Frame) -> dict[ast.Node, exp.Expr] | None:
         """Returns the SQL of the parts of an expression that have some; None if arrays lack any."""
         planned = self._execution.planner.planned(select_of(node), frame)
         self._leaves.note_given(node, frame)
@@ -334,7 +334,9 @@ class CompiledExpressions:
         except LeftToDuckDBError:
             return None
 
-    def _computed(self, node: Node, sql: Mapping[Node, exp.Expr], frame: Frame) -> Compute | None:
+    def _computed(
+        self, node: ast.Node, sql: Mapping[ast.Node, exp.Expr], frame: Frame
+    ) -> Compute | None:
         """Returns an expression as a function; None if arrays cannot have its value."""
         try:
             return self._leaves.tree(frame, sql, self._compiler).of(node).compute
@@ -389,7 +391,7 @@ def _broadcast(result: Array, count: int) -> Array:
     return np.broadcast_to(np.atleast_2d(result)[0], (count,))
 
 
-def _sql_parts(node: Node, planned: PlannedQuery) -> dict[Node, exp.Expr]:
+def _sql_parts(node: ast.Node, planned: PlannedQuery) -> dict[ast.Node, exp.Expr]:
     """Returns the SQL of the parts of an expression that have some."""
     plan = planned.plan
     columns = plan.select.expressions

@@ -17,8 +17,8 @@ from ssduck.geometry.arrays import Flags
 from ssduck.interpreter.batches.expressions import Answers
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, TemporalFunction
 from ssduck.interpreter.over_time.nested import window_of
+from ssduck.language import ast
 from ssduck.language.evaluator import Frame
-from ssduck.language.tree import Call
 from ssduck.logic.traces import Window
 from ssduck.simulators.clock import TIME_TOLERANCE
 
@@ -33,7 +33,7 @@ class ArrayFold:
     answers: Callable[[], Answers]  # returns the values of the function
 
 
-def fold_of(call: Call, frame: Frame) -> ArrayFold:
+def fold_of(call: ast.Call, frame: Frame) -> ArrayFold:
     """Returns a function of time without a state."""
     name, form = call.name, TEMPORAL_FUNCTIONS[call.name]
     if form.operator is not None:

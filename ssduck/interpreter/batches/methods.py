@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 from ssduck.errors import ArgumentError
 from ssduck.formatting import joined_names
 from ssduck.interpreter.execution import Execution
-from ssduck.language.tree import Node, Program
+from ssduck.language import ast
 from ssduck.lazy import service
 from ssduck.world.batches.batch_world import BatchWorld
 
@@ -88,7 +88,7 @@ class Batches:
         return found[0]
 
     def over_batch(
-        self, nodes: Sequence[Node], world: BatchWorld, program: Program | None = None
+        self, nodes: Sequence[ast.Node], world: BatchWorld, program: ast.Program | None = None
     ) -> BatchExpressions:
         """Returns parsed expressions as a function of all environments; `terms` are made of it.
 

@@ -28,10 +28,10 @@ from ssduck.interpreter.batches.expressions import Engine, meaning_of
 from ssduck.interpreter.batches.rows import BatchRows
 from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.output import AsClause, accept_columns, as_clause_of, joined_rows
+from ssduck.language import ast
 from ssduck.language.analysis import calls_of, variables_of
 from ssduck.language.clauses import Groups, Paths, Rows, Selected
 from ssduck.language.evaluator import Frame
-from ssduck.language.tree import Call, ListLiteral, Literal, Name, Node, Program, Query
 from ssduck.world.batches.batch_world import BatchWorld
 from ssduck.world.handles import Handle
 
@@ -39,23 +39,23 @@ from ssduck.world.handles import Handle
 class BatchQuery:
     """A query over all environments of a batch."""
 
-    def __init__(self, execution: Execution, engine: Engine, query: Query) -> None:
+    def __init__(self, execution: Execution, engine: Engine, query: ast.Query) -> None:
         self._execution, self._engine, self._world = execution, engine, engine.world
         # What is of time, of the past, and of variables with a value for each environment.
         named = replace(query, items=tuple(map(self._item, query.items)))
         self._outer = BatchExpressions(execution, engine, [named])
         (substituted,) = self._outer.substituted
-        assert isinstance(substituted, Query)
+        assert isinstance(substituted, ast.Query)
         self._query = substituted
         self._columns = BatchExpressions(execution, engine, query.items) if _is_row(query) else None
         self._over: tuple[object, BatchRows | None] = (None, None)
         self.has_same_arrays = self._outer.has_same_arrays
 
-    def _item(self, item: Node) -> Node:
+    def _item(self, item: ast.Node) -> ast.Node:
         """Returns a selected value; the number of the environment keeps its name."""
-        if not (isinstance(item, Name) and item.name == ENV):
+        if not (isinstance(item, ast.Name) and item.name == ENV):
             return item
-        return Call(item.span, "to", (item, Literal(item.span, ENV)), item.span)
+        return ast.Call(item.span, "to", (item, ast.Literal(item.span, ENV)), item.span)
 
     def value(self) -> Any:
         """Returns the result of the query in its form; the caller has the lock of the batch."""
@@ -80,7 +80,7 @@ class BatchQuery:
             values.append(form.value(self._query, frame, lambda *_, own=own: own))
         return without_unknown(answers_of(values), "the query")
 
-    def _run(self, query: Query, frame: Frame, check: Any) -> Selected:
+    def _run(self, query: ast.Query, frame: Frame, check: Any) -> Selected:
         """Returns the rows of all environments; see `QueryRunner`."""
         del query, frame
         return _together(self._selected(check))
@@ -184,14 +184,14 @@ def _together(parts: Sequence[Rows | Groups]) -> Rows | Groups:
     return Groups({key: joined_rows(rows) for key, rows in groups.items()}, parts[0].empty)
 
 
-def _is_row(query: Query) -> bool:
+def _is_row(query: ast.Query) -> bool:
     """Checks whether a query selects values once, FROM [0] for example."""
     others = (query.where, query.recursion, query.having, query.limit, query.offset)
     is_plain = all(other is None for other in others) and not (query.group or query.order)
     if not is_plain or len(query.sources) != 1 or not query.items:
         return False
     (source,) = query.sources
-    return isinstance(source.value, ListLiteral) and len(source.value.items) == 1
+    return isinstance(source.value, ast.ListLiteral) and len(source.value.items) == 1
 
 
 _Compiled: TypeAlias = BatchExpressions | BatchQuery
@@ -205,9 +205,11 @@ class BatchPrograms:
         # By the schemas of their batches.
         self._engines: dict[str, Engine] = {}
         # Each with the object that is replaced when names get other meanings.
-        self._compiled: WeakKeyDictionary[Program, tuple[object, _Compiled]] = WeakKeyDictionary()
+        self._compiled: WeakKeyDictionary[ast.Program, tuple[object, _Compiled]] = (
+            WeakKeyDictionary()
+        )
 
-    def batch_of(self, program: Program) -> BatchWorld | None:
+    def batch_of(self, program: ast.Program) -> BatchWorld | None:
         """Returns the batch that a program reads; None if it reads none."""
         names = frozenset().union(*map(variables_of, program.statements))
         values = [self._execution.variable_or_none(name) for name in names]
@@ -219,7 +221,7 @@ class BatchPrograms:
             raise UnsupportedError("a program reads one batch: evaluate one for each")
         return batches[0] if batches else None
 
-    def value(self, program: Program, world: BatchWorld) -> Any:
+    def value(self, program: ast.Program, world: BatchWorld) -> Any:
         """Returns the value of a program over a batch."""
         execution = self._execution
         with execution.transaction(program), world.lock:
@@ -236,13 +238,13 @@ class BatchPrograms:
             (answers,) = compiled.answers()
             return world.given_back(without_unknown(answers, repr(program.text.strip())))
 
-    def terms(self, nodes: Sequence[Node], world: BatchWorld) -> BatchExpressions:
+    def terms(self, nodes: Sequence[ast.Node], world: BatchWorld) -> BatchExpressions:
         """Returns expressions over all environments of a batch, checked in one."""
         expressions = BatchExpressions(self._execution, self._engine_of(world), nodes)
         expressions.check()
         return expressions
 
-    def report(self, program: Program, world: BatchWorld) -> None:
+    def report(self, program: ast.Program, world: BatchWorld) -> None:
         """Reports the probable mistakes in an expression or a query over a batch."""
         (node,) = self._execution.read(program).statements
         with world.at(0):
@@ -260,7 +262,7 @@ class BatchPrograms:
             engine = self._engines[schema] = Engine(world, schema)
         return engine
 
-    def _made(self, program: Program, world: BatchWorld) -> _Compiled:
+    def _made(self, program: ast.Program, world: BatchWorld) -> _Compiled:
         """Compiles a program, which has to be one expression or query."""
         execution = self._execution
         read = execution.read(program)
@@ -271,6 +273,6 @@ class BatchPrograms:
             )
         (node,) = read.statements
         self.report(program, world)
-        if isinstance(node, Query):
+        if isinstance(node, ast.Query):
             return BatchQuery(execution, self._engine_of(world), node)
         return self.terms([node], world)

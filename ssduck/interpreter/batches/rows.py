@@ -27,10 +27,10 @@ from ssduck.interpreter.batches.expressions import (
     value_of,
 )
 from ssduck.interpreter.execution import Execution
+from ssduck.language import ast
 from ssduck.language.aggregates import exact_sum, over_rows
 from ssduck.language.clauses import Groups, PythonClauses, Rows, printed
 from ssduck.language.evaluator import Frame
-from ssduck.language.tree import Binary, Call, Literal, Node, Query
 from ssduck.schema import STORED_TABLES
 from ssduck.sql.pair_joins import sides_of
 from ssduck.sql.plan import Plan
@@ -60,25 +60,25 @@ class Selection:
         if clauses != same or not holds or len(plan.names) < len(clauses.columns):
             raise LeftToDuckDBError
         # The selected values and keys that are the same for all rows of an environment.
-        self.constants: list[Node] = []
+        self.constants: list[ast.Node] = []
         self._plan, self._clauses = plan, clauses
         self._items = [self._item(column.node) for column in clauses.columns]
         self._keys = [self._value(node) for node in clauses.group]
 
-    def _item(self, node: Node) -> Node | int | _Aggregate:
+    def _item(self, node: ast.Node) -> ast.Node | int | _Aggregate:
         """Returns a selected value: an aggregate, or that of the first row of each group."""
         if not self._clauses.is_aggregated or not over_rows(node):
             return self._value(node)
         match node:
-            case Call(name="count", arguments=(Literal(value=int()),)):
+            case ast.Call(name="count", arguments=(ast.Literal(value=int()),)):
                 return _Aggregate("count", None)
-            case Call(name=name, arguments=(argument,)) if name in _EMPTY:
+            case ast.Call(name=name, arguments=(argument,)) if name in _EMPTY:
                 column = self._value(argument)
                 if isinstance(column, int):
                     return _Aggregate(name, column)
         raise LeftToDuckDBError
 
-    def _value(self, node: Node) -> Node | int:
+    def _value(self, node: ast.Node) -> ast.Node | int:
         """Returns the column of a value, or itself if it is the same for all rows."""
         output = self._plan.known.get(node)
         if output is not None and output.sql_type.type != "entity":
@@ -92,7 +92,7 @@ class Selection:
         self,
         environments: Indices,
         columns: Sequence[Array],
-        constants: Mapping[Node, list[Any]],
+        constants: Mapping[ast.Node, list[Any]],
         count: int,
     ) -> list[Rows | Groups] | None:
         """Returns the rows, or the groups, of each environment; None if a column may lack values.
@@ -115,7 +115,7 @@ class Selection:
             groups = _GroupNumbers(environments, keys)
             numbers = environments[groups.first]
 
-        def values_of(item: Node | int | _Aggregate) -> list[Any]:
+        def values_of(item: ast.Node | int | _Aggregate) -> list[Any]:
             if isinstance(item, _Aggregate):
                 assert groups is not None
                 own = environments if item.column is None else columns[item.column]
@@ -144,7 +144,7 @@ class Selection:
             for start, end in pairwise(ends)
         ]
 
-    def _empty(self, number: int, constants: Mapping[Node, list[Any]]) -> Rows:
+    def _empty(self, number: int, constants: Mapping[ast.Node, list[Any]]) -> Rows:
         """Returns the row of an environment without rows, which has no value of a row."""
         values = [
             _EMPTY[item.name] if isinstance(item, _Aggregate) else constants[item][number]
@@ -218,7 +218,9 @@ class BatchRows:
         leaves: what the expressions read.
     """
 
-    def __init__(self, execution: Execution, engine: Engine, query: Query, frame: Frame) -> None:
+    def __init__(
+        self, execution: Execution, engine: Engine, query: ast.Query, frame: Frame
+    ) -> None:
         planned = execution.planner.planned(_without_searches(query), frame, "rows")
         if planned is None:
             raise LeftToDuckDBError
@@ -366,12 +368,12 @@ class BatchRows:
         return known if len(known) == len(found) else None
 
 
-def _without_searches(query: Query) -> Query:
+def _without_searches(query: ast.Query) -> ast.Query:
     """Returns a query with conditions on pairs in place of searches, which are of one tick."""
 
-    def asked(node: Node) -> Node | None:
-        if not isinstance(node, Call) or sides_of(node) is None:
+    def asked(node: ast.Node) -> ast.Node | None:
+        if not isinstance(node, ast.Call) or sides_of(node) is None:
             return None
-        return Binary(node.span, "OR", node, Literal(node.span, value=False))
+        return ast.Binary(node.span, "OR", node, ast.Literal(node.span, value=False))
 
     return query if query.where is None else replace(query, where=query.where.replaced(asked))

@@ -21,20 +21,9 @@ from ssduck.interpreter.lint.suspect_values import (
     kind_of_relation,
     site_of,
 )
+from ssduck.language import ast
 from ssduck.language.analysis import TEMPORAL_OPERATORS
 from ssduck.language.builtins import BUILTINS
-from ssduck.language.tree import (
-    Binary,
-    Call,
-    Index,
-    ListLiteral,
-    Literal,
-    Name,
-    Node,
-    QualifiedName,
-    Query,
-    Unary,
-)
 from ssduck.sql.user_sql import bound_value, parameter_of, span_of, statement_trees
 
 # The functions whose values are angles if those of an argument are.
@@ -56,53 +45,58 @@ _CALL = re.compile(r"\b(tilt|upright)\s*\(", re.IGNORECASE)
 
 # An angle that is compared with values, or that `upright` takes: the function whose value it is,
 # the column that it is (None for the value of a call), the values, and its place.
-_Site: TypeAlias = tuple[str, Comparison | None, tuple[Node, ...], SourceSpan]
+_Site: TypeAlias = tuple[str, Comparison | None, tuple[ast.Node, ...], SourceSpan]
 
 
-def angles(statement: Node) -> Iterator[Check]:
+def angles(statement: ast.Node) -> Iterator[Check]:
     """Yields the check of a statement's angles."""
     sites = tuple(_sites(statement, None))
     if sites:
         yield partial(_degrees_in, sites)
 
 
-def _sites(node: Node, query: Query | None) -> Iterator[_Site]:
+def _sites(node: ast.Node, query: ast.Query | None) -> Iterator[_Site]:
     """Yields the comparisons of angles in a part of a statement; `query` is around it."""
     match node:
-        case Query():
+        case ast.Query():
             query = node
-        case Call(name="upright", arguments=(_, angle)):
+        case ast.Call(name="upright", arguments=(_, angle)):
             yield "upright", None, (angle,), node.span
-        case Binary(left=left, right=right) if is_comparison(node):
+        case ast.Binary(left=left, right=right) if is_comparison(node):
             for side, other in ((left, right), (right, left)):
-                values = other.items if isinstance(other, ListLiteral) else (other,)
+                values = other.items if isinstance(other, ast.ListLiteral) else (other,)
                 for part, name, column in _angles_in(side, query):
                     yield name, column, values, part.span
     for child in node.children():
         yield from _sites(child, query)
 
 
-def _angles_in(node: Node, query: Query | None) -> Iterator[tuple[Node, str, Comparison | None]]:
+def _angles_in(
+    node: ast.Node, query: ast.Query | None
+) -> Iterator[tuple[ast.Node, str, Comparison | None]]:
     """Yields the angles that a value may be: each with its function, and the column that it is."""
-    parts: tuple[Node, ...] = ()
+    parts: tuple[ast.Node, ...] = ()
     match node:
-        case Name(name=name) | QualifiedName(key=name) if name in ANGLES and query is not None:
+        case ast.Name(name=name) | ast.QualifiedName(key=name) if (
+            name in ANGLES and query is not None
+        ):
             column = site_of(node, query, (), node.span)
             if column is not None:
                 yield node, name, column
-        case Call(name=name) if name in ANGLES:
+        case ast.Call(name=name) if name in ANGLES:
             yield node, name, None
-        case Index(
-            base=Call(name="least" | "greatest", arguments=extremes), indices=(Literal(value=1),)
+        case ast.Index(
+            base=ast.Call(name="least" | "greatest", arguments=extremes),
+            indices=(ast.Literal(value=1),),
         ):
             parts = extremes[:1]
-        case Call(name=name, arguments=arguments) if name in _KEEPING:
+        case ast.Call(name=name, arguments=arguments) if name in _KEEPING:
             parts = arguments
-        case ListLiteral(items=items):
+        case ast.ListLiteral(items=items):
             parts = items
-        case Query(items=items):
+        case ast.Query(items=items):
             parts, query = items, node
-        case Binary(operator=sign, left=left, right=right) if sign in _OF_ANGLES:
+        case ast.Binary(operator=sign, left=left, right=right) if sign in _OF_ANGLES:
             parts = left, right
     for part in parts:
         yield from _angles_in(part, query)
@@ -122,15 +116,15 @@ def _degrees_in(sites: Sequence[_Site], scope: Scope) -> Iterator[ArgumentError]
                 yield ArgumentError(_in_degrees(name, value), span=span)
 
 
-def _number(scope: Scope, node: Node) -> float:
+def _number(scope: Scope, node: ast.Node) -> float:
     """Returns a number that is a literal or a variable's value; 0 for another value."""
     value: Any = None
     match node:
-        case Unary(operator="-", operand=operand):
+        case ast.Unary(operator="-", operand=operand):
             return -_number(scope, operand)
-        case Literal(value=value):
+        case ast.Literal(value=value):
             pass
-        case Name(name=name):
+        case ast.Name(name=name):
             value = scope.variable(name)
     return value if validation.is_number(value) else 0
 

@@ -19,20 +19,10 @@ from ssduck.errors import ArgumentError, SelectScriptError
 from ssduck.interpreter.lint.scope import Check, Scope
 from ssduck.interpreter.lint.suspect_values import COMPARISONS
 from ssduck.interpreter.over_time.functions import operator_of
+from ssduck.language import ast
 from ssduck.language.analysis import OVER_TIME, is_impure
 from ssduck.language.builtins import BUILTINS
 from ssduck.language.operators import apply
-from ssduck.language.tree import (
-    Binary,
-    Call,
-    ListLiteral,
-    Literal,
-    Node,
-    OperatorChain,
-    Query,
-    Unary,
-    joined,
-)
 from ssduck.language.value_keys import node_key
 from ssduck.sql.relations.registry import RELATIONS
 
@@ -80,9 +70,9 @@ class _Comparison:
     key: str  # the same for comparisons of one quantity, with numbers or with texts
     sign: str  # the operator; "" of another condition
     constants: tuple[Any, ...]  # several of IN
-    quantity: Node
+    quantity: ast.Node
     # What it is compared with where that is no constant: their difference is compared with 0.
-    other: Node | None = None
+    other: ast.Node | None = None
 
     def truth(self, place: int | None, places: Mapping[Any, int]) -> _Truth:
         """Returns whether it holds for a quantity at a place among constants.
@@ -100,9 +90,9 @@ class _Comparison:
 class Foregone:
     """A condition that always holds, or never."""
 
-    node: Node
+    node: ast.Node
     holds: bool
-    because: str | tuple[Node, ...]  # the reason, or the quantities of which none changes that
+    because: str | tuple[ast.Node, ...]  # the reason, or the quantities of which none changes that
 
     def told(self, text: str) -> str:
         """Returns what is told of it, of a program's text, for the end of a sentence."""
@@ -112,16 +102,16 @@ class Foregone:
         names = list(dict.fromkeys(_named(one, text) for one in self.because))
         told = f"{holds}, whatever {' and '.join(names)} {'is' if len(names) == 1 else 'are'}"
         match self.node:
-            case Binary(left=Unary(operator="NOT", operand=operand) as left) if (
+            case ast.Binary(left=ast.Unary(operator="NOT", operand=operand) as left) if (
                 left.span == operand.span  # of IMPLIES
             ):
                 return told
-            case Binary(operator=sign) | OperatorChain(operators=(sign, *_)):
+            case ast.Binary(operator=sign) | ast.OperatorChain(operators=(sign, *_)):
                 return told + _ADVICE.get((sign, self.holds), "")
         return told
 
 
-def foregone(statement: Node) -> Iterator[Check]:
+def foregone(statement: ast.Node) -> Iterator[Check]:
     """Yields the checks of a statement's conditions that always hold, or never."""
     yield from (partial(_told, one) for one in conclusions(statement))
 
@@ -130,7 +120,7 @@ def _told(one: Foregone, scope: Scope) -> Iterator[SelectScriptError]:
     yield ArgumentError(f"this {one.told(scope.text)}", span=one.node.span)
 
 
-def beyond(statement: Node, text: str, longest: float) -> Iterator[str]:
+def beyond(statement: ast.Node, text: str, longest: float) -> Iterator[str]:
     """Yields what is told of conditions that ask, at a step, for more time than an episode has.
 
     Args:
@@ -139,11 +129,11 @@ def beyond(statement: Node, text: str, longest: float) -> Iterator[str]:
         longest: the duration of an episode at most, s.
     """
     lasts = f", and an episode lasts {longest:g} s: ask for less, or give it more steps"
-    negated = (p for p in statement.walk() if isinstance(p, Unary) and p.operator == "NOT")
+    negated = (p for p in statement.walk() if isinstance(p, ast.Unary) and p.operator == "NOT")
     # What is decided when it does not hold: NOT always(c, 0, 10) may hold in an episode of 5 s.
     denied = {id(inner) for part in negated for inner in part.walk()}
     for part in statement.walk():
-        if not isinstance(part, Call) or (form := operator_of(part)) is None:
+        if not isinstance(part, ast.Call) or (form := operator_of(part)) is None:
             continue
         window = list(map(_constant, part.arguments[form.conditions :]))
         # Until its window is over, `always` is undecided, and does not hold.
@@ -165,7 +155,7 @@ def beyond(statement: Node, text: str, longest: float) -> Iterator[str]:
         yield f"{_written(one.node, text)} {one.told(text)}{lasts}"
 
 
-def conclusions(statement: Node, longest: float = math.inf) -> Iterator[Foregone]:
+def conclusions(statement: ast.Node, longest: float = math.inf) -> Iterator[Foregone]:
     """Yields the smallest conditions in a statement that always hold, or never.
 
     A comparison that always holds is one only where it is a whole condition: BETWEEN 0 AND 1 has
@@ -182,7 +172,7 @@ def conclusions(statement: Node, longest: float = math.inf) -> Iterator[Foregone
                 yield from _Condition(comparisons, longest).smallest(root, is_whole=True)
 
 
-def _roots(node: Node) -> Iterator[Node]:
+def _roots(node: ast.Node) -> Iterator[ast.Node]:
     """Yields the conditions in a part of a statement that are no parts of others."""
     if _parts(node) or _is_comparison(node):
         yield node
@@ -193,24 +183,26 @@ def _roots(node: Node) -> Iterator[Node]:
         yield from _roots(child)
 
 
-def _parts(node: Node) -> tuple[Node, ...]:
+def _parts(node: ast.Node) -> tuple[ast.Node, ...]:
     """Returns the conditions that a condition joins; none of another part."""
     match node:
-        case Unary(operator="NOT", operand=operand):
+        case ast.Unary(operator="NOT", operand=operand):
             return (operand,)
-        case Binary(operator=sign) | OperatorChain(operators=(sign, *_)) if sign in _JOINING:
-            return tuple(joined(node, sign, math.inf))
-        case Call(name="scale", arguments=(condition, _)):
+        case ast.Binary(operator=sign) | ast.OperatorChain(operators=(sign, *_)) if (
+            sign in _JOINING
+        ):
+            return tuple(ast.joined(node, sign, math.inf))
+        case ast.Call(name="scale", arguments=(condition, _)):
             return (condition,)
     return ()
 
 
-def _is_comparison(node: Node) -> bool:
-    is_bounded = isinstance(node, Call) and node.name in _BOUNDED
-    return is_bounded or (isinstance(node, Binary) and node.operator in COMPARISONS)
+def _is_comparison(node: ast.Node) -> bool:
+    is_bounded = isinstance(node, ast.Call) and node.name in _BOUNDED
+    return is_bounded or (isinstance(node, ast.Binary) and node.operator in COMPARISONS)
 
 
-def leaves(node: Node) -> Iterator[Node]:
+def leaves(node: ast.Node) -> Iterator[ast.Node]:
     """Yields the conditions in a condition that join no others."""
     parts = _parts(node)
     for part in parts:
@@ -219,20 +211,20 @@ def leaves(node: Node) -> Iterator[Node]:
         yield node
 
 
-def _comparison(node: Node) -> _Comparison:
+def _comparison(node: ast.Node) -> _Comparison:
     """Returns what a condition that joins no others compares."""
     match node:
-        case Call(name=name, arguments=arguments) if name in _BOUNDED:
+        case ast.Call(name=name, arguments=arguments) if name in _BOUNDED:
             function, count = _BOUNDED[name]
             bounds = tuple(map(_constant, arguments[count:]))
             if len(bounds) == 1 and None not in bounds:
-                quantity = Call(node.span, function, arguments[:count], node.span)
+                quantity = ast.Call(node.span, function, arguments[:count], node.span)
                 return _compared(quantity, "<=", bounds)
-        case Binary(operator="IN", left=left, right=ListLiteral(items=items)) if items:
+        case ast.Binary(operator="IN", left=left, right=ast.ListLiteral(items=items)) if items:
             values = tuple(map(_constant, items))
             if None not in values and len(set(map(_is_text, values))) == 1 and _is_pure(left):
                 return _compared(left, "==", values)
-        case Binary(operator=sign, left=left, right=right) if sign in COMPARISONS - {"IN"}:
+        case ast.Binary(operator=sign, left=left, right=right) if sign in COMPARISONS - {"IN"}:
             if _constant(left) is not None:
                 left, right, sign = right, left, _FLIPPED.get(sign, sign)
             if _constant(left) is None and _is_pure(left) and _is_pure(right):
@@ -243,11 +235,11 @@ def _comparison(node: Node) -> _Comparison:
                     left, right, sign = right, left, _FLIPPED.get(sign, sign)
                 if keys[0] != keys[1]:  # x != x asks for what is no number
                     return _Comparison(str(sorted(keys)), sign, (0,), left, right)
-    is_same = _is_pure(node) and not isinstance(node, Literal)
+    is_same = _is_pure(node) and not isinstance(node, ast.Literal)
     return _Comparison(node_key(node) if is_same else str(id(node)), "", (), node)
 
 
-def _compared(quantity: Node, sign: str, constants: tuple[Any, ...]) -> _Comparison:
+def _compared(quantity: ast.Node, sign: str, constants: tuple[Any, ...]) -> _Comparison:
     kind = "text" if _is_text(constants[0]) else "number"
     return _Comparison(f"{kind} {node_key(quantity)}", sign, constants, quantity)
 
@@ -256,15 +248,15 @@ def _is_text(value: Any) -> bool:
     return isinstance(value, str)
 
 
-def _constant(node: Node) -> Any:
+def _constant(node: ast.Node) -> Any:
     """Returns the number or the text that a part is; None if it is none."""
     match node:
-        case Literal(value=value):
+        case ast.Literal(value=value):
             return None if isinstance(value, bool) else value
-        case Unary(operator="-", operand=operand):
+        case ast.Unary(operator="-", operand=operand):
             value = _constant(operand)
             return -value if validation.is_number(value) else None
-        case Binary(operator="+" | "-" | "*" | "/" as sign, left=left, right=right):
+        case ast.Binary(operator="+" | "-" | "*" | "/" as sign, left=left, right=right):
             sides = _constant(left), _constant(right)
             if all(map(validation.is_number, sides)):
                 with suppress(SelectScriptError):  # a division by zero
@@ -272,10 +264,10 @@ def _constant(node: Node) -> Any:
     return None
 
 
-def _is_pure(node: Node) -> bool:
+def _is_pure(node: ast.Node) -> bool:
     """Checks whether a part has the same value wherever it is at a tick."""
     return not any(
-        isinstance(part, Query) or (isinstance(part, Call) and part.name not in _PURE)
+        isinstance(part, ast.Query) or (isinstance(part, ast.Call) and part.name not in _PURE)
         for part in node.walk()
     )
 
@@ -287,7 +279,7 @@ class _Condition:
     comparisons: Mapping[int, _Comparison]  # what its leaves compare, by their identity
     longest: float  # the duration of an episode at most, s
 
-    def smallest(self, node: Node, *, is_whole: bool) -> Iterator[Foregone]:
+    def smallest(self, node: ast.Node, *, is_whole: bool) -> Iterator[Foregone]:
         """Yields the smallest parts that always hold, or never."""
         parts = _parts(node)
         found = [one for part in parts for one in self.smallest(part, is_whole=False)]
@@ -297,7 +289,7 @@ class _Condition:
                 found = [decided]
         yield from found
 
-    def _decided(self, node: Node) -> Foregone | None:
+    def _decided(self, node: ast.Node) -> Foregone | None:
         """Returns what is told of a condition whose value one of its quantities cannot change."""
         compared: dict[str, list[_Comparison]] = {}
         for leaf in leaves(node):
@@ -332,7 +324,10 @@ class _Condition:
         return [None] if is_open else cases[:1]
 
     def _value(
-        self, node: Node, case: Mapping[str, int | None], places: Mapping[str, Mapping[Any, int]]
+        self,
+        node: ast.Node,
+        case: Mapping[str, int | None],
+        places: Mapping[str, Mapping[Any, int]],
     ) -> _Truth:
         """Returns the value of a condition in a case."""
         values = [self._value(part, case, places) for part in _parts(node)]
@@ -340,9 +335,11 @@ class _Condition:
             case _ if not values:
                 compared = self.comparisons[id(node)]
                 return compared.truth(case[compared.key], places[compared.key])
-            case Unary():
+            case ast.Unary():
                 return None if values[0] is None else not values[0]
-            case Binary(operator=sign) | OperatorChain(operators=(sign, *_)) if sign != "XOR":
+            case ast.Binary(operator=sign) | ast.OperatorChain(operators=(sign, *_)) if (
+                sign != "XOR"
+            ):
                 is_enough = sign == "OR"
                 open_or_not = None if None in values else not is_enough
                 return is_enough if is_enough in values else open_or_not
@@ -363,7 +360,7 @@ class _Condition:
         compared: Mapping[str, list[_Comparison]],
         key: str,
         known: Mapping[str, int | None],
-    ) -> str | tuple[Node, ...]:
+    ) -> str | tuple[ast.Node, ...]:
         """Returns the reason: a quantity that is compared more than once, or a range."""
         if len(compared[key]) == 1:
             (one,) = next(own for key, own in compared.items() if known[key] is not None)
@@ -377,17 +374,17 @@ class _Condition:
 
 def _function(compared: _Comparison) -> str:
     """Returns the function whose value is compared; "" of another quantity."""
-    is_call = isinstance(compared.quantity, Call) and compared.other is None
+    is_call = isinstance(compared.quantity, ast.Call) and compared.other is None
     return compared.quantity.name if is_call else ""  # type: ignore[attr-defined]
 
 
-def _named(node: Node, text: str) -> str:
-    if isinstance(node, Call):  # near(a, b, 0.1) is about clearance(a, b)
+def _named(node: ast.Node, text: str) -> str:
+    if isinstance(node, ast.Call):  # near(a, b, 0.1) is about clearance(a, b)
         return f"{node.name}({', '.join(_named(one, text) for one in node.arguments)})"
     return _written(node, text)
 
 
-def _written(node: Node, text: str) -> str:
+def _written(node: ast.Node, text: str) -> str:
     return " ".join(text[node.span.start : node.span.end].split())
 
 

@@ -20,12 +20,12 @@ from ssduck.interpreter.lint.misread_relations import is_nan, misread_relations,
 from ssduck.interpreter.lint.names_in_programs import MAX_UNKNOWN, hidden_names, unknown_names
 from ssduck.interpreter.lint.scope import Check, KnownNames, Scope, entity_of
 from ssduck.interpreter.lint.suspect_values import suspect_values
-from ssduck.language.tree import Call, Name, Node, Query
+from ssduck.language import ast
 from ssduck.sql.user_sql import name_comparisons
 from ssduck.world.world import World
 
 # Each yields the checks of a statement.
-_FINDERS: tuple[Callable[[Node], Iterable[Check]], ...] = (
+_FINDERS: tuple[Callable[[ast.Node], Iterable[Check]], ...] = (
     hidden_names,
     unknown_names,
     suspect_values,
@@ -63,16 +63,16 @@ class Linter:
         worlds: Callable[[], Iterable[World]],
         recorded: Callable[[World], Iterable[str]],
         type_of_relation: Callable[[str], str | None],
-        finds: Callable[[Query], bool | None],
+        finds: Callable[[ast.Query], bool | None],
     ) -> None:
         names, warn_of = KnownNames(recorded), self._warn_of
         self._scope = Scope(variable, is_function, worlds, type_of_relation, finds, warn_of, names)
-        self._checks: WeakKeyDictionary[Node, tuple[Check, ...]] = WeakKeyDictionary()
+        self._checks: WeakKeyDictionary[ast.Node, tuple[Check, ...]] = WeakKeyDictionary()
         self._reported: set[tuple[str | None, str]] = set()
         self._is_volume_told = False
 
     def check(
-        self, text: str, statement: Node, local: Mapping[str, Any]
+        self, text: str, statement: ast.Node, local: Mapping[str, Any]
     ) -> list[SelectScriptError]:
         """Returns the probable mistakes in a statement, as errors."""
         try:
@@ -80,7 +80,7 @@ class Linter:
         except KeyError:
             copy = replace(statement)  # checks do not keep their key alive
             found = [check for find in _FINDERS for check in find(copy)]
-            named = (part.name for part in copy.walk() if isinstance(part, Call | Name))
+            named = (part.name for part in copy.walk() if isinstance(part, ast.Call | ast.Name))
             if "volume" in named:
                 found.append(self._tell_of_volume)
             checks = self._checks[statement] = tuple(found)

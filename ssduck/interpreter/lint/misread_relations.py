@@ -14,26 +14,8 @@ from ssduck.errors import ArgumentError, SelectScriptError, SourceSpan
 from ssduck.formatting import name_path
 from ssduck.interpreter.lint.scope import Check, Scope, entity_of, worlds_of
 from ssduck.interpreter.lint.suspect_values import VECTORS, Sources, is_comparison, sources_in
+from ssduck.language import ast
 from ssduck.language.analysis import OVER_TIME, TEMPORAL_OPERATORS
-from ssduck.language.tree import (
-    AdapterClause,
-    Binary,
-    Branch,
-    Call,
-    If,
-    Index,
-    Literal,
-    Name,
-    Node,
-    OperatorChain,
-    QualifiedName,
-    Query,
-    Source,
-    This,
-    TimeIndex,
-    Unary,
-    conjuncts,
-)
 from ssduck.recording.replay.past import Past
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.user_sql import RelationOfRows
@@ -70,41 +52,41 @@ _NO_CONDITIONS = {
 }
 
 
-def misread_relations(statement: Node) -> Iterator[Check]:
+def misread_relations(statement: ast.Node) -> Iterator[Check]:
     """Yields the checks of a statement's relations and conditions."""
     for node in statement.walk():
         for part in _conditions(node):
-            if isinstance(part, Call) and part.name in _AS_CONDITION:
+            if isinstance(part, ast.Call) and part.name in _AS_CONDITION:
                 told = _AS_CONDITION[part.name]
                 message = f"{part.name} as a condition holds of any number but 0; {told}"
                 yield partial(_misread, part, message)
-            if isinstance(part, Call | Name | QualifiedName | Index):
+            if isinstance(part, ast.Call | ast.Name | ast.QualifiedName | ast.Index):
                 yield partial(_always_true, part)
             match node, part:
-                case Call(name=name), Literal(value=value) if name in TEMPORAL_OPERATORS:
+                case ast.Call(name=name), ast.Literal(value=value) if name in TEMPORAL_OPERATORS:
                     if validation.is_number(value):
                         yield partial(_told, _NO_CONDITION.format(name), part.span)
-        if isinstance(node, Binary):
+        if isinstance(node, ast.Binary):
             yield from _extremes_in(node)
-            names = [side for side in (node.left, node.right) if isinstance(side, Name)]
+            names = [side for side in (node.left, node.right) if isinstance(side, ast.Name)]
             # x != x asks for what is no number.
             if is_comparison(node) and len({name.name for name in names}) == len(names):
                 yield from (partial(_not_a_number, name) for name in names)
-        if isinstance(node, Call) and node.name in _OF_SHAPES | _OF_BOXES:
+        if isinstance(node, ast.Call) and node.name in _OF_SHAPES | _OF_BOXES:
             yield partial(_unfit_entities, node)
     for message, span in _same_rows(statement, None):
         yield partial(_told, message, span)
     yield from _row_roles(statement, {}, None)
 
 
-def _extremes_in(node: Binary) -> Iterator[Check]:
+def _extremes_in(node: ast.Binary) -> Iterator[Check]:
     """Yields the check of a function over time, whose value is a list of two, in arithmetic."""
     sides = node.left, node.right
     for side, other in (sides, sides[::-1]):
-        is_number = isinstance(other, Literal) and not isinstance(other.value, str)
+        is_number = isinstance(other, ast.Literal) and not isinstance(other.value, str)
         is_number = is_number or node.operator in ("+", "-")
         is_number = is_number and node.operator in ("+", "-", "==", "!=")
-        if isinstance(side, Call) and side.name in _EXTREMES and is_number:
+        if isinstance(side, ast.Call) and side.name in _EXTREMES and is_number:
             yield partial(_misread, side, _OF_EXTREMES.format(side.name, node.operator))
             return
 
@@ -113,12 +95,12 @@ def _told(message: str, span: SourceSpan, _: Scope) -> Iterator[SelectScriptErro
     yield ArgumentError(message, span=span)
 
 
-def _misread(call: Call, message: str, scope: Scope) -> Iterator[SelectScriptError]:
+def _misread(call: ast.Call, message: str, scope: Scope) -> Iterator[SelectScriptError]:
     if call.name in OVER_TIME or scope.is_relation(call.name):
         yield ArgumentError(message, span=call.span)
 
 
-def _not_a_number(name: Name, scope: Scope) -> Iterator[SelectScriptError]:
+def _not_a_number(name: ast.Name, scope: Scope) -> Iterator[SelectScriptError]:
     if is_nan(scope.variable(name.name)):
         message = f"{name.name} is NaN, no number: no comparison with it holds but !="
         yield ArgumentError(message, span=name.span)
@@ -129,13 +111,13 @@ def is_nan(value: Any) -> bool:
     return isinstance(value, float) and math.isnan(value)
 
 
-def _always_true(node: Node, scope: Scope) -> Iterator[SelectScriptError]:
+def _always_true(node: ast.Node, scope: Scope) -> Iterator[SelectScriptError]:
     """Yields the mistake of a condition that is an entity, a text or a list with elements."""
     what = ""
-    value = scope.variable(node.name) if isinstance(node, Name) else None
+    value = scope.variable(node.name) if isinstance(node, ast.Name) else None
     if isinstance(value, Handle):
         what = f"{node.name} is an entity"  # type: ignore[attr-defined]
-    elif isinstance(node, Call | Name):
+    elif isinstance(node, ast.Call | ast.Name):
         if value is None and node.name in _NO_CONDITIONS and scope.is_relation(node.name):
             what = f"{node.name} is {_NO_CONDITIONS[node.name]}"
     elif (named := scope.entity(node)) is not None:
@@ -158,7 +140,7 @@ _OF_SHAPES = frozenset(
 _OF_BOXES = frozenset(("above", "below", "within", "overlaps"))
 
 
-def _unfit_entities(call: Call, scope: Scope) -> Iterator[SelectScriptError]:
+def _unfit_entities(call: ast.Call, scope: Scope) -> Iterator[SelectScriptError]:
     """Yields an error for each entity in a relation that tells nothing of it."""
     if not scope.is_relation(call.name):
         return
@@ -174,7 +156,7 @@ def _unfit_entities(call: Call, scope: Scope) -> Iterator[SelectScriptError]:
                 yield ArgumentError(_swapped(name, *paths), span=call.span)
 
 
-def _without_extent(call: Call, entity: Entity, *, is_first: bool) -> str:
+def _without_extent(call: ast.Call, entity: Entity, *, is_first: bool) -> str:
     """Returns why a call tells nothing of an entity, an argument; '' if it does."""
     name = name_path(entity.world.name, entity.name)
     body = entity.info.body
@@ -193,55 +175,55 @@ def _without_extent(call: Call, entity: Entity, *, is_first: bool) -> str:
     return ""
 
 
-def _same_rows(node: Node, outer: Query | None) -> Iterator[tuple[str, SourceSpan]]:
+def _same_rows(node: ast.Node, outer: ast.Query | None) -> Iterator[tuple[str, SourceSpan]]:
     """Yields what is told of `this` beside `b.this`, the same row if b is a query's only source."""
-    if isinstance(node, Query) and outer is not None and len(node.sources) == 1:
+    if isinstance(node, ast.Query) and outer is not None and len(node.sources) == 1:
         alias = node.sources[0].alias
         for call in _calls_of_query(node):
-            aliases = {part.alias: part for part in call.arguments if isinstance(part, This)}
+            aliases = {part.alias: part for part in call.arguments if isinstance(part, ast.This)}
             if alias is not None and {alias, None} <= aliases.keys():
                 advice = _outer_row(outer, alias)
                 message = f"this is {alias}.this here, the row of the nested query; {advice}"
                 yield message, aliases[None].span
-    inside = node if isinstance(node, Query) else outer
+    inside = node if isinstance(node, ast.Query) else outer
     for child in node.children():
-        yield from _same_rows(child, outer if isinstance(child, Source) else inside)
+        yield from _same_rows(child, outer if isinstance(child, ast.Source) else inside)
 
 
-def _calls_of_query(node: Node) -> Iterator[Call]:
+def _calls_of_query(node: ast.Node) -> Iterator[ast.Call]:
     """Yields the calls in the clauses of a query, without those in its source and in others."""
     for child in node.children():
-        if not isinstance(child, Query | Source):
-            if isinstance(child, Call):
+        if not isinstance(child, ast.Query | ast.Source):
+            if isinstance(child, ast.Call):
                 yield child
             yield from _calls_of_query(child)
 
 
-def _outer_row(outer: Query, inner: str) -> str:
+def _outer_row(outer: ast.Query, inner: str) -> str:
     """Returns how the row of a query is written in a nested one, whose source is `inner`."""
     source = outer.sources[0]
-    variable = source.value.name if isinstance(source.value, Name) else "…"
+    variable = source.value.name if isinstance(source.value, ast.Name) else "…"
     if source.alias not in (None, variable, inner):
         return f"the row of the outer query is {source.alias}.this"
     alias = "a" if inner != "a" else "b"
     return f"name the outer source, FROM {alias}={variable}, and write {alias}.this"
 
 
-def _conditions(node: Node) -> tuple[Node, ...]:
+def _conditions(node: ast.Node) -> tuple[ast.Node, ...]:
     """Returns the parts of a node that are conditions."""
     match node:
-        case Query(where=where, having=having, recursion=recursion):
+        case ast.Query(where=where, having=having, recursion=recursion):
             stop = None if recursion is None else recursion.stop
             return tuple(part for part in (where, having, stop) if part is not None)
-        case Unary(operator="NOT", operand=operand):
+        case ast.Unary(operator="NOT", operand=operand):
             return (operand,)
-        case Binary(operator="AND" | "OR" | "XOR", left=left, right=right):
+        case ast.Binary(operator="AND" | "OR" | "XOR", left=left, right=right):
             return left, right
-        case OperatorChain(operators=("AND" | "OR" | "XOR", *_), operands=operands):
+        case ast.OperatorChain(operators=("AND" | "OR" | "XOR", *_), operands=operands):
             return tuple(operands)
-        case If(condition=condition) | Branch(condition=condition):
+        case ast.If(condition=condition) | ast.Branch(condition=condition):
             return (condition,)
-        case Call(name=name, arguments=arguments) if name in _OF_CONDITIONS:
+        case ast.Call(name=name, arguments=arguments) if name in _OF_CONDITIONS:
             return arguments[: _OF_CONDITIONS[name]]
     return ()
 
@@ -259,23 +241,23 @@ _ASKED = CARRIED | _PLACED
 _NAMES = ("id", "name")
 
 
-def _row_roles(node: Node, sources: Sources, where: Node | None) -> Iterator[Check]:
+def _row_roles(node: ast.Node, sources: Sources, where: ast.Node | None) -> Iterator[Check]:
     """Yields the checks of such relations of each row of a query, whose roles may be swapped."""
     inside = sources
-    if isinstance(node, Query):
+    if isinstance(node, ast.Query):
         where, inside = node.where, sources_in(node, sources)
     match node:
-        case Call(name=name, arguments=(This() as row, other, *_)) if name in _ASKED:
+        case ast.Call(name=name, arguments=(ast.This() as row, other, *_)) if name in _ASKED:
             source = inside[row.alias].value if row.alias in inside else None
-            value = _named_by(other, where) if isinstance(other, This) else other
-            if isinstance(source, Name | TimeIndex) and value is not None:
+            value = _named_by(other, where) if isinstance(other, ast.This) else other
+            if isinstance(source, ast.Name | ast.TimeIndex) and value is not None:
                 yield partial(_swapped_roles, node, source, value)
     for child in node.children():
-        yield from _row_roles(child, sources if isinstance(child, Source) else inside, where)
+        yield from _row_roles(child, sources if isinstance(child, ast.Source) else inside, where)
 
 
 def _swapped_roles(
-    call: Call, source: Name | TimeIndex, value: Node, scope: Scope
+    call: ast.Call, source: ast.Name | ast.TimeIndex, value: ast.Node, scope: Scope
 ) -> Iterator[SelectScriptError]:
     """Yields the mistake of a relation of each row of a source and an entity that is swapped.
 
@@ -289,16 +271,16 @@ def _swapped_roles(
     worlds = worlds_of(rows := scope.variable(source.name))
     if isinstance(rows, list) and isinstance(rows[0] if rows else None, Entity):
         worlds = [rows[0].world]
-    named = value.value if isinstance(value, Literal) else None
+    named = value.value if isinstance(value, ast.Literal) else None
     for world in worlds:
         entity = scope.entity(value) if named is None else entity_of(world, named)
         if entity is None or entity.world is not world:
             continue
-        is_past = isinstance(source, TimeIndex) or isinstance(rows, Past)
+        is_past = isinstance(source, ast.TimeIndex) or isinstance(rows, Past)
         is_known = scope.variable(world.name) is world and scope.is_relation(call.name)
         if is_known and _are_swapped(call.name, entity, scope, is_past=is_past):
             path = name_path(world.name, entity.name)
-            carried = (_written(other), path) if isinstance(other, This) else (path,)
+            carried = (_written(other), path) if isinstance(other, ast.This) else (path,)
             error = ArgumentError(_swapped(call.name, _written(row), *carried), span=call.span)
             yield from _sure(call.name, error, scope)
 
@@ -323,23 +305,23 @@ def _sure(name: str, error: SelectScriptError, scope: Scope) -> Iterator[SelectS
         scope.warn(error)
 
 
-def _written(row: Node) -> str:
-    alias = row.alias if isinstance(row, This) else None
+def _written(row: ast.Node) -> str:
+    alias = row.alias if isinstance(row, ast.This) else None
     return "this" if alias is None else f"{alias}.this"
 
 
-def _named_by(row: This, where: Node | None) -> Node | None:
+def _named_by(row: ast.This, where: ast.Node | None) -> ast.Node | None:
     """Returns the entity, or its name, that a condition takes for a row; None if it takes none."""
-    for part in conjuncts(where):
+    for part in ast.conjuncts(where):
         match part:
-            case Binary(operator="==", left=left, right=right):
+            case ast.Binary(operator="==", left=left, right=right):
                 for side, other in ((left, right), (right, left)):
                     match side:
-                        case This(alias=alias) if alias == row.alias:
+                        case ast.This(alias=alias) if alias == row.alias:
                             return other
                         case (
-                            QualifiedName(alias=alias, key=name)
-                            | Call(name=name, arguments=(This(alias=alias),))
+                            ast.QualifiedName(alias=alias, key=name)
+                            | ast.Call(name=name, arguments=(ast.This(alias=alias),))
                         ) if alias == row.alias and name in _NAMES:
                             return other
     return None
@@ -383,12 +365,12 @@ def _are_swapped(name: str, entity: Entity, scope: Scope, *, is_past: bool) -> b
     return not is_meant
 
 
-def _of_rows(name: str, entity: Entity, *, is_first: bool) -> Query:
+def _of_rows(name: str, entity: Entity, *, is_first: bool) -> ast.Query:
     """Returns the query for a row for which a relation with an entity holds."""
     span = SourceSpan(0, 0)
-    world = Name(span, entity.world.name)
-    arguments = This(span, None), Index(span, world, (Literal(span, entity.name),))
-    call = Call(span, name, arguments[::-1] if is_first else arguments, span)
-    source = Source(span, entity.world.name, world)
-    limit, form = Literal(span, 1), AdapterClause(span, "list")
-    return Query(span, arguments[:1], (source,), where=call, limit=limit, adapter=form)
+    world = ast.Name(span, entity.world.name)
+    arguments = ast.This(span, None), ast.Index(span, world, (ast.Literal(span, entity.name),))
+    call = ast.Call(span, name, arguments[::-1] if is_first else arguments, span)
+    source = ast.Source(span, entity.world.name, world)
+    limit, form = ast.Literal(span, 1), ast.AdapterClause(span, "list")
+    return ast.Query(span, arguments[:1], (source,), where=call, limit=limit, adapter=form)

@@ -17,24 +17,8 @@ from ssduck.interpreter.lint.foregone import leaves
 from ssduck.interpreter.lint.scope import Check, Scope, worlds_of
 from ssduck.interpreter.lint.suspect_values import Sources, is_comparison, sources_in, unnamed
 from ssduck.interpreter.over_time.expansions import EXPANSIONS
+from ssduck.language import ast
 from ssduck.language.analysis import OVER_TIME, states
-from ssduck.language.tree import (
-    AdapterClause,
-    Assignment,
-    Binary,
-    Call,
-    ListLiteral,
-    Literal,
-    Name,
-    Node,
-    OperatorChain,
-    QualifiedName,
-    Query,
-    Source,
-    This,
-    TimeIndex,
-    Unary,
-)
 from ssduck.recording.replay.past import Past
 from ssduck.sql.user_sql import NameKind
 from ssduck.world.handles import Handle, Link, Links
@@ -49,31 +33,33 @@ _NAME_FUNCTIONS = ("id", "name", *_KIND_FUNCTIONS)
 _NEVER_BARE = OVER_TIME | EXPANSIONS.keys()
 # With those that SQL's users know as columns; so common as variables that they may hide them.
 _MAY_HIDE = _NEVER_BARE | {"name", "kind"}
-_NAMED = (Name, TimeIndex)
+_NAMED = (ast.Name, ast.TimeIndex)
 
 
 # -- names of variables, functions and columns ----------------------------------------------------
 
 
-def hidden_names(statement: Node) -> Iterator[Check]:
+def hidden_names(statement: ast.Node) -> Iterator[Check]:
     """Yields the checks of names that may be those of something else, and of texts like names."""
     for node in statement.walk():
         match node:
-            case Assignment(name=name, span=span, is_bare=False) if len(name) > 1:
+            case ast.Assignment(name=name, span=span, is_bare=False) if len(name) > 1:
                 # Shorter names are checked where they are used.
                 place = SourceSpan(span.start, span.start + len(name))
                 yield partial(_hides_function, name, place, (), _MAY_HIDE)
-            case Query():
+            case ast.Query():
                 yield from _hidden_in(node)
 
 
-def _hidden_in(query: Query) -> Iterator[Check]:
+def _hidden_in(query: ast.Query) -> Iterator[Check]:
     own = states(query)
     orders = [key.value for key in query.order]
     columns = {
         part.arguments[-1].value
         for part in query.items
-        if isinstance(part, Call) and part.name == "to" and isinstance(part.arguments[-1], Literal)
+        if isinstance(part, ast.Call)
+        and part.name == "to"
+        and isinstance(part.arguments[-1], ast.Literal)
     } - own
     having = () if query.having is None else (query.having,)
     for node in _bare_names([*query.group, *orders, *having]):
@@ -81,9 +67,9 @@ def _hidden_in(query: Query) -> Iterator[Check]:
             yield partial(_hides_column, node)
     for key in (*query.items, *query.group, *orders):
         match key:
-            case Name(name=name) if name not in own:
+            case ast.Name(name=name) if name not in own:
                 yield partial(_hides_function, name, key.span, (name,), _MAY_HIDE)
-            case Literal(value=str() as name):
+            case ast.Literal(value=str() as name):
                 yield partial(_quoted_function, name, key.span)
     conditions = [part for part in (query.where, query.having) if part is not None]
     conditions += [item for item in map(unnamed, query.items) if is_comparison(item)]
@@ -94,14 +80,16 @@ def _hidden_in(query: Query) -> Iterator[Check]:
     aliases = {s.alias for s in query.sources if not isinstance(s.value, _NAMED)}
     for source in query.sources:
         match source.value:
-            case Name(name=name) if name != source.alias:
+            case ast.Name(name=name) if name != source.alias:
                 aliases.add(source.alias)
-    for node in _bare_names(child for child in query.children() if not isinstance(child, Source)):
+    for node in _bare_names(
+        child for child in query.children() if not isinstance(child, ast.Source)
+    ):
         if node.name in aliases - own:
             yield partial(_hides_element, node)
     for source in query.sources:
         match source.value:
-            case Literal(value=str() as name):
+            case ast.Literal(value=str() as name):
                 yield partial(_quoted_source, name, source.value.span)
 
 
@@ -118,13 +106,13 @@ def _hides_function(
         )
 
 
-def _hides_column(node: Name, scope: Scope) -> Iterator[SelectScriptError]:
+def _hides_column(node: ast.Name, scope: Scope) -> Iterator[SelectScriptError]:
     if scope.variable(node.name) is not None:
         message = f"{node.name} is the variable here, and not the column of that name"
         yield ArgumentError(message, span=node.span)
 
 
-def _hides_element(node: Name, scope: Scope) -> Iterator[SelectScriptError]:
+def _hides_element(node: ast.Name, scope: Scope) -> Iterator[SelectScriptError]:
     is_variable = scope.variable(node.name) is not None
     if is_variable or scope.is_function(node.name):
         what = "variable" if is_variable else "function"
@@ -144,37 +132,39 @@ def _quoted_source(name: str, span: SourceSpan, scope: Scope) -> Iterator[Select
         yield ArgumentError(message, span=span)
 
 
-def _condition_names(nodes: Iterable[Node]) -> Iterator[tuple[Name, tuple[str, ...]]]:
+def _condition_names(nodes: Iterable[ast.Node]) -> Iterator[tuple[ast.Name, tuple[str, ...]]]:
     """Yields bare names that are conditions, or are compared with constants and other names.
 
     Each has the names that it is compared with: where all are variables, no row has a part in it.
     """
     for node in (leaf for whole in nodes for leaf in leaves(whole)):
         match node:
-            case Name():
+            case ast.Name():
                 yield node, ()
-            case Binary(left=left, right=right):
+            case ast.Binary(left=left, right=right):
                 for side, other in ((left, right), (right, left)):
                     names = _names_in(other)
-                    if isinstance(side, Name) and names is not None:
+                    if isinstance(side, ast.Name) and names is not None:
                         yield side, names
 
 
-def _names_in(node: Node) -> tuple[str, ...] | None:
+def _names_in(node: ast.Node) -> tuple[str, ...] | None:
     """Returns the names in a value of literals and names; None for another value."""
-    if isinstance(node, Name):
+    if isinstance(node, ast.Name):
         return (node.name,)
-    if not isinstance(node, Literal | Unary | Binary | OperatorChain | ListLiteral):
+    if not isinstance(
+        node, ast.Literal | ast.Unary | ast.Binary | ast.OperatorChain | ast.ListLiteral
+    ):
         return None
     parts = [_names_in(child) for child in node.children()]
     return None if None in parts else tuple(name for part in parts if part for name in part)
 
 
-def _bare_names(nodes: Iterable[Node]) -> Iterator[Name]:
+def _bare_names(nodes: Iterable[ast.Node]) -> Iterator[ast.Name]:
     for node in nodes:
-        if isinstance(node, Name):
+        if isinstance(node, ast.Name):
             yield node
-        if not isinstance(node, Query):
+        if not isinstance(node, ast.Query):
             yield from _bare_names(node.children())
 
 
@@ -185,69 +175,73 @@ def _bare_names(nodes: Iterable[Node]) -> Iterator[Name]:
 class _NameSite:
     """A place where the name or the kind of an entity is compared with a text or a variable."""
 
-    source: Source | None  # the source of the entity; None if it is not known
+    source: ast.Source | None  # the source of the entity; None if it is not known
     function: str  # the function whose value is compared: `id`, `name`, `kind` or `type`
-    value: Literal | Name  # the text or the variable
+    value: ast.Literal | ast.Name  # the text or the variable
     is_bare: bool  # whether the name is a bare one, which may be a key of a dict
     # The argument of the function if it is no element of a source; None if it is one.
-    element: Node | None = None
+    element: ast.Node | None = None
 
 
-def unknown_names(statement: Node) -> Iterator[Check]:
+def unknown_names(statement: ast.Node) -> Iterator[Check]:
     """Yields the checks of names that no entity may have."""
     sites = tuple(_name_sites(statement, {}))
     if sites:
         yield partial(_unknown, sites)
     members = tuple(
-        _NameSite(Source(node.right.span, None, node.right), "name", node.left, is_bare=False)
+        _NameSite(ast.Source(node.right.span, None, node.right), "name", node.left, is_bare=False)
         for node in statement.walk()
-        if isinstance(node, Binary) and node.operator == "IN" and isinstance(node.right, _NAMED)
-        if isinstance(node.left, Literal | Name)
+        if isinstance(node, ast.Binary) and node.operator == "IN" and isinstance(node.right, _NAMED)
+        if isinstance(node.left, ast.Literal | ast.Name)
     )
     if members:
         yield partial(_not_yet_known, members)
 
 
-def _name_sites(node: Node, sources: Sources) -> Iterator[_NameSite]:
+def _name_sites(node: ast.Node, sources: Sources) -> Iterator[_NameSite]:
     """Yields the comparisons of names; `sources` by alias, None for the only one."""
     match node:
-        case Query():
+        case ast.Query():
             outside: Sources = {a: source for a, source in sources.items() if a is not None}
             inside = sources_in(node, sources)
             for child in node.children():
-                yield from _name_sites(child, outside if isinstance(child, Source) else inside)
+                yield from _name_sites(child, outside if isinstance(child, ast.Source) else inside)
             return
-        case Binary(operator="==" | "!=", left=left, right=right):
+        case ast.Binary(operator="==" | "!=", left=left, right=right):
             for side, other in ((left, right), (right, left)):
                 yield from _compared(side, (other,), sources)
-        case Binary(operator="IN", left=left, right=right):
-            values = right.items if isinstance(right, ListLiteral) else (right,)
-            if not isinstance(right, Literal):  # any text may be a part of a text
+        case ast.Binary(operator="IN", left=left, right=right):
+            values = right.items if isinstance(right, ast.ListLiteral) else (right,)
+            if not isinstance(right, ast.Literal):  # any text may be a part of a text
                 yield from _compared(left, values, sources)
             match right:
-                case Query(items=(item,), adapter=AdapterClause(name="list"), recursion=None):
+                case ast.Query(
+                    items=(item,), adapter=ast.AdapterClause(name="list"), recursion=None
+                ):
                     yield from _compared(item, (left,), sources_in(right, sources))
-            for item in right.items if isinstance(right, ListLiteral) else ():
+            for item in right.items if isinstance(right, ast.ListLiteral) else ():
                 yield from _compared(item, (left,), sources)
     for child in node.children():
         yield from _name_sites(child, sources)
 
 
-def _compared(side: Node, values: Iterable[Node], sources: Sources) -> Iterator[_NameSite]:
-    element: Node | None = None
+def _compared(side: ast.Node, values: Iterable[ast.Node], sources: Sources) -> Iterator[_NameSite]:
+    element: ast.Node | None = None
     match side:
-        case Call(name=name, arguments=(This(alias=alias),)) if name in _NAME_FUNCTIONS:
+        case ast.Call(name=name, arguments=(ast.This(alias=alias),)) if name in _NAME_FUNCTIONS:
             source, is_bare = sources.get(alias), False
-        case Call(name=name, arguments=(element,)) if name in _NAME_FUNCTIONS:
+        case ast.Call(name=name, arguments=(element,)) if name in _NAME_FUNCTIONS:
             source, is_bare = None, False
-        case QualifiedName(alias=alias, key=name) if name in _NAME_FUNCTIONS:
+        case ast.QualifiedName(alias=alias, key=name) if name in _NAME_FUNCTIONS:
             source, is_bare = sources.get(alias), True
-        case Name(name=name) if name in _NAME_FUNCTIONS and None in sources:
+        case ast.Name(name=name) if name in _NAME_FUNCTIONS and None in sources:
             source, is_bare = sources[None], True
         case _:
             return
     for value in values:
-        if isinstance(value, Name) or (isinstance(value, Literal) and type(value.value) is str):
+        if isinstance(value, ast.Name) or (
+            isinstance(value, ast.Literal) and type(value.value) is str
+        ):
             yield _NameSite(source, name, value, is_bare, element)
 
 
@@ -265,12 +259,12 @@ def _unknown(sites: Sequence[_NameSite], scope: Scope) -> Iterable[SelectScriptE
 def _all_unknown(sites: Sequence[_NameSite], scope: Scope) -> Iterator[SelectScriptError]:
     for site in sites:
         value, local = site.value, scope.local
-        if isinstance(site.element, Name) and site.element.name in local:
+        if isinstance(site.element, ast.Name) and site.element.name in local:
             continue
         worlds, kinds = _owners_at(site, scope)
-        if not worlds or (isinstance(value, Name) and value.name in local):
+        if not worlds or (isinstance(value, ast.Name) and value.name in local):
             continue
-        found = value.value if isinstance(value, Literal) else scope.variable(value.name)
+        found = value.value if isinstance(value, ast.Literal) else scope.variable(value.name)
         for text in found if isinstance(found, list) else [found]:
             if isinstance(text, str) and not scope.names.is_known(text, worlds, kinds):
                 yield scope.names.error(text, worlds, kinds, value.span)
@@ -291,7 +285,11 @@ def _owners_at(site: _NameSite, scope: Scope) -> tuple[list[World], list[NameKin
         worlds = list(scope.worlds()) if handle.world is None else [handle.world]
         return worlds, [of_link if handle.is_link else of_entity]
     value = None if site.source is None else site.source.value
-    if isinstance(value, Call) and value.name in ("links", "sites") and len(value.arguments) == 1:
+    if (
+        isinstance(value, ast.Call)
+        and value.name in ("links", "sites")
+        and len(value.arguments) == 1
+    ):
         (argument,) = value.arguments
         variable = scope.variable(argument.name) if isinstance(argument, _NAMED) else None
         return worlds_of(variable) or list(scope.worlds()), [of_link]

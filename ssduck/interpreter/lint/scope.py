@@ -9,7 +9,7 @@ from weakref import WeakKeyDictionary
 
 from ssduck.errors import SelectScriptError, SourceSpan, UnknownNameError, nearest
 from ssduck.formatting import short_repr
-from ssduck.language.tree import Call, Index, Literal, Name, Node, QualifiedName, Query
+from ssduck.language import ast
 from ssduck.recording.replay.past import Past
 from ssduck.simulators.interface import Kind
 from ssduck.sql.user_sql import NameKind
@@ -98,7 +98,9 @@ class Scope:
     worlds: Callable[[], Iterable[World]]  # returns the worlds
     # Returns the type of a relation's result; None if a name is no relation.
     type_of_relation: Callable[[str], str | None]
-    finds: Callable[[Query], bool | None]  # checks whether a query has a row; None if it cannot run
+    finds: Callable[
+        [ast.Query], bool | None
+    ]  # checks whether a query has a row; None if it cannot run
     report: Callable[[SelectScriptError], None]  # warns of a mistake, once
     names: KnownNames  # the names of the parts of worlds
     # Whether the arguments of a relation and an entity are swapped, by their names.
@@ -117,33 +119,35 @@ class Scope:
         """Checks whether that is a relation, which no function of the user's overrides."""
         return self.type_of_relation(name) is not None
 
-    def entity(self, node: Node) -> Entity | None:
+    def entity(self, node: ast.Node) -> Entity | None:
         """Returns the entity of a world that an expression names; None if it is none."""
         match node:
-            case Name(name=name):
+            case ast.Name(name=name):
                 value = self.variable(name)
                 return value if isinstance(value, Entity) and value.is_there else None
             case (
-                QualifiedName(alias=alias, key=key)
-                | Index(base=Name(name=alias), indices=(Literal(value=str() as key),))
+                ast.QualifiedName(alias=alias, key=key)
+                | ast.Index(base=ast.Name(name=alias), indices=(ast.Literal(value=str() as key),))
             ):
                 return entity_of(self.variable(alias), key)
         return None
 
-    def handle_of(self, node: Node) -> KnownHandle | None:
+    def handle_of(self, node: ast.Node) -> KnownHandle | None:
         """Returns what is known of an expression outside of a source; None if it is no handle."""
         match node:
-            case Name(name=name):
+            case ast.Name(name=name):
                 value = self.variable(name)
                 is_handle = isinstance(value, Handle)
                 return KnownHandle(value.world, isinstance(value, Link)) if is_handle else None
-            case Index(base=Name(name=name), indices=(Literal(value=str() as key), *links)):
+            case ast.Index(
+                base=ast.Name(name=name), indices=(ast.Literal(value=str() as key), *links)
+            ):
                 place = self.variable(name)
                 if isinstance(place, Handle):  # a link of an entity
                     return None if links else KnownHandle(place.world, is_link=True)
                 if isinstance(place, World) and key in place and len(links) <= 1:
                     return KnownHandle(place, is_link=bool(links))
-            case Call(name="entity", arguments=(_,)) if self.variable("entity") is None:
+            case ast.Call(name="entity", arguments=(_,)) if self.variable("entity") is None:
                 return KnownHandle(None, is_link=False)
         return None
 
@@ -172,20 +176,20 @@ def worlds_of(variable: Any) -> list[World]:
     return [variable] if isinstance(variable, World) else []
 
 
-def spelled(node: Node) -> str:
+def spelled(node: ast.Node) -> str:
     """Returns such an expression as it is written: `room.cup`."""
     match node:
-        case Name(name=name):
+        case ast.Name(name=name):
             return name
-        case Index(base=Name(name=name)):
+        case ast.Index(base=ast.Name(name=name)):
             return f"{name}.{_path(node)}"
     return "x"
 
 
-def spelled_id(node: Node) -> str:
+def spelled_id(node: ast.Node) -> str:
     """Returns its id as it is written: `'cup'`, or a call of `id`."""
-    return f"'{_path(node)}'" if isinstance(node, Index) else f"id({spelled(node)})"
+    return f"'{_path(node)}'" if isinstance(node, ast.Index) else f"id({spelled(node)})"
 
 
-def _path(node: Index) -> str:
-    return ".".join(str(index.value) for index in node.indices if isinstance(index, Literal))
+def _path(node: ast.Index) -> str:
+    return ".".join(str(index.value) for index in node.indices if isinstance(index, ast.Literal))

@@ -17,26 +17,10 @@ from ssduck import validation
 from ssduck.errors import ArgumentError, SelectScriptError, SourceSpan
 from ssduck.formatting import argument_in_words
 from ssduck.interpreter.lint.scope import Check, Scope, spelled, spelled_id
+from ssduck.language import ast
 from ssduck.language.aggregates import is_grouped, over_rows
 from ssduck.language.analysis import free_aliases, states
 from ssduck.language.builtins import EXTREMES
-from ssduck.language.tree import (
-    Binary,
-    Call,
-    Index,
-    ListLiteral,
-    Literal,
-    Name,
-    Node,
-    OperatorChain,
-    QualifiedName,
-    Query,
-    Source,
-    This,
-    TimeIndex,
-    Unary,
-    conjuncts,
-)
 from ssduck.recording.replay.past import Past
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.world.handles import Links
@@ -44,7 +28,7 @@ from ssduck.world.world import World
 
 
 @dataclass(frozen=True, eq=False)
-class _Elements(Node):
+class _Elements(ast.Node):
     """The elements of a list that a variable may be."""
 
     name: str
@@ -68,7 +52,7 @@ VECTORS = frozenset(
     name for name, one in RELATIONS.items() if one.result == "list" and one.element == "double"
 )
 _COORDINATES = 3
-Sources: TypeAlias = Mapping[str | None, Source]
+Sources: TypeAlias = Mapping[str | None, ast.Source]
 # What to write for a second argument that is no age.
 _INSTEAD_OF_AGE = {
     **{name: f"of two numbers write {list_one}([a, b])" for name, list_one in EXTREMES.items()},
@@ -86,18 +70,20 @@ _UNIQUE = frozenset(("id", "obj", "this"))
 class Comparison:
     """A column that is compared with values."""
 
-    source: Source  # the source of its row
+    source: ast.Source  # the source of its row
     column: str  # its name
     is_bare: bool  # whether a variable of that name comes first
-    values: tuple[Node, ...]  # the literals, and what may be an entity, that it is compared with
+    values: tuple[
+        ast.Node, ...
+    ]  # the literals, and what may be an entity, that it is compared with
     holds_of_missing: bool  # whether the comparison holds of a missing value
     span: SourceSpan  # the place of the comparison
     other: Comparison | None = None  # the column that it is compared with
 
 
-def suspect_values(statement: Node) -> Iterator[Check]:
+def suspect_values(statement: ast.Node) -> Iterator[Check]:
     """Yields the checks of a statement's comparisons, columns, aggregates and ages."""
-    queries = [part for part in statement.walk() if isinstance(part, Query)]
+    queries = [part for part in statement.walk() if isinstance(part, ast.Query)]
     names = {name for query in queries for name in states(query)}
     for query in queries:
         yield from (partial(_mistakes_at, site) for site in _comparisons(query))
@@ -105,11 +91,11 @@ def suspect_values(statement: Node) -> Iterator[Check]:
         for side, value in _compared_with_values(part, names):
             yield partial(_never_equal, side, value)
         match part:
-            case Call(name=name, arguments=(_, age)) if name in _INSTEAD_OF_AGE and not (
-                isinstance(age, Unary) and age.operator == "-"
+            case ast.Call(name=name, arguments=(_, age)) if name in _INSTEAD_OF_AGE and not (
+                isinstance(age, ast.Unary) and age.operator == "-"
             ):
                 yield partial(_time_as_age, part)
-            case Binary(operator="+" | "*" | "<" | "<=" | ">" | ">=") if any(
+            case ast.Binary(operator="+" | "*" | "<" | "<=" | ">" | ">=") if any(
                 map(_vector_of, _sides(part))
             ):
                 yield partial(_operator_of_vectors, part)
@@ -120,22 +106,22 @@ def suspect_values(statement: Node) -> Iterator[Check]:
                     yield partial(_aggregate_of_vectors, call)
         for node in map(unnamed, query.items):
             match node:
-                case Query(items=(_,), adapter=None, recursion=None):
+                case ast.Query(items=(_,), adapter=None, recursion=None):
                     yield partial(_list_of_dicts, node)
         for name, span in first_rows(query):
             yield partial(_first_row, name, span)
 
 
-def _sides(node: Binary) -> tuple[Node, Node]:
+def _sides(node: ast.Binary) -> tuple[ast.Node, ast.Node]:
     return node.left, node.right
 
 
-def _vector_of(node: Node) -> str:
+def _vector_of(node: ast.Node) -> str:
     """Returns the relation whose value, a list of numbers, a part is; "" for another part."""
     match node:
-        case Call(name=name) | Name(name=name) | QualifiedName(key=name):
+        case ast.Call(name=name) | ast.Name(name=name) | ast.QualifiedName(key=name):
             return name if name in VECTORS else ""
-        case Binary(operator="-", left=left, right=right):
+        case ast.Binary(operator="-", left=left, right=right):
             return _vector_of(left) or _vector_of(right)
     return ""
 
@@ -143,32 +129,32 @@ def _vector_of(node: Node) -> str:
 # -- columns --------------------------------------------------------------------------------------
 
 
-def is_comparison(node: Node) -> bool:
+def is_comparison(node: ast.Node) -> bool:
     """Checks whether a part compares two values."""
-    return isinstance(node, Binary) and node.operator in COMPARISONS
+    return isinstance(node, ast.Binary) and node.operator in COMPARISONS
 
 
-def column_of(node: Node) -> tuple[str | None, str, bool] | None:
+def column_of(node: ast.Node) -> tuple[str | None, str, bool] | None:
     """Returns the alias and the name of a column, and whether a variable may hide it."""
     match node:
-        case Name(name=name):
+        case ast.Name(name=name):
             return None, name, True
-        case QualifiedName(alias=alias, key=name):
+        case ast.QualifiedName(alias=alias, key=name):
             return alias, name, False
-        case Call(name=name, arguments=(This(alias=alias),)):
+        case ast.Call(name=name, arguments=(ast.This(alias=alias),)):
             return alias, name, False
-        case Index(base=This(alias=alias), indices=(Literal(value=str() as name),)):
+        case ast.Index(base=ast.This(alias=alias), indices=(ast.Literal(value=str() as name),)):
             return alias, name, False
     return None
 
 
-def unnamed(item: Node) -> Node:
+def unnamed(item: ast.Node) -> ast.Node:
     """Returns the value of a column that AS or `to` names."""
-    is_named = isinstance(item, Call) and item.name == "to" and item.arguments
+    is_named = isinstance(item, ast.Call) and item.name == "to" and item.arguments
     return item.arguments[0] if is_named else item  # type: ignore[attr-defined]
 
 
-def first_rows(query: Query) -> Iterator[tuple[str, SourceSpan]]:
+def first_rows(query: ast.Query) -> Iterator[tuple[str, SourceSpan]]:
     """Yields the columns beside an aggregate of a group that are of the group's first row."""
     if not query.group or query.recursion is not None or not any(map(over_rows, query.items)):
         return
@@ -179,34 +165,34 @@ def first_rows(query: Query) -> Iterator[tuple[str, SourceSpan]]:
     if keys & _UNIQUE:
         return
     for value in columns:
-        is_of_row = isinstance(value, Name) or bool(free_aliases(value))
+        is_of_row = isinstance(value, ast.Name) or bool(free_aliases(value))
         if is_of_row and not over_rows(value) and not _is_of_keys(value, keys, query):
-            yield value.name if isinstance(value, Name) else "", value.span
+            yield value.name if isinstance(value, ast.Name) else "", value.span
 
 
-def _named(item: Node) -> tuple[str, Node]:
+def _named(item: ast.Node) -> tuple[str, ast.Node]:
     match item:
-        case Call(name="to", arguments=(value, Literal(value=str() as name))):
+        case ast.Call(name="to", arguments=(value, ast.Literal(value=str() as name))):
             return name, value
     return "", item
 
 
-def _is_of_keys(node: Node, keys: set[str], query: Query) -> bool:
+def _is_of_keys(node: ast.Node, keys: set[str], query: ast.Query) -> bool:
     """Checks whether a value follows from the keys of its group."""
     if _printed(node, query) in keys:
         return True
     column = column_of(node)
     if column is not None:
         return not keys.isdisjoint((f"{column[0]}.id", f"{column[0]}.this"))
-    if isinstance(node, Query | This):
+    if isinstance(node, ast.Query | ast.This):
         return False
     return all(_is_of_keys(child, keys, query) for child in node.children())
 
 
-def _printed(node: Node, query: Query) -> str:
+def _printed(node: ast.Node, query: ast.Query) -> str:
     """Returns a column as one word, `a.z`; another value as its outline."""
     is_only = len(query.sources) == 1
-    if isinstance(node, This):
+    if isinstance(node, ast.This):
         return "this" if is_only or node.alias is None else f"{node.alias}.this"
     column = column_of(node)
     if column is None:
@@ -219,11 +205,11 @@ def _printed(node: Node, query: Query) -> str:
 # -- comparisons --------------------------------------------------------------------------------
 
 
-def _comparisons(query: Query) -> Iterator[Comparison]:
+def _comparisons(query: ast.Query) -> Iterator[Comparison]:
     present = {
         name
-        for node in conjuncts(query.where)
-        if isinstance(node, Unary) and node.operator == "NOT"
+        for node in ast.conjuncts(query.where)
+        if isinstance(node, ast.Unary) and node.operator == "NOT"
         for name in _columns_of_null_test(node.operand)
     }
     for part in (*query.items, query.where, query.having):
@@ -231,35 +217,35 @@ def _comparisons(query: Query) -> Iterator[Comparison]:
             yield from _in_condition(part, query, present, negated=False)
 
 
-def _compared_with_values(node: Node, names: set[str]) -> Iterator[tuple[Node, Node]]:
+def _compared_with_values(node: ast.Node, names: set[str]) -> Iterator[tuple[ast.Node, ast.Node]]:
     """Yields what may be an entity or a relation, with each value that it is compared with."""
     match node:
-        case Binary(operator="==" | "!=" | "IN" as operator, left=left, right=right):
+        case ast.Binary(operator="==" | "!=" | "IN" as operator, left=left, right=right):
             sides = [(left, right)] if operator == "IN" else [(left, right), (right, left)]
             for side, other in sides:
-                is_state = isinstance(side, Name) and side.name in names
-                if isinstance(side, Name | Index | Call) and not is_state:
+                is_state = isinstance(side, ast.Name) and side.name in names
+                if isinstance(side, ast.Name | ast.Index | ast.Call) and not is_state:
                     for value in _values(other, operator, names):
                         yield side, value
 
 
-def _columns_of_null_test(node: Node) -> Iterator[str]:
-    if isinstance(node, Unary) and node.operator == "IS NULL":
+def _columns_of_null_test(node: ast.Node) -> Iterator[str]:
+    if isinstance(node, ast.Unary) and node.operator == "IS NULL":
         column = column_of(node.operand)
         if column is not None:
             yield column[1]
 
 
 def _in_condition(
-    node: Node, query: Query, present: set[str], *, negated: bool
+    node: ast.Node, query: ast.Query, present: set[str], *, negated: bool
 ) -> Iterator[Comparison]:
     match node:
-        case Query():
+        case ast.Query():
             return
-        case Unary(operator="NOT", operand=operand):
+        case ast.Unary(operator="NOT", operand=operand):
             yield from _in_condition(operand, query, present, negated=not negated)
             return
-        case Binary(operator="==" | "!=" | "IN" as operator, left=left, right=right):
+        case ast.Binary(operator="==" | "!=" | "IN" as operator, left=left, right=right):
             holds = (negated != (operator == "!=")) and operator != "IN"
             holds = holds or (operator == "IN" and negated)
             sides = [(left, right)] if operator == "IN" else [(left, right), (right, left)]
@@ -273,7 +259,7 @@ def _in_condition(
                 if first is not None and second is not None:
                     yield replace(first, other=second)
             return
-        case Binary(operator="AND" | "OR") | OperatorChain(operators=("AND" | "OR", *_)):
+        case ast.Binary(operator="AND" | "OR") | ast.OperatorChain(operators=("AND" | "OR", *_)):
             pass
         case _:
             negated = False
@@ -282,10 +268,10 @@ def _in_condition(
 
 
 def site_of(
-    node: Node, query: Query, values: tuple[Node, ...], span: SourceSpan
+    node: ast.Node, query: ast.Query, values: tuple[ast.Node, ...], span: SourceSpan
 ) -> Comparison | None:
     """Returns the place of a column in a comparison; None for another value."""
-    column = (node.alias, "this", False) if isinstance(node, This) else column_of(node)
+    column = (node.alias, "this", False) if isinstance(node, ast.This) else column_of(node)
     if column is None:
         return None
     alias, name, is_bare = column
@@ -295,21 +281,24 @@ def site_of(
     return Comparison(source, name, is_bare, values, holds_of_missing=False, span=span)
 
 
-def _values(node: Node, operator: str, names: AbstractSet[str]) -> tuple[Node, ...]:
+def _values(node: ast.Node, operator: str, names: AbstractSet[str]) -> tuple[ast.Node, ...]:
     """Returns the literals, and what may be an entity, on a side of a comparison."""
-    if operator == "IN" and isinstance(node, Name) and node.name not in names:
+    if operator == "IN" and isinstance(node, ast.Name) and node.name not in names:
         return (_Elements(node.span, node.name),)
-    items = (node,) if operator != "IN" else node.items if isinstance(node, ListLiteral) else ()
+    items = (node,) if operator != "IN" else node.items if isinstance(node, ast.ListLiteral) else ()
     return tuple(
         item
         for item in items
-        if isinstance(item, Literal | Index) or (isinstance(item, Name) and item.name not in names)
+        if isinstance(item, ast.Literal | ast.Index)
+        or (isinstance(item, ast.Name) and item.name not in names)
     )
 
 
-def sources_in(query: Query, around: Sources) -> Sources:
+def sources_in(query: ast.Query, around: Sources) -> Sources:
     """Returns the sources that a query's clauses see, by alias; the only one by None, too."""
-    inside: dict[str | None, Source] = {a: source for a, source in around.items() if a is not None}
+    inside: dict[str | None, ast.Source] = {
+        a: source for a, source in around.items() if a is not None
+    }
     inside |= {source.alias: source for source in reversed(query.sources) if source.alias}
     if len(query.sources) == 1:
         inside[None] = query.sources[0]
@@ -319,25 +308,25 @@ def sources_in(query: Query, around: Sources) -> Sources:
 # -- what is a mistake ----------------------------------------------------------------------------
 
 
-def _never_equal(node: Node, value: Node, scope: Scope) -> Iterator[SelectScriptError]:
+def _never_equal(node: ast.Node, value: ast.Node, scope: Scope) -> Iterator[SelectScriptError]:
     """Yields the mistake of an entity, or of the value of a relation, that is compared."""
     if scope.handle_of(node) is not None:
         yield from _unequal("this", {"entity"}, [value], scope)
-    elif isinstance(node, Call) and column_of(node) is None:
+    elif isinstance(node, ast.Call) and column_of(node) is None:
         kind = _KIND_OF_RESULT.get(scope.type_of_relation(node.name) or "")
         yield from _unequal(node.name, {kind} if kind else set(), [value], scope)
 
 
-def _time_as_age(call: Call, scope: Scope) -> Iterator[SelectScriptError]:
+def _time_as_age(call: ast.Call, scope: Scope) -> Iterator[SelectScriptError]:
     """Yields the mistake of an age that is a number from 0 on, or computed by functions."""
     age = call.arguments[1]
     match age:
-        case Literal():
+        case ast.Literal():
             is_time = True
-        case Name(name=name) if (value := scope.variable(name)) is not None:
+        case ast.Name(name=name) if (value := scope.variable(name)) is not None:
             is_time = validation.is_number(value) and value >= 0
         case _:
-            is_time = any(isinstance(part, Call) for part in age.walk())
+            is_time = any(isinstance(part, ast.Call) for part in age.walk())
     if is_time:
         yield ArgumentError(
             f"the second argument of {call.name} is an age: {call.name} is over the recorded "
@@ -347,7 +336,7 @@ def _time_as_age(call: Call, scope: Scope) -> Iterator[SelectScriptError]:
         )
 
 
-def _operator_of_vectors(node: Binary, scope: Scope) -> Iterator[SelectScriptError]:
+def _operator_of_vectors(node: ast.Binary, scope: Scope) -> Iterator[SelectScriptError]:
     if node.operator == "*":
         if any(_is_integer(side, scope) for side in _sides(node)):
             yield ArgumentError(
@@ -360,7 +349,7 @@ def _operator_of_vectors(node: Binary, scope: Scope) -> Iterator[SelectScriptErr
         yield ArgumentError(_OFVECTORS[one].format(node.operator), span=node.span)
 
 
-def _aggregate_of_vectors(call: Call, scope: Scope) -> Iterator[SelectScriptError]:
+def _aggregate_of_vectors(call: ast.Call, scope: Scope) -> Iterator[SelectScriptError]:
     if _is_vector(call.arguments[0], scope):
         yield ArgumentError(
             f"{call.name} is over the numbers of the list of each row; over the rows write "
@@ -369,7 +358,7 @@ def _aggregate_of_vectors(call: Call, scope: Scope) -> Iterator[SelectScriptErro
         )
 
 
-def _list_of_dicts(query: Query, _: Scope) -> Iterator[SelectScriptError]:
+def _list_of_dicts(query: ast.Query, _: Scope) -> Iterator[SelectScriptError]:
     yield ArgumentError(
         "the nested query is a list of dicts here; write AS value for its value, or AS list",
         span=query.span,
@@ -392,21 +381,21 @@ _OFVECTORS = {
 }
 
 
-def _is_integer(node: Node, scope: Scope) -> bool:
+def _is_integer(node: ast.Node, scope: Scope) -> bool:
     """Checks whether a part is a whole number: a literal, or a variable."""
     match node:
-        case Unary(operator="-", operand=Literal(value=value)) | Literal(value=value):
+        case ast.Unary(operator="-", operand=ast.Literal(value=value)) | ast.Literal(value=value):
             return type(value) is int
-        case Name(name=name):
+        case ast.Name(name=name):
             return type(scope.variable(name)) is int
     return False
 
 
-def _is_vector(node: Node, scope: Scope) -> bool:
+def _is_vector(node: ast.Node, scope: Scope) -> bool:
     """Checks whether a part is a list of numbers, such as a position."""
-    if isinstance(node, ListLiteral):
+    if isinstance(node, ast.ListLiteral):
         return len(node.items) == _COORDINATES
-    value = scope.variable(node.name) if isinstance(node, Name) else None
+    value = scope.variable(node.name) if isinstance(node, ast.Name) else None
     if value is not None:
         is_list = type(value) is list and len(value) == _COORDINATES
         return is_list and all(isinstance(part, int | float) for part in value)
@@ -459,7 +448,7 @@ def _mistakes_at(site: Comparison, scope: Scope) -> Iterator[SelectScriptError]:
     yield from _unequal(site.column, kinds, site.values, scope, this)
 
 
-def _this_of(source: Source) -> str:
+def _this_of(source: ast.Source) -> str:
     """Returns how the element of a source is written."""
     is_named = source.alias not in (None, getattr(source.value, "name", None))
     return f"{source.alias}.this" if is_named else "this"
@@ -468,7 +457,7 @@ def _this_of(source: Source) -> str:
 def _unequal(
     what: str,
     kinds: AbstractSet[Kind],
-    values: Iterable[Node],
+    values: Iterable[ast.Node],
     scope: Scope,
     this: str = "",
 ) -> Iterator[SelectScriptError]:
@@ -498,13 +487,13 @@ def _unequal(
             )
 
 
-def _plain_values(node: Node, scope: Scope) -> list[Any]:
+def _plain_values(node: ast.Node, scope: Scope) -> list[Any]:
     """Returns the numbers and texts that a part of a comparison is; none if it is another."""
     values: list[Any] = []
     match node:
-        case Literal(value=value):
+        case ast.Literal(value=value):
             values = [value]
-        case Name(name=name):
+        case ast.Name(name=name):
             values = [scope.variable(name)]
         case _Elements(name=name):
             found = scope.variable(name)
@@ -515,7 +504,7 @@ def _plain_values(node: Node, scope: Scope) -> list[Any]:
 def _cells(site: Comparison, scope: Scope) -> list[Any] | None:
     """Returns the values of a column of the dicts in a variable; None if it holds none."""
     value = site.source.value
-    rows = scope.variable(value.name) if isinstance(value, Name) else None
+    rows = scope.variable(value.name) if isinstance(value, ast.Name) else None
     if not isinstance(rows, list) or not rows:
         return None
     dicts = [row for row in rows[:MAX_ROWS] if isinstance(row, dict)]
@@ -525,18 +514,20 @@ def _cells(site: Comparison, scope: Scope) -> list[Any] | None:
 def kind_of_relation(site: Comparison, scope: Scope) -> Kind | None:
     """Returns what the values of a column of entities are; None if it is not known."""
     value = site.source.value
-    if not isinstance(value, Name | TimeIndex | Call):
+    if not isinstance(value, ast.Name | ast.TimeIndex | ast.Call):
         return None
-    if isinstance(value, Name) and not isinstance(scope.variable(value.name), World | Past | Links):
+    if isinstance(value, ast.Name) and not isinstance(
+        scope.variable(value.name), World | Past | Links
+    ):
         return None
     if site.column == "this":
         return "entity" if _has_handles(value, scope) else None
     return _KIND_OF_RESULT.get(scope.type_of_relation(site.column) or "")
 
 
-def _has_handles(value: Name | TimeIndex | Call, scope: Scope) -> bool:
+def _has_handles(value: ast.Name | ast.TimeIndex | ast.Call, scope: Scope) -> bool:
     """Checks whether the elements of a source are entities, links or sites for sure."""
-    if isinstance(value, Call):
+    if isinstance(value, ast.Call):
         return value.name in ("links", "sites")
     return isinstance(scope.variable(value.name), World | Past | Links)
 

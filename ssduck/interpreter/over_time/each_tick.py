@@ -11,15 +11,17 @@ import numpy as np
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, expressions_of, is_fold
 from ssduck.interpreter.over_time.nested import Column, Ticks
+from ssduck.language import ast
 from ssduck.language.analysis import mentions
 from ssduck.language.evaluator import Frame
-from ssduck.language.tree import Call, Index, Name, Node, QualifiedName, Query, TimeIndex
 
 
 class ExpressionsAtTicks:
     """Expressions of entities of one world and of variables, at each tick of an episode."""
 
-    def __init__(self, interpreter: Interpreter, expressions: Sequence[Node], world: str) -> None:
+    def __init__(
+        self, interpreter: Interpreter, expressions: Sequence[ast.Node], world: str
+    ) -> None:
         self._execution = interpreter._execution  # noqa: SLF001  # one package
         self._world = world
         self._trees = list(map(self._execution.expanded, expressions))
@@ -39,7 +41,7 @@ class ExpressionsAtTicks:
         """
         execution = self._execution
         for past in (part for tree in self._trees for part in tree.walk() if _reads_past(part)):
-            if not (isinstance(past, Call) and is_fold(past)) or mentions(past, variables[0]):
+            if not (isinstance(past, ast.Call) and is_fold(past)) or mentions(past, variables[0]):
                 return None
         world = execution.variable(self._world)
         given = {
@@ -67,40 +69,40 @@ class JudgedFolds:
     """
 
     def __init__(
-        self, interpreter: Interpreter, expressions: Sequence[Node], variables: Collection[str]
+        self, interpreter: Interpreter, expressions: Sequence[ast.Node], variables: Collection[str]
     ) -> None:
         self._execution = interpreter._execution  # noqa: SLF001  # one package
         self._variables = frozenset(variables)
         trees = map(self._execution.expanded, expressions)
         found = [part for tree in trees for part in self._temporal(tree)]
-        self._calls = [part for part in found if isinstance(part, Call) and self._is_fold(part)]
+        self._calls = [part for part in found if isinstance(part, ast.Call) and self._is_fold(part)]
         # Whether an expression needs the record of past ticks.
         self.need_record = len(self._calls) < len(found)
         # Whether expressions are to be evaluated at the next tick, and `settle` follows.
         self.are_asked = False
 
-    def _temporal(self, node: Node) -> Iterator[Node]:
+    def _temporal(self, node: ast.Node) -> Iterator[ast.Node]:
         """Yields the parts of an expression that read the past."""
-        if isinstance(node, TimeIndex):
+        if isinstance(node, ast.TimeIndex):
             yield node
-        if isinstance(node, Call) and node.name in TEMPORAL_FUNCTIONS:
+        if isinstance(node, ast.Call) and node.name in TEMPORAL_FUNCTIONS:
             yield node
             for part in expressions_of(node):
                 yield from self._temporal(part)
-        elif isinstance(node, Query):  # of rows
+        elif isinstance(node, ast.Query):  # of rows
             yield from (part for part in node.walk() if _reads_past(part))
         else:
             for child in node.children():
                 yield from self._temporal(child)
 
-    def _is_fold(self, call: Call) -> bool:
+    def _is_fold(self, call: ast.Call) -> bool:
         """Checks whether the value at a tick follows from that at the tick before."""
         if not is_fold(call, at_first=True):
             return False
-        names = {part.name for part in call.walk() if isinstance(part, Name)}
+        names = {part.name for part in call.walk() if isinstance(part, ast.Name)}
         for expression in expressions_of(call):
-            whole = expression.base if isinstance(expression, Index) else expression
-            if isinstance(whole, Name | QualifiedName):
+            whole = expression.base if isinstance(expression, ast.Index) else expression
+            if isinstance(whole, ast.Name | ast.QualifiedName):
                 return False  # an entity at the tick before has to be read there
         is_simple = self._execution.folds.takes(call, Frame(self._execution))
         return is_simple and names.isdisjoint(self._variables)
@@ -123,7 +125,7 @@ class JudgedFolds:
                 execution.folds.settle(self._calls)
 
 
-def _reads_past(node: Node) -> bool:
-    return isinstance(node, TimeIndex) or (
-        isinstance(node, Call) and node.name in TEMPORAL_FUNCTIONS
+def _reads_past(node: ast.Node) -> bool:
+    return isinstance(node, ast.TimeIndex) or (
+        isinstance(node, ast.Call) and node.name in TEMPORAL_FUNCTIONS
     )

@@ -19,21 +19,10 @@ from ssduck.database.fetched_rows import columns_of
 from ssduck.errors import ArgumentError, LimitError, SelectScriptError, UnsupportedError
 from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS, expressions_of, parts_of
 from ssduck.interpreter.over_time.series import ColumnsOf, TickColumns, TickSeries
+from ssduck.language import ast
 from ssduck.language.analysis import free_aliases
 from ssduck.language.builtins import BUILTINS, EXTREMES, NUMBER_OF_ENTITY
 from ssduck.language.evaluator import Frame
-from ssduck.language.tree import (
-    Call,
-    Index,
-    Name,
-    Node,
-    Placeholder,
-    Query,
-    Source,
-    This,
-    TimeIndex,
-    UnresolvedName,
-)
 from ssduck.limits import UsageMeter
 from ssduck.recording.replay.pair_answers import PairQueries
 from ssduck.recording.replay.past import Past, common_moment, past_of
@@ -48,8 +37,8 @@ MOST_ROWS = 2_000_000
 # So many rows of all entities are read in about the time that a query of one entity takes.
 ROWS_A_QUERY = 50_000
 # Returns the rows of a query, from the values of its placeholders.
-RunQuery: TypeAlias = Callable[[Query, dict[str, Any]], Sequence[Sequence[Any]]]
-_PLACES = (Name, This, TimeIndex, Placeholder, UnresolvedName)
+RunQuery: TypeAlias = Callable[[ast.Query, dict[str, Any]], Sequence[Sequence[Any]]]
+_PLACES = (ast.Name, ast.This, ast.TimeIndex, ast.Placeholder, ast.UnresolvedName)
 
 
 class SeriesReader(Protocol):
@@ -76,9 +65,9 @@ class TemporalEvaluator:
         self._record_of, self._run = record_of, run
         # Reads the values of expressions; None to read those of the requested ticks only.
         self.reader: SeriesReader | None = None
-        self._queries: WeakKeyDictionary[Node, dict[Any, Query]] = WeakKeyDictionary()
+        self._queries: WeakKeyDictionary[ast.Node, dict[Any, ast.Query]] = WeakKeyDictionary()
 
-    def series(self, call: Call, frame: Frame) -> TickSeries:
+    def series(self, call: ast.Call, frame: Frame) -> TickSeries:
         """Returns the values of the expression in a call, tick by tick."""
         expression, _ = parts_of(call)
         places, world, values, handles = self._given(call, frame)
@@ -94,7 +83,7 @@ class TemporalEvaluator:
         columns: ColumnsOf = of_one
         reader, least = self.reader, None
         are_entities = all(handles) and all(value.TABLE == "entities" for value in values)
-        is_clearance = isinstance(expression, Call) and expression.name == "clearance"
+        is_clearance = isinstance(expression, ast.Call) and expression.name == "clearance"
         if is_clearance and are_entities and len(values) == len({v.id for v in values}) == 2:
             a, b = values
             least = partial(self._least_clearance, frame.scope.meter, a.id, b.id)
@@ -120,7 +109,7 @@ class TemporalEvaluator:
             record, lambda past: reader.columns(shared, past, columns), expression, least, now
         )
 
-    def query_over_ticks(self, call: Call, frame: Frame) -> tuple[Query, dict[str, Any]]:
+    def query_over_ticks(self, call: ast.Call, frame: Frame) -> tuple[ast.Query, dict[str, Any]]:
         """Returns the query of the values of the first argument of a call, over all ticks.
 
         Its rows are [tick, time, value]. The arguments and errors are those of `series`.
@@ -132,18 +121,18 @@ class TemporalEvaluator:
         past = past_of(self._record_of(world), None)
         return self._query(call, places, handles), _placeholders(values, handles, past)
 
-    def world_of(self, call: Call, frame: Frame) -> World:
+    def world_of(self, call: ast.Call, frame: Frame) -> World:
         """Returns the world of the entities in the expressions of a call."""
         return self._given(call, frame)[1]
 
-    def names_entities(self, node: Node, frame: Frame) -> bool:
+    def names_entities(self, node: ast.Node, frame: Frame) -> bool:
         """Checks whether a part of an expression names an entity."""
-        call = Call(node.span, "changes", (node,), node.span)
+        call = ast.Call(node.span, "changes", (node,), node.span)
         return any(isinstance(frame.value(place), Handle) for place in _places(node, call))
 
     def _given(
-        self, call: Call, frame: Frame
-    ) -> tuple[list[Node], World, list[Any], tuple[bool, ...]]:
+        self, call: ast.Call, frame: Frame
+    ) -> tuple[list[ast.Node], World, list[Any], tuple[bool, ...]]:
         """Returns the places of entities, their world, the values, and which follow the ticks."""
         expression, _ = parts_of(call)
         places = [place for part in expressions_of(call) for place in _places(part, call)]
@@ -164,7 +153,7 @@ class TemporalEvaluator:
             )
         if not worlds:
             what = "takes an expression of entities, such as near(gripper, cup, 0.02)"
-            if isinstance(expression, Index):
+            if isinstance(expression, ast.Index):
                 what = f"takes the whole list, and the index comes after it: {call.name}(…)[0]"
             elif call.name in EXTREMES:
                 what += f"; of several numbers write {EXTREMES[call.name]}([a, b])"
@@ -187,11 +176,11 @@ class TemporalEvaluator:
 
     def _query(
         self,
-        call: Call,
-        places: Sequence[Node],
+        call: ast.Call,
+        places: Sequence[ast.Node],
         handles: tuple[bool, ...],
         number: int | None = None,
-    ) -> Query:
+    ) -> ast.Query:
         queries, key = self._queries.setdefault(call, {}), (handles, number)
         if key not in queries:
             queries[key] = _query_of(call, places, handles, number)
@@ -200,7 +189,7 @@ class TemporalEvaluator:
 
 def _for_each(
     columns: ColumnsOf,
-    query: Query,
+    query: ast.Query,
     values: Sequence[Any],
     handles: Sequence[bool],
     number: int,
@@ -277,30 +266,30 @@ def _placeholders(
     return result
 
 
-def _reads_ticks(query: Query, values: Sequence[Any], handles: Sequence[bool]) -> bool:
+def _reads_ticks(query: ast.Query, values: Sequence[Any], handles: Sequence[bool]) -> bool:
     """Checks whether an expression has a function of time inside, or an entity at another tick."""
     is_pinned = any(
         isinstance(value, Handle) and not is_entity
         for value, is_entity in zip(values, handles, strict=True)
     )
     return is_pinned or any(
-        isinstance(part, Call) and part.name in TEMPORAL_FUNCTIONS for part in query.walk()
+        isinstance(part, ast.Call) and part.name in TEMPORAL_FUNCTIONS for part in query.walk()
     )
 
 
-def _is_place(node: Node) -> bool:
+def _is_place(node: ast.Node) -> bool:
     """Checks whether a part may be an entity: position(e)[2] is no part of one, links(e)[0] is."""
-    if isinstance(node, Index) and isinstance(node.base, Call):
+    if isinstance(node, ast.Index) and isinstance(node.base, ast.Call):
         name = node.base.name
         return not (name in RELATIONS or name in BUILTINS or name in TEMPORAL_FUNCTIONS)
-    if isinstance(node, Index):
+    if isinstance(node, ast.Index):
         return _is_place(node.base)
     return isinstance(node, _PLACES)
 
 
-def _places(node: Node, call: Call) -> Iterator[Node]:
+def _places(node: ast.Node, call: ast.Call) -> Iterator[ast.Node]:
     """Yields the parts of an expression that may be entities."""
-    if isinstance(node, Query):
+    if isinstance(node, ast.Query):
         raise UnsupportedError(
             f"{call.name} takes an expression without a query; query FROM world{{}} instead",
             span=node.span,
@@ -313,32 +302,32 @@ def _places(node: Node, call: Call) -> Iterator[Node]:
 
 
 def _query_of(
-    call: Call, places: Sequence[Node], handles: tuple[bool, ...], number_of_row: int | None
-) -> Query:
+    call: ast.Call, places: Sequence[ast.Node], handles: tuple[bool, ...], number_of_row: int | None
+) -> ast.Query:
     """Returns the query of an expression; its rows are [tick, time, value].
 
     A fourth column is the number of the entity at the place `number_of_row`.
     """
     span = call.span
-    replacements: dict[Node, Node] = {}
+    replacements: dict[ast.Node, ast.Node] = {}
     sources = []
     for number, (place, is_entity) in enumerate(zip(places, handles, strict=True)):
-        placeholder = Placeholder(place.span, f"value_{number}")
+        placeholder = ast.Placeholder(place.span, f"value_{number}")
         if not is_entity:
             replacements[place] = placeholder
             continue
         alias = f"entity_{number}"
-        replacements[place] = This(place.span, alias)
-        sources.append(Source(place.span, alias, placeholder))
-    first = This(span, sources[0].alias)
+        replacements[place] = ast.This(place.span, alias)
+        sources.append(ast.Source(place.span, alias, placeholder))
+    first = ast.This(span, sources[0].alias)
 
-    def replaced(node: Node) -> Node | None:
-        if isinstance(node, Call) and node.name == "getTime" and not node.arguments:
-            return Call(node.span, "time", (first,), node.span)
+    def replaced(node: ast.Node) -> ast.Node | None:
+        if isinstance(node, ast.Call) and node.name == "getTime" and not node.arguments:
+            return ast.Call(node.span, "time", (first,), node.span)
         return replacements.get(node)
 
     value = parts_of(call)[0].replaced(replaced)
-    rows = () if number_of_row is None else (This(span, f"entity_{number_of_row}"),)
-    of_row = [Call(span, NUMBER_OF_ENTITY, (row,), span) for row in rows]
-    items = (*(Call(span, name, (first,), span) for name in ("tick", "time")), value, *of_row)
-    return Query(span, items, tuple(sources), is_ordered=False)
+    rows = () if number_of_row is None else (ast.This(span, f"entity_{number_of_row}"),)
+    of_row = [ast.Call(span, NUMBER_OF_ENTITY, (row,), span) for row in rows]
+    items = (*(ast.Call(span, name, (first,), span) for name in ("tick", "time")), value, *of_row)
+    return ast.Query(span, items, tuple(sources), is_ordered=False)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from ssduck.errors import ArgumentError
 from ssduck.interpreter.over_time.functions import never_called
+from ssduck.language import ast
 from ssduck.language.builtins import Function
-from ssduck.language.tree import Binary, Call, Literal, Node, Unary
 from ssduck.logic.margins import check_margin, margin_of
 
 
@@ -16,36 +16,36 @@ from ssduck.logic.margins import check_margin, margin_of
 class Expansion:
     """A function that stands for an expression."""
 
-    expand: Callable[[Call], Node]  # returns the expression of a call
+    expand: Callable[[ast.Call], ast.Node]  # returns the expression of a call
     function: Function  # the entry for help; it is never called
 
 
-def _lifted(call: Call) -> Node:
+def _lifted(call: ast.Call) -> ast.Node:
     """Returns z(entity) - initially(z(entity)) >= height for lifted(entity, height)."""
     span = call.span
     entity, height = call.arguments
-    z = Call(entity.span, "z", (entity,), entity.span)
-    rise = Binary(span, "-", z, Call(span, "initially", (z,), span))
-    return Binary(span, ">=", rise, height)
+    z = ast.Call(entity.span, "z", (entity,), entity.span)
+    rise = ast.Binary(span, "-", z, ast.Call(span, "initially", (z,), span))
+    return ast.Binary(span, ">=", rise, height)
 
 
-def _robustness(call: Call) -> Node:
+def _robustness(call: ast.Call) -> ast.Node:
     margin = margin_of(call.arguments[0])
     check_margin(margin)
     return margin
 
 
 def _expansion(
-    name: str, expand: Callable[[Call], Node], about: str, usage: str, count: int
+    name: str, expand: Callable[[ast.Call], ast.Node], about: str, usage: str, count: int
 ) -> Expansion:
     return Expansion(expand, never_called(name, about, usage, count, count))
 
 
-def _scaled(call: Call) -> Node:
+def _scaled(call: ast.Call) -> ast.Node:
     """Returns the condition, whose unit is looked at if it is a number."""
     condition, unit = call.arguments
     match unit:
-        case Literal(value=0) | Unary(operator="-", operand=Literal()):
+        case ast.Literal(value=0) | ast.Unary(operator="-", operand=ast.Literal()):
             raise ArgumentError("scale: the unit is a number above 0", span=unit.span)
     return condition
 
@@ -84,7 +84,7 @@ EXPANSIONS: dict[str, Expansion] = {
 }
 
 
-def expanded(node: Node, check: Callable[[Call], None]) -> Node:
+def expanded(node: ast.Node, check: Callable[[ast.Call], None]) -> ast.Node:
     """Returns a part of a program with expressions in place of the functions that stand for them.
 
     Args:
@@ -92,9 +92,9 @@ def expanded(node: Node, check: Callable[[Call], None]) -> Node:
         check: checks the number of arguments of a call.
     """
 
-    def changed(part: Node, names: Collection[str]) -> Node:
-        def change(part: Node) -> Node | None:
-            if not isinstance(part, Call) or part.name not in names:
+    def changed(part: ast.Node, names: Collection[str]) -> ast.Node:
+        def change(part: ast.Node) -> ast.Node | None:
+            if not isinstance(part, ast.Call) or part.name not in names:
                 return None
             check(part)
             return changed(EXPANSIONS[part.name].expand(part), names)

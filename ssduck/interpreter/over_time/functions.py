@@ -14,27 +14,25 @@ import numpy.typing as npt
 from ssduck.errors import ArgumentError
 from ssduck.formatting import short_repr
 from ssduck.interpreter.over_time.series import TickSeries
+from ssduck.language import ast
 from ssduck.language.analysis import OF_MARGINS, TEMPORAL_OPERATORS
 from ssduck.language.builtins import Function
 from ssduck.language.intervals import changes_of, intervals_of
 from ssduck.language.operators import apply
-from ssduck.language.tree import (
-    Binary,
-    Branch,
-    Call,
-    If,
-    ListLiteral,
-    Literal,
-    Node,
-    OperatorChain,
-    Unary,
-)
 from ssduck.logic import traces
 from ssduck.logic.stepwise import HeldSince, UntilFromFirst
 from ssduck.logic.traces import Trace, Window
 
 # Parts of a program that are computed from values alone, if their own parts are.
-OF_VALUES = (Literal, ListLiteral, Unary, Binary, OperatorChain, Branch, If)
+OF_VALUES = (
+    ast.Literal,
+    ast.ListLiteral,
+    ast.Unary,
+    ast.Binary,
+    ast.OperatorChain,
+    ast.Branch,
+    ast.If,
+)
 
 
 @dataclass(frozen=True)
@@ -87,7 +85,7 @@ def never_called(name: str, about: str, usage: str, least: int, most: int) -> Fu
     return Function(name, lambda *_: None, help_text, least, most, builtin=True)
 
 
-def expressions_of(call: Call) -> tuple[Node, ...]:
+def expressions_of(call: ast.Call) -> tuple[ast.Node, ...]:
     """Returns the expressions of a call that are evaluated at ticks."""
     form = TEMPORAL_FUNCTIONS.get(call.name)
     if form is None:
@@ -95,13 +93,13 @@ def expressions_of(call: Call) -> tuple[Node, ...]:
     return call.arguments[form.expression : form.expression + form.conditions]
 
 
-def operator_of(node: Node) -> TemporalFunction | None:
+def operator_of(node: ast.Node) -> TemporalFunction | None:
     """Returns the operator of temporal logic that a part is; None for another part."""
-    form = TEMPORAL_FUNCTIONS.get(node.name) if isinstance(node, Call) else None
+    form = TEMPORAL_FUNCTIONS.get(node.name) if isinstance(node, ast.Call) else None
     return form if form is not None and form.operator is not None else None
 
 
-def is_fold(call: Call, *, at_first: bool = False) -> bool:
+def is_fold(call: ast.Call, *, at_first: bool = False) -> bool:
     """Checks whether the value of a call at a tick follows from that at the tick before.
 
     That is so of a function of all ticks without an age, and of an operator that looks back; and of
@@ -113,7 +111,7 @@ def is_fold(call: Call, *, at_first: bool = False) -> bool:
     return form.fold is not None and len(call.arguments) == 1
 
 
-def parts_of(call: Call) -> tuple[Node, Node | None]:
+def parts_of(call: ast.Call) -> tuple[ast.Node, ast.Node | None]:
     """Returns the expression of a call that is evaluated at ticks, and the other argument."""
     expression = expressions_of(call)[0]
     others = [part for part in call.arguments if part is not expression]

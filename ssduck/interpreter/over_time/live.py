@@ -34,11 +34,11 @@ from ssduck.interpreter.over_time.functions import (
 )
 from ssduck.interpreter.over_time.series import TickSeries, is_true
 from ssduck.interpreter.planner import Planner
+from ssduck.language import ast
 from ssduck.language.analysis import free_aliases
 from ssduck.language.builtins import BUILTINS
 from ssduck.language.clauses import formed
 from ssduck.language.evaluator import EvaluationScope, Frame
-from ssduck.language.tree import Call, ListLiteral, Literal, Name, Node, Query, Source, TimeIndex
 from ssduck.language.value_keys import ATOMS, node_key
 from ssduck.recording.replay.record import Record
 from ssduck.recording.replay.replayed_world import ReplayedWorld
@@ -93,21 +93,21 @@ class LiveFolds:
         self,
         scope: EvaluationScope,
         planner: Planner,
-        tables_read: Callable[[Node], frozenset[str]],
+        tables_read: Callable[[ast.Node], frozenset[str]],
         is_recorded: Callable[[World], bool],
         record_of: Callable[[World], Record],
     ) -> None:
         self._scope, self._planner, self._tables_read = scope, planner, tables_read
         self._is_recorded, self._record_of = is_recorded, record_of
         # The keys of calls, and the variables in their expressions.
-        self._keys: WeakKeyDictionary[Call, tuple[str, tuple[str, ...]]] = WeakKeyDictionary()
+        self._keys: WeakKeyDictionary[ast.Call, tuple[str, tuple[str, ...]]] = WeakKeyDictionary()
         # Whether the expression of a call is the same at the present tick and in the record.
-        self._are_simple: WeakKeyDictionary[Call, bool] = WeakKeyDictionary()
-        self._inner_calls: WeakKeyDictionary[Call, list[Call]] = WeakKeyDictionary()
-        self._queries: dict[str, list[Query]] = {}
+        self._are_simple: WeakKeyDictionary[ast.Call, bool] = WeakKeyDictionary()
+        self._inner_calls: WeakKeyDictionary[ast.Call, list[ast.Call]] = WeakKeyDictionary()
+        self._queries: dict[str, list[ast.Query]] = {}
         self._folded: dict[str, _Folded] = {}
 
-    def takes(self, call: Call, frame: Frame) -> bool:
+    def takes(self, call: ast.Call, frame: Frame) -> bool:
         """Checks whether the state of a call can be kept: it depends on no row around it.
 
         A finished record decides what looks ahead, and is no state.
@@ -122,7 +122,7 @@ class LiveFolds:
             self._are_simple[call] = is_simple
         return self._are_simple[call]
 
-    def misses(self, call: Call) -> bool:
+    def misses(self, call: ast.Call) -> bool:
         """Checks whether the present tick would be lost to a call: its world is not recorded."""
         world = self._unrecorded_world(call)
         if world is None:
@@ -130,14 +130,14 @@ class LiveFolds:
         last, snapshot = self._last(call), world.snapshot
         return last is None or (last.run, last.tick) != (snapshot.run, snapshot.number)
 
-    def settle(self, calls: Iterable[Call]) -> None:
+    def settle(self, calls: Iterable[ast.Call]) -> None:
         """Adds the present tick to calls whose values nothing has needed at it."""
         for call in calls:
             if self.misses(call):
                 with suppress(SelectScriptError):
                     Frame(self._scope).value(call)
 
-    def need_no_tables(self, call: Call) -> bool:
+    def need_no_tables(self, call: ast.Call) -> bool:
         """Checks whether the value of a call needs no table that DuckDB reads."""
         queries = self._queries.get(self._key(call)[0], ())
         is_planned = bool(queries) and all(map(self._planner.may_repeat, queries))
@@ -145,7 +145,7 @@ class LiveFolds:
 
     def value(
         self,
-        call: Call,
+        call: ast.Call,
         fold: Fold,
         series_of: Callable[[], TickSeries],
         of_record: Callable[[TickSeries], Any],
@@ -176,22 +176,22 @@ class LiveFolds:
 
     # -- states -----------------------------------------------------------------------------
 
-    def _key(self, call: Call) -> tuple[str, tuple[str, ...]]:
+    def _key(self, call: ast.Call) -> tuple[str, tuple[str, ...]]:
         if call not in self._keys:
             self._keys[call] = node_key(call), _names_in(call)
         return self._keys[call]
 
-    def _last(self, call: Call) -> _Folded | None:
+    def _last(self, call: ast.Call) -> _Folded | None:
         return self._folded.get(self._key(call)[0])
 
-    def _cache(self, call: Call, folded: _Folded) -> None:
+    def _cache(self, call: ast.Call, folded: _Folded) -> None:
         """Keeps a state; of many, those of other ticks can go on no more."""
         self._folded[self._key(call)[0]] = folded
         if len(self._folded) > _MANY:
             self._folded = {k: f for k, f in self._folded.items() if f.tick >= folded.tick - 1}
             self._queries = {k: query for k, query in self._queries.items() if k in self._folded}
 
-    def _world_of(self, call: Call) -> World | None:
+    def _world_of(self, call: ast.Call) -> World | None:
         """Returns the only world of a call's expression; None if there is no such one."""
         scope = self._scope
         values = [scope.variable(n) for n in self._key(call)[1] if scope.has_variable(n)]
@@ -199,7 +199,7 @@ class LiveFolds:
         found = {world for world in worlds if isinstance(world, World)}
         return found.pop() if len(found) == 1 else None
 
-    def _unrecorded_world(self, call: Call) -> World | None:
+    def _unrecorded_world(self, call: ast.Call) -> World | None:
         """Returns the only world of a call, if it was not recorded where its episode began."""
         world = self._world_of(call)
         if world is None or not self._is_recorded(world):
@@ -213,7 +213,7 @@ class LiveFolds:
         )
         return world if goes_on else None
 
-    def _unrecorded(self, call: Call, world: World, fold: Fold) -> _Folded:
+    def _unrecorded(self, call: ast.Call, world: World, fold: Fold) -> _Folded:
         """Returns the state at the present tick of a world that is not recorded."""
         snapshot, meaning = world.snapshot, self._meaning(call)
         last = self._last(call)
@@ -232,7 +232,7 @@ class LiveFolds:
             )
         return self._with_present(call, world, last, meaning, fold)
 
-    def _recorded(self, call: Call, fold: Fold) -> _Folded | None:
+    def _recorded(self, call: ast.Call, fold: Fold) -> _Folded | None:
         """Returns the state at the present tick of a recorded world, if it follows from the last.
 
         None if it has to be made from the record, which raises the error if there is one.
@@ -255,7 +255,7 @@ class LiveFolds:
         folded = self._with_present(call, world, last, meaning, fold)
         return folded if folded.failure is None else None
 
-    def _made(self, call: Call, series: TickSeries, fold: Fold) -> _Folded | None:
+    def _made(self, call: ast.Call, series: TickSeries, fold: Fold) -> _Folded | None:
         """Returns a state from the record.
 
         None if the present tick is not recorded, or not all of it, if a variable is of a type that
@@ -278,7 +278,7 @@ class LiveFolds:
 
     def _with_present(
         self,
-        call: Call,
+        call: ast.Call,
         world: World,
         last: _Folded | None,
         meaning: tuple[Any, ...],
@@ -322,7 +322,7 @@ class LiveFolds:
             snapshot.run, meaning, number, time, state, origin, before, failure, reach, int(age)
         )
 
-    def _present(self, call: Call, world: World) -> Any:
+    def _present(self, call: ast.Call, world: World) -> Any:
         """Returns the value of a call's expression at the present tick; None where it is NaN.
 
         Of two expressions, it is a tuple.
@@ -336,7 +336,7 @@ class LiveFolds:
             self.settle(self._inner(call))
         return values if len(values) > 1 else values[0]
 
-    def _selected(self, query: Query, call: Call, world: World) -> Any:
+    def _selected(self, query: ast.Query, call: ast.Call, world: World) -> Any:
         """Returns the value that a SELECT of one row has; None where it is NaN."""
         try:
             selected = self._planner.run(query, Frame(self._scope), lambda _: None)
@@ -349,15 +349,15 @@ class LiveFolds:
             raise EvaluationError(no_ticks_message(world.name), span=call.span)
         return value
 
-    def _inner(self, call: Call) -> list[Call]:
+    def _inner(self, call: ast.Call) -> list[ast.Call]:
         """Returns the functions of time in the expressions of a call, the innermost ones first."""
         if call not in self._inner_calls:
             parts = [part for node in expressions_of(call) for part in node.walk()]
-            found = [p for p in parts if isinstance(p, Call) and p.name in TEMPORAL_FUNCTIONS]
+            found = [p for p in parts if isinstance(p, ast.Call) and p.name in TEMPORAL_FUNCTIONS]
             self._inner_calls[call] = found[::-1]
         return self._inner_calls[call]
 
-    def _meaning(self, call: Call) -> tuple[Any, ...] | None:
+    def _meaning(self, call: ast.Call) -> tuple[Any, ...] | None:
         """Returns what the variables of a call mean; None if that may change by itself.
 
         It holds no world.
@@ -376,26 +376,28 @@ class LiveFolds:
                 return None
         return tuple(meaning)
 
-    def _is_simple(self, expression: Node) -> bool:
+    def _is_simple(self, expression: ast.Node) -> bool:
         """Checks whether an expression has the same value at the present tick and in the record.
 
         Masses are recorded once, and functions of users may give another value each time.
         """
         for node in expression.walk():
-            if isinstance(node, TimeIndex | Query):
+            if isinstance(node, ast.TimeIndex | ast.Query):
                 return False
-            if isinstance(node, Call) and node.name in TEMPORAL_FUNCTIONS:
+            if isinstance(node, ast.Call) and node.name in TEMPORAL_FUNCTIONS:
                 if not is_fold(node):
                     return False
-            elif isinstance(node, Call) and not (node.name in RELATIONS or node.name in BUILTINS):
+            elif isinstance(node, ast.Call) and not (
+                node.name in RELATIONS or node.name in BUILTINS
+            ):
                 return False
         return MASSES not in self._tables_read(expression)
 
 
-def select_of(expression: Node) -> Query:
+def select_of(expression: ast.Node) -> ast.Query:
     """Returns a SELECT of one row that has the value of an expression."""
-    zero = ListLiteral(expression.span, (Literal(expression.span, 0),))
-    return Query(expression.span, (expression,), (Source(expression.span, None, zero),))
+    zero = ast.ListLiteral(expression.span, (ast.Literal(expression.span, 0),))
+    return ast.Query(expression.span, (expression,), (ast.Source(expression.span, None, zero),))
 
 
 def copied(value: Any) -> Any:
@@ -403,9 +405,9 @@ def copied(value: Any) -> Any:
     return list(map(copied, value)) if type(value) is list else value
 
 
-def _names_in(expression: Node) -> tuple[str, ...]:
+def _names_in(expression: ast.Node) -> tuple[str, ...]:
     """Returns the variables of an expression, each once."""
-    return tuple(dict.fromkeys(n.name for n in expression.walk() if isinstance(n, Name)))
+    return tuple(dict.fromkeys(n.name for n in expression.walk() if isinstance(n, ast.Name)))
 
 
 def _has_entity(state: Any) -> bool:

@@ -38,21 +38,10 @@ from ssduck.interpreter.over_time.series import (
     are_last_of_their_times,
     is_true,
 )
+from ssduck.language import ast
 from ssduck.language.analysis import IMPURE, OF_MARGINS, OVER_TIME, calls_of, free_aliases, mentions
 from ssduck.language.builtins import BUILTINS
 from ssduck.language.evaluator import Frame
-from ssduck.language.tree import (
-    Binary,
-    Call,
-    ListLiteral,
-    Literal,
-    Name,
-    Node,
-    OperatorChain,
-    Placeholder,
-    Query,
-    Unary,
-)
 from ssduck.language.value_keys import node_key
 from ssduck.logic.traces import Trace, Window
 from ssduck.recording.replay.past import common_moment, past_of
@@ -64,7 +53,7 @@ from ssduck.world.handles import Handle
 _MANY = 256
 
 
-def is_nested(node: Node) -> bool:
+def is_nested(node: ast.Node) -> bool:
     """Checks whether a part has a function of time in it."""
     return not calls_of(node).isdisjoint(OVER_TIME)
 
@@ -104,22 +93,22 @@ class NestedExpressions:
 
     def __init__(
         self,
-        series_of: Callable[[Call, Frame], TickSeries],
-        names_entities: Callable[[Node, Frame], bool],
+        series_of: Callable[[ast.Call, Frame], TickSeries],
+        names_entities: Callable[[ast.Node, Frame], bool],
     ) -> None:
         self.series_of, self.names_entities = series_of, names_entities
-        self._leaves: dict[str, Call] = {}
+        self._leaves: dict[str, ast.Call] = {}
 
-    def leaf(self, node: Node) -> Call:
+    def leaf(self, node: ast.Node) -> ast.Call:
         """Returns the call whose series is that of a part; the same one for equal parts."""
         key = node_key(node)
         if key not in self._leaves:
             while len(self._leaves) >= _MANY:
                 del self._leaves[next(iter(self._leaves))]
-            self._leaves[key] = Call(node.span, "changes", (node,), node.span)
+            self._leaves[key] = ast.Call(node.span, "changes", (node,), node.span)
         return self._leaves[key]
 
-    def verdict(self, call: Call, record: Record, frame: Frame) -> bool | float | None:
+    def verdict(self, call: ast.Call, record: Record, frame: Frame) -> bool | float | None:
         """Returns the value of an operator: at the tick of the row, or else at its own tick.
 
         That is the last tick, or the first one of an operator that looks ahead. None while it is
@@ -131,7 +120,7 @@ class NestedExpressions:
         return low if low == high else None
 
     def at_row(
-        self, call: Call, frame: Frame, record_of: Callable[[], Record]
+        self, call: ast.Call, frame: Frame, record_of: Callable[[], Record]
     ) -> tuple[Any] | None:
         """Returns the value of a call at the tick of a row of the past, alone in a tuple.
 
@@ -159,14 +148,14 @@ class NestedExpressions:
         row = rows.get(world)
         return (values[row.tick],) if row is not None and row.tick in values else None
 
-    def fold(self, call: Call, frame: Frame, record_of: Callable[[], Record]) -> Fold:
+    def fold(self, call: ast.Call, frame: Frame, record_of: Callable[[], Record]) -> Fold:
         """Returns the fold that an operator is; see `fold_of_operator`."""
         window = window_of(call, frame)
         return fold_of_operator(
             call.name, window, lambda: Ticks(self, record_of(), frame).conditions(call)
         )
 
-    def columns(self, node: Node, record: Record, frame: Frame) -> TickColumns:
+    def columns(self, node: ast.Node, record: Record, frame: Frame) -> TickColumns:
         """Returns the values of an expression at all ticks until now."""
         ticks = self.ticks(node, record, frame)
         column = ticks.column(node)
@@ -175,7 +164,7 @@ class NestedExpressions:
         numbers, _ = record.ticks_until_now()  # of those of one time, the last one counts for all
         return TickColumns(numbers, values[np.searchsorted(ticks.numbers, numbers)])
 
-    def ticks(self, node: Node, record: Record, frame: Frame) -> Ticks:
+    def ticks(self, node: ast.Node, record: Record, frame: Frame) -> Ticks:
         """Returns the ticks until now; rows of the same entities share them."""
         entities, cache = _entities_of_row(node, frame), cast("dict[Any, Any]", frame.cached)
         if entities is None:
@@ -187,7 +176,7 @@ class NestedExpressions:
         return ticks
 
 
-def _entities_of_row(node: Node, frame: Frame) -> list[tuple[str, int]] | None:
+def _entities_of_row(node: ast.Node, frame: Frame) -> list[tuple[str, int]] | None:
     """Returns which entities of the rows around it a part reads; None if it reads other values."""
     elements = [frame.elements.get(alias) for alias in sorted(free_aliases(node), key=str)]
     handles = [element for element in elements if isinstance(element, Handle)]
@@ -224,37 +213,37 @@ class Ticks:
         self._read: dict[str, Column] = {}
         self._traces: dict[str, Trace] = {}  # those of conditions, by their keys
 
-    def place_of(self, call: Call, frame: Frame) -> int:
+    def place_of(self, call: ast.Call, frame: Frame) -> int:
         """Returns the place of the tick of an operator that is in no other one."""
         moment = common_moment(self.record.world, (), frame.own_elements())
         if moment is not None:
             return int(np.searchsorted(self.numbers, moment.tick))
         return 0 if TEMPORAL_FUNCTIONS[call.name].looks_ahead else len(self.times) - 1
 
-    def is_decided(self, operator: Node, place: int) -> bool:
+    def is_decided(self, operator: ast.Node, place: int) -> bool:
         """Checks whether ticks after the last one could not change an operator at a tick."""
         going_on = copy(self)
         going_on.is_open, going_on._traces = True, {}  # noqa: SLF001  # a copy of its own
         going_on._columns = dict(self._read)  # noqa: SLF001
         return bool(going_on.trace(operator).is_known[place])
 
-    def conditions(self, call: Call) -> list[Trace]:
+    def conditions(self, call: ast.Call) -> list[Trace]:
         """Returns the conditions of an operator, or their margins, at each tick."""
         if not TEMPORAL_FUNCTIONS[call.name].of_margins:
             return [self.trace(part) for part in expressions_of(call)]
         return [self._margins(part) for part in expressions_of(call)]
 
-    def _margins(self, node: Node) -> Trace:
+    def _margins(self, node: ast.Node) -> Trace:
         """Returns margins; those of what looks ahead have the bounds of what is to come."""
         if any((form := operator_of(part)) and form.looks_ahead for part in node.walk()):
             match node:
-                case Call(name=name) if name.startswith(OF_MARGINS):
+                case ast.Call(name=name) if name.startswith(OF_MARGINS):
                     return self.trace(node)
-                case Unary(operator="-", operand=operand):
+                case ast.Unary(operator="-", operand=operand):
                     return ~self._margins(operand)
-                case Call(name="margin of AND", arguments=(ListLiteral(items=items),)):
+                case ast.Call(name="margin of AND", arguments=(ast.ListLiteral(items=items),)):
                     return reduce(Trace.__and__, map(self._margins, items))
-                case Call(name="margin of OR", arguments=(ListLiteral(items=items),)):
+                case ast.Call(name="margin of OR", arguments=(ast.ListLiteral(items=items),)):
                     return reduce(Trace.__or__, map(self._margins, items))
         column = self.column(node)
         margins = np.where(column.unknown, 0.0, column.values).astype(np.float64)
@@ -262,25 +251,25 @@ class Ticks:
 
     # -- truth ------------------------------------------------------------------------------
 
-    def trace(self, node: Node) -> Trace:
+    def trace(self, node: ast.Node) -> Trace:
         """Returns whether a condition holds at each tick."""
         key = node_key(node)
         if key not in self._traces:
             self._traces[key] = self._trace(node)
         return self._traces[key]
 
-    def _trace(self, node: Node) -> Trace:
+    def _trace(self, node: ast.Node) -> Trace:
         match node:
-            case Call() if (form := operator_of(node)) is not None:
+            case ast.Call() if (form := operator_of(node)) is not None:
                 assert form.operator is not None
                 return form.operator(*self.conditions(node), window_of(node, self._frame))
-            case Unary(operator="NOT", operand=operand) if self._is_made(node):
+            case ast.Unary(operator="NOT", operand=operand) if self._is_made(node):
                 return ~self.trace(operand)
-            case Binary(operator="AND" | "OR" as sign, left=left, right=right) if self._is_made(
+            case ast.Binary(operator="AND" | "OR" as sign, left=left, right=right) if self._is_made(
                 node
             ):
                 return self._joined(sign, self.trace(left), right)
-            case OperatorChain(operators=("AND" | "OR" as sign, *_)) if self._is_made(node):
+            case ast.OperatorChain(operators=("AND" | "OR" as sign, *_)) if self._is_made(node):
                 result = self.trace(node.operands[0])
                 for operand in node.operands[1:]:
                     result = self._joined(sign, result, operand)
@@ -291,11 +280,11 @@ class Ticks:
             truth = np.array([is_true(value, node) for value in column.tolist()], np.bool_)
         return Trace.of(self.times, truth, column.unknown, is_open=self.is_open)
 
-    def _is_made(self, node: Node) -> bool:
+    def _is_made(self, node: ast.Node) -> bool:
         """Checks whether a part is made of others, and no query has its values."""
         return is_nested(node) or mentions(node, self._given) or len(_compared_numbers(node)) == 1
 
-    def _joined(self, sign: str, trace: Trace, other: Node) -> Trace:
+    def _joined(self, sign: str, trace: Trace, other: ast.Node) -> Trace:
         # What decides at no tick is not evaluated: it may be an error, as at a single tick.
         if sign == "AND":
             return trace & self.trace(other) if trace.high.any() else trace
@@ -303,24 +292,27 @@ class Ticks:
 
     # -- values -----------------------------------------------------------------------------
 
-    def column(self, node: Node) -> Column:
+    def column(self, node: ast.Node) -> Column:
         """Returns the values of an expression at each tick."""
         key = node_key(node)
         if key not in self._columns:
             self._columns[key] = self._column(node)
         return self._columns[key]
 
-    def _column(self, node: Node) -> Column:
-        is_logic = isinstance(node, Unary | Binary | OperatorChain) and _sign_of(node) in _LOGIC
+    def _column(self, node: ast.Node) -> Column:
+        is_logic = (
+            isinstance(node, ast.Unary | ast.Binary | ast.OperatorChain)
+            and _sign_of(node) in _LOGIC
+        )
         if self._is_made(node) and (is_logic or operator_of(node) is not None):
             trace = self.trace(node)
             return Column(trace.low, ~trace.is_known)
         match node:
-            case Call(name=name) if name in OVER_TIME:
+            case ast.Call(name=name) if name in OVER_TIME:
                 return self._of_function(node)
-            case Name(name=name) if name in self._given:
+            case ast.Name(name=name) if name in self._given:
                 return self._given[name]
-            case Call(name="getTime", arguments=()):
+            case ast.Call(name="getTime", arguments=()):
                 return Column(self.times, np.zeros(len(self.times), np.bool_))
         if _is_of_values(node) and self._is_made(node):
             return self._computed(node)
@@ -330,7 +322,7 @@ class Ticks:
             return self._series(node)
         return Column.of_objects([self._frame.value(node)] * len(self.times))
 
-    def _series(self, node: Node) -> Column:
+    def _series(self, node: ast.Node) -> Column:
         """Returns the values of a part that one query has at all ticks."""
         series = self._expressions.series_of(self._expressions.leaf(node), self._frame)
         _, values = series.at(past_of(self.record, None))
@@ -342,7 +334,7 @@ class Ticks:
         self.has_unknown = self.has_unknown or bool(column.unknown.any())
         return column
 
-    def _of_function(self, call: Call) -> Column:
+    def _of_function(self, call: ast.Call) -> Column:
         """Returns the values of a function of time, each from the ticks until its own."""
         fold = TEMPORAL_FUNCTIONS[call.name].fold
         if fold is None or len(call.arguments) > 1:
@@ -354,11 +346,11 @@ class Ticks:
             values = [is_true(value, expression) for value in values]
         return Column.of_objects(list(_folded(fold, self.times.tolist(), values)))
 
-    def _computed(self, node: Node) -> Column:
+    def _computed(self, node: ast.Node) -> Column:
         """Returns what operators and functions of values make of parts."""
         parts: dict[str, Column] = {}
 
-        def part_of(part: Node) -> Node | None:
+        def part_of(part: ast.Node) -> ast.Node | None:
             if part is node:
                 return None
             is_made = self._is_made(part)
@@ -368,7 +360,7 @@ class Ticks:
             if is_part:
                 name = f"part {len(parts)}"
                 parts[name] = self.column(part)
-                return Placeholder(part.span, name)
+                return ast.Placeholder(part.span, name)
             return None
 
         tree = node.replaced(part_of)
@@ -386,7 +378,9 @@ class Ticks:
             result[row] = Frame(self._frame.scope, placeholders=at_tick).value(tree)
         return Column.of_objects(result)
 
-    def _by_arrays(self, tree: Node, parts: dict[str, Column]) -> tuple[npt.NDArray[Any], Flags]:
+    def _by_arrays(
+        self, tree: ast.Node, parts: dict[str, Column]
+    ) -> tuple[npt.NDArray[Any], Flags]:
         """Returns the values of a tree, and where each has to be computed by itself."""
         count = len(self.times)
         try:
@@ -405,23 +399,23 @@ class Ticks:
             result = compute(ArrayValues(read, count, _NO_CALLS, left))
         return np.broadcast_to(np.atleast_2d(result)[0], (count,)), left
 
-    def _compiled(self, tree: Node, parts: dict[str, Column]) -> Expression:
+    def _compiled(self, tree: ast.Node, parts: dict[str, Column]) -> Expression:
         """Returns a tree as a function of arrays."""
 
-        def given(node: Placeholder) -> Expression:
+        def given(node: ast.Placeholder) -> Expression:
             values = parts[node.name].values
             if values.dtype == np.object_:
                 raise LeftToDuckDBError
             return Expression(kind_of(values[0]), lambda arrays: arrays[node.name])
 
-        def variable(node: Name) -> Expression:
+        def variable(node: ast.Name) -> Expression:
             value = self._frame.value(node)
             return Expression(kind_of(value), _OPERATIONS.constant(value))
 
         return TreeCompiler(_OPERATIONS, None, {}, given, variable).of(tree)
 
 
-def window_of(call: Call, frame: Frame) -> Window:
+def window_of(call: ast.Call, frame: Frame) -> Window:
     """Returns the window of an operator."""
     places = call.arguments[len(expressions_of(call)) :]
     bounds = [_bound(call, *named, frame) for named in zip(("from", "to"), places, strict=False)]
@@ -435,8 +429,8 @@ def window_of(call: Call, frame: Frame) -> Window:
     return window
 
 
-def _bound(call: Call, name: str, node: Node, frame: Frame) -> float:
-    calls = [part for part in node.walk() if isinstance(part, Call | Query)]
+def _bound(call: ast.Call, name: str, node: ast.Node, frame: Frame) -> float:
+    calls = [part for part in node.walk() if isinstance(part, ast.Call | ast.Query)]
     if free_aliases(node) or not all(map(_is_of_values, calls)):
         raise ArgumentError(
             f"{call.name}: {name} is to be the same at all ticks and for all rows: a number or a "
@@ -458,29 +452,33 @@ _NO_CALLS: Any = None  # such a tree has no relations
 _LOGIC = ("NOT", "AND", "OR")
 
 
-def _sign_of(node: Unary | Binary | OperatorChain) -> str:
-    return node.operators[0] if isinstance(node, OperatorChain) else node.operator
+def _sign_of(node: ast.Unary | ast.Binary | ast.OperatorChain) -> str:
+    return node.operators[0] if isinstance(node, ast.OperatorChain) else node.operator
 
 
-def _is_of_values(node: Node) -> bool:
+def _is_of_values(node: ast.Node) -> bool:
     """Checks whether a part is computed from the values of its own parts."""
-    is_builtin = isinstance(node, Call) and node.name in BUILTINS and node.name not in IMPURE
+    is_builtin = isinstance(node, ast.Call) and node.name in BUILTINS and node.name not in IMPURE
     return is_builtin or isinstance(node, OF_VALUES)
 
 
-def _compared_numbers(node: Node) -> set[str]:
+def _compared_numbers(node: ast.Node) -> set[str]:
     """Returns the keys of the numbers that a part compares with constants; "" for others.
 
     Conditions and margins of one number need one query for it, however many they are.
     """
     match node:
-        case Unary(operator="NOT" | "-", operand=operand):
+        case ast.Unary(operator="NOT" | "-", operand=operand):
             return _compared_numbers(operand)
-        case Binary(operator="AND" | "OR", left=left, right=right):
+        case ast.Binary(operator="AND" | "OR", left=left, right=right):
             return _compared_numbers(left) | _compared_numbers(right)
-        case Binary(operator=sign, left=Call() as call, right=Literal()) if sign in _OF_NUMBERS:
+        case ast.Binary(operator=sign, left=ast.Call() as call, right=ast.Literal()) if (
+            sign in _OF_NUMBERS
+        ):
             return _key_of_number(call)
-        case Binary(operator=sign, left=Literal(), right=Call() as call) if sign in _OF_NUMBERS:
+        case ast.Binary(operator=sign, left=ast.Literal(), right=ast.Call() as call) if (
+            sign in _OF_NUMBERS
+        ):
             return _key_of_number(call)
     return {"", node_key(node)}
 
@@ -488,7 +486,7 @@ def _compared_numbers(node: Node) -> set[str]:
 _OF_NUMBERS = ("<", "<=", ">", ">=", "-")
 
 
-def _key_of_number(call: Call) -> set[str]:
+def _key_of_number(call: ast.Call) -> set[str]:
     relation = RELATIONS.get(call.name)
     is_number = relation is not None and relation.result == "double"
     return {node_key(call)} if is_number else {"", node_key(call)}

@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from ssduck.database.fetched_rows import columns_of
 from ssduck.geometry.arrays import Array, Flags
+from ssduck.language import ast
 from ssduck.language.operators import truth
-from ssduck.language.tree import Node
 from ssduck.recording.replay.past import Past, past_of
 from ssduck.recording.replay.record import Record
 
@@ -69,7 +69,7 @@ class TickSeries:
         self,
         record: Record,
         run: ColumnsOf,
-        node: Node,
+        node: ast.Node,
         least_clearance: LeastClearance | None = None,
         now: int | None = None,
     ) -> None:
@@ -149,6 +149,6 @@ def are_last_of_their_times(times: Array) -> Flags:
     return np.append(times[1:] != times[:-1], True)
 
 
-def is_true(value: Any, node: Node) -> bool:
+def is_true(value: Any, node: ast.Node) -> bool:
     """Returns whether a condition is true where it has a value."""
     return value is True or (value is not None and value is not False and truth(value, node))

@@ -20,28 +20,11 @@ from ssduck.geometry.arrays import Array
 from ssduck.geometry.narrow_phase import PRECISION
 from ssduck.interpreter.over_time.functions import TemporalFunction, expressions_of, operator_of
 from ssduck.interpreter.over_time.nested import NestedExpressions, Ticks, window_of
+from ssduck.language import ast
 from ssduck.language.aggregates import over_rows
 from ssduck.language.analysis import aliases_of
 from ssduck.language.builtins import MARGIN_OF_TRUTH, UNIT_OF_SCALE
 from ssduck.language.evaluator import Frame
-from ssduck.language.tree import (
-    AdapterClause,
-    Binary,
-    Call,
-    Index,
-    ListLiteral,
-    Literal,
-    Name,
-    Node,
-    OperatorChain,
-    Placeholder,
-    QualifiedName,
-    Query,
-    This,
-    Unary,
-    conjuncts,
-    joined,
-)
 from ssduck.logic.why import Move, Why
 from ssduck.recording.replay.record import Record
 from ssduck.schema import MARGINS
@@ -71,34 +54,38 @@ class Explainer:
     text: str  # the text of the program
     frame: Frame
     nested: NestedExpressions
-    record_of: Callable[[Call, Frame], Record]  # returns the record that an operator reads
+    record_of: Callable[[ast.Call, Frame], Record]  # returns the record that an operator reads
     # Resolves the names in a query.
-    resolved: Callable[[Query, Frame], tuple[ResolvedQuery, Any]]
+    resolved: Callable[[ast.Query, Frame], tuple[ResolvedQuery, Any]]
     # Puts expressions in place of `lifted`, `scale` and other functions that stand for them.
-    expanded: Callable[[Node], Node]
+    expanded: Callable[[ast.Node], ast.Node]
     ticks: Ticks | None = None  # the recorded ticks; None for the present one
     place: int = 0  # the place of a tick among them
 
-    def why(self, node: Node) -> Why:
+    def why(self, node: ast.Node) -> Why:
         """Returns why a condition has its value."""
         match node:
-            case Call() if (form := operator_of(node)) is not None:
+            case ast.Call() if (form := operator_of(node)) is not None:
                 return self._of_operator(node, form)
-            case Unary(operator="NOT", operand=operand):
+            case ast.Unary(operator="NOT", operand=operand):
                 return self._of_parts(node, (operand,))
             case (
-                Binary(operator="AND" | "OR" as sign)
-                | OperatorChain(operators=("AND" | "OR" as sign, *_))
+                ast.Binary(operator="AND" | "OR" as sign)
+                | ast.OperatorChain(operators=("AND" | "OR" as sign, *_))
             ):
-                return self._of_parts(node, tuple(joined(node, sign, math.inf)))
-            case Call(name="scale", arguments=(condition, unit)):
-                self._value(Call(unit.span, UNIT_OF_SCALE, (unit,), unit.span))  # may be an error
+                return self._of_parts(node, tuple(ast.joined(node, sign, math.inf)))
+            case ast.Call(name="scale", arguments=(condition, unit)):
+                self._value(
+                    ast.Call(unit.span, UNIT_OF_SCALE, (unit,), unit.span)
+                )  # may be an error
                 return self._of_parts(node, (condition,))
-            case Binary(operator="IN", left=member, right=Query() as query):
+            case ast.Binary(operator="IN", left=member, right=ast.Query() as query):
                 return self._of_rows(node, query, member)
-            case Binary(operator="!=", left=ListLiteral(items=()), right=Query() as query):
+            case ast.Binary(
+                operator="!=", left=ast.ListLiteral(items=()), right=ast.Query() as query
+            ):
                 return self._of_rows(node, query, None)  # EXISTS
-            case Query():
+            case ast.Query():
                 unfit = _unfit(node, is_member=False) or ("" if node.where else "no WHERE")
                 if unfit:
                     raise ArgumentError(
@@ -106,14 +93,14 @@ class Explainer:
                         f"two sources, with WHERE and without groups; this one has {unfit}",
                         span=node.span,
                     )
-                rows = replace(node, adapter=AdapterClause(node.span, "list"))
+                rows = replace(node, adapter=ast.AdapterClause(node.span, "list"))
                 return self._of_rows(rows, node, None)
         return self._of_leaf(node)
 
-    def _of_parts(self, node: Node, parts: tuple[Node, ...]) -> Why:
+    def _of_parts(self, node: ast.Node, parts: tuple[ast.Node, ...]) -> Why:
         return self._made(node, parts=tuple(map(self.why, parts)))
 
-    def _made(self, node: Node, parts: tuple[Why, ...] = ()) -> Why:
+    def _made(self, node: ast.Node, parts: tuple[Why, ...] = ()) -> Why:
         """Returns a condition with its value and its margin."""
         value = self._value(node)
         margin = self._margin(node)
@@ -133,26 +120,26 @@ class Explainer:
         rows = (row for row in self.frame.own_elements() if isinstance(row, Handle))
         return next((row.state.time for row in rows if row.moment is not None), None)
 
-    def _written(self, node: Node) -> str:
+    def _written(self, node: ast.Node) -> str:
         """Returns the text of a part; that of the condition of IMPLIES has no NOT."""
         match node:
-            case Unary(operand=operand) if node.span == operand.span:
+            case ast.Unary(operand=operand) if node.span == operand.span:
                 text = self._written(operand)
-                is_joined = isinstance(operand, Binary) and operand.operator in ("AND", "OR")
+                is_joined = isinstance(operand, ast.Binary) and operand.operator in ("AND", "OR")
                 return f"NOT ({text})" if is_joined else f"NOT {text}"
-            case Binary(operator=sign, left=left, right=right) if self._is_rewritten(node):
+            case ast.Binary(operator=sign, left=left, right=right) if self._is_rewritten(node):
                 text = self._written(right)
-                text = f"({text})" if isinstance(right, Query) else text
+                text = f"({text})" if isinstance(right, ast.Query) else text
                 return f"{self._written(left)} {sign} {text}"
         return " ".join(self.text[node.span.start : node.span.end].split())
 
-    def _is_rewritten(self, node: Binary) -> bool:
+    def _is_rewritten(self, node: ast.Binary) -> bool:
         """Checks whether the text of a part is that of what is made of it: by NOT IN or BETWEEN."""
         between = self.text[node.left.span.end : node.right.span.start].upper().split()
         is_between = node.operator == "AND" and node.span == node.left.span
         return is_between or "NOT" in between or "BETWEEN" in between
 
-    def _value(self, node: Node) -> Any:
+    def _value(self, node: ast.Node) -> Any:
         """Returns the value of a part; None if it is unknown."""
         node = self.expanded(node)
         if self.ticks is None:
@@ -161,7 +148,7 @@ class Explainer:
         (value,) = column.values[self.place : self.place + 1].tolist()
         return None if column.unknown[self.place] else value
 
-    def _margin(self, condition: Node) -> float | None:
+    def _margin(self, condition: ast.Node) -> float | None:
         try:
             expression = self._margin_of(condition)
             margin: Any = None if _is_of_truth(expression) else self._value(expression)
@@ -172,14 +159,14 @@ class Explainer:
         is_number = isinstance(margin, int | float) and math.isfinite(margin)
         return float(margin) if is_number else None
 
-    def _margin_of(self, condition: Node) -> Node:
+    def _margin_of(self, condition: ast.Node) -> ast.Node:
         """Returns the margin of a condition; an error if that has a value in place of one."""
         span = condition.span
-        return self.expanded(Call(span, "robustness", (condition,), span))
+        return self.expanded(ast.Call(span, "robustness", (condition,), span))
 
     # -- operators of time --------------------------------------------------------------------
 
-    def _of_operator(self, call: Call, form: TemporalFunction) -> Why:
+    def _of_operator(self, call: ast.Call, form: TemporalFunction) -> Why:
         """Returns why an operator has its value: by its conditions at the ticks that decide it."""
         window = window_of(call, self.frame)
         ticks, place = self.ticks, self.place
@@ -210,7 +197,7 @@ class Explainer:
         return replace(self, ticks=ticks, place=place)
 
     def _extreme(
-        self, ticks: Ticks, condition: Node, first: int, last: int, *, takes_least: bool
+        self, ticks: Ticks, condition: ast.Node, first: int, last: int, *, takes_least: bool
     ) -> int | None:
         """Returns the first of ticks from one to another with the extreme margin; None of none."""
         if last < first:
@@ -228,7 +215,7 @@ class Explainer:
 
     # -- nested queries -------------------------------------------------------------------------
 
-    def _of_rows(self, node: Node, query: Query, member: Node | None) -> Why:
+    def _of_rows(self, node: ast.Node, query: ast.Query, member: ast.Node | None) -> Why:
         """Returns why a query has rows, or has a member among its values.
 
         The part is the condition of the row that holds best, or comes nearest.
@@ -251,7 +238,7 @@ class Explainer:
         return replace(whole, parts=(replace(part, detail="; ".join(details)),))
 
     def _nearest_row(
-        self, resolved: ResolvedQuery, member: Node | None, *, holds: bool
+        self, resolved: ResolvedQuery, member: ast.Node | None, *, holds: bool
     ) -> Explainer | None:
         """Returns what explains in the row that holds best, or comes nearest; None of no rows.
 
@@ -261,21 +248,23 @@ class Explainer:
         """
         query, frame = resolved.query, self.frame
         span, names = query.span, aliases_of(query)
-        wanted: list[Node] = []
+        wanted: list[ast.Node] = []
         if member is not None:
             members = {**frame.placeholders, "member": self._value(member)}
             frame = replace(frame, placeholders=members)
-            one = ListLiteral(span, (Placeholder(span, "member"),))
-            wanted.append(Binary(span, "IN", resolved.columns[0].node, one))
-        elements = [This(span, name if len(names) > 1 else None) for name in names]
-        conditions = list(conjuncts(query.where))
+            one = ast.ListLiteral(span, (ast.Placeholder(span, "member"),))
+            wanted.append(ast.Binary(span, "IN", resolved.columns[0].node, one))
+        elements = [ast.This(span, name if len(names) > 1 else None) for name in names]
+        conditions = list(ast.conjuncts(query.where))
 
-        def rows(*parts: Node, kept: Sequence[Node] = ()) -> list[list[Any]]:
+        def rows(*parts: ast.Node, kept: Sequence[ast.Node] = ()) -> list[list[Any]]:
             values = enumerate([*elements, *parts])
-            items = [Call(span, "to", (item, Literal(span, str(n))), span) for n, item in values]
+            items = [
+                ast.Call(span, "to", (item, ast.Literal(span, str(n))), span) for n, item in values
+            ]
             filters = [*wanted, *kept]
-            where = reduce(partial(Binary, span, "AND"), filters) if filters else None
-            plain = Query(span, tuple(items), query.sources, where)
+            where = reduce(partial(ast.Binary, span, "AND"), filters) if filters else None
+            plain = ast.Query(span, tuple(items), query.sources, where)
             return [list(row.values()) for row in frame.value(self.expanded(plain))]
 
         try:
@@ -310,52 +299,54 @@ class Explainer:
 
     # -- comparisons and relations --------------------------------------------------------------
 
-    def _of_leaf(self, node: Node) -> Why:
+    def _of_leaf(self, node: ast.Node) -> Why:
         whole = replace(self._made(node), entities=tuple(self._entities(node)))
         match node:
-            case Binary(operator=sign, left=left, right=right) if sign in _COMPARISONS:
+            case ast.Binary(operator=sign, left=left, right=right) if sign in _COMPARISONS:
                 sides = [side for side in (left, right) if not _is_number(side)]
                 told = (f"{self._written(s)} is {on_one_line(self._value(s))}" for s in sides)
                 return self._with_move(replace(whole, detail="; ".join(told)), node)
-            case Call(name="lifted", arguments=(entity, _)):
+            case ast.Call(name="lifted", arguments=(entity, _)):
                 return self._of_rise(whole, node, entity)
-            case Call(name=name, arguments=(Node() as a, Node() as b, *_)) if name in _OF_SHAPES:
+            case ast.Call(name=name, arguments=(ast.Node() as a, ast.Node() as b, *_)) if (
+                name in _OF_SHAPES
+            ):
                 points, move = self._points(a, b), self._move_of_relation(node)
                 return replace(whole, points=points, move=move)
         return whole
 
-    def _of_rise(self, whole: Why, lifted: Call, place: Node) -> Why:
+    def _of_rise(self, whole: Why, lifted: ast.Call, place: ast.Node) -> Why:
         """Returns `lifted` with how far an entity has risen, and how much higher it would hold."""
         comparison, entity = self.expanded(lifted), self._entity(place)
-        assert isinstance(comparison, Binary)
+        assert isinstance(comparison, ast.Binary)
         rise, height = self._value(comparison.left), self._value(comparison.right)
         detail = f"{self._written(place)} has risen by {on_one_line(rise)} m"
         return self._along(replace(whole, detail=detail), entity, 2, rise, height)
 
-    def _entities(self, node: Node) -> dict[str, None]:
+    def _entities(self, node: ast.Node) -> dict[str, None]:
         """Returns the full names of the entities that a part without nested queries names."""
         names: dict[str, None] = {}
-        if isinstance(node, Name | Index | This):
+        if isinstance(node, ast.Name | ast.Index | ast.This):
             value = self.frame.value(node)
             return {value.full_name: None} if isinstance(value, Handle) else {}
-        for part in () if isinstance(node, Query) else self._called(node).children():
+        for part in () if isinstance(node, ast.Query) else self._called(node).children():
             names |= self._entities(part)
         return names
 
-    def _points(self, a: Node, b: Node) -> tuple[tuple[float, ...], ...]:
+    def _points(self, a: ast.Node, b: ast.Node) -> tuple[tuple[float, ...], ...]:
         """Returns the nearest points of two entities at the tick; none if they have no shapes."""
-        call = Call(a.span, "nearestPoints", (a, b), a.span)
+        call = ast.Call(a.span, "nearestPoints", (a, b), a.span)
         if self.ticks is not None:  # only at that tick
-            time = Literal(a.span, float(self.ticks.times[self.place]))
-            call = Call(a.span, "at", (time, call), a.span)
+            time = ast.Literal(a.span, float(self.ticks.times[self.place]))
+            call = ast.Call(a.span, "at", (time, call), a.span)
         return tuple(map(tuple, self.frame.value(call) or ()))
 
-    def _with_move(self, whole: Why, node: Binary) -> Why:
+    def _with_move(self, whole: Why, node: ast.Binary) -> Why:
         """Returns a comparison of a coordinate or a distance with the move that flips it."""
         match self._called(node.left), self._called(node.right):
-            case (Call() as call, number) if _is_constant(number):
+            case (ast.Call() as call, number) if _is_constant(number):
                 at_zero = (">", "<=")
-            case (number, Call() as call) if _is_constant(number):
+            case (number, ast.Call() as call) if _is_constant(number):
                 at_zero = ("<", ">=")
             case _:
                 return whole
@@ -382,14 +373,14 @@ class Explainer:
         points = (tuple(start.tolist()), tuple((start + axis * way).tolist()))
         return replace(whole, points=points, move=_move(entity, axis * _beyond(way)))
 
-    def _move_of_relation(self, call: Call) -> Move | None:
+    def _move_of_relation(self, call: ast.Call) -> Move | None:
         """Returns the translation that flips a relation of the distance of two entities."""
         if len(call.arguments) > 2:
             return self._move_to(call, self._value(call.arguments[2]))
         defaults = [parameter.default for parameter in RELATIONS[call.name].parameters[2:]]
         return self._move_to(call, float(defaults[0])) if defaults else None
 
-    def _move_to(self, call: Call, limit: float) -> Move | None:
+    def _move_to(self, call: ast.Call, limit: float) -> Move | None:
         """Returns the translation of the second of two entities just beyond a limit, m."""
         sign = _SIGNS.get(call.name)
         if sign is None or not limit >= 0.0:  # below it, none of them changes
@@ -406,7 +397,7 @@ class Explainer:
         has_margins = call.name == "touching"
         return _move(b, shapes.way_to(a.id, b.id, sign * limit, has_margins=has_margins))
 
-    def _entity(self, node: Node) -> Handle | None:
+    def _entity(self, node: ast.Node) -> Handle | None:
         """Returns an entity at the tick; None for another value."""
         value = self.frame.value(node)
         if not isinstance(value, Handle):
@@ -416,9 +407,9 @@ class Explainer:
         tick = int(self.ticks.numbers[self.place])
         return value.pinned(RecordedTick(self.ticks.record, tick))
 
-    def _called(self, node: Node) -> Node:
+    def _called(self, node: ast.Node) -> ast.Node:
         """Returns a column of a source's entity, `a.z`, as the call that it is."""
-        if isinstance(node, QualifiedName) and node.alias in self.frame.elements:
+        if isinstance(node, ast.QualifiedName) and node.alias in self.frame.elements:
             return node.call(node.key)
         return node
 
@@ -431,7 +422,7 @@ def _move(entity: Handle | None, way: Array | None) -> Move | None:
     return Move(entity.name, (x, y, z))
 
 
-def _unfit(query: Query, *, is_member: bool) -> str:
+def _unfit(query: ast.Query, *, is_member: bool) -> str:
     """Returns what a query has for which no row tells why; empty if it has nothing of that."""
     if query.group or query.having is not None or any(map(over_rows, query.items)):
         return "groups or aggregates"
@@ -461,11 +452,11 @@ def _nearness(values: list[Any], margins: list[float | None]) -> tuple[bool, int
     return all(values), -numbers.count(-math.inf), least
 
 
-def _is_of_truth(margin: Node) -> bool:
+def _is_of_truth(margin: ast.Node) -> bool:
     """Checks whether a margin is no number: more or less than any."""
-    while isinstance(margin, Unary):
+    while isinstance(margin, ast.Unary):
         margin = margin.operand
-    return isinstance(margin, Call) and margin.name == MARGIN_OF_TRUTH
+    return isinstance(margin, ast.Call) and margin.name == MARGIN_OF_TRUTH
 
 
 def _beyond(way: float) -> float:
@@ -473,9 +464,9 @@ def _beyond(way: float) -> float:
     return way + math.copysign(PRECISION, way)
 
 
-def _is_constant(node: Node) -> bool:
-    return _is_number(node) or isinstance(node, Name)
+def _is_constant(node: ast.Node) -> bool:
+    return _is_number(node) or isinstance(node, ast.Name)
 
 
-def _is_number(node: Node) -> bool:
-    return isinstance(node.operand if isinstance(node, Unary) else node, Literal)
+def _is_number(node: ast.Node) -> bool:
+    return isinstance(node.operand if isinstance(node, ast.Unary) else node, ast.Literal)

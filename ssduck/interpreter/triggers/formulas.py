@@ -29,9 +29,9 @@ from ssduck.interpreter.output import AsClause, as_clause_of
 from ssduck.interpreter.program import CompiledProgram
 from ssduck.interpreter.query_runner import PlannedQuery
 from ssduck.interpreter.triggers.shapes import LiveShapes
+from ssduck.language import ast
 from ssduck.language.clauses import Selected
 from ssduck.language.evaluator import Frame
-from ssduck.language.tree import Binary, Literal, Name, Node, Query, Unary
 from ssduck.language.value_keys import ATOMS
 from ssduck.schema import ALL_ENTITIES, MARGINS, MASSES, TABLES, VELOCITIES
 from ssduck.sql.plan import ParameterBinding, Plan
@@ -92,7 +92,7 @@ def _are_near(doubles: Array, table: LiveTable, threshold: float) -> bool:
 _TYPES = {"double": np.float64, "decimal": np.float64, "integer": np.int64, "string": np.object_}
 
 
-Planned: TypeAlias = tuple[Query, PlannedQuery, AsClause, Frame]
+Planned: TypeAlias = tuple[ast.Query, PlannedQuery, AsClause, Frame]
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ class Formula:
         query, planned, form, frame = self._planned
         execution = frame.scope
 
-        def run(_: Query, __: Frame, check: Callable[[Any], None]) -> Selected:
+        def run(_: ast.Query, __: Frame, check: Callable[[Any], None]) -> Selected:
             check(planned.columns)
             return planned.output_rows(rows)
 
@@ -260,7 +260,7 @@ _KINDS: dict[str, Kind] = {
     **dict.fromkeys(("enabled", "visible"), "boolean"),
 }
 _TABLES = frozenset((ALL_ENTITIES, MASSES, MARGINS, VELOCITIES, "shapes"))
-_CONSTANT_NODES = (Name, Literal, Unary, Binary)
+_CONSTANT_NODES = (ast.Name, ast.Literal, ast.Unary, ast.Binary)
 _LARGEST = 1 << 63
 
 
@@ -324,7 +324,7 @@ class Meaning:
     def __init__(
         self,
         execution: Execution,
-        query_of: Callable[[Query, Adapter], Query],
+        query_of: Callable[[ast.Query, Adapter], ast.Query],
         program: CompiledProgram,
         names: Iterable[str],
         key: tuple[Any, ...],
@@ -363,7 +363,9 @@ class Meaning:
             if planned is None or not _is_of_tables(planned[1].plan):
                 return None
             (query,) = execution.read(self._program.tree).statements
-            is_nested = any(isinstance(part, Query) for part in query.walk() if part is not query)
+            is_nested = any(
+                isinstance(part, ast.Query) for part in query.walk() if part is not query
+            )
             return None if is_nested else execution.tables_read(query) | {"entities"}
         return None
 
@@ -371,7 +373,7 @@ class Meaning:
         """Returns the query that a program is, planned; None if its result is no value of rows."""
         tree = self._execution.read(self._program.tree)
         match tree.statements:
-            case [Query(recursion=None) as query] if not tree.explain:
+            case [ast.Query(recursion=None) as query] if not tree.explain:
                 clause = query.adapter
                 if clause is not None and (clause.arguments or clause.named):
                     return None
@@ -389,7 +391,7 @@ class Meaning:
         plan, sources = planned_query.plan, query.sources
         is_left = plan.outputs is None or plan.may_fail or any(plan.deferred.values())
         value = sources[0].value if len(sources) == 1 else None
-        world = frame.value(value) if isinstance(value, Name) else None
+        world = frame.value(value) if isinstance(value, ast.Name) else None
         tables = self._execution.tables_read(query)
         if is_left or not isinstance(world, World) or not tables <= _TABLES:
             raise LeftToDuckDBError
@@ -435,7 +437,7 @@ def _slot_of(binding: ParameterBinding, plan: Plan, world: World, frame: Frame) 
     return Slot(plan.numbers[binding.name], value) if binding.name in plan.numbers else value
 
 
-def _is_constant(node: Node) -> bool:
+def _is_constant(node: ast.Node) -> bool:
     """Checks whether a part depends on the values of variables only."""
     return all(isinstance(part, _CONSTANT_NODES) for part in node.walk())
 

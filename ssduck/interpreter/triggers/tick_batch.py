@@ -23,7 +23,7 @@ from ssduck.interpreter.triggers.formulas import (
 )
 from ssduck.interpreter.triggers.shapes import LiveShapes
 from ssduck.interpreter.triggers.trigger import Trigger
-from ssduck.language.tree import Query
+from ssduck.language import ast
 from ssduck.schema import TABLES
 from ssduck.world.snapshot import Snapshot
 from ssduck.world.world import World
@@ -112,7 +112,7 @@ class TriggerBatches:
     """
 
     def __init__(
-        self, execution: Execution, query_of: Callable[[Query, Adapter], Query] | None
+        self, execution: Execution, query_of: Callable[[ast.Query, Adapter], ast.Query] | None
     ) -> None:
         self._execution, self._query_of = execution, query_of
         self._generation = 0

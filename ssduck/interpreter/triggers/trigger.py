@@ -16,8 +16,8 @@ from ssduck.errors import warn
 from ssduck.interpreter.program import CompiledProgram
 from ssduck.interpreter.triggers.conditions import Debouncer, TriggerConfig, copy_of
 from ssduck.interpreter.triggers.formulas import Meaning
+from ssduck.language import ast
 from ssduck.language.analysis import IMPURE, calls_of, variables_of
-from ssduck.language.tree import Program, Query, UnresolvedName
 from ssduck.sql.relation_calls import tables_of
 from ssduck.world.world import World
 
@@ -287,14 +287,16 @@ class TriggerState:
         return self.config.interval
 
 
-def _names_read_by(program: Program) -> frozenset[str] | None:
+def _names_read_by(program: ast.Program) -> frozenset[str] | None:
     """Returns the names of variables and functions that a query may use.
 
     None for another program than a query, or if the result may change between two ticks.
     """
     match program.statements:
-        case [Query() as query] if not program.explain:
-            unresolved = {part.name for part in query.walk() if isinstance(part, UnresolvedName)}
+        case [ast.Query() as query] if not program.explain:
+            unresolved = {
+                part.name for part in query.walk() if isinstance(part, ast.UnresolvedName)
+            }
             names = calls_of(query) | variables_of(query) | unresolved
             # Sensors can be switched between two ticks.
             is_fixed = names.isdisjoint(_CHANGING) and "sensings" not in tables_of(query)

@@ -117,7 +117,6 @@ class TickArchive(ABC):
     The caller holds the world that was recorded, so that nothing is dropped meanwhile.
     """
 
-    has_single_links: bool = False  # whether bodies of one link have rows in the table of links
     recording: Recording  # what was recorded of each tick
     tables: tuple[str, ...]  # the tables that have rows, `ticks` among them
     # the stored rows that DuckDB reads from memory, by table

@@ -47,8 +47,6 @@ class ParquetArchive(TickArchive):
         visible_rows: the rows of the log, which DuckDB reads from memory, by table.
     """
 
-    has_single_links = True
-
     def __init__(
         self,
         run: FolderRun,

@@ -1,4 +1,4 @@
-"""The tree of a program: frozen nodes that know their place in the text.
+"""The abstract syntax tree of a program: frozen nodes that know their place in the text.
 
 Names are looked up when a program runs.
 """
